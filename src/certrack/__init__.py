@@ -1,0 +1,1 @@
+"""certrack: certified tracking control for uncertain nonlinear systems."""

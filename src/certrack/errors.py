@@ -1,0 +1,72 @@
+"""Exceptions. Each message is one line: what, where, what was expected, what came, the remedy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class CertrackError(Exception):
+    """Base of everything certrack raises on purpose."""
+
+
+class InputError(CertrackError, ValueError):
+    """An argument or a system-file key does not meet its requirement.
+
+    Parameters
+    ----------
+    key : str
+        The argument or dotted key, e.g. ``"plant.chain"``.
+    expected : str
+        The requirement, in words.
+    got : object, optional
+        What came instead; shown shortened.
+    remedy : str, optional
+        What the user can do about it.
+    """
+
+    def __init__(self, key: str, expected: str, got: Any = None, remedy: str = "") -> None:
+        self.key, self.expected, self.got, self.remedy = key, expected, got, remedy
+        self.file = ""
+        super().__init__(key, expected)
+
+    def within(self, file: str) -> InputError:
+        """Name the file the offending key stands in."""
+        self.file = file
+        return self
+
+    def __str__(self) -> str:
+        where = ": ".join(part for part in (self.file, self.key) if part)
+        text = f"{where}: {self.expected}"
+        if self.got is not None:
+            text += f"; got {shorten(self.got)}"
+        if self.remedy:
+            text += f". {self.remedy}"
+        return one_line(text)
+
+
+class DesignError(InputError):
+    """The data are well formed, but no controller of the requested kind exists for them."""
+
+
+class MissingExtra(CertrackError):
+    """An optional dependency is not installed."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(
+            f"{purpose} needs {package}, which is not installed: pip install 'certrack[{extra}]'"
+        )
+
+
+def one_line(text: str) -> str:
+    """Text with every control character and line break made visible or a space."""
+    return "".join(ch if ch.isprintable() else " " for ch in text)
+
+
+def shorten(value: Any, limit: int = 80) -> str:
+    """Representation of `value` that fits into a message."""
+    try:
+        text = value if isinstance(value, str) else repr(value)
+    except (ValueError, RecursionError):  # an int of thousands of digits, a self-nested list
+        text = f"a {type(value).__name__} too large to print"
+    text = one_line(text[: 4 * limit])
+    return text if len(text) <= limit else text[: limit - 3] + "..."

@@ -1,0 +1,1 @@
+"""Integrators: each turns a closed loop into a trajectory with dense output."""

@@ -1,0 +1,263 @@
+"""What a control law is.
+
+A law is a frozen dataclass of its gains. It states two things:
+
+* :meth:`Law.equations` - the control and update laws as formulas of the :class:`Signals`. They use
+  symbols for every gain, so one formula serves all gains and is compiled once.
+* :meth:`Law.parameters` - the numbers those symbols stand for.
+
+To write a new law, subclass :class:`Law` in one file, fill in both methods, and let
+``certrack.testing.LawConformance`` test it. Fields declared with :func:`gain` and friends are read
+from the ``[law]`` table of a system file and checked by their declared shape.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
+
+import numpy as np
+import sympy
+
+from certrack import checks
+from certrack.backstepping import ErrorCoordinates, Gains, recursion
+from certrack.errors import InputError
+from certrack.expressions import symbol
+from certrack.plant import Plant
+
+
+def gain(**limits: Any) -> Any:
+    """Dataclass field: one number within the limits of :func:`certrack.checks.real`."""
+    default = {"default": limits.pop("default")} if "default" in limits else {}
+    return field(**default, metadata={"shape": "number", **limits})
+
+
+def theta_vector() -> Any:
+    """Dataclass field: r numbers; zero if left out."""
+    return field(default=None, metadata={"shape": "vector"})
+
+
+def theta_metric() -> Any:
+    """Dataclass field: r positive numbers (a diagonal), or a positive definite r x r matrix."""
+    return field(default=None, metadata={"shape": "metric"})
+
+
+class Signals:
+    """The symbols a law may use in its equations.
+
+    Attributes
+    ----------
+    x : tuple of symbols
+        Plant states.
+    Y : tuple of symbols
+        y_d ... y_d^(q+1).
+    e_n : expression
+        Last error coordinate.
+    nu : expression
+        The part of the control that all laws share [20].
+    phi : tuple of expressions
+        Regressor phi(x).
+    sign_g : symbol
+        Sign of the input gain.
+    """
+
+    def __init__(self, plant: Plant, q: int) -> None:
+        self.plant, self.q = plant, q
+        self.x = plant.symbols
+        self.Y = tuple(symbol(f"y_d_{i}") for i in range(q + 2))
+        self.phi = tuple(phi.expr for phi in plant.regressor)
+        self._parameters: dict[str, tuple[sympy.Symbol, ...]] = {}
+        a = self.parameters("A_n", plant.n)
+        b = self.parameters("B_n", q + 1)
+        nu_x = self.parameters("nu_x", plant.n)
+        nu_y = self.parameters("nu_Y", q + 2)
+        self.e_n = dot(a, self.x) - dot(b, self.Y[: q + 1])
+        self.nu = dot(nu_x, self.x) + dot(nu_y, self.Y) - plant.drift.expr
+        self.sign_g = self.parameter("sign_g")
+
+    @property
+    def r(self) -> int:
+        """Number of unknown parameters theta."""
+        return self.plant.r
+
+    def parameter(self, name: str) -> sympy.Symbol:
+        """A scalar gain as a symbol."""
+        return self.parameters(name, 1)[0]
+
+    def parameters(self, name: str, *shape: int) -> tuple[sympy.Symbol, ...]:
+        """An array of gains as symbols, in row-major order."""
+        count = int(np.prod(shape))
+        found = tuple(symbol(f"law_{name}_{i}") for i in range(count))
+        self._parameters[name] = found
+        return found
+
+    @property
+    def all_parameters(self) -> Mapping[str, tuple[sympy.Symbol, ...]]:
+        """Every gain asked for so far, by name."""
+        return self._parameters
+
+
+@dataclass(frozen=True)
+class Equations:
+    """A law as formulas: the input u, and the derivatives of the controller's own states."""
+
+    u: sympy.Expr
+    update: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A law made for one plant: formulas and the numbers in them.
+
+    Attributes
+    ----------
+    equations : Equations
+    signals : Signals
+    coordinates : ErrorCoordinates
+    values : (P,) array
+        Values of :attr:`symbols`.
+    """
+
+    equations: Equations
+    signals: Signals
+    coordinates: ErrorCoordinates
+    values: np.ndarray
+
+    @property
+    def states(self) -> tuple[sympy.Symbol, ...]:
+        """The controller's own states (estimates)."""
+        return tuple(name for name, _ in self.equations.update)
+
+    @property
+    def symbols(self) -> tuple[sympy.Symbol, ...]:
+        """Symbols of all gains, in the order of :attr:`values`."""
+        return tuple(s for group in self.signals.all_parameters.values() for s in group)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law(ABC):
+    """Base of all laws: the gains of the recursion.
+
+    Parameters
+    ----------
+    c, k, p
+        See :class:`certrack.backstepping.Gains`.
+    feedforward : int
+        q, how many derivatives of y_d the virtual controls use; needs q + 1 bounded derivatives.
+    """
+
+    kind: ClassVar[str]
+    #: Whether the law's V' <= -alpha V + Delta is provable; otherwise why not.
+    no_certificate: ClassVar[str] = ""
+
+    c: tuple[float, ...]
+    k: tuple[tuple[float, ...], ...] | None = None
+    p: tuple[float, ...] | None = None
+    feedforward: int = 0
+
+    def __post_init__(self) -> None:
+        gains = Gains(self.c, self.k, self.p)
+        values: dict[str, Any] = {"c": gains.c}
+        values |= {"k": gains.k} if self.k is not None else {}
+        values |= {"p": gains.p} if self.p is not None else {}
+        for entry in fields(self):
+            if entry.metadata and (given := getattr(self, entry.name)) is not None:
+                values[entry.name] = _checked(entry.name, given, dict(entry.metadata))
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @abstractmethod
+    def equations(self, s: Signals) -> Equations:
+        """Control and update laws as formulas of `s`."""
+
+    def parameters(self, plant: Plant) -> Mapping[str, Any]:
+        """Numbers for the gains that :meth:`equations` asked for, by name."""
+        return {}
+
+    def order(self, plant: Plant) -> int:
+        """Feed-forward order q on this plant."""
+        return self.feedforward
+
+    def gains(self) -> Gains:
+        """Gains of the recursion."""
+        return Gains(self.c, self.k, self.p)
+
+    def coordinates(self, plant: Plant) -> ErrorCoordinates:
+        """Carry out the recursion for `plant`."""
+        return recursion(plant.g, plant.b, self.gains(), self.order(plant))
+
+    def values(self, plant: Plant, names: Sequence[str]) -> np.ndarray:
+        """Numbers for the named gains, flattened; all a sweep over gains has to recompute."""
+        found = self.coordinates(plant)
+        known: dict[str, Any] = {
+            "A_n": found.A[-1],
+            "B_n": found.B[-1],
+            "nu_x": found.nu_x,
+            "nu_Y": found.nu_Y,
+            "sign_g": plant.gain_sign,
+            **self.parameters(plant),
+        }
+        return np.concatenate([np.ravel(np.asarray(known[name], float)) for name in names])
+
+    def design(self, plant: Plant) -> Controller:
+        """Make the controller for `plant`.
+
+        Raises
+        ------
+        InputError
+            If the gains do not fit the plant.
+        DesignError
+            If no such controller exists.
+        """
+        coordinates = self.coordinates(plant)
+        signals = Signals(plant, coordinates.q)
+        equations = self.equations(signals)
+        values = self.values(plant, list(signals.all_parameters))
+        return Controller(equations, signals, coordinates, values)
+
+
+def _checked(name: str, given: Any, limits: dict[str, Any]) -> Any:
+    """A gain as its declared shape demands; what needs the plant is checked at design."""
+    key, shape = f"law.{name}", limits.pop("shape")
+    if shape == "number":
+        return checks.real(key, given, **limits)
+    if shape == "vector":
+        return checks.reals(key, given, None, "one number per regressor")
+    rows = checks.sequence(key, given, None, "one number per regressor, or a square matrix")
+    if any(isinstance(row, (list, tuple, np.ndarray)) for row in rows):
+        return tuple(checks.reals(f"{key}[{i}]", row, len(rows), "row") for i, row in enumerate(rows))
+    return checks.reals(key, rows, None, "one number per regressor", above=0)
+
+
+def metric(key: str, given: Any, r: int) -> np.ndarray:
+    """A symmetric positive definite r x r matrix from a diagonal, a matrix, or None (identity)."""
+    if given is None:
+        return np.eye(r)
+    rows = np.array(given, dtype=float)
+    if rows.shape == (r,):
+        rows = np.diag(rows)
+    if rows.shape != (r, r):
+        raise InputError(key, f"must be {r} numbers or a {r} x {r} matrix", _listed(given))
+    if not np.array_equal(rows, rows.T):
+        raise InputError(key, "must be symmetric", _listed(given))
+    if r and np.linalg.eigvalsh(rows).min() <= 0:
+        raise InputError(key, "must be positive definite", _listed(given))
+    return rows
+
+
+def vector(key: str, given: Any, r: int) -> np.ndarray:
+    """r numbers, zero if None."""
+    if given is None:
+        return np.zeros(r)
+    return np.array(checks.reals(key, given, r, "one number per regressor"))
+
+
+def dot(a: Sequence[sympy.Expr], b: Sequence[sympy.Expr]) -> sympy.Expr:
+    """Inner product of formulas."""
+    return sympy.Add(*(left * right for left, right in zip(a, b, strict=True)))
+
+
+def _listed(value: Any) -> Any:
+    return [_listed(entry) for entry in value] if isinstance(value, (list, tuple)) else value

@@ -1,0 +1,69 @@
+"""Classic adaptive law: the baseline of the paper's Example 1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from certrack.errors import InputError
+from certrack.expressions import symbol
+from certrack.laws.base import Equations, Law, Signals, dot, gain, metric, theta_metric
+from certrack.plant import Plant
+
+
+@dataclass(frozen=True, kw_only=True)
+class Classic(Law):
+    """Adaptive backstepping without damping and leakage (Krstic type) [48].
+
+        u          = delta_hat ubar,     ubar = nu - phi^T theta_hat
+        delta_hat' = -gbar sign(g_n) ubar e_n
+        theta_hat' =  Gamma phi e_n
+
+    All derivatives of y_d up to order n are fed forward (q = n - 1).
+
+    Parameters
+    ----------
+    gain_rate : float > 0
+        gbar, adaptation gain of delta_hat.
+    Gamma : r positive numbers or an r x r positive definite matrix, optional
+        Adaptation gain of theta_hat; identity if left out.
+    """
+
+    kind = "classic"
+    no_certificate = (
+        "without leakage the estimates may drift under disturbances, so V' <= -alpha V + Delta "
+        "does not follow; use the adaptive law"
+    )
+
+    gain_rate: float = gain(above=0, default=1.0)
+    Gamma: Any = theta_metric()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("k", "p"):
+            if getattr(self, name) is not None:
+                raise InputError(f"law.{name}", "the classic law has no damping", remedy="Remove it")
+        if self.feedforward:
+            raise InputError("law.feedforward", "the classic law always has n - 1; remove it")
+
+    def order(self, plant: Plant) -> int:
+        return plant.n - 1
+
+    def equations(self, s: Signals) -> Equations:
+        gbar, Gamma = s.parameter("gain_rate"), s.parameters("Gamma", s.r, s.r)
+        delta_hat = symbol("delta_hat")
+        theta_hat = [symbol(f"theta_hat_{i + 1}") for i in range(s.r)]
+
+        ubar = s.nu - dot(s.phi, theta_hat)  # [48]
+        delta_rate = -gbar * s.sign_g * ubar * s.e_n
+        drive = [phi * s.e_n for phi in s.phi]
+        theta_rate = [dot(Gamma[i * s.r : (i + 1) * s.r], drive) for i in range(s.r)]
+        update = ((delta_hat, delta_rate), *zip(theta_hat, theta_rate, strict=True))
+        return Equations(u=delta_hat * ubar, update=update)
+
+    def parameters(self, plant: Plant) -> Mapping[str, Any]:
+        return {
+            "gain_rate": self.gain_rate,
+            "Gamma": metric("law.Gamma", self.Gamma, plant.r),
+        }

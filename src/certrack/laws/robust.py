@@ -1,0 +1,36 @@
+"""Robust law: theta and the input gain are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from certrack.errors import DesignError
+from certrack.laws.base import Equations, Law, Signals, dot
+from certrack.plant import Plant
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robust(Law):
+    """Backstepping for known parameters (Corollary 1).
+
+    u = (nu - phi^T theta) / g_n
+    """
+
+    kind = "robust"
+
+    def equations(self, s: Signals) -> Equations:
+        g_n, theta = s.parameter("g_n"), s.parameters("theta", s.r)
+        return Equations(u=(s.nu - dot(s.phi, theta)) / g_n)
+
+    def parameters(self, plant: Plant) -> Mapping[str, Any]:
+        if plant.input_gain is None:
+            raise DesignError("plant.input_gain", "the robust law must know g_n", remedy=_REMEDY)
+        if plant.theta is None and plant.r:
+            raise DesignError("plant.theta", "the robust law must know theta", remedy=_REMEDY)
+        theta = [float(value.expr) for value in plant.theta or ()]
+        return {"g_n": float(plant.input_gain.expr), "theta": theta}
+
+
+_REMEDY = 'State it, or use kind = "adaptive"'

@@ -1,0 +1,110 @@
+"""SymPy to machine: NumPy callables and heyoka expressions.
+
+heyoka's Taylor method needs smooth right-hand sides. Every abs, sign, min and max is therefore
+written by a *switch* s = sign(f), a runtime parameter held constant while f keeps its sign:
+|f| = s f, max(a, b) = (a + b + s (a - b))/2. The integrator locates f = 0 as an event, flips s and
+goes on, so no step ever crosses a kink.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import sympy
+
+from certrack.expressions import TIME, derivative, without_minmax
+
+
+def numpy_callable(
+    arguments: Sequence[Any], formulas: Sequence[sympy.Expr]
+) -> Callable[..., list[Any]]:
+    """Vectorised NumPy function of the given (nested) arguments that returns all formulas."""
+    found: Callable[..., list[Any]] = sympy.lambdify(arguments, list(formulas), "numpy", cse=True)
+    return found
+
+
+def jacobian(formulas: Sequence[sympy.Expr], by: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
+    """Partial derivatives, row-major; kinks give one-sided slopes."""
+    return [derivative(formula, symbol) for formula in formulas for symbol in by]
+
+
+def extract_switches(
+    formulas: Sequence[sympy.Expr],
+) -> tuple[list[sympy.Expr], list[tuple[sympy.Symbol, sympy.Expr]]]:
+    """Replace abs and sign (and so min and max) by switches.
+
+    Returns
+    -------
+    formulas : list
+        The formulas with |f| = s f and sign(f) = s; smooth while every s is constant.
+    switches : list of (s, f)
+        Switch symbols and what they are the sign of; later f may contain earlier s.
+    """
+    switches: dict[sympy.Expr, sympy.Symbol] = {}
+
+    def switch(inside: sympy.Expr) -> sympy.Symbol:
+        if inside not in switches:
+            switches[inside] = sympy.Symbol(f"switch_{len(switches)}", real=True)
+        return switches[inside]
+
+    def smooth(expr: sympy.Expr) -> sympy.Expr:
+        if not expr.has(sympy.Abs, sympy.sign):
+            return expr
+        args = [smooth(arg) for arg in expr.args]
+        if isinstance(expr, sympy.Abs):
+            return switch(args[0]) * args[0]
+        if isinstance(expr, sympy.sign):
+            return switch(args[0])
+        return expr.func(*args)
+
+    found = [smooth(without_minmax(formula)) for formula in formulas]
+    return found, [(symbol, inside) for inside, symbol in switches.items()]
+
+
+def to_heyoka(formulas: Sequence[sympy.Expr], known: Mapping[sympy.Symbol, Any]) -> list[Any]:
+    """heyoka expressions of smooth formulas.
+
+    Parameters
+    ----------
+    formulas : sequence of sympy.Expr
+        Without abs, sign, min and max (see :func:`extract_switches`).
+    known : mapping
+        heyoka expression of every symbol except time.
+    """
+    import heyoka as hy
+
+    functions = {
+        getattr(sympy, name): getattr(hy, name)
+        for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp")
+    } | {sympy.log: hy.log, sympy.atan2: hy.atan2}
+    done: dict[sympy.Basic, Any] = {TIME: hy.time, **known}
+
+    def build(expr: sympy.Basic) -> Any:
+        if expr not in done:
+            done[expr] = lower(expr)
+        return done[expr]
+
+    def lower(expr: sympy.Basic) -> Any:
+        if expr.is_number and not expr.free_symbols:
+            return hy.expression(float(expr))
+        if isinstance(expr, sympy.Add):
+            return hy.sum([build(arg) for arg in expr.args])
+        if isinstance(expr, sympy.Mul):
+            return hy.prod([build(arg) for arg in expr.args])
+        if isinstance(expr, sympy.Pow):
+            base, exponent = expr.args
+            if exponent == sympy.Rational(1, 2):
+                return hy.sqrt(build(base))
+            return build(base) ** float(exponent)
+        if type(expr) in functions:
+            return functions[type(expr)](*(build(arg) for arg in expr.args))
+        raise TypeError(f"no heyoka form of {type(expr).__name__}")
+
+    return [build(formula) for formula in formulas]
+
+
+def rows(values: Sequence[Any], count: int) -> np.ndarray:
+    """Results of a NumPy callable as an array (len(values), count); constants are spread out."""
+    return np.array([np.broadcast_to(value, (count,)) for value in values], dtype=float)

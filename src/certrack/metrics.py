@@ -1,0 +1,157 @@
+"""What a run is judged by.
+
+Integrals come from the integrator's own states. Extremes and crossings are found on every
+integration step cut into equal parts and refined by a parabola or a cubic, so their error does not
+depend on an output grid.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Performance of one run.
+
+    Attributes
+    ----------
+    settling_time : float, s
+        Last time |e_1| exceeds the band; NaN if it still does at the end.
+    tail_error : float
+        Largest |e_1| from `tail_start` on, unit of the output.
+    rms_error : float
+        Root mean square of e_1 over the run, unit of the output.
+    integral_abs_error, integral_squared_error : float
+        Integrals of |e_1| and e_1^2.
+    peak_input : float
+        Largest |u|.
+    input_energy : float
+        Integral of u^2.
+    input_variation : float
+        Total variation of u.
+    band, tail_start : float
+        What settling and tail refer to.
+    """
+
+    settling_time: float
+    tail_error: float
+    rms_error: float
+    integral_abs_error: float
+    integral_squared_error: float
+    peak_input: float
+    input_energy: float
+    input_variation: float
+    band: float
+    tail_start: float
+
+    def as_dict(self) -> dict[str, float | None]:
+        """For JSON: a number that does not exist is None."""
+        return {k: v if math.isfinite(v) else None for k, v in asdict(self).items()}
+
+
+def measure(
+    t: np.ndarray,
+    e: np.ndarray,
+    u: np.ndarray,
+    integrals: np.ndarray,
+    band: float,
+    tail_start: float,
+) -> Metrics:
+    """Metrics from samples that resolve the solution.
+
+    Parameters
+    ----------
+    t, e, u : (N,) arrays
+        Times, tracking error e_1, input.
+    integrals : (3, N) array
+        Running integrals of u^2, e_1^2 and e_1.
+    band, tail_start : float
+        See :class:`Metrics`.
+    """
+    span = float(t[-1])
+    return Metrics(
+        settling_time=_settling_time(t, np.abs(e), band),
+        tail_error=_tail_supremum(t, e, tail_start),
+        rms_error=math.sqrt(integrals[1, -1] / span) if span > 0 else math.nan,
+        integral_abs_error=_integral_of_magnitude(t, e, integrals[2]),
+        integral_squared_error=float(integrals[1, -1]),
+        peak_input=supremum(t, u),
+        input_energy=float(integrals[0, -1]),
+        input_variation=float(np.abs(np.diff(u)).sum()),
+        band=band,
+        tail_start=tail_start,
+    )
+
+
+def supremum(t: np.ndarray, values: np.ndarray) -> float:
+    """Largest |value|, refined by the parabola through the largest sample and its neighbours."""
+    size = np.abs(values)
+    if not len(size):
+        return math.nan
+    i = int(np.argmax(size))
+    best = float(size[i])
+    if 0 < i < len(size) - 1:
+        h0, h1 = t[i] - t[i - 1], t[i + 1] - t[i]
+        rise, fall = size[i] - size[i - 1], size[i] - size[i + 1]
+        if h0 > 0 and h1 > 0 and rise + fall > 0:
+            left, right = rise / h0, fall / h1  # one-sided slopes of the parabola's chords
+            curvature = (left + right) / (h0 + h1)
+            slope = (left * h1 - right * h0) / (h0 + h1)
+            best += slope**2 / (4 * curvature)
+    return best
+
+
+def _tail_supremum(t: np.ndarray, e: np.ndarray, start: float) -> float:
+    keep = t >= start
+    if not keep.any():
+        return math.nan
+    at_start = abs(float(np.interp(start, t, e)))
+    return max(supremum(t[keep], e[keep]), at_start)
+
+
+def _settling_time(t: np.ndarray, size: np.ndarray, band: float) -> float:
+    outside = np.flatnonzero(size > band)
+    if not outside.size:
+        return 0.0
+    i = int(outside[-1])
+    if i == len(t) - 1:
+        return math.nan
+    return _crossing(t, size - band, i)
+
+
+def _crossing(t: np.ndarray, f: np.ndarray, i: int) -> float:
+    """Zero of f in [t_i, t_{i+1}] by inverse interpolation through four neighbours."""
+    lo = max(0, min(i - 1, len(t) - 4))
+    ts, fs = t[lo : lo + 4], f[lo : lo + 4]
+    if len(ts) == 4 and np.all(np.diff(fs) < 0):  # monotone: the inverse is a function
+        guess = 0.0
+        for j in range(4):
+            weights = [fs[m] / (fs[m] - fs[j]) for m in range(4) if m != j]
+            guess += ts[j] * math.prod(weights)
+        if t[i] <= guess <= t[i + 1]:
+            return float(guess)
+    return float(t[i] + (t[i + 1] - t[i]) * f[i] / (f[i] - f[i + 1]))
+
+
+def _integral_of_magnitude(t: np.ndarray, e: np.ndarray, running: np.ndarray) -> float:
+    """Integral of |e| from the running integral of e, split where e changes sign.
+
+    The running integral has an extremum there, so a small error of the crossing time only counts
+    squared; a cubic Hermite polynomial of it, whose slope is e, is enough.
+    """
+    change = np.flatnonzero(np.sign(e[:-1]) * np.sign(e[1:]) < 0)
+    if not change.size:
+        return abs(float(running[-1] - running[0]))
+    h, e0, e1 = t[change + 1] - t[change], e[change], e[change + 1]
+    s = e0 / (e0 - e1)
+    hermite = (
+        running[change] * (1 + 2 * s) * (1 - s) ** 2
+        + running[change + 1] * s**2 * (3 - 2 * s)
+        + h * s * (1 - s) * (e0 * (1 - s) - e1 * s)
+    )
+    marks = np.concatenate([running[:1], hermite, running[-1:]])
+    return float(np.abs(np.diff(marks)).sum())

@@ -1,0 +1,153 @@
+"""Proven bounds on |f(t)| for t >= 0: exact for sums of sinusoids, interval arithmetic otherwise."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import sympy
+from mpmath import iv, mp
+from sympy.simplify.fu import TR8
+
+from certrack.expressions import TIME
+
+
+def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:
+    """Bound of a constant plus a sum of sinusoids, or None if `expr` is not one.
+
+    Sinusoids of one frequency add to one amplitude, so a constant and a single frequency give the
+    exact supremum. Different frequencies give the sum of amplitudes, an upper bound (attained in
+    the limit if the frequencies are incommensurate).
+
+    Returns
+    -------
+    bound, exact : float, bool
+    """
+    offset = sympy.S.Zero
+    amplitude: dict[sympy.Expr, list[sympy.Expr]] = defaultdict(lambda: [sympy.S.Zero] * 2)
+    products = sympy.expand(TR8(sympy.expand(expr)))  # products of sinusoids become sums
+    for term in sympy.Add.make_args(products):
+        factor, wave = term.as_independent(TIME)
+        if wave == 1:
+            offset += factor
+            continue
+        if not isinstance(wave, (sympy.sin, sympy.cos)):
+            return None
+        phase = sympy.Poly(wave.args[0], TIME) if wave.args[0].is_polynomial(TIME) else None
+        if phase is None or phase.degree() != 1:
+            return None
+        w, shift = phase.all_coeffs()
+        if w.is_negative:  # sin(-a) = -sin a, cos(-a) = cos a
+            w, shift = -w, -shift
+            factor = -factor if isinstance(wave, sympy.sin) else factor
+        sine, cosine = amplitude[w]
+        if isinstance(wave, sympy.sin):  # a sin(wt + s) = a cos s sin wt + a sin s cos wt
+            pair = [sine + factor * sympy.cos(shift), cosine + factor * sympy.sin(shift)]
+        else:
+            pair = [sine - factor * sympy.sin(shift), cosine + factor * sympy.cos(shift)]
+        amplitude[w] = pair
+    total = sympy.Abs(offset) + sum(sympy.sqrt(a**2 + b**2) for a, b in amplitude.values())
+    return _upper(total), len(amplitude) <= 1
+
+
+def interval_supremum(expr: sympy.Expr) -> float | None:
+    """Upper bound of |expr| over t in [0, inf) by interval arithmetic, or None."""
+    try:
+        found = _interval(expr)
+        bound = max(abs(mp.mpf(found.a)), abs(mp.mpf(found.b)))
+    except (ArithmeticError, ValueError, TypeError, NotImplementedError):
+        return None
+    return None if not mp.isfinite(bound) else _upper(sympy.Float(bound, 30))
+
+
+def _upper(value: sympy.Expr) -> float:
+    """The number as a float, rounded up."""
+    exact = sympy.N(value, 40)
+    as_float = float(exact)
+    while sympy.Float(as_float, 60) < exact:
+        as_float = float(_next(as_float))
+    return as_float
+
+
+def _next(value: float) -> float:
+    import math
+
+    return math.nextafter(value, math.inf)
+
+
+_MONOTONE = {
+    sympy.exp: iv.exp,
+    sympy.atan: lambda x: iv.mpf([_atan(x.a).a, _atan(x.b).b]),
+    sympy.tanh: lambda x: iv.mpf([_tanh(x.a).a, _tanh(x.b).b]),
+}
+
+
+def _atan(x: object) -> object:
+    """Enclosure of atan at a point, which may be infinite."""
+    half_pi = iv.pi / 2
+    if mp.isinf(mp.mpf(x)):
+        return half_pi if mp.mpf(x) > 0 else -half_pi
+    value = mp.atan(mp.mpf(x))
+    slack = mp.mpf(2) ** -45
+    return iv.mpf([value - slack, value + slack])
+
+
+def _tanh(x: object) -> object:
+    value = mp.tanh(mp.mpf(x)) if mp.isfinite(mp.mpf(x)) else mp.sign(mp.mpf(x))
+    slack = mp.mpf(2) ** -45
+    return iv.mpf([max(value - slack, -1), min(value + slack, 1)])
+
+
+def _interval(expr: sympy.Expr) -> object:
+    """Interval of `expr` over t >= 0; raises where a part is unbounded or undefined."""
+    if expr == TIME:
+        return iv.mpf([0, "inf"])
+    if expr.is_Number or expr.is_NumberSymbol:
+        if expr.is_Rational:
+            return iv.mpf(int(expr.p)) / iv.mpf(int(expr.q))
+        value = mp.mpf(sympy.N(expr, 30))
+        return iv.mpf([value - mp.mpf(2) ** -45, value + mp.mpf(2) ** -45])
+    if isinstance(expr, (sympy.sin, sympy.cos)):
+        inner = _interval(expr.args[0])
+        if mp.isinf(mp.mpf(inner.a)) or mp.isinf(mp.mpf(inner.b)):
+            return iv.mpf([-1, 1])
+        return (iv.sin if isinstance(expr, sympy.sin) else iv.cos)(inner)
+    parts = [_interval(arg) for arg in expr.args] if not isinstance(expr, sympy.Pow) else []
+    if isinstance(expr, sympy.Add):
+        total = parts[0]
+        for part in parts[1:]:
+            total = total + part
+        return _checked(total)
+    if isinstance(expr, sympy.Mul):
+        total = parts[0]
+        for part in parts[1:]:
+            total = total * part
+        return _checked(total)
+    if isinstance(expr, sympy.Abs):
+        return abs(parts[0])
+    if isinstance(expr, sympy.sign):
+        return iv.mpf([-1, 1])
+    if type(expr) in _MONOTONE:
+        return _MONOTONE[type(expr)](parts[0])
+    if isinstance(expr, sympy.Pow):
+        return _power(expr)
+    raise ValueError(f"no interval rule for {type(expr).__name__}")
+
+
+def _power(expr: sympy.Expr) -> object:
+    base, exponent = expr.args
+    inside = _interval(base)
+    if exponent.is_Integer and exponent > 0:
+        return _checked(inside ** int(exponent))
+    if exponent.is_Rational and exponent.q == 2 and inside.a >= 0:
+        inside, exponent = iv.sqrt(inside), exponent * 2
+        if exponent > 0:
+            return _checked(inside ** int(exponent))
+    if exponent.is_Integer and exponent < 0 and inside.a > 0:
+        return _checked(iv.mpf(1) / inside ** int(-exponent))
+    raise ValueError("no interval rule for this power")
+
+
+def _checked(found: object) -> object:
+    if mp.isnan(mp.mpf(found.a)) or mp.isnan(mp.mpf(found.b)):
+        raise ArithmeticError("undetermined interval")
+    return found

@@ -1,0 +1,147 @@
+"""A reference given by a formula in t; SymPy differentiates it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import sympy
+
+from certrack import checks
+from certrack.errors import InputError
+from certrack.expressions import TIME, Expression, derivative, parse
+from certrack.references.base import Bounds
+from certrack.references.supremum import interval_supremum, sinusoid_supremum
+
+CHECK_TIMES = np.concatenate([np.linspace(0, 100, 10_001), np.geomspace(100, 1e4, 2_000)])
+
+
+@dataclass(frozen=True)
+class SymbolicReference:
+    """y_d(t) as a formula.
+
+    Parameters
+    ----------
+    signal : formula in t
+        y_d, unit of the output. May contain abs, min and max (order 1), but not sign (a jump).
+    bound : float, optional
+        D with |y_d| + |y_d'| <= D (Assumption 2).
+    declared : tuple of float, optional
+        Y_0, Y_1, ... where the user knows them; otherwise they are proven or asked for.
+    constants : mapping of names to numbers, optional
+        Names usable in the formula.
+    """
+
+    signal: Expression
+    bound: float | None = None
+    declared: tuple[float, ...] | None = None
+    constants: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        given = self.constants
+        pairs = tuple(given.items() if isinstance(given, Mapping) else given)
+        known = dict(pairs)
+        signal = parse("reference.signal", self.signal, ["t", *known])
+        if signal.expr.has(sympy.sign):
+            raise InputError(
+                "reference.signal",
+                "must be continuous, sign() jumps",
+                signal.text,
+                'Use kind = "steps" with a slope limit',
+            )
+        object.__setattr__(self, "constants", pairs)
+        object.__setattr__(self, "signal", signal)
+        if self.bound is not None:
+            object.__setattr__(self, "bound", checks.real("reference.bound", self.bound, above=0))
+        if self.declared is not None:
+            declared = checks.reals(
+                "reference.bounds", self.declared, None, "Y_0, Y_1, ...", least=0
+            )
+            object.__setattr__(self, "declared", declared)
+        self._refuse_contradictions()
+
+    def _refuse_contradictions(self) -> None:
+        """A declared bound that one sample breaks is wrong; this is a check, never a proof."""
+        highest = max(1 if self.bound is not None else 0, len(self.declared or ()) - 1)
+        highest = int(min(highest, self.order))
+        values = np.abs(self.values(CHECK_TIMES, highest))
+        if not np.all(np.isfinite(values)):
+            bad = CHECK_TIMES[~np.all(np.isfinite(values), axis=0)][0]
+            raise InputError("reference.signal", f"is not finite at t = {bad:g}", self.signal.text)
+        slack = 1 + 1e-9
+        for i, limit in enumerate((self.declared or ())[: highest + 1]):
+            self._refuse_above(f"reference.bounds[{i}]", f"|y_d^({i})|", values[i], limit * slack)
+        if self.bound is not None and self.order >= 1:
+            total = values[0] + values[1]
+            self._refuse_above("reference.bound", "|y_d| + |y_d'|", total, self.bound * slack)
+
+    def _refuse_above(self, key: str, what: str, values: np.ndarray, limit: float) -> None:
+        worst = int(np.argmax(values))
+        if values[worst] > limit:
+            raise InputError(
+                key, f"must bound {what}, which is {values[worst]:.6g} at t = {CHECK_TIMES[worst]:g}"
+            )
+
+    @property
+    def declared_bound(self) -> float | None:
+        return self.bound
+
+    @property
+    def order(self) -> float:
+        return 1.0 if self.signal.expr.has(sympy.Abs, sympy.Min, sympy.Max) else math.inf
+
+    @property
+    def piece_symbols(self) -> tuple[sympy.Symbol, ...]:
+        return ()
+
+    def piece_values(self, t: float) -> np.ndarray:
+        return np.empty(0)
+
+    def breaks(self, start: float, end: float) -> np.ndarray:
+        return np.empty(0)
+
+    @cached_property
+    def _exact(self) -> dict[sympy.Symbol, sympy.Expr]:
+        return {sympy.Symbol(k, real=True): sympy.Rational(repr(v)) for k, v in self.constants}
+
+    def formulas(self, order: int) -> tuple[sympy.Expr, ...]:
+        found = [self.signal.expr.xreplace(self._exact)]
+        for _ in range(order):
+            found.append(derivative(found[-1], TIME))
+        return tuple(found)
+
+    def values(self, t: np.ndarray, order: int) -> np.ndarray:
+        key = ("_numeric", order)
+        if key not in self._cache:
+            self._cache[key] = sympy.lambdify(TIME, list(self.formulas(order)), "numpy", cse=True)
+        with np.errstate(all="ignore"):
+            rows = self._cache[key](np.asarray(t, dtype=float))
+        return np.array([np.broadcast_to(row, np.shape(t)) for row in rows], dtype=float)
+
+    @cached_property
+    def _cache(self) -> dict[Any, Any]:
+        return {}
+
+    def bounds(self, order: int) -> Bounds:
+        values, origin = [], []
+        for i, formula in enumerate(self.formulas(order)):
+            if self.declared is not None and i < len(self.declared):
+                values.append(self.declared[i])
+                origin.append("declared")
+                continue
+            wave = sinusoid_supremum(formula)
+            bound = wave[0] if wave else interval_supremum(formula)
+            if bound is None:
+                raise InputError(
+                    "reference.bounds",
+                    f"the bound Y_{i} of |y_d^({i})| could not be proven for this formula",
+                    self.signal.text,
+                    f"State it: bounds = [Y_0, ..., Y_{order}]",
+                )
+            values.append(bound)
+            origin.append("exact" if wave and wave[1] else "proven")
+        return Bounds(tuple(values), tuple(origin))

@@ -1,0 +1,175 @@
+"""Run a system: choose a method, integrate, return the :class:`certrack.run.Run`."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from certrack.closed_loop import INTEGRALS, ClosedLoop, close_loop, parameter_values
+from certrack.errors import InputError
+from certrack.expressions import TIME
+from certrack.integrators.base import Outcome, Problem
+from certrack.integrators.scipy import ScipyIntegrator
+from certrack.integrators.taylor import TaylorIntegrator, available
+from certrack.lowering import numpy_callable, rows
+from certrack.run import Run
+from certrack.system import System
+
+#: A design is stiff if its fastest pole has more time constants than this in a run: an explicit
+#: method would have to follow them all.
+STIFF = 2e5
+
+
+class Simulator:
+    """A system's closed loop, compiled; runs it for any gains, truth, start and disturbance.
+
+    Parameters
+    ----------
+    system : System
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("example1")
+    >>> simulator = certrack.Simulator(system)
+    >>> run = simulator.run()
+    >>> stiffer = system.replace(law=certrack.replace(system.law, c=(2, 1)))
+    >>> faster = simulator.run(stiffer)  # no recompilation
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.loop: ClosedLoop = close_loop(system)
+        self._integrators: dict[tuple[str, float], TaylorIntegrator | ScipyIntegrator] = {}
+        self._input = numpy_callable(
+            [TIME, self.loop.states, self.loop.parameters], [self.loop.u]
+        )
+
+    def run(self, system: System | None = None) -> Run:
+        """Simulate `system`, by default the one given at construction.
+
+        Raises
+        ------
+        InputError
+            If its structure (formulas, law, feed-forward order) differs from the compiled one.
+        """
+        system = self._accept(system)
+        settings = system.settings
+        problem = Problem(
+            start=np.concatenate([system.start, np.zeros(len(INTEGRALS))]),
+            parameters=parameter_values(self.loop, system),
+            reference=system.reference,
+            duration=settings.duration,
+            tolerance=settings.tolerance,
+            plant_order=system.plant.n,
+            max_state=settings.max_state,
+        )
+        method, notes = self._choose(system)
+        trajectory = self._integrator(method, settings.tolerance).integrate(problem)
+        retry = _RETRY.get((method, trajectory.outcome)) if settings.integrator == "auto" else None
+        if retry:
+            method, reason = retry
+            notes.append(f"{reason} at t = {trajectory.end:g} s; run again with {method}.")
+            trajectory = self._integrator(method, settings.tolerance).integrate(problem)
+        inputs = partial(self._inputs, system, problem.parameters)
+        return Run(system, trajectory, inputs, tuple(notes))
+
+    def _accept(self, system: System | None) -> System:
+        if system is None or system is self.system:
+            return self.system
+        mine = self.system
+        same = (
+            system.plant == mine.plant
+            and type(system.law) is type(mine.law)
+            and system.controller.coordinates.q == mine.controller.coordinates.q
+            and system.reference == mine.reference
+            and system.truth.omega == mine.truth.omega
+            and not system.truth.constants
+        )
+        if not same and close_loop(system) != self.loop:
+            raise InputError(
+                "system", "has another structure than the compiled one", remedy="Make a Simulator"
+            )
+        return system
+
+    def _choose(self, system: System) -> tuple[str, list[str]]:
+        """Method for `system`, and why if it is not the usual one."""
+        wanted = system.settings.integrator
+        if wanted != "auto":
+            if wanted == "taylor" and not available():
+                raise InputError(
+                    "simulation.integrator",
+                    "the Taylor method needs heyoka, which is not installed",
+                    remedy="Use scipy, or install heyoka (conda-forge has it for all systems)",
+                )
+            return wanted, []
+        fastest = float(np.abs(system.controller.coordinates.poles).max())
+        if fastest * system.settings.duration > STIFF:
+            return "implicit", [
+                f"The design is stiff (fastest error pole {fastest:.3g} /s): implicit method used."
+            ]
+        if not available():
+            warnings.warn(
+                "heyoka is not installed: using SciPy, which is about 100 times slower", stacklevel=3
+            )
+            return "scipy", []
+        return "taylor", []
+
+    def _integrator(self, method: str, tolerance: float) -> TaylorIntegrator | ScipyIntegrator:
+        key = (method, tolerance if method == "taylor" else 0.0)
+        if key not in self._integrators:
+            self._integrators[key] = (
+                TaylorIntegrator(self.loop, tolerance)
+                if method == "taylor"
+                else ScipyIntegrator(self.loop, implicit=method == "implicit")
+            )
+        return self._integrators[key]
+
+    def _inputs(
+        self, system: System, parameters: np.ndarray, t: np.ndarray, states: np.ndarray
+    ) -> np.ndarray:
+        """Control input u at times t, shape (N,)."""
+        with np.errstate(all="ignore"):
+            values = self._input(t, states, [*parameters, *_pieces(system, t)])
+        return rows(values, len(t))[0]
+
+
+#: Where the automatic choice failed: what to try next, and what to say.
+_RETRY = {
+    ("taylor", Outcome.undefined): (
+        "scipy",
+        "The solution has no Taylor series (for example sqrt at zero)",
+    ),
+    ("taylor", Outcome.step_limit): ("implicit", "The explicit method reached its step limit"),
+}
+
+
+def _pieces(system: System, t: np.ndarray) -> list[np.ndarray]:
+    """Values of the reference's piece symbols at every time."""
+    if not system.reference.piece_symbols:
+        return []
+    edges = np.concatenate([[0.0], system.reference.breaks(0.0, float(t[-1]))])
+    table = np.array([system.reference.piece_values(edge) for edge in edges])
+    return list(table[np.searchsorted(edges, t, side="right") - 1].T)
+
+
+def simulate(system: System, **settings: Any) -> Run:
+    """Simulate a system once.
+
+    Parameters
+    ----------
+    system : System
+    **settings
+        Override entries of :class:`certrack.Settings`, e.g. ``duration=5``.
+
+    Returns
+    -------
+    Run
+    """
+    if settings:
+        system = replace(system, settings=replace(system.settings, **settings))
+    return Simulator(system).run()

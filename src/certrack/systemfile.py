@@ -1,0 +1,377 @@
+"""System files: TOML to objects and back.
+
+Every error names the file, the key, what is expected and what came. Numbers may be formulas of the
+plant's constants; a loaded system keeps their text, so a saved file reads like the loaded one.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields
+from importlib.resources import files
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from certrack import checks
+from certrack.errors import InputError
+from certrack.expressions import Expression
+from certrack.laws import LAWS, Law
+from certrack.plant import Plant, Truth, Uncertainty
+from certrack.references import Reference, SymbolicReference, piecewise
+from certrack.system import Settings, System
+
+MAX_BYTES = 20_000_000
+
+SECTIONS = ("title", "plant", "truth", "reference", "law", "simulation")
+PLANT_KEYS = (
+    "states chain linear drift regressor gain_sign input_gain theta units constants ranges "
+    "uncertainty"
+).split()
+TRUTH_KEYS = "input_gain theta omega tau constants".split()
+SETTING_KEYS = [entry.name for entry in fields(Settings)]
+
+#: kind -> (maker, required keys, optional keys)
+SIGNALS: dict[str, tuple[Callable[..., Reference], tuple[str, ...], tuple[str, ...]]] = {
+    "triangle": (piecewise.triangle, ("amplitude", "period"), ("offset", "start", "bound")),
+    "trapezoid": (
+        piecewise.trapezoid,
+        ("amplitude", "period", "rise"),
+        ("offset", "start", "bound"),
+    ),
+    "steps": (piecewise.steps, ("times", "levels", "slope"), ("bound",)),
+    "samples": (piecewise.samples, ("times", "values"), ("interpolation", "bound")),
+}
+
+
+def catalog() -> dict[str, str]:
+    """Names and titles of the shipped systems."""
+    folder = files("certrack") / "catalog"
+    names = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    return {
+        name.removesuffix(".toml"): tomllib.loads((folder / name).read_text("utf-8"))["title"]
+        for name in names
+    }
+
+
+def load(source: str | os.PathLike[str]) -> System:
+    """Load a system file, or a shipped system by its name.
+
+    Parameters
+    ----------
+    source : path or name
+        E.g. ``"my_drive.toml"`` or ``"example1"``.
+
+    Returns
+    -------
+    System
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or anything in it does not fit.
+    """
+    path = Path(source)
+    try:
+        if path.suffix == "" and not path.exists():
+            return loads(_shipped(str(source)), f"{source}.toml")
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except OSError as problem:
+        raise InputError(
+            str(source), f"cannot be read ({problem.strerror or problem})"
+        ) from None
+    except ValueError as problem:  # a NUL byte in the name
+        raise InputError(str(source), f"is not a file name ({problem})") from None
+    if len(data) > MAX_BYTES:
+        raise InputError(str(source), f"is larger than {MAX_BYTES // 1_000_000} MB")
+    return loads(data, str(source), path.parent)
+
+
+def _shipped(name: str) -> str:
+    known = catalog()
+    if name not in known:
+        raise InputError(
+            name,
+            "is neither a file nor a shipped system",
+            remedy="Shipped: " + ", ".join(known),
+        )
+    return (files("certrack") / "catalog" / f"{name}.toml").read_text("utf-8")
+
+
+def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -> System:
+    """Load a system from TOML text.
+
+    Parameters
+    ----------
+    text : str or bytes
+        UTF-8.
+    name : str
+        What messages call the file.
+    folder : Path, optional
+        Where sample files lie; without it they are refused.
+    """
+    try:
+        return _system(_parse(text), folder)
+    except InputError as problem:
+        raise problem.within(name) from None
+
+
+def _parse(text: str | bytes) -> dict[str, Any]:
+    try:
+        decoded = text.decode("utf-8") if isinstance(text, bytes) else text
+    except UnicodeDecodeError:
+        raise InputError("", "is not a text file (UTF-8)") from None
+    if not decoded.strip():
+        raise InputError("", "is empty", remedy="certrack new NAME.toml writes a starter file")
+    try:
+        return tomllib.loads(decoded)
+    except (tomllib.TOMLDecodeError, ValueError) as problem:
+        raise InputError("", f"is not TOML: {problem}") from None
+    except RecursionError:
+        raise InputError("", "is not TOML: nested too deeply") from None
+
+
+def _system(tables: dict[str, Any], folder: Path | None) -> System:
+    checks.known_keys("", tables, SECTIONS, required=SECTIONS[1:])
+    plant = _plant(tables["plant"])
+    known = plant.constant_values
+    law = _law(tables["law"], known)
+    return System(
+        plant=plant,
+        law=law,
+        reference=_reference(tables["reference"], plant, folder),
+        truth=_truth(tables["truth"], plant),
+        settings=_settings(tables["simulation"], known),
+        title=checks.text("title", tables.get("title", "")),
+    )
+
+
+def _plant(table: Any) -> Plant:
+    checks.known_keys("plant", table, PLANT_KEYS, required=("states",))
+    values = dict(table)
+    constants = values.pop("constants", {})
+    checks.known_keys("plant.constants", constants, constants)
+    ranges = values.pop("ranges", {})
+    checks.known_keys("plant.ranges", ranges, ("input_gain", "theta"))
+    uncertainty = values.pop("uncertainty", None)
+    if "gain_sign" not in values:
+        raise InputError("plant.gain_sign", "is missing", remedy="State 1 or -1")
+    plain = Plant(
+        **values,
+        constants=constants,
+        input_gain_range=ranges.get("input_gain"),
+        theta_range=ranges.get("theta"),
+    )
+    if uncertainty is None:
+        return plain
+    names = ("tau", "gamma", "beta")
+    checks.known_keys("plant.uncertainty", uncertainty, names, required=names)
+    known = plain.constant_values
+    bounds = {
+        name: checks.reals(
+            f"plant.uncertainty.{name}",
+            uncertainty[name],
+            plain.n,
+            "one number per state",
+            known,
+            least=0,
+        )
+        for name in names
+    }
+    return Plant(**{**_fields(plain), "uncertainty": Uncertainty(**bounds)})
+
+
+def _fields(instance: Any) -> dict[str, Any]:
+    return {entry.name: getattr(instance, entry.name) for entry in fields(instance)}
+
+
+def _truth(table: Any, plant: Plant) -> Truth:
+    checks.known_keys("truth", table, TRUTH_KEYS, required=("input_gain",))
+    values = dict(table)
+    constants = values.pop("constants", {})
+    checks.known_keys("truth.constants", constants, constants)
+    return Truth(**values, constants=constants).bound_to(plant)
+
+
+def _law(table: Any, known: Mapping[str, Any]) -> Law:
+    if not isinstance(table, dict):
+        raise InputError("law", "must be a table [law]", table)
+    if "kind" not in table:
+        raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(LAWS))
+    law = LAWS[checks.choice("law.kind", table["kind"], LAWS)]
+    entries = {entry.name: entry for entry in fields(law)}
+    required = [name for name, entry in entries.items() if entry.default is MISSING]
+    checks.known_keys("law", table, ["kind", *entries], required)
+    values = {
+        name: _numbers(f"law.{name}", value, known)
+        for name, value in table.items()
+        if name != "kind"
+    }
+    return law(**values)
+
+
+def _numbers(key: str, value: Any, known: Mapping[str, Any]) -> Any:
+    """Evaluate formulas of the constants in (nested) lists; the law checks shapes and limits."""
+    if isinstance(value, list):
+        return [_numbers(f"{key}[{i}]", entry, known) for i, entry in enumerate(value)]
+    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+        raise InputError(key, "must be a number, a formula, or a list of them", value)
+    if isinstance(value, int):
+        return value
+    return checks.real(key, value, known, infinite=True)
+
+
+def _reference(table: Any, plant: Plant, folder: Path | None) -> Reference:
+    if not isinstance(table, dict):
+        raise InputError("reference", "must be a table [reference]", table)
+    known = plant.constant_values
+    if "signal" in table:
+        checks.known_keys("reference", table, ("signal", "bound", "bounds"))
+        bound = table.get("bound")
+        return SymbolicReference(
+            signal=table["signal"],
+            bound=None if bound is None else checks.real("reference.bound", bound, known, above=0),
+            declared=table.get("bounds"),
+            constants={name: float(value) for name, value in known.items()},
+        )
+    if "kind" not in table:
+        raise InputError("reference", "must have a signal or a kind", sorted(table))
+    kind = checks.choice("reference.kind", table["kind"], SIGNALS)
+    make, required, optional = SIGNALS[kind]
+    values = {name: value for name, value in table.items() if name != "kind"}
+    if kind == "samples" and "file" in values:
+        values |= _samples(values.pop("file"), folder)
+    checks.known_keys("reference", values, (*required, *optional), required)
+    for name, value in values.items():
+        values[name] = value if name == "interpolation" else _numbers(
+            f"reference.{name}", value, known
+        )
+    return make(**values)
+
+
+def _samples(name: Any, folder: Path | None) -> dict[str, list[float]]:
+    """Times and values from a CSV file beside the system file."""
+    key = "reference.file"
+    relative = PurePosixPath(checks.text(key, name))
+    if folder is None or relative.is_absolute() or ".." in relative.parts or "\\" in str(name):
+        raise InputError(key, "must lie beside the system file or below it", name)
+    path = folder / relative
+    try:
+        table = np.loadtxt(path, delimiter=",", comments="#", ndmin=2, max_rows=1_000_001)
+    except OSError as problem:
+        raise InputError(key, f"cannot be read ({problem.strerror or 'no such file'})", name) from None
+    except (ValueError, OverflowError):
+        raise InputError(
+            key, "must have two numeric columns: time, y_d (no header, or a # line)", name
+        ) from None
+    if table.shape[1] != 2:
+        raise InputError(key, "must have two columns: time, y_d", f"{table.shape[1]} columns")
+    return {"times": table[:, 0].tolist(), "values": table[:, 1].tolist()}
+
+
+def _settings(table: Any, known: Mapping[str, Any]) -> Settings:
+    checks.known_keys("simulation", table, SETTING_KEYS, required=("x0", "duration"))
+    values = {
+        name: value if name == "integrator" else _numbers(f"simulation.{name}", value, known)
+        for name, value in table.items()
+    }
+    return Settings(**values)
+
+
+def to_text(system: System) -> str:
+    """The system as TOML text that :func:`loads` turns into an equal system."""
+    import tomlkit
+
+    document = tomlkit.document()
+    document["title"] = system.title
+    for name, table in (
+        ("plant", _plant_table(system.plant)),
+        ("truth", _truth_table(system.truth)),
+        ("reference", _reference_table(system.reference)),
+        ("law", _law_table(system.law)),
+        ("simulation", _present(_fields(system.settings))),
+    ):
+        document[name] = _plain(table)
+    return tomlkit.dumps(document)
+
+
+def save(system: System, path: str | os.PathLike[str]) -> None:
+    """Write a system file; it appears only when it is complete."""
+    write_text(Path(path), to_text(system))
+
+
+def write_text(path: Path, text: str, *, overwrite: bool = True) -> None:
+    """Write a text file whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If it exists and must not be overwritten, or cannot be written.
+    """
+    if not overwrite and path.exists():
+        raise InputError(str(path), "exists already", remedy="Choose another name")
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_text(text, "utf-8")
+        part.replace(path)
+    except OSError as problem:
+        raise InputError(str(path), f"cannot be written ({problem.strerror})") from None
+
+
+def _plain(value: Any) -> Any:
+    """Expressions as numbers or text, tuples as lists."""
+    if isinstance(value, Expression):
+        return _number_or_text(value.text)
+    if isinstance(value, dict):
+        return {name: _plain(entry) for name, entry in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def _number_or_text(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            number = kind(text)
+        except ValueError:
+            continue
+        if repr(number) == text and math.isfinite(number):
+            return number
+    return text
+
+
+def _present(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _plant_table(plant: Plant) -> dict[str, Any]:
+    values = _fields(plant)
+    ranges = {"input_gain": values.pop("input_gain_range"), "theta": values.pop("theta_range")}
+    constants = dict(values.pop("constants"))
+    uncertainty = _fields(values.pop("uncertainty"))
+    table = _present(values) | {"constants": constants}
+    return table | {"ranges": _present(ranges), "uncertainty": uncertainty}
+
+
+def _truth_table(truth: Truth) -> dict[str, Any]:
+    return _present(_fields(truth)) | {"constants": dict(truth.constants)}
+
+
+def _reference_table(reference: Reference) -> dict[str, Any]:
+    if isinstance(reference, SymbolicReference):
+        values = {"signal": reference.signal, "bounds": reference.declared}
+    else:
+        assert isinstance(reference, piecewise.PiecewiseReference)
+        values = dict(reference.fields)
+    return _present(values | {"bound": reference.declared_bound})
+
+
+def _law_table(law: Law) -> dict[str, Any]:
+    return {"kind": law.kind} | _present(_fields(law))
