@@ -133,6 +133,11 @@ class ErrorCoordinates:
         """Eigenvalues of the error matrix, 1/s."""
         return np.linalg.eigvals(self.error_matrix)
 
+    @cached_property
+    def fastest_pole(self) -> float:
+        """Largest magnitude of the poles, 1/s."""
+        return float(np.abs(self.poles).max())
+
 
 def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCoordinates:
     """Carry out the recursion in O(n^3).

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from certrack.errors import InputError
-from certrack.expressions import Expression, number
+from certrack.expressions import MAX_MAGNITUDE, Expression, number
 
 Constants = Mapping[str, Any]
 
@@ -59,7 +59,8 @@ def real(
     """
     if infinite and (value == "inf" or (isinstance(value, float) and value == math.inf)):
         return math.inf
-    found = float(number(key, value, names).expr)
+    plain = type(value) in (float, int) and abs(value) <= MAX_MAGNITUDE
+    found = float(value) if plain else float(number(key, value, names).expr)
     if above is not None and not found > above:
         wanted = "positive" if above == 0 else f"greater than {above:g}"
         raise InputError(key, f"must be {wanted}" + (" or inf" if infinite else ""), _plain(value))

@@ -41,6 +41,8 @@ class ClosedLoop:
         Number of plant states; they come first.
     couplings : positions (i, j) of the b_ij that are not structurally zero
     gain_names : names of the law's gains among the parameters
+    pieces : int
+        Number of parameters, the last ones, that belong to the reference's piece.
     """
 
     states: tuple[sympy.Symbol, ...]
@@ -50,6 +52,7 @@ class ClosedLoop:
     n: int
     couplings: tuple[tuple[int, int], ...]
     gain_names: tuple[str, ...]
+    pieces: int
 
 
 def close_loop(system: System) -> ClosedLoop:
@@ -94,6 +97,7 @@ def close_loop(system: System) -> ClosedLoop:
         n=n,
         couplings=couplings,
         gain_names=tuple(s.all_parameters),
+        pieces=len(system.reference.piece_symbols),
     )
 
 

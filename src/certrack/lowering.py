@@ -95,14 +95,27 @@ def to_heyoka(formulas: Sequence[sympy.Expr], known: Mapping[sympy.Symbol, Any])
             return hy.prod([build(arg) for arg in expr.args])
         if isinstance(expr, sympy.Pow):
             base, exponent = expr.args
-            if exponent == sympy.Rational(1, 2):
-                return hy.sqrt(build(base))
+            if exponent.is_Integer:  # heyoka's general power has no Taylor series at zero
+                power = _integer_power(hy, build(base), abs(int(exponent)))
+                return power if exponent > 0 else 1.0 / power
+            if exponent.is_Rational and exponent.q == 2:
+                root = _integer_power(hy, hy.sqrt(build(base)), abs(int(exponent.p)))
+                return root if exponent > 0 else 1.0 / root
             return build(base) ** float(exponent)
         if type(expr) in functions:
             return functions[type(expr)](*(build(arg) for arg in expr.args))
         raise TypeError(f"no heyoka form of {type(expr).__name__}")
 
     return [build(formula) for formula in formulas]
+
+
+def _integer_power(hy: Any, base: Any, exponent: int) -> Any:
+    """Product of `exponent` equal factors by repeated squaring."""
+    if exponent == 1:
+        return base
+    half = _integer_power(hy, base, exponent // 2)
+    square = half**2.0  # a special case that heyoka does well
+    return square * base if exponent % 2 else square
 
 
 def rows(values: Sequence[Any], count: int) -> np.ndarray:

@@ -45,6 +45,7 @@ class Simulator:
         self.system = system
         self.loop: ClosedLoop = close_loop(system)
         self._integrators: dict[tuple[str, float], TaylorIntegrator | ScipyIntegrator] = {}
+        self._parameters = parameter_values(self.loop, system)
         self._input = numpy_callable(
             [TIME, self.loop.states, self.loop.parameters], [self.loop.u]
         )
@@ -59,13 +60,19 @@ class Simulator:
         """
         system = self._accept(system)
         settings = system.settings
+        parameters = (
+            self._parameters
+            if system is self.system
+            else parameter_values(self.loop, system)
+        )
         problem = Problem(
             start=np.concatenate([system.start, np.zeros(len(INTEGRALS))]),
-            parameters=parameter_values(self.loop, system),
+            parameters=parameters,
             reference=system.reference,
             duration=settings.duration,
             tolerance=settings.tolerance,
             plant_order=system.plant.n,
+            fastest_pole=system.controller.coordinates.fastest_pole,
             max_state=settings.max_state,
         )
         method, notes = self._choose(system)
@@ -75,7 +82,7 @@ class Simulator:
             method, reason = retry
             notes.append(f"{reason} at t = {trajectory.end:g} s; run again with {method}.")
             trajectory = self._integrator(method, settings.tolerance).integrate(problem)
-        inputs = partial(self._inputs, system, problem.parameters)
+        inputs = partial(self._inputs, system, parameters)
         return Run(system, trajectory, inputs, tuple(notes))
 
     def _accept(self, system: System | None) -> System:
@@ -107,7 +114,7 @@ class Simulator:
                     remedy="Use scipy, or install heyoka (conda-forge has it for all systems)",
                 )
             return wanted, []
-        fastest = float(np.abs(system.controller.coordinates.poles).max())
+        fastest = system.controller.coordinates.fastest_pole
         if fastest * system.settings.duration > STIFF:
             return "implicit", [
                 f"The design is stiff (fastest error pole {fastest:.3g} /s): implicit method used."
@@ -144,6 +151,7 @@ _RETRY = {
         "scipy",
         "The solution has no Taylor series (for example sqrt at zero)",
     ),
+    ("taylor", Outcome.kink_missed): ("scipy", "A kink of abs, sign, min or max was missed"),
     ("taylor", Outcome.step_limit): ("implicit", "The explicit method reached its step limit"),
 }
 

@@ -11,6 +11,10 @@ import numpy as np
 from certrack.references import Reference
 
 
+#: A state larger than this where the solution ceases to exist is escaping, not leaving a domain.
+ESCAPING = 1e3
+
+
 class Outcome(Enum):
     """How a run ended; the value is what to tell the user, remedy included."""
 
@@ -26,6 +30,10 @@ class Outcome(Enum):
     step_limit = (
         "The step limit was reached: the loop is too stiff for this method, or sign() makes it "
         "slide. Try the implicit integrator, lower c, or replace sign(x) by tanh(x/0.01)."
+    )
+    kink_missed = (
+        "The switching of abs, sign, min or max could not be followed: the loop slides along a "
+        "kink. Replace sign(x) by tanh(x/0.01)."
     )
 
 
@@ -45,6 +53,8 @@ class Problem:
     tolerance : float
     plant_order : int
         The first `plant_order` states are those of the plant.
+    fastest_pole : float, 1/s
+        Of the designed error system.
     max_state : float
     max_steps : int
     """
@@ -55,6 +65,7 @@ class Problem:
     duration: float
     tolerance: float
     plant_order: int
+    fastest_pole: float
     max_state: float
     max_steps: int = 100_000
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from certrack.closed_loop import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
 from certrack.expressions import TIME
-from certrack.integrators.base import Outcome, Problem, Trajectory
+from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
 from certrack.lowering import jacobian, numpy_callable
 
-MAX_EVALUATIONS = 3_000_000
-MAX_STEPS = 200_000
+MAX_EVALUATIONS = 400_000
 
 
 class ScipyIntegrator:
@@ -56,6 +55,8 @@ class ScipyIntegrator:
                 outcome = Outcome.undefined
                 break
             options: dict[str, Any] = {"rtol": max(problem.tolerance, 3e-14), "atol": absolute}
+            if not self.implicit:  # its interpolant is poor on steps that only stability limits
+                options["max_step"] = 1.0 / problem.fastest_pole
             if self.implicit:
                 options["jac"] = lambda t, y, p=p: self._jacobian_at(t, y, p)
             solver = (Radau if self.implicit else DOP853)(rates, begin, y, stop, **options)
@@ -79,13 +80,13 @@ def _advance(solver: Any, problem: Problem, times: list[float], pieces: list[Any
         with np.errstate(all="ignore"):
             solver.step()
         if solver.status == "failed":
-            large = np.abs(solver.y[:n]).max() > 1e3
+            large = np.abs(solver.y[:n]).max() > ESCAPING
             return Outcome.escaped if large else Outcome.undefined
         pieces.append(solver.dense_output())
         times.append(solver.t)
         if not np.abs(solver.y[:n]).max() <= problem.max_state:
             return Outcome.escaped
-        if len(times) > MAX_STEPS or solver.nfev > MAX_EVALUATIONS:
+        if solver.nfev > MAX_EVALUATIONS:
             return Outcome.step_limit
     return Outcome.finished
 

@@ -6,15 +6,14 @@ a kink of the state (an event stops it and flips the switch, see :mod:`certrack.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from certrack.closed_loop import ClosedLoop
-from certrack.expressions import TIME
-from certrack.integrators.base import Outcome, Problem, Trajectory
-from certrack.lowering import extract_switches, numpy_callable, to_heyoka
+from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
+from certrack.integrators.switches import Switches
+from certrack.lowering import extract_switches, to_heyoka
 
 
 def available() -> bool:
@@ -37,112 +36,129 @@ class TaylorIntegrator:
     def __init__(self, loop: ClosedLoop, tolerance: float) -> None:
         import heyoka as hy
 
-        rates, switches = extract_switches(loop.rates)
-        symbols = [*loop.parameters, *(symbol for symbol, _ in switches)]
-        known = {symbol: hy.par[i] for i, symbol in enumerate(symbols)}
-        variables = hy.make_vars(*(state.name for state in loop.states))
-        variables = [variables] if len(loop.states) == 1 else list(variables)
+        rates, kinks = extract_switches(loop.rates)
+        parameters = [*loop.parameters, *(symbol for symbol, _ in kinks)]
+        names = [state.name for state in loop.states]
+        variables = [hy.expression(name) for name in names]
+        known = {symbol: hy.par[i] for i, symbol in enumerate(parameters)}
         known |= dict(zip(loop.states, variables, strict=True))
-        self._first_switch = len(loop.parameters)
-        if switches:
-            arguments = [TIME, loop.states, symbols]
-            self._kinks = numpy_callable(arguments, [inside for _, inside in switches])
-            self._rates = numpy_callable(arguments, rates)
-        events = [
-            hy.t_event(inside, callback=_Flip(self._first_switch + k))
-            for k, inside in enumerate(to_heyoka([f for _, f in switches], known))
-        ]
-        self._switches = len(switches)
+        self._piece = slice(len(loop.parameters) - loop.pieces, len(loop.parameters))
+        self._switches: Switches | None = None
+        events = []
+        if kinks:
+            functions = [inside for _, inside in kinks]
+            self._switches = Switches(loop.states, parameters, rates, functions)
+            events = self._switches.events(hy, to_heyoka(functions, known))
         self._integrator = hy.taylor_adaptive(
             list(zip(variables, to_heyoka(rates, known), strict=True)),
             [0.0] * len(variables),
             tol=tolerance,
-            pars=[0.0] * len(symbols),
+            pars=[0.0] * len(parameters),
             t_events=events,
         )
-        self._clamped, self._failed = hy.taylor_outcome.time_limit, hy.taylor_outcome.err_nf_state
 
     def integrate(self, problem: Problem) -> Trajectory:
         """Solve `problem`; stops early at an escape, an undefined rate or the step limit."""
-        ta = self._integrator
-        state, pars = ta.state, ta.pars
-        state[:] = problem.start
-        count = len(problem.parameters)
-        pars[:count] = problem.parameters
-        starts: list[float] = []
-        coefficients: list[np.ndarray] = []
+        ta, switches = self._integrator, self._switches
+        ta.state[:] = problem.start
+        ta.pars[: self._piece.start] = problem.parameters
+        steps = _Steps(ta.tc.shape)
         end, outcome = 0.0, Outcome.finished
+        if switches is not None:
+            switches.begin()
         for begin, stop in problem.segments:
-            pars[count : self._first_switch] = problem.reference.piece_values(begin)
+            ta.pars[self._piece] = problem.reference.piece_values(begin)
             ta.time = begin
-            self._set_switches(skip=None)
-            end, outcome = self._segment(stop, problem, starts, coefficients)
+            if switches is not None:
+                switches.set(ta)
+            end, outcome = self._segment(begin, stop, problem.max_steps, steps)
             if outcome is not Outcome.finished:
                 break
-        table = np.array(coefficients) if coefficients else problem.start[None, :, None]
-        dense = TaylorSeries(np.array(starts or [0.0]), table)
-        return Trajectory(np.array([*starts, end]), dense, outcome, "taylor")
+        found = _finish(steps, end, outcome, problem)
+        if switches is not None and len(found.times) > 1:
+            middle = (found.times[:-1] + found.times[1:]) / 2
+            if switches.missed(middle, found.interpolate(middle)):
+                return replace(found, outcome=Outcome.kink_missed)
+        return found
 
     def _segment(
-        self, stop: float, problem: Problem, starts: list[float], coefficients: list[np.ndarray]
+        self, begin: float, stop: float, max_steps: int, steps: _Steps
     ) -> tuple[float, Outcome]:
-        """Step to `stop`; append the Taylor coefficients of every step."""
-        ta, state, n = self._integrator, self._integrator.state, problem.plant_order
-        step, clamped, failed, limit = ta.step, self._clamped, self._failed, problem.max_state
-        while True:
-            begin = ta.time
-            outcome, _ = step(max_delta_t=stop - begin, write_tc=True)
-            if outcome == failed:
-                escaping = starts and np.abs(coefficients[-1][:n, 0]).max() > 1e3
-                return begin, Outcome.escaped if escaping else Outcome.undefined
-            starts.append(begin)
-            coefficients.append(ta.tc.copy())
-            if max(map(abs, state[:n].tolist())) > limit:
-                return ta.time, Outcome.escaped
-            if outcome == clamped:
-                return stop, Outcome.finished
-            if len(starts) >= problem.max_steps:
-                return ta.time, Outcome.step_limit
-            if self._switches and int(outcome) >= 0:
-                self._set_switches(skip=int(outcome))
-
-    def _set_switches(self, skip: int | None) -> None:
-        """Set every switch to the sign of its function; one that was just flipped stays."""
-        ta = self._integrator
-        for k in range(self._switches if skip is None else 0):
-            ta.pars[self._first_switch + k] = 1.0
-        for _ in range(self._switches):  # later functions may contain earlier switches
-            values = self._kinks(ta.time, ta.state, ta.pars)
-            for k, value in enumerate(values):
-                if k != skip and value != 0:
-                    ta.pars[self._first_switch + k] = 1.0 if value > 0 else -1.0
-                elif k != skip and skip is None:
-                    ta.pars[self._first_switch + k] = self._departing_sign(k)
-
-    def _departing_sign(self, k: int) -> float:
-        """Sign that function k, now zero, takes a moment later."""
-        ta, moment = self._integrator, 1e-6
-        rates = np.array(self._rates(ta.time, ta.state, ta.pars), dtype=float)
-        value = self._kinks(ta.time + moment, ta.state + moment * rates, ta.pars)[k]
-        return -1.0 if value < 0 else 1.0
+        """Step from `begin` to `stop`, keeping the Taylor coefficients of every step."""
+        ta, step, tc, switches = (
+            self._integrator,
+            self._integrator.step,
+            self._integrator.tc,
+            self._switches,
+        )
+        k, starts, table = steps.count, steps.starts, steps.table
+        cautious = 1e-3 * (stop - begin)
+        while True:  # the hot loop: heyoka's step takes about as long as two Python calls
+            if switches is not None:
+                switches.record(ta)
+            room = stop - begin
+            outcome, taken = step(room, True)
+            if taken == room and _blank(tc):
+                # The last coefficients vanish by symmetry, so they say nothing about the step.
+                ta.state[:], ta.time = tc[:, 0], begin
+                room, cautious = min(room, cautious), 2 * cautious
+                outcome, taken = step(room, True)
+            if taken != taken:  # NaN: the rates are not finite
+                result = begin, Outcome.undefined
+                break
+            if k == len(starts):
+                starts, table = steps.grow()
+            starts[k], table[k] = begin, tc
+            k += 1
+            begin += taken
+            if taken == room and begin >= stop:
+                result = stop, Outcome.finished
+                break
+            if k >= max_steps:
+                result = begin, Outcome.step_limit
+                break
+            if switches is not None and int(outcome) >= 0:
+                switches.set(ta, skip=int(outcome))
+        steps.count = k
+        return result
 
 
-class _Flip:
-    """Event callback: set a switch to the direction in which its function crossed zero."""
+def _blank(coefficients: np.ndarray) -> bool:
+    """Whether the state moves although the last two coefficients, which set the step, vanish."""
+    return not coefficients[:, -2:].any() and bool(coefficients[:, 1:].any())
 
-    def __init__(self, index: int) -> None:
-        self.index = index
 
-    def __call__(self, integrator: Any, direction: int) -> bool:
-        if direction:
-            integrator.pars[self.index] = float(direction)
-        return True
+class _Steps:
+    """Growing record of steps: begin and Taylor coefficients."""
 
-    def __copy__(self) -> _Flip:
-        return _Flip(self.index)
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.count = 0
+        self.starts = np.empty(128)
+        self.table = np.empty((128, *shape))
 
-    def __deepcopy__(self, memo: object) -> _Flip:
-        return _Flip(self.index)
+    def grow(self) -> tuple[np.ndarray, np.ndarray]:
+        """Double the room."""
+        self.starts = np.concatenate([self.starts, np.empty_like(self.starts)])
+        self.table = np.concatenate([self.table, np.empty_like(self.table)])
+        return self.starts, self.table
+
+
+def _finish(steps: _Steps, end: float, outcome: Outcome, problem: Problem) -> Trajectory:
+    """Cut the record where a plant state first passes the limit."""
+    count = steps.count
+    starts, table = steps.starts[:count], steps.table[:count]
+    if not count:
+        starts, table = np.zeros(1), problem.start[None, :, None]
+        return Trajectory(np.zeros(1), TaylorSeries(starts, table), outcome, "taylor")
+    size = np.abs(table[:, : problem.plant_order, 0]).max(axis=1)
+    beyond = np.flatnonzero(~(size <= problem.max_state))
+    if beyond.size and beyond[0] > 0:
+        k = int(beyond[0])
+        end, outcome = float(starts[k]), Outcome.escaped
+        starts, table = starts[:k], table[:k]
+    elif outcome is Outcome.undefined and size[-1] > ESCAPING:
+        outcome = Outcome.escaped
+    return Trajectory(np.append(starts, end), TaylorSeries(starts, table), outcome, "taylor")
 
 
 @dataclass(frozen=True)
@@ -171,8 +187,13 @@ class TaylorSeries:
 
     def subdivided(self, times: np.ndarray, parts: int) -> np.ndarray:
         """States at :func:`certrack.integrators.base.subdivide` of the steps, much faster."""
-        fractions = np.diff(times)[:, None] * (np.arange(parts + 1) / parts)
-        powers = fractions[:, None, :] ** np.arange(self.table.shape[2])[:, None]
-        values = np.matmul(self.table, powers)  # (K, S, parts + 1)
-        inner = values[:, :, :-1].transpose(1, 0, 2).reshape(self.table.shape[1], -1)
-        return np.concatenate([inner, values[-1, :, -1:]], axis=1)
+        steps, size, orders = self.table.shape
+        powers = np.empty((steps, orders))  # h^k, by products: pow() is slow
+        powers[:, 0], powers[:, 1:] = 1.0, np.diff(times)[:, None]
+        np.multiply.accumulate(powers, axis=1, out=powers)
+        scaled = self.table * powers[:, None, :]
+        fractions = (np.arange(parts + 1) / parts) ** np.arange(orders)[:, None]
+        values = scaled.reshape(-1, orders) @ fractions  # one product for all steps
+        inner = values.reshape(steps, size, parts + 1)[:, :, :-1].transpose(1, 0, 2)
+        end = values.reshape(steps, size, parts + 1)[-1, :, -1:]
+        return np.concatenate([inner.reshape(size, -1), end], axis=1)
