@@ -1,1 +1,33 @@
-"""certrack: certified tracking control for uncertain nonlinear systems."""
+"""certrack: certified tracking control for uncertain nonlinear systems.
+
+>>> import certrack
+>>> system = certrack.load("example1")
+>>> run = certrack.simulate(system)
+>>> round(run.metrics.settling_time, 2)
+2.15
+"""
+
+import lazy_loader as _lazy
+
+__getattr__, __dir__, __all__ = _lazy.attach(
+    __name__,
+    submod_attrs={
+        "backstepping": ["ErrorCoordinates", "Gains", "recursion"],
+        "errors": ["CertrackError", "DesignError", "InputError", "MissingExtra"],
+        "integrators.base": ["Outcome"],
+        "laws": ["Adaptive", "Classic", "Law", "Robust"],
+        "metrics": ["Metrics"],
+        "plant": ["Plant", "Truth", "Uncertainty"],
+        "references": [
+            "SymbolicReference",
+            "samples",
+            "steps",
+            "trapezoid",
+            "triangle",
+        ],
+        "run": ["Run"],
+        "simulation": ["Simulator", "simulate"],
+        "system": ["Settings", "System"],
+        "systemfile": ["catalog", "load", "loads", "save", "to_text"],
+    },
+)

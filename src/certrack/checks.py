@@ -73,7 +73,12 @@ def real(
 
 
 def reals(
-    key: str, value: Any, length: int | None, what: str, names: Constants | None = None, **limits: Any
+    key: str,
+    value: Any,
+    length: int | None,
+    what: str,
+    names: Constants | None = None,
+    **limits: Any,
 ) -> tuple[float, ...]:
     """A list of numbers, each within the limits of :func:`real`."""
     entries = sequence(key, value, length, what)

@@ -63,7 +63,8 @@ def close_loop(system: System) -> ClosedLoop:
     u = controller.equations.u.xreplace(reference)
     e_1 = x[0] - reference[s.Y[0]]
 
-    couplings = tuple(map(tuple, np.argwhere((plant.b != 0) | (_built(system).b != 0)).tolist()))
+    present = np.argwhere((plant.b != 0) | (_built(system).b != 0))
+    couplings = tuple((int(i), int(j)) for i, j in present)
     designed = [symbol(name) for name in plant.constant_values]
     true = {
         name: [symbol(f"true_{name}_{i}") for i in range(count)]
@@ -84,7 +85,9 @@ def close_loop(system: System) -> ClosedLoop:
     for b, (i, j) in zip(true["b"], couplings, strict=True):
         rates[i] += b * x[j]
     rates.append(h + true["g"][-1] * u + dot(phi, true["theta"]))
-    rates = [rate + tau * term for rate, tau, term in zip(rates, true["tau"], w, strict=True)]  # [5]
+    rates = [
+        rate + tau * term for rate, tau, term in zip(rates, true["tau"], w, strict=True)
+    ]  # [5]
     rates += [rate.xreplace(reference) for _, rate in controller.equations.update]
     rates += [rate / sympy.Integer(INTEGRAL_SCALE) for rate in (u**2, e_1**2, e_1)]
 

@@ -1,7 +1,7 @@
 """The plant as the designer knows it, its uncertainty, and the truth that is simulated.
 
-    x_i' = g_i x_{i+1} + sum_{j<=i} b_ij x_j + tau_i w_i(t, x)               i = 1 ... n-1
-    x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n(t, x)                             [5]
+x_i' = g_i x_{i+1} + sum_{j<=i} b_ij x_j + tau_i w_i(t, x)               i = 1 ... n-1
+x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n(t, x)                             [5]
 """
 
 from __future__ import annotations
@@ -126,9 +126,7 @@ class Plant:
             chain=tuple(parse(f"plant.chain[{i}]", v, known) for i, v in enumerate(g)),
             linear=self._check_linear(n, known),
             drift=parse("plant.drift", self.drift, names),
-            regressor=tuple(
-                parse(f"plant.regressor[{i}]", v, names) for i, v in enumerate(phi)
-            ),
+            regressor=tuple(parse(f"plant.regressor[{i}]", v, names) for i, v in enumerate(phi)),
             uncertainty=Uncertainty.none(n) if self.uncertainty is None else self.uncertainty,
         )
         for name in ("tau", "gamma", "beta"):
@@ -293,8 +291,8 @@ class Truth:
         known = {**plant.constant_values, **{name: value.expr for name, value in others}}
         check_gain("truth.input_gain", self.input_gain, plant.gain_sign, known)
         theta = checks.sequence("truth.theta", self.theta, plant.r, "one number per regressor")
-        omega = (0,) * plant.n if self.omega is None else self.omega
-        omega = checks.sequence("truth.omega", omega, plant.n, "w_1 ... w_n, one per state")
+        given_omega = (0,) * plant.n if self.omega is None else self.omega
+        omega = checks.sequence("truth.omega", given_omega, plant.n, "w_1 ... w_n, one per state")
         names = ["t", *plant.states, *known]
         tau = plant.uncertainty.tau if self.tau is None else self.tau
         return Truth(

@@ -46,9 +46,7 @@ class Simulator:
         self.loop: ClosedLoop = close_loop(system)
         self._integrators: dict[tuple[str, float], TaylorIntegrator | ScipyIntegrator] = {}
         self._parameters = parameter_values(self.loop, system)
-        self._input = numpy_callable(
-            [TIME, self.loop.states, self.loop.parameters], [self.loop.u]
-        )
+        self._input = numpy_callable([TIME, self.loop.states, self.loop.parameters], [self.loop.u])
 
     def run(self, system: System | None = None) -> Run:
         """Simulate `system`, by default the one given at construction.
@@ -61,9 +59,7 @@ class Simulator:
         system = self._accept(system)
         settings = system.settings
         parameters = (
-            self._parameters
-            if system is self.system
-            else parameter_values(self.loop, system)
+            self._parameters if system is self.system else parameter_values(self.loop, system)
         )
         problem = Problem(
             start=np.concatenate([system.start, np.zeros(len(INTEGRALS))]),
@@ -121,7 +117,8 @@ class Simulator:
             ]
         if not available():
             warnings.warn(
-                "heyoka is not installed: using SciPy, which is about 100 times slower", stacklevel=3
+                "heyoka is not installed: using SciPy, which is about 100 times slower",
+                stacklevel=3,
             )
             return "scipy", []
         return "taylor", []

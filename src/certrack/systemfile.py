@@ -20,7 +20,7 @@ import numpy as np
 from certrack import checks
 from certrack.errors import InputError
 from certrack.expressions import Expression
-from certrack.laws import LAWS, Law
+from certrack.laws import Law, known_laws
 from certrack.plant import Plant, Truth, Uncertainty
 from certrack.references import Reference, SymbolicReference, piecewise
 from certrack.system import Settings, System
@@ -51,11 +51,19 @@ SIGNALS: dict[str, tuple[Callable[..., Reference], tuple[str, ...], tuple[str, .
 def catalog() -> dict[str, str]:
     """Names and titles of the shipped systems."""
     folder = files("certrack") / "catalog"
-    names = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    names = sorted(
+        entry.name.removesuffix(".toml")
+        for entry in folder.iterdir()
+        if entry.name.endswith(".toml")
+    )
     return {
-        name.removesuffix(".toml"): tomllib.loads((folder / name).read_text("utf-8"))["title"]
-        for name in names
+        name: tomllib.loads((folder / f"{name}.toml").read_text("utf-8"))["title"] for name in names
     }
+
+
+def starter() -> str:
+    """Text of a commented system file to begin with."""
+    return (files("certrack") / "starter.toml").read_text("utf-8")
 
 
 def load(source: str | os.PathLike[str]) -> System:
@@ -82,9 +90,9 @@ def load(source: str | os.PathLike[str]) -> System:
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except OSError as problem:
-        raise InputError(
-            str(source), f"cannot be read ({problem.strerror or problem})"
-        ) from None
+        raise InputError(str(source), f"cannot be read ({problem.strerror or problem})") from None
+    except InputError:
+        raise
     except ValueError as problem:  # a NUL byte in the name
         raise InputError(str(source), f"is not a file name ({problem})") from None
     if len(data) > MAX_BYTES:
@@ -202,8 +210,9 @@ def _law(table: Any, known: Mapping[str, Any]) -> Law:
     if not isinstance(table, dict):
         raise InputError("law", "must be a table [law]", table)
     if "kind" not in table:
-        raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(LAWS))
-    law = LAWS[checks.choice("law.kind", table["kind"], LAWS)]
+        raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(known_laws()))
+    laws = known_laws()
+    law = laws[checks.choice("law.kind", table["kind"], laws)]
     entries = {entry.name: entry for entry in fields(law)}
     required = [name for name, entry in entries.items() if entry.default is MISSING]
     checks.known_keys("law", table, ["kind", *entries], required)
@@ -237,7 +246,7 @@ def _reference(table: Any, plant: Plant, folder: Path | None) -> Reference:
             signal=table["signal"],
             bound=None if bound is None else checks.real("reference.bound", bound, known, above=0),
             declared=table.get("bounds"),
-            constants={name: float(value) for name, value in known.items()},
+            constants=tuple((name, float(value)) for name, value in known.items()),
         )
     if "kind" not in table:
         raise InputError("reference", "must have a signal or a kind", sorted(table))
@@ -248,8 +257,8 @@ def _reference(table: Any, plant: Plant, folder: Path | None) -> Reference:
         values |= _samples(values.pop("file"), folder)
     checks.known_keys("reference", values, (*required, *optional), required)
     for name, value in values.items():
-        values[name] = value if name == "interpolation" else _numbers(
-            f"reference.{name}", value, known
+        values[name] = (
+            value if name == "interpolation" else _numbers(f"reference.{name}", value, known)
         )
     return make(**values)
 
@@ -264,7 +273,9 @@ def _samples(name: Any, folder: Path | None) -> dict[str, list[float]]:
     try:
         table = np.loadtxt(path, delimiter=",", comments="#", ndmin=2, max_rows=1_000_001)
     except OSError as problem:
-        raise InputError(key, f"cannot be read ({problem.strerror or 'no such file'})", name) from None
+        raise InputError(
+            key, f"cannot be read ({problem.strerror or 'no such file'})", name
+        ) from None
     except (ValueError, OverflowError):
         raise InputError(
             key, "must have two numeric columns: time, y_d (no header, or a # line)", name

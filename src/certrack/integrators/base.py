@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 
 import numpy as np
 
 from certrack.references import Reference
-
 
 #: A state larger than this where the solution ceases to exist is escaping, not leaving a domain.
 ESCAPING = 1e3
@@ -74,7 +74,7 @@ class Problem:
         """Intervals between break points of the reference."""
         inner = self.reference.breaks(0.0, self.duration)
         times = [0.0, *map(float, inner), self.duration]
-        return list(zip(times[:-1], times[1:], strict=True))
+        return list(pairwise(times))
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,8 @@ class ScipyIntegrator:
         from scipy.integrate import DOP853, Radau
 
         method = "implicit" if self.implicit else "scipy"
-        times, pieces = [0.0], []
+        times: list[float] = [0.0]
+        pieces: list[Any] = []
         y, outcome = np.array(problem.start, dtype=float), Outcome.finished
         absolute = np.full(self._size, problem.tolerance)
         absolute[-len(INTEGRALS) :] /= INTEGRAL_SCALE

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from certrack.closed_loop import ClosedLoop
+from certrack.closed_loop import INTEGRALS, ClosedLoop
 from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
 from certrack.integrators.switches import Switches
 from certrack.lowering import extract_switches, to_heyoka
@@ -42,6 +42,7 @@ class TaylorIntegrator:
         variables = [hy.expression(name) for name in names]
         known = {symbol: hy.par[i] for i, symbol in enumerate(parameters)}
         known |= dict(zip(loop.states, variables, strict=True))
+        self._moving = len(loop.states) - len(INTEGRALS)
         self._piece = slice(len(loop.parameters) - loop.pieces, len(loop.parameters))
         self._switches: Switches | None = None
         events = []
@@ -59,6 +60,18 @@ class TaylorIntegrator:
 
     def integrate(self, problem: Problem) -> Trajectory:
         """Solve `problem`; stops early at an escape, an undefined rate or the step limit."""
+        found, steps = self._attempt(problem, careful=False)
+        if steps.count and _excess(steps, self._moving, np.diff(found.times)) > 10 * SLACK:
+            found, steps = self._attempt(problem, careful=True)
+        switches = self._switches
+        if switches is not None and len(found.times) > 1:
+            middle = (found.times[:-1] + found.times[1:]) / 2
+            if switches.missed(middle, found.interpolate(middle)):
+                return replace(found, outcome=Outcome.kink_missed)
+        return found
+
+    def _attempt(self, problem: Problem, *, careful: bool) -> tuple[Trajectory, _Steps]:
+        """Integrate from the start; with `careful`, shorten steps that are too long."""
         ta, switches = self._integrator, self._switches
         ta.state[:] = problem.start
         ta.pars[: self._piece.start] = problem.parameters
@@ -71,38 +84,25 @@ class TaylorIntegrator:
             ta.time = begin
             if switches is not None:
                 switches.set(ta)
-            end, outcome = self._segment(begin, stop, problem.max_steps, steps)
+            end, outcome = self._segment(begin, stop, problem.max_steps, steps, careful)
             if outcome is not Outcome.finished:
                 break
-        found = _finish(steps, end, outcome, problem)
-        if switches is not None and len(found.times) > 1:
-            middle = (found.times[:-1] + found.times[1:]) / 2
-            if switches.missed(middle, found.interpolate(middle)):
-                return replace(found, outcome=Outcome.kink_missed)
-        return found
+        return _finish(steps, end, outcome, problem), steps
 
     def _segment(
-        self, begin: float, stop: float, max_steps: int, steps: _Steps
+        self, begin: float, stop: float, max_steps: int, steps: _Steps, careful: bool
     ) -> tuple[float, Outcome]:
         """Step from `begin` to `stop`, keeping the Taylor coefficients of every step."""
-        ta, step, tc, switches = (
-            self._integrator,
-            self._integrator.step,
-            self._integrator.tc,
-            self._switches,
-        )
-        k, starts, table = steps.count, steps.starts, steps.table
-        cautious = 1e-3 * (stop - begin)
+        ta, switches = self._integrator, self._switches
+        step, tc, k, starts, table = ta.step, ta.tc, steps.count, steps.starts, steps.table
         while True:  # the hot loop: heyoka's step takes about as long as two Python calls
             if switches is not None:
                 switches.record(ta)
             room = stop - begin
             outcome, taken = step(room, True)
-            if taken == room and _blank(tc):
-                # The last coefficients vanish by symmetry, so they say nothing about the step.
+            if careful and taken > (safe := _safe_step(tc[: self._moving], taken)):
                 ta.state[:], ta.time = tc[:, 0], begin
-                room, cautious = min(room, cautious), 2 * cautious
-                outcome, taken = step(room, True)
+                outcome, taken = step(safe, True)
             if taken != taken:  # NaN: the rates are not finite
                 result = begin, Outcome.undefined
                 break
@@ -110,10 +110,10 @@ class TaylorIntegrator:
                 starts, table = steps.grow()
             starts[k], table[k] = begin, tc
             k += 1
-            begin += taken
-            if taken == room and begin >= stop:
+            if taken == room:
                 result = stop, Outcome.finished
                 break
+            begin += taken
             if k >= max_steps:
                 result = begin, Outcome.step_limit
                 break
@@ -123,9 +123,42 @@ class TaylorIntegrator:
         return result
 
 
-def _blank(coefficients: np.ndarray) -> bool:
-    """Whether the state moves although the last two coefficients, which set the step, vanish."""
-    return not coefficients[:, -2:].any() and bool(coefficients[:, 1:].any())
+# heyoka takes the step h from the last two Taylor coefficients c_p and c_{p-1} alone, such that
+# |c_j| h^j ~ |x| exp(-2 j) there. Where these two happen to vanish, as from x = 0 in x' = 1 + x^3
+# whose series has only every third term, the step is far too long. So the few coefficients before
+# them are held to the same rule, with some slack because they usually exceed it a little.
+SLACK = 100.0
+ORDERS_BEFORE = 5
+
+
+def _orders(count: int) -> range:
+    """The orders j that are looked at, of `count` coefficients."""
+    return range(max(2, count - 1 - ORDERS_BEFORE), count - 1)
+
+
+def _excess(steps: _Steps, moving: int, taken: np.ndarray) -> float:
+    """Largest |c_j| h^j / (|x| exp(-2 j)) over all steps."""
+    table = steps.table[: len(taken), :moving]
+    start = np.abs(table[:, :, :2]).max(axis=1)
+    size = np.maximum(start[:, 0], start[:, 1] * taken) + 1e-300
+    reach = np.e**2 * taken
+    power = reach ** _orders(table.shape[2]).start
+    largest = 0.0
+    for j in _orders(table.shape[2]):
+        terms = np.abs(table[:, :, j]).max(axis=1) * power / size
+        largest = max(largest, float(terms.max()))
+        power = power * reach
+    return largest
+
+
+def _safe_step(coefficients: np.ndarray, taken: float) -> float:
+    """Longest step by the rule above."""
+    table = np.abs(coefficients)
+    size = max(table[:, 0].max(), table[:, 1].max() * taken)
+    j = np.array(_orders(table.shape[1]))
+    with np.errstate(divide="ignore"):
+        limits = (SLACK * size / table[:, j].max(axis=0)) ** (1.0 / j) * np.exp(-2.0)
+    return float(limits.min())
 
 
 class _Steps:

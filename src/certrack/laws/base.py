@@ -63,7 +63,8 @@ class Signals:
         Sign of the input gain.
     """
 
-    def __init__(self, plant: Plant, q: int) -> None:
+    def __init__(self, plant: Plant, q: int, *, short: bool = False) -> None:
+        """With `short`, e_n and nu stay symbols: for printing a law as the paper does."""
         self.plant, self.q = plant, q
         self.x = plant.symbols
         self.Y = tuple(symbol(f"y_d_{i}") for i in range(q + 2))
@@ -75,6 +76,8 @@ class Signals:
         nu_y = self.parameters("nu_Y", q + 2)
         self.e_n = dot(a, self.x) - dot(b, self.Y[: q + 1])
         self.nu = dot(nu_x, self.x) + dot(nu_y, self.Y) - plant.drift.expr
+        if short:
+            self.e_n, self.nu = symbol("e_n"), symbol("nu")
         self.sign_g = self.parameter("sign_g")
 
     @property
@@ -227,7 +230,9 @@ def _checked(name: str, given: Any, limits: dict[str, Any]) -> Any:
         return checks.reals(key, given, None, "one number per regressor")
     rows = checks.sequence(key, given, None, "one number per regressor, or a square matrix")
     if any(isinstance(row, (list, tuple, np.ndarray)) for row in rows):
-        return tuple(checks.reals(f"{key}[{i}]", row, len(rows), "row") for i, row in enumerate(rows))
+        return tuple(
+            checks.reals(f"{key}[{i}]", row, len(rows), "row") for i, row in enumerate(rows)
+        )
     return checks.reals(key, rows, None, "one number per regressor", above=0)
 
 

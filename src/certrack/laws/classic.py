@@ -43,7 +43,9 @@ class Classic(Law):
         super().__post_init__()
         for name in ("k", "p"):
             if getattr(self, name) is not None:
-                raise InputError(f"law.{name}", "the classic law has no damping", remedy="Remove it")
+                raise InputError(
+                    f"law.{name}", "the classic law has no damping", remedy="Remove it"
+                )
         if self.feedforward:
             raise InputError("law.feedforward", "the classic law always has n - 1; remove it")
 

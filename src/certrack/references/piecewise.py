@@ -321,9 +321,7 @@ def samples(
     a2 = (3 * rise / width - 2 * a1 - b1) / width  # cubic Hermite
     a3 = (a1 + b1 - 2 * rise / width) / width**2
     rows = tuple(map(tuple, np.column_stack([y[:-1], a1, a2, a3]).tolist()))
-    fields = _fields(
-        "samples", times=list(times), values=list(values), interpolation=interpolation
-    )
+    fields = _fields("samples", times=list(times), values=list(values), interpolation=interpolation)
     return PiecewiseReference(times, rows, 2, None, fields, bound)
 
 

@@ -1,8 +1,10 @@
-"""Proven bounds on |f(t)| for t >= 0: exact for sums of sinusoids, interval arithmetic otherwise."""
+"""Proven bounds on |f(t)|, t >= 0: exact for sums of sinusoids, by intervals otherwise."""
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
+from typing import Any
 
 import sympy
 from mpmath import iv, mp
@@ -64,14 +66,8 @@ def _upper(value: sympy.Expr) -> float:
     exact = sympy.N(value, 40)
     as_float = float(exact)
     while sympy.Float(as_float, 60) < exact:
-        as_float = float(_next(as_float))
+        as_float = math.nextafter(as_float, math.inf)
     return as_float
-
-
-def _next(value: float) -> float:
-    import math
-
-    return math.nextafter(value, math.inf)
 
 
 _MONOTONE = {
@@ -81,7 +77,7 @@ _MONOTONE = {
 }
 
 
-def _atan(x: object) -> object:
+def _atan(x: Any) -> Any:
     """Enclosure of atan at a point, which may be infinite."""
     half_pi = iv.pi / 2
     if mp.isinf(mp.mpf(x)):
@@ -91,13 +87,13 @@ def _atan(x: object) -> object:
     return iv.mpf([value - slack, value + slack])
 
 
-def _tanh(x: object) -> object:
+def _tanh(x: Any) -> Any:
     value = mp.tanh(mp.mpf(x)) if mp.isfinite(mp.mpf(x)) else mp.sign(mp.mpf(x))
     slack = mp.mpf(2) ** -45
     return iv.mpf([max(value - slack, -1), min(value + slack, 1)])
 
 
-def _interval(expr: sympy.Expr) -> object:
+def _interval(expr: sympy.Expr) -> Any:
     """Interval of `expr` over t >= 0; raises where a part is unbounded or undefined."""
     if expr == TIME:
         return iv.mpf([0, "inf"])
@@ -124,6 +120,9 @@ def _interval(expr: sympy.Expr) -> object:
         return _checked(total)
     if isinstance(expr, sympy.Abs):
         return abs(parts[0])
+    if isinstance(expr, (sympy.Min, sympy.Max)):
+        pick = min if isinstance(expr, sympy.Min) else max
+        return iv.mpf([pick(mp.mpf(p.a) for p in parts), pick(mp.mpf(p.b) for p in parts)])
     if isinstance(expr, sympy.sign):
         return iv.mpf([-1, 1])
     if type(expr) in _MONOTONE:
@@ -133,7 +132,7 @@ def _interval(expr: sympy.Expr) -> object:
     raise ValueError(f"no interval rule for {type(expr).__name__}")
 
 
-def _power(expr: sympy.Expr) -> object:
+def _power(expr: sympy.Expr) -> Any:
     base, exponent = expr.args
     inside = _interval(base)
     if exponent.is_Integer and exponent > 0:
@@ -147,7 +146,7 @@ def _power(expr: sympy.Expr) -> object:
     raise ValueError("no interval rule for this power")
 
 
-def _checked(found: object) -> object:
+def _checked(found: Any) -> Any:
     if mp.isnan(mp.mpf(found.a)) or mp.isnan(mp.mpf(found.b)):
         raise ArithmeticError("undetermined interval")
     return found

@@ -83,7 +83,8 @@ class SymbolicReference:
         worst = int(np.argmax(values))
         if values[worst] > limit:
             raise InputError(
-                key, f"must bound {what}, which is {values[worst]:.6g} at t = {CHECK_TIMES[worst]:g}"
+                key,
+                f"must bound {what}, which is {values[worst]:.6g} at t = {CHECK_TIMES[worst]:g}",
             )
 
     @property

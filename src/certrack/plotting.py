@@ -1,0 +1,182 @@
+"""Pictures: output and reference, error, states, estimates, input. One run or several side by side.
+
+Figures are made without pyplot, so nothing global is touched and no window opens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from certrack.errors import InputError
+from certrack.run import Run
+
+STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.grid": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.5,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.3,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "certrack",
+    "axes.prop_cycle": cycler(
+        color=["#0b61a4", "#d1495b", "#2e8b57", "#edae49", "#6a4c93", "#00798c"]
+    ),
+}
+
+#: Runs by the name that the legend shows.
+Runs = Mapping[str, Run]
+
+
+def style() -> AbstractContextManager[None]:
+    """Context in which certrack draws."""
+    return matplotlib.rc_context(STYLE)
+
+
+def unit(run: Run, index: int) -> str:
+    """Unit of state `index` (the input is last) as a label suffix."""
+    units = run.system.plant.units
+    return f" [{units[index]}]" if units and units[index] not in ("", "1") else ""
+
+
+def plot_output(ax: Axes, runs: Runs) -> None:
+    """Output and reference against time."""
+    first = next(iter(runs.values()))
+    ax.plot(first.t, first.y_d, "k--", lw=1.0, label="$y_d$")
+    for name, run in runs.items():
+        ax.plot(run.t, run.x[0], label=_label("$y$", name, runs))
+    _finish(ax, f"output{unit(first, 0)}")
+
+
+def plot_error(ax: Axes, runs: Runs) -> None:
+    """Tracking error against time, with the settling band."""
+    first = next(iter(runs.values()))
+    for name, run in runs.items():
+        ax.plot(run.t, run.e[0], label=_label("$e_1$", name, runs))
+    band = first.metrics.band
+    ax.axhspan(-band, band, color="#000000", alpha=0.07, lw=0, label=f"band $\\pm${band:.3g}")
+    _finish(ax, f"tracking error{unit(first, 0)}")
+
+
+def plot_states(ax: Axes, runs: Runs) -> None:
+    """All plant states against time."""
+    for name, run in runs.items():
+        for i, state in enumerate(run.system.plant.states):
+            ax.plot(run.t, run.x[i], label=_label(_math(state) + unit(run, i), name, runs))
+    _finish(ax, "states")
+
+
+def plot_estimates(ax: Axes, runs: Runs) -> None:
+    """Controller states against time, with the true values they estimate."""
+    for name, run in runs.items():
+        for i, state in enumerate(run.system.controller.states):
+            ax.plot(run.t, run.z[i], label=_label(_math(state.name), name, runs))
+    truth = next(iter(runs.values())).system.truth
+    names = {state.name for run in runs.values() for state in run.system.controller.states}
+    if "delta_hat" in names:
+        ax.axhline(1 / float(truth.input_gain.expr), color="k", lw=0.8, ls=":", label="true values")
+    for theta in truth.theta if "theta_hat_1" in names else ():
+        ax.axhline(float(theta.expr), color="k", lw=0.8, ls=":")
+    _finish(ax, "estimates")
+
+
+def plot_input(ax: Axes, runs: Runs) -> None:
+    """Control input against time."""
+    first = next(iter(runs.values()))
+    for name, run in runs.items():
+        ax.plot(run.t, run.u, label=_label("$u$", name, runs))
+    _finish(ax, f"input{unit(first, -1)}")
+
+
+Panel = Callable[[Axes, Runs], None]
+
+PANELS: dict[str, Panel] = {
+    "output": plot_output,
+    "error": plot_error,
+    "states": plot_states,
+    "estimates": plot_estimates,
+    "input": plot_input,
+}
+
+
+def panels_for(runs: Runs) -> dict[str, Panel]:
+    """The panels that have something to show."""
+    estimating = any(run.system.controller.states for run in runs.values())
+    return {name: draw for name, draw in PANELS.items() if name != "estimates" or estimating}
+
+
+def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
+    """One panel as a figure of a paper's column width."""
+    with style():
+        made = Figure(figsize=(5.0, 3.0), layout="constrained")
+        ax = made.add_subplot()
+        panel(ax, runs)
+        ax.set_title(title, loc="left")
+    return made
+
+
+def overview(runs: Runs, title: str = "") -> Figure:
+    """All panels below each other."""
+    panels = panels_for(runs)
+    with style():
+        made = Figure(figsize=(6.5, 1.9 * len(panels) + 0.4), layout="constrained")
+        axes = made.subplots(len(panels), 1, sharex=True)
+        for ax, panel in zip(np.atleast_1d(axes), panels.values(), strict=True):
+            panel(ax, runs)
+            ax.label_outer()
+        made.align_ylabels()
+        made.suptitle(title, fontsize=10, fontweight="bold")
+    return made
+
+
+def save_figure(made: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as PNG and SVG; returns the paths."""
+    paths = [folder / f"{name}.{kind}" for kind in ("png", "svg")]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with style():
+            for path in paths:
+                part = path.with_name(f"{path.name}.part")
+                kind = path.suffix[1:]
+                stamp = {"Date": None} if kind == "svg" else {"Software": None}
+                made.savefig(part, format=kind, dpi=200, metadata=stamp)
+                part.replace(path)
+    except OSError as problem:
+        raise InputError(str(folder), f"cannot be written ({problem.strerror})") from None
+    return paths
+
+
+def _label(what: str, name: str, runs: Runs) -> str:
+    return what if len(runs) == 1 else f"{what} {name}"
+
+
+def _math(name: str) -> str:
+    """A state or estimate name in mathematical type where it has an index."""
+    if name == "delta_hat":
+        return r"$\hat\delta$"
+    if name.startswith("theta_hat_"):
+        return rf"$\hat\theta_{{{name[10:]}}}$"
+    head = name.rstrip("0123456789")
+    index = name[len(head) :]
+    return f"${head}_{{{index}}}$" if index and len(head) == 1 else name
+
+
+def _finish(ax: Axes, label: str) -> None:
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel(label)
+    ax.margins(x=0.01)  # a jump at t = 0 stays visible beside the axis
+    ax.legend(ncols=3, loc="best")

@@ -1,0 +1,188 @@
+"""The recursion against the paper's numbers and against symbolic backstepping."""
+
+import math
+
+import numpy as np
+import pytest
+import sympy
+from conftest import relative, systems
+from hypothesis import given
+from hypothesis import strategies as st
+
+import certrack
+from certrack.backstepping import Gains, recursion
+from certrack.errors import DesignError, InputError
+from certrack.expressions import TIME, symbol
+from certrack.laws import Adaptive, Robust
+from certrack.plant import Plant
+from certrack.testing import LawConformance
+
+# Theory: Actuators 14:367, Examples 1 and 2, recomputed to 8 decimals.
+EXAMPLE_2_A = [
+    [1, 0, 0, 0],
+    [3.5, 1, 0, 0],
+    [1.40451389, 0.95486111, 1, 0],
+    [37.07355978, 17.84523232, 16.10897664, 1],
+]
+EXAMPLE_2_B = [1, 3.5, 2.40451389, 53.18253642]
+EXAMPLE_2_KAPPA = [2.5, 6.95833333, 3.65064331, 267.04359722]
+
+
+def test_example_1():
+    found = certrack.load("example1").controller.coordinates
+    np.testing.assert_allclose(found.A, [[1, 0], [1.75, 1]], atol=1e-8)
+    np.testing.assert_allclose(found.B[:, 0], [1, 3.25], atol=1e-8)
+    np.testing.assert_allclose(found.kappa, [5.5, 0.5 + 0.25 * 1.75**2], atol=1e-8)
+
+
+def test_example_2():
+    found = certrack.load("dual-motor").controller.coordinates
+    np.testing.assert_allclose(found.A, EXAMPLE_2_A, atol=1e-8)
+    np.testing.assert_allclose(found.B[:, 0], EXAMPLE_2_B, atol=1e-8)
+    np.testing.assert_allclose(found.kappa, EXAMPLE_2_KAPPA, atol=1e-8)
+    norm = np.linalg.norm(np.linalg.inv(found.A))
+    assert norm == pytest.approx(17.90056, abs=1e-5)
+
+
+def test_classic_law_of_example_1_is_the_papers():
+    """[48]: the last input before the estimates, written out by hand."""
+    controller = certrack.load("example1-classic").controller
+    x1, x2, y0, y1, y2 = map(symbol, ("x1", "x2", "y_d_0", "y_d_1", "y_d_2"))
+    e1, c1, c2 = x1 - y0, sympy.Integer(1), sympy.Rational(1, 2)
+    e2 = x2 - (-c1 * e1 + 3 * x1 + y1) / 2
+    phi = 1 + x1 * sympy.sin(x2)
+    ubar = (
+        -c2 * e2
+        - 2 * e1
+        - x1**2 * x2
+        - phi * symbol("theta_hat_1")
+        + c1 / 2 * y1
+        + y2 / 2
+        + (3 - c1) / 2 * (2 * x2 - 3 * x1)
+    )
+    values = dict(zip(controller.symbols, controller.values, strict=True))
+    ours = controller.equations.u.subs(values) / symbol("delta_hat")
+    assert sympy.simplify(sympy.nsimplify(ours - ubar)) == 0
+
+
+@given(systems())
+def test_error_system_holds_for_random_plants(system):
+    """Both sides of e' = (S - C - K) e + T w - R y_d^(q+1) + ... evaluated, n = 1 ... 8."""
+    kit = LawConformance()
+    kit.system = system
+    kit.test_obeys_the_error_system()
+
+
+def symbolic_backstepping(plant, gains, q):
+    """nu by differentiating every stabilising function along the nominal chain; no shortcut."""
+    n, x = plant.n, plant.symbols
+    y = sympy.Function("y")(TIME)
+    g = [sympy.nsimplify(v.expr) for v in plant.chain]
+    b = [[v.expr for v in row] for row in plant.linear]
+    chain = [g[i] * x[i + 1] + sum(b[i][j] * x[j] for j in range(i + 1)) for i in range(n - 1)]
+    c = [sympy.Rational(repr(v)) for v in gains.c]
+    virtual, e_before, g_before = y, sympy.Integer(0), sympy.Integer(0)
+    highest = y.diff(TIME, q + 1)
+    for m in range(n):
+        e = x[m] - virtual
+        rate = sum(virtual.diff(x[j]) * chain[j] for j in range(m)) + virtual.diff(TIME)
+        eta = [virtual.diff(x[j]) for j in range(m)]
+        young = [(0 if math.isinf(k) else 1 / (4 * sympy.Rational(repr(k)))) for k in gains.k[m]]
+        kappa = young[2 * m] + young[2 * m + 1]
+        kappa += sum((young[2 * i] + young[2 * i + 1]) * eta[i] ** 2 for i in range(m))
+        if m < n - 1:
+            residual = rate.expand().coeff(highest)
+            if not math.isinf(gains.p[m]):
+                kappa += residual**2 / (4 * sympy.Rational(repr(gains.p[m])))
+            rate = (rate - residual * highest).expand()
+        wanted = -(c[m] + kappa) * e - g_before * e_before + rate
+        if m == n - 1:
+            return wanted - plant.drift.expr
+        known = sum(b[m][j] * x[j] for j in range(m + 1))
+        virtual, e_before, g_before = ((wanted - known) / g[m]).expand(), e, g[m]
+    raise AssertionError
+
+
+@given(systems(orders=st.integers(1, 4), kinds=("robust",)))
+def test_symbolic_backstepping_gives_the_same_law(system):
+    plant, law = system.plant, system.law
+    q = law.order(plant)
+    nu = symbolic_backstepping(plant, law.gains(), q)
+    y = sympy.Function("y")(TIME)
+    found = system.controller.coordinates
+    for i in range(q + 1, -1, -1):  # higher derivatives first, y itself last
+        nu = nu.subs(y.diff(TIME, i) if i else y, symbol(f"Y{i}"))
+    rest = sympy.expand(nu + plant.drift.expr)
+    ours = [float(v) for v in (*found.nu_x, *found.nu_Y)]
+    variables = (*plant.symbols, *(symbol(f"Y{i}") for i in range(q + 2)))
+    theirs = [float(rest.coeff(v)) for v in variables]
+    assert relative(ours, theirs) < 1e-9
+
+
+@given(systems(kinds=("robust",)))
+def test_a_has_unit_diagonal_and_residual_ends_with_zero(system):
+    found = system.controller.coordinates
+    assert np.all(np.diag(found.A) == 1)
+    assert np.all(np.triu(found.A, 1) == 0)
+    assert found.B[0].tolist() == [1.0] + [0.0] * found.q
+    assert found.R[-1] == 0
+    if found.q == found.n - 1:
+        assert np.allclose(found.R, 0)
+
+
+def test_fifty_states_are_designed():
+    rng = np.random.default_rng(1)
+    g, b = rng.uniform(0.5, 2, 49), np.tril(rng.normal(size=(49, 50)))
+    for q in (0, 49):
+        found = recursion(g, b, Gains(c=[1.0] * 50), q)
+        assert np.isfinite(found.nu_x).all()
+
+
+def test_damping_that_overflows_is_refused_with_the_remedy():
+    n = 14
+    gains = Gains(c=[1] * n, k=[[0.1] * (2 * m) for m in range(1, n + 1)], p=[0.1] * (n - 1))
+    with pytest.raises(DesignError, match=r"overflows at step \d+ of 14.*Raise k and p"):
+        recursion(np.ones(n - 1), np.zeros((n - 1, n)), gains)
+
+
+def test_first_order_plant_has_no_virtual_control():
+    plant = Plant(states=["x1"], drift="-x1", input_gain=2)
+    law = Robust(c=[3])
+    found = law.design(plant).coordinates
+    assert found.eta == []
+    assert found.d.shape == (0, 1)
+    assert found.nu_x.tolist() == [-3]
+    assert found.nu_Y.tolist() == [3, 1]
+
+
+@pytest.mark.parametrize(
+    ("gains", "key"),
+    [
+        ({"c": [1]}, "law.c"),
+        ({"c": [1, 0]}, "law.c[1]"),
+        ({"c": [1, -1]}, "law.c[1]"),
+        ({"c": [1, math.nan]}, "law.c[1]"),
+        ({"c": [1, math.inf]}, "law.c[1]"),
+        ({"c": "12"}, "law.c"),
+        ({"c": [1, 1], "k": [[1, 1]]}, "law.k"),
+        ({"c": [1, 1], "k": [[1, 1], [1, 1]]}, "law.k[1]"),
+        ({"c": [1, 1], "k": [[1, 0], [1, 1, 1, 1]]}, "law.k[0][1]"),
+        ({"c": [1, 1], "p": [1, 1]}, "law.p"),
+        ({"c": [1, 1], "p": [-1]}, "law.p[0]"),
+        ({"c": [1, 1], "feedforward": 2}, "law.feedforward"),
+        ({"c": [1, 1], "feedforward": -1}, "law.feedforward"),
+        ({"c": [1, 1], "feedforward": 0.5}, "law.feedforward"),
+        ({"c": [1, 1], "Gamma": [[1, 2], [2, 1]]}, "law.Gamma"),
+        ({"c": [1, 1], "Gamma": [1]}, "law.Gamma"),
+        ({"c": [1, 1], "Gamma": [[1, 0.5], [0.2, 1]]}, "law.Gamma"),
+        ({"c": [1, 1], "Gamma": [1, -1]}, "law.Gamma[1]"),
+        ({"c": [1, 1], "theta0": [1]}, "law.theta0"),
+        ({"c": [1, 1], "gain_rate": 0}, "law.gain_rate"),
+        ({"c": [1, 1], "leak_gain": -1}, "law.leak_gain"),
+    ],
+)
+def test_bad_gains_are_named(gains, key):
+    plant = Plant(states=["x1", "x2"], chain=[1], regressor=["x1", "x2"])
+    with pytest.raises(InputError) as caught:
+        Adaptive(**gains).design(plant)
+    assert str(caught.value).startswith(f"{key}: ")

@@ -1,0 +1,75 @@
+"""Metrics on signals whose values are known, with their order of convergence."""
+
+import math
+
+import numpy as np
+import pytest
+
+from certrack.metrics import _crossing, _integral_of_magnitude, measure, supremum
+
+
+def order(error, counts=(200, 400, 800)):
+    errors = [error(n) for n in counts]
+    return [math.log2(a / b) for a, b in zip(errors[:-1], errors[1:], strict=True)]
+
+
+def test_supremum_converges_with_order_three_or_more():
+    def error(n):  # the worst over where the peak falls between the samples
+        found = []
+        for shift in np.linspace(0, 0.02, 37):
+            t = shift + np.linspace(0, 3, n) ** 1.1  # not equidistant
+            found.append(abs(supremum(t, np.sin(t + 0.1) * np.exp(0.1 * t)) - exact))
+        return max(found)
+
+    peak = math.atan(-10) + math.pi  # derivative of sin(s) exp(0.1 (s - 0.1)) is zero there
+    exact = math.sin(peak) * math.exp(0.1 * (peak - 0.1))
+    assert min(order(error)) > 2.7
+
+
+def test_crossing_converges_with_order_four():
+    def error(n):  # the worst over where the crossing falls between the samples
+        found = []
+        for shift in np.linspace(0, 0.2, 23):
+            t = shift + np.linspace(0, 1.5, n)
+            f = np.cos(t) - 0.3
+            i = int(np.flatnonzero(f > 0)[-1])
+            found.append(abs(_crossing(t, f, i) - math.acos(0.3)))
+        return max(found)
+
+    assert min(order(error, (20, 40, 80))) > 3.5
+
+
+def test_integral_of_magnitude_is_exact_to_order_four():
+    def error(n):
+        t = np.linspace(0, 10, n)
+        return abs(_integral_of_magnitude(t, np.cos(t), np.sin(t)) - exact) + 1e-16
+
+    exact = _by_pieces()
+    assert min(order(error, (50, 100, 200))) > 3.3
+
+
+def _by_pieces():
+    zeros = [0.0, *(math.pi / 2 + k * math.pi for k in range(3)), 10.0]
+    values = [abs(math.sin(b) - math.sin(a)) for a, b in zip(zeros[:-1], zeros[1:], strict=True)]
+    return sum(values)
+
+
+def test_settling_and_tail():
+    t = np.linspace(0, 10, 2001)
+    e = np.exp(-t)
+    running = np.vstack([t, 0.5 - 0.5 * np.exp(-2 * t), 1 - np.exp(-t)])
+    found = measure(t, e, np.ones_like(t), running, band=0.05, tail_start=5)
+    assert found.settling_time == pytest.approx(-math.log(0.05), abs=1e-8)
+    assert found.tail_error == pytest.approx(math.exp(-5))
+    assert found.integral_abs_error == pytest.approx(1 - math.exp(-10))
+    assert found.rms_error == pytest.approx(math.sqrt(0.05 * (1 - math.exp(-20))))
+    assert found.input_energy == 10
+    assert found.input_variation == 0
+
+
+def test_never_settled_is_missing_and_always_settled_is_zero():
+    t = np.linspace(0, 1, 11)
+    running = np.zeros((3, 11))
+    never = measure(t, np.ones(11), t, running, band=0.5, tail_start=0)
+    assert never.as_dict()["settling_time"] is None
+    assert measure(t, np.zeros(11), t, running, 0.5, 0).settling_time == 0

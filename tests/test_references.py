@@ -1,0 +1,187 @@
+"""References: derivatives, proven bounds, break points."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from certrack.errors import InputError
+from certrack.references import SymbolicReference, samples, steps, trapezoid, triangle
+from certrack.references.base import total_bound
+
+DENSE = np.linspace(0, 60, 60_001)
+PIECEWISE = {
+    "triangle": triangle(0.2, 4.0, offset=0.1, start=-0.3),
+    "trapezoid": trapezoid(0.2, 5.0, 0.5),
+    "steps": steps([1, 4, 8], [0, 0.2, -0.1, 0.3], 1.0),
+    "adjacent steps": steps([1, 2], [0, 1, 0], 1.0),
+    "monotone": samples([0, 1, 2, 3.5, 5], [0, 0.1, 0.3, 0.2, 0.2]),
+    "cubic": samples([0, 1, 2, 3.5, 5], [0, 0.1, 0.3, 0.2, 0.2], "cubic"),
+}
+
+
+@pytest.fixture(params=PIECEWISE)
+def piecewise(request):
+    return PIECEWISE[request.param]
+
+
+def test_single_frequency_is_exact():
+    found = SymbolicReference("0.3*cos(2*t) + 0.4*sin(2*t) - 0.1").bounds(2)
+    assert found.values == pytest.approx((0.6, 1.0, 2.0))
+    assert found.origin == ("exact",) * 3
+
+
+def test_products_of_sinusoids_become_sums():
+    found = SymbolicReference("sin(t)*cos(t)").bounds(1)
+    assert found.values == pytest.approx((0.5, 1.0))
+    assert found.origin == ("exact", "exact")
+
+
+def test_two_frequencies_give_the_sum_of_amplitudes():
+    found = SymbolicReference("sin(t) + 0.5*sin(sqrt(2)*t)").bounds(0)
+    assert found.values[0] == pytest.approx(1.5)
+    assert found.origin == ("proven",)
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [
+        "exp(-t)*sin(3*t)",
+        "tanh(t)*cos(t)",
+        "atan(t) - 1",
+        "1/(1 + t)",
+        "sqrt(2 + sin(t))",
+        "abs(sin(t)) + min(cos(t), 0.5)",
+        "max(0, sin(t))",
+        "0.7",
+    ],
+)
+def test_interval_bounds_hold_everywhere(signal):
+    reference = SymbolicReference(signal)
+    order = int(min(1, reference.order))
+    found = reference.bounds(order)
+    largest = np.abs(reference.values(DENSE, order)).max(axis=1)
+    assert np.all(np.array(found.values) >= largest)
+
+
+@given(st.lists(st.tuples(st.floats(-2, 2), st.floats(0.1, 5), st.floats(-3, 3)), max_size=4))
+def test_bounds_of_random_sinusoids_hold(terms):
+    signal = " + ".join(f"({a:.3f})*sin({w:.3f}*t + ({p:.3f}))" for a, w, p in terms) or "0"
+    reference = SymbolicReference(signal)
+    found = reference.bounds(1)
+    largest = np.abs(reference.values(DENSE[::20], 1)).max(axis=1)
+    assert np.all(np.array(found.values) >= largest - 1e-12)
+
+
+def test_bound_that_cannot_be_proven_is_asked_for():
+    with pytest.raises(InputError, match=r"could not be proven .* State it: bounds"):
+        SymbolicReference("sin(t**2)").bounds(1)
+
+
+def test_declared_bounds_are_used_and_contradictions_refused():
+    found = SymbolicReference("sin(t**2)", declared=(1.0,)).bounds(0)
+    assert found == type(found)((1.0,), ("declared",))
+    with pytest.raises(InputError, match=r"reference.bounds\[0\]: must bound"):
+        SymbolicReference("2*sin(t)", declared=(1.0,))
+    with pytest.raises(InputError, match="reference.bound: must bound"):
+        SymbolicReference("2*sin(t)", bound=1.0)
+    with pytest.raises(InputError, match="reference.bound: must bound"):
+        triangle(1.0, 1.0, bound=1.0)
+
+
+def test_total_bound_is_declared_or_summed():
+    assert total_bound(SymbolicReference("0.2*cos(t)", bound=0.4)) == 0.4
+    assert total_bound(SymbolicReference("0.2*cos(t)")) == pytest.approx(0.4)
+
+
+def test_jumps_and_poles_are_refused():
+    with pytest.raises(InputError, match="jumps"):
+        SymbolicReference("sign(sin(t))")
+    with pytest.raises(InputError, match="not finite"):
+        SymbolicReference("1/(1 - t)")
+
+
+def test_derivatives_match_differences(piecewise):
+    t = np.linspace(0.0137, 11, 977)
+    breaks = piecewise.breaks(0, 12)
+    keep = np.min(np.abs(t[:, None] - breaks), axis=1) > 1e-4
+    h = 1e-5
+    for order in range(1, int(piecewise.order) + 1):
+        values = piecewise.values(t, order)[order]
+        low, high = (piecewise.values(t + s * h, order - 1)[order - 1] for s in (-1, 1))
+        assert np.abs((high - low) / (2 * h) - values)[keep].max() < 1e-6
+
+
+def test_lower_derivatives_are_continuous(piecewise):
+    breaks = piecewise.breaks(0, 12)
+    left = piecewise.values(breaks - 1e-9, int(piecewise.order) - 1)
+    right = piecewise.values(breaks + 1e-9, int(piecewise.order) - 1)
+    assert np.abs(left - right).max() < 1e-7
+
+
+def test_formulas_equal_values_on_every_piece(piecewise):
+    edges = [0.0, *piecewise.breaks(0, 12), 12.0]
+    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+        known = dict(zip(piecewise.piece_symbols, piecewise.piece_values(begin), strict=True))
+        middle = (begin + end) / 2
+        for order, formula in enumerate(piecewise.formulas(2)):
+            found = float(
+                formula.subs(known)
+                .subs({"t": middle})
+                .subs({s: middle for s in formula.free_symbols})
+            )
+            expected = piecewise.values(np.array([middle]), order)[order, 0]
+            assert found == pytest.approx(expected, abs=1e-12)
+
+
+def test_bounds_are_attained_and_never_passed(piecewise):
+    bounds = np.array(piecewise.bounds(1).values)
+    largest = np.abs(piecewise.values(np.linspace(-2, 20, 220_001), 1)).max(axis=1)
+    assert np.all(largest <= bounds)
+    assert np.all(largest >= bounds * (1 - 1e-6))
+
+
+def test_samples_interpolate_with_scipy_inside():
+    t, y = np.array([0, 1, 2, 3.5, 5]), np.array([0, 0.1, 0.3, 0.2, 0.2])
+    inside = np.linspace(0, 5, 301)
+    cubic = samples(t, y, "cubic").values(inside, 0)[0]
+    assert np.abs(cubic - CubicSpline(t, y, bc_type="clamped")(inside)).max() < 1e-14
+    middle = np.linspace(1, 3.5, 100)  # the ends have zero slope instead of SciPy's
+    monotone = samples(t, y).values(middle, 0)[0]
+    assert np.abs(monotone - PchipInterpolator(t, y)(middle)).max() < 1e-14
+    whole = samples(t, y).values(inside, 0)[0]
+    assert whole.min() >= 0
+    assert whole.max() <= 0.3
+    held = samples(t, y).values(np.array([-3.0, 9.0]), 1)
+    assert held.tolist() == [[0, 0.2], [0, 0]]
+
+
+def test_bounds_of_many_samples_are_fast_and_right():
+    t = np.linspace(0, 300 * np.pi, 100_000)  # zero slope at both ends, as the interpolant has
+    reference = samples(t, np.cos(t))
+    assert reference.bounds(1).values == pytest.approx((1, 1), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: triangle(0, 1), "amplitude"),
+        (lambda: triangle(1, -1), "period"),
+        (lambda: trapezoid(1, 1, 0.6), "rise"),
+        (lambda: steps([], [1], 1), "times"),
+        (lambda: steps([1], [1], 1), "levels"),
+        (lambda: steps([1, 1.5], [0, 1, 0], 1), "times[1]"),
+        (lambda: steps([1], [1, 1], 1), "levels[1]"),
+        (lambda: steps([1], [0, 1], 0), "slope"),
+        (lambda: samples([0, 0], [1, 2]), "times[1]"),
+        (lambda: samples([0], [1]), "times"),
+        (lambda: samples([0, 1], [1]), "values"),
+        (lambda: samples([0, 1], [1, 2], "linear"), "interpolation"),
+        (lambda: samples([0, 1], [1, float("nan")]), "values[1]"),
+    ],
+)
+def test_bad_fields_are_named(make, key):
+    with pytest.raises(InputError) as caught:
+        make()
+    assert str(caught.value).startswith(f"reference.{key}: ")
