@@ -129,7 +129,7 @@ def test_formulas_equal_values_on_every_piece(piecewise):
             found = float(
                 formula.subs(known)
                 .subs({"t": middle})
-                .subs({s: middle for s in formula.free_symbols})
+                .subs(dict.fromkeys(formula.free_symbols, middle))
             )
             expected = piecewise.values(np.array([middle]), order)[order, 0]
             assert found == pytest.approx(expected, abs=1e-12)

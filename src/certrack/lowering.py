@@ -120,4 +120,7 @@ def _integer_power(hy: Any, base: Any, exponent: int) -> Any:
 
 def rows(values: Sequence[Any], count: int) -> np.ndarray:
     """Results of a NumPy callable as an array (len(values), count); constants are spread out."""
-    return np.array([np.broadcast_to(value, (count,)) for value in values], dtype=float)
+    found = np.empty((len(values), count))
+    for row, value in zip(found, values, strict=True):
+        row[...] = value
+    return found

@@ -95,22 +95,21 @@ def supremum(t: np.ndarray, values: np.ndarray) -> float:
     i = int(np.argmax(size))
     best = float(size[i])
     if 0 < i < len(size) - 1:
-        h0, h1 = t[i] - t[i - 1], t[i + 1] - t[i]
-        rise, fall = size[i] - size[i - 1], size[i] - size[i + 1]
-        if h0 > 0 and h1 > 0 and rise + fall > 0:
+        h0, h1 = float(t[i] - t[i - 1]), float(t[i + 1] - t[i])
+        rise, fall = best - float(size[i - 1]), best - float(size[i + 1])
+        if h0 > 0 and h1 > 0 and 0 < rise + fall < 1e100:
             left, right = rise / h0, fall / h1  # one-sided slopes of the parabola's chords
-            curvature = (left + right) / (h0 + h1)
             slope = (left * h1 - right * h0) / (h0 + h1)
-            best += slope**2 / (4 * curvature)
+            best += slope**2 * (h0 + h1) / (4 * (left + right))
     return best
 
 
 def _tail_supremum(t: np.ndarray, e: np.ndarray, start: float) -> float:
-    keep = t >= start
-    if not keep.any():
+    first = int(np.searchsorted(t, start))
+    if first == len(t):
         return math.nan
     at_start = abs(float(np.interp(start, t, e)))
-    return max(supremum(t[keep], e[keep]), at_start)
+    return max(supremum(t[first:], e[first:]), at_start)
 
 
 def _settling_time(t: np.ndarray, size: np.ndarray, band: float) -> float:
@@ -126,14 +125,14 @@ def _settling_time(t: np.ndarray, size: np.ndarray, band: float) -> float:
 def _crossing(t: np.ndarray, f: np.ndarray, i: int) -> float:
     """Zero of f in [t_i, t_{i+1}] by inverse interpolation through four neighbours."""
     lo = max(0, min(i - 1, len(t) - 4))
-    ts, fs = t[lo : lo + 4], f[lo : lo + 4]
-    if len(ts) == 4 and np.all(np.diff(fs) < 0):  # monotone: the inverse is a function
+    ts, fs = t[lo : lo + 4].tolist(), f[lo : lo + 4].tolist()
+    if len(ts) == 4 and fs[0] > fs[1] > fs[2] > fs[3]:  # monotone: the inverse is a function
         guess = 0.0
         for j in range(4):
             weights = [fs[m] / (fs[m] - fs[j]) for m in range(4) if m != j]
             guess += ts[j] * math.prod(weights)
         if t[i] <= guess <= t[i + 1]:
-            return float(guess)
+            return guess
     return float(t[i] + (t[i + 1] - t[i]) * f[i] / (f[i] - f[i + 1]))
 
 
@@ -143,7 +142,8 @@ def _integral_of_magnitude(t: np.ndarray, e: np.ndarray, running: np.ndarray) ->
     The running integral has an extremum there, so a small error of the crossing time only counts
     squared; a cubic Hermite polynomial of it, whose slope is e, is enough.
     """
-    change = np.flatnonzero(np.sign(e[:-1]) * np.sign(e[1:]) < 0)
+    negative = e < 0
+    change = np.flatnonzero(negative[1:] != negative[:-1])
     if not change.size:
         return abs(float(running[-1] - running[0]))
     h, e0, e1 = t[change + 1] - t[change], e[change], e[change + 1]

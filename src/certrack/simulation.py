@@ -138,7 +138,7 @@ class Simulator:
     ) -> np.ndarray:
         """Control input u at times t, shape (N,)."""
         with np.errstate(all="ignore"):
-            values = self._input(t, states, [*parameters, *_pieces(system, t)])
+            values = self._input(t, states, [*parameters.tolist(), *_pieces(system, t)])
         return rows(values, len(t))[0]
 
 

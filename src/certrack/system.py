@@ -55,6 +55,11 @@ class Settings:
             "max_state": checks.real("simulation.max_state", self.max_state, above=0),
             "tolerance": checks.real("simulation.tolerance", self.tolerance, least=1e-14),
         }
+        for i, start in enumerate(values["x0"]):
+            if abs(start) > values["max_state"]:
+                raise InputError(
+                    f"simulation.x0[{i}]", "must be within simulation.max_state", start
+                )
         if values["tolerance"] > 1e-2:
             raise InputError("simulation.tolerance", "must be at most 0.01", self.tolerance)
         checks.choice("simulation.integrator", self.integrator, INTEGRATORS)

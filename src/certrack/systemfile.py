@@ -6,9 +6,11 @@ plant's constants; a loaded system keeps their text, so a saved file reads like 
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import tomllib
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
 from importlib.resources import files
@@ -87,17 +89,22 @@ def load(source: str | os.PathLike[str]) -> System:
     try:
         if path.suffix == "" and not path.exists():
             return loads(_shipped(str(source)), f"{source}.toml")
-        with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
+        data = _read(path)
     except OSError as problem:
         raise InputError(str(source), f"cannot be read ({problem.strerror or problem})") from None
     except InputError:
         raise
     except ValueError as problem:  # a NUL byte in the name
         raise InputError(str(source), f"is not a file name ({problem})") from None
-    if len(data) > MAX_BYTES:
-        raise InputError(str(source), f"is larger than {MAX_BYTES // 1_000_000} MB")
     return loads(data, str(source), path.parent)
+
+
+def _read(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        data = stream.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise InputError(str(path), f"is larger than {MAX_BYTES // 1_000_000} MB")
+    return data
 
 
 def _shipped(name: str) -> str:
@@ -269,14 +276,15 @@ def _samples(name: Any, folder: Path | None) -> dict[str, list[float]]:
     relative = PurePosixPath(checks.text(key, name))
     if folder is None or relative.is_absolute() or ".." in relative.parts or "\\" in str(name):
         raise InputError(key, "must lie beside the system file or below it", name)
-    path = folder / relative
     try:
-        table = np.loadtxt(path, delimiter=",", comments="#", ndmin=2, max_rows=1_000_001)
+        data = _read(folder / relative)
     except OSError as problem:
-        raise InputError(
-            key, f"cannot be read ({problem.strerror or 'no such file'})", name
-        ) from None
-    except (ValueError, OverflowError):
+        raise InputError(key, f"cannot be read ({problem.strerror})", name) from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an empty file is refused below
+            table = np.loadtxt(io.StringIO(data.decode("utf-8")), delimiter=",", ndmin=2)
+    except ValueError:
         raise InputError(
             key, "must have two numeric columns: time, y_d (no header, or a # line)", name
         ) from None

@@ -104,6 +104,9 @@ class Trajectory:
 
 def subdivide(times: np.ndarray, parts: int) -> np.ndarray:
     """Every step cut into equal parts; the ends of the steps are hit exactly."""
-    fractions = np.arange(parts) / parts
-    inner = times[:-1, None] + np.diff(times)[:, None] * fractions
-    return np.append(inner.ravel(), times[-1])
+    found = np.empty(parts * (len(times) - 1) + 1)
+    found[-1] = times[-1]
+    steps = found[:-1].reshape(-1, parts)
+    np.multiply(np.diff(times)[:, None], np.arange(parts) / parts, out=steps)
+    steps += times[:-1, None]
+    return found

@@ -139,16 +139,15 @@ def _orders(count: int) -> range:
 def _excess(steps: _Steps, moving: int, taken: np.ndarray) -> float:
     """Largest |c_j| h^j / (|x| exp(-2 j)) over all steps."""
     table = steps.table[: len(taken), :moving]
-    start = np.abs(table[:, :, :2]).max(axis=1)
-    size = np.maximum(start[:, 0], start[:, 1] * taken) + 1e-300
-    reach = np.e**2 * taken
-    power = reach ** _orders(table.shape[2]).start
-    largest = 0.0
-    for j in _orders(table.shape[2]):
-        terms = np.abs(table[:, :, j]).max(axis=1) * power / size
-        largest = max(largest, float(terms.max()))
-        power = power * reach
-    return largest
+    orders = _orders(table.shape[2])
+    begin, late = table[:, :, :2], table[:, :, orders.start : orders.stop]
+    with np.errstate(all="ignore"):  # an escape overflows; an event may end a step at its begin
+        squares = np.einsum("sij,sij->sj", begin, begin)  # Euclidean norms: several times faster
+        size = np.maximum(squares[:, 0], squares[:, 1] * taken**2) + 1e-300
+        reach = np.log(taken) + 2.0
+        growth = np.exp(2.0 * reach[:, None] * np.arange(orders.start, orders.stop))
+        terms = np.einsum("sij,sij->sj", late, late) * growth
+        return float(np.sqrt((terms / size[:, None]).max()))
 
 
 def _safe_step(coefficients: np.ndarray, taken: float) -> float:
@@ -221,12 +220,13 @@ class TaylorSeries:
     def subdivided(self, times: np.ndarray, parts: int) -> np.ndarray:
         """States at :func:`certrack.integrators.base.subdivide` of the steps, much faster."""
         steps, size, orders = self.table.shape
-        powers = np.empty((steps, orders))  # h^k, by products: pow() is slow
-        powers[:, 0], powers[:, 1:] = 1.0, np.diff(times)[:, None]
-        np.multiply.accumulate(powers, axis=1, out=powers)
-        scaled = self.table * powers[:, None, :]
+        powers = np.empty((steps, 1, orders))  # h^k, by products: pow() is slow
+        powers[:, 0, 0], powers[:, 0, 1:] = 1.0, np.diff(times)[:, None]
+        np.multiply.accumulate(powers, axis=2, out=powers)
         fractions = (np.arange(parts + 1) / parts) ** np.arange(orders)[:, None]
-        values = scaled.reshape(-1, orders) @ fractions  # one product for all steps
-        inner = values.reshape(steps, size, parts + 1)[:, :, :-1].transpose(1, 0, 2)
-        end = values.reshape(steps, size, parts + 1)[-1, :, -1:]
-        return np.concatenate([inner.reshape(size, -1), end], axis=1)
+        values = (self.table * powers).reshape(-1, orders) @ fractions  # all steps at once
+        values = values.reshape(steps, size, parts + 1)
+        found = np.empty((size, steps * parts + 1))
+        found[:, :-1].reshape(size, steps, parts)[...] = values[:, :, :-1].transpose(1, 0, 2)
+        found[:, -1] = values[-1, :, -1]
+        return found

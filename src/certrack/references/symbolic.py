@@ -14,6 +14,7 @@ import sympy
 from certrack import checks
 from certrack.errors import InputError
 from certrack.expressions import TIME, Expression, derivative, parse
+from certrack.lowering import numpy_callable, rows
 from certrack.references.base import Bounds
 from certrack.references.supremum import interval_supremum, sinusoid_supremum
 
@@ -118,10 +119,9 @@ class SymbolicReference:
     def values(self, t: np.ndarray, order: int) -> np.ndarray:
         key = ("_numeric", order)
         if key not in self._cache:
-            self._cache[key] = sympy.lambdify(TIME, list(self.formulas(order)), "numpy", cse=True)
+            self._cache[key] = numpy_callable([TIME], self.formulas(order))
         with np.errstate(all="ignore"):
-            rows = self._cache[key](np.asarray(t, dtype=float))
-        return np.array([np.broadcast_to(row, np.shape(t)) for row in rows], dtype=float)
+            return rows(self._cache[key](np.asarray(t, dtype=float)), len(t))
 
     @cached_property
     def _cache(self) -> dict[Any, Any]:

@@ -1,0 +1,35 @@
+# make demo   reproduces the paper on a fresh machine
+# make test   checks style, types and behaviour
+# make bench  measures speed, as ratios within one run
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.PHONY: demo test slow bench clean
+
+demo: .venv/installed
+	$(BIN)/certrack reproduce --out reproduction
+
+test: .venv/tested
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n 2 -m "not slow"
+
+slow: .venv/tested
+	$(BIN)/pytest -n 2 -m slow
+
+bench: .venv/tested
+	$(BIN)/pytest bench
+
+.venv/installed: pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(INSTALL) --editable .
+	touch $@
+
+.venv/tested: .venv/installed
+	$(INSTALL) --editable '.[test]'
+	touch $@
+
+clean:
+	rm -rf .venv reproduction

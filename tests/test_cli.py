@@ -1,0 +1,153 @@
+"""The command line as a user meets it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import SHIPPED
+
+import certrack
+from certrack.cli import main
+
+
+def invoke(capfd, *arguments):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    streams = capfd.readouterr()
+    return caught.value.code, streams.out, streams.err
+
+
+def result(capfd, *arguments):
+    code, out, err = invoke(capfd, *arguments, "--json")
+    assert code == 0, err
+    return json.loads(out)
+
+
+def test_list(capfd):
+    assert tuple(result(capfd, "list")) == SHIPPED
+    code, out, _ = invoke(capfd, "list")
+    assert code == 0
+    assert "dual-motor-lean" in out
+
+
+def test_new_file_simulates_and_is_not_overwritten(capfd, tmp_path):
+    path = tmp_path / "drive.toml"
+    assert result(capfd, "new", str(path)) == {"file": str(path)}
+    assert result(capfd, "simulate", str(path))["outcome"] == "finished"
+    before = path.read_text()
+    code, _, err = invoke(capfd, "new", str(path))
+    assert code == 2
+    assert "exists already" in err
+    assert path.read_text() == before
+    code, _, err = invoke(capfd, "new", str(tmp_path / "no" / "drive.toml"))
+    assert code == 2
+    assert "cannot be written" in err
+
+
+def test_design(capfd):
+    found = result(capfd, "design", "dual-motor")
+    assert found["B"] == pytest.approx([1, 3.5, 2.40451389, 53.18253642])
+    assert found["kappa"][3] == pytest.approx(267.04359722)
+    assert found["eta"][0] == [-3.5]
+    assert found["d"][0] == 3.5
+    assert len(found["A"]) == 4
+    code, out, _ = invoke(capfd, "design", "example1")
+    assert code == 0
+    assert "lambda_1 = -1.75*x1 + 3.25*y_d" in out
+    code, out, _ = invoke(capfd, "design", "example1", "--latex")
+    assert out.startswith("\\begin{align*}")
+    assert "\\dot{\\hat\\delta}" in out
+
+
+def test_every_shipped_design_can_be_printed(capfd):
+    for name in SHIPPED:
+        for option in ((), ("--latex",), ("--json",)):
+            assert invoke(capfd, "design", name, *option)[0] == 0
+
+
+def test_simulate(capfd, tmp_path):
+    out, plots = tmp_path / "run.nc", tmp_path / "plots"
+    found = result(capfd, "simulate", "example1", "--out", str(out), "--plot", str(plots))
+    assert found["settling_time"] == pytest.approx(2.15, abs=0.005)
+    assert found["tail_error"] == pytest.approx(0.0336, abs=5e-5)
+    assert found["peak_input"] == pytest.approx(12.90, abs=5e-3)
+    assert found["input_energy"] == pytest.approx(33.1, abs=0.05)
+    assert found["outcome"] == "finished"
+    assert set(found["final_state"]) == {"x1", "x2", "delta_hat", "theta_hat_1"}
+    assert found["rms_error"] > 0
+    assert out.stat().st_size > 10_000
+    names = {path.name for path in plots.iterdir()}
+    panels = ("output", "error", "states", "estimates", "input", "overview")
+    assert names == {f"{panel}.{kind}" for panel in panels for kind in ("png", "svg")}
+    assert all(path.stat().st_size < 300_000 for path in plots.glob("*.png"))
+
+
+def test_compare(capfd):
+    found = result(capfd, "compare", "example1", "example1-classic")
+    better, worse = found["example1"], found["example1-classic"]
+    assert better["settling_time"] < worse["settling_time"]
+    code, out, _ = invoke(capfd, "compare", "example1", "example1-classic")
+    assert code == 0
+    assert "settling time" in out
+
+
+def test_reproduce(capfd, tmp_path):
+    found = result(capfd, "reproduce", "--out", str(tmp_path))
+    verdicts = [claim["verdict"] for claim in found["claims"]]
+    assert set(verdicts) == {"holds", "differs", "ambiguous"}
+    figures = {path.name for path in tmp_path.iterdir()}
+    expected = {
+        f"figure-{name}.{k}"
+        for name in "2a 2b 2c 2d 3a 3b 3c 4a 4b 4c".split()
+        for k in ("png", "svg")
+    }
+    assert figures == expected
+
+
+def test_a_run_that_does_not_finish_is_exit_1_with_the_remedy(capfd, tmp_path):
+    path = tmp_path / "wild.toml"
+    certrack.save(certrack.load("example1-classic").with_settings(max_state=2.4), path)
+    code, out, err = invoke(capfd, "simulate", str(path), "--json")
+    assert code == 1
+    assert json.loads(out)["outcome"] == "escaped"
+    assert "Raise c" in err
+
+
+BAD = {
+    "no file": (["simulate", "nowhere"], "neither a file nor a shipped system"),
+    "missing file": (["simulate", "nowhere.toml"], "cannot be read"),
+    "no argument": (["simulate"], "Missing argument"),
+    "unknown verb": (["frobnicate"], "No such command"),
+    "unknown option": (["simulate", "example1", "--frob"], "No such option"),
+    "bad integrator": (["simulate", "example1", "--integrator", "euler"], "is not one of"),
+    "bad tolerance": (["simulate", "example1", "--tolerance", "-1"], "simulation.tolerance"),
+    "unwritable plot": (["simulate", "example1", "--plot", "/proc/nowhere"], "cannot be written"),
+    "unwritable out": (["simulate", "example1", "--out", "/nowhere/run.nc"], "cannot write"),
+    "out is a folder": (["simulate", "example1", "--out", "/"], "is a directory"),
+    "unwritable reproduction": (["reproduce", "--out", "/proc/nowhere"], "cannot be written"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD.values(), ids=BAD.keys())
+def test_bad_calls_are_exit_2_and_one_line(capfd, arguments, message):
+    code, out, err = invoke(capfd, *arguments)
+    assert code == 2
+    assert out == ""
+    assert message in err
+    assert len(err.strip().splitlines()) == 1, err
+
+
+@pytest.mark.parametrize("verb", ["list", "new", "design", "simulate", "compare", "reproduce"])
+def test_help_has_an_example_that_is_right(capfd, verb):
+    code, out, _ = invoke(capfd, verb, "--help")
+    assert code == 0
+    assert f"Example: certrack {verb}" in out
+    assert "--json" in out
+
+
+def test_module_runs_as_an_installed_command(tmp_path):
+    command = Path(sys.executable).with_name("certrack")
+    done = subprocess.run([command, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("certrack, version ")

@@ -1,0 +1,332 @@
+"""System files: round trip, exact messages, hostile and random input."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+from conftest import SHIPPED, systems
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import certrack
+from certrack.errors import InputError
+from certrack.references import samples, steps, trapezoid, triangle
+from certrack.system import System
+from certrack.systemfile import loads, starter, to_text
+
+GOOD = starter()
+
+
+def edited(old, new):
+    assert old in GOOD
+    return GOOD.replace(old, new)
+
+
+# what is wrong -> (text, beginning of the message after the file name)
+BAD = {
+    "empty": ("", "is empty"),
+    "blank": ("  \n", "is empty"),
+    "binary": (bytes(range(256)), "is not a text file"),
+    "not TOML": ("plant = [", "is not TOML"),
+    "deeply nested TOML": ("a = " + "[" * 5000, "is not TOML"),
+    "no tables": ("title = 'x'", "plant: is missing"),
+    "unknown section": (GOOD + "\n[extra]\n", "extra: unknown key"),
+    "section is not a table": (
+        "plant = 1\ntruth=1\nlaw=1\nreference=1\nsimulation=1",
+        "plant: must be a table",
+    ),
+    "title is not text": (edited('"My drive"', "3"), "title: must be text"),
+    "unknown key": (edited("chain =", "chian ="), "plant.chian: unknown key"),
+    "states missing": (edited("states =", "#"), "plant.states: is missing"),
+    "no states": (edited('["x1", "x2"]', "[]"), "plant.states: must be 1 to 50 names"),
+    "duplicate states": (
+        edited('["x1", "x2"]', '["x1", "x1"]'),
+        "plant.states[1]: names must be different",
+    ),
+    "reserved state": (
+        edited('["x1", "x2"]', '["x1", "sin"]'),
+        "plant.states[1]: this name is reserved",
+    ),
+    "signal as state": (
+        edited('["x1", "x2"]', '["x1", "u"]'),
+        "plant.states[1]: this name is reserved",
+    ),
+    "internal state": (
+        edited('["x1", "x2"]', '["x1", "law_c_0"]'),
+        "plant.states[1]: this name is",
+    ),
+    "Python keyword": (
+        edited('["x1", "x2"]', '["x1", "lambda"]'),
+        "plant.states[1]: names must be ident",
+    ),
+    "not a name": (edited('["x1", "x2"]', '["x1", "x 2"]'), "plant.states[1]: names must be ident"),
+    "state is a number": (
+        edited('["x1", "x2"]', '["x1", 2]'),
+        "plant.states[1]: names must be ident",
+    ),
+    "chain too long": (edited("chain = [1]", "chain = [1, 2]"), "plant.chain: must be a list of 1"),
+    "chain not a list": (edited("chain = [1]", "chain = 1"), "plant.chain: must be a list of 1"),
+    "zero g": (edited("chain = [1]", "chain = [0]"), "plant.chain[0]: must not be zero"),
+    "g is nan": (edited("chain = [1]", "chain = [nan]"), "plant.chain[0]: must be a finite number"),
+    "g is inf": (edited("chain = [1]", "chain = [inf]"), "plant.chain[0]: must be a finite number"),
+    "g is text": (edited("chain = [1]", 'chain = ["x1"]'), "plant.chain[0]: unknown name 'x1'"),
+    "g is true": (edited("chain = [1]", "chain = [true]"), "plant.chain[0]: must be a formula"),
+    "linear shape": (
+        edited("linear = [[0]]", "linear = [[0, 1]]"),
+        "plant.linear[0]: must be a list of 1",
+    ),
+    "drift name": (edited('"-d/J*x2"', '"x3"'), "plant.drift: unknown name 'x3'"),
+    "drift attack": (
+        edited('"-d/J*x2"', '"x1.__class__"'),
+        "plant.drift: Attribute is not allowed",
+    ),
+    "drift bomb": (edited('"-d/J*x2"', '"9**9**9**9"'), "plant.drift: an exponent is larger"),
+    "drift nested": (
+        edited('"-d/J*x2"', f'"{"(" * 5000}x1{")" * 5000}"'),
+        "plant.drift: formula is ",
+    ),
+    "drift long": (
+        edited('"-d/J*x2"', f'"{"+".join(["x1"] * 200_000)}"'),
+        "plant.drift: formula is longer",
+    ),
+    "gain sign missing": (edited("gain_sign", "#"), "plant.gain_sign: is missing"),
+    "gain sign": (edited("gain_sign = 1", "gain_sign = 2"), "plant.gain_sign: must be 1 or -1"),
+    "gain against sign": (
+        edited("gain_sign = 1", "gain_sign = -1"),
+        "plant.input_gain: must have the sign",
+    ),
+    "truth against sign": (
+        edited("input_gain = 2.2", "input_gain = -2.2"),
+        "truth.input_gain: must have the sign",
+    ),
+    "truth gain zero": (
+        edited("input_gain = 2.2", "input_gain = 0"),
+        "truth.input_gain: must not be zero",
+    ),
+    "truth theta": (edited("theta = [1.7]", "theta = []"), "truth.theta: must be a list of 1"),
+    "truth omega": (edited('omega = [0, "', 'omega = ["'), "truth.omega: must be a list of 2"),
+    "constant name": (edited("J = 0.5", "t = 0.5"), "plant.constants.t: this name is reserved"),
+    "constant is state": (
+        edited("J = 0.5", "x1 = 0.5"),
+        "plant.constants.x1: names must be different",
+    ),
+    "constant value": (edited("J = 0.5", "J = 'x1'"), "plant.constants.J: unknown name"),
+    "constant zero divides": (edited("J = 0.5", "J = 0"), "plant.input_gain: divides by zero"),
+    "range order": (
+        edited("[1.5, 2.5]", "[2.5, 1.5]"),
+        "plant.ranges.input_gain: low must not exceed",
+    ),
+    "range sign": (
+        edited("[1.5, 2.5]", "[-1.5, 2.5]"),
+        "plant.ranges.input_gain: must have the sign",
+    ),
+    "range shape": (
+        edited("[[1.0, 3.0]]", "[1.0, 3.0]"),
+        "plant.ranges.theta: must be a list of 1",
+    ),
+    "tau negative": (
+        edited("tau = [0, 1]", "tau = [0, -1]"),
+        "plant.uncertainty.tau[1]: must be zero or",
+    ),
+    "tau shape": (
+        edited("tau = [0, 1]", "tau = [1]"),
+        "plant.uncertainty.tau: must be a list of 2",
+    ),
+    "gamma missing": (edited("gamma = ", "#"), "plant.uncertainty.gamma: is missing"),
+    "signal": (edited('"0.5*sin(t)"', '"0.5*sin(x1)"'), "reference.signal: unknown name 'x1'"),
+    "no signal": (edited('signal = "0.5*sin(t)"', ""), "reference: must have a signal or a kind"),
+    "kind": (
+        edited('signal = "0.5*sin(t)"', 'kind = "square"'),
+        "reference.kind: must be one of triangle",
+    ),
+    "kind field": (
+        edited('signal = "0.5*sin(t)"', 'kind = "triangle"'),
+        "reference.amplitude: is missing",
+    ),
+    "sample file outside": (
+        edited('signal = "0.5*sin(t)"', 'kind = "samples"\nfile = "/etc/passwd"'),
+        "reference.file: must lie beside the system file",
+    ),
+    "sample file above": (
+        edited('signal = "0.5*sin(t)"', 'kind = "samples"\nfile = "../x.csv"'),
+        "reference.file: must lie beside the system file",
+    ),
+    "law kind": (edited('"adaptive"  ', '"nonlinear"  '), "law.kind: must be one of adaptive"),
+    "law kind missing": (edited('kind = "adaptive"', ""), "law.kind: is missing"),
+    "c shape": (edited("c = [5, 5]", "c = [5]"), "law.c: must be a list of 2"),
+    "c negative": (edited("c = [5, 5]", "c = [5, -5]"), "law.c[1]: must be positive; got -5"),
+    "c zero": (edited("c = [5, 5]", "c = [5, 0]"), "law.c[1]: must be positive"),
+    "c missing": (edited("c = [5, 5]", ""), "law.c: is missing"),
+    "c nan": (edited("c = [5, 5]", "c = [5, nan]"), "law.c[1]: must be a finite number"),
+    "Gamma": (edited("Gamma = [1.0]", "Gamma = [0.0]"), "law.Gamma[0]: must be positive"),
+    "Gamma matrix": (
+        edited("Gamma = [1.0]", "Gamma = [[-1.0]]"),
+        "law.Gamma: must be positive definite",
+    ),
+    "foreign gain": (edited('kind = "adaptive"', 'kind = "robust"'), "law.Gamma: unknown key"),
+    "feedforward": (
+        edited("feedforward = 1", "feedforward = 2"),
+        "law.feedforward: must be a whole number",
+    ),
+    "x0 shape": (edited("x0 = [0.5, 0]", "x0 = [0.5]"), "simulation.x0: must be a list of 2"),
+    "duration negative": (
+        edited("duration = 20", "duration = -20"),
+        "simulation.duration: must be positive",
+    ),
+    "duration huge": (
+        edited("duration = 20", "duration = inf"),
+        "simulation.duration: must be a finite",
+    ),
+    "estimates": (
+        edited("duration = 20", "duration = 20\nestimates = [1]"),
+        "simulation.estimates: must be a list of 2: the controller states (delta_hat, theta_hat_1)",
+    ),
+    "tolerance": (
+        edited("duration = 20", "duration = 20\ntolerance = 1"),
+        "simulation.tolerance: must be",
+    ),
+    "integrator": (
+        edited("duration = 20", 'duration = 20\nintegrator = "euler"'),
+        "simulation.integrator: must be one of",
+    ),
+    "start beyond the limit": (
+        edited("duration = 20", "duration = 20\nmax_state = 0.1"),
+        "simulation.x0[0]: must be within simulation.max_state",
+    ),
+    "tail": (
+        edited("duration = 20", "duration = 20\ntail = 20"),
+        "simulation.tail: must be before",
+    ),
+    "units": (edited('"rad/s", "N m"]', '"rad/s"]'), "plant.units: must be a list of 3"),
+    "smoothness": (
+        edited('signal = "0.5*sin(t)"', 'kind = "triangle"\namplitude = 1\nperiod = 2'),
+        "reference: the adaptive law needs 2 bounded derivatives",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "expected"), BAD.values(), ids=BAD.keys())
+def test_bad_files_are_named_in_one_line(text, expected):
+    with pytest.raises(InputError) as caught:
+        loads(text, "drive.toml")
+    message = str(caught.value)
+    assert message.startswith(f"drive.toml: {expected}"), message
+    assert "\n" not in message
+    assert len(message) < 700
+
+
+def test_starter_and_shipped_systems_survive_a_round_trip(shipped):
+    for system in (shipped, loads(GOOD)):
+        again = loads(to_text(system))
+        assert again == system
+        assert to_text(again) == to_text(system)
+
+
+def test_saved_text_keeps_formulas(tmp_path):
+    system = certrack.load("dual-motor")
+    path = tmp_path / "motor.toml"
+    certrack.save(system, path)
+    assert certrack.load(path) == system
+    table = tomllib.loads(path.read_text())
+    assert table["plant"]["chain"] == [1, "2*K_L/J_L", 1]
+    assert table["plant"]["drift"] == "K_L/J_M*(x1 - x3)"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    "reference",
+    [
+        triangle(0.2, 4.0, bound=1.0),
+        trapezoid(0.2, 4.0, 0.5, offset=0.1),
+        steps([1, 4], [0, 0.2, -0.1], 1.0),
+        samples([0, 1, 2], [0, 0.1, 0.3], "cubic"),
+    ],
+)
+def test_references_survive_a_round_trip(reference):
+    system = certrack.load("example1").replace(reference=reference)
+    assert loads(to_text(system)) == system
+
+
+@given(systems())
+def test_random_systems_survive_a_round_trip(system):
+    assert loads(to_text(system)) == system
+
+
+def test_samples_are_read_from_a_file_beside_the_system(tmp_path):
+    (tmp_path / "motion.csv").write_text("# time, y_d\n0, 0\n1, 0.2\n2, 0.1\n")
+    text = GOOD.replace('signal = "0.5*sin(t)"', 'kind = "samples"\nfile = "motion.csv"')
+    (tmp_path / "drive.toml").write_text(text)
+    system = certrack.load(tmp_path / "drive.toml")
+    assert system.reference == samples([0, 1, 2], [0, 0.2, 0.1])
+    assert loads(to_text(system)) == system  # saved with its samples, no file needed
+    for content in ("", "a,b\n", "1\n2\n", "1,2,3\n2,3,4\n", "0,1\n0,2\n"):
+        (tmp_path / "motion.csv").write_text(content)
+        with pytest.raises(InputError, match="reference"):
+            certrack.load(tmp_path / "drive.toml")
+    (tmp_path / "motion.csv").unlink()
+    with pytest.raises(InputError, match="cannot be read"):
+        certrack.load(tmp_path / "drive.toml")
+
+
+@pytest.mark.parametrize("name", ["nowhere.toml", "nowhere", ".", "a\0b.toml", "x" * 300 + ".toml"])
+def test_unreadable_sources_are_our_error(name):
+    with pytest.raises(InputError):
+        certrack.load(name)
+
+
+def test_too_large_file_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("certrack.systemfile.MAX_BYTES", 100)
+    (tmp_path / "big.toml").write_text("#" * 200)
+    with pytest.raises(InputError, match="larger than"):
+        certrack.load(tmp_path / "big.toml")
+
+
+def loads_or_complains(text):
+    try:
+        assert isinstance(loads(text), System)
+    except InputError as problem:
+        assert "\n" not in str(problem)
+
+
+@settings(max_examples=200)
+@given(st.one_of(st.text(), st.binary()))
+def test_fuzzed_text_raises_nothing_but_our_error(text):
+    loads_or_complains(text)
+
+
+VALUES = st.recursive(
+    st.one_of(
+        st.none().map(lambda _: "''"),
+        st.booleans().map(lambda b: str(b).lower()),
+        st.integers(-(2**70), 2**70).map(str),
+        st.floats().map(repr),
+        st.sampled_from(
+            ["'x1'", "'x1*t'", "'2*J'", "inf", "nan", "1e400", "1979-05-27", "'sin(x1'", "{a = 1}"]
+        ),
+    ),
+    lambda inner: st.lists(inner, max_size=3).map(lambda items: f"[{', '.join(items)}]"),
+    max_leaves=6,
+)
+LINES = [i for i, line in enumerate(GOOD.splitlines()) if "=" in line.split("#")[0]]
+
+
+@settings(max_examples=600)
+@given(st.sampled_from(LINES), VALUES)
+def test_fuzzed_values_raise_nothing_but_our_error(line, value):
+    lines = GOOD.splitlines()
+    lines[line] = f"{lines[line].split('=')[0]}= {value}"
+    loads_or_complains("\n".join(lines))
+
+
+@settings(max_examples=200)
+@given(st.sampled_from(LINES), st.sampled_from(LINES))
+def test_swapped_lines_raise_nothing_but_our_error(first, second):
+    lines = GOOD.splitlines()
+    lines[first], lines[second] = lines[second], lines[first]
+    loads_or_complains("\n".join(lines))
+
+
+def test_catalog_lists_every_shipped_file():
+    assert tuple(certrack.catalog()) == SHIPPED
+    folder = Path(certrack.__file__).parent / "catalog"
+    assert {path.stem for path in folder.glob("*.toml")} == set(SHIPPED)
