@@ -108,8 +108,19 @@ def _tail_supremum(t: np.ndarray, e: np.ndarray, start: float) -> float:
     first = int(np.searchsorted(t, start))
     if first == len(t):
         return math.nan
-    at_start = abs(float(np.interp(start, t, e)))
-    return max(supremum(t[first:], e[first:]), at_start)
+    return max(supremum(t[first:], e[first:]), abs(_value(t, e, start, first)))
+
+
+def _value(t: np.ndarray, f: np.ndarray, at: float, i: int) -> float:
+    """f at a time just before sample i, by the cubic through four neighbours."""
+    lo = max(0, min(i - 2, len(t) - 4))
+    ts, fs = t[lo : lo + 4].tolist(), f[lo : lo + 4].tolist()
+    if len(set(ts)) < 4:
+        return float(np.interp(at, t, f))
+    weights = (
+        math.prod((at - ts[m]) / (ts[j] - ts[m]) for m in range(4) if m != j) for j in range(4)
+    )
+    return math.fsum(w * v for w, v in zip(weights, fs, strict=True))
 
 
 def _settling_time(t: np.ndarray, size: np.ndarray, band: float) -> float:
