@@ -13,6 +13,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
     __name__,
     submod_attrs={
         "backstepping": ["ErrorCoordinates", "Gains", "recursion"],
+        "certificates": ["Certificates", "NoCertificate", "certify", "tube", "verify"],
         "errors": ["CertrackError", "DesignError", "InputError", "MissingExtra"],
         "integrators.base": ["Outcome"],
         "laws": ["Adaptive", "Classic", "Law", "Robust"],

@@ -12,6 +12,7 @@ published law; q > 0 feeds derivatives of the reference forward and q = n - 1 is
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -119,7 +120,7 @@ class ErrorCoordinates:
     def R(self) -> np.ndarray:
         """Coefficients of the reference derivative that stays uncompensated; R_n = 0."""
         residual = self.B[:, self.q].copy()
-        residual[-1] = 0.0
+        residual[-1] = 0
         return residual
 
     @cached_property
@@ -168,42 +169,63 @@ def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCo
         raise InputError("law.c", f"must be a list of {n}: c_1 ... c_n", list(gains.c))
     q = checks.integer("law.feedforward", q, 0, n - 1)
     assert gains.k is not None and gains.p is not None
-    c = np.array(gains.c)
-    F = b + np.eye(n - 1, n, 1) * np.append(g, 0.0)[: n - 1, None]
-    A, B, kappa = np.eye(n), np.zeros((n, q + 1)), np.zeros(n)
-    B[0, 0] = 1.0
+    weights = [(0.25 / np.array(row)).reshape(-1, 2).sum(axis=1) for row in gains.k]
     with np.errstate(over="ignore", invalid="ignore"):
-        for m in range(n):  # step m + 1 of the paper
-            eta = -A[m, :m]
-            kappa[m] = _damping(gains, m, eta, B[m, q])
-            x_part = -(c[m] + kappa[m]) * A[m] + eta @ F[:m]
-            y_part = (c[m] + kappa[m]) * B[m]
-            if m:
-                x_part -= g[m - 1] * A[m - 1]
-                y_part += g[m - 1] * B[m - 1]
-            if m == n - 1:  # nu [20]: every derivative is fed forward
-                nu_x, nu_Y = x_part, np.append(y_part, 0.0) + np.append(0.0, B[m])
-                break
-            y_part[1:] += B[m, :q]  # the derivatives that lambda_m may use
-            lambda_x = (x_part - b[m]) / g[m]  # [9], [13]
-            A[m + 1, : m + 1] = -lambda_x[: m + 1]
-            B[m + 1] = y_part / g[m]
-    if not (np.isfinite(kappa).all() and np.isfinite(nu_x).all() and np.isfinite(nu_Y).all()):
-        step = int(np.argmin(np.isfinite(kappa))) + 1
+        found = carry_out(
+            np.asarray(g, float), b, np.array(gains.c), weights, 0.25 / np.array(gains.p), q
+        )
+    finite = (np.isfinite(values).all() for values in (found.kappa, found.nu_x, found.nu_Y))
+    if not all(finite):
+        step = int(np.argmin(np.isfinite(found.kappa))) + 1
         raise DesignError(
             "law.k",
             f"the damping overflows at step {step} of {n}: each step squares it",
             remedy="Raise k and p, or leave them out (a lean design)",
         )
-    return ErrorCoordinates(A, B, F, c, kappa, np.asarray(g, float), nu_x, nu_Y)
+    return found
 
 
-def _damping(gains: Gains, m: int, eta: np.ndarray, residual: float) -> float:
-    """kappa of step m + 1: damping from Young's inequality [18]."""
-    assert gains.k is not None and gains.p is not None
-    young = 0.25 / np.array(gains.k[m]).reshape(m + 1, 2)
-    weight = young.sum(axis=1)
-    kappa = weight[m] + weight[:m] @ eta**2
-    if m < gains.n - 1:
-        kappa += residual**2 / (4 * gains.p[m])
-    return float(kappa)
+def carry_out(
+    g: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    weights: Sequence[np.ndarray],
+    residual_weights: np.ndarray,
+    q: int,
+) -> ErrorCoordinates:
+    """The recursion itself, in the arithmetic of its arguments (float, or exact rationals).
+
+    Parameters
+    ----------
+    g, b, c
+        As in :func:`recursion`.
+    weights : n arrays
+        Entry i of row m is 1/(4 k_{m,2i-1}) + 1/(4 k_{m,2i}).
+    residual_weights : (n-1,) array
+        1/(4 p_m).
+    q : int
+        Feed-forward order.
+    """
+    n = len(c)
+    F = b + np.eye(n - 1, n, 1, dtype=b.dtype) * g[:, None]
+    A, B = np.eye(n, dtype=b.dtype), np.zeros((n, q + 1), dtype=b.dtype)
+    kappa = np.zeros(n, dtype=b.dtype)
+    B[0, 0] = 1
+    for m in range(n):  # step m + 1 of the paper
+        eta = -A[m, :m]
+        kappa[m] = weights[m][m] + (weights[m][:m] * eta**2).sum()  # [18]
+        if m < n - 1:
+            kappa[m] += B[m, q] ** 2 * residual_weights[m]
+        x_part = -(c[m] + kappa[m]) * A[m] + eta @ F[:m]
+        y_part = (c[m] + kappa[m]) * B[m]
+        if m:
+            x_part -= g[m - 1] * A[m - 1]
+            y_part += g[m - 1] * B[m - 1]
+        if m == n - 1:  # nu [20]: every derivative is fed forward
+            nu_Y = np.append(y_part, 0) + np.append(0, B[m])
+            break
+        y_part[1:] += B[m, :q]  # the derivatives that lambda_m may use
+        lambda_x = (x_part - b[m]) / g[m]  # [9], [13]
+        A[m + 1, : m + 1] = -lambda_x[: m + 1]
+        B[m + 1] = y_part / g[m]
+    return ErrorCoordinates(A, B, F, c, kappa, g, x_part, nu_Y)

@@ -188,6 +188,70 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
 
 
 @cli.command()
+@click.argument("file")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Certificate (JSON).")
+@click.option("--plot", type=FOLDER, help="Folder for the picture of the tube over the response.")
+@_json_option
+def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> None:
+    """Certify: guaranteed bounds on the tracking error, exactly verified.
+
+    Exit code 1 if no certificate exists or none was found.
+
+    \b
+    Example: certrack certify dual-motor-lean --out cert.json
+    """
+    from certrack import certificates, report
+    from certrack.systemfile import load
+
+    system = load(file)
+    found = certificates.certify(system)
+    if out is not None and found.proof is not None:
+        certificates.save_certificate(system, found.proof, out)
+    if plot is not None and found.tube is not None:
+        from certrack import plotting
+        from certrack.simulation import simulate as run_system
+
+        run = run_system(system)
+        plotting.save_figure(plotting.tube_figure(run, found.tube, system.title), plot, "tube")
+    if as_json:
+        click.echo(report.to_json(report.certificates_summary(found)))
+    else:
+        click.echo(system.title or file)
+        report.console().print(report.certificates_table(found))
+        for line in report.certificates_notes(found):
+            click.echo(line)
+    if not found.best.exists:
+        click.echo(f"certrack: no certificate: {found.semidefinite.reason}", err=True)
+        raise click.exceptions.Exit(1)
+
+
+@cli.command()
+@click.argument("certificate", type=click.Path(path_type=Path))
+@_json_option
+def verify(certificate: Path, as_json: bool) -> None:
+    """Check a saved certificate in exact arithmetic; no solver is used.
+
+    Exit code 1 if it does not hold.
+
+    \b
+    Example: certrack verify cert.json
+    """
+    from certrack import certificates, report
+
+    found = certificates.verify(certificate)
+    if as_json:
+        from dataclasses import asdict
+
+        click.echo(report.to_json(asdict(found)))
+    elif found.verified:
+        click.echo(f"verified: limsup |e_1| <= {float(found.bound):.6g}, resting on")
+        click.echo("\n".join(f"  {line}" for line in found.assumptions))
+    if not found.verified:
+        click.echo(f"certrack: {certificate}: not verified: {found.reason}", err=True)
+        raise click.exceptions.Exit(1)
+
+
+@cli.command()
 @click.option("--out", type=FOLDER, default=Path("reproduction"), show_default=True)
 @_json_option
 def reproduce(out: Path, as_json: bool) -> None:

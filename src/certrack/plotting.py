@@ -5,6 +5,7 @@ Figures are made without pyplot, so nothing global is touched and no window open
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -16,6 +17,7 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from certrack.certificates.tube import Tube
 from certrack.errors import InputError
 from certrack.run import Run
 
@@ -126,6 +128,38 @@ def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
         ax = made.add_subplot()
         panel(ax, runs)
         ax.set_title(title, loc="left")
+    return made
+
+
+def plot_tube(ax: Axes, runs: Runs, tube: Tube) -> None:
+    """Tracking errors inside the certified tube."""
+    first = next(iter(runs.values()))
+    t = np.unique(np.concatenate([run.t for run in runs.values()]))
+    bound = tube(t)
+    ax.fill_between(t, -bound, bound, color="#0b61a4", alpha=0.10, lw=0, label="certified tube")
+    for name, run in runs.items():
+        ax.plot(run.t, run.e[0], label=_label("$e_1$", name, runs))
+    floor = math.sqrt(tube.floor)
+    for sense in (-1, 1):
+        label = f"limsup $|e_1| \\leq$ {floor:.4g}" if sense > 0 else None
+        ax.axhline(sense * floor, color="#0b61a4", lw=0.9, ls="--", label=label)
+    _finish(ax, f"tracking error{unit(first, 0)}")
+
+
+def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
+    """The response in its tube: the whole run, and the end of it magnified."""
+    with style():
+        made = Figure(figsize=(6.5, 4.2), layout="constrained")
+        axes = made.subplots(2, 1, sharex=True)
+        for ax in axes:
+            plot_tube(ax, {"": run}, tube)
+            ax.label_outer()
+        floor = math.sqrt(tube.floor)
+        axes[1].set_ylim(-2 * floor, 2 * floor)
+        axes[1].get_legend().remove()
+        axes[1].set_title("magnified", loc="left")
+        axes[0].set_title(title, loc="left")
+        made.align_ylabels()
     return made
 
 

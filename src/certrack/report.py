@@ -11,6 +11,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from certrack.certificates import Certificate, Certificates
+
 
 def to_json(values: Any) -> str:
     """JSON with arrays as lists and missing numbers as null."""
@@ -74,3 +76,66 @@ def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
     rows.append(["outcome", *(summary["outcome"] for summary in summaries.values())])
     rows.append(["integrator", *(summary["integrator"] for summary in summaries.values())])
     return table("", ["metric", *summaries], rows)
+
+
+KINDS = ("published", "corrected", "rate", "semidefinite")
+
+
+def certificates_summary(found: Certificates) -> dict[str, Any]:
+    """All certificates, ready for JSON; a bound that does not exist is null."""
+
+    def one(certificate: Certificate) -> dict[str, Any]:
+        return {
+            "bound": certificate.bound,
+            "alpha": certificate.alpha,
+            "delta": certificate.delta,
+            "verified": certificate.verified,
+            "reason": certificate.reason,
+        }
+
+    return {
+        **{kind: one(getattr(found, kind)) for kind in KINDS},
+        "verified": found.semidefinite.verified,
+        "critical_strength": {
+            "published": found.critical_published,
+            "semidefinite": found.critical_semidefinite,
+        },
+        "tube": None
+        if found.tube is None
+        else {"start": found.tube.start, "floor": found.tube.floor, "alpha": found.tube.alpha},
+        "assumptions": list(found.best.assumptions),
+    }
+
+
+def certificates_table(found: Certificates) -> Table:
+    """Bounds side by side."""
+    notes = {
+        "published": "the paper's; its last step is not valid for every gain",
+        "corrected": "with rho2",
+        "rate": "V' <= -alpha V + Delta",
+        "semidefinite": "best Lyapunov function",
+    }
+    rows = []
+    for kind in KINDS:
+        entry: Certificate = getattr(found, kind)
+        checked = "exactly" if entry.verified else "-"
+        text = notes[kind] if entry.exists else entry.reason
+        rows.append([kind, entry.bound if entry.exists else None, checked, text])
+    return table("limsup |e_1| <=", ["certificate", "bound", "verified", "note"], rows)
+
+
+def certificates_notes(found: Certificates) -> list[str]:
+    """Critical strengths, tube and assumptions in words."""
+    if not found.best.exists:
+        return []
+    lines = [
+        f"critical strength (common scale of tau): published {found.critical_published:.4g}, "
+        f"semidefinite {found.critical_semidefinite:.4g}"
+    ]
+    if found.tube is not None:
+        level = 1.1 * found.semidefinite.bound
+        lines.append(
+            f"tube from x0: |e_1| <= {float(found.tube(0.0)):.4g} at t = 0, within 10 % of the "
+            f"bound after {found.tube.settling_time(level):.4g} s"
+        )
+    return [*lines, "resting on:", *(f"  {line}" for line in found.best.assumptions)]

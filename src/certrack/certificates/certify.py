@@ -1,0 +1,149 @@
+"""All certificates of a system, side by side."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import flint
+
+from certrack.certificates.certificate import Certificate, NoCertificate, missing
+from certrack.certificates.exact import Proof, from_text, prove
+from certrack.certificates.problem import ErrorProblem, assumptions, error_problem, rational
+from certrack.certificates.published import certify_published, critical_strength
+from certrack.certificates.semidefinite import Program, best_solution
+from certrack.certificates.tube import Tube, tube
+from certrack.system import System
+
+
+@dataclass(frozen=True)
+class Certificates:
+    """What :func:`certify` found.
+
+    Attributes
+    ----------
+    published, corrected, rate, semidefinite : Certificate
+    proof : Proof or None
+        The exactly verified numbers behind the semidefinite bound.
+    critical_published, critical_semidefinite : float
+        Largest common scale of tau with a certificate; the second is verified exactly.
+    tube : Tube or None
+        Bound on |e_1(t)| from the system's own start.
+    """
+
+    published: Certificate
+    corrected: Certificate
+    rate: Certificate
+    semidefinite: Certificate
+    proof: Proof | None
+    critical_published: float
+    critical_semidefinite: float
+    tube: Tube | None
+
+    @property
+    def best(self) -> Certificate:
+        """The tightest sound certificate."""
+        return min((self.corrected, self.rate, self.semidefinite), key=lambda c: c.bound)
+
+
+def certify(system: System) -> Certificates:
+    """Certify `system`: published, corrected, rate form, and the verified semidefinite bound.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    Certificates
+        A method that gives no certificate says why.
+
+    Raises
+    ------
+    InputError
+        If a bound of the reference can neither be proven nor is declared.
+    """
+    classical = certify_published(system)
+    semidefinite, proof = certify_semidefinite(system)
+    return Certificates(
+        **classical,
+        semidefinite=semidefinite,
+        proof=proof,
+        critical_published=critical_strength(system),
+        critical_semidefinite=critical_semidefinite(system),
+        tube=None if proof is None else tube(system, proof),
+    )
+
+
+def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
+    """The tight certificate of `system`, verified exactly, and the numbers that prove it."""
+    try:
+        exact = error_problem(system, rational)
+        found = best_solution(Program(exact.in_floats()))
+        if found is None:
+            raise NoCertificate(
+                "no certificate found: the uncertainty is too strong for this design; lower tau, "
+                "raise c, or use fewer damping terms"
+            )
+        proof = prove(exact, found)
+        if proof is None:
+            raise NoCertificate(
+                "the solver's certificate did not survive exact verification; rescale the states "
+                "or use fewer damping terms"
+            )
+    except NoCertificate as problem:
+        return missing("semidefinite", str(problem)), None
+    bound = _float_up(from_text(proof.bound))
+    alpha = float(from_text(proof.alpha))
+    rests = tuple(assumptions(system))
+    delta = bound**2 * alpha / 2
+    return Certificate("semidefinite", bound, alpha, delta, True, assumptions=rests), proof
+
+
+def critical_semidefinite(system: System, accuracy: float = 1e-3) -> float:
+    """Largest common scale of tau for which a certificate exists, verified exactly.
+
+    Parameters
+    ----------
+    accuracy : float
+        Relative width of the bisection; the value returned is proven feasible.
+    """
+    try:
+        exact = error_problem(system, rational)
+    except NoCertificate:
+        return 0.0
+    if not _provable(exact, 0.0):
+        return 0.0
+    if not exact.counts[0]:
+        return math.inf
+    low, high = 0.0, 1.0
+    while _provable(exact, high):
+        low, high = high, 4 * high
+        if high > 1e9:
+            return math.inf
+    while high - low > accuracy * high and high > 1e-9:
+        middle = (low + high) / 2 if low else high / 4
+        if _provable(exact, middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def _provable(exact: ErrorProblem, strength: float) -> bool:
+    """Whether the problem with scaled tau has an exactly verified certificate."""
+    scaled = exact.homogeneous(flint.fmpq(*float(strength).as_integer_ratio()))
+    program = Program(scaled.in_floats())
+    if not program.fastest > 0:
+        return False
+    found = program.solve(1e-3 * program.fastest)
+    return found is not None and prove(scaled, found) is not None
+
+
+def _float_up(value: Any) -> float:
+    """Smallest float not below a rational."""
+    near = float(value)
+    while flint.fmpq(*near.as_integer_ratio()) < value:
+        near = math.nextafter(near, math.inf)
+    return near

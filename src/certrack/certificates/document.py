@@ -1,0 +1,142 @@
+"""The saved certificate: everything a third party needs to check it, and the checker.
+
+The file is JSON. `verify` rebuilds the problem from the system text in exact rationals and checks
+the inequality; it uses no solver and no floating point. See docs/certificate-file.md.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.exact import Proof, check, from_text
+from certrack.certificates.problem import assumptions, error_problem, rational
+from certrack.errors import InputError
+from certrack.system import System
+from certrack.systemfile import loads, to_text, write_text
+from certrack.version import version
+
+FORMAT = "certrack-certificate/1"
+MAX_BYTES = 20_000_000
+KEYS = ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What checking a certificate file found.
+
+    Attributes
+    ----------
+    verified : bool
+    bound : str
+        The claimed bound on limsup |e_1|, decimal.
+    reason : str
+        The first condition that fails; empty if verified.
+    assumptions : texts
+    """
+
+    verified: bool
+    bound: str
+    reason: str
+    assumptions: tuple[str, ...]
+
+
+def to_document(system: System, proof: Proof) -> dict[str, Any]:
+    """The certificate as a JSON-ready dictionary."""
+    body: dict[str, Any] = {
+        "format": FORMAT,
+        "made_by": f"certrack {version()}",
+        "claim": f"limsup |e_1(t)| <= {proof.bound}",
+        "assumptions": assumptions(system),
+        "system": to_text(system),
+        "proof": json.loads(json.dumps(asdict(proof))),
+    }
+    return body | {"sha256": _digest(body)}
+
+
+def save_certificate(system: System, proof: Proof, path: str | os.PathLike[str]) -> None:
+    """Write the certificate whole or not at all."""
+    write_text(Path(path), json.dumps(to_document(system, proof), indent=1) + "\n")
+
+
+def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
+    """Check a certificate file, or its dictionary, in exact arithmetic.
+
+    Raises
+    ------
+    InputError
+        If the file is not a certificate at all.
+    """
+    name = "certificate" if isinstance(source, dict) else str(source)
+    try:
+        body = source if isinstance(source, dict) else _read(Path(source))
+        proof = _proof(body)
+        if body["sha256"] != _digest(body):
+            return Verdict(False, proof.bound, "the file was changed after it was made", ())
+        system = loads(body["system"], "system")
+        problem = error_problem(system, rational)
+        if body["assumptions"] != assumptions(system):
+            return Verdict(False, proof.bound, "the assumptions are not those of the system", ())
+        if body["claim"] != f"limsup |e_1(t)| <= {proof.bound}":
+            return Verdict(False, proof.bound, "the claim is not that of the proof", ())
+        reason = check(problem, proof)
+    except NoCertificate as found:
+        return Verdict(False, "", str(found), ())
+    except InputError as found:
+        raise found.within(name) from None
+    return Verdict(not reason, proof.bound, reason, tuple(body["assumptions"]))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise InputError("", f"is larger than {MAX_BYTES // 1_000_000} MB")
+        body = json.loads(data.decode("utf-8"))
+    except OSError as problem:
+        raise InputError("", f"cannot be read ({problem.strerror})") from None
+    except InputError:
+        raise
+    except (ValueError, RecursionError):
+        raise InputError("", "is not a certificate: not JSON") from None
+    return body if isinstance(body, dict) else {}
+
+
+def _proof(body: dict[str, Any]) -> Proof:
+    if not isinstance(body, dict) or tuple(sorted(body)) != tuple(sorted(KEYS)):
+        raise InputError("", "is not a certificate: it must have " + ", ".join(KEYS))
+    if body["format"] != FORMAT:
+        raise InputError("format", f"must be {FORMAT}", body["format"])
+    entries = body["proof"]
+    names = ("alpha", "P", "lam", "nu", "k", "bound")
+    if not isinstance(entries, dict) or set(entries) != set(names):
+        raise InputError("proof", "must have " + ", ".join(names))
+    if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
+        raise InputError("", "is not a certificate: texts expected")
+    try:
+        vectors = {name: _texts(entries[name]) for name in ("lam", "nu", "k")}
+        rows = tuple(_texts(row) for row in entries["P"])
+        return Proof(
+            _texts([entries["alpha"]])[0], rows, bound=_texts([entries["bound"]])[0], **vectors
+        )
+    except (TypeError, ValueError) as problem:
+        raise InputError("proof", f"must hold decimal texts ({problem})") from None
+
+
+def _texts(values: Any) -> tuple[str, ...]:
+    if not isinstance(values, (list, tuple)):
+        raise TypeError("a list is missing")
+    for value in values:
+        from_text(value)
+    return tuple(values)
+
+
+def _digest(body: dict[str, Any]) -> str:
+    content = {key: value for key, value in body.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,153 @@
+"""Verification in exact rational arithmetic: what is not confirmed here is not reported.
+
+The solver's floats are rounded to decimals, the problem is rebuilt from the decimal text of the
+system, and definiteness is decided by an exact LDL^T factorisation. If it fails, the certificate
+gives way a little (larger multipliers, smaller alpha) and is tried again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import flint
+import numpy as np
+
+from certrack.certificates.problem import ErrorProblem, positive_definite
+from certrack.certificates.semidefinite import Solution
+
+DIGITS = 13
+BACK_OFF = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
+
+
+@dataclass(frozen=True)
+class Proof:
+    """The numbers of a certificate as decimal texts; anyone can check them.
+
+    Attributes
+    ----------
+    alpha : str
+    P : rows of texts
+    lam, nu, k : texts
+        Multipliers of the a-inputs, the b-inputs and the reference derivatives.
+    bound : str
+        Decimal with bound^2 >= 2 Delta/alpha.
+    """
+
+    alpha: str
+    P: tuple[tuple[str, ...], ...]
+    lam: tuple[str, ...]
+    nu: tuple[str, ...]
+    k: tuple[str, ...]
+    bound: str
+
+
+def prove(problem: ErrorProblem, found: Solution) -> Proof | None:
+    """Round `found` so that exact arithmetic confirms it; None if that does not succeed.
+
+    Parameters
+    ----------
+    problem : ErrorProblem
+        In exact rationals.
+    found : Solution
+        What the solver returned.
+    """
+    for slack in BACK_OFF:
+        scale = 1 + slack
+        P = scale * (found.P + found.P.T) / 2
+        texts = tuple(tuple(_text(v) for v in row) for row in P)
+        lam = tuple(_text(v * scale + 1e-12) for v in found.lam)
+        nu, k = (
+            tuple(_text(v * scale**2 + slack * found.delta) for v in values)
+            for values in (found.nu, found.k)
+        )
+        alpha = _text(found.alpha * (1 - slack))
+        proof = Proof(alpha, texts, lam, nu, k, "0")
+        square = squared_bound(problem, proof)
+        if square is not None:
+            return Proof(alpha, texts, lam, nu, k, _root_up(square))
+    return None
+
+
+def check(problem: ErrorProblem, proof: Proof) -> str:
+    """Empty if the proof holds for the (exact) problem, else the first condition that fails."""
+    P, lam, nu, k, alpha, bound = _numbers(proof)
+    n, counts = problem.n, problem.counts
+    if P.shape != (n, n) or (len(lam), len(nu), len(k)) != counts:
+        return "P or the multipliers do not have the shape of the system"
+    if not (P == P.T).all():
+        return "P is not symmetric"
+    if problem.adaptation is not None and any(v != 0 for v in P[-1, :-1]):
+        return "P couples e_n, so the update laws do not cancel the estimation errors"
+    if not alpha > 0:
+        return "alpha is not positive"
+    if any(v < 0 for v in (*lam, *nu, *k)):
+        return "a multiplier is negative"
+    leak = problem.leakage(alpha)
+    if leak is None:
+        return "alpha exceeds what the leakage allows"
+    floor = P.copy()
+    floor[0, 0] -= 1
+    if not positive_definite(floor):
+        return "P - e_1 e_1^T is not positive definite"
+    if not positive_definite(-problem.inequality(P, lam, nu, k, alpha)):
+        return "the matrix inequality does not hold"
+    square = 2 * _delta(problem, P, nu, k, leak) / alpha
+    if not (bound >= 0 and bound * bound >= square):
+        return "the bound is smaller than what the inequality gives"
+    return ""
+
+
+def squared_bound(problem: ErrorProblem, proof: Proof) -> Any:
+    """2 Delta/alpha as an exact rational, or None if a condition fails."""
+    P, lam, nu, k, alpha, _ = _numbers(proof)
+    leak = problem.leakage(alpha)
+    floor = P.copy()
+    floor[0, 0] -= 1
+    if leak is None or not positive_definite(floor):
+        return None
+    if not positive_definite(-problem.inequality(P, lam, nu, k, alpha)):
+        return None
+    return 2 * _delta(problem, P, nu, k, leak) / alpha
+
+
+def _delta(problem: ErrorProblem, P: np.ndarray, nu: np.ndarray, k: np.ndarray, leak: Any) -> Any:
+    total = sum(nu, flint.fmpq(0)) + sum(k, flint.fmpq(0))
+    return total + P[-1, -1] * leak if problem.adaptation is not None else total
+
+
+def _numbers(proof: Proof) -> tuple[Any, ...]:
+    P = np.array([[from_text(v) for v in row] for row in proof.P], dtype=object)
+    vectors = [
+        np.array([from_text(v) for v in values], dtype=object)
+        for values in (proof.lam, proof.nu, proof.k)
+    ]
+    return (P, *vectors, from_text(proof.alpha), from_text(proof.bound))
+
+
+def from_text(text: str) -> Any:
+    """Exact rational of a decimal text of sane length."""
+    if not isinstance(text, str) or len(text) > 60 or not set(text) <= set("0123456789.eE+-"):
+        raise ValueError(f"not a decimal number: {text!r:.40}")
+    exponent = text.lower().partition("e")[2]
+    if exponent and abs(int(exponent)) > 400:
+        raise ValueError(f"not a decimal number: {text!r:.40}")
+    exact = Fraction(text)
+    return flint.fmpq(exact.numerator, exact.denominator)
+
+
+def _text(value: float) -> str:
+    return f"{value:.{DIGITS}g}"
+
+
+def _root_up(square: Any) -> str:
+    """Decimal of 12 digits that is not below the square root of a rational."""
+    exact = Fraction(int(square.p), int(square.q))
+    if exact == 0:
+        return "0"
+    places = 12 - math.floor(math.log10(math.sqrt(float(exact)) or 1e-300))
+    scaled = exact * 10 ** (2 * places)
+    root = math.isqrt(scaled.numerator // scaled.denominator) + 1
+    return f"{root}e-{places}"

@@ -1,0 +1,204 @@
+"""The paper's certificate, its corrected last step, and the rate form.
+
+    mu1  = min c_i - (1 + eps) ||A^{-1}||_F^2 G                                        > 0
+    Dbar = ((1 + 1/eps) G ||A^{-1} B||^2 + sum p_i) D^2 + H
+           + |g_n| gbar1 (delta - delta_0)^2 / 2 + gbar2 ||theta - theta_0||^2 / 2
+    rho1 = min(mu1, gbar2/2, |g_n| gbar1/2)
+    rho2 = max(1/2, lambda_max(Gamma^{-1})/2, |g_n|/(2 gbar))                    [33]-[42]
+
+    published  sqrt(Dbar/rho1)            the paper's; its last step needs rho2 = 1/2
+    corrected  sqrt(2 rho2 Dbar/rho1)     what V' <= -rho1 ||Xi||^2 + Dbar does imply
+    rate       sqrt(2 Dbar/alpha)         alpha = min(2 mu1, gbar2 lambda_min(Gamma), gbar gbar1)
+
+All three are in floating point, rounded up by a relative 1e-9; eps is free and optimised.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from certrack.certificates.certificate import Certificate, NoCertificate, missing
+from certrack.certificates.problem import Adaptation, assumptions, decimal, error_problem
+from certrack.references.base import total_bound
+from certrack.system import System
+
+ROUNDING = 1 + 1e-9
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The numbers in the formulas above, before eps is chosen.
+
+    `adapt` is None for the robust law; `leak` is the cost of the prior guesses.
+    """
+
+    c_min: float
+    A_norm2: float
+    G: float
+    reference2: float
+    residual: float
+    H: float
+    leak: float
+    gains: tuple[float, ...]
+    adapt: Adaptation | None
+
+    def mu1(self, eps: float) -> float:
+        """Decay left after the gamma-parts."""
+        return self.c_min - (1 + eps) * self.A_norm2 * self.G
+
+    def dbar(self, eps: float) -> float:
+        """Constant part of V'."""
+        gamma_part = (1 + 1 / eps) * self.G * self.reference2 if self.G else 0.0
+        return gamma_part + self.residual + self.H + self.leak
+
+    def rho1(self, eps: float) -> float:
+        """Decay of ||Xi||^2."""
+        if self.adapt is None:
+            return self.mu1(eps)
+        a = self.adapt
+        rates = [self.mu1(eps), min(self.gains) * a.leak_gain / 2]
+        return min(rates + ([a.leak_theta / 2] if len(a.Gamma) else []))
+
+    def rho2(self) -> float:
+        """Largest weight in V."""
+        if self.adapt is None:
+            return 0.5
+        a = self.adapt
+        weights = [0.5, max(self.gains) / (2 * a.gain_rate)]
+        if len(a.Gamma):
+            weights.append(0.5 / float(np.linalg.eigvalsh(a.Gamma).min()))
+        return max(weights)
+
+    def alpha(self, eps: float) -> float:
+        """Decay rate of V."""
+        if self.adapt is None:
+            return 2 * self.mu1(eps)
+        a = self.adapt
+        rates = [2 * self.mu1(eps), a.gain_rate * a.leak_gain]
+        if len(a.Gamma):
+            rates.append(a.leak_theta * float(np.linalg.eigvalsh(a.Gamma).min()))
+        return min(rates)
+
+
+def certify_published(system: System) -> dict[str, Certificate]:
+    """Published, corrected and rate form of `system`, each with its best eps."""
+    try:
+        terms = collect(system)
+    except NoCertificate as problem:
+        return {kind: missing(kind, str(problem)) for kind in ("published", "corrected", "rate")}
+    rests = (*assumptions(system), "D of Assumption 2 for the reference")
+
+    def best(kind: str, square: Callable[[float], float]) -> Certificate:
+        eps = _minimise(square, terms)
+        bound = math.sqrt(square(eps)) * ROUNDING
+        rate = terms.alpha(eps) if kind == "rate" else math.nan
+        delta = terms.dbar(eps) if kind == "rate" else math.nan
+        return Certificate(kind, bound, rate, delta, assumptions=rests)
+
+    return {
+        "published": best("published", lambda eps: terms.dbar(eps) / terms.rho1(eps)),
+        "corrected": best(
+            "corrected", lambda eps: 2 * terms.rho2() * terms.dbar(eps) / terms.rho1(eps)
+        ),
+        "rate": best("rate", lambda eps: 2 * terms.dbar(eps) / terms.alpha(eps)),
+    }
+
+
+def critical_strength(system: System) -> float:
+    """Largest common scale of tau with mu1 > 0 for some eps: sqrt(min c/(||A^{-1}||_F^2 G))."""
+    try:
+        terms = collect(system, critical=True)
+    except NoCertificate:
+        return 0.0
+    return math.sqrt(terms.c_min / (terms.A_norm2 * terms.G)) if terms.G else math.inf
+
+
+def collect(system: System, *, critical: bool = False) -> Terms:
+    """The terms of the formulas; refuses where a needed damping term is missing.
+
+    With `critical`, mu1 may be negative.
+    """
+    problem = error_problem(system, decimal)
+    plant, found = system.plant, system.controller.coordinates
+    gains, u, n, q = system.law.gains(), plant.uncertainty, plant.n, found.q
+    assert gains.k is not None and gains.p is not None
+    G = H = residual = 0.0
+    for step in range(n):
+        for j in range(step + 1):
+            for part, bound, index in (("gamma", u.gamma, 2 * j), ("beta", u.beta, 2 * j + 1)):
+                strength = (u.tau[j] * bound[j]) ** 2
+                k = gains.k[step][index]
+                if strength and math.isinf(k):
+                    raise NoCertificate(
+                        f"the published proof needs a finite k[{step}][{index}], because "
+                        f"tau_{j + 1} {part}_{j + 1} is not zero; the semidefinite one does not"
+                    )
+                if strength and part == "gamma":
+                    G += k * strength
+                elif strength:
+                    H += k * strength
+    for step in range(n - 1):
+        if found.R[step] and math.isinf(gains.p[step]):
+            raise NoCertificate(
+                f"the published proof needs a finite p[{step}], because y_d^({q + 1}) enters step "
+                f"{step + 1}; the semidefinite one does not"
+            )
+        residual += gains.p[step] if found.R[step] else 0.0
+    reference, last = _reference(system, problem.Xe @ found.B)
+    adapt = problem.adaptation
+    leak, strengths = 0.0, (1.0,)
+    if adapt is not None:
+        strengths = adapt.gains
+        leak = max(g * d**2 for g, d in adapt.delta_offsets()) * adapt.leak_gain / 2
+        leak += (
+            adapt.leak_theta / 2 * max((float(v @ v) for v in adapt.theta_offsets()), default=0.0)
+        )
+    terms = Terms(
+        c_min=float(found.c.min()),
+        A_norm2=float((problem.Xe**2).sum()),
+        G=G,
+        reference2=reference,
+        residual=residual * last**2,
+        H=H,
+        leak=leak,
+        gains=strengths,
+        adapt=adapt,
+    )
+    if not critical and not terms.mu1(1e-9) > 0:
+        raise NoCertificate(
+            f"the uncertainty is too strong for the published proof: mu1 = {terms.mu1(0):.3g}; "
+            "lower tau, raise c, or use fewer damping terms"
+        )
+    return terms
+
+
+def _reference(system: System, AB: np.ndarray) -> tuple[float, float]:
+    """||A^{-1} B Y||^2 and the bound on the last derivative, by D for the published law (q = 0)."""
+    q = AB.shape[1] - 1
+    if q == 0:
+        D = total_bound(system.reference)
+        return float((AB**2).sum()) * D**2, D
+    Y = np.array(system.reference.bounds(q + 1).values)
+    return float(((np.abs(AB) @ Y[: q + 1]) ** 2).sum()), float(Y[q + 1])
+
+
+def _minimise(square: Callable[[float], float], terms: Terms) -> float:
+    """Best eps > 0 among those with mu1 > 0."""
+    if not terms.G:
+        return 1.0
+    top = terms.c_min / (terms.A_norm2 * terms.G) - 1
+
+    def at(log_eps: float) -> float:
+        eps = math.exp(log_eps)
+        return square(eps) if terms.mu1(eps) > 0 else math.inf
+
+    grid = np.log(np.geomspace(1e-6 * top, 0.999999 * top, 400))
+    i = int(np.argmin([at(v) for v in grid]))
+    low, high = grid[max(0, i - 1)], grid[min(len(grid) - 1, i + 1)]
+    refined = minimize_scalar(at, bounds=(low, high), method="bounded", options={"xatol": 1e-10})
+    return math.exp(min((float(refined.x), float(grid[i])), key=at))

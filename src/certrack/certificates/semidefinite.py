@@ -1,0 +1,227 @@
+"""The tight certificate: the best quadratic Lyapunov function and multipliers, by one SDP.
+
+V = e^T P e / 2 (+ s times the energy of the estimates, where P = blkdiag(Pbar, s) so that the
+update laws still cancel). For a given alpha the conditions
+
+    inequality(P, lam, nu, k, alpha) <= 0,   P >= e_1 e_1^T,   lam, nu, k >= 0
+
+are linear and Delta = sum k + sum nu + s q(alpha) is minimised (inputs are scaled to their
+bounds). Then V' <= -alpha V + Delta and limsup |e_1| <= sqrt(2 Delta/alpha). A search over alpha
+surrounds the program.
+
+Clarabel is called directly: the program is small, is solved some thirty times per certificate, and
+a modelling layer costs several times more than the solver (see bench/).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import clarabel
+import numpy as np
+from scipy import sparse
+from scipy.linalg import solve_continuous_lyapunov
+from scipy.optimize import minimize_scalar
+
+from certrack.certificates.problem import ErrorProblem
+
+GRID = 14
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A point of the program, in unscaled coordinates."""
+
+    alpha: float
+    P: np.ndarray
+    lam: np.ndarray
+    nu: np.ndarray
+    k: np.ndarray
+    delta: float
+
+    @property
+    def bound(self) -> float:
+        """limsup |e_1| in floating point, not yet verified."""
+        return math.sqrt(max(0.0, 2 * self.delta / self.alpha))
+
+
+class Program:
+    """The semidefinite program of one :class:`ErrorProblem`, built once and solved for many alpha.
+
+    Parameters
+    ----------
+    problem : ErrorProblem
+        In floats.
+    """
+
+    def __init__(self, problem: ErrorProblem) -> None:
+        self.problem = problem
+        scale = _natural_scale(problem)
+        self._scale = scale / scale[0]
+        self._scaled = _rescaled(problem, self._scale)
+        n = problem.n
+        self._na, self._nb, self._ny = problem.counts
+        self._entries = self._free_entries(n)
+        base, slope = self._columns()
+        size = n + sum(problem.counts)
+        self._size = size
+        identity = np.eye(len(self._entries) + sum(problem.counts))
+        unit = np.zeros((n, n))
+        unit[0, 0] = 1.0
+        floor = np.zeros((n * (n + 1) // 2, len(identity)))
+        for column, matrix in enumerate(self._matrices()):
+            floor[:, column] = -_svec(matrix)
+        multipliers = -identity[len(self._entries) :]
+        self._base = np.vstack([base, floor, multipliers])
+        self._slope = np.vstack([slope, np.zeros((len(floor) + len(multipliers), len(identity)))])
+        self._right = np.concatenate(
+            [np.zeros(size * (size + 1) // 2), -_svec(unit), np.zeros(len(multipliers))]
+        )
+        self._cones = [clarabel.PSDTriangleConeT(size), clarabel.PSDTriangleConeT(n)]
+        if len(multipliers):
+            self._cones.append(clarabel.NonnegativeConeT(len(multipliers)))
+
+    def _free_entries(self, n: int) -> list[tuple[int, int]]:
+        """Entries (i <= j) of P that may be nonzero."""
+        entries = [(i, j) for j in range(n) for i in range(j + 1)]
+        if self.problem.adaptation is None:
+            return entries
+        return [(i, j) for i, j in entries if j < n - 1 or i == j]
+
+    def _matrices(self) -> list[np.ndarray]:
+        n, found = self.problem.n, []
+        for i, j in self._entries:
+            matrix = np.zeros((n, n))
+            matrix[i, j] = matrix[j, i] = 1.0
+            found.append(matrix)
+        return found
+
+    def _columns(self) -> tuple[np.ndarray, np.ndarray]:
+        """svec of the inequality for each variable: the part without alpha and its slope."""
+        na, nb, ny = self._na, self._nb, self._ny
+        zero = np.zeros((self.problem.n, self.problem.n))
+        blank = [np.zeros(count) for count in (na, nb, ny)]
+        base, slope = [], []
+        for matrix in self._matrices():
+            first = self._scaled.inequality(matrix, *blank, 0.0)
+            second = self._scaled.inequality(matrix, *blank, 1.0)
+            base.append(_svec(first))
+            slope.append(_svec(second - first))
+        for group, count in enumerate((na, nb, ny)):
+            for index in range(count):
+                weights = [np.zeros(c) for c in (na, nb, ny)]
+                weights[group][index] = 1.0
+                column = _svec(self._scaled.inequality(zero, *weights, 0.0))
+                base.append(column)
+                slope.append(np.zeros_like(column))
+        return np.array(base).T, np.array(slope).T
+
+    @cached_property
+    def fastest(self) -> float:
+        """Supremum of the alpha worth trying."""
+        rates = [-2.0 * float(np.linalg.eigvals(self.problem.M).real.max())]
+        law = self.problem.adaptation
+        if law is not None:
+            rates.append(2 * law.gain_rate * law.leak_gain)
+            if len(law.Gamma):
+                rates.append(2 * law.leak_theta * float(np.linalg.eigvalsh(law.Gamma).min()))
+        return min(rates)
+
+    def solve(self, alpha: float) -> Solution | None:
+        """Best certificate with this decay rate, or None."""
+        leak = self.problem.leakage(alpha)
+        if leak is None:
+            return None
+        cost = np.zeros(self._base.shape[1])
+        cost[len(self._entries) + self._na :] = 1.0  # nu and k; the lam cost nothing
+        if self.problem.adaptation is not None:
+            cost[len(self._entries) - 1] = leak / self._scale[-1] ** 2
+        found = self._call(cost, self._base + alpha * self._slope)
+        if found is None:
+            return None
+        return self._unscaled(found, alpha, leak)
+
+    def _call(self, cost: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.max_iter = 100
+        solver = clarabel.DefaultSolver(
+            sparse.csc_matrix((len(cost), len(cost))),
+            cost,
+            sparse.csc_matrix(matrix),
+            self._right,
+            self._cones,
+            settings,
+        )
+        found = solver.solve()
+        usable = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
+        return np.array(found.x) if found.status in usable else None
+
+    def _unscaled(self, x: np.ndarray, alpha: float, leak: Any) -> Solution:
+        n, count = self.problem.n, len(self._entries)
+        P = np.zeros((n, n))
+        for (i, j), value in zip(self._entries, x[:count], strict=True):
+            P[i, j] = P[j, i] = value / (self._scale[i] * self._scale[j])
+        lam, nu, k = np.split(np.maximum(x[count:], 0.0), [self._na, self._na + self._nb])
+        delta = float(nu.sum() + k.sum())
+        if self.problem.adaptation is not None:
+            delta += float(P[-1, -1] * leak)
+        return Solution(alpha, P, lam, nu, k, delta)
+
+
+def best_solution(program: Program) -> Solution | None:
+    """Search alpha: a geometric grid (the bound is not unimodal at its edges), then refine."""
+    if not program.fastest > 0:
+        return None
+    tried: dict[float, Solution | None] = {}
+
+    def bound(log_alpha: float) -> float:
+        alpha = math.exp(log_alpha)
+        tried[alpha] = program.solve(alpha)
+        found = tried[alpha]
+        return found.bound if found is not None else math.inf
+
+    grid = np.log(program.fastest * np.append(np.geomspace(1e-3, 0.9, GRID), 0.98))
+    values = [bound(v) for v in grid]
+    i = int(np.argmin(values))
+    if math.isinf(values[i]):
+        return None
+    low, high = grid[max(0, i - 1)], grid[min(len(grid) - 1, i + 1)]
+    minimize_scalar(bound, bounds=(low, high), method="bounded", options={"xatol": 2e-3})
+    return min((s for s in tried.values() if s is not None), key=lambda s: s.bound)
+
+
+def _natural_scale(problem: ErrorProblem) -> np.ndarray:
+    """Typical size of each e_i: root of the diagonal of the controllability Gramian."""
+    inputs = np.hstack([problem.Ua, problem.Ub, problem.Uy, problem.Xy])
+    drive = inputs @ inputs.T
+    weight = max(float(np.trace(drive)), 1e-300)
+    drive = drive / weight + 1e-6 * np.eye(problem.n)
+    if np.linalg.eigvals(problem.M).real.max() >= 0:
+        return np.ones(problem.n)
+    gramian = solve_continuous_lyapunov(problem.M, -drive)
+    size: np.ndarray = np.sqrt(np.maximum(np.diag(gramian), 1e-300))
+    return size
+
+
+def _rescaled(problem: ErrorProblem, scale: np.ndarray) -> ErrorProblem:
+    """The same problem in e_i = scale_i e^_i."""
+    return replace(
+        problem,
+        M=problem.M / scale[:, None] * scale[None, :],
+        Ua=problem.Ua / scale[:, None],
+        Ub=problem.Ub / scale[:, None],
+        Uy=problem.Uy / scale[:, None],
+        Xe=problem.Xe * scale[None, :],
+    )
+
+
+def _svec(matrix: np.ndarray) -> np.ndarray:
+    """Upper triangle, column by column, off-diagonals times sqrt 2 (Clarabel's convention)."""
+    rows, columns = np.tril_indices(len(matrix))  # (j, i) of the upper triangle, by columns
+    entries: np.ndarray = matrix[columns, rows].copy()
+    entries[rows != columns] *= math.sqrt(2)
+    return entries
