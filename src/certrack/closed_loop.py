@@ -91,7 +91,9 @@ def close_loop(system: System) -> ClosedLoop:
     rates += [rate.xreplace(reference) for _, rate in controller.equations.update]
     rates += [rate / sympy.Integer(INTEGRAL_SCALE) for rate in (u**2, e_1**2, e_1)]
 
-    groups = [*true.values(), controller.symbols, designed, system.reference.piece_symbols]
+    own = system.reference.parameter_symbols
+    pieces = system.reference.piece_symbols
+    groups = [*true.values(), controller.symbols, designed, own, pieces]
     return ClosedLoop(
         states=(*x, *controller.states, *map(symbol, INTEGRALS)),
         parameters=tuple(parameter for group in groups for parameter in group),
@@ -100,7 +102,7 @@ def close_loop(system: System) -> ClosedLoop:
         n=n,
         couplings=couplings,
         gain_names=tuple(s.all_parameters),
-        pieces=len(system.reference.piece_symbols),
+        pieces=len(pieces),
     )
 
 
@@ -118,6 +120,7 @@ def parameter_values(loop: ClosedLoop, system: System) -> np.ndarray:
             [float(value) for value in built.constant_values.values()],
             system.law.values(plant, loop.gain_names),
             [float(value) for value in plant.constant_values.values()],
+            system.reference.parameter_values,
         ]
     )
 

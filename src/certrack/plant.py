@@ -22,7 +22,7 @@ MAX_ORDER = 50
 
 #: Names and prefixes that a closed loop gives to its own signals.
 SIGNALS = ("u", "e", "time", "state", "parameter", "member")
-PREFIXES = ("y_d", "delta_", "theta_", "law_", "true_", "piece_", "switch_", "integral_")
+PREFIXES = ("y_d", "delta_", "theta_", "law_", "true_", "piece_", "switch_", "integral_", "ref_")
 
 
 def _set(instance: object, **values: Any) -> None:

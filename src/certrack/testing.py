@@ -108,11 +108,13 @@ class LawConformance:
         rates = numpy_callable([TIME, loop.states, loop.parameters], loop.rates)
         variables = [hy.expression(state.name) for state in loop.states]
         known = dict(zip(loop.states, variables, strict=True))
-        known |= {symbol: hy.par[i] for i, symbol in enumerate(loop.parameters)}
+        used = set().union(*(rate.free_symbols for rate in smooth))
+        own = [i for i, symbol in enumerate(loop.parameters) if symbol in used]
+        known |= {loop.parameters[i]: hy.par[k] for k, i in enumerate(own)}
         compiled = hy.cfunc(to_heyoka(smooth, known), variables)
         for t, y, p in self._points():
             expected = np.array(rates(t, y, p), dtype=float)
-            found = compiled(y, pars=p, time=t)
+            found = compiled(y, pars=p[own], time=t)
             np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)
 
     def test_integrators_agree(self) -> None:

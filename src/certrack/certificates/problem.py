@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -72,7 +73,7 @@ class Adaptation:
         off_diagonal = self.Gamma - np.diag(np.diag(self.Gamma))
         if not (off_diagonal != 0).any():
             worst = [
-                max(pair, key=lambda end, c=c: abs(end - c))
+                max(pair, key=partial(_distance, c))
                 for pair, c in zip(self.theta_box, centre, strict=True)
             ]
             return [np.array(worst, dtype=self.theta0.dtype) - self.theta0]
@@ -255,6 +256,10 @@ def positive_definite(matrix: np.ndarray) -> bool:
     return True
 
 
+def _distance(origin: Any, end: Any) -> Any:
+    return abs(end - origin)
+
+
 Number = Callable[[Any], Any]
 
 
@@ -413,7 +418,7 @@ def _adaptation(system: System, number: Number, dtype: Any) -> Adaptation | None
     numbers = law.parameters(plant)
     theta0 = np.array([number(v) for v in numbers["theta0"]], dtype=dtype)
     Gamma = np.array([[number(v) for v in row] for row in numbers["Gamma"]], dtype=dtype)
-    box = plant.theta_range or tuple((v, v) for v in truth.theta)
+    box: Any = plant.theta_range or tuple((v, v) for v in truth.theta)
     return Adaptation(
         gain_rate=number(law.gain_rate),
         leak_gain=number(law.leak_gain),

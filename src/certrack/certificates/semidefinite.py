@@ -103,16 +103,16 @@ class Program:
         """svec of the inequality for each variable: the part without alpha and its slope."""
         na, nb, ny = self._na, self._nb, self._ny
         zero = np.zeros((self.problem.n, self.problem.n))
-        blank = [np.zeros(count) for count in (na, nb, ny)]
+        lam, nu, k = (np.zeros(count) for count in (na, nb, ny))
         base, slope = [], []
         for matrix in self._matrices():
-            first = self._scaled.inequality(matrix, *blank, 0.0)
-            second = self._scaled.inequality(matrix, *blank, 1.0)
+            first = self._scaled.inequality(matrix, lam, nu, k, 0.0)
+            second = self._scaled.inequality(matrix, lam, nu, k, 1.0)
             base.append(_svec(first))
             slope.append(_svec(second - first))
         for group, count in enumerate((na, nb, ny)):
             for index in range(count):
-                weights = [np.zeros(c) for c in (na, nb, ny)]
+                weights = (np.zeros(na), np.zeros(nb), np.zeros(ny))
                 weights[group][index] = 1.0
                 column = _svec(self._scaled.inequality(zero, *weights, 0.0))
                 base.append(column)

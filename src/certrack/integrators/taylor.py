@@ -37,13 +37,21 @@ class TaylorIntegrator:
         import heyoka as hy
 
         rates, kinks = extract_switches(loop.rates)
-        parameters = [*loop.parameters, *(symbol for symbol, _ in kinks)]
+        used = set().union(*(f.free_symbols for f in (*rates, *(f for _, f in kinks))))
+        count = len(loop.parameters) - loop.pieces
+        own = [i for i, symbol in enumerate(loop.parameters[:count]) if symbol in used]
+        self._own = np.array(own, dtype=int)  # heyoka refuses parameters that nothing uses
+        parameters = [
+            *(loop.parameters[i] for i in own),
+            *loop.parameters[count:],
+            *(symbol for symbol, _ in kinks),
+        ]
+        self._piece = slice(len(own), len(own) + loop.pieces)
         names = [state.name for state in loop.states]
         variables = [hy.expression(name) for name in names]
         known = {symbol: hy.par[i] for i, symbol in enumerate(parameters)}
         known |= dict(zip(loop.states, variables, strict=True))
         self._moving = len(loop.states) - len(INTEGRALS)
-        self._piece = slice(len(loop.parameters) - loop.pieces, len(loop.parameters))
         self._switches: Switches | None = None
         events = []
         if kinks:
@@ -74,7 +82,7 @@ class TaylorIntegrator:
         """Integrate from the start; with `careful`, shorten steps that are too long."""
         ta, switches = self._integrator, self._switches
         ta.state[:] = problem.start
-        ta.pars[: self._piece.start] = problem.parameters
+        ta.pars[: self._piece.start] = problem.parameters[self._own]
         steps = _Steps(ta.tc.shape)
         end, outcome = 0.0, Outcome.finished
         if switches is not None:

@@ -49,7 +49,15 @@ class Reference(Protocol):
         """y_d ... y_d^(order) at the times `t`, shape (order + 1, len(t))."""
 
     def formulas(self, order: int) -> tuple[sympy.Expr, ...]:
-        """y_d ... y_d^(order) as formulas of t and :attr:`piece_symbols`."""
+        """y_d ... y_d^(order) as formulas of t, the parameters and the piece symbols."""
+
+    @property
+    def parameter_symbols(self) -> tuple[sympy.Symbol, ...]:
+        """Symbols in the formulas that a sweep may vary."""
+
+    @property
+    def parameter_values(self) -> tuple[float, ...]:
+        """Values of :attr:`parameter_symbols`."""
 
     @property
     def piece_symbols(self) -> tuple[sympy.Symbol, ...]:

@@ -100,6 +100,14 @@ class PiecewiseReference:
         return row, self._starts[row] + turns * self.period
 
     @property
+    def parameter_symbols(self) -> tuple[sympy.Symbol, ...]:
+        return ()
+
+    @property
+    def parameter_values(self) -> tuple[float, ...]:
+        return ()
+
+    @property
     def piece_symbols(self) -> tuple[sympy.Symbol, ...]:
         names = ("piece_start", *(f"piece_a{k}" for k in range(DEGREE + 1)))
         return tuple(sympy.Symbol(name, real=True) for name in names)

@@ -13,7 +13,7 @@ import sympy
 
 from certrack import checks
 from certrack.errors import InputError
-from certrack.expressions import TIME, Expression, derivative, parse
+from certrack.expressions import TIME, Expression, derivative, parse, symbol
 from certrack.lowering import numpy_callable, rows
 from certrack.references.base import Bounds
 from certrack.references.supremum import interval_supremum, sinusoid_supremum
@@ -106,20 +106,33 @@ class SymbolicReference:
     def breaks(self, start: float, end: float) -> np.ndarray:
         return np.empty(0)
 
-    @cached_property
-    def _exact(self) -> dict[sympy.Symbol, sympy.Expr]:
-        return {sympy.Symbol(k, real=True): sympy.Rational(repr(v)) for k, v in self.constants}
+    @property
+    def parameter_symbols(self) -> tuple[sympy.Symbol, ...]:
+        return tuple(symbol(f"ref_{name}") for name, _ in self.constants)
+
+    @property
+    def parameter_values(self) -> tuple[float, ...]:
+        return tuple(value for _, value in self.constants)
 
     def formulas(self, order: int) -> tuple[sympy.Expr, ...]:
-        found = [self.signal.expr.xreplace(self._exact)]
+        names = {symbol(name): symbol(f"ref_{name}") for name, _ in self.constants}
+        return self._derivatives(self.signal.expr.xreplace(names), order)
+
+    def _derivatives(self, signal: sympy.Expr, order: int) -> tuple[sympy.Expr, ...]:
+        found = [signal]
         for _ in range(order):
             found.append(derivative(found[-1], TIME))
         return tuple(found)
 
+    def _numeric(self, order: int) -> tuple[sympy.Expr, ...]:
+        """y_d ... y_d^(order) with the constants put in."""
+        exact = {symbol(name): sympy.Rational(repr(value)) for name, value in self.constants}
+        return self._derivatives(self.signal.expr.xreplace(exact), order)
+
     def values(self, t: np.ndarray, order: int) -> np.ndarray:
-        key = ("_numeric", order)
+        key = ("values", order)
         if key not in self._cache:
-            self._cache[key] = numpy_callable([TIME], self.formulas(order))
+            self._cache[key] = numpy_callable([TIME], self._numeric(order))
         with np.errstate(all="ignore"):
             return rows(self._cache[key](np.asarray(t, dtype=float)), len(t))
 
@@ -129,7 +142,7 @@ class SymbolicReference:
 
     def bounds(self, order: int) -> Bounds:
         values, origin = [], []
-        for i, formula in enumerate(self.formulas(order)):
+        for i, formula in enumerate(self._numeric(order)):
             if self.declared is not None and i < len(self.declared):
                 values.append(self.declared[i])
                 origin.append("declared")
