@@ -15,6 +15,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "backstepping": ["ErrorCoordinates", "Gains", "recursion"],
         "certificates": ["Certificates", "NoCertificate", "certify", "tube", "verify"],
         "errors": ["CertrackError", "DesignError", "InputError", "MissingExtra"],
+        "assumption": ["check_assumption_1"],
         "integrators.base": ["Outcome"],
         "laws": ["Adaptive", "Classic", "Law", "Robust"],
         "metrics": ["Metrics"],

@@ -200,10 +200,12 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
     \b
     Example: certrack certify dual-motor-lean --out cert.json
     """
-    from certrack import certificates, report
+    from certrack import assumption, certificates, report
     from certrack.systemfile import load
 
     system = load(file)
+    for violation in assumption.check_assumption_1(system):
+        click.echo(f"certrack: note: {violation}", err=True)
     found = certificates.certify(system)
     if out is not None and found.proof is not None:
         certificates.save_certificate(system, found.proof, out)
@@ -249,6 +251,51 @@ def verify(certificate: Path, as_json: bool) -> None:
     if not found.verified:
         click.echo(f"certrack: {certificate}: not verified: {found.reason}", err=True)
         raise click.exceptions.Exit(1)
+
+
+@cli.command()
+@click.argument("file")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Worst case (TOML).")
+@click.option("--budget", type=click.IntRange(100), default=6000, show_default=True, help="Runs.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@_json_option
+def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) -> None:
+    """Search the worst admissible disturbance, reference and parameters.
+
+    The ratio tells how tight the certificate is: certified bound over worst error found.
+
+    \b
+    Example: certrack falsify example1 --out worst.toml
+    """
+    from certrack import assumption, report
+    from certrack import falsify as falsifier
+    from certrack.certificates import best_sound_bound
+    from certrack.systemfile import load, save
+
+    system = load(file)
+    for violation in assumption.check_assumption_1(system):
+        click.echo(f"certrack: note: {violation}", err=True)
+    with report.progress("Searching", budget) as advance:
+        found = falsifier.falsify(system, budget=budget, seed=seed, progress=advance)
+    if out is not None:
+        save(found.system, out)
+    certified = best_sound_bound(system)
+    values = {
+        "worst_error": found.worst_error,
+        "certified": certified,
+        "ratio": certified / found.worst_error if found.worst_error else None,
+        "runs": found.evaluations,
+        "seed": seed,
+        "file": None if out is None else str(out),
+    }
+    if as_json:
+        click.echo(report.to_json(values))
+    else:
+        click.echo(f"worst |e_1| found in {found.evaluations} runs: {found.worst_error:.6g}")
+        click.echo(f"certified limsup |e_1|: {certified:.6g}")
+        click.echo(f"certified / found: {certified / found.worst_error:.3g}")
+        if out is not None:
+            click.echo(f"{out} replays it: certrack simulate {out}")
 
 
 @cli.command()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,32 @@ def _cell(value: object) -> str:
 def console(*, error: bool = False) -> Console:
     """Console on standard output or standard error."""
     return Console(stderr=error, highlight=False, markup=False)
+
+
+@contextmanager
+def progress(what: str, total: int) -> Iterator[Callable[[int, float], None]]:
+    """Progress bar on standard error; yields a function of the work done and the best so far."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    worst = 0.0
+    with Progress(
+        *columns, TimeRemainingColumn(), console=console(error=True), transient=True
+    ) as bar:
+        task = bar.add_task(what, total=total)
+
+        def advance(done: int, value: float) -> None:
+            nonlocal worst
+            worst = max(worst, value)
+            bar.update(task, completed=min(done, total), description=f"{what}, worst {worst:.4g}")
+
+        yield advance
 
 
 METRIC_ROWS = {

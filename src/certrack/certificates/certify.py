@@ -76,6 +76,13 @@ def certify(system: System) -> Certificates:
     )
 
 
+def best_sound_bound(system: System) -> float:
+    """The tightest sound bound on limsup |e_1|; inf if there is none."""
+    classical = certify_published(system)
+    semidefinite, _ = certify_semidefinite(system)
+    return min(classical["rate"].bound, semidefinite.bound)
+
+
 def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
     """The tight certificate of `system`, verified exactly, and the numbers that prove it."""
     try:

@@ -1,0 +1,450 @@
+"""Certificates: the table, soundness, exactness, tampering."""
+
+import copy
+import json
+import math
+from dataclasses import replace
+
+import cvxpy
+import flint
+import numpy as np
+import pytest
+from conftest import systems
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import certrack
+from certrack.certificates import certify, certify_semidefinite, save_certificate, to_document
+from certrack.certificates.document import _digest, verify
+from certrack.certificates.exact import Proof, check, prove
+from certrack.certificates.problem import (
+    decimal,
+    error_problem,
+    positive_definite,
+    rational,
+)
+from certrack.certificates.published import certify_published, collect, critical_strength
+from certrack.certificates.semidefinite import Program, best_solution
+from certrack.errors import InputError
+from certrack.falsify import falsify
+from certrack.laws import Robust
+from certrack.plant import Plant, Truth, Uncertainty
+from certrack.references import SymbolicReference
+from certrack.simulation import simulate
+from certrack.system import Settings, System
+
+# Theory table, to the digits it gives.
+CLASSICAL = {
+    "example1": (0.262, 0.371, 0.262),
+    "dual-motor": (0.222, 0.222, 0.222),
+    "dual-motor-strong": (2.19, 2.19, 2.19),
+}
+LEAN = {
+    ((4, 4, 4, 4), 0, "dual-motor"): 0.0239,
+    ((10, 6, 6, 6), 0, "dual-motor"): 0.0149,
+    ((4, 4, 4, 4), 1, "dual-motor"): 0.00223,
+    ((6, 6, 6, 6), 1, "dual-motor"): 0.00154,
+    ((6, 6, 6, 6), 3, "dual-motor"): 0.00035,
+    ((6, 6, 6, 6), 1, "dual-motor-strong"): 0.00302,
+}
+TIGHT = {"example1": 0.136, "dual-motor": 0.0267, "dual-motor-strong": 0.0270}
+
+
+def lean(c, q, base="dual-motor"):
+    return certrack.load(base).replace(law=Robust(c=c, feedforward=q))
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_classical_bounds_equal_the_table(name):
+    found = certify_published(certrack.load(name))
+    bounds = [found[kind].bound for kind in ("published", "corrected", "rate")]
+    assert bounds == pytest.approx(CLASSICAL[name], rel=3e-3)
+
+
+def test_critical_strengths_equal_the_table():
+    assert critical_strength(certrack.load("example1")) == pytest.approx(4.30, abs=5e-3)
+    assert critical_strength(certrack.load("dual-motor")) == pytest.approx(5.10, abs=5e-3)
+
+
+@pytest.mark.parametrize("name", TIGHT)
+def test_semidefinite_bounds_are_no_looser_than_the_table(name):
+    found, proof = certify_semidefinite(certrack.load(name))
+    assert found.verified
+    assert proof is not None
+    assert found.bound <= 1.01 * TIGHT[name]
+
+
+@pytest.mark.parametrize("case", LEAN, ids=str)
+def test_lean_bounds_are_no_looser_than_the_table(case):
+    found, _ = certify_semidefinite(lean(*case))
+    assert found.verified
+    assert found.bound <= 1.015 * LEAN[case]  # the table has two or three digits
+
+
+def test_tight_bound_is_between_simulation_and_rate(shipped):
+    found = certify(shipped)
+    if not found.best.exists:
+        assert "without leakage" in found.semidefinite.reason
+        return
+    assert found.semidefinite.bound <= found.rate.bound
+    assert found.semidefinite.bound >= simulate(shipped).metrics.tail_error
+    assert found.critical_semidefinite >= found.critical_published
+
+
+@settings(max_examples=40)
+@given(systems(kinds=("adaptive", "robust")), st.floats(1e-3, 1e3))
+def test_rate_is_never_above_corrected_at_any_eps(system, factor):
+    """alpha >= rho1/rho2, so the corrected step implies the rate form, not the other way."""
+    try:
+        terms = collect(system)
+    except certrack.NoCertificate:
+        assume(False)
+    eps = factor * 1e-3
+    assume(terms.mu1(eps) > 0)
+    assert terms.alpha(eps) >= terms.rho1(eps) / terms.rho2() * (1 - 1e-12)
+    assert terms.rho2() >= 0.5
+
+
+def test_modelling_layer_finds_the_same_optimum():
+    """The program written again in cvxpy, from the equations of the theory."""
+    system = certrack.load("dual-motor")
+    p = error_problem(system, decimal)
+    ours = Program(p).solve(3.5)
+    n, (na, nb, ny) = p.n, p.counts
+    P = cvxpy.Variable((n, n), symmetric=True)
+    lam, nu, k = (cvxpy.Variable(c, nonneg=True) for c in (na, nb, ny))
+    E = np.eye(n, n + na + nb + ny)
+    X = np.hstack([p.Xe, np.zeros((n, na + nb)), p.Xy])
+    rate = np.hstack([p.M, p.Ua, p.Ub, p.Uy])
+    form = E.T @ P @ rate
+    Q = (form + form.T) / 2 + 3.5 / 2 * E.T @ P @ E + cvxpy.sum(lam) * X.T @ X
+    diagonal = cvxpy.hstack([np.zeros(n), lam, nu, k])
+    Q = Q - cvxpy.diag(diagonal)
+    floor = np.zeros((n, n))
+    floor[0, 0] = 1
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum(nu) + cvxpy.sum(k)), [Q << 0, P - floor >> 0])
+    problem.solve(solver=cvxpy.CLARABEL)
+    assert ours.delta == pytest.approx(problem.value, rel=1e-4)
+
+
+def test_inequality_is_the_derivative_of_v():
+    """z^T Q z equals V' + alpha V/… evaluated term by term, at random points, exactly."""
+    system = certrack.load("dual-motor-lean")
+    p = error_problem(system, rational)
+    rng = np.random.default_rng(3)
+
+    def draw(*shape):
+        values = rng.integers(-9, 10, shape)
+        return np.vectorize(lambda v: flint.fmpq(int(v), 4), otypes=[object])(values)
+
+    n, (na, nb, ny) = p.n, p.counts
+    P = draw(n, n)
+    P = P + P.T
+    lam, nu, k = np.abs(draw(na)), np.abs(draw(nb)), np.abs(draw(ny))
+    alpha = flint.fmpq(3, 7)
+    Q = p.inequality(P, lam, nu, k, alpha)
+    for _ in range(5):
+        e, a, b, y = draw(n), draw(na), draw(nb), draw(ny)
+        z = np.concatenate([e, a, b, y])
+        rate = p.M @ e + p.Ua @ a + p.Ub @ b + p.Uy @ y
+        x = p.Xe @ e + p.Xy @ y
+        expected = e @ P @ rate + alpha / 2 * (e @ P @ e) + (lam * (x @ x - a**2)).sum()
+        expected -= (nu * b**2).sum() + (k * y**2).sum()
+        assert z @ Q @ z == expected
+
+
+def test_exact_definiteness():
+    def matrix(rows):
+        return np.array([[flint.fmpq(v) for v in row] for row in rows], dtype=object)
+
+    assert positive_definite(matrix([[2, 1], [1, 2]]))
+    assert not positive_definite(matrix([[1, 1], [1, 1]]))
+    assert not positive_definite(matrix([[1, 2], [2, 1]]))
+    assert not positive_definite(matrix([[-1]]))
+    nearly = matrix([[1, 1], [1, 1]])
+    nearly[1, 1] += flint.fmpq(1, 10**40)  # no float could tell
+    assert positive_definite(nearly)
+
+
+MUTANTS = {
+    "P smaller": lambda p: replace(p, P=scaled_rows(p.P, 0.99)),
+    "P larger": lambda p: replace(p, P=scaled_rows(p.P, 1.01)),
+    "nu smaller": lambda p: replace(p, nu=scaled(p.nu, 0.99)),
+    "k smaller": lambda p: replace(p, k=scaled(p.k, 0.99)),
+    "lam smaller": lambda p: replace(p, lam=scaled(p.lam, 0.99)),
+    "alpha smaller": lambda p: replace(p, alpha=scaled([p.alpha], 0.99)[0]),
+    "alpha larger": lambda p: replace(p, alpha=scaled([p.alpha], 1.01)[0]),
+    "bound smaller": lambda p: replace(p, bound=scaled([p.bound], 0.99)[0]),
+    "negative multiplier": lambda p: replace(p, lam=scaled(p.lam, -1)),
+    "negative alpha": lambda p: replace(p, alpha=scaled([p.alpha], -1)[0]),
+    "multiplier missing": lambda p: replace(p, nu=()),
+    "P not symmetric": lambda p: replace(
+        p, P=(*p.P[:-1], (*scaled(p.P[-1][:1], 1.001), *p.P[-1][1:]))
+    ),
+}
+
+
+def scaled(values, factor):
+    return tuple(f"{float(v) * factor:.15g}" for v in values)
+
+
+def scaled_rows(rows, factor):
+    return tuple(scaled(row, factor) for row in rows)
+
+
+@pytest.mark.parametrize("name", ["dual-motor", "dual-motor-lean", "dual-motor-strong"])
+@pytest.mark.parametrize("mutant", MUTANTS)
+def test_mutated_proofs_are_refused(name, mutant):
+    system = certrack.load(name)
+    _, proof = certify_semidefinite(system)
+    problem = error_problem(system, rational)
+    assert check(problem, proof) == ""
+    assert check(problem, MUTANTS[mutant](proof)) != ""
+
+
+def test_mutated_adaptive_proofs_are_refused():
+    system = certrack.load("example1")
+    _, proof = certify_semidefinite(system)
+    problem = error_problem(system, rational)
+    for name in ("P smaller", "alpha smaller", "bound smaller", "k smaller", "nu smaller"):
+        assert check(problem, MUTANTS[name](proof)) != "", name
+    coupled = [list(row) for row in proof.P]
+    coupled[0][1] = coupled[1][0] = "0.001"
+    assert "update laws" in check(problem, replace(proof, P=tuple(map(tuple, coupled))))
+
+
+def test_wrong_sign_in_the_inequality_is_caught_by_the_exact_check(monkeypatch):
+    system = certrack.load("dual-motor-lean")
+    exact = error_problem(system, rational)
+    wrong = replace(exact.in_floats(), M=-exact.in_floats().M - 20 * np.eye(4))
+    found = best_solution(Program(wrong))
+    assert found is not None  # the wrong program has a solution ...
+    assert prove(exact, found) is None  # ... that exact arithmetic refuses
+    flipped = replace(exact.in_floats(), Uy=0 * exact.in_floats().Uy)
+    found = best_solution(Program(flipped))
+    assert (
+        found is None or prove(exact, found) is None or (float(prove(exact, found).bound) >= 0.0015)
+    )
+
+
+def test_too_strong_uncertainty_has_no_certificate_and_says_so():
+    base = certrack.load("dual-motor-lean")
+    u = base.plant.uncertainty
+    strong = Uncertainty(tuple(1e3 * v for v in u.tau), u.gamma, u.beta)
+    system = base.replace(plant=replace(base.plant, uncertainty=strong), truth=Truth(20.0))
+    found, proof = certify_semidefinite(system)
+    assert proof is None
+    assert not found.exists
+    assert "lower tau" in found.reason
+
+
+def test_critical_strength_separates_provable_from_not():
+    system = certrack.load("example1")
+    critical = certify(system).critical_semidefinite
+    u = system.plant.uncertainty
+
+    def exists(scale):
+        scaled_tau = Uncertainty(tuple(scale * v for v in u.tau), u.gamma, u.beta)
+        plant = replace(system.plant, uncertainty=scaled_tau)
+        return certify_semidefinite(system.replace(plant=plant))[0].exists
+
+    assert exists(0.98 * critical)
+    assert not exists(1.05 * critical)
+
+
+def ranged(gain, theta):
+    system = certrack.load("example1")
+    plant = replace(system.plant, input_gain_range=gain, theta_range=theta)
+    return system.replace(plant=plant)
+
+
+def test_ranges_take_their_worst_corner():
+    point, _ = certify_semidefinite(certrack.load("example1"))
+    degenerate, _ = certify_semidefinite(ranged((2.0, 2.0), ((2.0, 2.0),)))
+    assert degenerate.bound == pytest.approx(point.bound, rel=1e-6)
+    wide, _ = certify_semidefinite(ranged((1.5, 2.5), ((1.5, 2.5),)))
+    assert wide.bound > point.bound
+    problem = error_problem(ranged((1.5, 2.5), ((1.5, 2.5),)), decimal)
+    q = problem.leakage(0.5)
+    for g in np.linspace(1.5, 2.5, 11):
+        for theta in np.linspace(1.5, 2.5, 11):
+            system = certrack.load("example1")
+            at = system.replace(truth=replace(system.truth, input_gain=g, theta=(theta,)))
+            assert error_problem(at, decimal).leakage(0.5) <= q * (1 + 1e-12)
+    assert any("every g_n in [1.5, 2.5]" in text for text in wide.assumptions)
+
+
+def test_many_parameters_need_no_enumeration():
+    r = 40
+    plant = Plant(
+        states=["x1"],
+        regressor=[f"sin({i}*x1)" for i in range(1, r + 1)],
+        theta_range=[(-1, 1)] * r,
+        input_gain_range=(1, 2),
+    )
+    law = certrack.Adaptive(c=[2], leak_gain=1, leak_theta=1, Gamma=[5.0] * r, delta0=0.75)
+    system = System(
+        plant, law, SymbolicReference("cos(t)"), Truth(1.5, (0.5,) * r), Settings([0], 10)
+    )
+    found, _ = certify_semidefinite(system)
+    assert found.verified
+    full = replace(law, Gamma=np.full((r, r), 0.1) + 5 * np.eye(r))
+    refused, _ = certify_semidefinite(system.replace(law=full))
+    assert "diagonal Gamma" in refused.reason
+
+
+def test_full_gamma_equals_diagonal_where_it_is_diagonal():
+    system = ranged((1.5, 2.5), ((1.5, 2.5),))
+    full = system.replace(law=replace(system.law, Gamma=((1.0,),)))
+    a, b = (certify_semidefinite(s)[0].bound for s in (system, full))
+    assert a == pytest.approx(b, rel=1e-9)
+
+
+def test_robust_law_with_ranges_is_refused_with_the_reason():
+    base = certrack.load("dual-motor-lean")
+    system = base.replace(plant=replace(base.plant, input_gain_range=(10, 30)))
+    found, _ = certify_semidefinite(system)
+    assert "use the adaptive law" in found.reason
+
+
+@pytest.mark.slow
+@settings(max_examples=25)
+@given(systems(orders=st.integers(1, 4), kinds=("adaptive", "robust")))
+def test_falsified_error_never_exceeds_the_certificate(system):
+    """Random plants and designs, hunted: the bound must hold."""
+    found, _ = certify_semidefinite(system)
+    assume(found.exists)
+    hunted = falsify(system, budget=400)
+    assert hunted.worst_error <= found.bound
+
+
+@pytest.mark.parametrize("name", ["example1", "dual-motor", "dual-motor-lean"])
+def test_falsifier_comes_close_and_never_beats_the_certificate(name, tmp_path):
+    system = certrack.load(name)
+    found, _ = certify_semidefinite(system)
+    hunted = falsify(system, budget=1500)
+    assert hunted.worst_error <= found.bound
+    assert hunted.worst_error > simulate(system).metrics.tail_error  # worse than the file's omega
+    path = tmp_path / "worst.toml"
+    certrack.save(hunted.system, path)
+    assert simulate(certrack.load(path)).metrics.tail_error == hunted.worst_error
+    assert not certrack.check_assumption_1(hunted.system)
+    Y = system.reference.bounds(system.controller.coordinates.q + 1).values
+    t = np.linspace(0, 60, 20_001)
+    reached = np.abs(hunted.system.reference.values(t, len(Y) - 1)).max(axis=1)
+    assert np.all(reached <= np.array(Y) * (1 + 1e-9))
+
+
+def test_assumption_1_violations_are_reported_with_a_point():
+    base = certrack.load("example1")
+    assert certrack.check_assumption_1(base) == []
+    wild = base.replace(truth=replace(base.truth, omega=("0.6*x1", base.truth.omega[1])))
+    (found,) = certrack.check_assumption_1(wild)
+    assert found.term == "w_1"
+    assert found.value > found.limit
+    assert "raise gamma" in str(found)
+    late = base.replace(truth=replace(base.truth, omega=("0", "0.11/(1 + t)")))
+    (found,) = certrack.check_assumption_1(late)
+    assert found.t < 2.3
+
+
+@pytest.mark.parametrize("name", ["example1", "dual-motor", "dual-motor-lean"])
+def test_tube_holds_for_runs_from_the_start_and_from_a_box(name):
+    system = certrack.load(name)
+    found = certify(system)
+    run = simulate(system)
+    assert np.all(np.abs(run.e[0]) <= found.tube(run.t))
+    assert found.tube(1e6) == pytest.approx(found.semidefinite.bound, rel=1e-9)
+    box = [(v - 0.3, v + 0.3) for v in system.settings.x0]
+    wide = certrack.tube(system, found.proof, box)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        x0 = [rng.uniform(*pair) for pair in box]
+        run = simulate(system, x0=x0)
+        assert np.all(np.abs(run.e[0]) <= wide(run.t))
+    level = 2 * found.semidefinite.bound
+    settled = found.tube.settling_time(level)
+    assert found.tube(settled) <= level * (1 + 1e-9)
+    assert math.isinf(found.tube.settling_time(0.9 * found.semidefinite.bound))
+
+
+def test_saved_certificate_is_verified_and_tampering_refused(tmp_path):
+    system = certrack.load("dual-motor-lean")
+    _, proof = certify_semidefinite(system)
+    path = tmp_path / "cert.json"
+    save_certificate(system, proof, path)
+    assert verify(path).verified
+    document = to_document(system, proof)
+    changes = {
+        "bound": lambda d: d["proof"].update(bound="1e-9"),
+        "P": lambda d: d["proof"]["P"][0].__setitem__(0, "2"),
+        "system": lambda d: d.update(system=d["system"].replace("0.01", "0.02")),
+        "claim": lambda d: d.update(claim="limsup |e_1(t)| <= 0"),
+        "assumptions": lambda d: d.update(assumptions=[]),
+        "made_by": lambda d: d.update(made_by="someone"),
+    }
+    for name, change in changes.items():
+        tampered = copy.deepcopy(document)
+        change(tampered)
+        assert not verify(tampered).verified, name
+        if name != "made_by":
+            tampered["sha256"] = _digest(tampered)  # the forger knows the digest too
+            assert not verify(tampered).verified, name
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "[]", "{}", "nonsense", '{"format": 1}', "[" * 100_000, "null", '{"a": NaN}'],
+)
+def test_what_is_no_certificate_is_our_error(content, tmp_path):
+    path = tmp_path / "cert.json"
+    path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        verify(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_malformed_proofs_are_our_error():
+    system = certrack.load("dual-motor-lean")
+    document = to_document(system, certify_semidefinite(system)[1])
+    for key, value in (
+        ("alpha", "1e999999999"),
+        ("alpha", 1.0),
+        ("alpha", "nan"),
+        ("alpha", "__import__"),
+        ("P", "no"),
+        ("P", [1]),
+        ("nu", None),
+    ):
+        bad = json.loads(json.dumps(document))
+        bad["proof"][key] = value
+        with pytest.raises(InputError):
+            verify(bad)
+
+
+def test_proof_survives_json():
+    system = certrack.load("example1")
+    proof = certify_semidefinite(system)[1]
+    assert isinstance(proof, Proof)
+    document = json.loads(json.dumps(to_document(system, proof)))
+    assert verify(document).verified
+
+
+@pytest.mark.slow
+def test_tenth_order_plant_is_certified():
+    n = 10
+    plant = Plant(
+        states=[f"x{i}" for i in range(1, n + 1)],
+        chain=[1] * (n - 1),
+        input_gain=1,
+        uncertainty=Uncertainty([0] * (n - 1) + [0.1], [0.01] * n, [0.1] * n),
+    )
+    system = System(
+        plant,
+        Robust(c=[3] * n, feedforward=1),
+        SymbolicReference("0.2*cos(t)"),
+        Truth(1),
+        Settings([0] * n, 1),
+    )
+    found, _ = certify_semidefinite(system)
+    assert found.verified
