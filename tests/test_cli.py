@@ -103,7 +103,46 @@ def test_reproduce(capfd, tmp_path):
         for name in "2a 2b 2c 2d 3a 3b 3c 4a 4b 4c".split()
         for k in ("png", "svg")
     }
-    assert figures == expected
+    assert figures == expected | {"certificates.png", "certificates.svg"}
+
+
+def test_certify_and_verify(capfd, tmp_path):
+    path = tmp_path / "cert.json"
+    found = result(
+        capfd, "certify", "dual-motor-lean", "--out", str(path), "--plot", str(tmp_path / "p")
+    )
+    assert found["verified"] is True
+    assert found["semidefinite"]["bound"] == pytest.approx(0.00154, rel=0.01)
+    assert found["published"]["bound"] is None
+    assert "finite k" in found["published"]["reason"]
+    assert found["critical_strength"]["semidefinite"] > 50
+    assert (tmp_path / "p" / "tube.png").exists()
+    checked = result(capfd, "verify", str(path))
+    assert checked["verified"] is True
+    path.write_text(path.read_text().replace('"lam"', '"lamb"'))
+    code, _, err = invoke(capfd, "verify", str(path))
+    assert code == 2
+    assert "proof: must have" in err
+    code, _, err = invoke(capfd, "certify", "example1-classic")
+    assert code == 1
+    assert "without leakage" in err
+
+
+def test_tampered_certificate_is_exit_1(capfd, tmp_path):
+    path = tmp_path / "cert.json"
+    result(capfd, "certify", "example1", "--out", str(path))
+    path.write_text(path.read_text().replace("0.6", "0.7"))
+    code, _, err = invoke(capfd, "verify", str(path))
+    assert code == 1
+    assert "not verified" in err
+
+
+def test_falsify(capfd, tmp_path):
+    path = tmp_path / "worst.toml"
+    found = result(capfd, "falsify", "dual-motor", "--budget", "400", "--out", str(path))
+    assert 1 <= found["ratio"] < 1.2
+    replayed = result(capfd, "simulate", str(path))
+    assert replayed["tail_error"] == pytest.approx(found["worst_error"], rel=1e-12)
 
 
 def test_a_run_that_does_not_finish_is_exit_1_with_the_remedy(capfd, tmp_path):
@@ -126,6 +165,9 @@ BAD = {
     "unwritable plot": (["simulate", "example1", "--plot", "/proc/nowhere"], "cannot be written"),
     "unwritable out": (["simulate", "example1", "--out", "/nowhere/run.nc"], "cannot write"),
     "out is a folder": (["simulate", "example1", "--out", "/"], "is a directory"),
+    "no certificate": (["verify", "nowhere.json"], "cannot be read"),
+    "samples without out": (["simulate", "example1", "--samples", "9"], "--samples needs --out"),
+    "budget": (["falsify", "example1", "--budget", "1"], "is not in the range"),
     "unwritable reproduction": (["reproduce", "--out", "/proc/nowhere"], "cannot be written"),
 }
 
@@ -139,7 +181,10 @@ def test_bad_calls_are_exit_2_and_one_line(capfd, arguments, message):
     assert len(err.strip().splitlines()) == 1, err
 
 
-@pytest.mark.parametrize("verb", ["list", "new", "design", "simulate", "compare", "reproduce"])
+@pytest.mark.parametrize(
+    "verb",
+    ["list", "new", "design", "simulate", "compare", "certify", "verify", "falsify", "reproduce"],
+)
 def test_help_has_an_example_that_is_right(capfd, verb):
     code, out, _ = invoke(capfd, verb, "--help")
     assert code == 0

@@ -73,3 +73,12 @@ def test_never_settled_is_missing_and_always_settled_is_zero():
     never = measure(t, np.ones(11), t, running, band=0.5, tail_start=0)
     assert never.as_dict()["settling_time"] is None
     assert measure(t, np.zeros(11), t, running, 0.5, 0).settling_time == 0
+
+
+def test_no_parabola_reaches_across_a_jump_between_steps():
+    t = np.array([0, 0.004, 0.009, 0.009, 0.02, 0.044])
+    u = np.array([-0.2, -0.1, -0.08, 4.77, 4.65, 4.53])  # jumps where one step ends
+    assert supremum(t, u, per_step=3) == 4.77
+    assert supremum(t[1:], u[1:], per_step=3, offset=1) == 4.77
+    smooth = np.array([0.0, 0.9, 1.0, 1.0, 0.9, 0.0])
+    assert 1.0 <= supremum(np.array([0, 1, 2, 2, 3, 4.0]), smooth, per_step=3) < 1.1

@@ -25,7 +25,7 @@ def test_example_1_in_every_known_sign_variant():
 
 
 def test_claims_are_judged_as_the_theory_does():
-    found = reproduce()
+    found = reproduce(budget=300)
     verdicts = {(claim.where, claim.statement): claim.verdict for claim in found.claims}
     by_start = {statement[:40]: verdict for (_, statement), verdict in verdicts.items()}
     assert by_start["less control effort (integral of u^2)"[:40]] == "holds"
@@ -33,6 +33,10 @@ def test_claims_are_judged_as_the_theory_does():
     assert by_start["the output tracks the reference"[:40]] == "differs"
     assert sum(verdict == "holds" for verdict in verdicts.values()) == 7
     assert sum(verdict == "ambiguous" for verdict in verdicts.values()) == 2
+    for bounds in found.bounds.values():  # the order that must hold
+        assert bounds["simulated"] <= bounds["semidefinite"] <= bounds["corrected"]
+        assert bounds["falsified"] <= bounds["semidefinite"]
+    assert found.bounds["dual-motor-lean"]["published"] == float("inf")
     assert found.runs["dual-motor"].metrics.tail_error == pytest.approx(0.0260, abs=5e-5)
     assert found.runs["dual-motor-strong"].metrics.tail_error == pytest.approx(0.0261, abs=5e-5)
 

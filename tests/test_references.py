@@ -96,7 +96,7 @@ def test_total_bound_is_declared_or_summed():
 
 
 def test_jumps_and_poles_are_refused():
-    with pytest.raises(InputError, match="jumps"):
+    with pytest.raises(InputError, match="may jump"):
         SymbolicReference("sign(sin(t))")
     with pytest.raises(InputError, match="not finite"):
         SymbolicReference("1/(1 - t)")
@@ -185,3 +185,49 @@ def test_bad_fields_are_named(make, key):
     with pytest.raises(InputError) as caught:
         make()
     assert str(caught.value).startswith(f"reference.{key}: ")
+
+
+def test_bounds_beyond_the_order_are_refused():
+    with pytest.raises(InputError, match="needs 2 bounded derivatives"):
+        SymbolicReference("abs(sin(t))").bounds(2)  # y_d'' contains impulses
+
+
+@pytest.mark.parametrize("scale", [1e-170, 1e-20, 1, 1e140])
+def test_sample_bounds_do_not_depend_on_the_scale(scale):
+    found = samples((0, 1, 2, 3), (0, scale, 1.1 * scale, 0), "cubic").bounds(1).values
+    unit = samples((0, 1, 2, 3), (0, 1, 1.1, 0), "cubic").bounds(1).values
+    assert np.array(found) / scale == pytest.approx(unit, rel=1e-9)
+
+
+def test_constants_enter_bounds_exactly():
+    from fractions import Fraction
+
+    reference = SymbolicReference("A*sin(t)", constants={"A": "1/3"})
+    assert Fraction(reference.bounds(0).values[0]) >= Fraction(1, 3)
+    assert (
+        SymbolicReference("A*sin(t)", constants={"A": np.float64(0.5)}).bounds(0).values[0] == 0.5
+    )
+
+
+def test_wrong_declared_bound_of_samples_is_refused():
+    with pytest.raises(InputError, match="reference.bound: must bound"):
+        samples((0, 1), (0, 1), bound=1.0)  # y_d + y_d' reaches 2.09
+
+
+@pytest.mark.parametrize("signal", ["atan2(sin(t), cos(t))", "atan(tan(t))", "tan(sin(t))"])
+def test_functions_that_may_jump_are_refused(signal):
+    with pytest.raises(InputError, match="may jump"):
+        SymbolicReference(signal)
+
+
+def test_arcsine_has_order_one():
+    assert SymbolicReference("asin(0.9*sin(t))").order == 1
+
+
+def test_expanding_huge_sums_is_not_tried():
+    text = "(sin(t) + cos(2*t) + sin(3*t) + cos(5*t) + sin(7*t))**64"
+    assert SymbolicReference(text).bounds(0).origin == ("proven",)
+
+
+def test_contiguous_moves_are_accepted():
+    assert steps((0.1, 0.3), (0, 0.2, 0.4), 1.0).bounds(0).values[0] == pytest.approx(0.4)

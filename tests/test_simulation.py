@@ -274,3 +274,74 @@ def test_truth_with_other_constants_changes_the_plant_not_the_law():
     speed = (rate[1, 1] - rate[1, 0]) / 1e-6
     assert speed == pytest.approx(14.4 * (1 - -1), abs=0.1)
     assert x.size == 4
+
+
+def test_peak_of_a_jumping_input_is_not_overshot():
+    """The corners of a triangle make u jump; both sides are sampled, nothing is fitted across."""
+    plant = Plant(states=["x1", "x2"], chain=[1], input_gain=1)
+    law = Robust(c=(2, 2))
+    for reference in (triangle(1, 3.3), SymbolicReference("max(sin(t), 0.3)")):
+        system = System(plant, law, reference, Truth(1), Settings((0, 0), 10))
+        run = simulate(system)
+        assert run.metrics.peak_input == pytest.approx(np.abs(run.u).max(), rel=1e-6)
+        scipy = simulate(system, integrator="scipy").metrics
+        assert run.metrics.peak_input == pytest.approx(scipy.peak_input, rel=1e-6)
+        assert run.metrics.tail_error == pytest.approx(scipy.tail_error, rel=1e-5)
+        assert run.metrics.input_variation == pytest.approx(scipy.input_variation, rel=1e-3)
+
+
+def test_constants_that_only_the_chain_uses_are_fine():
+    plant = Plant(states=["x1", "x2"], chain=["1/M"], input_gain=1, constants={"M": 2})
+    system = System(
+        plant, Robust(c=(2, 2)), SymbolicReference("exp(-t)**2"), Truth(1), Settings((0, 0), 5)
+    )
+    assert simulate(system).outcome is Outcome.finished
+
+
+def test_rest_on_a_kink_is_left(capfd):
+    plant = Plant(states=["x1", "x2"], chain=[1], drift="-0.5*x2*abs(x2)", input_gain=1)
+    system = System(
+        plant, Robust(c=(2, 2)), SymbolicReference("1 - cos(t)"), Truth(1), Settings((0, 0), 10)
+    )
+    run = simulate(system)
+    assert run.outcome is Outcome.finished
+    tight = simulate(system, integrator="scipy", tolerance=1e-13)
+    assert run.final_state["x1"] == pytest.approx(tight.final_state["x1"], abs=1e-7)
+    assert capfd.readouterr().out == ""  # heyoka's warnings would break --json
+
+
+def test_branch_points_are_left_to_scipy():
+    base = certrack.load("dual-motor-lean")
+    omega = ("0", "0.01*atan2(sin(3*t), cos(3*t))", "0", "0")
+    system = base.replace(truth=replace(base.truth, omega=omega))
+    run = simulate(system.with_settings(duration=3, tail=None))
+    assert run.trajectory.method == "scipy"
+    assert "branch points" in run.notes[0]
+
+
+def test_long_run_is_not_called_stiff():
+    plant = Plant(states=["x1", "x2"], chain=[1], input_gain=1)
+    law = Robust(c=(2, 2), feedforward=1)
+    system = System(plant, law, SymbolicReference("sin(t)"), Truth(1), Settings((0, 0), 8e4))
+    run = simulate(system, tolerance=1e-6)
+    assert run.trajectory.method == "taylor"
+    assert run.outcome is Outcome.finished
+
+
+def test_other_formulas_of_a_law_are_not_run_on_the_compiled_loop():
+    from dataclasses import dataclass
+
+    from certrack.laws.base import Equations
+
+    @dataclass(frozen=True, kw_only=True)
+    class Boosted(Robust):
+        boost: bool = False
+
+        def equations(self, s):
+            u = super().equations(s).u
+            return Equations(u=2 * u if self.boost else u)
+
+    system = certrack.load("dual-motor-lean").replace(law=Boosted(c=(4, 4, 4, 4)))
+    simulator = Simulator(system)
+    with pytest.raises(InputError, match="another structure"):
+        simulator.run(system.replace(law=Boosted(c=(4, 4, 4, 4), boost=True)))

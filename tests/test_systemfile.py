@@ -12,7 +12,8 @@ import certrack
 from certrack.errors import InputError
 from certrack.references import samples, steps, trapezoid, triangle
 from certrack.system import System
-from certrack.systemfile import loads, starter, to_text
+from certrack.systemfile import loads, starter
+from certrack.systemtext import to_text
 
 GOOD = starter()
 
@@ -35,7 +36,7 @@ BAD = {
         "plant = 1\ntruth=1\nlaw=1\nreference=1\nsimulation=1",
         "plant: must be a table",
     ),
-    "title is not text": (edited('"My drive"', "3"), "title: must be text"),
+    "title is not text": (edited('"My drive"', "3"), "title: must be one line of printable text"),
     "unknown key": (edited("chain =", "chian ="), "plant.chian: unknown key"),
     "states missing": (edited("states =", "#"), "plant.states: is missing"),
     "no states": (edited('["x1", "x2"]', "[]"), "plant.states: must be 1 to 50 names"),

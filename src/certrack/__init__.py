@@ -30,6 +30,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "run": ["Run"],
         "simulation": ["Simulator", "simulate"],
         "system": ["Settings", "System"],
-        "systemfile": ["catalog", "load", "loads", "save", "to_text"],
+        "systemfile": ["catalog", "load", "loads"],
+        "systemtext": ["save", "to_text"],
     },
 )

@@ -62,6 +62,12 @@ class Gains:
         object.__setattr__(self, "p", p)
 
     @property
+    def is_lean(self) -> bool:
+        """Whether all damping is omitted."""
+        assert self.k is not None and self.p is not None
+        return all(math.isinf(v) for row in (*self.k, self.p) for v in row)
+
+    @property
     def n(self) -> int:
         """Order of the plant they are made for."""
         return len(self.c)
@@ -135,6 +141,11 @@ class ErrorCoordinates:
         return np.linalg.eigvals(self.error_matrix)
 
     @cached_property
+    def slowest_pole(self) -> float:
+        """Smallest magnitude of the poles, 1/s."""
+        return float(np.abs(self.poles).min())
+
+    @cached_property
     def fastest_pole(self) -> float:
         """Largest magnitude of the poles, 1/s."""
         return float(np.abs(self.poles).max())
@@ -174,8 +185,12 @@ def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCo
         found = carry_out(
             np.asarray(g, float), b, np.array(gains.c), weights, 0.25 / np.array(gains.p), q
         )
-    finite = (np.isfinite(values).all() for values in (found.kappa, found.nu_x, found.nu_Y))
-    if not all(finite):
+    results = (found.kappa, found.nu_x, found.nu_Y, found.A, found.B)
+    if not all(np.isfinite(values).all() and np.abs(values).max() < 1e150 for values in results):
+        if gains.is_lean:
+            raise DesignError(
+                "law.c", "the design overflows", remedy="Lower c, or scale the states (chain)"
+            )
         step = int(np.argmin(np.isfinite(found.kappa))) + 1
         raise DesignError(
             "law.k",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -95,9 +96,10 @@ def interval(key: str, value: Any, names: Constants | None = None) -> tuple[floa
 
 def integer(key: str, value: Any, least: int, most: int) -> int:
     """A whole number within [least, most]."""
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not whole or not least <= value <= most:
         raise InputError(key, f"must be a whole number from {least} to {most}", _plain(value))
-    return value
+    return int(value)
 
 
 def choice(key: str, value: Any, options: Iterable[str]) -> str:
@@ -110,8 +112,8 @@ def choice(key: str, value: Any, options: Iterable[str]) -> str:
 
 def text(key: str, value: Any) -> str:
     """A string."""
-    if not isinstance(value, str):
-        raise InputError(key, "must be text", _plain(value))
+    if not isinstance(value, str) or not value.isprintable():
+        raise InputError(key, "must be one line of printable text", _plain(value))
     return value
 
 

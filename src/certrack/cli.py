@@ -18,6 +18,7 @@ from certrack.errors import CertrackError, one_line
 
 if TYPE_CHECKING:
     from certrack.run import Run
+    from certrack.system import System
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -66,8 +67,11 @@ def new(name: Path, as_json: bool) -> None:
     Example: certrack new drive.toml
     """
     from certrack import report
-    from certrack.systemfile import starter, write_text
+    from certrack.systemfile import starter
+    from certrack.systemtext import write_text
 
+    if not name.name:
+        raise click.UsageError("NAME must be a file name", click.get_current_context())
     path = name if name.suffix else name.with_suffix(".toml")
     write_text(path, starter(), overwrite=False)
     if as_json:
@@ -144,6 +148,8 @@ def simulate(
     from certrack.simulation import simulate as run_system
     from certrack.systemfile import load
 
+    if samples is not None and out is None:
+        raise click.UsageError("--samples needs --out", click.get_current_context())
     system = load(file)
     changes = {"integrator": integrator, "tolerance": tolerance}
     run = run_system(system, **{name: v for name, v in changes.items() if v is not None})
@@ -200,12 +206,11 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
     \b
     Example: certrack certify dual-motor-lean --out cert.json
     """
-    from certrack import assumption, certificates, report
+    from certrack import certificates, report
     from certrack.systemfile import load
 
     system = load(file)
-    for violation in assumption.check_assumption_1(system):
-        click.echo(f"certrack: note: {violation}", err=True)
+    _note_violations(system)
     found = certificates.certify(system)
     if out is not None and found.proof is not None:
         certificates.save_certificate(system, found.proof, out)
@@ -267,14 +272,14 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     \b
     Example: certrack falsify example1 --out worst.toml
     """
-    from certrack import assumption, report
     from certrack import falsify as falsifier
+    from certrack import report
     from certrack.certificates import best_sound_bound
-    from certrack.systemfile import load, save
+    from certrack.systemfile import load
+    from certrack.systemtext import save
 
     system = load(file)
-    for violation in assumption.check_assumption_1(system):
-        click.echo(f"certrack: note: {violation}", err=True)
+    _note_violations(system)
     with report.progress("Searching", budget) as advance:
         found = falsifier.falsify(system, budget=budget, seed=seed, progress=advance)
     if out is not None:
@@ -323,6 +328,7 @@ def reproduce(out: Path, as_json: bool) -> None:
     values = {
         "claims": [asdict(claim) for claim in found.claims],
         "runs": summaries,
+        "bounds": found.bounds,
         "figures": [str(out / f"{name}.png") for name in found.figures],
     }
     if as_json:
@@ -331,8 +337,19 @@ def reproduce(out: Path, as_json: bool) -> None:
     rows = [[c.where, c.statement, c.measured, c.verdict] for c in found.claims]
     console = report.console()
     console.print(report.metrics_table(summaries))
+    bounds = [[name, *entry.values()] for name, entry in found.bounds.items()]
+    columns = ["limsup |e_1|", *next(iter(found.bounds.values()))]
+    console.print(report.table("Certified, falsified and simulated error", columns, bounds))
     console.print(report.table("Claims", ["where", "claim", "measured", "verdict"], rows))
     click.echo(f"{len(found.figures)} figures (PNG and SVG) in {out}")
+
+
+def _note_violations(system: System) -> None:
+    """Say where the file's omega breaks Assumption 1: no certificate covers such a run."""
+    from certrack.assumption import check_assumption_1
+
+    for violation in check_assumption_1(system):
+        click.echo(f"certrack: note: {violation}", err=True)
 
 
 def _draw(runs: dict[str, Run], folder: Path, title: str) -> None:

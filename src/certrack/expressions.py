@@ -12,6 +12,7 @@ from __future__ import annotations
 import ast
 import keyword
 import math
+import numbers
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping
@@ -129,6 +130,8 @@ def parse(key: str, text: Any, names: Iterable[str] | Mapping[str, Any] = ()) ->
         text = text.text
     if isinstance(text, sympy.Basic):
         text = _sympy_text(text)
+    if isinstance(text, numbers.Real) and not isinstance(text, (bool, int, float)):
+        text = int(text) if isinstance(text, numbers.Integral) else float(text)  # NumPy's
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
         raise InputError(key, "must be a formula (text) or a number", text)
     if isinstance(text, (int, float)):
@@ -147,9 +150,19 @@ def number(key: str, text: Any, names: Mapping[str, Any] | None = None) -> Expre
 
 def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
     """Classical derivative where it exists; kinks (abs, min, max) give their one-sided slopes."""
-    return sympy.diff(without_minmax(expr), by).replace(
-        lambda node: isinstance(node, (sympy.DiracDelta, sympy.Derivative)), lambda _: sympy.S.Zero
-    )
+    signs: dict[sympy.Symbol, sympy.Expr] = {}
+
+    def freeze(inside: sympy.Expr) -> sympy.Symbol:
+        name = sympy.Dummy("sign", real=True)
+        signs[name] = sympy.sign(inside)
+        return name
+
+    # |f| = s f with s constant: SymPy's own rule needs f to be provably real
+    frozen = without_minmax(expr).replace(sympy.Abs, lambda f: freeze(f) * f)
+    slope = sympy.diff(frozen.replace(sympy.sign, freeze), by)
+    for name in reversed(list(signs)):
+        slope = slope.xreplace({name: signs[name]})
+    return slope
 
 
 def without_minmax(expr: sympy.Expr) -> sympy.Expr:
@@ -290,6 +303,7 @@ class _Builder:
     def power(
         self, a: sympy.Expr, va: float | None, b: sympy.Expr, vb: float | None
     ) -> tuple[sympy.Expr, float | None]:
+        va, vb = self.constant_value(a, va), self.constant_value(b, vb)
         if vb is None:
             raise self.fail("an exponent must be a number", remedy="Write exp(y*log(x))")
         if abs(vb) > MAX_POWER:
@@ -300,7 +314,8 @@ class _Builder:
         if vb < 0 and a == 0:
             raise self.fail("divides by zero")
         result = a**b
-        if abs(result.as_base_exp()[1]) > MAX_POWER:  # (x**64)**64 merges its exponents
+        merged = result.exp if isinstance(result, sympy.Pow) else sympy.S.One
+        if merged.is_number and abs(merged) > MAX_POWER:  # (x**64)**64 merges its exponents
             raise self.fail(f"an exponent is larger than {MAX_POWER}")
         return result, None
 
@@ -314,6 +329,7 @@ class _Builder:
         build, compute, fewest, most = FUNCTIONS[name]
         if not fewest <= len(args) <= most:
             raise self.fail(f"{name} takes {fewest} to {most} arguments", f"{len(args)} arguments")
+        args = [(expr, self.constant_value(expr, value)) for expr, value in args]
         exprs = [expr for expr, _ in args]
         values = [value for _, value in args if value is not None]
         if len(values) == len(args):
@@ -321,6 +337,12 @@ class _Builder:
         if name in ("min", "max") and len(exprs) > 1:  # SymPy would compare all pairs
             return build(*exprs, evaluate=False), None
         return build(*exprs), None
+
+    def constant_value(self, expr: sympy.Expr, value: float | None) -> float | None:
+        """The value of a part whose names have cancelled (x1 - x1), before SymPy computes on it."""
+        if value is None and not expr.free_symbols:
+            return self.checked(lambda: float(expr))
+        return value
 
     def checked(self, compute: Callable[[], Any]) -> float:
         """The constant's value, refused unless it is a finite real number of sane size."""

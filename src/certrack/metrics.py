@@ -60,6 +60,7 @@ def measure(
     integrals: np.ndarray,
     band: float,
     tail_start: float,
+    per_step: int | None = None,
 ) -> Metrics:
     """Metrics from samples that resolve the solution.
 
@@ -71,15 +72,17 @@ def measure(
         Running integrals of u^2, e_1^2 and e_1.
     band, tail_start : float
         See :class:`Metrics`.
+    per_step : int, optional
+        Samples per integration step; signals may jump between steps.
     """
     span = float(t[-1])
     return Metrics(
         settling_time=_settling_time(t, np.abs(e), band),
-        tail_error=_tail_supremum(t, e, tail_start),
+        tail_error=_tail_supremum(t, e, tail_start, per_step),
         rms_error=math.sqrt(integrals[1, -1] / span) if span > 0 else math.nan,
         integral_abs_error=_integral_of_magnitude(t, e, integrals[2]),
         integral_squared_error=float(integrals[1, -1]),
-        peak_input=supremum(t, u),
+        peak_input=supremum(t, u, per_step),
         input_energy=float(integrals[0, -1]),
         input_variation=float(np.abs(np.diff(u)).sum()),
         band=band,
@@ -87,28 +90,55 @@ def measure(
     )
 
 
-def supremum(t: np.ndarray, values: np.ndarray) -> float:
-    """Largest |value|, refined by the parabola through the largest sample and its neighbours."""
+def supremum(
+    t: np.ndarray, values: np.ndarray, per_step: int | None = None, offset: int = 0
+) -> float:
+    """Largest |value|, refined by a parabola through three neighbouring samples of one step.
+
+    Parameters
+    ----------
+    t, values : (N,) arrays
+        Samples, `per_step` of them on every step. A signal may jump or have a kink where one step
+        ends and the next begins, so no parabola reaches across.
+    offset : int
+        Position of the first sample in its step.
+    """
     size = np.abs(values)
     if not len(size):
         return math.nan
+    count = len(size) + offset if per_step is None else per_step
     i = int(np.argmax(size))
     best = float(size[i])
-    if 0 < i < len(size) - 1:
-        h0, h1 = float(t[i] - t[i - 1]), float(t[i + 1] - t[i])
-        rise, fall = best - float(size[i - 1]), best - float(size[i + 1])
-        if h0 > 0 and h1 > 0 and 0 < rise + fall < 1e100:
-            left, right = rise / h0, fall / h1  # one-sided slopes of the parabola's chords
-            slope = (left * h1 - right * h0) / (h0 + h1)
-            best += slope**2 * (h0 + h1) / (4 * (left + right))
+    for near in (i - 1, i, i + 1):  # the peak may lie on the other side of a step's end
+        begin = near - (near + offset) % count
+        first, last = max(begin, 0), min(begin + count, len(size)) - 1
+        if 0 <= near < len(size) and last - first >= 2:
+            middle = min(max(near, first + 1), last - 1)
+            best = max(best, _vertex(t, size, middle))
     return best
 
 
-def _tail_supremum(t: np.ndarray, e: np.ndarray, start: float) -> float:
+def _vertex(t: np.ndarray, f: np.ndarray, i: int) -> float:
+    """Top of the parabola through samples i-1, i, i+1, if it lies between them; else -inf."""
+    f0, f1, f2 = map(float, f[i - 1 : i + 2])
+    h0, h1 = float(t[i] - t[i - 1]), float(t[i + 1] - t[i])
+    if not (h0 > 0 and h1 > 0 and f0 + f1 + f2 < 1e100):
+        return -math.inf
+    left, right = (f1 - f0) / h0, (f2 - f1) / h1
+    bend = (right - left) / (h0 + h1)
+    if bend >= 0:
+        return -math.inf
+    slope = (left * h1 + right * h0) / (h0 + h1)  # at sample i
+    shift = -slope / (2 * bend)
+    return f1 + slope * shift / 2 if -h0 <= shift <= h1 else -math.inf
+
+
+def _tail_supremum(t: np.ndarray, e: np.ndarray, start: float, per_step: int | None) -> float:
     first = int(np.searchsorted(t, start))
     if first == len(t):
         return math.nan
-    return max(supremum(t[first:], e[first:]), abs(_value(t, e, start, first)))
+    offset = first % per_step if per_step else 0
+    return max(supremum(t[first:], e[first:], per_step, offset), abs(_value(t, e, start, first)))
 
 
 def _value(t: np.ndarray, f: np.ndarray, at: float, i: int) -> float:

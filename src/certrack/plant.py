@@ -21,8 +21,20 @@ from certrack.expressions import Expression, check_name, number, parse, symbol
 MAX_ORDER = 50
 
 #: Names and prefixes that a closed loop gives to its own signals.
-SIGNALS = ("u", "e", "time", "state", "parameter", "member")
-PREFIXES = ("y_d", "delta_", "theta_", "law_", "true_", "piece_", "switch_", "integral_", "ref_")
+SIGNALS = ("u", "e", "nu", "time", "state", "parameter", "member")
+PREFIXES = (
+    "e_",
+    "lambda_",
+    "y_d",
+    "delta_",
+    "theta_",
+    "law_",
+    "true_",
+    "piece_",
+    "switch_",
+    "integral_",
+    "ref_",
+)
 
 
 def _set(instance: object, **values: Any) -> None:
@@ -129,6 +141,8 @@ class Plant:
             regressor=tuple(parse(f"plant.regressor[{i}]", v, names) for i, v in enumerate(phi)),
             uncertainty=Uncertainty.none(n) if self.uncertainty is None else self.uncertainty,
         )
+        if not isinstance(self.uncertainty, Uncertainty):
+            raise InputError("plant.uncertainty", "must be an Uncertainty", self.uncertainty)
         for name in ("tau", "gamma", "beta"):
             values = getattr(self.uncertainty, name)
             checks.sequence(f"plant.uncertainty.{name}", values, n, "one number per state")
@@ -147,8 +161,7 @@ class Plant:
         return tuple(states)
 
     def _check_constants(self, states: tuple[str, ...]) -> tuple[tuple[str, Expression], ...]:
-        given = self.constants
-        pairs = list(given.items()) if isinstance(given, Mapping) else list(given)
+        pairs = name_value_pairs("plant.constants", self.constants)
         found: dict[str, Expression] = {}
         for name, value in pairs:
             key = f"plant.constants.{name}"
@@ -172,7 +185,11 @@ class Plant:
         )
 
     def _check_parameters(self, known: Mapping[str, Any]) -> None:
-        if isinstance(self.gain_sign, bool) or self.gain_sign not in (1, -1):
+        if (
+            np.ndim(self.gain_sign)
+            or isinstance(self.gain_sign, bool)
+            or self.gain_sign not in (1, -1)
+        ):
             raise InputError("plant.gain_sign", "must be 1 or -1", self.gain_sign)
         if self.input_gain is not None:
             check_gain("plant.input_gain", self.input_gain, self.gain_sign, known)
@@ -238,6 +255,20 @@ class Plant:
         return replace(self, constants=sources)  # type: ignore[arg-type]
 
 
+def name_value_pairs(key: str, given: Any) -> list[tuple[str, Any]]:
+    """Constants as pairs, from a mapping or from pairs."""
+    if isinstance(given, Mapping):
+        return list(given.items())
+    pairs = [
+        tuple(pair)
+        for pair in checks.sequence(key, given, None, "pairs of name and number")
+        if isinstance(pair, (tuple, list)) and len(pair) == 2
+    ]
+    if len(pairs) != len(given):
+        raise InputError(key, "must be a mapping of names to numbers", given)
+    return pairs  # type: ignore[return-value]
+
+
 def _own_name(key: str, name: Any, taken: Sequence[str]) -> str:
     """A name that neither the language nor the closed loop uses."""
     check_name(key, name, taken)
@@ -288,8 +319,7 @@ class Truth:
 
     def bound_to(self, plant: Plant) -> Truth:
         """This truth checked against `plant`, with its defaults filled in."""
-        given = self.constants
-        pairs = dict(given.items() if isinstance(given, Mapping) else given)
+        pairs = dict(name_value_pairs("truth.constants", self.constants))
         for name in pairs:
             if name not in plant.constant_values:
                 raise InputError(f"truth.constants.{name}", "is not a constant of the plant")

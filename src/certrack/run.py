@@ -16,7 +16,7 @@ from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.taylor import TaylorSeries
 from certrack.metrics import Metrics, measure
 from certrack.system import System
-from certrack.systemfile import to_text
+from certrack.systemtext import to_text
 from certrack.version import version
 
 if TYPE_CHECKING:
@@ -39,12 +39,15 @@ class Run:
         u at given times and states.
     notes : texts
         What the user should know of how the run was carried out.
+    smooth_steps : bool
+        Whether no kink lies inside a step, so that peaks may be refined there.
     """
 
     system: System
     trajectory: Trajectory
     input_of: Callable[[np.ndarray, np.ndarray], np.ndarray]
     notes: tuple[str, ...] = ()
+    smooth_steps: bool = True
 
     @property
     def outcome(self) -> Outcome:
@@ -97,7 +100,15 @@ class Run:
             band = 0.05 * float(np.abs(self.y_d).max()) or 0.05
         integrals = self._states[-len(INTEGRALS) :] * INTEGRAL_SCALE
         error = self.x[0] - self.y_d
-        return measure(self.t, error, self.u, integrals, band, settings.tail_start)
+        return measure(
+            self.t,
+            error,
+            self.u,
+            integrals,
+            band,
+            settings.tail_start,
+            per_step=PARTS + 1 if self.smooth_steps else 1,
+        )
 
     @property
     def final_state(self) -> dict[str, float]:
@@ -179,13 +190,16 @@ class Run:
         target = Path(path)
         part = target.with_name(target.name + ".part")
         dataset = self.dataset(samples)
+        if not target.parent.is_dir():
+            raise InputError("--out", f"cannot write {target}: the folder does not exist")
         try:
             dataset.to_netcdf(part, engine="h5netcdf")
             part.replace(target)
-        except OSError as problem:
-            part.unlink(missing_ok=True)
-            reason = problem.strerror or "the folder cannot be written"
+        except (OSError, ValueError) as problem:
+            reason = getattr(problem, "strerror", None) or "the folder cannot be written"
             raise InputError("--out", f"cannot write {target}: {reason}") from None
+        finally:
+            part.unlink(missing_ok=True)
 
     def _errors(self, t: np.ndarray, x: np.ndarray) -> np.ndarray:
         found = self.system.controller.coordinates

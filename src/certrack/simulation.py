@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import sympy
 
 from certrack.closed_loop import INTEGRALS, ClosedLoop, close_loop, parameter_values
 from certrack.errors import InputError
@@ -22,6 +23,12 @@ from certrack.system import System
 #: A design is stiff if its fastest pole has more time constants than this in a run: an explicit
 #: method would have to follow them all.
 STIFF = 2e5
+
+#: Functions with kinks that show as switches.
+KINKS = (sympy.Abs, sympy.sign, sympy.Min, sympy.Max, sympy.asin, sympy.acos, sympy.atan2)
+
+#: Functions with jumps or branch points that do not show as switches.
+BRANCHING = (sympy.asin, sympy.acos, sympy.atan2, sympy.tan)
 
 
 class Simulator:
@@ -45,6 +52,7 @@ class Simulator:
         self.system = system
         self.loop: ClosedLoop = close_loop(system)
         self._integrators: dict[tuple[str, float], TaylorIntegrator | ScipyIntegrator] = {}
+        self._kinked = any(rate.has(*KINKS) for rate in self.loop.rates)
         self._parameters = parameter_values(self.loop, system)
         self._input = numpy_callable([TIME, self.loop.states, self.loop.parameters], [self.loop.u])
 
@@ -77,9 +85,12 @@ class Simulator:
         if retry:
             method, reason = retry
             notes.append(f"{reason} at t = {trajectory.end:g} s; run again with {method}.")
-            trajectory = self._integrator(method, settings.tolerance).integrate(problem)
+            again = self._integrator(method, settings.tolerance).integrate(problem)
+            missed = trajectory.outcome is Outcome.kink_missed
+            trajectory = again if missed or again.end >= trajectory.end else trajectory
         inputs = partial(self._inputs, system, parameters)
-        return Run(system, trajectory, inputs, tuple(notes))
+        smooth = method == "taylor" or not self._kinked
+        return Run(system, trajectory, inputs, tuple(notes), smooth)
 
     def _accept(self, system: System | None) -> System:
         if system is None or system is self.system:
@@ -88,7 +99,7 @@ class Simulator:
         same = (
             system.plant == mine.plant
             and type(system.law) is type(mine.law)
-            and system.controller.coordinates.q == mine.controller.coordinates.q
+            and system.controller.equations == mine.controller.equations
             and system.reference == mine.reference
             and system.truth.omega == mine.truth.omega
             and not system.truth.constants
@@ -111,13 +122,18 @@ class Simulator:
                 )
             return wanted, []
         fastest = system.controller.coordinates.fastest_pole
-        if fastest * system.settings.duration > STIFF:
+        slowest = system.controller.coordinates.slowest_pole
+        if fastest * system.settings.duration > STIFF and fastest > 1e3 * slowest:
             return "implicit", [
                 f"The design is stiff (fastest error pole {fastest:.3g} /s): implicit method used."
             ]
+        if any(rate.has(*BRANCHING) for rate in self.loop.rates):
+            return "scipy", [
+                "asin, acos, atan2, tan have branch points unseen by Taylor steps: SciPy."
+            ]
         if not available():
             warnings.warn(
-                "heyoka is not installed: using SciPy, which is about 100 times slower",
+                "heyoka is not installed: using SciPy, which is about 60 times slower",
                 stacklevel=3,
             )
             return "scipy", []

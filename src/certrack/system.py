@@ -12,6 +12,8 @@ from certrack.laws.base import Controller, Law
 from certrack.plant import Plant, Truth
 from certrack.references import Reference, require_order
 
+MAX_PERIODS = 20_000
+
 INTEGRATORS = ("auto", "taylor", "scipy", "implicit")
 
 
@@ -99,10 +101,25 @@ class System:
     title: str = ""
 
     def __post_init__(self) -> None:
+        for name, kind in (
+            ("plant", Plant),
+            ("law", Law),
+            ("truth", Truth),
+            ("settings", Settings),
+        ):
+            if not isinstance(getattr(self, name), kind):
+                raise InputError(name, f"must be a {kind.__name__}", getattr(self, name))
         plant, n = self.plant, self.plant.n
         object.__setattr__(self, "truth", self.truth.bound_to(plant))
         checks.sequence("simulation.x0", self.settings.x0, n, "one number per state")
         controller = self.controller
+        period = getattr(self.reference, "period", None)
+        if period is not None and self.settings.duration > MAX_PERIODS * period:
+            raise InputError(
+                "reference.period",
+                f"must not repeat more than {MAX_PERIODS} times in simulation.duration",
+                period,
+            )
         require_order(self.reference, controller.coordinates.q + 1, f"the {self.law.kind} law")
         if self.settings.estimates is not None:
             names = ", ".join(state.name for state in controller.states) or "none"

@@ -7,7 +7,6 @@ plant's constants; a loaded system keeps their text, so a saved file reads like 
 from __future__ import annotations
 
 import io
-import math
 import os
 import tomllib
 import warnings
@@ -21,11 +20,11 @@ import numpy as np
 
 from certrack import checks
 from certrack.errors import InputError
-from certrack.expressions import Expression
 from certrack.laws import Law, known_laws
 from certrack.plant import Plant, Truth, Uncertainty
 from certrack.references import Reference, SymbolicReference, piecewise
 from certrack.system import Settings, System
+from certrack.systemtext import field_values
 
 MAX_BYTES = 20_000_000
 
@@ -87,7 +86,9 @@ def load(source: str | os.PathLike[str]) -> System:
     """
     path = Path(source)
     try:
-        if path.suffix == "" and not path.exists():
+        if path.suffix == "" and (
+            not path.exists() or (path.is_dir() and str(source) in catalog())
+        ):
             return loads(_shipped(str(source)), f"{source}.toml")
         data = _read(path)
     except OSError as problem:
@@ -198,11 +199,7 @@ def _plant(table: Any) -> Plant:
         )
         for name in names
     }
-    return Plant(**{**_fields(plain), "uncertainty": Uncertainty(**bounds)})
-
-
-def _fields(instance: Any) -> dict[str, Any]:
-    return {entry.name: getattr(instance, entry.name) for entry in fields(instance)}
+    return Plant(**{**field_values(plain), "uncertainty": Uncertainty(**bounds)})
 
 
 def _truth(table: Any, plant: Plant) -> Truth:
@@ -253,7 +250,7 @@ def _reference(table: Any, plant: Plant, folder: Path | None) -> Reference:
             signal=table["signal"],
             bound=None if bound is None else checks.real("reference.bound", bound, known, above=0),
             declared=table.get("bounds"),
-            constants=tuple((name, float(value)) for name, value in known.items()),
+            constants=tuple(known.items()),
         )
     if "kind" not in table:
         raise InputError("reference", "must have a signal or a kind", sorted(table))
@@ -300,97 +297,3 @@ def _settings(table: Any, known: Mapping[str, Any]) -> Settings:
         for name, value in table.items()
     }
     return Settings(**values)
-
-
-def to_text(system: System) -> str:
-    """The system as TOML text that :func:`loads` turns into an equal system."""
-    import tomlkit
-
-    document = tomlkit.document()
-    document["title"] = system.title
-    for name, table in (
-        ("plant", _plant_table(system.plant)),
-        ("truth", _truth_table(system.truth)),
-        ("reference", _reference_table(system.reference)),
-        ("law", _law_table(system.law)),
-        ("simulation", _present(_fields(system.settings))),
-    ):
-        document[name] = _plain(table)
-    return tomlkit.dumps(document)
-
-
-def save(system: System, path: str | os.PathLike[str]) -> None:
-    """Write a system file; it appears only when it is complete."""
-    write_text(Path(path), to_text(system))
-
-
-def write_text(path: Path, text: str, *, overwrite: bool = True) -> None:
-    """Write a text file whole or not at all.
-
-    Raises
-    ------
-    InputError
-        If it exists and must not be overwritten, or cannot be written.
-    """
-    if not overwrite and path.exists():
-        raise InputError(str(path), "exists already", remedy="Choose another name")
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, "utf-8")
-        part.replace(path)
-    except OSError as problem:
-        raise InputError(str(path), f"cannot be written ({problem.strerror})") from None
-
-
-def _plain(value: Any) -> Any:
-    """Expressions as numbers or text, tuples as lists."""
-    if isinstance(value, Expression):
-        return _number_or_text(value.text)
-    if isinstance(value, dict):
-        return {name: _plain(entry) for name, entry in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    return value
-
-
-def _number_or_text(text: str) -> int | float | str:
-    for kind in (int, float):
-        try:
-            number = kind(text)
-        except ValueError:
-            continue
-        if repr(number) == text and math.isfinite(number):
-            return number
-    return text
-
-
-def _present(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def _plant_table(plant: Plant) -> dict[str, Any]:
-    values = _fields(plant)
-    ranges = {"input_gain": values.pop("input_gain_range"), "theta": values.pop("theta_range")}
-    constants = dict(values.pop("constants"))
-    uncertainty = _fields(values.pop("uncertainty"))
-    table = _present(values) | {"constants": constants}
-    return table | {"ranges": _present(ranges), "uncertainty": uncertainty}
-
-
-def _truth_table(truth: Truth) -> dict[str, Any]:
-    return _present(_fields(truth)) | {"constants": dict(truth.constants)}
-
-
-def _reference_table(reference: Reference) -> dict[str, Any]:
-    if isinstance(reference, SymbolicReference):
-        values = {"signal": reference.signal, "bounds": reference.declared}
-    else:
-        assert isinstance(reference, piecewise.PiecewiseReference)
-        values = dict(reference.fields)
-    return _present(values | {"bound": reference.declared_bound})
-
-
-def _law_table(law: Law) -> dict[str, Any]:
-    return {"kind": law.kind} | _present(_fields(law))

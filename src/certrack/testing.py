@@ -25,7 +25,8 @@ from certrack.laws import known_laws
 from certrack.lowering import extract_switches, numpy_callable, to_heyoka
 from certrack.simulation import Simulator, simulate
 from certrack.system import System
-from certrack.systemfile import loads, to_text
+from certrack.systemfile import loads
+from certrack.systemtext import to_text
 
 
 class LawConformance:

@@ -8,9 +8,10 @@ from typing import Any
 
 import flint
 
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import Certificate, NoCertificate, missing
 from certrack.certificates.exact import Proof, from_text, prove
-from certrack.certificates.problem import ErrorProblem, assumptions, error_problem, rational
+from certrack.certificates.problem import ErrorProblem, assumptions, error_problem
 from certrack.certificates.published import certify_published, critical_strength
 from certrack.certificates.semidefinite import Program, best_solution
 from certrack.certificates.tube import Tube, tube

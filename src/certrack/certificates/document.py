@@ -13,12 +13,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, check, from_text
-from certrack.certificates.problem import assumptions, error_problem, rational
+from certrack.certificates.problem import assumptions, error_problem
 from certrack.errors import InputError
 from certrack.system import System
-from certrack.systemfile import loads, to_text, write_text
+from certrack.systemfile import loads
+from certrack.systemtext import to_text, write_text
 from certrack.version import version
 
 FORMAT = "certrack-certificate/1"

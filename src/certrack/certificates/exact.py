@@ -15,7 +15,8 @@ from typing import Any
 import flint
 import numpy as np
 
-from certrack.certificates.problem import ErrorProblem, positive_definite
+from certrack.certificates.arithmetic import positive_definite
+from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.semidefinite import Solution
 
 DIGITS = 13

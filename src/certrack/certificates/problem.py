@@ -12,20 +12,17 @@ The same formulas serve both arithmetics, so what is optimised is what is verifi
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import partial
 from itertools import product
 from typing import Any
 
 import flint
 import numpy as np
-import sympy
 
 from certrack.backstepping import ErrorCoordinates, carry_out
+from certrack.certificates.arithmetic import Number, positive_definite, rational, solve, upper
 from certrack.certificates.certificate import NoCertificate
-from certrack.expressions import Expression
 from certrack.laws import Adaptive, Robust
 from certrack.system import System
 
@@ -231,53 +228,8 @@ class ErrorProblem:
 MAX_CORNERS = 12
 
 
-def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solution of a linear system in the arithmetic of its arguments."""
-    if matrix.dtype != object:
-        return np.linalg.solve(matrix, right)
-    a = flint.fmpq_mat([list(row) for row in matrix])
-    columns = right if right.ndim == 2 else right[:, None]
-    b = flint.fmpq_mat([[flint.fmpq(v) for v in row] for row in columns])
-    found = np.array(a.solve(b).tolist(), dtype=object).reshape(columns.shape)
-    return found if right.ndim == 2 else found[:, 0]
-
-
-def positive_definite(matrix: np.ndarray) -> bool:
-    """Exact for rationals: every pivot of the LDL^T factorisation is positive."""
-    if matrix.dtype != object:
-        return bool(np.linalg.eigvalsh(matrix).min() > 0) if len(matrix) else True
-    rows = matrix.copy()
-    for k in range(len(rows)):
-        pivot = rows[k, k]
-        if not pivot > 0:
-            return False
-        factor = rows[k + 1 :, k] / pivot
-        rows[k + 1 :, k + 1 :] -= factor[:, None] * rows[None, k, k + 1 :]
-    return True
-
-
 def _distance(origin: Any, end: Any) -> Any:
     return abs(end - origin)
-
-
-Number = Callable[[Any], Any]
-
-
-def rational(value: Any) -> Any:
-    """Exact rational of a number's decimal text (floats), of a formula, or of a Fraction."""
-    if isinstance(value, Expression):
-        value = value.expr
-    if isinstance(value, sympy.Rational):
-        return flint.fmpq(int(value.p), int(value.q))
-    if isinstance(value, (float, np.floating, sympy.Expr)):  # an irrational by its float
-        value = Fraction(repr(float(value)))
-    exact = Fraction(value)
-    return flint.fmpq(exact.numerator, exact.denominator)
-
-
-def decimal(value: Any) -> Any:
-    """Float of a number or formula."""
-    return float(value.expr if isinstance(value, Expression) else value)
 
 
 def error_problem(system: System, number: Number) -> ErrorProblem:
@@ -296,7 +248,7 @@ def error_problem(system: System, number: Number) -> ErrorProblem:
     n, q, A = plant.n, found.q, found.A
     u = plant.uncertainty
     tau, gamma, beta = ([number(v) for v in values] for values in (u.tau, u.gamma, u.beta))
-    bounds = [_upper(v, number) for v in system.reference.bounds(q + 1).values]
+    bounds = [upper(v, number) for v in system.reference.bounds(q + 1).values]
     Xe = solve(A, np.eye(n, dtype=dtype))
     in_a = tuple(k for k in range(n) if tau[k] * gamma[k] != 0)
     in_b = tuple(k for k in range(n) if tau[k] * beta[k] != 0)
@@ -434,10 +386,3 @@ def _adaptation(system: System, number: Number, dtype: Any) -> Adaptation | None
 
 def _columns(columns: list[np.ndarray], n: int, dtype: Any) -> np.ndarray:
     return np.array(columns, dtype=dtype).reshape(len(columns), n).T
-
-
-def _upper(bound: float, number: Number) -> Any:
-    """A bound as the exact value of its float, which was rounded up."""
-    if number is rational:
-        return flint.fmpq(*float(bound).as_integer_ratio())
-    return bound

@@ -22,8 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from certrack.certificates.arithmetic import decimal
 from certrack.certificates.certificate import Certificate, NoCertificate, missing
-from certrack.certificates.problem import Adaptation, assumptions, decimal, error_problem
+from certrack.certificates.problem import Adaptation, assumptions, error_problem
 from certrack.references.base import total_bound
 from certrack.system import System
 

@@ -15,8 +15,9 @@ from itertools import product
 import numpy as np
 
 from certrack import checks
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.exact import Proof, from_text, squared_bound
-from certrack.certificates.problem import ErrorProblem, error_problem, rational
+from certrack.certificates.problem import ErrorProblem, error_problem
 from certrack.errors import InputError
 from certrack.system import System
 

@@ -56,7 +56,6 @@ class Problem:
     fastest_pole : float, 1/s
         Of the designed error system.
     max_state : float
-    max_steps : int
     """
 
     start: np.ndarray
@@ -67,7 +66,11 @@ class Problem:
     plant_order: int
     fastest_pole: float
     max_state: float
-    max_steps: int = 100_000
+
+    @property
+    def max_steps(self) -> int:
+        """As many steps as half a gigabyte of Taylor coefficients allows."""
+        return int(5e8 / (8 * 15 * len(self.start)))
 
     @property
     def segments(self) -> list[tuple[float, float]]:
@@ -102,11 +105,19 @@ class Trajectory:
         return float(self.times[-1])
 
 
+#: Samples at the ends of a step lie this fraction of it inside: u may jump where a step ends.
+INSIDE = 1e-9
+
+
+def fractions(parts: int) -> np.ndarray:
+    """Where on a step the samples lie: `parts` equal parts, so parts + 1 samples."""
+    return np.clip(np.arange(parts + 1) / parts, INSIDE, 1 - INSIDE)
+
+
 def subdivide(times: np.ndarray, parts: int) -> np.ndarray:
-    """Every step cut into equal parts; the ends of the steps are hit exactly."""
-    found = np.empty(parts * (len(times) - 1) + 1)
-    found[-1] = times[-1]
-    steps = found[:-1].reshape(-1, parts)
-    np.multiply(np.diff(times)[:, None], np.arange(parts) / parts, out=steps)
-    steps += times[:-1, None]
-    return found
+    """Every step sampled at its :func:`fractions`; begin and end of the run are hit exactly."""
+    if len(times) < 2:
+        return times.copy()
+    found = times[:-1, None] + np.diff(times)[:, None] * fractions(parts)
+    found[0, 0], found[-1, -1] = times[0], times[-1]
+    return found.ravel()

@@ -16,6 +16,10 @@ import sympy
 from certrack.expressions import TIME
 from certrack.lowering import numpy_callable
 
+#: After an event, its function is not looked at for this long, s: rounding would fire it again,
+#: and from rest on a kink heyoka would deduce zero. What is missed by it is found by the check.
+COOLDOWN = 1e-9
+
 
 class Switches:
     """The switches of one compiled loop.
@@ -47,7 +51,7 @@ class Switches:
     def events(self, hy: Any, functions: Sequence[Any]) -> list[Any]:
         """Terminal events that flip one switch each and let the integration go on."""
         return [
-            hy.t_event(function, callback=_Flip(self.first + k))
+            hy.t_event(function, callback=_Flip(self.first + k), cooldown=COOLDOWN)
             for k, function in enumerate(functions)
         ]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from certrack.closed_loop import INTEGRALS, ClosedLoop
-from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
+from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory, fractions
 from certrack.integrators.switches import Switches
 from certrack.lowering import extract_switches, to_heyoka
 
@@ -21,6 +21,10 @@ def available() -> bool:
     from importlib.util import find_spec
 
     return find_spec("heyoka") is not None
+
+
+#: Length of a step that leaves a kink on which the run rests, s.
+NUDGE = 1e-6
 
 
 class TaylorIntegrator:
@@ -36,6 +40,7 @@ class TaylorIntegrator:
     def __init__(self, loop: ClosedLoop, tolerance: float) -> None:
         import heyoka as hy
 
+        hy.set_logger_level_critical()  # it warns on standard output, where JSON goes
         rates, kinks = extract_switches(loop.rates)
         used = set().union(*(f.free_symbols for f in (*rates, *(f for _, f in kinks))))
         count = len(loop.parameters) - loop.pieces
@@ -103,6 +108,7 @@ class TaylorIntegrator:
         """Step from `begin` to `stop`, keeping the Taylor coefficients of every step."""
         ta, switches = self._integrator, self._switches
         step, tc, k, starts, table = ta.step, ta.tc, steps.count, steps.starts, steps.table
+        stuck = 0
         while True:  # the hot loop: heyoka's step takes about as long as two Python calls
             if switches is not None:
                 switches.record(ta)
@@ -111,6 +117,12 @@ class TaylorIntegrator:
             if careful and taken > (safe := _safe_step(tc[: self._moving], taken)):
                 ta.state[:], ta.time = tc[:, 0], begin
                 outcome, taken = step(safe, True)
+            if switches is not None:
+                stuck = stuck + 1 if taken == 0.0 else 0
+                if stuck > 3:  # at rest on a kink its event fires for ever: leave by the series
+                    stuck, taken = 0, min(NUDGE, room)
+                    ta.state[:] = tc @ taken ** np.arange(tc.shape[1])
+                    ta.time = begin + taken
             if taken != taken:  # NaN: the rates are not finite
                 result = begin, Outcome.undefined
                 break
@@ -231,10 +243,11 @@ class TaylorSeries:
         powers = np.empty((steps, 1, orders))  # h^k, by products: pow() is slow
         powers[:, 0, 0], powers[:, 0, 1:] = 1.0, np.diff(times)[:, None]
         np.multiply.accumulate(powers, axis=2, out=powers)
-        fractions = (np.arange(parts + 1) / parts) ** np.arange(orders)[:, None]
-        values = (self.table * powers).reshape(-1, orders) @ fractions  # all steps at once
+        samples = fractions(parts)
+        series = samples ** np.arange(orders)[:, None]
+        values = (self.table * powers).reshape(-1, orders) @ series  # all steps at once
         values = values.reshape(steps, size, parts + 1)
-        found = np.empty((size, steps * parts + 1))
-        found[:, :-1].reshape(size, steps, parts)[...] = values[:, :, :-1].transpose(1, 0, 2)
-        found[:, -1] = values[-1, :, -1]
+        values[0, :, 0] = self.table[0, :, 0]
+        values[-1, :, -1] = (self.table[-1] * powers[-1]).sum(axis=1)
+        found: np.ndarray = values.transpose(1, 0, 2).reshape(size, -1)
         return found

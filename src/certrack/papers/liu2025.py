@@ -15,6 +15,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
+from certrack.certificates import Tube, certify
+from certrack.falsify import falsify
 from certrack.plotting import (
     figure,
     plot_error,
@@ -22,10 +24,11 @@ from certrack.plotting import (
     plot_input,
     plot_output,
     plot_states,
+    style,
 )
 from certrack.references import SymbolicReference
 from certrack.run import Run
-from certrack.simulation import Simulator
+from certrack.simulation import Simulator, simulate
 from certrack.system import System
 from certrack.systemfile import load
 
@@ -55,15 +58,18 @@ class Reproduction:
     claims: tuple[Claim, ...]
     figures: dict[str, Figure]
     runs: dict[str, Run]
+    bounds: dict[str, dict[str, float]]
 
 
-def reproduce(progress: Callable[[str], None] = lambda _: None) -> Reproduction:
+def reproduce(progress: Callable[[str], None] = lambda _: None, budget: int = 3000) -> Reproduction:
     """Run the paper's examples and judge its claims.
 
     Parameters
     ----------
     progress : callable
         Told what is being done.
+    budget : int
+        Runs that the falsifier spends on each system.
     """
     progress("Example 1, every sign of x(0) and y_d")
     variants = dict(_example1_variants())
@@ -80,6 +86,10 @@ def reproduce(progress: Callable[[str], None] = lambda _: None) -> Reproduction:
         *_claims_example2(weak, strong, starts),
         theorem,
     )
+    bounds, tubes = {}, {}
+    for name in ("example1", "dual-motor", "dual-motor-strong", "dual-motor-lean"):
+        progress(f"Certifying and falsifying {name}")
+        bounds[name], tubes[name] = _bounds(load(name), budget)
     progress("Figures")
     runs = {
         "example1": improved,
@@ -87,7 +97,42 @@ def reproduce(progress: Callable[[str], None] = lambda _: None) -> Reproduction:
         "dual-motor": weak,
         "dual-motor-strong": strong,
     }
-    return Reproduction(claims, figures(runs), runs)
+    certified = {"example1": improved, "dual-motor": weak, "dual-motor-strong": strong}
+    certified["dual-motor-lean"] = simulate(load("dual-motor-lean"))
+    made = figures(runs) | {"certificates": _certificate_figure(certified, tubes)}
+    return Reproduction(claims, made, runs, bounds)
+
+
+def _bounds(system: System, budget: int) -> tuple[dict[str, float], Tube | None]:
+    """Certified, simulated and falsified errors of one system."""
+    found = certify(system)
+    return {
+        "published": found.published.bound,
+        "corrected": found.corrected.bound,
+        "semidefinite": found.semidefinite.bound,
+        "falsified": falsify(system, budget=budget).worst_error,
+        "simulated": simulate(system).metrics.tail_error,
+    }, found.tube
+
+
+def _certificate_figure(runs: dict[str, Run], tubes: dict[str, Tube | None]) -> Figure:
+    """Certified tube over the response of every example, magnitudes on a logarithmic scale."""
+    with style():
+        made = Figure(figsize=(7.0, 5.0), layout="constrained")
+        for ax, (name, run) in zip(
+            made.subplots(2, 2, sharex=True).flat, runs.items(), strict=True
+        ):
+            ax.semilogy(run.t, np.maximum(np.abs(run.e[0]), 1e-7), label="$|e_1|$")
+            tube = tubes[name]
+            if tube is not None:
+                ax.semilogy(run.t, tube(run.t), "--", label="certified tube")
+                ax.set_ylim(0.02 * math.sqrt(tube.floor), 2 * math.sqrt(tube.start))
+            ax.set_title(name, loc="left")
+            ax.set_xlabel("time [s]")
+            ax.set_ylabel("tracking error")
+            ax.label_outer()
+            ax.legend(loc="upper right")
+    return made
 
 
 def figures(runs: dict[str, Run]) -> dict[str, Figure]:

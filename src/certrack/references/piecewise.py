@@ -8,6 +8,7 @@ step ever crosses a kink.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -57,8 +58,9 @@ class PiecewiseReference:
             return
         limit = checks.real("reference.bound", self.bound, above=0)
         object.__setattr__(self, "bound", limit)
-        corners = np.concatenate([self._knots[:-1], self._knots[1:] - 1e-12])
-        total = np.abs(self.values(corners, 1)).sum(axis=0).max()
+        inside = np.linspace(1e-9, 1 - 1e-9, 33)
+        points = self._knots[:-1, None] + np.diff(self._knots)[:, None] * inside
+        total = np.abs(self.values(points.ravel(), 1)).sum(axis=0).max()
         if total > limit * (1 + 1e-9):
             raise InputError("reference.bound", f"must bound |y_d| + |y_d'|, which is {total:.6g}")
 
@@ -174,11 +176,15 @@ def _evaluate(a: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 def _stationary(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
     """Roots of each row's quadratic, moved into the piece (any point of it is admissible)."""
-    c0, c1, c2 = slope[:, 0], slope[:, 1], slope[:, 2]
+    # in units of the piece's width and height, so that nothing under- or overflows
+    scaled = slope[:, :3] * width[:, None] ** np.arange(3)
+    scaled = scaled / np.maximum(np.abs(scaled).max(axis=1, keepdims=True), 1e-300)
+    c0, c1, c2 = scaled[:, 0], scaled[:, 1], scaled[:, 2]
     with np.errstate(all="ignore"):
         half = -(c1 + np.copysign(np.sqrt(np.maximum(c1**2 - 4 * c0 * c2, 0.0)), c1)) / 2
         roots = (half / c2, c0 / half)
-    return [np.clip(np.nan_to_num(root, posinf=0.0, neginf=0.0), 0.0, width) for root in roots]
+    finite = (np.nan_to_num(root, nan=0.0, posinf=0.0, neginf=0.0) for root in roots)
+    return [width * np.clip(root, 0.0, 1.0) for root in finite]
 
 
 def trapezoid(
@@ -269,6 +275,8 @@ def steps(
     knots: list[float] = []
     rows: list[tuple[float, ...]] = []
     for i, (begin, a, b) in enumerate(zip(times, levels[:-1], levels[1:], strict=True)):
+        if knots and abs(begin - knots[-1]) <= 1e-9 * max(1.0, abs(begin)):
+            begin = knots[-1]  # contiguous moves, up to rounding
         if knots and begin < knots[-1]:
             raise InputError(
                 f"reference.times[{i}]",
@@ -320,17 +328,29 @@ def samples(
         i = int(late[0]) + 1
         raise InputError(f"reference.times[{i}]", "times must increase", times[i])
     if interpolation == "cubic":
-        slopes = CubicSpline(t, y, bc_type="clamped")(t, 1)
+        slopes = _slopes(lambda: CubicSpline(t, y, bc_type="clamped")(t, 1))
     else:
-        slopes = PchipInterpolator(t, y)(t, 1)
+        slopes = _slopes(lambda: PchipInterpolator(t, y)(t, 1))
         slopes[[0, -1]] = 0.0
     width, rise = np.diff(t), np.diff(y)
     a1, b1 = slopes[:-1], slopes[1:]
     a2 = (3 * rise / width - 2 * a1 - b1) / width  # cubic Hermite
     a3 = (a1 + b1 - 2 * rise / width) / width**2
+    if not all(np.isfinite(part).all() for part in (a1, a2, a3)):
+        raise InputError("reference.times", "must not be so close that the slopes overflow")
     rows = tuple(map(tuple, np.column_stack([y[:-1], a1, a2, a3]).tolist()))
     fields = _fields("samples", times=list(times), values=list(values), interpolation=interpolation)
     return PiecewiseReference(times, rows, 2, None, fields, bound)
+
+
+def _slopes(compute: Callable[[], np.ndarray]) -> np.ndarray:
+    try:
+        with np.errstate(all="ignore"):
+            return np.array(compute())
+    except (ValueError, ArithmeticError):
+        raise InputError(
+            "reference.times", "must not be so close that the slopes overflow"
+        ) from None
 
 
 def _fields(kind: str, **values: Any) -> tuple[tuple[str, Any], ...]:

@@ -24,6 +24,8 @@ def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:
     -------
     bound, exact : float, bool
     """
+    if not 0 < _terms(expr) <= MAX_TERMS:
+        return None
     offset = sympy.S.Zero
     amplitude: dict[sympy.Expr, list[sympy.Expr]] = defaultdict(lambda: [sympy.S.Zero] * 2)
     products = sympy.expand(TR8(sympy.expand(expr)))  # products of sinusoids become sums
@@ -51,6 +53,27 @@ def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:
     return _upper(total), len(amplitude) <= 1
 
 
+#: Expanding powers of sums of sinusoids beyond this many terms takes too long.
+MAX_TERMS = 200
+
+
+def _terms(expr: sympy.Expr) -> int:
+    """Number of sinusoids that expanding gives; 0 if `expr` is not made of them."""
+    if not expr.has(TIME):
+        return 1
+    if isinstance(expr, (sympy.sin, sympy.cos)):
+        return 1 if expr.args[0].is_polynomial(TIME) else 0
+    if isinstance(expr, sympy.Add):
+        parts = [_terms(arg) for arg in expr.args]
+        return sum(parts) if all(parts) else 0
+    if isinstance(expr, sympy.Mul):
+        return math.prod(_terms(arg) for arg in expr.args)
+    if isinstance(expr, sympy.Pow) and expr.exp.is_Integer and 0 < expr.exp <= 16:
+        inside = _terms(expr.base)
+        return min(10**6, max(inside, 2) ** int(expr.exp)) if inside else 0
+    return 0
+
+
 def interval_supremum(expr: sympy.Expr) -> float | None:
     """Upper bound of |expr| over t in [0, inf) by interval arithmetic, or None."""
     try:
@@ -63,9 +86,9 @@ def interval_supremum(expr: sympy.Expr) -> float | None:
 
 def _upper(value: sympy.Expr) -> float:
     """The number as a float, rounded up."""
-    exact = sympy.N(value, 40)
+    exact = sympy.N(value, 80)
     as_float = float(exact)
-    while sympy.Float(as_float, 60) < exact:
+    while sympy.Float(as_float, 80) < exact:
         as_float = math.nextafter(as_float, math.inf)
     return as_float
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,10 +12,14 @@ import sympy
 
 from certrack import checks
 from certrack.errors import InputError
-from certrack.expressions import TIME, Expression, derivative, parse, symbol
+from certrack.expressions import TIME, Expression, derivative, number, parse, symbol
 from certrack.lowering import numpy_callable, rows
-from certrack.references.base import Bounds
+from certrack.references.base import Bounds, require_order
 from certrack.references.supremum import interval_supremum, sinusoid_supremum
+
+#: Functions that may jump, and functions that may have a kink.
+JUMPING = (sympy.sign, sympy.tan, sympy.atan2)
+KINKED = (sympy.Abs, sympy.Min, sympy.Max, sympy.asin, sympy.acos)
 
 CHECK_TIMES = np.concatenate([np.linspace(0, 100, 10_001), np.geomspace(100, 1e4, 2_000)])
 
@@ -40,19 +43,18 @@ class SymbolicReference:
     signal: Expression
     bound: float | None = None
     declared: tuple[float, ...] | None = None
-    constants: tuple[tuple[str, float], ...] = ()
+    constants: tuple[tuple[str, Expression], ...] = ()
 
     def __post_init__(self) -> None:
-        given = self.constants
-        pairs = tuple(given.items() if isinstance(given, Mapping) else given)
-        known = dict(pairs)
-        signal = parse("reference.signal", self.signal, ["t", *known])
-        if signal.expr.has(sympy.sign):
+        given = dict(self.constants)
+        pairs = tuple((k, number(f"reference.constants.{k}", v)) for k, v in given.items())
+        signal = parse("reference.signal", self.signal, ["t", *given])
+        if signal.expr.has(*JUMPING):
             raise InputError(
                 "reference.signal",
-                "must be continuous, sign() jumps",
+                "must be continuous, but sign, tan and atan2 may jump",
                 signal.text,
-                'Use kind = "steps" with a slope limit',
+                'Use kind = "steps" with a slope limit, or kind = "samples"',
             )
         object.__setattr__(self, "constants", pairs)
         object.__setattr__(self, "signal", signal)
@@ -94,7 +96,9 @@ class SymbolicReference:
 
     @property
     def order(self) -> float:
-        return 1.0 if self.signal.expr.has(sympy.Abs, sympy.Min, sympy.Max) else math.inf
+        """Infinite for analytic formulas; 1 where a function may have a kink."""
+        roots = any(not node.exp.is_Integer for node in self.signal.expr.atoms(sympy.Pow))
+        return 1.0 if roots or self.signal.expr.has(*KINKED) else math.inf
 
     @property
     def piece_symbols(self) -> tuple[sympy.Symbol, ...]:
@@ -112,7 +116,7 @@ class SymbolicReference:
 
     @property
     def parameter_values(self) -> tuple[float, ...]:
-        return tuple(value for _, value in self.constants)
+        return tuple(float(value.expr) for _, value in self.constants)
 
     def formulas(self, order: int) -> tuple[sympy.Expr, ...]:
         names = {symbol(name): symbol(f"ref_{name}") for name, _ in self.constants}
@@ -126,8 +130,12 @@ class SymbolicReference:
 
     def _numeric(self, order: int) -> tuple[sympy.Expr, ...]:
         """y_d ... y_d^(order) with the constants put in."""
-        exact = {symbol(name): sympy.Rational(repr(value)) for name, value in self.constants}
-        return self._derivatives(self.signal.expr.xreplace(exact), order)
+        return self._derivatives(self.numeric, order)
+
+    @property
+    def numeric(self) -> sympy.Expr:
+        """The signal with the constants put in, exactly."""
+        return self.signal.expr.xreplace({symbol(k): value.expr for k, value in self.constants})
 
     def values(self, t: np.ndarray, order: int) -> np.ndarray:
         key = ("values", order)
@@ -141,6 +149,7 @@ class SymbolicReference:
         return {}
 
     def bounds(self, order: int) -> Bounds:
+        require_order(self, order, "the bound asked for")
         values, origin = [], []
         for i, formula in enumerate(self._numeric(order)):
             if self.declared is not None and i < len(self.declared):

@@ -1,0 +1,65 @@
+"""Two arithmetics with the same formulas: floats, and exact rationals (python-flint)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import flint
+import numpy as np
+import sympy
+
+from certrack.expressions import Expression
+
+#: Turns a number or formula into the arithmetic at hand: :func:`rational` or :func:`decimal`.
+Number = Callable[[Any], Any]
+
+
+def rational(value: Any) -> Any:
+    """Exact rational of a number's decimal text (floats), of a formula, or of a Fraction."""
+    if isinstance(value, Expression):
+        value = value.expr
+    if isinstance(value, sympy.Rational):
+        return flint.fmpq(int(value.p), int(value.q))
+    if isinstance(value, (float, np.floating, sympy.Expr)):  # an irrational by its float
+        value = Fraction(repr(float(value)))
+    exact = Fraction(value)
+    return flint.fmpq(exact.numerator, exact.denominator)
+
+
+def decimal(value: Any) -> Any:
+    """Float of a number or formula."""
+    return float(value.expr if isinstance(value, Expression) else value)
+
+
+def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution of a linear system in the arithmetic of its arguments."""
+    if matrix.dtype != object:
+        return np.linalg.solve(matrix, right)
+    a = flint.fmpq_mat([list(row) for row in matrix])
+    columns = right if right.ndim == 2 else right[:, None]
+    b = flint.fmpq_mat([[flint.fmpq(v) for v in row] for row in columns])
+    found = np.array(a.solve(b).tolist(), dtype=object).reshape(columns.shape)
+    return found if right.ndim == 2 else found[:, 0]
+
+
+def positive_definite(matrix: np.ndarray) -> bool:
+    """Exact for rationals: every pivot of the LDL^T factorisation is positive."""
+    if matrix.dtype != object:
+        return bool(np.linalg.eigvalsh(matrix).min() > 0) if len(matrix) else True
+    rows = matrix.copy()
+    for k in range(len(rows)):
+        pivot = rows[k, k]
+        if not pivot > 0:
+            return False
+        factor = rows[k + 1 :, k] / pivot
+        rows[k + 1 :, k + 1 :] -= factor[:, None] * rows[None, k, k + 1 :]
+    return True
+
+
+def upper(bound: float, number: Number) -> Any:
+    """A bound as the exact value of its float, which was rounded up."""
+    if number is rational:
+        return flint.fmpq(*float(bound).as_integer_ratio())
+    return bound
