@@ -51,7 +51,7 @@ def test_programs_run(page, tmp_path):
 def test_toml_parses_and_links_exist(page):
     for text in blocks(page, "toml"):
         tomllib.loads(text)
-    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text()):
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)", page.read_text()):
         assert (page.parent / target).exists(), target
 
 

@@ -198,7 +198,7 @@ def best_solution(program: Program) -> Solution | None:
 
 def _natural_scale(problem: ErrorProblem) -> np.ndarray:
     """Typical size of each e_i under unit inputs: root of the Gramian's diagonal."""
-    inputs = np.hstack([problem.Ua, problem.Ub, problem.Uy, problem.Xy])
+    inputs = np.hstack([problem.Ua, problem.Ub, problem.Uy])
     drive = inputs @ inputs.T
     weight = float(np.trace(drive)) or 1.0
     drive = drive + 1e-6 * weight * np.eye(problem.n)
