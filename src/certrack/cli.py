@@ -212,8 +212,8 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
     system = load(file)
     _note_violations(system)
     found = certificates.certify(system)
-    if out is not None and found.proof is not None:
-        certificates.save_certificate(system, found.proof, out)
+    if out is not None and found.stages:
+        certificates.save_certificate(system, found.stages, out)
     if plot is not None and found.tube is not None:
         from certrack import plotting
         from certrack.simulation import simulate as run_system

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import flint
 
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.cascade import certify_cascade
 from certrack.certificates.certificate import Certificate, NoCertificate, missing
-from certrack.certificates.exact import Proof, from_text, prove
+from certrack.certificates.exact import Proof, float_up, from_text, prove
 from certrack.certificates.problem import ErrorProblem, assumptions, error_problem
 from certrack.certificates.published import certify_published, critical_strength
 from certrack.certificates.semidefinite import Program, best_solution
@@ -24,9 +24,9 @@ class Certificates:
 
     Attributes
     ----------
-    published, corrected, rate, semidefinite : Certificate
-    proof : Proof or None
-        The exactly verified numbers behind the semidefinite bound.
+    published, corrected, rate, semidefinite, cascade : Certificate
+    proof, cascade_proof
+        The exactly verified numbers behind the semidefinite bound and the cascade.
     critical_published, critical_semidefinite : float
         Largest common scale of tau with a certificate; the second is verified exactly.
     tube : Tube or None
@@ -37,7 +37,9 @@ class Certificates:
     corrected: Certificate
     rate: Certificate
     semidefinite: Certificate
+    cascade: Certificate
     proof: Proof | None
+    cascade_proof: tuple[Proof, Proof] | None
     critical_published: float
     critical_semidefinite: float
     tube: Tube | None
@@ -45,7 +47,15 @@ class Certificates:
     @property
     def best(self) -> Certificate:
         """The tightest sound certificate."""
-        return min((self.corrected, self.rate, self.semidefinite), key=lambda c: c.bound)
+        sound = (self.semidefinite, self.cascade, self.rate, self.corrected)
+        return min(sound, key=lambda c: c.bound)
+
+    @property
+    def stages(self) -> tuple[Proof, ...]:
+        """Proof of the tightest verified bound: one stage, or the two of the cascade."""
+        if self.cascade_proof is not None and self.cascade.bound < self.semidefinite.bound:
+            return self.cascade_proof
+        return () if self.proof is None else (self.proof,)
 
 
 def certify(system: System) -> Certificates:
@@ -67,10 +77,13 @@ def certify(system: System) -> Certificates:
     """
     classical = certify_published(system)
     semidefinite, proof = certify_semidefinite(system)
+    cascade, cascade_proof = certify_cascade(system)
     return Certificates(
         **classical,
         semidefinite=semidefinite,
+        cascade=cascade,
         proof=proof,
+        cascade_proof=cascade_proof,
         critical_published=critical_strength(system),
         critical_semidefinite=critical_semidefinite(system),
         tube=None if proof is None else tube(system, proof),
@@ -81,7 +94,8 @@ def best_sound_bound(system: System) -> float:
     """The tightest sound bound on limsup |e_1|; inf if there is none."""
     classical = certify_published(system)
     semidefinite, _ = certify_semidefinite(system)
-    return min(classical["rate"].bound, semidefinite.bound)
+    cascade, _ = certify_cascade(system)
+    return min(classical["rate"].bound, semidefinite.bound, cascade.bound)
 
 
 def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
@@ -102,7 +116,7 @@ def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
             )
     except NoCertificate as problem:
         return missing("semidefinite", str(problem)), None
-    bound = _float_up(from_text(proof.bound))
+    bound = float_up(from_text(proof.bound))
     alpha = float(from_text(proof.alpha))
     rests = tuple(assumptions(system))
     delta = bound**2 * alpha / 2
@@ -147,11 +161,3 @@ def _provable(exact: ErrorProblem, strength: float) -> bool:
         return False
     found = program.solve(1e-3 * program.fastest)
     return found is not None and prove(scaled, found) is not None
-
-
-def _float_up(value: Any) -> float:
-    """Smallest float not below a rational."""
-    near = float(value)
-    while flint.fmpq(*near.as_integer_ratio()) < value:
-        near = math.nextafter(near, math.inf)
-    return near

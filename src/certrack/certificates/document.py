@@ -9,11 +9,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, check, from_text
 from certrack.certificates.problem import assumptions, error_problem
@@ -48,22 +50,30 @@ class Verdict:
     assumptions: tuple[str, ...]
 
 
-def to_document(system: System, proof: Proof) -> dict[str, Any]:
-    """The certificate as a JSON-ready dictionary."""
+def to_document(system: System, *stages: Proof) -> dict[str, Any]:
+    """The certificate as a JSON-ready dictionary.
+
+    Parameters
+    ----------
+    system : System
+    *stages : Proof
+        One for a semidefinite bound, two for a cascade.
+    """
+    proof = stages[-1]
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
         "claim": f"limsup |e_1(t)| <= {proof.bound}",
         "assumptions": assumptions(system),
         "system": to_text(system),
-        "proof": json.loads(json.dumps(asdict(proof))),
+        "proof": [json.loads(json.dumps(asdict(stage))) for stage in stages],
     }
     return body | {"sha256": _digest(body)}
 
 
-def save_certificate(system: System, proof: Proof, path: str | os.PathLike[str]) -> None:
+def save_certificate(system: System, stages: Sequence[Proof], path: str | os.PathLike[str]) -> None:
     """Write the certificate whole or not at all."""
-    write_text(Path(path), json.dumps(to_document(system, proof), indent=1) + "\n")
+    write_text(Path(path), json.dumps(to_document(system, *stages), indent=1) + "\n")
 
 
 def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
@@ -77,7 +87,8 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     name = "certificate" if isinstance(source, dict) else str(source)
     try:
         body = source if isinstance(source, dict) else _read(Path(source))
-        proof = _proof(body)
+        stages = _stages(body)
+        proof = stages[-1]
         if body["sha256"] != _digest(body):
             return Verdict(False, proof.bound, "the file was changed after it was made", ())
         system = loads(body["system"], "system")
@@ -86,7 +97,7 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
             return Verdict(False, proof.bound, "the assumptions are not those of the system", ())
         if body["claim"] != f"limsup |e_1(t)| <= {proof.bound}":
             return Verdict(False, proof.bound, "the claim is not that of the proof", ())
-        reason = check(problem, proof)
+        reason = check(problem, proof) if len(stages) == 1 else check_cascade(problem, *stages)
     except NoCertificate as found:
         return Verdict(False, "", str(found), ())
     except InputError as found:
@@ -110,17 +121,23 @@ def _read(path: Path) -> dict[str, Any]:
     return body if isinstance(body, dict) else {}
 
 
-def _proof(body: dict[str, Any]) -> Proof:
+def _stages(body: dict[str, Any]) -> tuple[Proof, ...]:
+    """The proof's one or two stages, well formed."""
     if not isinstance(body, dict) or tuple(sorted(body)) != tuple(sorted(KEYS)):
         raise InputError("", "is not a certificate: it must have " + ", ".join(KEYS))
     if body["format"] != FORMAT:
         raise InputError("format", f"must be {FORMAT}", body["format"])
-    entries = body["proof"]
+    if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
+        raise InputError("", "is not a certificate: texts expected")
+    if not isinstance(body["proof"], list) or len(body["proof"]) not in (1, 2):
+        raise InputError("proof", "must be a list of one or two stages")
+    return tuple(_proof(entries) for entries in body["proof"])
+
+
+def _proof(entries: Any) -> Proof:
     names = ("alpha", "P", "lam", "nu", "k", "bound")
     if not isinstance(entries, dict) or set(entries) != set(names):
         raise InputError("proof", "must have " + ", ".join(names))
-    if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
-        raise InputError("", "is not a certificate: texts expected")
     try:
         vectors = {name: _texts(entries[name]) for name in ("lam", "nu", "k")}
         rows = tuple(_texts(row) for row in entries["P"])

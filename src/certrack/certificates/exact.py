@@ -45,7 +45,7 @@ class Proof:
     bound: str
 
 
-def prove(problem: ErrorProblem, found: Solution) -> Proof | None:
+def prove(problem: ErrorProblem, found: Solution, target: int = 0) -> Proof | None:
     """Round `found` so that exact arithmetic confirms it; None if that does not succeed.
 
     Parameters
@@ -54,6 +54,8 @@ def prove(problem: ErrorProblem, found: Solution) -> Proof | None:
         In exact rationals.
     found : Solution
         What the solver returned.
+    target : int
+        Which e_i is bounded (from 0).
     """
     for slack in BACK_OFF:
         scale = 1 + slack
@@ -66,13 +68,13 @@ def prove(problem: ErrorProblem, found: Solution) -> Proof | None:
         )
         alpha = _text(found.alpha * (1 - slack))
         proof = Proof(alpha, texts, lam, nu, k, "0")
-        square = squared_bound(problem, proof)
+        square = squared_bound(problem, proof, target)
         if square is not None:
             return Proof(alpha, texts, lam, nu, k, _root_up(square))
     return None
 
 
-def check(problem: ErrorProblem, proof: Proof) -> str:
+def check(problem: ErrorProblem, proof: Proof, target: int = 0) -> str:
     """Empty if the proof holds for the (exact) problem, else the first condition that fails."""
     P, lam, nu, k, alpha, bound = _numbers(proof)
     n, counts = problem.n, problem.counts
@@ -90,9 +92,9 @@ def check(problem: ErrorProblem, proof: Proof) -> str:
     if leak is None:
         return "alpha exceeds what the leakage allows"
     floor = P.copy()
-    floor[0, 0] -= 1
+    floor[target, target] -= 1
     if not positive_definite(floor):
-        return "P - e_1 e_1^T is not positive definite"
+        return f"P - e_{target + 1} e_{target + 1}^T is not positive definite"
     if not positive_definite(-problem.inequality(P, lam, nu, k, alpha)):
         return "the matrix inequality does not hold"
     square = 2 * _delta(problem, P, nu, k, leak) / alpha
@@ -101,12 +103,12 @@ def check(problem: ErrorProblem, proof: Proof) -> str:
     return ""
 
 
-def squared_bound(problem: ErrorProblem, proof: Proof) -> Any:
+def squared_bound(problem: ErrorProblem, proof: Proof, target: int = 0) -> Any:
     """2 Delta/alpha as an exact rational, or None if a condition fails."""
     P, lam, nu, k, alpha, _ = _numbers(proof)
     leak = problem.leakage(alpha)
     floor = P.copy()
-    floor[0, 0] -= 1
+    floor[target, target] -= 1
     if leak is None or not positive_definite(floor):
         return None
     if not positive_definite(-problem.inequality(P, lam, nu, k, alpha)):
@@ -152,3 +154,11 @@ def _root_up(square: Any) -> str:
     scaled = exact * 10 ** (2 * places)
     root = math.isqrt(scaled.numerator // scaled.denominator) + 1
     return f"{root}e-{places}"
+
+
+def float_up(value: Any) -> float:
+    """Smallest float not below a rational."""
+    near = float(value)
+    while flint.fmpq(*near.as_integer_ratio()) < value:
+        near = math.nextafter(near, math.inf)
+    return near

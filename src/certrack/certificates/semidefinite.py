@@ -55,10 +55,12 @@ class Program:
     ----------
     problem : ErrorProblem
         In floats.
+    target : int
+        Which e_i is to be bounded (from 0): P >= e_i e_i^T.
     """
 
-    def __init__(self, problem: ErrorProblem) -> None:
-        self.problem = problem
+    def __init__(self, problem: ErrorProblem, target: int = 0) -> None:
+        self.problem, self.target = problem, target
         self._scale = _natural_scale(problem)
         self._reach = float(np.linalg.norm(problem.Xe * self._scale)) or 1.0
         self._scaled = _rescaled(problem, self._scale, self._reach)
@@ -70,7 +72,7 @@ class Program:
         self._size = size
         identity = np.eye(len(self._entries) + sum(problem.counts))
         unit = np.zeros((n, n))
-        unit[0, 0] = 1.0
+        unit[target, target] = 1.0
         floor = np.zeros((n * (n + 1) // 2, len(identity)))
         for column, matrix in enumerate(self._matrices()):
             floor[:, column] = -_svec(matrix)
@@ -163,7 +165,7 @@ class Program:
     def _unscaled(self, x: np.ndarray, alpha: float, leak: Any) -> Solution:
         n, count = self.problem.n, len(self._entries)
         P = np.zeros((n, n))
-        x = x * self._scale[0] ** 2
+        x = x * self._scale[self.target] ** 2
         for (i, j), value in zip(self._entries, x[:count], strict=True):
             P[i, j] = P[j, i] = value / (self._scale[i] * self._scale[j])
         lam, nu, k = np.split(np.maximum(x[count:], 0.0), [self._na, self._na + self._nb])

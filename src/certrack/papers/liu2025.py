@@ -110,6 +110,7 @@ def _bounds(system: System, budget: int) -> tuple[dict[str, float], Tube | None]
         "published": found.published.bound,
         "corrected": found.corrected.bound,
         "semidefinite": found.semidefinite.bound,
+        "tightest": found.best.bound,
         "falsified": falsify(system, budget=budget).worst_error,
         "simulated": simulate(system).metrics.tail_error,
     }, found.tube
