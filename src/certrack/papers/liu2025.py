@@ -131,7 +131,6 @@ def _certificate_figure(runs: dict[str, Run], tubes: dict[str, Tube | None]) -> 
             ax.set_title(name, loc="left")
             ax.set_xlabel("time [s]")
             ax.set_ylabel("tracking error")
-            ax.label_outer()
             ax.legend(loc="upper right")
     return made
 
