@@ -22,7 +22,7 @@ from certrack.certificates import (
     to_document,
 )
 from certrack.certificates.arithmetic import decimal, positive_definite, rational
-from certrack.certificates.cascade import check_cascade
+from certrack.certificates.cascade import certify_cascade, check_cascade
 from certrack.certificates.document import _digest, verify
 from certrack.certificates.exact import Proof, check, prove
 from certrack.certificates.problem import error_problem
@@ -442,18 +442,48 @@ def test_cascade_is_tighter_sound_and_verified(tmp_path):
     found = certify(system)
     assert found.cascade.verified
     assert found.best is found.cascade
-    assert found.cascade.bound < 0.7 * found.semidefinite.bound
-    assert found.cascade.bound <= 0.0930
+    assert found.cascade.bound <= 0.0787
     save_certificate(system, found.stages, tmp_path / "cert.json")
     assert verify(tmp_path / "cert.json").verified
-    last, first = found.cascade_proof
     problem = error_problem(system, rational)
-    assert check_cascade(problem, last, first) == ""
+    reached, centred, first = found.cascade_proof
+    assert check_cascade(system, problem, found.cascade_proof) == ""
+    assert check_cascade(system, problem, (reached, first)) != ""  # the middle stage is needed
     for mutant in ("P smaller", "alpha smaller", "bound smaller", "k smaller"):
-        assert check_cascade(problem, MUTANTS[mutant](last), first) != "", mutant
-        assert check_cascade(problem, last, MUTANTS[mutant](first)) != "", mutant
-    run = simulate(system, duration=60)  # the first step bounds e_2
-    assert np.abs(run.e[1][run.t > 40]).max() <= float(last.bound)
+        for place in range(3):
+            stages = list(found.cascade_proof)
+            stages[place] = MUTANTS[mutant](stages[place])
+            assert check_cascade(system, problem, stages) != "", (mutant, place)
+    shifted = replace(centred, shift="0.0")
+    assert check_cascade(system, problem, (reached, shifted, first)) != ""
+    run = simulate(system, duration=60)  # the middle stage bounds e_2
+    assert np.abs(run.e[1][run.t > 40]).max() <= float(centred.bound)
+
+
+def test_centred_energy_falls_as_proven_on_the_worst_run_found():
+    """V' <= -alpha V + Delta with V centred by kappa, differentiated along a hostile run."""
+    system = certrack.load("example1")
+    _, (_, centred, _) = certify_cascade(system)
+    worst = falsify(system, budget=600).system
+    run = simulate(worst, tolerance=1e-12)
+    kappa, alpha = float(centred.shift), float(centred.alpha)
+    P = np.array(centred.P, dtype=float)
+    delta = float(centred.bound) ** 2 * alpha / 2
+    t = np.linspace(worst.settings.tail, worst.settings.duration - 0.1, 4001)
+
+    def energy(t):
+        states = run.trajectory.interpolate(t)
+        found = system.controller.coordinates
+        e = found.A @ states[:2] - found.B @ worst.reference.values(t, 0)
+        about_delta = (1 - kappa) / 2.0 - states[2]
+        about_theta = (1 + kappa) * 2.0 - states[3]
+        estimates = 2.0 * about_delta**2 / 2 + about_theta**2 / 2  # g = 2, gbar = Gamma = 1
+        return ((P @ e) * e).sum(axis=0) / 2 + P[-1, -1] * estimates
+
+    h = 1e-4
+    slope = (energy(t + h) - energy(t - h)) / (2 * h)
+    assert np.all(slope <= -alpha * energy(t) + delta + 1e-6)
+    assert np.all(energy(t) <= delta / alpha)
 
 
 def test_cascade_is_for_the_adaptive_law():

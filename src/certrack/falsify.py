@@ -23,6 +23,7 @@ from scipy.optimize import differential_evolution, minimize
 
 from certrack.closed_loop import close_loop, parameter_values
 from certrack.errors import InputError
+from certrack.integrators.base import Outcome
 from certrack.integrators.batch import BatchIntegrator
 from certrack.integrators.taylor import available
 from certrack.plant import Truth
@@ -51,7 +52,7 @@ class Falsification:
     Attributes
     ----------
     worst_error : float
-        Largest |e_1| after the transient, replayed by the ordinary simulation.
+        Largest |e_1| after the transient, replayed by the ordinary simulation; inf if it escapes.
     system : System
         Replays it.
     evaluations : int
@@ -133,7 +134,12 @@ def falsify(
     best = min(candidates, key=lambda p: float(scores(p[:, None])[0]))
     case = hunt.case(best)
     replayed = simulate(case)
-    return Falsification(float(replayed.metrics.tail_error), case, spent)
+    worst = float(replayed.metrics.tail_error)
+    if replayed.outcome is Outcome.escaped:
+        worst = math.inf
+    elif math.isnan(worst):  # stopped before the tail: the run shows nothing
+        worst = 0.0
+    return Falsification(worst, case, spent)
 
 
 class _Hunt:
@@ -220,7 +226,8 @@ class _Hunt:
 
     def _omega(self, number: Callable[[str], str]) -> list[str]:
         plant, u = self.system.plant, self.system.plant.uncertainty
-        norm = "sqrt(" + " + ".join(f"{x}**2" for x in plant.states) + " + 1e-30)"
+        # smooth at zero, and never above ||x||
+        norm = "(sqrt(" + " + ".join(f"{x}**2" for x in plant.states) + " + 1e-8) - 1e-4)"
         terms = []
         for k in range(plant.n):
             if k not in self.active:
@@ -230,7 +237,6 @@ class _Hunt:
             for j, x in enumerate(plant.states):
                 pattern += f" + {number(f'adv_v{k}_{j}')}*{x}"
             limit = f"{u.gamma[k]!r}*{norm} + {u.beta[k]!r}" if u.gamma[k] else repr(u.beta[k])
-            # the root is a hair above ||x||; tanh stays a larger hair below one
             terms.append(f"0.999999*tanh({pattern})*({limit})")
         return terms
 

@@ -39,7 +39,7 @@ class Certificates:
     semidefinite: Certificate
     cascade: Certificate
     proof: Proof | None
-    cascade_proof: tuple[Proof, Proof] | None
+    cascade_proof: tuple[Proof, ...] | None
     critical_published: float
     critical_semidefinite: float
     tube: Tube | None

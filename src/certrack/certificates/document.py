@@ -97,7 +97,9 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
             return Verdict(False, proof.bound, "the assumptions are not those of the system", ())
         if body["claim"] != f"limsup |e_1(t)| <= {proof.bound}":
             return Verdict(False, proof.bound, "the claim is not that of the proof", ())
-        reason = check(problem, proof) if len(stages) == 1 else check_cascade(problem, *stages)
+        reason = (
+            check(problem, proof) if len(stages) == 1 else check_cascade(system, problem, stages)
+        )
     except NoCertificate as found:
         return Verdict(False, "", str(found), ())
     except InputError as found:
@@ -122,28 +124,27 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _stages(body: dict[str, Any]) -> tuple[Proof, ...]:
-    """The proof's one or two stages, well formed."""
+    """The proof's one to three stages, well formed."""
     if not isinstance(body, dict) or tuple(sorted(body)) != tuple(sorted(KEYS)):
         raise InputError("", "is not a certificate: it must have " + ", ".join(KEYS))
     if body["format"] != FORMAT:
         raise InputError("format", f"must be {FORMAT}", body["format"])
     if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
         raise InputError("", "is not a certificate: texts expected")
-    if not isinstance(body["proof"], list) or len(body["proof"]) not in (1, 2):
-        raise InputError("proof", "must be a list of one or two stages")
+    if not isinstance(body["proof"], list) or len(body["proof"]) not in (1, 2, 3):
+        raise InputError("proof", "must be a list of one to three stages")
     return tuple(_proof(entries) for entries in body["proof"])
 
 
 def _proof(entries: Any) -> Proof:
-    names = ("alpha", "P", "lam", "nu", "k", "bound")
+    names = ("alpha", "P", "lam", "nu", "k", "bound", "shift")
     if not isinstance(entries, dict) or set(entries) != set(names):
         raise InputError("proof", "must have " + ", ".join(names))
     try:
         vectors = {name: _texts(entries[name]) for name in ("lam", "nu", "k")}
         rows = tuple(_texts(row) for row in entries["P"])
-        return Proof(
-            _texts([entries["alpha"]])[0], rows, bound=_texts([entries["bound"]])[0], **vectors
-        )
+        alpha, bound, shift = _texts([entries[name] for name in ("alpha", "bound", "shift")])
+        return Proof(alpha, rows, vectors["lam"], vectors["nu"], vectors["k"], bound, shift)
     except (TypeError, ValueError) as problem:
         raise InputError("proof", f"must hold decimal texts ({problem})") from None
 

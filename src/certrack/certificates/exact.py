@@ -35,6 +35,8 @@ class Proof:
         Multipliers of the a-inputs, the b-inputs and the reference derivatives.
     bound : str
         Decimal with bound^2 >= 2 Delta/alpha.
+    shift : str
+        kappa of a centred stage.
     """
 
     alpha: str
@@ -43,6 +45,7 @@ class Proof:
     nu: tuple[str, ...]
     k: tuple[str, ...]
     bound: str
+    shift: str = "0"
 
 
 def prove(problem: ErrorProblem, found: Solution, target: int = 0) -> Proof | None:
@@ -70,7 +73,7 @@ def prove(problem: ErrorProblem, found: Solution, target: int = 0) -> Proof | No
         proof = Proof(alpha, texts, lam, nu, k, "0")
         square = squared_bound(problem, proof, target)
         if square is not None:
-            return Proof(alpha, texts, lam, nu, k, _root_up(square))
+            return Proof(alpha, texts, lam, nu, k, root_up(square))
     return None
 
 
@@ -145,7 +148,7 @@ def _text(value: float) -> str:
     return f"{value:.{DIGITS}g}"
 
 
-def _root_up(square: Any) -> str:
+def root_up(square: Any) -> str:
     """Decimal of 12 digits that is not below the square root of a rational."""
     exact = Fraction(int(square.p), int(square.q))
     if exact == 0:

@@ -43,6 +43,8 @@ class Adaptation:
     theta0 : (r,) array
     theta_box : r pairs
         Ends of the range of each theta_i (equal if it is taken as known).
+    shift : number
+        kappa of :mod:`certrack.certificates.centred`; 0 elsewhere.
     """
 
     gain_rate: Any
@@ -54,24 +56,26 @@ class Adaptation:
     gain_sign: int
     theta0: np.ndarray
     theta_box: tuple[tuple[Any, Any], ...]
+    shift: Any = 0
 
     def delta_offsets(self) -> list[tuple[Any, Any]]:
-        """Pairs |g_n|, delta - delta_0."""
-        return [(g, self.gain_sign / g - self.delta0) for g in self.gains]
+        """Pairs |g_n|, (1 - shift) delta - delta_0."""
+        return [(g, (1 - self.shift) * self.gain_sign / g - self.delta0) for g in self.gains]
 
     def theta_offsets(self, origin: np.ndarray | None = None) -> list[np.ndarray]:
-        """Values theta - theta_0 at the corners of the box that can maximise a convex form of
-        theta - origin (theta_0 if left out).
+        """Values (1 + shift) theta - theta_0 at the corners of the box that can be worst.
+
+        Worst for a convex form of theta - origin (theta_0 if left out).
 
         With diagonal Gamma the form is a sum of one term per coordinate, so each coordinate takes
         its own worst end: one corner. Otherwise all corners are listed.
         """
         centre = self.theta0 if origin is None else origin
+        box = [((1 + self.shift) * low, (1 + self.shift) * high) for low, high in self.theta_box]
         off_diagonal = self.Gamma - np.diag(np.diag(self.Gamma))
         if not (off_diagonal != 0).any():
             worst = [
-                max(pair, key=partial(_distance, c))
-                for pair, c in zip(self.theta_box, centre, strict=True)
+                max(pair, key=partial(_distance, c)) for pair, c in zip(box, centre, strict=True)
             ]
             return [np.array(worst, dtype=self.theta0.dtype) - self.theta0]
         if len(self.theta_box) > MAX_CORNERS:
@@ -79,7 +83,7 @@ class Adaptation:
                 f"a full Gamma with {len(self.theta_box)} parameters has too many corners; use a "
                 "diagonal Gamma"
             )
-        corners = product(*(dict.fromkeys(pair) for pair in self.theta_box))
+        corners = product(*(dict.fromkeys(pair) for pair in box))
         return [np.array(c, dtype=self.theta0.dtype) - self.theta0 for c in corners]
 
 
@@ -220,6 +224,7 @@ class ErrorProblem:
                 gain_sign=law.gain_sign,
                 theta0=law.theta0.astype(float),
                 theta_box=tuple((float(low), float(high)) for low, high in law.theta_box),
+                shift=float(law.shift),
             )
         return replace(self, **arrays, adaptation=law)
 
@@ -244,7 +249,7 @@ def error_problem(system: System, number: Number) -> ErrorProblem:
     plant = system.plant
     exact = number is rational
     dtype: Any = object if exact else float
-    found = _coordinates(system, number, dtype)
+    found = coordinates(system, number, dtype)
     n, q, A = plant.n, found.q, found.A
     u = plant.uncertainty
     tau, gamma, beta = ([number(v) for v in values] for values in (u.tau, u.gamma, u.beta))
@@ -338,7 +343,7 @@ def _irrational(system: System) -> list[str]:
     return [f"irrational numbers rounded to 17 digits: {', '.join(rounded)}"] if rounded else []
 
 
-def _coordinates(system: System, number: Number, dtype: Any) -> ErrorCoordinates:
+def coordinates(system: System, number: Number, dtype: Any) -> ErrorCoordinates:
     """The recursion in the arithmetic of `number`."""
     plant, gains = system.plant, system.law.gains()
     assert plant.linear is not None and gains.k is not None and gains.p is not None

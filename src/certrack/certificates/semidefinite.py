@@ -30,6 +30,9 @@ from certrack.certificates.problem import ErrorProblem
 
 GRID = 14
 
+#: What a search sees where there is no certificate: it cannot calculate with infinity.
+FAILED = 1e30
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -186,12 +189,12 @@ def best_solution(program: Program) -> Solution | None:
         alpha = math.exp(log_alpha)
         tried[alpha] = program.solve(alpha)
         found = tried[alpha]
-        return found.bound if found is not None else math.inf
+        return found.bound if found is not None else FAILED
 
     grid = np.log(program.fastest * np.append(np.geomspace(1e-3, 0.9, GRID), 0.98))
     values = [bound(v) for v in grid]
     i = int(np.argmin(values))
-    if math.isinf(values[i]):
+    if values[i] == FAILED:
         return None
     low, high = grid[max(0, i - 1)], grid[min(len(grid) - 1, i + 1)]
     minimize_scalar(bound, bounds=(low, high), method="bounded", options={"xatol": 2e-3})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Mapping
 from typing import Any
 
 import sympy
@@ -77,7 +78,7 @@ def _terms(expr: sympy.Expr) -> int:
 def interval_supremum(expr: sympy.Expr) -> float | None:
     """Upper bound of |expr| over t in [0, inf) by interval arithmetic, or None."""
     try:
-        found = _interval(expr)
+        found = interval(expr, {TIME: iv.mpf([0, "inf"])})
         bound = max(abs(mp.mpf(found.a)), abs(mp.mpf(found.b)))
     except (ArithmeticError, ValueError, TypeError, NotImplementedError):
         return None
@@ -116,21 +117,27 @@ def _tanh(x: Any) -> Any:
     return iv.mpf([max(value - slack, -1), min(value + slack, 1)])
 
 
-def _interval(expr: sympy.Expr) -> Any:
-    """Interval of `expr` over t >= 0; raises where a part is unbounded or undefined."""
-    if expr == TIME:
-        return iv.mpf([0, "inf"])
+def interval(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
+    """Interval of `expr` over a box of its symbols, rounded outward.
+
+    Raises
+    ------
+    ValueError, ArithmeticError
+        Where a part is unbounded, undefined, or has no rule.
+    """
+    if expr in box:
+        return box[expr]
     if expr.is_Number or expr.is_NumberSymbol:
         if expr.is_Rational:
             return iv.mpf(int(expr.p)) / iv.mpf(int(expr.q))
         value = mp.mpf(sympy.N(expr, 30))
         return iv.mpf([value - mp.mpf(2) ** -45, value + mp.mpf(2) ** -45])
     if isinstance(expr, (sympy.sin, sympy.cos)):
-        inner = _interval(expr.args[0])
+        inner = interval(expr.args[0], box)
         if mp.isinf(mp.mpf(inner.a)) or mp.isinf(mp.mpf(inner.b)):
             return iv.mpf([-1, 1])
         return (iv.sin if isinstance(expr, sympy.sin) else iv.cos)(inner)
-    parts = [_interval(arg) for arg in expr.args] if not isinstance(expr, sympy.Pow) else []
+    parts = [interval(arg, box) for arg in expr.args] if not isinstance(expr, sympy.Pow) else []
     if isinstance(expr, sympy.Add):
         total = parts[0]
         for part in parts[1:]:
@@ -151,13 +158,13 @@ def _interval(expr: sympy.Expr) -> Any:
     if type(expr) in _MONOTONE:
         return _MONOTONE[type(expr)](parts[0])
     if isinstance(expr, sympy.Pow):
-        return _power(expr)
+        return _power(expr, box)
     raise ValueError(f"no interval rule for {type(expr).__name__}")
 
 
-def _power(expr: sympy.Expr) -> Any:
+def _power(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
     base, exponent = expr.args
-    inside = _interval(base)
+    inside = interval(base, box)
     if exponent.is_Integer and exponent > 0:
         return _checked(inside ** int(exponent))
     if exponent.is_Rational and exponent.q == 2 and inside.a >= 0:
