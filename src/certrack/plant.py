@@ -6,6 +6,7 @@ x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n(t, x)                          
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -185,11 +186,9 @@ class Plant:
         )
 
     def _check_parameters(self, known: Mapping[str, Any]) -> None:
-        if (
-            np.ndim(self.gain_sign)
-            or isinstance(self.gain_sign, bool)
-            or self.gain_sign not in (1, -1)
-        ):
+        sign = self.gain_sign
+        whole = isinstance(sign, numbers.Real) and not isinstance(sign, bool)
+        if not whole or sign not in (1, -1):
             raise InputError("plant.gain_sign", "must be 1 or -1", self.gain_sign)
         if self.input_gain is not None:
             check_gain("plant.input_gain", self.input_gain, self.gain_sign, known)
