@@ -13,11 +13,6 @@ from certrack.expressions import MAX_MAGNITUDE, Expression, number
 Constants = Mapping[str, Any]
 
 
-def plural(count: int, thing: str) -> str:
-    """``1 number``, ``2 numbers``."""
-    return f"{count} {thing}" + ("" if count == 1 else "s")
-
-
 def sequence(key: str, value: Any, length: int | None, what: str) -> list[Any]:
     """A list of the given length (any length if None)."""
     is_list = isinstance(value, Iterable) and not isinstance(value, (str, bytes, Mapping))

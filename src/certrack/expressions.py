@@ -79,11 +79,6 @@ class Expression:
     def __str__(self) -> str:
         return self.text
 
-    @property
-    def is_zero(self) -> bool:
-        """Whether the formula is literally zero."""
-        return bool(self.expr == 0)
-
 
 def symbol(name: str) -> sympy.Symbol:
     """The real symbol every part of certrack uses for `name`."""

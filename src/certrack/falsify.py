@@ -316,10 +316,8 @@ class _Hunt:
             wave = np.sin(w[members] * self.times[1:, None] + p[members])
             bent = np.arcsin(shape[members] * wave) if self.q == 0 else wave
             error = np.abs(states[1:, 0] - a[members] * bent)
-            finite = np.isfinite(error).all(axis=0)
-            worst[members] = np.where(
-                finite, error.max(axis=0, where=np.isfinite(error), initial=0), 1e3
-            )
+            seen = np.nan_to_num(error, nan=0.0).max(axis=0)  # a run cut short shows what it has
+            worst[members] = np.where(escaped, ESCAPED, seen)
 
         self.batch.over_time(starts, parameters, self.times, look)
         return worst
