@@ -1,0 +1,73 @@
+"""Command line. Each verb loads, computes, prints; the work is done elsewhere.
+
+Results go to standard output (``--json`` for programs), diagnostics to standard error. Exit code 0
+means success, 2 bad input with one line that says what is wrong, 1 a run that did not finish.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import click
+
+from certrack.cli.files import design, list_systems, new
+from certrack.cli.papers import reproduce
+from certrack.cli.proofs import certify, falsify, verify
+from certrack.cli.runs import compare, simulate
+from certrack.errors import CertrackError, one_line
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="certrack")
+def cli() -> None:
+    """Design, certify, simulate and deploy tracking controllers for uncertain nonlinear systems.
+
+    FILE is a system file (TOML) or the name of a shipped system, see `certrack list`.
+
+    \b
+    Example: certrack simulate example1
+    """
+
+
+for verb in (list_systems, new, design, simulate, compare, certify, verify, falsify, reproduce):
+    cli.add_command(verb)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of the ``certrack`` command."""
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        sys.exit(_run(arguments))
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    try:
+        code = cli.main(
+            args=None if arguments is None else list(arguments),
+            prog_name="certrack",
+            standalone_mode=False,
+        )
+    except CertrackError as problem:
+        click.echo(f"certrack: {problem}", err=True)
+        return 2
+    except click.exceptions.NoArgsIsHelpError as problem:
+        click.echo(problem.format_message(), err=True)
+        return 2
+    except click.UsageError as problem:
+        where = f" (see {problem.ctx.command_path} --help)" if problem.ctx else ""
+        click.echo(f"certrack: {one_line(problem.format_message())}{where}", err=True)
+        return 2
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("certrack: interrupted", err=True)
+        return 130
+    except BrokenPipeError:  # the reader of our output went away
+        sys.stderr.close()
+        return 1
+    return code if isinstance(code, int) else 0
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    click.echo(f"certrack: note: {message}", err=True)

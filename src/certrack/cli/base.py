@@ -1,0 +1,47 @@
+"""What the verbs share: options, notes and exit codes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from certrack.run import Run
+    from certrack.system import System
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+def json_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add ``--json``."""
+    return click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")(command)
+
+
+def note_violations(system: System) -> None:
+    """Say where the file's omega breaks Assumption 1: no certificate covers such a run."""
+    from certrack.assumption import check_assumption_1
+
+    for violation in check_assumption_1(system):
+        click.echo(f"certrack: note: {violation}", err=True)
+
+
+def draw(runs: dict[str, Run], folder: Path, title: str) -> None:
+    """Every panel, and all of them together."""
+    from certrack import plotting
+
+    for name, panel in plotting.panels_for(runs).items():
+        plotting.save_figure(plotting.figure(panel, runs, title), folder, name)
+    plotting.save_figure(plotting.overview(runs, title), folder, "overview")
+
+
+def diagnose(run: Run) -> None:
+    """Notes to standard error; exit code 1 for a run that did not finish."""
+    for note in run.notes:
+        click.echo(f"certrack: note: {note}", err=True)
+    if run.outcome.name != "finished":
+        t = run.trajectory.end
+        click.echo(f"certrack: stopped at t = {t:.6g} s: {run.outcome.value}", err=True)
+        raise click.exceptions.Exit(1)

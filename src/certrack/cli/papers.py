@@ -1,0 +1,50 @@
+"""Verbs about published results: reproduce."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from certrack.cli.base import FOLDER, json_option
+
+
+@click.command()
+@click.option("--out", type=FOLDER, default=Path("reproduction"), show_default=True)
+@json_option
+def reproduce(out: Path, as_json: bool) -> None:
+    """Reproduce the paper: Figures 2 to 4, and every claim beside what is measured.
+
+    \b
+    Example: certrack reproduce --out reproduction
+    """
+    from dataclasses import asdict
+
+    from certrack import report
+    from certrack.papers import liu2025
+    from certrack.plotting import save_figure
+
+    log = report.console(error=True)
+    with log.status("Reproducing") as status:
+        found = liu2025.reproduce(status.update)
+        for name, figure in found.figures.items():
+            status.update(f"Writing {name}")
+            save_figure(figure, out, name)
+    summaries = {name: run.summary() for name, run in found.runs.items()}
+    values = {
+        "claims": [asdict(claim) for claim in found.claims],
+        "runs": summaries,
+        "bounds": found.bounds,
+        "figures": [str(out / f"{name}.png") for name in found.figures],
+    }
+    if as_json:
+        click.echo(report.to_json(values))
+        return
+    rows = [[c.where, c.statement, c.measured, c.verdict] for c in found.claims]
+    console = report.console()
+    console.print(report.metrics_table(summaries))
+    bounds = [[name, *entry.values()] for name, entry in found.bounds.items()]
+    columns = ["limsup |e_1|", *next(iter(found.bounds.values()))]
+    console.print(report.table("Certified, falsified and simulated error", columns, bounds))
+    console.print(report.table("Claims", ["where", "claim", "measured", "verdict"], rows))
+    click.echo(f"{len(found.figures)} figures (PNG and SVG) in {out}")
