@@ -14,12 +14,14 @@ __getattr__, __dir__, __all__ = _lazy.attach(
     submod_attrs={
         "backstepping": ["ErrorCoordinates", "Gains", "recursion"],
         "certificates": ["Certificates", "NoCertificate", "certify", "tube", "verify"],
+        "ensembles.ensemble": ["Ensemble", "ensemble"],
         "errors": ["CertrackError", "DesignError", "InputError", "MissingExtra"],
         "assumption": ["check_assumption_1"],
         "integrators.base": ["Outcome"],
         "laws": ["Adaptive", "Classic", "Law", "Robust"],
         "metrics": ["Metrics"],
         "plant": ["Plant", "Truth", "Uncertainty"],
+        "population": ["Distribution", "Population"],
         "references": [
             "SymbolicReference",
             "samples",

@@ -37,6 +37,8 @@ class ClosedLoop:
     rates : formulas, one per state
     u : formula
         The control input.
+    e_1 : formula
+        The tracking error.
     n : int
         Number of plant states; they come first.
     couplings : positions (i, j) of the b_ij that are not structurally zero
@@ -49,6 +51,7 @@ class ClosedLoop:
     parameters: tuple[sympy.Symbol, ...]
     rates: tuple[sympy.Expr, ...]
     u: sympy.Expr
+    e_1: sympy.Expr
     n: int
     couplings: tuple[tuple[int, int], ...]
     gain_names: tuple[str, ...]
@@ -99,6 +102,7 @@ def close_loop(system: System) -> ClosedLoop:
         parameters=tuple(parameter for group in groups for parameter in group),
         rates=tuple(rates),
         u=u,
+        e_1=e_1,
         n=n,
         couplings=couplings,
         gain_names=tuple(s.all_parameters),

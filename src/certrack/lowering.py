@@ -17,6 +17,26 @@ import sympy
 from certrack.expressions import TIME, derivative, without_minmax
 
 
+class Select(sympy.Function):
+    """select(a, b, yes, no) is `yes` where a > b, else `no`.
+
+    For compiled maps only: SymPy neither simplifies nor evaluates it, as it would a Piecewise.
+    """
+
+    nargs = 4
+    is_real = True
+
+
+def magnitude(value: sympy.Expr) -> sympy.Expr:
+    """|value| for compiled maps."""
+    return Select(value, 0, value, -value)
+
+
+def larger(a: sympy.Expr, b: sympy.Expr) -> sympy.Expr:
+    """max(a, b) for compiled maps."""
+    return Select(a, b, a, b)
+
+
 def numpy_callable(
     arguments: Sequence[Any], formulas: Sequence[sympy.Expr]
 ) -> Callable[..., list[Any]]:
@@ -63,15 +83,19 @@ def extract_switches(
     return found, [(symbol, inside) for inside, symbol in switches.items()]
 
 
-def to_heyoka(formulas: Sequence[sympy.Expr], known: Mapping[sympy.Symbol, Any]) -> list[Any]:
-    """heyoka expressions of smooth formulas.
+def to_heyoka(
+    formulas: Sequence[sympy.Expr], known: Mapping[sympy.Symbol, Any], *, kinks: bool = False
+) -> list[Any]:
+    """heyoka expressions of formulas.
 
     Parameters
     ----------
     formulas : sequence of sympy.Expr
-        Without abs, sign, min and max (see :func:`extract_switches`).
+        Without abs, sign, min and max (see :func:`extract_switches`) unless `kinks`.
     known : mapping
         heyoka expression of every symbol except time.
+    kinks : bool
+        Lower kinks to selections: for maps that are evaluated, not for Taylor series.
     """
     import heyoka as hy
 
@@ -102,11 +126,30 @@ def to_heyoka(formulas: Sequence[sympy.Expr], known: Mapping[sympy.Symbol, Any])
                 root = _integer_power(hy, hy.sqrt(build(base)), abs(int(exponent.p)))
                 return root if exponent > 0 else 1.0 / root
             return build(base) ** float(exponent)
+        if kinks and type(expr) in SELECTIONS:
+            return SELECTIONS[type(expr)](hy, *(build(arg) for arg in expr.args))
         if type(expr) in functions:
             return functions[type(expr)](*(build(arg) for arg in expr.args))
         raise TypeError(f"no heyoka form of {type(expr).__name__}")
 
     return [build(formula) for formula in formulas]
+
+
+def _extreme(hy: Any, first: Any, *rest: Any, largest: bool) -> Any:
+    for other in rest:
+        above = hy.gt(first, other)
+        first = hy.select(above, first, other) if largest else hy.select(above, other, first)
+    return first
+
+
+#: Kinked functions by selection.
+SELECTIONS: dict[Any, Callable[..., Any]] = {
+    sympy.Abs: lambda hy, a: hy.select(hy.gte(a, 0.0), a, -a),
+    sympy.sign: lambda hy, a: hy.select(hy.gt(a, 0.0), 1.0, hy.select(hy.lt(a, 0.0), -1.0, 0.0)),
+    sympy.Max: lambda hy, *args: _extreme(hy, *args, largest=True),
+    sympy.Min: lambda hy, *args: _extreme(hy, *args, largest=False),
+    Select: lambda hy, a, b, yes, no: hy.select(hy.gt(a, b), yes, no),
+}
 
 
 def _integer_power(hy: Any, base: Any, exponent: int) -> Any:

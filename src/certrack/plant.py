@@ -286,7 +286,7 @@ def check_gain(
     return gain
 
 
-def _within(key: str, value: float, box: tuple[float, float] | None, name: str) -> None:
+def check_within(key: str, value: float, box: tuple[float, float] | None, name: str) -> None:
     """Refuse a true value outside the range that the designer states."""
     if box is not None and not box[0] <= value <= box[1]:
         raise InputError(key, f"must lie in plant.ranges.{name} = [{box[0]:g}, {box[1]:g}]", value)
@@ -325,11 +325,11 @@ class Truth:
         others = tuple((name, number(f"truth.constants.{name}", v)) for name, v in pairs.items())
         known = {**plant.constant_values, **{name: value.expr for name, value in others}}
         gain = check_gain("truth.input_gain", self.input_gain, plant.gain_sign, known)
-        _within("truth.input_gain", gain, plant.input_gain_range, "input_gain")
+        check_within("truth.input_gain", gain, plant.input_gain_range, "input_gain")
         theta = checks.sequence("truth.theta", self.theta, plant.r, "one number per regressor")
         for i, box in enumerate(plant.theta_range or ()):
             value = checks.real(f"truth.theta[{i}]", theta[i], known)
-            _within(f"truth.theta[{i}]", value, box, "theta")
+            check_within(f"truth.theta[{i}]", value, box, "theta")
         given_omega = (0,) * plant.n if self.omega is None else self.omega
         omega = checks.sequence("truth.omega", given_omega, plant.n, "w_1 ... w_n, one per state")
         names = ["t", *plant.states, *known]

@@ -18,6 +18,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from certrack.certificates.tube import Tube
+from certrack.ensembles.ensemble import Ensemble
+from certrack.ensembles.statistics import LEVELS
 from certrack.errors import InputError
 from certrack.run import Run
 
@@ -177,6 +179,74 @@ def overview(runs: Runs, title: str = "") -> Figure:
     return made
 
 
+def ensemble_figures(found: Ensemble) -> dict[str, Figure]:
+    """Fan chart of error, states and input, and histograms of the metrics."""
+    return {"fan": fan_chart(found), "metrics": metric_histograms(found)}
+
+
+def fan_chart(found: Ensemble) -> Figure:
+    """Quantile bands of every signal against time."""
+    names, bands, t = found.signals, found.bands, found.t
+    units = found.system.plant.units or ("",) * (len(names) - 1)
+    shown = ((0, -1, "1 to 99 %", 0.14), (1, -2, "5 to 95 %", 0.22), (2, -3, "25 to 75 %", 0.34))
+    with style():
+        made = Figure(figsize=(6.5, 1.7 * len(names) + 0.4), layout="constrained")
+        axes = made.subplots(len(names), 1, sharex=True)
+        for i, (ax, name, unit_) in enumerate(zip(axes, names, [units[0], *units], strict=True)):
+            for low, high, label, alpha in shown:
+                ax.fill_between(
+                    t,
+                    bands[low, i],
+                    bands[high, i],
+                    color="#0b61a4",
+                    alpha=alpha,
+                    lw=0,
+                    label=label,
+                )
+            ax.plot(t, bands[len(LEVELS) // 2, i], color="#0b61a4", lw=1.0, label="median")
+            if i == 0 and found.limit is not None:
+                start = max(found.system.settings.tail_start, t[0])
+                for sense in (-1, 1):
+                    ax.plot([start, t[-1]], [sense * found.limit] * 2, "k--", lw=0.8)
+            ax.set_ylabel(_math(name) + (f" [{unit_}]" if unit_ not in ("", "1") else ""))
+            ax.margins(x=0.01)
+        axes[0].legend(ncols=4, loc="upper right")
+        axes[-1].set_xlabel("time [s]")
+        made.align_ylabels()
+        title = f"{found.system.title}: {found.members} members"
+        made.suptitle(title, fontsize=10, fontweight="bold")
+    return made
+
+
+#: Metrics with a histogram, and their labels.
+HISTOGRAMS = {
+    "tail_error": "tail error",
+    "settling_time": "settling time [s]",
+    "rms_error": "RMS error",
+    "peak_input": "peak input",
+}
+
+HISTOGRAM_BARS = 60
+
+
+def metric_histograms(found: Ensemble) -> Figure:
+    """Distribution of four metrics; the limit of the tail error is marked."""
+    with style():
+        made = Figure(figsize=(6.5, 4.2), layout="constrained")
+        for ax, (name, label) in zip(made.subplots(2, 2).ravel(), HISTOGRAMS.items(), strict=True):
+            tally = found.statistics.metrics[name]
+            if tally.counts.size:
+                ax.hist(tally.values, HISTOGRAM_BARS, weights=tally.counts, color="#0b61a4")
+            if name == "tail_error" and found.limit is not None:
+                ax.axvline(found.limit, color="k", ls="--", lw=0.8, label="limit")
+                ax.legend()
+            ax.set_xlabel(label)
+            ax.set_ylabel("members")
+        title = f"{found.system.title}: {found.members} members"
+        made.suptitle(title, fontsize=10, fontweight="bold")
+    return made
+
+
 def save_figure(made: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as PNG and SVG; returns the paths."""
     paths = [folder / f"{name}.{kind}" for kind in ("png", "svg")]
@@ -200,6 +270,8 @@ def _label(what: str, name: str, runs: Runs) -> str:
 
 def _math(name: str) -> str:
     """A state or estimate name in mathematical type where it has an index."""
+    if name in ("e_1", "u"):
+        return f"${name}$"
     if name == "delta_hat":
         return r"$\hat\delta$"
     if name.startswith("theta_hat_"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -13,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
+from certrack.ensembles.ensemble import Ensemble
 
 
 def to_json(values: Any) -> str:
@@ -83,6 +85,36 @@ def progress(what: str, total: int) -> Iterator[Callable[[int, float], None]]:
         yield advance
 
 
+@contextmanager
+def rate_progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Progress bar with rate and time left; yields a function of the work done and in all."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    rate = TextColumn("{task.fields[rate]}")
+    with Progress(
+        *columns, rate, TimeRemainingColumn(), console=console(error=True), transient=True
+    ) as bar:
+        task = bar.add_task(what, total=None, rate="")
+        begun: tuple[float, int] | None = None
+
+        def advance(done: int, total: int) -> None:
+            nonlocal begun
+            now = time.monotonic()
+            begun = begun or (now, done)
+            fresh, spent = done - begun[1], now - begun[0]
+            rate = f"{fresh / spent:,.0f}/s" if fresh and spent else ""
+            bar.update(task, completed=done, total=total, rate=rate)
+
+        yield advance
+
+
 METRIC_ROWS = {
     "settling_time": "settling time [s]",
     "tail_error": "tail error",
@@ -103,6 +135,40 @@ def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
     rows.append(["outcome", *(summary["outcome"] for summary in summaries.values())])
     rows.append(["integrator", *(summary["integrator"] for summary in summaries.values())])
     return table("", ["metric", *summaries], rows)
+
+
+def ensemble_table(found: Ensemble) -> Table:
+    """Quantiles of every metric."""
+    rows = []
+    for key, label in METRIC_ROWS.items():
+        entries = found.statistics.metrics[key].summary()
+        shown = [entries[name] for name in ("5%", "50%", "95%", "99%", "max")]
+        rows.append([label, *shown, entries["missing"]])
+    return table("", ["metric", "5%", "median", "95%", "99%", "largest", "none"], rows)
+
+
+def ensemble_notes(found: Ensemble, file: str) -> list[str]:
+    """Outcomes, violations and the worst member in words."""
+    outcomes = ", ".join(f"{n} {name}" for name, n in sorted(found.statistics.outcomes.items()))
+    lines = [f"outcomes: {outcomes}"]
+    violations = found.violations()
+    if violations is None:
+        lines.append(f"no limit: {found.limit_origin}")
+    else:
+        text = (
+            f"tail error beyond {violations['limit']:.5g} ({violations['origin']}): "
+            f"{violations['count']} of {found.members} members"
+        )
+        if violations["interval"] is not None:
+            low, high = violations["interval"]
+            text += f", probability within [{low:.3g}, {high:.3g}] (95 %, Clopper-Pearson)"
+        lines.append(text)
+    value, index = found.statistics.worst[0]
+    lines.append(
+        f"worst member {index}: tail error {value:.5g}; replay: "
+        f"certrack simulate {file} --member {index} --seed {found.seed}"
+    )
+    return lines
 
 
 KINDS = ("published", "corrected", "rate", "semidefinite", "cascade")

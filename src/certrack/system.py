@@ -10,6 +10,7 @@ from certrack import checks
 from certrack.errors import InputError
 from certrack.laws.base import Controller, Law
 from certrack.plant import Plant, Truth
+from certrack.population import Population
 from certrack.references import Reference, require_order
 
 MAX_PERIODS = 20_000
@@ -87,6 +88,8 @@ class Settings:
 class System:
     """Plant, truth, reference, law and settings that fit each other.
 
+    A population, if given, says what varies between the members of an ensemble.
+
     Raises
     ------
     InputError
@@ -99,6 +102,7 @@ class System:
     truth: Truth
     settings: Settings
     title: str = ""
+    population: Population | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (
@@ -113,6 +117,11 @@ class System:
         object.__setattr__(self, "truth", self.truth.bound_to(plant))
         checks.sequence("simulation.x0", self.settings.x0, n, "one number per state")
         controller = self.controller
+        if self.population is not None:
+            if not isinstance(self.population, Population):
+                raise InputError("population", "must be a Population", self.population)
+            bound = self.population.bound_to(plant, len(controller.states))
+            object.__setattr__(self, "population", bound)
         period = getattr(self.reference, "period", None)
         if period is not None and self.settings.duration > MAX_PERIODS * period:
             raise InputError(

@@ -22,18 +22,23 @@ from certrack import checks
 from certrack.errors import InputError
 from certrack.laws import Law, known_laws
 from certrack.plant import Plant, Truth, Uncertainty
+from certrack.population import Population
 from certrack.references import Reference, SymbolicReference, piecewise
 from certrack.system import Settings, System
 from certrack.systemtext import field_values
 
 MAX_BYTES = 20_000_000
 
-SECTIONS = ("title", "plant", "truth", "reference", "law", "simulation")
+SECTIONS = ("title", "plant", "truth", "reference", "law", "simulation", "ensemble")
 PLANT_KEYS = (
     "states chain linear drift regressor gain_sign input_gain theta units constants ranges "
     "uncertainty"
 ).split()
 TRUTH_KEYS = "input_gain theta omega tau constants".split()
+POPULATION_KEYS = [
+    *(entry.name for entry in fields(Population) if entry.name not in ("amplitude", "frequency")),
+    "reference",
+]
 SETTING_KEYS = [entry.name for entry in fields(Settings)]
 
 #: kind -> (maker, required keys, optional keys)
@@ -153,7 +158,7 @@ def _parse(text: str | bytes) -> dict[str, Any]:
 
 
 def _system(tables: dict[str, Any], folder: Path | None) -> System:
-    checks.known_keys("", tables, SECTIONS, required=SECTIONS[1:])
+    checks.known_keys("", tables, SECTIONS, required=SECTIONS[1:-1])
     plant = _plant(tables["plant"])
     known = plant.constant_values
     law = _law(tables["law"], known)
@@ -164,6 +169,7 @@ def _system(tables: dict[str, Any], folder: Path | None) -> System:
         truth=_truth(tables["truth"], plant),
         settings=_settings(tables["simulation"], known),
         title=checks.text("title", tables.get("title", "")),
+        population=_population(tables["ensemble"]) if "ensemble" in tables else None,
     )
 
 
@@ -297,3 +303,14 @@ def _settings(table: Any, known: Mapping[str, Any]) -> Settings:
         for name, value in table.items()
     }
     return Settings(**values)
+
+
+def _population(table: Any) -> Population:
+    """The [ensemble] table as it stands; the system checks it against the plant."""
+    checks.known_keys("ensemble", table, POPULATION_KEYS)
+    values = dict(table)
+    scales = values.pop("reference", {})
+    checks.known_keys("ensemble.reference", scales, ("amplitude", "frequency"))
+    constants = values.get("constants", {})
+    checks.known_keys("ensemble.constants", constants, constants)
+    return Population(**values, **scales)

@@ -15,6 +15,7 @@ from certrack.errors import InputError
 from certrack.expressions import Expression, parse
 from certrack.laws import Law
 from certrack.plant import Plant, Truth
+from certrack.population import Distribution, Population
 from certrack.references import Reference, SymbolicReference, piecewise
 from certrack.system import System
 
@@ -26,13 +27,16 @@ def to_text(system: System) -> str:
     document = tomlkit.document()
     document["title"] = system.title
     shelf: list[list[Any]] = []
-    for name, table in (
-        ("plant", _plant_table(system.plant)),
-        ("truth", _truth_table(system.truth)),
-        ("reference", _reference_table(system.reference, system.plant)),
-        ("law", _law_table(system.law)),
-        ("simulation", _present(field_values(system.settings))),
-    ):
+    tables = {
+        "plant": _plant_table(system.plant),
+        "truth": _truth_table(system.truth),
+        "reference": _reference_table(system.reference, system.plant),
+        "law": _law_table(system.law),
+        "simulation": _present(field_values(system.settings)),
+    }
+    if system.population is not None:
+        tables["ensemble"] = _population_table(system.population)
+    for name, table in tables.items():
         document[name] = {
             key: _shelve(value, shelf) if isinstance(value, list) else value
             for key, value in _plain(table).items()
@@ -76,6 +80,10 @@ def write_text(path: Path, text: str, *, overwrite: bool = True) -> None:
 
 def _plain(value: Any) -> Any:
     """Expressions as numbers or text, tuples as lists."""
+    if isinstance(value, Distribution):
+        if value.kind == "fixed":
+            return value.values[0]
+        return {value.kind: list(value.values)}
     if isinstance(value, Expression):
         return _number_or_text(value.text)
     if isinstance(value, dict):
@@ -132,6 +140,17 @@ def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
 
 def _law_table(law: Law) -> dict[str, Any]:
     return {"kind": law.kind} | _present(field_values(law))
+
+
+def _population_table(population: Population) -> dict[str, Any]:
+    values = _present(field_values(population))
+    scales = {name: values.pop(name) for name in ("amplitude", "frequency") if name in values}
+    constants = dict(values.pop("constants"))
+    return (
+        values
+        | ({"constants": constants} if constants else {})
+        | ({"reference": scales} if scales else {})
+    )
 
 
 def field_values(instance: Any) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import click
 from certrack.cli.files import design, list_systems, new
 from certrack.cli.papers import reproduce
 from certrack.cli.proofs import certify, falsify, verify
-from certrack.cli.runs import compare, simulate
+from certrack.cli.runs import compare, ensemble, simulate
 from certrack.errors import CertrackError, one_line
 
 
@@ -32,7 +32,18 @@ def cli() -> None:
     """
 
 
-for verb in (list_systems, new, design, simulate, compare, certify, verify, falsify, reproduce):
+for verb in (
+    list_systems,
+    new,
+    design,
+    simulate,
+    compare,
+    ensemble,
+    certify,
+    verify,
+    falsify,
+    reproduce,
+):
     cli.add_command(verb)
 
 

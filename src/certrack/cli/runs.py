@@ -1,12 +1,16 @@
-"""Verbs that simulate: simulate, compare."""
+"""Verbs that simulate: simulate, compare, ensemble."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from certrack.cli.base import FOLDER, diagnose, draw, json_option
+
+if TYPE_CHECKING:
+    from certrack.ensembles.ensemble import Ensemble
 
 
 @click.command()
@@ -16,6 +20,8 @@ from certrack.cli.base import FOLDER, diagnose, draw, json_option
 @click.option("--plot", type=FOLDER, help="Folder for pictures (PNG and SVG).")
 @click.option("--integrator", type=click.Choice(["auto", "taylor", "scipy", "implicit"]))
 @click.option("--tolerance", type=float, help="Of the integrator, e.g. 1e-9.")
+@click.option("--member", type=click.IntRange(0), help="Replay this member of the ensemble.")
+@click.option("--seed", type=click.IntRange(0), help="Of the ensemble, with --member.")
 @json_option
 def simulate(
     file: str,
@@ -24,6 +30,8 @@ def simulate(
     plot: Path | None,
     integrator: str | None,
     tolerance: float | None,
+    member: int | None,
+    seed: int | None,
     as_json: bool,
 ) -> None:
     """Simulate one run and measure it.
@@ -37,7 +45,13 @@ def simulate(
 
     if samples is not None and out is None:
         raise click.UsageError("--samples needs --out", click.get_current_context())
+    if seed is not None and member is None:
+        raise click.UsageError("--seed needs --member", click.get_current_context())
     system = load(file)
+    if member is not None:
+        from certrack.ensembles.members import Members
+
+        system = Members(system, seed or 0).member(member)
     changes = {"integrator": integrator, "tolerance": tolerance}
     run = run_system(system, **{name: v for name, v in changes.items() if v is not None})
     if out is not None:
@@ -78,3 +92,87 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
         report.console().print(report.metrics_table(summaries))
     for run in runs.values():
         diagnose(run)
+
+
+@click.command()
+@click.argument("file")
+@click.option("-n", "--members", type=click.IntRange(1), default=10_000, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--out", type=FOLDER, help="Folder for results; a stopped run goes on from it.")
+@click.option("--tolerance", type=float, default=1e-6, show_default=True, help="Of the integrator.")
+@click.option("--limit", type=float, help="Of the tail error; default: the file's or certified.")
+@click.option("--threads", type=click.IntRange(1, 1024), help="Default: one per core.")
+@click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://host:8786.")
+@click.option("--keep", type=click.IntRange(0), multiple=True, help="Save this member's full run.")
+@json_option
+def ensemble(
+    file: str,
+    members: int,
+    seed: int,
+    out: Path | None,
+    tolerance: float,
+    limit: float | None,
+    threads: int | None,
+    cluster: str | None,
+    keep: tuple[int, ...],
+    as_json: bool,
+) -> None:
+    """Simulate many members: plants, starts and disturbances as in the file's [ensemble].
+
+    Without [ensemble], everything within plant.ranges and plant.uncertainty. With --out, quantile
+    bands (NetCDF), summary (JSON) and pictures are written there.
+
+    \b
+    Example: certrack ensemble example1 -n 10000 --out ensemble
+    """
+    from contextlib import nullcontext
+
+    from certrack import report
+    from certrack.ensembles import workers as hands
+    from certrack.ensembles.ensemble import ensemble as run_ensemble
+    from certrack.systemfile import load
+
+    if keep and out is None:
+        raise click.UsageError("--keep needs --out", click.get_current_context())
+    system = load(file)
+    if out is not None and out.exists() and not out.is_dir():
+        raise click.UsageError(f"--out {out} is not a folder", click.get_current_context())
+    with (
+        hands.connect(cluster) if cluster else nullcontext() as client,
+        report.rate_progress("Members") as advance,
+    ):
+        found = run_ensemble(
+            system,
+            members,
+            seed=seed,
+            tolerance=tolerance,
+            limit=limit,
+            threads=threads,
+            out=out,
+            client=client,
+            progress=advance,
+        )
+    summary = found.summary()
+    if out is not None:
+        _save(found, summary, out, keep)
+    if as_json:
+        click.echo(report.to_json(summary))
+    else:
+        click.echo(f"{system.title or file}: {found.members} members, seed {seed}")
+        report.console().print(report.ensemble_table(found))
+        for line in report.ensemble_notes(found, file):
+            click.echo(line)
+
+
+def _save(found: Ensemble, summary: dict[str, Any], out: Path, keep: tuple[int, ...]) -> None:
+    """Bands, summary, pictures and chosen members."""
+    from certrack import plotting, report
+    from certrack.run import write_netcdf
+    from certrack.systemtext import write_text
+
+    write_netcdf(found.dataset(), out / "bands.nc")
+    write_text(out / "summary.json", report.to_json(summary) + "\n")
+    for name, figure in plotting.ensemble_figures(found).items():
+        plotting.save_figure(figure, out, name)
+    for index in keep:
+        found.run(index).save(out / f"member-{index}.nc")

@@ -1,0 +1,135 @@
+"""The closed loop with everything a member's metrics need, for the lockstep integrator.
+
+Numbers that all members share are put into the formulas, so that the compiled step computes with
+them and not about them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import sympy
+
+from certrack.closed_loop import INTEGRALS
+from certrack.ensembles.members import Members
+from certrack.expressions import TIME, derivative, symbol
+from certrack.integrators.flow import BEGIN, STEP, Flow
+from certrack.lowering import Select, larger, magnitude
+
+#: Rows of the signals.
+SIGNALS = ("e", "e_rate", "u", "u_rate")
+
+#: Rows of the integrals.
+SUMS = ("integral_squared_error", "integral_abs_error", "input_energy")
+
+#: Rows of the memories.
+MEMORIES = ("input_variation", "peak_input", "tail_error", "last_outside")
+
+#: 1 where the step lies in the tail of the run; half-width of the settling band.
+IN_TAIL, BAND = symbol("in_tail"), symbol("settling_band")
+
+
+def make_flow(members: Members, varying: Iterable[sympy.Symbol]) -> Flow:
+    """Rates, metrics and signals of a system's closed loop.
+
+    Parameters
+    ----------
+    members : Members
+    varying : symbols
+        Parameters that differ between members; the others get their values.
+    """
+    loop = members.loop
+    free = set(varying)
+    fixed = {
+        name: sympy.Float(float(value))
+        for name, value in zip(loop.parameters, members.base, strict=False)
+        if name not in free
+    }
+    states = loop.states[: -len(INTEGRALS)]
+    rates = [rate.xreplace(fixed) for rate in loop.rates[: len(states)]]
+    e, u = loop.e_1.xreplace(fixed), loop.u.xreplace(fixed)
+    slopes = tuple(symbol(f"rate_of_{state.name}") for state in states)
+    flow = dict(zip(states, slopes, strict=True)) | {TIME: sympy.Integer(1)}
+    signals = tuple(
+        f
+        for formula in (e, u)
+        for f in (formula, _along(formula, flow))  # and its rate
+    )
+    sides = tuple((symbol(f"{name}_begin"), symbol(f"{name}_end")) for name in SIGNALS)
+    used = set().union(*(f.free_symbols for f in (*rates, e, u)))
+    pieces = tuple(loop.parameters[len(loop.parameters) - loop.pieces :])
+    return Flow(
+        states=states,
+        rates=tuple(rates),
+        parameters=(*(name for name in loop.parameters if name in used & free), BAND),
+        integrands=(e**2, sympy.Abs(e), u**2),
+        signals=signals,
+        slopes=slopes,
+        memories=tuple(zip(map(symbol, MEMORIES), _memories(sides), strict=True)),
+        sides=sides,
+        watched=loop.n,
+        shared=(IN_TAIL, *pieces),
+    )
+
+
+def _along(formula: sympy.Expr, flow: dict[sympy.Symbol, sympy.Expr]) -> sympy.Expr:
+    """Time derivative of a formula of state and time, by the chain rule."""
+    present = [name for name in flow if name in formula.free_symbols]
+    return sympy.Add(*(derivative(formula, name) * flow[name] for name in present))
+
+
+def shown(flow: Flow) -> tuple[sympy.Expr, ...]:
+    """What the bands show of a flow: e_1, the plant's states, u."""
+    ends = dict(zip(SIGNALS, (end for _, end in flow.sides), strict=True))
+    return (ends["e"], *flow.states[: flow.watched], ends["u"])
+
+
+def _memories(sides: tuple[tuple[sympy.Symbol, sympy.Symbol], ...]) -> list[sympy.Expr]:
+    """Update of every memory at the end of a step."""
+    (e0, e1), (r0, r1), (u0, u1), (v0, v1) = sides
+    variation, peak, tail, outside = map(symbol, MEMORIES)
+    u_peak = _extremum(u0, u1, STEP * v0, STEP * v1)
+    e_peak = _extremum(e0, e1, STEP * r0, STEP * r1)
+    largest = larger(larger(magnitude(e0), magnitude(e1)), magnitude(e_peak))
+    crossing = BEGIN + STEP * _crossing(e0, e1, STEP * r0, STEP * r1)
+    left = Select(largest, BAND, crossing, outside)
+    return [
+        variation + magnitude(u_peak - u0) + magnitude(u1 - u_peak),
+        larger(peak, larger(magnitude(u_peak), magnitude(u1))),
+        larger(tail, IN_TAIL * largest),
+        Select(magnitude(e1), BAND, BEGIN + STEP, left),
+    ]
+
+
+def _extremum(e0: sympy.Expr, e1: sympy.Expr, d0: sympy.Expr, d1: sympy.Expr) -> sympy.Expr:
+    """Extremum on [0, 1] of the cubic with p = e, p' = d at both ends; p(0) if there is none.
+
+    Looked for between slopes of different signs: where p' would vanish if it changed evenly, then
+    one correction with that even change as the slope of p'. Near an extremum the value hardly
+    depends on the place.
+    """
+    rise = e1 - e0
+    b, a = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
+    per_change = 1 / _nonzero(d0 - d1)
+    even = d0 * per_change
+    s = even + (d0 + even * (2 * b + 3 * even * a)) * per_change
+    s = Select(s, 0, Select(1, s, s, 1), 0)
+    return Select(0, d0 * d1, e0 + s * (d0 + s * (b + s * a)), e0)
+
+
+def _crossing(e0: sympy.Expr, e1: sympy.Expr, d0: sympy.Expr, d1: sympy.Expr) -> sympy.Expr:
+    """Where |p| enters the band for good on [0, 1]: by the chord, with one correction along it."""
+    level = Select(e0, 0, BAND, -BAND)
+    rise = e1 - e0
+    per_rise = 1 / _nonzero(rise)
+    chord = (level - e0) * per_rise
+    s = Select(chord, 0, Select(1, chord, chord, 1), 0)
+    b, a = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
+    value = e0 + s * (d0 + s * (b + s * a)) - level
+    better = s - value * per_rise
+    return Select(better, 0, Select(1, better, better, s), s)
+
+
+def _nonzero(value: sympy.Expr) -> sympy.Expr:
+    """The value as a denominator whose quotient is not used where it vanishes."""
+    return Select(magnitude(value), 0, value, 1)

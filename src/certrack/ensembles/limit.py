@@ -1,0 +1,60 @@
+"""The limit that members are held against: the user's, or the certificate where it applies."""
+
+from __future__ import annotations
+
+import math
+
+from certrack import checks
+from certrack.assumption import check_assumption_1
+from certrack.certificates import best_sound_bound
+from certrack.population import Distribution, Population
+from certrack.system import System
+
+
+def limit_of(system: System, given: float | None) -> tuple[float | None, str]:
+    """Limit of the tail error, and where it comes from.
+
+    Returns
+    -------
+    limit : float or None
+    origin : str
+        ``"given"``, ``"file"``, ``"certificate"``, or why there is none.
+    """
+    population = system.population or Population.default(system.plant)
+    if given is not None:
+        return checks.real("limit", given, above=0), "given"
+    if population.limit is not None:
+        return population.limit, "file"
+    reason = uncovered(system, population)
+    if reason is not None:
+        return None, f"no certificate covers the population: {reason}"
+    bound = best_sound_bound(system)
+    return (bound, "certificate") if math.isfinite(bound) else (None, "no certificate exists")
+
+
+def uncovered(system: System, population: Population) -> str | None:
+    """Why the certificate's assumptions do not hold for every member; None if they do."""
+    plant, u = system.plant, system.plant.uncertainty
+    if any(not entry.fixed for _, entry in population.constants) or system.truth.constants:
+        return "the plant's constants vary"
+    if not _within_range(population.input_gain, plant.input_gain_range):
+        return "input_gain varies and plant.ranges does not say how far"
+    for entry in population.theta or ():
+        if not entry.fixed and plant.theta_range is None:
+            return "theta varies and plant.ranges does not say how far"
+    assert system.truth.tau is not None
+    strengths = [entry.high for entry in population.tau or ()] or list(system.truth.tau)
+    if any(value > limit for value, limit in zip(strengths, u.tau, strict=True)):
+        return "tau exceeds plant.uncertainty.tau"
+    amplitude, frequency = population.amplitude, population.frequency
+    if amplitude is not None and max(abs(amplitude.low), abs(amplitude.high)) > 1:
+        return "the reference's amplitude exceeds the one certified"
+    if frequency is not None and frequency.high > 1:
+        return "the reference's frequency exceeds the one certified"
+    if population.disturbance == "file" and check_assumption_1(system):
+        return "omega breaks Assumption 1"
+    return None
+
+
+def _within_range(entry: Distribution | None, box: tuple[float, float] | None) -> bool:
+    return entry is None or entry.fixed or box is not None

@@ -1,0 +1,219 @@
+"""Streaming statistics with bounded memory that merge exactly: counts only, no sums of floats.
+
+A number is counted in a bin of its leading bits. Bins are fixed, so merging adds integers and the
+order of the chunks does not matter. A quantile is right within half a bin: for the bands
+(|v| + scale/4096)/128 where v is the distance from the nominal run, for the metrics 0.05 %.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+#: Mantissa bits of a bin of the bands, and of the metrics.
+BAND_BITS, METRIC_BITS = 6, 10
+
+#: The bands count y = 1 + |v| / unit, unit = 2^-FINEST scale: evenly near zero, by octaves beyond.
+FINEST = 12
+
+#: Octaves of y; whatever is beyond is counted in the last bin.
+OCTAVES = FINEST + 10
+
+#: Bins on one side of zero; a last bin of the table takes what is not a number.
+SIDE = OCTAVES << BAND_BITS
+BINS = 2 * SIDE + 1
+
+#: Worst members that are remembered by index.
+WORST = 10
+
+LEVELS = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
+
+
+@cache
+def centres() -> np.ndarray:
+    """Value that stands for each bin of a band, as a multiple of the scale."""
+    octave, part = np.divmod(np.arange(SIDE), 1 << BAND_BITS)
+    values = np.exp2(octave - FINEST) * (1 + (part + 0.5) / (1 << BAND_BITS)) - 2.0**-FINEST
+    return np.concatenate([-values[::-1], values])
+
+
+class Bands:
+    """Counts of several signals at every time of a grid.
+
+    Parameters
+    ----------
+    centre : (R, T) array
+        Subtracted from the signals: the nominal run.
+    scale : (R,) array
+        Unit of the bins.
+    """
+
+    def __init__(self, centre: np.ndarray, scale: np.ndarray) -> None:
+        self.centre, self.scale = centre, scale
+        self.counts = np.zeros((*centre.shape[::-1], BINS), dtype=np.int32)  # (T, R, bins)
+
+    def observe(self, signal: int, k: int, values: np.ndarray) -> None:
+        """Count `values` of a signal at grid time k; NaN counts as missing."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            v = (values - self.centre[signal, k]).astype(np.float32)
+            v *= np.float32(2.0**FINEST / self.scale[signal])
+            y = np.abs(v)
+            y += np.float32(1)
+        bins = y.view(np.int32)
+        bins -= 127 << 23  # exponent of 1
+        bins >>= 23 - BAND_BITS
+        np.minimum(bins, SIDE - 1, out=bins)
+        bins ^= v.view(np.int32) >> 31  # the negative ones: k -> -k - 1
+        bins += SIDE
+        bins[np.isnan(v)] = BINS - 1
+        self.counts[k, signal] += np.bincount(bins, minlength=BINS)
+
+    def merge(self, other: Bands) -> None:
+        """Add the counts of other members."""
+        self.counts += other.counts
+
+    def quantiles(self, levels: tuple[float, ...] = LEVELS) -> np.ndarray:
+        """Shape (levels, R, T), among the members that are alive."""
+        found = np.full((len(levels), *self.centre.shape), np.nan)
+        for signal, k in np.ndindex(self.centre.shape):
+            counts = self.counts[k, signal, :-1]
+            for i, level in enumerate(levels):
+                if (bin_ := _rank(counts, level)) is not None:
+                    value = centres()[bin_] * self.scale[signal]
+                    found[i, signal, k] = value + self.centre[signal, k]
+        return found
+
+
+def _rank(counts: np.ndarray, level: float) -> int | None:
+    """Index of the bin that holds the level's order statistic (the smallest with F >= level)."""
+    total = np.cumsum(counts)
+    if not total.size or not total[-1]:
+        return None
+    return int(np.searchsorted(total, max(1, math.ceil(level * int(total[-1]) - 1e-9))))
+
+
+@dataclass
+class Tally:
+    """Counts of one metric by its leading bits; exact extremes."""
+
+    keys: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    counts: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    missing: int = 0
+    least: float = math.inf
+    most: float = -math.inf
+
+    def observe(self, values: np.ndarray) -> None:
+        """Count non-negative numbers; NaN counts as missing."""
+        real = np.ascontiguousarray(values[np.isfinite(values)])
+        keys, counts = np.unique(real.view(np.int64) >> (52 - METRIC_BITS), return_counts=True)
+        least = float(real.min(initial=math.inf))
+        most = float(real.max(initial=-math.inf))
+        self.merge(Tally(keys, counts, len(values) - len(real), least, most))
+
+    def merge(self, other: Tally) -> None:
+        """Add the counts of other members."""
+        keys, place = np.unique(np.concatenate([self.keys, other.keys]), return_inverse=True)
+        counts = np.zeros(len(keys), dtype=np.int64)
+        np.add.at(counts, place, np.concatenate([self.counts, other.counts]))
+        self.keys, self.counts = keys, counts
+        self.missing += other.missing
+        self.least, self.most = min(self.least, other.least), max(self.most, other.most)
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values that stand for the bins, in order."""
+        half = 1 << (51 - METRIC_BITS)
+        middle = ((self.keys << (52 - METRIC_BITS)) + half).view(np.float64)
+        found: np.ndarray = np.clip(middle, self.least, self.most)
+        return found
+
+    def quantile(self, level: float) -> float | None:
+        """Value below which the share `level` of the members lies."""
+        found = _rank(self.counts, level)
+        return None if found is None else float(self.values[found])
+
+    def summary(self) -> dict[str, float | int | None]:
+        """Quantiles and extremes, ready for JSON."""
+        some = self.counts.size > 0
+        found: dict[str, float | int | None] = {"min": self.least if some else None}
+        found |= {f"{100 * level:g}%": self.quantile(level) for level in LEVELS}
+        return found | {"max": self.most if some else None, "missing": self.missing}
+
+
+@dataclass
+class Statistics:
+    """Everything that is kept of some members."""
+
+    bands: Bands
+    metrics: dict[str, Tally]
+    members: int = 0
+    violations: int = 0
+    outcomes: Counter[str] = field(default_factory=Counter)
+    worst: list[tuple[float, int]] = field(default_factory=list)
+
+    def observe_worst(self, values: np.ndarray, first: int) -> None:
+        """Remember the members with the largest values; infinite for one that did not finish."""
+        order = np.argsort(-values, kind="stable")[:WORST]
+        self._keep([(float(values[i]), first + int(i)) for i in order])
+
+    def _keep(self, found: list[tuple[float, int]]) -> None:
+        pairs = {*self.worst, *found}
+        self.worst = sorted(pairs, key=lambda pair: (-pair[0], pair[1]))[:WORST]
+
+    def merge(self, other: Statistics) -> None:
+        """Add other members."""
+        self.bands.merge(other.bands)
+        for name, metric in self.metrics.items():
+            metric.merge(other.metrics[name])
+        self.members += other.members
+        self.violations += other.violations
+        self.outcomes.update(other.outcomes)
+        self._keep(other.worst)
+
+    def packed(self) -> dict[str, np.ndarray]:
+        """Arrays for a file or a network: only bins that are not empty."""
+        flat = self.bands.counts.ravel()
+        filled = np.flatnonzero(flat)
+        found: dict[str, np.ndarray] = {
+            "bins": np.diff(filled, prepend=0).astype(np.uint32),
+            "counts": flat[filled].astype(np.uint32),
+            "totals": np.array([self.members, self.violations], dtype=np.int64),
+            "outcomes": np.array(list(self.outcomes), dtype=str),
+            "outcome_counts": np.array(list(self.outcomes.values()), dtype=np.int64),
+            "worst": np.array([value for value, _ in self.worst]),
+            "worst_members": np.array([index for _, index in self.worst], dtype=np.int64),
+        }
+        for name, metric in self.metrics.items():
+            found[f"{name}_keys"], found[f"{name}_counts"] = metric.keys, metric.counts
+            found[f"{name}_extremes"] = np.array([metric.least, metric.most, metric.missing])
+        return found
+
+    def add_packed(self, arrays: Mapping[str, Any]) -> None:
+        """Merge what :meth:`packed` gave."""
+        flat = self.bands.counts.reshape(-1)
+        flat[np.cumsum(arrays["bins"].astype(np.int64))] += arrays["counts"].astype(np.int32)
+        members, violations = arrays["totals"].tolist()
+        self.members += members
+        self.violations += violations
+        names, numbers = arrays["outcomes"].tolist(), arrays["outcome_counts"].tolist()
+        self.outcomes.update(dict(zip(names, numbers, strict=True)))
+        pairs = zip(arrays["worst"].tolist(), arrays["worst_members"].tolist(), strict=True)
+        self._keep(list(pairs))
+        for name, metric in self.metrics.items():
+            keys, counts = arrays[f"{name}_keys"], arrays[f"{name}_counts"]
+            least, most, missing = arrays[f"{name}_extremes"].tolist()
+            metric.merge(Tally(keys, counts, int(missing), least, most))
+
+
+def binomial_interval(count: int, total: int, level: float = 0.95) -> tuple[float, float]:
+    """Clopper-Pearson interval of a probability: exact for independent members."""
+    from scipy.stats import binomtest
+
+    found = binomtest(count, total).proportion_ci(level, method="exact")
+    return float(found.low), float(found.high)

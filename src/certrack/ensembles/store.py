@@ -1,0 +1,137 @@
+"""Chunks of an ensemble on disk: written whole or not at all, so a killed run goes on.
+
+The folder holds ``ensemble.toml`` (what is run), ``merged.npz`` and ``chunk-BEGIN-END.npz``. When
+many chunks have gathered they are merged into one file, which says which members it covers; chunks
+it covers are ignored, so a kill between the two steps counts nothing twice.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from certrack.ensembles.engine import Plan, Range
+from certrack.ensembles.statistics import Statistics
+from certrack.errors import InputError
+from certrack.systemtext import to_text
+from certrack.version import version
+
+#: Chunk files that may gather.
+GATHER = 32
+
+
+class Store:
+    """A folder that belongs to one plan.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written or belongs to another ensemble.
+    """
+
+    def __init__(self, folder: Path, plan: Plan) -> None:
+        self.folder = folder
+        self._plan = plan
+        manifest = folder / "ensemble.toml"
+        text = self._manifest()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if manifest.exists():
+                if manifest.read_text("utf-8") != text:
+                    raise InputError(
+                        str(folder),
+                        "holds another ensemble: its system, seed, tolerance, limit, method or "
+                        "version differs",
+                        remedy="Choose another --out or delete the folder",
+                    )
+            else:
+                self._write(manifest, text.encode())
+        except OSError as problem:
+            raise self._refusal(problem) from None
+
+    def _manifest(self) -> str:
+        plan = self._plan
+        return (
+            f"# certrack {version()}; seed {plan.seed}; tolerance {plan.tolerance!r}; "
+            f"limit {plan.limit!r}; method {plan.method}\n{to_text(plan.system)}"
+        )
+
+    def load(self, total: Statistics, members: int) -> list[Range]:
+        """Merge every stored chunk within the first `members` into `total`; returns the ranges.
+
+        A file that cannot be read is removed and its members are computed again.
+        """
+        merged = self.folder / "merged.npz"
+        covered: list[Range] = []
+        if merged.exists():
+            arrays = self._read(merged)
+            ranges = [] if arrays is None else [tuple(row) for row in arrays["ranges"].tolist()]
+            if arrays is not None and all(end <= members for _, end in ranges):
+                total.add_packed(arrays)
+                covered += ranges
+        for path, span in self._chunks():
+            if _overlaps(span, covered) or span[1] > members:
+                continue
+            arrays = self._read(path)
+            if arrays is not None:
+                total.add_packed(arrays)
+                covered.append(span)
+        return sorted(covered)
+
+    def save(self, span: Range, arrays: dict[str, np.ndarray]) -> None:
+        """Write one chunk."""
+        self._save(self.folder / f"chunk-{span[0]:010d}-{span[1]:010d}.npz", arrays)
+
+    def gather(self, total: Statistics, covered: list[Range]) -> None:
+        """Replace many chunk files by one."""
+        chunks = self._chunks()
+        if len(chunks) < GATHER:
+            return
+        ranges = np.array(sorted(covered), dtype=np.int64)
+        self._save(self.folder / "merged.npz", total.packed() | {"ranges": ranges})
+        for path, span in chunks:
+            if _overlaps(span, covered):
+                path.unlink(missing_ok=True)
+
+    def _chunks(self) -> list[tuple[Path, Range]]:
+        found = []
+        for path in sorted(self.folder.glob("chunk-*.npz")):
+            if match := re.fullmatch(r"chunk-(\d+)-(\d+)\.npz", path.name):
+                found.append((path, (int(match[1]), int(match[2]))))
+        return found
+
+    def _read(self, path: Path) -> dict[str, np.ndarray] | None:
+        try:
+            with np.load(path) as arrays:
+                return dict(arrays)
+        except (OSError, ValueError, KeyError, EOFError):
+            return None
+
+    def _save(self, path: Path, arrays: dict[str, np.ndarray]) -> None:
+        import io
+
+        buffer = io.BytesIO()
+        np.savez(buffer, **arrays)  # type: ignore[arg-type]
+        self._write(path, buffer.getbuffer())
+
+    def _write(self, path: Path, data: bytes | memoryview) -> None:
+        part = path.with_name(path.name + ".part")
+        try:
+            part.write_bytes(data)
+            part.replace(path)
+        except OSError as problem:
+            part.unlink(missing_ok=True)
+            raise self._refusal(problem) from None
+
+    def _refusal(self, problem: OSError) -> InputError:
+        return InputError(
+            str(self.folder),
+            f"cannot be written ({problem.strerror}); chunks written before are intact",
+            remedy="Make room or choose another --out; the same command goes on from there",
+        )
+
+
+def _overlaps(span: Range, others: list[Range]) -> bool:
+    return any(span[0] < end and begin < span[1] for begin, end in others)
