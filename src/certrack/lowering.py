@@ -27,6 +27,63 @@ class Select(sympy.Function):
     is_real = True
 
 
+class Extremum(sympy.Function):
+    """Extremum on [0, 1] of the cubic with p = e, p' = d at both ends; p(0) if there is none.
+
+    Extremum(e0, e1, d0, d1) looks between slopes of different signs: where p' would vanish if it
+    changed evenly, then one correction with that even change as the slope of p'. Near an extremum
+    the value hardly depends on the place.
+    """
+
+    nargs = 4
+    is_real = True
+
+    def selections(self) -> sympy.Expr:
+        """By :class:`Select` alone."""
+        e0, e1, d0, d1 = self.args
+        b, a = _cubic(e0, e1, d0, d1)
+        per_change = 1 / _nonzero(d0 - d1)
+        even = d0 * per_change
+        s = _within(even + (d0 + even * (2 * b + 3 * even * a)) * per_change)
+        return Select(0, d0 * d1, e0 + s * (d0 + s * (b + s * a)), e0)
+
+
+class Entry(sympy.Function):
+    """Where |p| enters a band for good on [0, 1]: by the chord, with one correction along it.
+
+    Entry(e0, e1, d0, d1, band) of the same cubic; 1 if neither end is outside.
+    """
+
+    nargs = 5
+    is_real = True
+
+    def selections(self) -> sympy.Expr:
+        """By :class:`Select` alone."""
+        e0, e1, d0, d1, band = self.args
+        b, a = _cubic(e0, e1, d0, d1)
+        level, per_rise = Select(e0, 0, band, -band), 1 / _nonzero(e1 - e0)
+        s = _within((level - e0) * per_rise)
+        better = _within(s - (e0 + s * (d0 + s * (b + s * a)) - level) * per_rise)
+        return Select(larger(magnitude(e0), magnitude(e1)), band, better, 1)
+
+
+def _cubic(
+    e0: sympy.Expr, e1: sympy.Expr, d0: sympy.Expr, d1: sympy.Expr
+) -> tuple[sympy.Expr, sympy.Expr]:
+    """Coefficients of s^2 and s^3."""
+    rise = e1 - e0
+    return 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
+
+
+def _within(s: sympy.Expr) -> sympy.Expr:
+    return Select(s, 0, Select(1, s, s, 1), 0)
+
+
+def _nonzero(value: sympy.Expr) -> sympy.Expr:
+    """The value as a denominator whose quotient is not used where it vanishes."""
+    return Select(magnitude(value), 0, value, 1)
+
+
 def magnitude(value: sympy.Expr) -> sympy.Expr:
     """|value| for compiled maps."""
     return Select(value, 0, value, -value)
@@ -126,6 +183,8 @@ def to_heyoka(
                 root = _integer_power(hy, hy.sqrt(build(base)), abs(int(exponent.p)))
                 return root if exponent > 0 else 1.0 / root
             return build(base) ** float(exponent)
+        if kinks and isinstance(expr, (Extremum, Entry)):
+            return build(expr.selections())
         if kinks and type(expr) in SELECTIONS:
             return SELECTIONS[type(expr)](hy, *(build(arg) for arg in expr.args))
         if type(expr) in functions:

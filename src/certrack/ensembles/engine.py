@@ -15,7 +15,7 @@ from certrack.ensembles.members import Members
 from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statistics, Tally
 from certrack.integrators.base import Outcome
 from certrack.integrators.lockstep import Lockstep
-from certrack.integrators.native import STUCK, Native, Timeline, compiler
+from certrack.integrators.native import STUCK, Native, Passed, Timeline, compiler
 from certrack.integrators.taylor import available
 from certrack.metrics import Metrics
 from certrack.run import Run
@@ -192,6 +192,14 @@ class Engine:
             statistics.violations = int((tail > self.plan.limit).sum())
         return statistics
 
+    def final_states(self, begin: int, end: int) -> np.ndarray:
+        """Plant states at the end of the run, shape (n, N); compiled C only."""
+        passed = self._pass(begin, end)
+        reduced = passed.values[-1, 1:-1, begin % GROUP : begin % GROUP + end - begin]
+        plan = self.plan
+        found: np.ndarray = reduced * plan.unit[1:-1, None] + plan.centre[1:-1, -1:]
+        return found
+
     def _share(self, pieces: list[Range]) -> tuple[Bands, list[Part]]:
         """What one thread computes: bands, and every member's metrics and outcome."""
         bands = Bands(self.plan.centre, self.plan.scale)
@@ -239,22 +247,21 @@ class Engine:
         self, begin: int, end: int, bands: Bands
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Metrics, last times, and who must be run alone."""
-        # members share their steps in groups of eight: always the same eight
-        first, last = begin - begin % GROUP, -(-end // GROUP) * GROUP
-        starts, parameters = self._table(first, last)
-        plan, part = self.plan, slice(begin - first, end - first)
-        timeline = Timeline(self._edges, self._shared, self._grid, plan.centre, plan.unit)
-        passed = self._native.integrate(
-            starts,
-            parameters,
-            timeline,
-            plan.tolerance,
-            plan.system.settings.max_state,
-            MOST_STEPS,
-        )
+        part = slice(begin % GROUP, begin % GROUP + end - begin)
+        passed = self._pass(begin, end)
         self._native.count(passed, part, SIDE, BAND_BITS, bands.counts)
         totals = dict(zip((*SUMS, *MEMORIES), passed.totals[:, part], strict=True))
         return self._metrics(totals), passed.ends[part], passed.outcomes[part] == STUCK
+
+    def _pass(self, begin: int, end: int) -> Passed:
+        """Members share their steps in groups of eight, always the same eight: whole groups."""
+        plan = self.plan
+        starts, parameters = self._table(begin - begin % GROUP, -(-end // GROUP) * GROUP)
+        timeline = Timeline(self._edges, self._shared, self._grid, plan.centre, plan.unit)
+        limit = plan.system.settings.max_state
+        return self._native.integrate(
+            starts, parameters, timeline, plan.tolerance, limit, MOST_STEPS
+        )
 
     def _in_step(
         self, begin: int, end: int, bands: Bands

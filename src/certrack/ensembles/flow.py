@@ -14,7 +14,7 @@ from certrack.closed_loop import INTEGRALS
 from certrack.ensembles.members import Members
 from certrack.expressions import TIME, derivative, symbol
 from certrack.integrators.flow import BEGIN, STEP, Flow
-from certrack.lowering import Select, larger, magnitude
+from certrack.lowering import Entry, Extremum, Select, larger, magnitude
 
 #: Rows of the signals.
 SIGNALS = ("e", "e_rate", "u", "u_rate")
@@ -88,10 +88,10 @@ def _memories(sides: tuple[tuple[sympy.Symbol, sympy.Symbol], ...]) -> list[symp
     """Update of every memory at the end of a step."""
     (e0, e1), (r0, r1), (u0, u1), (v0, v1) = sides
     variation, peak, tail, outside = map(symbol, MEMORIES)
-    u_peak = _extremum(u0, u1, STEP * v0, STEP * v1)
-    e_peak = _extremum(e0, e1, STEP * r0, STEP * r1)
+    u_peak = Extremum(u0, u1, STEP * v0, STEP * v1)
+    e_peak = Extremum(e0, e1, STEP * r0, STEP * r1)
     largest = larger(larger(magnitude(e0), magnitude(e1)), magnitude(e_peak))
-    crossing = BEGIN + STEP * _crossing(e0, e1, STEP * r0, STEP * r1)
+    crossing = BEGIN + STEP * Entry(e0, e1, STEP * r0, STEP * r1, BAND)
     left = Select(largest, BAND, crossing, outside)
     return [
         variation + magnitude(u_peak - u0) + magnitude(u1 - u_peak),
@@ -99,37 +99,3 @@ def _memories(sides: tuple[tuple[sympy.Symbol, sympy.Symbol], ...]) -> list[symp
         larger(tail, IN_TAIL * largest),
         Select(magnitude(e1), BAND, BEGIN + STEP, left),
     ]
-
-
-def _extremum(e0: sympy.Expr, e1: sympy.Expr, d0: sympy.Expr, d1: sympy.Expr) -> sympy.Expr:
-    """Extremum on [0, 1] of the cubic with p = e, p' = d at both ends; p(0) if there is none.
-
-    Looked for between slopes of different signs: where p' would vanish if it changed evenly, then
-    one correction with that even change as the slope of p'. Near an extremum the value hardly
-    depends on the place.
-    """
-    rise = e1 - e0
-    b, a = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
-    per_change = 1 / _nonzero(d0 - d1)
-    even = d0 * per_change
-    s = even + (d0 + even * (2 * b + 3 * even * a)) * per_change
-    s = Select(s, 0, Select(1, s, s, 1), 0)
-    return Select(0, d0 * d1, e0 + s * (d0 + s * (b + s * a)), e0)
-
-
-def _crossing(e0: sympy.Expr, e1: sympy.Expr, d0: sympy.Expr, d1: sympy.Expr) -> sympy.Expr:
-    """Where |p| enters the band for good on [0, 1]: by the chord, with one correction along it."""
-    level = Select(e0, 0, BAND, -BAND)
-    rise = e1 - e0
-    per_rise = 1 / _nonzero(rise)
-    chord = (level - e0) * per_rise
-    s = Select(chord, 0, Select(1, chord, chord, 1), 0)
-    b, a = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
-    value = e0 + s * (d0 + s * (b + s * a)) - level
-    better = s - value * per_rise
-    return Select(better, 0, Select(1, better, better, s), s)
-
-
-def _nonzero(value: sympy.Expr) -> sympy.Expr:
-    """The value as a denominator whose quotient is not used where it vanishes."""
-    return Select(magnitude(value), 0, value, 1)

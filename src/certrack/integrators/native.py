@@ -1,7 +1,8 @@
 """Members in the lanes of vector registers: C written for the system, compiled where it runs.
 
 The fastest way by far, where there is a C compiler with GCC's vector extensions (gcc, clang);
-``lanes.c`` beside this file holds the method, this module writes the system for it.
+``lanes.c`` beside this file holds the method, ``vector_math.h`` the arithmetic; this module writes
+the system for them.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from certrack.lowering import Select
 
 FLAGS = (
     "-std=gnu11 -O3 -march=native -fno-math-errno -fno-trapping-math -fno-signed-zeros "
-    "-shared -fPIC"
+    "-fschedule-insns -shared -fPIC"
 ).split()
 WIDE = ["-mprefer-vector-width=512"]
 
@@ -48,7 +49,7 @@ VECTOR_MATH = (
 )
 
 #: Vector functions that lanes.c has anyway, and those of two arguments.
-OWN = {"abs", "max", "min", "sqrt", "sign", "sin", "cos", "exp", "log"}
+OWN = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())
 OF_TWO = {"pow", "atan2"}
 
 
@@ -70,6 +71,10 @@ def _attempt(path: str, source: str, flags: Sequence[str]) -> bytes | None:
         command = [path, *FLAGS, str(text), "-o", str(made), *flags]
         done = subprocess.run(command, capture_output=True, check=False)
         return made.read_bytes() if done.returncode == 0 else None
+
+
+def _shipped(name: str) -> str:
+    return (files("certrack.integrators") / name).read_text("utf-8")
 
 
 class _Task(ctypes.Structure):
@@ -160,8 +165,9 @@ class Native:
 
     def __init__(self, flow: Flow, shown: Sequence[sympy.Expr]) -> None:
         self._sizes = (len(shown), len(flow.integrands) + len(flow.memories))
-        source = (files("certrack.integrators") / "lanes.c").read_text("utf-8")
-        text = source.replace('#include "system.h"\n', system_header(flow, shown))
+        text = _shipped("lanes.c")
+        text = text.replace('#include "vector_math.h"\n', _shipped("vector_math.h"))
+        text = text.replace('#include "system.h"\n', system_header(flow, shown))
         path = compiler()
         if path is None:
             raise OSError("no C compiler")
@@ -282,7 +288,7 @@ class _Printer(C99CodePrinter):
     _print_Abs = _print_sign = _print_sin = _print_cos = _print_tan = _print_Function
     _print_asin = _print_acos = _print_atan = _print_atan2 = _print_Function
     _print_sinh = _print_cosh = _print_tanh = _print_exp = _print_log = _print_Function
-    _print_Select = _print_Function
+    _print_Select = _print_Extremum = _print_Entry = _print_Function
 
     def _print_NumberSymbol(self, expr: sympy.Expr) -> str:
         return self._print_number(expr)
