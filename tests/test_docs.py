@@ -59,10 +59,16 @@ def test_every_system_file_key_is_documented():
     from dataclasses import fields as fields_of
 
     from certrack.laws import LAWS
-    from certrack.systemfile import PLANT_KEYS, SETTING_KEYS, SIGNALS, TRUTH_KEYS
+    from certrack.systemfile import (
+        PLANT_KEYS,
+        POPULATION_KEYS,
+        SETTING_KEYS,
+        SIGNALS,
+        TRUTH_KEYS,
+    )
 
     page = (ROOT / "docs" / "system-file.md").read_text()
     fields = {entry.name for law in LAWS.values() for entry in fields_of(law)}
     signals = {name for _, a, b in SIGNALS.values() for name in (*a, *b)}
-    for key in {*PLANT_KEYS, *TRUTH_KEYS, *SETTING_KEYS, *fields, *signals}:
+    for key in {*PLANT_KEYS, *TRUTH_KEYS, *SETTING_KEYS, *POPULATION_KEYS, *fields, *signals}:
         assert re.search(rf"[`.]{key}\b", page), key

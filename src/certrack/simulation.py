@@ -40,11 +40,11 @@ class Simulator:
 
     Examples
     --------
-    >>> import certrack
+    >>> import certrack, dataclasses
     >>> system = certrack.load("example1")
     >>> simulator = certrack.Simulator(system)
     >>> run = simulator.run()
-    >>> stiffer = system.replace(law=certrack.replace(system.law, c=(2, 1)))
+    >>> stiffer = system.replace(law=dataclasses.replace(system.law, c=(2, 1)))
     >>> faster = simulator.run(stiffer)  # no recompilation
     """
 

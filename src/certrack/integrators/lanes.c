@@ -20,6 +20,9 @@
 
 static const double SAFETY = 0.9, SHRINK = 0.2, GROW = 6.0;
 
+/* A state larger than this where steps vanish is escaping. */
+static const double ESCAPING = 1e3;
+
 /* How a member ended; known to the caller. */
 enum { FINISHED, ESCAPED, STUCK };
 
@@ -231,8 +234,10 @@ static void travel(const Task *task, V (*marks)[COMMON + 1], int64_t first, Grou
       int hopeless = ++g->steps >= task->most || end <= g->t + 1e-15 * fabs(g->t);
       if (!(worst <= 1.0)) {
         if (hopeless) {
-          I bad = ~(error <= SPLAT(1.0));
-          bury(g, task, first, g->steps >= task->most ? ~(I){0} : bad, STUCK, g->t);
+          I bad = g->steps >= task->most ? ~(I){0} : ~(error <= SPLAT(1.0)), large = (I){0};
+          for (int j = 0; j < WATCHED; j++) large |= v_abs(g->x[j]) > SPLAT(ESCAPING);
+          bury(g, task, first, bad & large, ESCAPED, g->t);
+          bury(g, task, first, bad, STUCK, g->t);
         }
         h = step * (factor < 0.9 ? factor : 0.9);
         continue;

@@ -20,6 +20,7 @@ import sympy
 from scipy.integrate import DOP853, RK45
 
 from certrack.expressions import TIME
+from certrack.integrators.base import ESCAPING
 from certrack.integrators.flow import BEGIN, STEP, Flow
 from certrack.lowering import numpy_callable, rows, to_heyoka
 
@@ -31,7 +32,7 @@ LANES = 8
 BLOCK = 2048
 
 #: More halvings of an interval than this, and the member is given up.
-MAX_LEVEL = 14
+MAX_LEVEL = 11
 
 #: From this tolerance on the fifth-order pair is faster than the eighth-order one.
 COARSE = 1e-7
@@ -240,8 +241,9 @@ class _Crowd:
     def _give_up(self, members: np.ndarray) -> None:
         if members.size:
             block, lane = np.divmod(members, self._lanes)
+            states = self._before[block, : self._of.flow.watched, lane]
             self._after[block, :, lane] = np.nan
-            self.stuck[members] = True
+            self.stuck[members] = ~(np.abs(states) > ESCAPING).any(axis=1)
             self._levels[members] = 0
 
     def _table(

@@ -23,6 +23,12 @@ def available() -> bool:
     return find_spec("heyoka") is not None
 
 
+#: With careful steps, which are many, a run is not followed beyond this.
+ESCAPED = 1e9
+
+#: So many steps in a row that do not move time end a run; an event may cut a few that short.
+BRINK = 50
+
 #: Length of a step that leaves a kink on which the run rests, s.
 NUDGE = 1e-6
 
@@ -74,7 +80,10 @@ class TaylorIntegrator:
     def integrate(self, problem: Problem) -> Trajectory:
         """Solve `problem`; stops early at an escape, an undefined rate or the step limit."""
         found, steps = self._attempt(problem, careful=False)
-        if steps.count and _excess(steps, self._moving, np.diff(found.times)) > 10 * SLACK:
+        taken = np.diff(found.times)
+        size = np.abs(steps.table[: len(taken), : problem.plant_order, 0]).max(axis=1, initial=0.0)
+        tame = int(np.argmax(np.append(size > ESCAPING, True)))  # an escape's last steps are wild
+        if tame and _excess(steps, self._moving, taken[:tame]) > 10 * SLACK:
             found, steps = self._attempt(problem, careful=True)
         switches = self._switches
         if switches is not None and len(found.times) > 1:
@@ -108,12 +117,15 @@ class TaylorIntegrator:
         """Step from `begin` to `stop`, keeping the Taylor coefficients of every step."""
         ta, switches = self._integrator, self._switches
         step, tc, k, starts, table = ta.step, ta.tc, steps.count, steps.starts, steps.table
-        stuck = 0
+        stuck = stalled = 0
         while True:  # the hot loop: heyoka's step takes about as long as two Python calls
             if switches is not None:
                 switches.record(ta)
             room = stop - begin
             outcome, taken = step(room, True)
+            if careful and not abs(tc[:, 0]).max() < ESCAPED:
+                result = begin, Outcome.undefined
+                break
             if careful and taken > (safe := _safe_step(tc[: self._moving], taken)):
                 ta.state[:], ta.time = tc[:, 0], begin
                 outcome, taken = step(safe, True)
@@ -132,6 +144,10 @@ class TaylorIntegrator:
             k += 1
             if taken == room:
                 result = stop, Outcome.finished
+                break
+            stalled = stalled + 1 if begin + taken == begin else 0
+            if stalled > BRINK:  # of a finite escape
+                result = begin, Outcome.undefined
                 break
             begin += taken
             if k >= max_steps:

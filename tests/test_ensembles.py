@@ -1,0 +1,361 @@
+"""Ensembles against single runs and brute force; the same numbers however they are computed."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import certrack
+from certrack.ensembles.engine import METRICS, Engine, make_plan
+from certrack.ensembles.members import Members
+from certrack.ensembles.statistics import (
+    BAND_BITS,
+    FINEST,
+    LEVELS,
+    METRIC_BITS,
+    Bands,
+    Tally,
+    binomial_interval,
+)
+from certrack.errors import InputError
+from certrack.integrators.native import compiler
+from certrack.population import Distribution, Population
+
+METHODS = ["lockstep"] + ["native"] * (compiler() is not None)
+
+
+def uniform(low, high):
+    return Distribution("uniform", (low, high))
+
+
+def example1(**population):
+    start = (uniform(-1, 1), uniform(-2, 2))
+    return certrack.load("example1").replace(
+        population=Population(x0=start, input_gain=uniform(1.5, 2.5), **population)
+    )
+
+
+def variants():
+    """Systems that show every kind of formula, reference and variation."""
+    base = example1(disturbance="multisine")
+    kinked = replace(base.plant, drift="abs(x1)*x2 + max(x1, 0.1*x2)")
+    lean = certrack.load("dual-motor-lean")
+    return {
+        "file": example1(),
+        "multisine": base,
+        "sobol": example1(sampling="sobol", amplitude=uniform(0.5, 1), frequency=uniform(0.5, 2)),
+        "triangle": base.replace(reference=certrack.triangle(0.2, 5.0)),
+        "steps": base.replace(reference=certrack.steps([1.0, 7.0], [0.0, 0.1, -0.1], 0.5)),
+        "kinks": base.replace(plant=kinked),
+        "four states": lean.replace(
+            population=Population(constants={"K_L": uniform(2, 4)}, disturbance="multisine")
+        ),
+    }
+
+
+VARIANTS = variants()
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", VARIANTS)
+def test_metrics_are_those_of_single_runs(name, method):
+    """Final states to 1e-6, metrics to what their way of computing allows."""
+    system = VARIANTS[name]
+    engine = Engine(make_plan(system, 5, 1e-7, None, method))
+    bands = Bands(engine.plan.centre, engine.plan.scale)
+    found, outcomes = engine._piece(3, 9, bands)
+    assert set(outcomes) == {"finished"}
+    close = {
+        "settling_time": {"atol": 5e-3},
+        "tail_error": {"rtol": 2e-3},
+        "integral_abs_error": {"rtol": 5e-3},
+        "peak_input": {"rtol": 3e-2},
+        "input_variation": {"rtol": 3e-2},
+    }
+    for k in range(6):
+        run = Members(system, 5).member(3 + k)
+        metrics = certrack.simulate(run, tolerance=1e-9).metrics
+        for name_, value in zip(METRICS, found[:, k], strict=True):
+            expected = getattr(metrics, name_)
+            limits = {"rtol": 1e-4, "atol": 1e-9} | close.get(name_, {})
+            np.testing.assert_allclose(value, expected, err_msg=name_, **limits)
+    if method == "native":
+        x = engine.final_states(3, 9)
+        alone = [
+            certrack.simulate(Members(system, 5).member(3 + k), tolerance=1e-11).x[:, -1]
+            for k in range(6)
+        ]
+        np.testing.assert_allclose(x, np.transpose(alone), atol=1e-7 * (1 + np.abs(x).max()))
+
+
+@pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
+def test_errors_stay_below_the_tolerance(tolerance):
+    """The error estimate of the method may be relaxed: it exceeds the error by far."""
+    system = example1()
+    engine = Engine(make_plan(system, 0, tolerance, None, "native"))
+    members = Members(system, 0)
+    exact = [certrack.simulate(members.member(i), tolerance=1e-12).x[:, -1] for i in range(16)]
+    assert np.abs(engine.final_states(0, 16) - np.transpose(exact)).max() < tolerance
+
+
+def identical(first, second):
+    a, b = first.statistics.packed(), second.statistics.packed()
+    assert set(a) == set(b)
+    for name in a:
+        if not name.startswith("outcome"):  # in the order of their first member
+            np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+    assert first.statistics.outcomes == second.statistics.outcomes
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", ["multisine", "triangle"])
+def test_threads_and_chunks_do_not_matter(name, method):
+    """Bit for bit."""
+    system = VARIANTS[name]
+    whole = certrack.ensemble(system, 2500, method=method, threads=1)
+    for threads, chunk in ((2, 777), (3, 100_000), (1, 1025)):
+        parts = certrack.ensemble(system, 2500, method=method, threads=threads, chunk=chunk)
+        identical(whole, parts)
+        assert {**whole.summary(), "microseconds_per_member": 0} == {
+            **parts.summary(),
+            "microseconds_per_member": 0,
+        }
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_quantiles_and_violations_are_those_of_brute_force(method):
+    """Against single runs of every member, within half a bin."""
+    system, count = example1(disturbance="multisine"), 40
+    limit = 0.034
+    found = certrack.ensemble(system, count, limit=limit, method=method, tolerance=1e-9)
+    runs = [found.run(i) for i in range(count)]
+    t, n = found.t, system.plant.n
+    signals = np.empty((count, n + 2, len(t)))
+    for i, run in enumerate(runs):
+        states = run.trajectory.interpolate(t)
+        signals[i, 0] = states[0] - system.reference.values(t, 0)[0]
+        signals[i, 1:-1], signals[i, -1] = states[:n], run.input_of(t, states)
+    exact = np.quantile(signals, LEVELS, axis=0, method="inverted_cdf")
+    bands = found.statistics.bands
+    away = np.abs(exact - bands.centre)
+    half = (away + bands.scale[:, None] * 2.0**-FINEST) / 2 ** (BAND_BITS + 1)
+    assert np.all(np.abs(found.bands - exact) <= 1.01 * half + 2e-6)
+    tails = np.array([run.metrics.tail_error for run in runs])
+    for level in LEVELS:
+        tally = found.statistics.metrics["tail_error"]
+        value = np.quantile(tails, level, method="inverted_cdf")
+        assert tally.quantile(level) == pytest.approx(value, rel=2.0**-METRIC_BITS)
+    violations = found.violations()
+    assert violations["count"] == (tails > limit).sum()
+    assert 0 < violations["count"] < count
+    assert found.summary()["worst"][0]["member"] == tails.argmax()
+
+
+def test_clopper_pearson():
+    """Its ends are where the tails of the binomial distribution hold 2.5 %."""
+    from scipy.stats import binom
+
+    low, high = binomial_interval(7, 100)
+    assert binom.sf(6, 100, low) == pytest.approx(0.025)
+    assert binom.cdf(7, 100, high) == pytest.approx(0.025)
+    assert binomial_interval(0, 50)[0] == 0
+    assert example_with_sobol().violations()["interval"] is None
+
+
+def example_with_sobol():
+    return certrack.ensemble(example1(sampling="sobol"), 8, limit=1.0)
+
+
+finite = st.floats(-1e12, 1e12)
+
+
+@given(values=arrays(float, st.integers(1, 60), elements=finite), cut=st.integers(0, 60))
+def test_counts_merge_exactly_and_stay_within_their_bins(values, cut):
+    def bands(part):
+        made = Bands(np.zeros((1, 1)), np.ones(1))
+        made.observe(0, 0, part)
+        return made
+
+    whole, parts = bands(values), bands(values[:cut])
+    parts.merge(bands(values[cut:]))
+    np.testing.assert_array_equal(whole.counts, parts.counts)
+    inside = np.clip(values, -1000, 1000)
+    median = np.quantile(inside, 0.5, method="inverted_cdf")
+    found = np.clip(whole.quantiles((0.5,))[0, 0, 0], -1000, 1000)
+    assert abs(found - median) <= (abs(median) + 2.0**-FINEST) / 2 ** (BAND_BITS + 1) * 1.001
+    first, second = Tally(), Tally()
+    first.observe(np.abs(values))
+    second.observe(np.abs(values[:cut]))
+    rest = Tally()
+    rest.observe(np.abs(values[cut:]))
+    second.merge(rest)
+    assert first.summary() == second.summary()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_members_that_escape(method):
+    """Less input gain than designed for: large starts escape; single runs say the same."""
+    wild = certrack.System(
+        plant=certrack.Plant(states=["x"], drift="x**3", gain_sign=1, input_gain=1),
+        law=certrack.Robust(c=(1,)),
+        reference=certrack.SymbolicReference("0.1*sin(t)"),
+        truth=certrack.Truth(input_gain=0.3),
+        settings=certrack.Settings(x0=(0,), duration=10),
+        population=Population(x0=(uniform(-2, 2),), input_gain=uniform(0.2, 1)),
+    )
+    found = certrack.ensemble(wild, 48, method=method, limit=10.0)
+    alone = [found.run(i).outcome.name for i in range(48)]
+    assert found.statistics.outcomes == Counter(alone)
+    escaped = found.statistics.outcomes["escaped"]
+    assert 0 < escaped < 48
+    assert found.violations()["count"] >= escaped
+    assert found.summary()["tail_error"]["missing"] == escaped
+
+
+def test_no_certificate_is_claimed_for_a_population_it_does_not_cover():
+    assert certrack.ensemble(example1(), 8).limit is None  # the gain varies without a range
+    lean = certrack.load("dual-motor-lean")
+    assert certrack.ensemble(lean, 8).limit == pytest.approx(0.0015399, rel=1e-4)
+    stronger = lean.replace(population=Population(tau=(0, 2, 0, 1)))
+    assert "tau exceeds" in certrack.ensemble(stronger, 8).limit_origin
+    moving = lean.replace(population=Population(constants={"K_L": uniform(2, 4)}))
+    assert "constants vary" in certrack.ensemble(moving, 8).limit_origin
+
+
+RUN = """
+import sys, certrack
+certrack.ensemble(certrack.load(sys.argv[1]), 6000, seed=1, chunk=500, threads=1, out=sys.argv[2])
+"""
+
+
+def test_a_killed_run_goes_on(tmp_path):
+    """kill -9 in mid-run, then the same call: the result of an undisturbed run."""
+    system = certrack.load("dual-motor-lean")
+    folder = tmp_path / "killed"
+    run = subprocess.Popen([sys.executable, "-c", RUN, "dual-motor-lean", str(folder)])
+    while len(list(folder.glob("chunk-*.npz"))) < 3:
+        assert run.poll() is None
+        time.sleep(0.01)
+    os.kill(run.pid, signal.SIGKILL)
+    assert run.wait() == -signal.SIGKILL
+    done = len(list(folder.glob("chunk-*.npz")))
+    assert 3 <= done < 12
+    (folder / "chunk-0000005500-0000006000.npz").write_bytes(b"not a chunk")  # a torn disk
+    again = certrack.ensemble(system, 6000, seed=1, chunk=700, out=folder)
+    assert 0 < again.computed <= 6000 - 500 * done + 500
+    whole = certrack.ensemble(system, 6000, seed=1)
+    identical(whole, again)
+    loaded = certrack.ensemble(system, 6000, seed=1, out=folder)
+    assert loaded.computed == 0
+    identical(whole, loaded)
+    more = certrack.ensemble(system, 6500, seed=1, out=folder)
+    assert more.computed == 500
+    with pytest.raises(InputError, match="holds another ensemble"):
+        certrack.ensemble(system, 6000, seed=2, out=folder)
+
+
+def test_many_chunks_are_gathered(tmp_path):
+    system = certrack.load("dual-motor-lean")
+    found = certrack.ensemble(system, 800, chunk=20, out=tmp_path)
+    assert len(list(tmp_path.glob("chunk-*.npz"))) < 40
+    again = certrack.ensemble(system, 800, out=tmp_path)
+    assert again.computed == 0
+    identical(found, again)
+
+
+def test_a_full_disk(tmp_path, monkeypatch):
+    """A clear error; earlier chunks are intact and the same call goes on."""
+    system, write = certrack.load("dual-motor-lean"), Path.write_bytes
+
+    def full(path, data):
+        if "0000000600" in path.name:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match="No space left on device.*written before are intact"):
+        certrack.ensemble(system, 800, chunk=200, out=tmp_path)
+    monkeypatch.undo()
+    assert not list(tmp_path.glob("*.part"))
+    again = certrack.ensemble(system, 800, chunk=200, out=tmp_path)
+    assert again.computed == 400
+    identical(again, certrack.ensemble(system, 800))
+
+
+def test_an_unwritable_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        certrack.ensemble(certrack.load("example1"), 8, out=tmp_path / "file" / "below")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"members": 0}, "members: must be a whole number"),
+        ({"seed": -1}, "seed: must be a whole number"),
+        ({"tolerance": 1.0}, "tolerance: must be at most"),
+        ({"method": "magic"}, "method: must be one of"),
+        ({"threads": 0}, "threads: must be a whole number"),
+        ({"limit": -1}, "limit: must be positive"),
+    ],
+)
+def test_bad_arguments(arguments, message):
+    with pytest.raises(InputError) as caught:
+        certrack.ensemble(certrack.load("example1"), **arguments)
+    assert message in str(caught.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["dual-motor", "dual-motor-lean", "dual-motor-strong", "example1"])
+def test_certificates_hold_for_every_admissible_member(name):
+    """A real test of soundness: no violation in 10^5 members."""
+    found = certrack.ensemble(certrack.load(name), 100_000)
+    assert found.limit_origin == "certificate"
+    assert found.violations()["count"] == 0
+    assert found.statistics.outcomes == {"finished": 100_000}
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_even_if_a_worker_dies():
+    """A local Dask cluster; one worker is killed in mid-run."""
+    from distributed import Client, LocalCluster
+
+    system = certrack.load("dual-motor")
+    with (
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        pids = list(client.run(os.getpid).values())
+        killed = []
+
+        def progress(done, total):
+            if done and not killed:
+                killed.append(pids[0])
+                os.kill(pids[0], signal.SIGKILL)
+
+        found = certrack.ensemble(system, 12_000, chunk=1000, client=client, progress=progress)
+    assert killed
+    identical(found, certrack.ensemble(system, 12_000))
+
+
+def test_summary_is_json():
+    found = certrack.ensemble(certrack.load("example1-classic"), 16)
+    summary = json.loads(json.dumps(found.summary()))
+    assert summary["members"] == 16
+    assert summary["violations"] is None
+    assert found.dataset()["quantiles"].shape == (len(LEVELS), 4, 201)
