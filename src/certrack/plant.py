@@ -34,6 +34,7 @@ PREFIXES = (
     "piece_",
     "switch_",
     "integral_",
+    "kept_",
     "ref_",
 )
 

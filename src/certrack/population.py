@@ -218,7 +218,7 @@ class Population:
             sines=checks.integer("ensemble.sines", self.sines, 1, MAX_SINES),
             frequencies=(low, high),
             sampling=checks.choice("ensemble.sampling", self.sampling, SAMPLINGS),
-            points=checks.integer("ensemble.points", self.points, 2, 100_000),
+            points=checks.integer("ensemble.points", self.points, 2, 10_000),
             limit=None if limit is None else checks.real("ensemble.limit", limit, known, above=0),
         )
 

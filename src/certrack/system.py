@@ -122,6 +122,9 @@ class System:
                 raise InputError("population", "must be a Population", self.population)
             bound = self.population.bound_to(plant, len(controller.states))
             object.__setattr__(self, "population", bound)
+            for i, entry in enumerate(bound.x0 or ()):
+                if max(abs(entry.low), abs(entry.high)) > self.settings.max_state:
+                    raise InputError(f"ensemble.x0[{i}]", "must be within simulation.max_state")
         period = getattr(self.reference, "period", None)
         if period is not None and self.settings.duration > MAX_PERIODS * period:
             raise InputError(

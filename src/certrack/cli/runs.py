@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.option("--integrator", type=click.Choice(["auto", "taylor", "scipy", "implicit"]))
 @click.option("--tolerance", type=float, help="Of the integrator, e.g. 1e-9.")
 @click.option("--member", type=click.IntRange(0), help="Replay this member of the ensemble.")
-@click.option("--seed", type=click.IntRange(0), help="Of the ensemble, with --member.")
+@click.option("--seed", type=click.IntRange(0, 2**63), help="Of the ensemble, with --member.")
 @json_option
 def simulate(
     file: str,
@@ -97,7 +97,7 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
 @click.command()
 @click.argument("file")
 @click.option("-n", "--members", type=click.IntRange(1), default=10_000, show_default=True)
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True)
 @click.option("--out", type=FOLDER, help="Folder for results; a stopped run goes on from it.")
 @click.option("--tolerance", type=float, default=1e-6, show_default=True, help="Of the integrator.")
 @click.option("--limit", type=float, help="Of the tail error; default: the file's or certified.")
@@ -135,10 +135,10 @@ def ensemble(
     if keep and out is None:
         raise click.UsageError("--keep needs --out", click.get_current_context())
     system = load(file)
-    if out is not None and out.exists() and not out.is_dir():
-        raise click.UsageError(f"--out {out} is not a folder", click.get_current_context())
+    if any(index >= members for index in keep):
+        raise click.UsageError("--keep must be below --members", click.get_current_context())
     with (
-        hands.connect(cluster) if cluster else nullcontext() as client,
+        hands.connect(cluster) if cluster is not None else nullcontext() as client,
         report.rate_progress("Members") as advance,
     ):
         found = run_ensemble(

@@ -15,7 +15,7 @@ from certrack.ensembles.members import Members
 from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statistics, Tally
 from certrack.integrators.base import Outcome
 from certrack.integrators.lockstep import Lockstep
-from certrack.integrators.native import STUCK, Native, Passed, Timeline, compiler
+from certrack.integrators.native import STUCK, Native, Passed, Timeline, Unavailable
 from certrack.integrators.taylor import available
 from certrack.metrics import Metrics
 from certrack.run import Run
@@ -106,14 +106,12 @@ def make_plan(
     centre[0] = 0.0  # the error has a natural zero
     with np.errstate(invalid="ignore"):
         largest = np.nanmax(np.abs(_signals(run, run.t)), axis=1)
+    reach = [max(abs(d.low), abs(d.high)) for d in members.population.x0 or ()]
+    largest[1 : len(reach) + 1] = np.fmax(largest[1 : len(reach) + 1], reach)
+    largest[0] = np.fmax(largest[0], largest[1])
     largest[~(largest > 0)] = 1.0
     scale = np.exp2(np.rint(np.log2(largest)))
     return Plan(system, seed, tolerance, limit, np.nan_to_num(centre), scale, method)
-
-
-def best_method() -> str:
-    """The fastest method that this machine has."""
-    return "native" if compiler() else "lockstep" if available() else "alone"
 
 
 def grid(system: System, points: int) -> np.ndarray:
@@ -158,6 +156,8 @@ class Engine:
         self._shared = np.array([self._shared_at(time) for time in self._edges[:-1]])
         if plan.method == "alone":
             return
+        if plan.method == "lockstep" and not available():
+            raise Unavailable("heyoka is not installed")
         _, varying = self._members.table(0, 1)
         self._flow = make_flow(self._members, varying)
         if plan.method == "native":

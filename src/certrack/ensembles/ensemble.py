@@ -12,12 +12,13 @@ import numpy as np
 
 from certrack import checks
 from certrack.ensembles import workers as hands
-from certrack.ensembles.engine import METHODS, Range, best_method, grid, make_plan
+from certrack.ensembles.engine import METHODS, Engine, Plan, Range, grid, make_plan
 from certrack.ensembles.limit import limit_of
 from certrack.ensembles.members import Members
 from certrack.ensembles.statistics import LEVELS, Statistics, binomial_interval
 from certrack.ensembles.store import Store
 from certrack.errors import InputError
+from certrack.integrators.native import Unavailable
 from certrack.population import MOST
 from certrack.run import Run
 from certrack.simulation import simulate
@@ -207,7 +208,7 @@ def ensemble(
     if tolerance > 1e-2:
         raise InputError("tolerance", "must be at most 0.01", tolerance)
     limit, origin = limit_of(system, limit)
-    plan = make_plan(system, seed, tolerance, limit, method or best_method())
+    plan, engine = _prepared(system, seed, tolerance, limit, method, threads, client)
     total = plan.empty()
     store = None if out is None else Store(Path(out), plan)
     covered = [] if store is None else store.load(total, members)
@@ -215,10 +216,7 @@ def ensemble(
     wanted = sum(end - begin for begin, end in missing)
     progress(members - wanted, members)
     seconds = 0.0
-    if client is not None:
-        done = hands.cluster(plan, missing, client)
-    else:
-        done = hands.here(plan, missing, threads)
+    done = hands.cluster(plan, missing, client) if engine is None else hands.here(engine, missing)
     for span, found, spent in done if missing else ():
         total.merge(found)
         covered.append(span)
@@ -228,6 +226,28 @@ def ensemble(
             store.gather(total, covered)
         progress(total.members, members)
     return Ensemble(system, seed, total, limit, origin, wanted, seconds)
+
+
+def _prepared(
+    system: System,
+    seed: int,
+    tolerance: float,
+    limit: float | None,
+    method: str | None,
+    threads: int | None,
+    client: Any,
+) -> tuple[Plan, Engine | None]:
+    """The plan, and its engine unless a cluster computes; the first method that works."""
+    for name in (method,) if method else METHODS:
+        plan = make_plan(system, seed, tolerance, limit, name)
+        try:
+            engine = Engine(plan, threads or hands.cores())
+        except Unavailable as reason:
+            if method:
+                raise InputError("method", str(reason), method, "Leave it out") from None
+            continue
+        return plan, None if client is not None else engine
+    raise AssertionError("members can always be run alone")
 
 
 def _missing(covered: list[Range], members: int, chunk: int) -> Iterator[Range]:

@@ -35,13 +35,19 @@ def limit_of(system: System, given: float | None) -> tuple[float | None, str]:
 def uncovered(system: System, population: Population) -> str | None:
     """Why the certificate's assumptions do not hold for every member; None if they do."""
     plant, u = system.plant, system.plant.uncertainty
-    if any(not entry.fixed for _, entry in population.constants) or system.truth.constants:
-        return "the plant's constants vary"
-    if not _within_range(population.input_gain, plant.input_gain_range):
-        return "input_gain varies and plant.ranges does not say how far"
-    for entry in population.theta or ():
-        if not entry.fixed and plant.theta_range is None:
-            return "theta varies and plant.ranges does not say how far"
+    nominal = {name: float(value) for name, value in plant.constant_values.items()}
+    if system.truth.constants or not all(
+        _is(entry, nominal[name]) for name, entry in population.constants
+    ):
+        return "the plant's constants are not the designer's"
+    known = plant if system.law.kind == "robust" else system.truth
+    assert known.input_gain is not None
+    gain = population.input_gain or Distribution("fixed", (float(known.input_gain.expr),))
+    if plant.input_gain_range is None and not _is(gain, float(known.input_gain.expr)):
+        return "input_gain is another than certified, and plant.ranges does not say how far"
+    for entry, value in zip(population.theta or (), known.theta or (), strict=False):
+        if plant.theta_range is None and not _is(entry, float(value.expr)):
+            return "theta is another than certified, and plant.ranges does not say how far"
     assert system.truth.tau is not None
     strengths = [entry.high for entry in population.tau or ()] or list(system.truth.tau)
     if any(value > limit for value, limit in zip(strengths, u.tau, strict=True)):
@@ -56,5 +62,5 @@ def uncovered(system: System, population: Population) -> str | None:
     return None
 
 
-def _within_range(entry: Distribution | None, box: tuple[float, float] | None) -> bool:
-    return entry is None or entry.fixed or box is not None
+def _is(entry: Distribution, value: float) -> bool:
+    return entry.low == entry.high == value

@@ -42,6 +42,9 @@ class Members:
         self.system, self.seed = system, seed
         self.population = system.population or Population.default(system.plant)
         self._refuse_unscalable()
+        for name in system.plant.constant_values:
+            if name.startswith("member_"):
+                raise InputError(f"plant.constants.{name}", "is reserved here", remedy="Rename it")
         self.columns = self._columns()
         self.template = self._system(
             {name: (d.low + d.high) / 2 for name, d in self.columns.items()}, written=False
@@ -76,8 +79,8 @@ class Members:
             for k in range(plant.n):
                 if u.gamma[k] + u.beta[k] > 0:
                     for j in range(given.sines):
-                        found |= {f"sine_w{k}_{j}": speed, f"sine_p{k}_{j}": turn}
-                        found |= {f"sine_a{k}_{j}": share}
+                        found |= {f"member_sine_w{k}_{j}": speed, f"member_sine_p{k}_{j}": turn}
+                        found |= {f"member_sine_a{k}_{j}": share}
         return {name: entry for name, entry in found.items() if entry is not None}
 
     def draws(self, begin: int, end: int) -> dict[str, np.ndarray]:
@@ -87,7 +90,9 @@ class Members:
         p = dict(zip(free, table, strict=True))
         nothing = np.zeros(end - begin)
         found = {name: d.quantile(p.get(name, nothing)) for name, d in self.columns.items()}
-        for name in [name for name in found if name.startswith("sine_a") and name.endswith("_0")]:
+        for name in [
+            name for name in found if name.startswith("member_sine_a") and name.endswith("_0")
+        ]:
             own = [f"{name[:-1]}{j}" for j in range(self.population.sines)]
             total = sum(found[other] for other in own) + 1e-300
             found |= {other: FULL * found[other] / total for other in own}
@@ -119,12 +124,12 @@ class Members:
             if match := re.fullmatch(r"(theta|tau)\[(\d+)\]", name):
                 found[f"true_{match[1]}_{match[2]}"] = values
             elif name in ("amplitude", "frequency"):
-                found[f"ref_ensemble_{name}"] = values
+                found[f"ref_member_{name}"] = values
         if "input_gain" in draws:
             found[f"true_g_{plant.n - 1}"] = draws["input_gain"]
         known = list(self.template.plant.constant_values)
         for i, name in enumerate(known):
-            drawn = draws.get(name, draws.get(f"constants.{name}"))
+            drawn = draws.get(name if name.startswith("member_") else f"constants.{name}")
             if drawn is not None:
                 found[f"true_constants_{i}"] = drawn
         return starts, {symbol(name): values for name, values in found.items()}
@@ -162,7 +167,9 @@ class Members:
         estimates = [point.get(f"estimates[{i}]", v) for i, v in enumerate(start)]
         own = plant
         if not written and self.population.disturbance == "multisine":
-            sines = {name: value for name, value in point.items() if name.startswith("sine_")}
+            sines = {
+                name: value for name, value in point.items() if name.startswith("member_sine_")
+            }
             own = replace(plant, constants=dict(plant.constants) | sines)  # type: ignore[arg-type]
         return System(
             plant=own,
@@ -203,12 +210,12 @@ class Members:
 
         terms = []
         for k in range(plant.n):
-            if f"sine_a{k}_0" not in point:
+            if f"member_sine_a{k}_0" not in point:
                 terms.append("0")
                 continue
             parts = (
-                f"{number(f'sine_a{k}_{j}')}"
-                f"*sin({number(f'sine_w{k}_{j}')}*t + {number(f'sine_p{k}_{j}')})"
+                f"{number(f'member_sine_a{k}_{j}')}"
+                f"*sin({number(f'member_sine_w{k}_{j}')}*t + {number(f'member_sine_p{k}_{j}')})"
                 for j in range(self.population.sines)
             )
             limit = [f"{u.gamma[k]!r}*{norm}"] if u.gamma[k] else []
@@ -226,11 +233,11 @@ class Members:
         a, f = scales.get("amplitude", 1.0), scales.get("frequency", 1.0)
         text = reference.signal.text
         if "frequency" in scales:
-            text = re.sub(r"\bt\b", "(ensemble_frequency*t)", text)
+            text = re.sub(r"\bt\b", "(member_frequency*t)", text)
         if "amplitude" in scales:
-            text = f"ensemble_amplitude*({text})"
+            text = f"member_amplitude*({text})"
         constants: dict[str, Any] = dict(reference.constants)
-        constants |= {f"ensemble_{name}": value for name, value in scales.items()}
+        constants |= {f"member_{name}": value for name, value in scales.items()}
         slack = abs(a) * (1 + 1e-12)
         declared = reference.declared
         return SymbolicReference(

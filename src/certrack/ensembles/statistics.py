@@ -22,8 +22,8 @@ BAND_BITS, METRIC_BITS = 6, 10
 #: The bands count y = 1 + |v| / unit, unit = 2^-FINEST scale: evenly near zero, by octaves beyond.
 FINEST = 12
 
-#: Octaves of y; whatever is beyond is counted in the last bin.
-OCTAVES = FINEST + 10
+#: Octaves of y; whatever is beyond is counted in the last bin, and a quantile there is infinite.
+OCTAVES = FINEST + 24
 
 #: Bins on one side of zero; a last bin of the table takes what is not a number.
 SIDE = OCTAVES << BAND_BITS
@@ -40,6 +40,7 @@ def centres() -> np.ndarray:
     """Value that stands for each bin of a band, as a multiple of the scale."""
     octave, part = np.divmod(np.arange(SIDE), 1 << BAND_BITS)
     values = np.exp2(octave - FINEST) * (1 + (part + 0.5) / (1 << BAND_BITS)) - 2.0**-FINEST
+    values[-1] = np.inf
     return np.concatenate([-values[::-1], values])
 
 

@@ -7,8 +7,11 @@ it covers are ignored, so a kill between the two steps counts nothing twice.
 
 from __future__ import annotations
 
+import os
 import re
+import zlib
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -34,6 +37,7 @@ class Store:
     def __init__(self, folder: Path, plan: Plan) -> None:
         self.folder = folder
         self._plan = plan
+        self._larger = False
         manifest = folder / "ensemble.toml"
         text = self._manifest()
         try:
@@ -61,22 +65,22 @@ class Store:
     def load(self, total: Statistics, members: int) -> list[Range]:
         """Merge every stored chunk within the first `members` into `total`; returns the ranges.
 
-        A file that cannot be read is removed and its members are computed again.
+        The members of a file that cannot be read are computed again.
         """
         merged = self.folder / "merged.npz"
         covered: list[Range] = []
         if merged.exists():
-            arrays = self._read(merged)
-            ranges = [] if arrays is None else [tuple(row) for row in arrays["ranges"].tolist()]
-            if arrays is not None and all(end <= members for _, end in ranges):
-                total.add_packed(arrays)
+            found, ranges = self._read(merged)
+            if found is not None and all(end <= members for _, end in ranges):
+                total.merge(found)
                 covered += ranges
+            self._larger = found is not None and not covered
         for path, span in self._chunks():
             if _overlaps(span, covered) or span[1] > members:
                 continue
-            arrays = self._read(path)
-            if arrays is not None:
-                total.add_packed(arrays)
+            found, _ = self._read(path)
+            if found is not None and found.members == span[1] - span[0]:
+                total.merge(found)
                 covered.append(span)
         return sorted(covered)
 
@@ -87,7 +91,7 @@ class Store:
     def gather(self, total: Statistics, covered: list[Range]) -> None:
         """Replace many chunk files by one."""
         chunks = self._chunks()
-        if len(chunks) < GATHER:
+        if len(chunks) < GATHER or self._larger:  # the merged file of a larger run is kept
             return
         ranges = np.array(sorted(covered), dtype=np.int64)
         self._save(self.folder / "merged.npz", total.packed() | {"ranges": ranges})
@@ -102,12 +106,17 @@ class Store:
                 found.append((path, (int(match[1]), int(match[2]))))
         return found
 
-    def _read(self, path: Path) -> dict[str, np.ndarray] | None:
+    def _read(self, path: Path) -> tuple[Statistics | None, list[Range]]:
+        """Statistics in a file, whole or not at all, and the ranges a merged one covers."""
+        found = self._plan.empty()
         try:
-            with np.load(path) as arrays:
-                return dict(arrays)
-        except (OSError, ValueError, KeyError, EOFError):
-            return None
+            with path.open("rb") as stream, np.load(stream) as stored:
+                arrays = dict(stored)
+            found.add_packed(arrays)
+            ranges = [(int(a), int(b)) for a, b in arrays.get("ranges", np.empty((0, 2)))]
+        except (OSError, ValueError, KeyError, IndexError, EOFError, BadZipFile, zlib.error):
+            return None, []
+        return found, ranges
 
     def _save(self, path: Path, arrays: dict[str, np.ndarray]) -> None:
         import io
@@ -117,7 +126,7 @@ class Store:
         self._write(path, buffer.getbuffer())
 
     def _write(self, path: Path, data: bytes | memoryview) -> None:
-        part = path.with_name(path.name + ".part")
+        part = path.with_name(f"{path.name}.{os.getpid()}.part")
         try:
             part.write_bytes(data)
             part.replace(path)

@@ -28,9 +28,8 @@ def cores() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def here(plan: Plan, chunks: Iterable[Range], threads: int | None) -> Iterator[Done]:
-    """In this process, by one thread per core unless told otherwise."""
-    engine = Engine(plan, threads or cores())
+def here(engine: Engine, chunks: Iterable[Range]) -> Iterator[Done]:
+    """In this process."""
     for begin, end in chunks:
         clock = time.perf_counter()
         found = engine.compute(begin, end)

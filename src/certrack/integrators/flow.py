@@ -10,7 +10,7 @@ import sympy
 from certrack.expressions import TIME
 
 #: Begin of a step or of a part of it, and its length: for memories.
-BEGIN, STEP = sympy.symbols("step_begin step_length", real=True)
+BEGIN, STEP = sympy.symbols("kept_begin kept_step", real=True)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Flow:
         def name(expr: sympy.Expr) -> sympy.Expr:
             number, rest = expr.as_coeff_Mul()
             if rest not in found:
-                found[rest] = sympy.Symbol(f"shared_{len(found)}", real=True)
+                found[rest] = sympy.Symbol(f"kept_shared_{len(found)}", real=True)
             return number * found[rest]
 
         def walk(expr: sympy.Expr) -> sympy.Expr:

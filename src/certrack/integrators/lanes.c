@@ -20,6 +20,9 @@
 
 static const double SAFETY = 0.9, SHRINK = 0.2, GROW = 6.0;
 
+/* The memories see at least so many nodes of a step, times of the grid among them. */
+enum { PARTS = 4 };
+
 /* A state larger than this where steps vanish is escaping. */
 static const double ESCAPING = 1e3;
 
@@ -220,7 +223,8 @@ static void travel(const Task *task, V (*marks)[COMMON + 1], int64_t first, Grou
       signals(c[0], g->x, g->p, g->k, g->y);
       h = first_step(g, task->tolerance);
     }
-    visit(g, task, first, g->t, c[0], g->x, g->k, !segment);
+    int shows = g->next < task->points && task->grid[g->next] == g->t;
+    visit(g, task, first, g->t, c[0], g->x, g->k, shows);
     while (g->t < stop && any(g->alive)) {
       int final = h >= (stop - g->t) * (1 - 1e-12);
       double step = final ? stop - g->t : h, end = final ? stop : g->t + step;
@@ -242,19 +246,27 @@ static void travel(const Task *task, V (*marks)[COMMON + 1], int64_t first, Grou
         h = step * (factor < 0.9 ? factor : 0.9);
         continue;
       }
-      int64_t shows = 0;
-      if (g->next < task->points && task->grid[g->next] < end) prepare(g, step, c, ends, k, f);
-      for (; g->next < task->points && task->grid[g->next] <= end; shows++) {
-        double now = task->grid[g->next];
-        if (now < end) {
+      prepare(g, step, c, ends, k, f);
+      int last = final && segment + 1 == task->segments; /* an inner edge is shown after its jump */
+      int64_t inside = g->next;
+      while (inside < task->points && task->grid[inside] < end) inside++;
+      int parts = inside - g->next < PARTS ? PARTS : 1;
+      for (int part = 1; part <= parts; part++) {
+        double until = part < parts ? g->t + step * part / parts : end;
+        for (; g->next < inside && task->grid[g->next] <= until;) {
+          double now = task->grid[g->next];
           dense(g->x, f, (now - g->t) / step, step, x, slopes);
           visit(g, task, first, now, marks[g->next], x, slopes, 1);
-        } else {
-          visit(g, task, first, end, c[STAGES], ends, k[STAGES], 1);
+        }
+        if (part < parts && g->at < until) {
+          V mark[COMMON + 1];
+          common_at(until, s, mark);
+          dense(g->x, f, (until - g->t) / step, step, x, slopes);
+          visit(g, task, first, until, mark, x, slopes, 0);
         }
       }
-      if (g->at < end && (final || !shows))
-        visit(g, task, first, end, c[STAGES], ends, k[STAGES], 0);
+      int shows = g->next < task->points && task->grid[g->next] == end && (!final || last);
+      visit(g, task, first, end, c[STAGES], ends, k[STAGES], shows);
       g->t = end;
       I outside = (I){0};
       for (int j = 0; j < STATES; j++) {

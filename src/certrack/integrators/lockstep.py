@@ -109,16 +109,16 @@ class Lockstep:
         crowd.restart(times[0], shared(times[0]))
         ends = np.full(len(members), times[0])
         alive = crowd.inside(limit)
-        look(0, lambda row: crowd.row(row)[:count])
         for k in range(len(times) - 1):
             values = shared(times[k])
             if k in restarts:
                 crowd.restart(times[k], values)
+            look(k, lambda row: crowd.row(row)[:count])
             crowd.cross(times[k], times[k + 1], values, alive)
             alive &= crowd.inside(limit)
             crowd.bury(~alive)
             ends[alive] = times[k + 1]
-            look(k + 1, lambda row: crowd.row(row)[:count])
+        look(len(times) - 1, lambda row: crowd.row(row)[:count])
         return ends[:count], crowd.stuck[:count]
 
     def common(
@@ -306,8 +306,8 @@ def _formulas(
     names = [
         *flow.states,
         *flow.parameters,
-        *(f"integral_{i}" for i in range(len(flow.integrands))),
-        *(f"slope_{i}" for i in range(len(flow.rates))),
+        *(f"kept_integral_{i}" for i in range(len(flow.integrands))),
+        *(f"kept_slope_{i}" for i in range(len(flow.rates))),
         *(begin for begin, _ in flow.sides),
         *(symbol for symbol, _ in flow.memories),
     ]

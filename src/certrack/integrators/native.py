@@ -41,6 +41,9 @@ CAUTION = 10.0
 #: Outcome of a member whose group took too many steps, or none that is long enough.
 STUCK = 2
 
+#: A compilation that takes longer has failed, s.
+PATIENCE = 300
+
 #: Vector functions of the C library, from the most to none: older ones lack some or all.
 VECTOR_MATH = (
     ["-DVECTOR_MATH", "-DMORE_VECTOR_MATH", "-lmvec", "-lm"],
@@ -63,14 +66,21 @@ def compiler() -> str | None:
     return None
 
 
-def _attempt(path: str, source: str, flags: Sequence[str]) -> bytes | None:
+class Unavailable(Exception):
+    """Compiled C cannot be had on this machine."""
+
+
+def _attempt(path: str, source: str, flags: Sequence[str]) -> ctypes.CDLL | None:
     """The shared library compiled from `source`, or None."""
-    with tempfile.TemporaryDirectory(prefix="certrack-") as folder:
-        text, made = Path(folder) / "lanes.c", Path(folder) / "lanes.so"
-        text.write_text(source, "utf-8")
-        command = [path, *FLAGS, str(text), "-o", str(made), *flags]
-        done = subprocess.run(command, capture_output=True, check=False)
-        return made.read_bytes() if done.returncode == 0 else None
+    try:
+        with tempfile.TemporaryDirectory(prefix="certrack-") as folder:
+            text, made = Path(folder) / "lanes.c", Path(folder) / "lanes.so"
+            text.write_text(source, "utf-8")
+            command = [path, *FLAGS, str(text), "-o", str(made), *flags]
+            subprocess.run(command, capture_output=True, check=True, timeout=PATIENCE)
+            return ctypes.CDLL(str(made))  # stays loaded when the file is gone
+    except (OSError, subprocess.SubprocessError):
+        return None
 
 
 def _shipped(name: str) -> str:
@@ -159,7 +169,7 @@ class Native:
 
     Raises
     ------
-    OSError
+    Unavailable
         If no compiler can do it.
     """
 
@@ -170,15 +180,12 @@ class Native:
         text = text.replace('#include "system.h"\n', system_header(flow, shown))
         path = compiler()
         if path is None:
-            raise OSError("no C compiler")
+            raise Unavailable("no C compiler (gcc or clang) was found")
         flags = ([*w, *m] for w in (WIDE, []) for m in VECTOR_MATH)
         made = next((m for f in flags if (m := _attempt(path, text, f)) is not None), None)
         if made is None:
-            raise OSError("the C compiler failed")
-        with tempfile.NamedTemporaryFile(suffix=".so", prefix="certrack-") as library:
-            library.write(made)
-            library.flush()
-            self._library = ctypes.CDLL(library.name)  # stays loaded when the file is gone
+            raise Unavailable(f"the C compiler {path} failed")
+        self._library = made
 
     def integrate(
         self,

@@ -111,9 +111,9 @@ INLINE V circular(V a, int64_t quarter) {
                                 -1.0 / 3628800,   1.0 / 479001600,    -1.0 / 87178291200,
                                 1.0 / 20922789888e3};
   V shifted = a * 0.63661977236758134 + ROUND, n = shifted - ROUND;
-  V r = a - n * 0x1.921fb54442d18p+0;
-  r = r - n * 0x1.1a62633145c00p-54;
-  r = r - n * 0x1.b839a252049c0p-104;
+  V r = a - n * 0x1.921fb544p+0; /* 33 bits each: the products are exact */
+  r = r - n * 0x1.0b4611a6p-34;
+  r = r - n * 0x1.3198a2e037073p-69;
   I turn = ((I)shifted + quarter) & 3;
   V square = r * r, odd = SPLAT(0.0), even = SPLAT(0.0);
   HORNER(odd, ODD, square);
@@ -140,8 +140,8 @@ INLINE V v_exp(V a) {
                                   1.0 / 40320,   1.0 / 362880,  1.0 / 3628800,  1.0 / 39916800,
                                   1.0 / 479001600, 1.0 / 6227020800};
   V shifted = a * 1.4426950408889634 + ROUND, n = shifted - ROUND;
-  V r = a - n * 0x1.62e42fefa39efp-1;
-  r = r - n * 0x1.abc9e3b39803fp-56;
+  V r = a - n * 0x1.62e42fefp-1;
+  r = r - n * 0x1.473de6af278edp-34;
   V found = SPLAT(0.0);
   HORNER(found, TAYLOR, r);
   found = (V)((I)found + ((I)shifted << 52));
@@ -159,8 +159,8 @@ INLINE V v_log(V a) {
   V exponent = (V)(n + (I)SPLAT(ROUND)) - ROUND;
   V f = (m - 1.0) / (m + 1.0), square = f * f, sum = SPLAT(0.0);
   HORNER(sum, SERIES, square);
-  V found = exponent * 0x1.62e42fefa39efp-1 +
-            (2.0 * f + (2.0 * f * square * sum + exponent * 0x1.abc9e3b39803fp-56));
+  V found = exponent * 0x1.62e42fefp-1 +
+            (2.0 * f + (2.0 * f * square * sum + exponent * 0x1.473de6af278edp-34));
   I far = ~((a > SPLAT(1e-300)) & (a < SPLAT(1e300)));
   EACH(far, log)
   return found;
