@@ -19,7 +19,7 @@ test: .venv/tested
 slow: .venv/tested
 	$(BIN)/pytest -n 2 -m slow
 
-bench: .venv/tested
+bench: .venv/benched
 	$(BIN)/pytest bench
 
 .venv/installed: pyproject.toml constraints.txt
@@ -29,6 +29,10 @@ bench: .venv/tested
 
 .venv/tested: .venv/installed
 	$(INSTALL) --editable '.[test]'
+	touch $@
+
+.venv/benched: .venv/tested
+	$(INSTALL) --editable '.[test,bench]'
 	touch $@
 
 clean:
