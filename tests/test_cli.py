@@ -25,6 +25,45 @@ def result(capfd, *arguments):
     return json.loads(out)
 
 
+def test_ensemble(capfd, tmp_path):
+    """Results, replay of a member, and a second call that computes nothing."""
+    out = tmp_path / "members"
+    found = result(
+        capfd, "ensemble", "example1", "-n", "64", "--seed", "2", "--out", str(out), "--keep", "3"
+    )
+    assert found["members"] == found["computed"] == 64
+    assert found["violations"]["count"] == 0
+    assert found["microseconds_per_member"] > 0
+    worst = found["tail_error"]["worst_member"]
+    replayed = result(capfd, "simulate", "example1", "--member", str(worst), "--seed", "2")
+    assert replayed["tail_error"] == pytest.approx(found["tail_error"]["max"], rel=1e-3)
+    for name in ("bands.nc", "summary.json", "fan.png", "fan.svg", "metrics.png", "member-3.nc"):
+        assert (out / name).stat().st_size > 0
+    again = result(capfd, "ensemble", "example1", "-n", "64", "--seed", "2", "--out", str(out))
+    assert again["computed"] == 0
+    assert again["metrics"] == found["metrics"]
+    code, text, _ = invoke(capfd, "ensemble", "example1", "-n", "64", "--seed", "2", "--limit", "1")
+    assert code == 0
+    assert "0 of 64 members" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("ensemble", "example1", "--keep", "3"), "--keep needs --out"),
+        (("ensemble", "example1", "-n", "8", "--keep", "8", "--out", "x"), "below --members"),
+        (("ensemble", "example1", "--cluster", "nowhere"), "cannot reach the scheduler"),
+        (("ensemble", "example1", "--tolerance", "1"), "tolerance: must be at most"),
+        (("simulate", "example1", "--seed", "1"), "--seed needs --member"),
+    ],
+)
+def test_bad_ensembles(capfd, arguments, message):
+    code, out, err = invoke(capfd, *arguments)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert err.count("\n") == 1
+
+
 def test_list(capfd):
     assert tuple(result(capfd, "list")) == SHIPPED
     code, out, _ = invoke(capfd, "list")

@@ -73,7 +73,11 @@ def progress(what: str, total: int) -> Iterator[Callable[[int, float], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     worst = 0.0
     with Progress(
-        *columns, TimeRemainingColumn(), console=console(error=True), transient=True
+        *columns,
+        TimeRemainingColumn(),
+        console=(log := console(error=True)),
+        transient=True,
+        disable=not log.is_terminal,
     ) as bar:
         task = bar.add_task(what, total=total)
 
@@ -99,7 +103,12 @@ def rate_progress(what: str) -> Iterator[Callable[[int, int], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     rate = TextColumn("{task.fields[rate]}")
     with Progress(
-        *columns, rate, TimeRemainingColumn(), console=console(error=True), transient=True
+        *columns,
+        rate,
+        TimeRemainingColumn(),
+        console=(log := console(error=True)),
+        transient=True,
+        disable=not log.is_terminal,
     ) as bar:
         task = bar.add_task(what, total=None, rate="")
         begun: tuple[float, int] | None = None

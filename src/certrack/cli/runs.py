@@ -137,21 +137,26 @@ def ensemble(
     system = load(file)
     if any(index >= members for index in keep):
         raise click.UsageError("--keep must be below --members", click.get_current_context())
-    with (
-        hands.connect(cluster) if cluster is not None else nullcontext() as client,
-        report.rate_progress("Members") as advance,
-    ):
-        found = run_ensemble(
-            system,
-            members,
-            seed=seed,
-            tolerance=tolerance,
-            limit=limit,
-            threads=threads,
-            out=out,
-            client=client,
-            progress=advance,
-        )
+    try:
+        with (
+            hands.connect(cluster) if cluster is not None else nullcontext() as client,
+            report.rate_progress("Members") as advance,
+        ):
+            found = run_ensemble(
+                system,
+                members,
+                seed=seed,
+                tolerance=tolerance,
+                limit=limit,
+                threads=threads,
+                out=out,
+                client=client,
+                progress=advance,
+            )
+    except KeyboardInterrupt:
+        if out is not None:
+            click.echo(f"certrack: {out} keeps what is done; the same command goes on", err=True)
+        raise
     summary = found.summary()
     if out is not None:
         _save(found, summary, out, keep)
