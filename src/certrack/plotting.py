@@ -26,6 +26,7 @@ from certrack.run import Run
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.titlesize": 9,

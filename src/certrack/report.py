@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
@@ -60,25 +61,26 @@ def console(*, error: bool = False) -> Console:
 
 
 @contextmanager
-def progress(what: str, total: int) -> Iterator[Callable[[int, float], None]]:
-    """Progress bar on standard error; yields a function of the work done and the best so far."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
+def _bar(*more: str) -> Iterator[Progress]:
+    """Progress bar on standard error with further columns; silent where nobody watches."""
+    log = console(error=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    worst = 0.0
     with Progress(
         *columns,
+        *map(TextColumn, more),
         TimeRemainingColumn(),
-        console=(log := console(error=True)),
+        console=log,
         transient=True,
         disable=not log.is_terminal,
     ) as bar:
+        yield bar
+
+
+@contextmanager
+def progress(what: str, total: int) -> Iterator[Callable[[int, float], None]]:
+    """Progress bar; yields a function of the work done and the best so far."""
+    worst = 0.0
+    with _bar() as bar:
         task = bar.add_task(what, total=total)
 
         def advance(done: int, value: float) -> None:
@@ -92,24 +94,7 @@ def progress(what: str, total: int) -> Iterator[Callable[[int, float], None]]:
 @contextmanager
 def rate_progress(what: str) -> Iterator[Callable[[int, int], None]]:
     """Progress bar with rate and time left; yields a function of the work done and in all."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    rate = TextColumn("{task.fields[rate]}")
-    with Progress(
-        *columns,
-        rate,
-        TimeRemainingColumn(),
-        console=(log := console(error=True)),
-        transient=True,
-        disable=not log.is_terminal,
-    ) as bar:
+    with _bar("{task.fields[rate]}") as bar:
         task = bar.add_task(what, total=None, rate="")
         begun: tuple[float, int] | None = None
 
