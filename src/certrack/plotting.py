@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
@@ -18,10 +18,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from certrack.certificates.tube import Tube
-from certrack.ensembles.ensemble import Ensemble
 from certrack.ensembles.statistics import LEVELS
 from certrack.errors import InputError
 from certrack.run import Run
+
+if TYPE_CHECKING:
+    from certrack.ensembles.ensemble import Ensemble
 
 STYLE: dict[Any, Any] = {
     "font.size": 9,

@@ -7,15 +7,18 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
-from certrack.ensembles.ensemble import Ensemble
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from certrack.ensembles.ensemble import Ensemble
 
 
 def to_json(values: Any) -> str:
@@ -63,6 +66,14 @@ def console(*, error: bool = False) -> Console:
 @contextmanager
 def _bar(*more: str) -> Iterator[Progress]:
     """Progress bar on standard error with further columns; silent where nobody watches."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
     log = console(error=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(

@@ -147,6 +147,11 @@ class System:
         """The law made for the plant."""
         return self.law.design(self.plant)
 
+    @property
+    def varied(self) -> Population:
+        """What varies between the members of an ensemble: as stated, or by default."""
+        return self.population or Population.default(self.plant)
+
     def replace(self, **changes: Any) -> System:
         """A copy with some parts replaced, checked again."""
         return replace(self, **changes)

@@ -70,12 +70,21 @@ def write_text(path: Path, text: str, *, overwrite: bool = True) -> None:
     """
     if not overwrite and path.exists():
         raise InputError(str(path), "exists already", remedy="Choose another name")
-    part = path.with_name(path.name + ".part")
     try:
-        part.write_text(text, "utf-8")
-        part.replace(path)
+        write_whole(path, text.encode())
     except OSError as problem:
         raise InputError(str(path), f"cannot be written ({problem.strerror})") from None
+
+
+def write_whole(path: Path, data: bytes | memoryview) -> None:
+    """Write a file that appears only when it is complete; raises OSError and leaves nothing."""
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
 
 
 def _plain(value: Any) -> Any:

@@ -11,11 +11,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from certrack.ensembles.flow import BAND, MEMORIES, SIGNALS, SUMS, make_flow, shown
-from certrack.ensembles.members import Members
+from certrack.ensembles.members import AMPLITUDE, Members
 from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statistics, Tally
 from certrack.integrators.base import Outcome
 from certrack.integrators.lockstep import Lockstep
-from certrack.integrators.native import STUCK, Native, Passed, Timeline, Unavailable
+from certrack.integrators.native import LANES, STUCK, Native, Passed, Timeline, Unavailable
 from certrack.integrators.taylor import available
 from certrack.metrics import Metrics
 from certrack.run import Run
@@ -30,9 +30,6 @@ METHODS = ("native", "lockstep", "alone")
 
 #: Members that one thread takes at a time in lanes: their shown values stay in the cache.
 PIECE = 1024
-
-#: Members that share their steps in lanes.
-GROUP = 8
 
 #: More steps than this, and a group is given up.
 MOST_STEPS = 1_000_000
@@ -100,13 +97,12 @@ def make_plan(
     system: System, seed: int, tolerance: float, limit: float | None, method: str
 ) -> Plan:
     """A plan around the nominal run, the one of the system itself."""
-    members = Members(system, seed)
     run = simulate(system)
-    centre = _signals(run, grid(system, members.population.points))
+    centre = _signals(run, grid(system))
     centre[0] = 0.0  # the error has a natural zero
     with np.errstate(invalid="ignore"):
         largest = np.nanmax(np.abs(_signals(run, run.t)), axis=1)
-    reach = [max(abs(d.low), abs(d.high)) for d in members.population.x0 or ()]
+    reach = [max(abs(d.low), abs(d.high)) for d in system.varied.x0 or ()]
     largest[1 : len(reach) + 1] = np.fmax(largest[1 : len(reach) + 1], reach)
     largest[0] = np.fmax(largest[0], largest[1])
     largest[~(largest > 0)] = 1.0
@@ -114,9 +110,9 @@ def make_plan(
     return Plan(system, seed, tolerance, limit, np.nan_to_num(centre), scale, method)
 
 
-def grid(system: System, points: int) -> np.ndarray:
+def grid(system: System) -> np.ndarray:
     """Times of the bands, s."""
-    return np.linspace(0.0, system.settings.duration, points + 1)
+    return np.linspace(0.0, system.settings.duration, system.varied.points + 1)
 
 
 def _signals(run: Run, t: np.ndarray) -> np.ndarray:
@@ -146,7 +142,7 @@ class Engine:
         system = plan.system
         self._members = Members(system, plan.seed)
         settings, reference = system.settings, system.reference
-        self._grid = grid(system, self._members.population.points)
+        self._grid = grid(system)
         fine = np.linspace(0.0, settings.duration, FINE)
         reach = float(np.abs(reference.values(fine, 0)[0]).max())
         self._band = settings.band or 0.05 * reach or 0.05
@@ -195,7 +191,7 @@ class Engine:
     def final_states(self, begin: int, end: int) -> np.ndarray:
         """Plant states at the end of the run, shape (n, N); compiled C only."""
         passed = self._pass(begin, end)
-        reduced = passed.values[-1, 1:-1, begin % GROUP : begin % GROUP + end - begin]
+        reduced = passed.values[-1, 1:-1, begin % LANES : begin % LANES + end - begin]
         plan = self.plan
         found: np.ndarray = reduced * plan.unit[1:-1, None] + plan.centre[1:-1, -1:]
         return found
@@ -237,9 +233,9 @@ class Engine:
         """Starts and parameters of some members."""
         starts, table = self._members.table(begin, end)
         band = np.full(end - begin, self._band)
-        scale = self._members.population.amplitude
-        if self.plan.system.settings.band is None and scale is not None:
-            band *= np.abs(self._members.draws(begin, end)["amplitude"])
+        amplitude = table.get(AMPLITUDE)
+        if self.plan.system.settings.band is None and amplitude is not None:
+            band *= np.abs(amplitude)
         table[BAND] = band
         return starts, np.array([table[name] for name in self._flow.parameters])
 
@@ -247,7 +243,7 @@ class Engine:
         self, begin: int, end: int, bands: Bands
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Metrics, last times, and who must be run alone."""
-        part = slice(begin % GROUP, begin % GROUP + end - begin)
+        part = slice(begin % LANES, begin % LANES + end - begin)
         passed = self._pass(begin, end)
         self._native.count(passed, part, SIDE, BAND_BITS, bands.counts)
         totals = dict(zip((*SUMS, *MEMORIES), passed.totals[:, part], strict=True))
@@ -256,7 +252,7 @@ class Engine:
     def _pass(self, begin: int, end: int) -> Passed:
         """Members share their steps in groups of eight, always the same eight: whole groups."""
         plan = self.plan
-        starts, parameters = self._table(begin - begin % GROUP, -(-end // GROUP) * GROUP)
+        starts, parameters = self._table(begin - begin % LANES, -(-end // LANES) * LANES)
         timeline = Timeline(self._edges, self._shared, self._grid, plan.centre, plan.unit)
         limit = plan.system.settings.max_state
         return self._native.integrate(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,7 +70,7 @@ class Ensemble:
     @property
     def t(self) -> np.ndarray:
         """Times of the bands, s."""
-        return grid(self.system, self._members.population.points)
+        return grid(self.system)
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -88,7 +88,7 @@ class Ensemble:
     @property
     def independent(self) -> bool:
         """Whether the members are independent, which the binomial interval rests on."""
-        return self._members.population.sampling == "plain"
+        return self.system.varied.sampling == "plain"
 
     @cached_property
     def bands(self) -> np.ndarray:
@@ -118,7 +118,7 @@ class Ensemble:
         return {
             "members": self.members,
             "seed": self.seed,
-            "sampling": self._members.population.sampling,
+            "sampling": self.system.varied.sampling,
             "tail_error": tail,
             "violations": self.violations(),
             "outcomes": {name: found.outcomes[name] for name in sorted(found.outcomes)},
@@ -238,8 +238,9 @@ def _prepared(
     client: Any,
 ) -> tuple[Plan, Engine | None]:
     """The plan, and its engine unless a cluster computes; the first method that works."""
+    plan = make_plan(system, seed, tolerance, limit, method or METHODS[0])
     for name in (method,) if method else METHODS:
-        plan = make_plan(system, seed, tolerance, limit, name)
+        plan = replace(plan, method=name)
         try:
             engine = Engine(plan, threads or hands.cores())
         except Unavailable as reason:

@@ -20,7 +20,7 @@ def limit_of(system: System, given: float | None) -> tuple[float | None, str]:
     origin : str
         ``"given"``, ``"file"``, ``"certificate"``, or why there is none.
     """
-    population = system.population or Population.default(system.plant)
+    population = system.varied
     if given is not None:
         return checks.real("limit", given, above=0), "given"
     if population.limit is not None:

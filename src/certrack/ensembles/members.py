@@ -18,7 +18,7 @@ from certrack.errors import InputError
 from certrack.expressions import parse, symbol
 from certrack.lowering import numpy_callable, rows
 from certrack.plant import Plant, Truth
-from certrack.population import Distribution, Population, probabilities
+from certrack.population import Distribution, probabilities
 from certrack.references import SymbolicReference
 from certrack.system import System
 
@@ -27,6 +27,9 @@ FULL = 1 - 1e-12
 
 #: ||x|| in the disturbances is sqrt(x.x + ROUNDING^2) - ROUNDING: smooth at zero, never above.
 ROUNDING = 1e-6
+
+#: Parameter that scales the reference of a member.
+AMPLITUDE = symbol("ref_member_amplitude")
 
 
 class Members:
@@ -40,7 +43,7 @@ class Members:
 
     def __init__(self, system: System, seed: int) -> None:
         self.system, self.seed = system, seed
-        self.population = system.population or Population.default(system.plant)
+        self.population = system.varied
         self._refuse_unscalable()
         for name in system.plant.constant_values:
             if name.startswith("member_"):

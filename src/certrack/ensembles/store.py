@@ -7,7 +7,6 @@ it covers are ignored, so a kill between the two steps counts nothing twice.
 
 from __future__ import annotations
 
-import os
 import re
 import zlib
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 from certrack.ensembles.engine import Plan, Range
 from certrack.ensembles.statistics import Statistics
 from certrack.errors import InputError
-from certrack.systemtext import to_text
+from certrack.systemtext import to_text, write_whole
 from certrack.version import version
 
 #: Chunk files that may gather.
@@ -126,12 +125,9 @@ class Store:
         self._write(path, buffer.getbuffer())
 
     def _write(self, path: Path, data: bytes | memoryview) -> None:
-        part = path.with_name(f"{path.name}.{os.getpid()}.part")
         try:
-            part.write_bytes(data)
-            part.replace(path)
+            write_whole(path, data)
         except OSError as problem:
-            part.unlink(missing_ok=True)
             raise self._refusal(problem) from None
 
     def _refusal(self, problem: OSError) -> InputError:

@@ -7,7 +7,8 @@
  *
  * `system.h` is generated. It holds the sizes
  *   STATES WATCHED PARAMETERS SHARED COMMON INTEGRALS SIGNALS MEMORIES SHOWN,
- * the coefficients A, B, C, E3, E5, D of the method, and
+ * the coefficients A, B, C, E3, E5, D of the method, ESCAPING (a state larger than this where steps
+ * vanish is escaping), and
  *   common(t, s, c)              what depends on time t and the segment's numbers s alone
  *   rates(c, x, p, k, q)         k = x', q = integrands
  *   signals(c, x, p, k, y)       what the memories look at
@@ -23,9 +24,6 @@ static const double SAFETY = 0.9, SHRINK = 0.2, GROW = 6.0;
 /* The memories see at least so many nodes of a step, times of the grid among them. */
 enum { PARTS = 4 };
 
-/* A state larger than this where steps vanish is escaping. */
-static const double ESCAPING = 1e3;
-
 /* How a member ended; known to the caller. */
 enum { FINISHED, ESCAPED, STUCK };
 
@@ -33,7 +31,7 @@ enum { FINISHED, ESCAPED, STUCK };
 enum { NODES = (ALL_STAGES + LANES - 1) / LANES * LANES };
 
 typedef struct {
-  int64_t count, pitch; /* members; length of a row of `values` */
+  int64_t count, pitch; /* members; length of a row of `values`, whole groups at least */
   const double *starts, *parameters; /* STATES x count, PARAMETERS x count */
   int64_t segments;
   const double *edges; /* segments + 1 times */
@@ -173,8 +171,7 @@ OUTLINE void visit(Group *g, const Task *task, int64_t first, double now, const 
     V reduced = (v[j] - task->centre[j * task->points + row]) * task->pace[j];
     F kept = __builtin_convertvector(choose(g->alive, reduced, SPLAT(NAN)), F);
     float *place = task->values + (row * SHOWN + j) * task->pitch + first;
-    int64_t room = task->pitch - first;
-    memcpy(place, &kept, room < LANES ? (size_t)room * sizeof *place : sizeof kept);
+    memcpy(place, &kept, sizeof kept);
   }
 }
 
@@ -213,8 +210,8 @@ static void travel(const Task *task, V (*marks)[COMMON + 1], int64_t first, Grou
   g->alive = ~(I){0};
   g->t = g->at = task->edges[0];
   double h = 0.0;
-  V c[NODES][COMMON + 1], ends[STATES], k[ALL_STAGES][STATES], f[7][STATES], q[INTEGRALS + 1], r[INTEGRALS + 1];
-  V x[STATES], slopes[STATES];
+  V c[NODES][COMMON + 1], ends[STATES], k[ALL_STAGES][STATES], f[7][STATES];
+  V q[INTEGRALS + 1], r[INTEGRALS + 1], x[STATES], slopes[STATES];
   for (int64_t segment = 0; segment < task->segments; segment++) {
     const double *s = task->shared + segment * SHARED, stop = task->edges[segment + 1];
     common_at(g->t, s, c[0]);

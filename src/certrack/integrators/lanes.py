@@ -1,0 +1,196 @@
+"""The generated part of ``lanes.c``: a system's formulas as C of vectors."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import sympy
+from scipy.integrate import DOP853
+from sympy.printing.c import C99CodePrinter
+
+from certrack.expressions import TIME, without_minmax
+from certrack.integrators.base import ESCAPING
+from certrack.integrators.flow import BEGIN, STEP, Flow
+from certrack.lowering import Select
+
+#: Vector functions that lanes.c has anyway, and those of two arguments.
+OWN = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())
+OF_TWO = {"pow", "atan2"}
+
+
+class _Printer(C99CodePrinter):
+    """Formulas of vectors: known names, products for small powers, selections for kinks."""
+
+    def __init__(self, names: dict[sympy.Symbol, str]) -> None:
+        super().__init__()
+        self._names = names
+
+    def _print_Symbol(self, expr: sympy.Symbol) -> str:
+        return self._names[expr]
+
+    def _print_number(self, expr: sympy.Expr) -> str:
+        value = repr(float(expr))
+        return f"({value})" if value.startswith("-") else value
+
+    _print_Rational = _print_Integer = _print_Float = _print_number
+
+    def vector(self, expr: sympy.Expr) -> str:
+        """The formula as a vector even where it is a number."""
+        if not expr.free_symbols:
+            return f"SPLAT({float(expr)!r})"
+        text = self._print(expr)
+        scalar = all(self._names[name].startswith("s[") for name in expr.free_symbols)
+        return f"SPLAT({text})" if scalar else text
+
+    def _print_Mul(self, expr: sympy.Mul) -> str:
+        return "(" + "*".join(self._print(arg) for arg in expr.args) + ")"
+
+    def _print_Add(self, expr: sympy.Add) -> str:
+        return "(" + " + ".join(self._print(arg) for arg in expr.args) + ")"
+
+    def _print_Pow(self, expr: sympy.Pow) -> str:
+        base, exponent = expr.args
+        if exponent.is_Rational and exponent.q in (1, 2):
+            root = f"v_sqrt({self.vector(base)})" if exponent.q == 2 else self.vector(base)
+            power = _power(root, abs(int(exponent.p)))
+            return power if exponent.p > 0 else f"(1.0/{power})"
+        return f"v_pow({self.vector(base)}, {self.vector(exponent)})"
+
+    def _print_Function(self, expr: sympy.Function) -> str:
+        arguments = [self.vector(arg) for arg in expr.args]
+        if isinstance(expr, Select):
+            a, b, yes, no = arguments
+            return f"choose({a} > {b}, {yes}, {no})"
+        if expr.is_number:
+            return self._print_number(expr)
+        names = {sympy.Abs: "v_abs", sympy.sign: "v_sign", sympy.atan2: "v_atan2"}
+        name = names.get(type(expr)) or f"v_{type(expr).__name__}"
+        return f"{name}({', '.join(arguments)})"
+
+    _print_Abs = _print_sign = _print_sin = _print_cos = _print_tan = _print_Function
+    _print_asin = _print_acos = _print_atan = _print_atan2 = _print_Function
+    _print_sinh = _print_cosh = _print_tanh = _print_exp = _print_log = _print_Function
+    _print_Select = _print_Extremum = _print_Entry = _print_Function
+
+    def _print_NumberSymbol(self, expr: sympy.Expr) -> str:
+        return self._print_number(expr)
+
+
+def _power(base: str, exponent: int) -> str:
+    if exponent == 1:
+        return base
+    if exponent > 8:
+        return f"v_pow({base}, SPLAT({float(exponent)!r}))"
+    return "(" + "*".join([base] * exponent) + ")"
+
+
+def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
+    """The generated part of lanes.c."""
+    timeless, found = flow.without_time()
+    names: dict[sympy.Symbol, str] = {TIME: "t", BEGIN: "t", STEP: "h"}
+    for letter, symbols in (
+        ("c", list(found.values())),
+        ("x", flow.states),
+        ("p", flow.parameters),
+        ("s", flow.shared),
+        ("k", flow.slopes),
+        ("y", [begin for begin, _ in flow.sides]),
+        ("y_end", [end for _, end in flow.sides]),
+        ("m", [symbol for symbol, _ in flow.memories]),
+    ):
+        names |= {symbol: f"{letter}[{i}]" for i, symbol in enumerate(symbols)}
+    sizes = {
+        "STATES": len(flow.states),
+        "WATCHED": flow.watched,
+        "PARAMETERS": len(flow.parameters),
+        "SHARED": len(flow.shared),
+        "COMMON": len(found),
+        "INTEGRALS": len(flow.integrands),
+        "SIGNALS": len(flow.signals),
+        "MEMORIES": len(flow.memories),
+        "SHOWN": len(shown),
+        "STAGES": len(DOP853.B),
+        "ALL_STAGES": len(DOP853.A_EXTRA[0]),
+    }
+    assert sizes["SHOWN"] and sizes["SIGNALS"] and sizes["MEMORIES"]
+
+    def function(name: str, arguments: str, *results: tuple[str, Sequence[sympy.Expr]]) -> str:
+        targets = [(f"{to}[{i}]", f) for to, formulas in results for i, f in enumerate(formulas)]
+        return _function(name, arguments, targets, names)
+
+    memories = [formula for _, formula in timeless.memories]
+    parts = [
+        "enum { " + ", ".join(f"{name} = {size}" for name, size in sizes.items()) + " };",
+        f"static const double ESCAPING = {ESCAPING!r};",
+        *_tables(),
+        function("common", "V t, const double *s, V *out", ("out", list(found))),
+        function(
+            "rates",
+            "const V *c, const V *x, const V *p, V *k, V *q",
+            ("k", timeless.rates),
+            ("q", timeless.integrands),
+        ),
+        function(
+            "signals",
+            "const V *c, const V *x, const V *p, const V *k, V *out",
+            ("out", timeless.signals),
+        ),
+        function(
+            "memories",
+            "V t, V h, const V *c, const V *p, const V *y, const V *y_end, V *m",
+            ("m", memories),
+        ),
+        function("shown", "const V *x, const V *y_end, V *out", ("out", shown)),
+    ]
+    text = "\n".join(parts) + "\n"
+    called = sorted(set(re.findall(r"\bv_(\w+)\(", text)) - OWN)
+    macros = {name: "ELEMENTARY_OF_TWO" if name in OF_TWO else "ELEMENTARY" for name in called}
+    return "".join(f"{macro}({name})\n" for name, macro in macros.items()) + text
+
+
+def _tables() -> list[str]:
+    """Coefficients of the method, as SciPy has them."""
+    stages, every = len(DOP853.B), len(DOP853.A_EXTRA[0])
+    A, C = np.zeros((every, every)), np.ones(every)
+    A[:stages, :stages], A[stages + 1 :] = DOP853.A, DOP853.A_EXTRA
+    C[:stages], C[stages + 1 :] = DOP853.C, DOP853.C_EXTRA
+    assert DOP853.E3[-1] == DOP853.E5[-1] == 0
+    found = {"A": A, "B": DOP853.B, "C": C, "E3": DOP853.E3, "E5": DOP853.E5, "D": DOP853.D}
+    lines = []
+    for name, table in found.items():
+        shape = "".join(f"[{size}]" for size in table.shape)
+        lines.append(f"static const double {name}{shape} = {_braces(table.tolist())};")
+    return lines
+
+
+def _braces(values: Any) -> str:
+    if isinstance(values, list):
+        return "{" + ", ".join(map(_braces, values)) + "}"
+    return repr(values)
+
+
+def _function(
+    name: str,
+    arguments: str,
+    results: Sequence[tuple[str, sympy.Expr]],
+    names: dict[sympy.Symbol, str],
+) -> str:
+    """A C function that assigns the results; common subexpressions are computed once."""
+    temporaries = sympy.numbered_symbols("c", real=True)
+    formulas = [without_minmax(formula) for _, formula in results]
+    common, reduced = sympy.cse(formulas, temporaries)
+    known = names | {symbol: f"{symbol.name}_" for symbol, _ in common}
+    printer = _Printer(known)
+    unused = "".join(
+        f"  (void){argument.split('*')[-1].split()[-1]};\n" for argument in arguments.split(", ")
+    )
+    lines = [f"  V {known[symbol]} = {printer.vector(formula)};" for symbol, formula in common]
+    lines += [
+        f"  V r{i}_ = {printer.vector(formula)};" for i, formula in enumerate(reduced)
+    ]  # all before the first is assigned: a result may be an argument of another
+    lines += [f"  {target} = r{i}_;" for i, (target, _) in enumerate(results)]
+    body = "\n".join(lines)
+    return f"static void {name}({arguments}) {{\n{unused}{body}\n}}\n"
