@@ -149,7 +149,7 @@ class Members:
             for name, value in plant.constant_values.items()
         }
         texts = {f"true_g_{i}": entry.text for i, entry in enumerate(plant.chain)}
-        for k, (i, j) in enumerate(self.loop.couplings):
+        for k, (i, j) in enumerate(self.loop.plant.couplings):
             assert plant.linear is not None
             texts[f"true_b_{k}"] = plant.linear[i][j].text
         texts[f"true_g_{plant.n - 1}"] = truth.input_gain.text
