@@ -41,6 +41,7 @@ def test_public_surface_is_frozen():
         "Ensemble",
         "ErrorCoordinates",
         "Gains",
+        "Implementation",
         "InputError",
         "Law",
         "Metrics",

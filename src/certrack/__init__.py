@@ -17,6 +17,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "ensembles.ensemble": ["Ensemble", "ensemble"],
         "errors": ["CertrackError", "DesignError", "InputError", "MissingExtra"],
         "assumption": ["check_assumption_1"],
+        "implementation": ["Implementation"],
         "integrators.base": ["Outcome"],
         "laws": ["Adaptive", "Classic", "Law", "Robust"],
         "metrics": ["Metrics"],

@@ -98,8 +98,18 @@ def numpy_callable(
     arguments: Sequence[Any], formulas: Sequence[sympy.Expr]
 ) -> Callable[..., list[Any]]:
     """Vectorised NumPy function of the given (nested) arguments that returns all formulas."""
-    found: Callable[..., list[Any]] = sympy.lambdify(arguments, list(formulas), "numpy", cse=True)
+    plain = [formula.replace(_is_cubic, lambda f: f.selections()) for formula in formulas]
+    modules = [{"Select": _select}, "numpy"]
+    found: Callable[..., list[Any]] = sympy.lambdify(arguments, plain, modules, cse=True)
     return found
+
+
+def _is_cubic(expr: sympy.Basic) -> bool:
+    return isinstance(expr, (Extremum, Entry))
+
+
+def _select(a: Any, b: Any, yes: Any, no: Any) -> Any:
+    return np.where(np.greater(a, b), yes, no)
 
 
 def jacobian(formulas: Sequence[sympy.Expr], by: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
