@@ -1,42 +1,36 @@
-"""Measurement noise: normal numbers that are a pure function of seed, member, sample and sensor."""
+"""Measurement noise: normal numbers that are a pure function of seed, member, sample and sensor.
+
+A member's key and a counter are hashed (SplitMix64) and turned into a normal number (Box, Muller).
+No state is kept, so any sample of any member can be had alone, in any order, and by the compiled
+integrator (``sampled.c``) as well.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: Members whose numbers are drawn together, and samples drawn at a time.
-GROUP, BLOCK = 64, 256
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
-class Noise:
-    """Standard normal numbers for some members, sample after sample.
+def keys(seed: int, first: int, count: int) -> np.ndarray:
+    """Keys of the members first ... first + count - 1, unsigned integers."""
+    start = np.random.SeedSequence(seed).generate_state(1, np.uint64)
+    members = np.arange(first, first + count, dtype=np.uint64)
+    return _hashed(start + GOLDEN * members)
 
-    Parameters
-    ----------
-    seed : int
-    first, count : int
-        Members first ... first + count - 1.
-    sensors : int
-    """
 
-    def __init__(self, seed: int, first: int, count: int, sensors: int) -> None:
-        groups = range(first // GROUP, (first + count - 1) // GROUP + 1)
-        self._generators = [
-            np.random.Generator(np.random.Philox(np.random.SeedSequence([seed, group])))
-            for group in groups
-        ]
-        begin = first % GROUP
-        self._part = slice(begin, begin + count)
-        self._sensors = sensors
-        self._block = np.empty((0, sensors, count))
-        self._next = 0
+def normal(keys: np.ndarray, sample: int, sensors: int) -> np.ndarray:
+    """Standard normal numbers of a sample, shape (sensors, members)."""
+    counters = np.arange(sensors, dtype=np.uint64) + np.uint64(sample * sensors + 1)
+    bits = _hashed(keys + GOLDEN * counters[:, None])
+    high, low = bits >> np.uint64(32), bits & np.uint64(0xFFFFFFFF)
+    radius = np.sqrt(-2.0 * np.log((high + 0.5) * 2.0**-32))
+    found: np.ndarray = radius * np.cos(low * (2.0**-32 * 2.0 * np.pi))
+    return found
 
-    def draw(self) -> np.ndarray:
-        """Numbers of the next sample, shape (sensors, count)."""
-        if self._next == len(self._block):
-            shape = (BLOCK, self._sensors, GROUP)
-            drawn = [generator.standard_normal(shape) for generator in self._generators]
-            self._block, self._next = np.concatenate(drawn, axis=2)[:, :, self._part], 0
-        found: np.ndarray = self._block[self._next]
-        self._next += 1
-        return found
+
+def _hashed(z: np.ndarray) -> np.ndarray:
+    """The output function of SplitMix64 (Steele, Lea, Flood, 2014)."""
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import sympy
@@ -12,6 +11,7 @@ import sympy
 from certrack.closed_loop import INTEGRAL_SCALE, INTEGRALS
 from certrack.errors import InputError
 from certrack.expressions import TIME, derivative, symbol
+from certrack.lowering import STEP
 from certrack.sampled_controller import (
     COMMAND,
     SampledController,
@@ -21,9 +21,8 @@ from certrack.sampled_controller import (
 from certrack.simulated_plant import INPUT, SimulatedPlant, plant_values, simulated_plant
 from certrack.system import System
 
-#: A step between samples: its begin and length, e_1 and its rate at both ends, and the integrals of
-#: e_1^2 and e_1 over it. Formulas of what is totalled may contain them.
-BEGIN, STEP = sympy.symbols("kept_begin kept_step", real=True)
+#: Of a step between samples: e_1 and its rate at both ends, and the integrals of e_1^2 and e_1.
+#: Formulas of what is totalled may contain them.
 SIDES = tuple(symbol(f"kept_{name}") for name in ("e_begin", "e_end", "rate_begin", "rate_end"))
 SQUARE, AREA = symbol("kept_square"), symbol("kept_area")
 
@@ -54,7 +53,10 @@ class SampledLoop:
     slope : formula
         Rate of e_1; it may contain :data:`INPUT`.
     own : symbols of the reference that a sweep may vary
-    pieces : symbols of the reference's current piece
+    parameters : symbols
+        All that have a value: of plant, controller and reference.
+    pieces : symbols
+        Whose values hold from break to break: the reference's current piece.
     totals : Totals
     """
 
@@ -63,17 +65,12 @@ class SampledLoop:
     e_1: sympy.Expr
     slope: sympy.Expr
     own: tuple[sympy.Symbol, ...]
+    parameters: tuple[sympy.Symbol, ...]
     pieces: tuple[sympy.Symbol, ...]
     totals: Totals
 
-    @cached_property
-    def parameters(self) -> tuple[sympy.Symbol, ...]:
-        """Symbols of :func:`loop_values`."""
-        own = dict.fromkeys((*self.plant.parameters, *self.controller.parameters, *self.own))
-        return tuple(own)
-
     def with_numbers(self, known: Mapping[sympy.Symbol, sympy.Expr]) -> SampledLoop:
-        """The loop with numbers for some parameters; they stay listed."""
+        """The loop with numbers for some parameters, which are none any more."""
         plant, c = self.plant, self.controller
 
         def put(formulas: Sequence[sympy.Expr]) -> tuple[sympy.Expr, ...]:
@@ -89,6 +86,7 @@ class SampledLoop:
             ),
             e_1=self.e_1.xreplace(known),
             slope=self.slope.xreplace(known),
+            parameters=tuple(name for name in self.parameters if name not in known),
             totals=tuple((name, formula.xreplace(known)) for name, formula in self.totals),
         )
 
@@ -109,12 +107,22 @@ def sample_loop(system: System, totals: Totals | None = None) -> SampledLoop:
     rates = dict(zip(plant.states, plant.rates, strict=True)) | {TIME: sympy.Integer(1)}
     present = [name for name in rates if name in e_1.free_symbols]
     slope = sympy.Add(*(derivative(e_1, name) * rates[name] for name in present))
-    own, pieces = tuple(reference.parameter_symbols), tuple(reference.piece_symbols)
-    return SampledLoop(plant, controller, e_1, slope, own, pieces, totals or run_totals())
+    own = tuple(reference.parameter_symbols)
+    every = dict.fromkeys((*plant.parameters, *controller.parameters, *own))
+    return SampledLoop(
+        plant=plant,
+        controller=controller,
+        e_1=e_1,
+        slope=slope,
+        own=own,
+        parameters=tuple(every),
+        pieces=tuple(reference.piece_symbols),
+        totals=totals or run_totals(),
+    )
 
 
 def loop_values(loop: SampledLoop, system: System) -> np.ndarray:
-    """Values of :attr:`SampledLoop.parameters`."""
+    """Values of :attr:`SampledLoop.parameters` of a loop as :func:`sample_loop` makes it."""
     assert system.implementation is not None
     law = controller_values(loop.controller, system.plant, system.law, system.implementation)
     known: dict[sympy.Symbol, float] = {}

@@ -16,7 +16,7 @@ from certrack.integrators.maps import HeyokaMaps, Maps, NumpyMaps
 from certrack.integrators.sampled import Course, SampledRun, timeline
 from certrack.integrators.taylor import available
 from certrack.lowering import numpy_callable, rows
-from certrack.noise import Noise
+from certrack.noise import keys
 from certrack.run import Run
 from certrack.sampled_controller import starting_state
 from certrack.sampled_loop import SampledLoop, loop_values, sample_loop
@@ -69,7 +69,7 @@ class SampledSimulator:
             timeline=line,
             outputs=self.outputs,
             pieces=system.reference.piece_values,
-            noise=None if way.noise is None else Noise(way.seed, way.stream, 1, system.plant.n),
+            keys=keys(way.seed, way.stream, 1),
             tolerance=settings.tolerance,
             max_state=settings.max_state,
         )

@@ -9,9 +9,11 @@ from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 
 import numpy as np
+import sympy
 
 from certrack.ensembles.flow import BAND, MEMORIES, SIGNALS, SUMS, make_flow, shown
 from certrack.ensembles.members import AMPLITUDE, Members
+from certrack.ensembles.sampled import SampledCrowd
 from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statistics, Tally
 from certrack.integrators.base import Outcome
 from certrack.integrators.lockstep import Lockstep
@@ -30,6 +32,9 @@ METHODS = ("native", "lockstep", "alone")
 
 #: Members that one thread takes at a time in lanes: their shown values stay in the cache.
 PIECE = 1024
+
+#: The same under a sampled controller, where a member takes a thousand times as long.
+SAMPLED_PIECE = 256
 
 #: More steps than this, and a group is given up.
 MOST_STEPS = 1_000_000
@@ -155,6 +160,17 @@ class Engine:
         if plan.method == "lockstep" and not available():
             raise Unavailable("heyoka is not installed")
         _, varying = self._members.table(0, 1)
+        if system.implementation is not None:
+            self._crowd = SampledCrowd(
+                self._members,
+                varying,
+                plan.method,
+                plan.tolerance,
+                self._edges,
+                self._shared,
+                self._grid,
+            )
+            return
         self._flow = make_flow(self._members, varying)
         if plan.method == "native":
             self._native = Native(self._flow, shown(self._flow))
@@ -163,8 +179,9 @@ class Engine:
 
     def compute(self, begin: int, end: int) -> Statistics:
         """Statistics of the members begin ... end-1."""
-        starts = range(begin - begin % PIECE, end, PIECE)
-        pieces = [(max(first, begin), min(first + PIECE, end)) for first in starts]
+        size = PIECE if self.plan.system.implementation is None else SAMPLED_PIECE
+        starts = range(begin - begin % size, end, size)
+        pieces = [(max(first, begin), min(first + size, end)) for first in starts]
         shares = [pieces[i :: self._threads] for i in range(min(self._threads, len(pieces)))]
         if self.plan.method != "native":
             shares = [[(begin, end)]]
@@ -210,6 +227,8 @@ class Engine:
         alone = np.ones(count, dtype=bool)
         if self.plan.method != "alone":
             together = self._in_lanes if self.plan.method == "native" else self._in_step
+            if self.plan.system.implementation is not None:
+                together = self._sampled
             metrics, ends, alone = together(begin, end, bands)
             outcomes[~alone & (ends < self._edges[-1])] = Outcome.escaped.name
             metrics[:, ends < self._edges[-1]] = np.nan
@@ -229,15 +248,31 @@ class Engine:
             for k, value in zip(late.tolist(), values, strict=True):
                 bands.observe(signal, k, np.array([value]))
 
+    def _sampled(
+        self, begin: int, end: int, bands: Bands
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same, under a sampled controller; whole groups of eight share their steps."""
+        first, last = begin - begin % LANES, -(-end // LANES) * LANES
+        part = slice(begin - first, end - first)
+        starts, table = self._varied(first, last)
+        totals, ends, stuck = self._crowd.run(first, last, starts, table, part, bands)
+        totals = {name: values[part] for name, values in totals.items()}
+        return self._metrics(totals), ends[part], stuck[part]
+
     def _table(self, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
-        """Starts and parameters of some members."""
+        """Starts and parameters of some members, as the flow has them."""
+        starts, table = self._varied(begin, end)
+        return starts, np.array([table[name] for name in self._flow.parameters])
+
+    def _varied(self, begin: int, end: int) -> tuple[np.ndarray, dict[sympy.Symbol, np.ndarray]]:
+        """Starts and parameters of some members, by name."""
         starts, table = self._members.table(begin, end)
         band = np.full(end - begin, self._band)
         amplitude = table.get(AMPLITUDE)
         if self.plan.system.settings.band is None and amplitude is not None:
             band *= np.abs(amplitude)
         table[BAND] = band
-        return starts, np.array([table[name] for name in self._flow.parameters])
+        return starts, table
 
     def _in_lanes(
         self, begin: int, end: int, bands: Bands

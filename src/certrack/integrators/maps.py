@@ -14,9 +14,9 @@ import sympy
 from scipy.integrate import RK45
 
 from certrack.expressions import TIME
-from certrack.lowering import larger, magnitude, numpy_callable, rows, to_heyoka
+from certrack.lowering import BEGIN, STEP, larger, magnitude, numpy_callable, rows, to_heyoka
 from certrack.sampled_controller import COMMAND
-from certrack.sampled_loop import AREA, BEGIN, SIDES, SQUARE, STEP, SampledLoop, resolved
+from certrack.sampled_loop import AREA, SIDES, SQUARE, SampledLoop, resolved
 from certrack.simulated_plant import INPUT
 
 Array = np.ndarray
@@ -137,7 +137,9 @@ class HeyokaMaps:
         for row, value in zip(table, own, strict=False):
             row[:] = value
         table[self.OWN :] = p[: max(0, function.nparams - self.OWN)]
-        found: Array = function(np.concatenate(inputs), pars=table, **self._options)
+        found: Array = function(
+            np.ascontiguousarray(np.concatenate(inputs)), pars=table, **self._options
+        )
         return found
 
     def _control_formulas(self, hy: Any) -> tuple[list[Any], list[Any]]:

@@ -18,7 +18,7 @@ import numpy as np
 from certrack.implementation import Implementation
 from certrack.integrators.base import ESCAPING, Outcome
 from certrack.integrators.maps import LANES, ORDER, Maps, Number
-from certrack.noise import Noise
+from certrack.noise import normal
 
 Array = np.ndarray
 
@@ -98,7 +98,8 @@ class Course:
         Measured values of the plant's states and all parameters, where they are not the states.
     pieces : callable
         Values of the reference's piece symbols from a time on.
-    noise : Noise, optional
+    keys : (N,) array of unsigned integers
+        Of the members' noise.
     tolerance : float
     max_state : float
     """
@@ -111,7 +112,7 @@ class Course:
     timeline: Timeline
     outputs: Callable[[Array, Array], Array] | None
     pieces: Callable[[float], Array]
-    noise: Noise | None
+    keys: Array
     tolerance: float
     max_state: float
 
@@ -126,8 +127,12 @@ class SampledRun:
     Attributes
     ----------
     x, states, totals : (·, N) arrays
-    u : (N,) array
-        The input that acts.
+    u, variation : (N,) arrays
+        The input that acts, and by how much in all it has changed.
+    parameters : (P, N) array
+        Of the loop and its current piece.
+    marks : int
+        Times of interest reached.
     ends : (N,) array, s
         Last time reached.
     outcomes : (N,) array of Outcome
@@ -142,9 +147,11 @@ class SampledRun:
         self.outcomes = np.full(count, Outcome.finished, dtype=object)
         self._alive = np.ones(count, dtype=bool)
         self._waiting: deque[Array] = deque()
+        self._taken = self.marks = 0
+        self.variation = np.zeros(count)
         pieces = course.pieces(0.0)
-        self._p = np.vstack([course.parameters, np.repeat(pieces[:, None], count, axis=1)])
-        self._pieces = slice(len(course.parameters), len(self._p))
+        self.parameters = np.vstack([course.parameters, np.repeat(pieces[:, None], count, axis=1)])
+        self._pieces = slice(len(course.parameters), len(self.parameters))
 
     def go(
         self,
@@ -167,15 +174,18 @@ class SampledRun:
         times, marks = line.times.tolist(), line.marks.tolist()
         samples, acts, breaks = line.samples.tolist(), line.acts.tolist(), line.breaks.tolist()
         for k, t in enumerate(times):
-            if breaks[k] and self._pieces.start < len(self._p):
-                self._p[self._pieces] = self._course.pieces(t)[:, None]
+            if breaks[k] and self._pieces.start < len(self.parameters):
+                self.parameters[self._pieces] = self._course.pieces(t)[:, None]
             if samples[k]:
                 sampled(t, self.states)
                 self._sample(t)
             if acts[k]:
-                self.u = self._waiting.popleft()
+                before, self.u = self.u, self._waiting.popleft()
+                if k:
+                    self.variation += np.abs(self.u - before)
             if marks[k] >= 0:
                 look(marks[k])
+                self.marks += 1
             if k + 1 < len(times):
                 self._cross(t, times[k + 1], record)
                 self.ends[self._alive] = times[k + 1]
@@ -186,15 +196,16 @@ class SampledRun:
         """Measure, evaluate the law; its command waits for the actuator."""
         way, x = self._course.way, self.x
         outputs = self._course.outputs
-        measured = x if outputs is None else outputs(x, self._p)
-        if self._course.noise is not None:
-            assert way.noise is not None
-            measured = measured + np.array(way.noise)[:, None] * self._course.noise.draw()
+        measured = x if outputs is None else outputs(x, self.parameters)
+        if way.noise is not None:
+            drawn = normal(self._course.keys, self._taken, len(measured))
+            measured = measured + np.array(way.noise)[:, None] * drawn
+        self._taken += 1
         if way.measurement_quantum is not None:
             quantum = np.array(way.measurement_quantum)[:, None]
             with np.errstate(all="ignore"):
                 measured = np.where(quantum, np.rint(measured / quantum) * quantum, measured)
-        u, self.states = self._maps.control(t, measured, self.states, self._p)
+        u, self.states = self._maps.control(t, measured, self.states, self.parameters)
         if way.input_quantum:
             u = np.rint(u / way.input_quantum) * way.input_quantum
         self._waiting.append(u)
@@ -203,7 +214,7 @@ class SampledRun:
         """All members from one event to the next."""
         h = end - begin
         x, totals, error = self._maps.step(
-            begin, h, self._allowed(h, h), self.x, self.u, self.totals, self._p
+            begin, h, self._allowed(h, h), self.x, self.u, self.totals, self.parameters
         )
         late = ~(error <= 1.0)
         if late.any():
@@ -230,7 +241,7 @@ class SampledRun:
         """Members that need several steps for the interval, each with its own step size."""
         t = np.full(len(group), begin)
         x, totals = self.x[:, group], self.totals[:, group]
-        u, p = self.u[group], np.ascontiguousarray(self._p[:, group])
+        u, p = self.u[group], np.ascontiguousarray(self.parameters[:, group])
         lost = np.zeros(len(group), dtype=bool)
         for _ in range(MOST_STEPS):
             last = t + h >= end * (1 - 1e-15)
