@@ -64,6 +64,7 @@ def test_public_surface_is_frozen():
         "ensemble",
         "load",
         "loads",
+        "margins",
         "recursion",
         "samples",
         "save",

@@ -20,6 +20,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "implementation": ["Implementation"],
         "integrators.base": ["Outcome"],
         "laws": ["Adaptive", "Classic", "Law", "Robust"],
+        "margin": ["margins"],
         "metrics": ["Metrics"],
         "plant": ["Plant", "Truth", "Uncertainty"],
         "population": ["Distribution", "Population"],

@@ -34,6 +34,9 @@ COMMAND, ASKED = symbol("ctl_u"), symbol("ctl_u_law")
 
 PERIOD = symbol("ctl_period")
 
+#: 1 at the first sample, 0 later: there is nothing to take a difference from yet.
+FIRST = symbol("ctl_first")
+
 
 @dataclass(frozen=True)
 class SampledController:
@@ -72,6 +75,11 @@ class SampledController:
     gain_names: tuple[str, ...]
     hold: tuple[tuple[int, int], ...]
     leak: tuple[sympy.Expr, ...]
+
+    @property
+    def numbers(self) -> tuple[sympy.Symbol, ...]:
+        """The parameters that an implementation of the same structure may change."""
+        return tuple(name for name in self.parameters if name.name.startswith("ctl_"))
 
 
 def sampled_controller(
@@ -133,7 +141,7 @@ def _measured(
     found: dict[sympy.Symbol, sympy.Expr] = {}
     if not way.velocity:
         return found
-    x, first, pole = plant.symbols, symbol("ctl_first"), symbol("ctl_filter")
+    x, pole = plant.symbols, symbol("ctl_filter")
     numbers.append(pole)
     for i in range(1, plant.n):
         if plant.states[i] not in way.velocity:
@@ -141,7 +149,7 @@ def _measured(
         name = plant.states[i]
         position = found.get(x[i - 1], x[i - 1])
         before, speed = symbol(f"ctl_before_{name}"), symbol(f"ctl_speed_{name}")
-        difference = Select(first, 0, 0, (position - before) / PERIOD)
+        difference = Select(FIRST, 0, 0, (position - before) / PERIOD)
         filtered, value = symbol(f"ctl_filtered_{name}"), symbol(f"ctl_{name}")
         row = [
             sympy.Float(plant.b[i - 1, j]) * found.get(x[j], x[j])
@@ -152,7 +160,7 @@ def _measured(
         steps.append((value, (filtered - sympy.Add(*row)) / sympy.Float(plant.g[i - 1])))
         kept += [(before, position), (speed, filtered)]
         found[x[i]] = value
-    kept.append((first, sympy.Integer(0)))
+    kept.append((FIRST, sympy.Integer(0)))
     return found
 
 
@@ -245,6 +253,6 @@ def starting_state(
     found: SampledController, estimates: tuple[float, ...], way: Implementation
 ) -> np.ndarray:
     """States before the first sample."""
-    others = {symbol("ctl_first"): 1.0, symbol("ctl_u_last"): way.initial_input}
+    others = {FIRST: 1.0, symbol("ctl_u_last"): way.initial_input}
     rest = [others.get(name, 0.0) for name in found.states[len(found.estimates) :]]
     return np.array([*estimates, *rest])

@@ -84,6 +84,7 @@ class SampledSimulator:
         count = len(system.controller.states)
         run = SampledRun(self.maps, course)
         run.go(sampled=lambda t, s: kept.append((t, s[:count, 0])), record=record)
+        kept.append((float(line.times[-1]), run.states[:count, 0]))
         outcome: Outcome = run.outcomes[0]
         if outcome is not Outcome.finished and len(ends) > 2:
             inside = np.abs(np.array(columns)[:, : len(course.x)]).max(axis=1)
@@ -135,9 +136,10 @@ class Steps:
         Plant states and integrals at `ends`.
     inputs : (K,) array
         The input on each step.
-    samples : (M,) array, s
-    estimates : (r, M) array
-        The estimates that each sample used.
+    samples : (M+1,) array, s
+        Times of the samples, and the end of the run.
+    estimates : (r, M+1) array
+        The estimates that each sample used, and the last ones.
     slopes : callable
         Rates of the columns at times, states, inputs, and begins of the steps.
     n : int

@@ -13,14 +13,20 @@ import sympy
 
 from certrack.ensembles.flow import BAND, MEMORIES, SIGNALS, SUMS, make_flow, shown
 from certrack.ensembles.members import AMPLITUDE, Members
-from certrack.ensembles.sampled import SampledCrowd
+from certrack.ensembles.sampled import Group, SampledCrowd, Segments
 from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statistics, Tally
+from certrack.implementation import Implementation
 from certrack.integrators.base import Outcome
 from certrack.integrators.lockstep import Lockstep
 from certrack.integrators.native import LANES, STUCK, Native, Passed, Timeline, Unavailable
 from certrack.integrators.taylor import available
 from certrack.metrics import Metrics
 from certrack.run import Run
+from certrack.sampled_controller import (
+    SampledController,
+    controller_values,
+    sampled_controller,
+)
 from certrack.simulation import simulate
 from certrack.system import System
 from certrack.systemtext import to_text
@@ -140,9 +146,11 @@ class Engine:
     plan : Plan
     threads : int
         Cores to use.
+    adjustable : bool
+        Whether :meth:`extremes` is to be asked for other implementations.
     """
 
-    def __init__(self, plan: Plan, threads: int = 1) -> None:
+    def __init__(self, plan: Plan, threads: int = 1, *, adjustable: bool = False) -> None:
         self.plan, self._threads = plan, threads
         system = plan.system
         self._members = Members(system, plan.seed)
@@ -161,14 +169,11 @@ class Engine:
             raise Unavailable("heyoka is not installed")
         _, varying = self._members.table(0, 1)
         if system.implementation is not None:
+            segments = Segments(self._edges, self._shared)
+            if adjustable:
+                varying |= dict.fromkeys(self._sampled_controller().numbers, np.empty(0))
             self._crowd = SampledCrowd(
-                self._members,
-                varying,
-                plan.method,
-                plan.tolerance,
-                self._edges,
-                self._shared,
-                self._grid,
+                self._members, varying, plan.method, plan.tolerance, segments, self._grid
             )
             return
         self._flow = make_flow(self._members, varying)
@@ -254,10 +259,51 @@ class Engine:
         """The same, under a sampled controller; whole groups of eight share their steps."""
         first, last = begin - begin % LANES, -(-end // LANES) * LANES
         part = slice(begin - first, end - first)
-        starts, table = self._varied(first, last)
-        totals, ends, stuck = self._crowd.run(first, last, starts, table, part, bands)
-        totals = {name: values[part] for name, values in totals.items()}
-        return self._metrics(totals), ends[part], stuck[part]
+
+        def show(mark: int, values: np.ndarray) -> None:
+            for signal, row in enumerate(values):
+                bands.observe(signal, mark, row[part])
+
+        group = Group(first, *self._varied(first, last))
+        totals, ends, alone = self._crowd.run(group, show)
+        metrics = self._metrics({name: values[part] for name, values in totals.items()})
+        return metrics, ends[part], alone[part]
+
+    def extremes(self, members: int, way: Implementation) -> tuple[float, float]:
+        """Largest tail error and input of the first members under another implementation.
+
+        The error is inf where a member does not finish.
+
+        Parameters
+        ----------
+        members : int
+        way : Implementation
+            With the structure of the system's own.
+        """
+        system, controller = self.plan.system, self._sampled_controller()
+        values = controller_values(controller, system.plant, system.law, way)
+        numbers = dict(zip(controller.parameters, values, strict=True))
+        numbers = {name: numbers[name] for name in controller.numbers}
+        size = LANES * max(1, members // (LANES * self._threads))
+
+        def extremes(first: int) -> tuple[float, float]:
+            starts, table = self._varied(first, first + size)
+            table |= {name: np.full(size, value) for name, value in numbers.items()}
+            group = Group(first, starts, table)
+            totals, ends, alone = self._crowd.run(group, lambda _mark, _values: None, way)
+            mine = slice(0, members - first)
+            done = ~alone & (ends >= self._edges[-1])
+            tails = np.where(done, totals["tail_error"], np.inf)[mine]
+            return float(tails.max()), float(np.nanmax(totals["peak_input"][mine]))
+
+        with ThreadPoolExecutor(self._threads) as pool:
+            found = list(pool.map(extremes, range(0, members, size)))
+        return max(tail for tail, _ in found), max(peak for _, peak in found)
+
+    def _sampled_controller(self) -> SampledController:
+        system = self.plan.system
+        assert system.implementation is not None
+        return sampled_controller(system.plant, system.controller, system.implementation)
 
     def _table(self, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
         """Starts and parameters of some members, as the flow has them."""
@@ -326,7 +372,7 @@ class Engine:
         duration, outside = self.plan.system.settings.duration, totals["last_outside"]
         found = totals | {
             "settling_time": np.where(outside >= duration * (1 - 1e-12), np.nan, outside),
-            "rms_error": np.sqrt(totals["integral_squared_error"] / duration),
+            "rms_error": np.sqrt(np.maximum(totals["integral_squared_error"], 0.0) / duration),
         }
         return np.array([found[name] for name in METRICS])
 

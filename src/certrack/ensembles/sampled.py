@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy
 
 from certrack.ensembles.flow import BAND, IN_TAIL, MEMORIES, SUMS, sampled_totals
 from certrack.ensembles.members import Members
-from certrack.ensembles.statistics import Bands
 from certrack.expressions import TIME
+from certrack.implementation import Implementation
 from certrack.integrators.base import Outcome
-from certrack.integrators.maps import HeyokaMaps, NumpyMaps
+from certrack.integrators.maps import HeyokaMaps, Maps, NumpyMaps
 from certrack.integrators.sampled import Course, SampledRun, timeline
 from certrack.integrators.sampled_lanes import SampledNative
 from certrack.integrators.taylor import available
@@ -31,6 +31,52 @@ TOTALS = (*SUMS, *MEMORIES[1:], MEMORIES[0])
 STUCK = 2
 
 
+@dataclass(frozen=True)
+class Segments:
+    """Where rates, signals or what is totalled may jump.
+
+    Attributes
+    ----------
+    edges : (K+1,) array, s
+        Begins of the segments, and the end of the run.
+    shared : (K, H) array
+        On each, whether it lies in the tail, and the reference's piece.
+    """
+
+    edges: np.ndarray
+    shared: np.ndarray
+
+    def at(self, time: float) -> np.ndarray:
+        """Values on the segment that begins at or contains `time`."""
+        k = int(np.searchsorted(self.edges, time * (1 + 1e-12), side="right")) - 1
+        found: np.ndarray = self.shared[min(k, len(self.shared) - 1)]
+        return found
+
+
+@dataclass(frozen=True)
+class Group:
+    """Members that are run together; whole groups of eight.
+
+    Attributes
+    ----------
+    first : int
+    starts : (S, N) array
+        Plant states and estimates.
+    table : values of every parameter that varies, by symbol
+    """
+
+    first: int
+    starts: np.ndarray
+    table: Mapping[sympy.Symbol, np.ndarray]
+
+
+#: Gets the number of a time of the grid and the shown values of all members there.
+Show = Callable[[int, np.ndarray], None]
+
+#: What is totalled, by name; last times; which members have to be run alone.
+Found = tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]
+
+
 class SampledCrowd:
     """A sampled loop compiled for many members.
 
@@ -38,14 +84,12 @@ class SampledCrowd:
     ----------
     members : Members
     varying : symbols
-        Parameters that differ between members.
+        Parameters that differ between members; the others get their values.
     method : {"native", "lockstep"}
     tolerance : float
-    edges, shared : arrays
-        Begins of the segments and the end of the run; on every segment, whether it lies in the
-        tail, and the reference's piece.
+    segments : Segments
     grid : (T,) array, s
-        Times of the bands.
+        Times at which members are shown: e_1, the measured states, u.
 
     Raises
     ------
@@ -59,114 +103,84 @@ class SampledCrowd:
         varying: Iterable[sympy.Symbol],
         method: str,
         tolerance: float,
-        edges: np.ndarray,
-        shared: np.ndarray,
+        segments: Segments,
         grid: np.ndarray,
     ) -> None:
-        system = members.template
-        assert system.implementation is not None
-        self._members, self._tolerance = members, tolerance
-        self._edges, self._shared, self._marks = edges, shared, len(grid)
-        whole = sample_loop(system, sampled_totals())
-        self._rest = len(whole.controller.states) - len(system.controller.states)
-        base = dict(zip(whole.parameters, loop_values(whole, system).tolist(), strict=True))
-        for name in varying:
-            base.pop(name, None)
-        fixed = {name: sympy.Float(value) for name, value in base.items()}
-        loop = whole.with_numbers(fixed)
-        self._loop = replace(
+        self._system, self._seed = members.template, members.seed
+        self._tolerance, self._segments, self._grid = tolerance, segments, grid
+        whole = sample_loop(self._system, sampled_totals())
+        base = dict(zip(whole.parameters, loop_values(whole, self._system).tolist(), strict=True))
+        free = set(varying)
+        loop = whole.with_numbers(
+            {name: sympy.Float(value) for name, value in base.items() if name not in free}
+        )
+        self._loop = loop = replace(
             loop, parameters=(*loop.parameters, BAND), pieces=(IN_TAIL, *loop.pieces)
         )
-        duration = system.settings.duration
-        self._line = timeline(system.implementation, duration, edges[1:-1], grid)
         shown = (loop.e_1, *loop.plant.outputs, INPUT)
         self._native, self._maps = None, None
         if method == "native":
-            self._native = SampledNative(self._loop, shown)
+            self._native = SampledNative(loop, shown)
         else:
             heyoka = available()
-            self._maps = HeyokaMaps(self._loop, vector=True) if heyoka else NumpyMaps(self._loop)
-            self._shown = numpy_callable(
-                [
-                    TIME,
-                    self._loop.plant.states,
-                    INPUT,
-                    [*self._loop.parameters, *self._loop.pieces],
-                ],
-                shown,
-            )
+            self._maps = HeyokaMaps(loop, vector=True) if heyoka else NumpyMaps(loop)
+            names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
+            self._shown = numpy_callable(names, shown)
 
-    def run(
-        self,
-        begin: int,
-        end: int,
-        starts: np.ndarray,
-        table: dict[sympy.Symbol, np.ndarray],
-        part: slice,
-        bands: Bands,
-    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-        """What is totalled of the members begin ... end-1, their last times, and who is stuck.
+    def run(self, group: Group, show: Show, way: Implementation | None = None) -> Found:
+        """Run members to their end.
 
-        Whole groups of eight; `part` of them is counted in the bands.
+        Parameters
+        ----------
+        group : Group
+        show : Show
+        way : Implementation, optional
+            Another one than the system's, with the same structure; the parameters that it
+            changes must be among the varying ones.
         """
-        system, count = self._members.template, end - begin
-        way = system.implementation
+        system, count = self._system, group.starts.shape[1]
+        way = way or system.implementation
         assert way is not None
-        n, controller = self._loop.plant.n, self._loop.controller
-        kept = starting_state(controller, (0.0,) * (len(starts) - n), way)[:, None]
-        kept = np.repeat(kept, count, axis=1)
-        kept[: len(starts) - n] = starts[n:]
-        totals = np.zeros((len(self._loop.totals), count))
-        parameters = np.array([table[name] for name in self._loop.parameters])
-        streams = keys(self._members.seed, begin, count)
-        limit = system.settings.max_state
-        if self._native is not None:
-            passed = self._native.integrate(
-                way,
-                self._line,
-                (starts[:n], kept, totals),
-                parameters,
-                streams,
-                self._shared,
-                self._tolerance,
-                limit,
-            )
-            for k, rows_ in enumerate(passed.values):
-                for signal, values in enumerate(rows_):
-                    bands.observe(signal, k, values[part])
-            stuck = passed.outcomes == STUCK
-            return dict(zip(TOTALS, passed.totals, strict=True)), passed.ends, stuck
+        n, settings = self._loop.plant.n, system.settings
+        kept = starting_state(self._loop.controller, (0.0,) * (len(group.starts) - n), way)
+        states = np.repeat(kept[:, None], count, axis=1)
+        states[: len(group.starts) - n] = group.starts[n:]
         course = Course(
-            x=starts[:n],
-            states=kept,
-            totals=totals,
-            parameters=parameters,
+            x=group.starts[:n],
+            states=states,
+            totals=np.zeros((len(self._loop.totals), count)),
+            parameters=np.array([group.table[name] for name in self._loop.parameters]),
             way=way,
-            timeline=self._line,
+            timeline=timeline(way, settings.duration, self._segments.edges[1:-1], self._grid),
             outputs=outputs_of(self._loop),
-            pieces=self._pieces,
-            keys=streams,
+            pieces=self._segments.at,
+            keys=keys(self._seed, group.first, count),
             tolerance=self._tolerance,
-            max_state=limit,
+            max_state=settings.max_state,
         )
+        if self._native is not None:
+            return self._by_native(self._native, course, show)
         assert self._maps is not None
-        going = SampledRun(self._maps, course)
+        return self._by_maps(self._maps, course, show)
+
+    def _by_native(self, native: SampledNative, course: Course, show: Show) -> Found:
+        passed = native.integrate(course, self._segments.shared)
+        for mark, values in enumerate(passed.values):
+            show(mark, values)
+        totals = dict(zip(TOTALS, passed.totals, strict=True))
+        return totals, passed.ends, passed.outcomes == STUCK
+
+    def _by_maps(self, maps: Maps, course: Course, show: Show) -> Found:
+        run, line, count = SampledRun(maps, course), course.timeline, course.x.shape[1]
+        times = line.times[line.marks >= 0]
 
         def look(mark: int) -> None:
-            now = self._line.times[self._line.marks == mark][0]
-            values = rows(self._shown(now, going.x, going.u, going.parameters), count)
-            for signal, row in enumerate(values):
-                bands.observe(signal, mark, row[part])
+            values = self._shown(times[mark], run.x, run.u, run.parameters)
+            show(mark, rows(values, count))
 
-        going.go(look=look)
-        for mark in range(going.marks, self._marks):
-            for signal in range(bands.centre.shape[0]):
-                bands.observe(signal, mark, np.full(part.stop - part.start, np.nan))
-        found = dict(zip(TOTALS, [*going.totals, going.variation], strict=True))
-        limits = {Outcome.finished, Outcome.escaped}
-        stuck = np.array([outcome not in limits for outcome in going.outcomes])
-        return found, going.ends, stuck
-
-    def _pieces(self, time: float) -> np.ndarray:
-        k = int(np.searchsorted(self._edges, time * (1 + 1e-12), side="right")) - 1
-        return self._shared[min(k, len(self._shared) - 1)]
+        run.go(look=look)
+        for mark in range(run.marks, len(times)):
+            show(mark, np.full((len(self._loop.plant.outputs) + 2, count), np.nan))
+        totals = dict(zip(TOTALS, [*run.totals, run.variation], strict=True))
+        known = {Outcome.finished, Outcome.escaped}
+        return totals, run.ends, np.array([outcome not in known for outcome in run.outcomes])

@@ -138,6 +138,14 @@ static double largest(V error, I which) {
   return worst;
 }
 
+/* Lanes that no step serves: those with a large state are escaping. */
+static void give_up(Group *g, const Group *now, const Task *task, int64_t first, I lost, double t) {
+  I large = (I){0};
+  for (int j = 0; j < STATES; j++) large |= v_abs(now->x[j]) > SPLAT(ESCAPING);
+  bury(g, task, first, lost & large, ESCAPED, t);
+  bury(g, task, first, lost, STUCK, t);
+}
+
 /* Lanes that need several steps for an interval; the others keep what they have. */
 OUTLINE void creep(Group *g, const Task *task, int64_t first, double begin, double end,
                    const double *s, I late, V error, V *ends, V *y) {
@@ -158,15 +166,13 @@ OUTLINE void creep(Group *g, const Task *task, int64_t first, double begin, doub
     }
     h *= factor(worst, 5.0);
     if (t < end && t + h <= t) { /* nothing is short enough for these */
-      I lost = late & ~(found <= SPLAT(1.0)), large = (I){0};
-      for (int j = 0; j < STATES; j++) large |= v_abs(g->x[j]) > SPLAT(ESCAPING);
-      bury(g, task, first, lost & large, ESCAPED, begin);
-      bury(g, task, first, lost, STUCK, begin);
+      I lost = late & ~(found <= SPLAT(1.0));
+      give_up(g, &own, task, first, lost, begin);
       late &= ~lost;
       h = (end - begin) * 1e-6;
     }
   }
-  if (t < end) bury(g, task, first, late, STUCK, begin);
+  if (t < end) give_up(g, &own, task, first, late, begin);
   for (int j = 0; j < STATES; j++) ends[j] = choose(late, own.x[j], ends[j]);
   for (int j = 0; j < TOTALS; j++) y[j] = choose(late, own.y[j], y[j]);
 }

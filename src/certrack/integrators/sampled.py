@@ -259,9 +259,9 @@ class SampledRun:
             if (lost | (t >= end)).all():
                 break
         stuck = t < end
-        x[:, stuck], totals[:, stuck] = np.nan, np.nan
         if stuck.any():
-            wild = np.abs(self.x[:, group]).max(axis=0) > ESCAPING
+            wild = np.abs(x).max(axis=0) > ESCAPING
+            x[:, stuck], totals[:, stuck] = np.nan, np.nan
             for i in np.flatnonzero(stuck):
                 limit = Outcome.undefined if lost[i] else Outcome.step_limit
                 self.outcomes[group[i]] = Outcome.escaped if wild[i] else limit

@@ -11,11 +11,10 @@ import sympy
 from scipy.integrate import RK45
 
 from certrack.expressions import TIME
-from certrack.implementation import Implementation
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.lanes import braces, c_function, with_elementary
 from certrack.integrators.native import built
-from certrack.integrators.sampled import MOST_STEPS, SHARE, Timeline
+from certrack.integrators.sampled import MOST_STEPS, SHARE, Course
 from certrack.lowering import BEGIN, STEP, hoisted
 from certrack.sampled_loop import AREA, SIDES, SQUARE, SampledLoop, resolved
 from certrack.simulated_plant import INPUT
@@ -83,41 +82,27 @@ class SampledNative:
         self._sensors = len(loop.controller.measured)
         self._library = built("sampled.c", _header(loop, shown))
 
-    def integrate(
-        self,
-        way: Implementation,
-        line: Timeline,
-        starts: tuple[Array, Array, Array],
-        parameters: Array,
-        keys: Array,
-        shared: Array,
-        tolerance: float,
-        limit: float,
-    ) -> Passed:
-        """Integrate members; releases the interpreter lock.
+    def integrate(self, course: Course, shared: Array) -> Passed:
+        """Carry out a course; releases the interpreter lock.
 
         Parameters
         ----------
-        way : Implementation
-        line : Timeline
-        starts : (·, N) arrays
-            Plant states, controller states, totals.
-        parameters : (P, N) array
-        keys : (N,) array of unsigned integers
+        course : Course
+            Its outputs and pieces are not asked.
         shared : (segments, H) array
-            A row for the begin of the run and for every break.
-        tolerance, limit : float
+            Values of the piece symbols from the begin of the run, and from every break on.
         """
-        count = starts[0].shape[1]
+        way, line, count = course.way, course.timeline, course.x.shape[1]
         marks = int(line.marks.max()) + 1
         values = np.full((marks, self._shown, count), np.nan)
         found, ends = np.full((self._totals + 1, count), np.nan), np.zeros(count)
         outcomes = np.zeros(count, dtype=np.uint8)
         none = (0.0,) * self._sensors
         sensors = [np.array(row or none) for row in (way.noise, way.measurement_quantum)]
+        starts = (course.x, course.states, course.totals, course.parameters)
         arrays = [
-            *(np.ascontiguousarray(a, dtype=float) for a in (*starts, parameters)),
-            np.ascontiguousarray(keys),
+            *(np.ascontiguousarray(a, dtype=float) for a in starts),
+            np.ascontiguousarray(course.keys),
             np.ascontiguousarray(line.times),
             (line.samples + 2 * line.acts).astype(np.uint8),
             line.marks.astype(np.int32),
@@ -135,8 +120,8 @@ class SampledNative:
             *pointers[10:],
             way.input_quantum,
             way.initial_input,
-            tolerance,
-            limit,
+            course.tolerance,
+            course.max_state,
             *(array.ctypes.data for array in (values, found, ends, outcomes)),
         )
         if self._library.integrate(ctypes.byref(task)):
