@@ -25,6 +25,7 @@ settings.load_profile("certrack")
 
 SHIPPED = (
     "dual-motor",
+    "dual-motor-drive",
     "dual-motor-lean",
     "dual-motor-strong",
     "example1",
@@ -32,7 +33,11 @@ SHIPPED = (
 )
 
 
-@pytest.fixture(params=SHIPPED)
+#: Those whose controller is not sampled.
+CONTINUOUS = [name for name in SHIPPED if name != "dual-motor-drive"]
+
+
+@pytest.fixture(params=CONTINUOUS)
 def shipped(request):
     return certrack.load(request.param)
 

@@ -60,6 +60,7 @@ def test_every_system_file_key_is_documented():
 
     from certrack.laws import LAWS
     from certrack.systemfile import (
+        IMPLEMENTATION_KEYS,
         PLANT_KEYS,
         POPULATION_KEYS,
         SETTING_KEYS,
@@ -70,5 +71,13 @@ def test_every_system_file_key_is_documented():
     page = (ROOT / "docs" / "system-file.md").read_text()
     fields = {entry.name for law in LAWS.values() for entry in fields_of(law)}
     signals = {name for _, a, b in SIGNALS.values() for name in (*a, *b)}
-    for key in {*PLANT_KEYS, *TRUTH_KEYS, *SETTING_KEYS, *POPULATION_KEYS, *fields, *signals}:
+    for key in {
+        *PLANT_KEYS,
+        *TRUTH_KEYS,
+        *SETTING_KEYS,
+        *POPULATION_KEYS,
+        *IMPLEMENTATION_KEYS,
+        *fields,
+        *signals,
+    }:
         assert re.search(rf"[`.]{key}\b", page), key

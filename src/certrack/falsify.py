@@ -76,7 +76,8 @@ def falsify(
     Parameters
     ----------
     system : System
-        Its law, ranges and uncertainty; the search replaces disturbance, reference and start.
+        Its law, ranges and uncertainty; the search replaces disturbance, reference and start. The
+        loop is the continuous one, which certificates are of; an implementation is left out.
     budget : int
         Number of runs.
     seed : int
@@ -93,7 +94,7 @@ def falsify(
         raise InputError(
             "falsify", "needs heyoka, which is not installed", remedy="conda-forge has it"
         )
-    hunt = _Hunt(system)
+    hunt = _Hunt(system.replace(implementation=None))
     spent = 0
     size = max(32, min(96, 8 * (len(hunt.genes) // 2)))
 

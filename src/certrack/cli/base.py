@@ -28,6 +28,16 @@ def note_violations(system: System) -> None:
         click.echo(f"certrack: note: {violation}", err=True)
 
 
+def note_implementation(system: System) -> None:
+    """Say that a guarantee is of the continuous loop."""
+    if system.implementation is not None:
+        click.echo(
+            "certrack: note: this is of the continuous law; sampling, delay, limits and sensors of "
+            "[implementation] are left out (see: certrack margin)",
+            err=True,
+        )
+
+
 def draw(runs: dict[str, Run], folder: Path, title: str) -> None:
     """Every panel, and all of them together."""
     from certrack import plotting

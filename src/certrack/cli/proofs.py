@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from certrack.cli.base import FOLDER, json_option, note_violations
+from certrack.cli.base import FOLDER, json_option, note_implementation, note_violations
 
 
 @click.command()
@@ -27,6 +27,7 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
 
     system = load(file)
     note_violations(system)
+    note_implementation(system)
     found = certificates.certify(system)
     if out is not None and found.stages:
         certificates.save_certificate(system, found.stages, out)
@@ -96,6 +97,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
 
     system = load(file)
     note_violations(system)
+    note_implementation(system)
     with report.progress("Searching", budget) as advance:
         found = falsifier.falsify(system, budget=budget, seed=seed, progress=advance)
     if out is not None:
