@@ -69,6 +69,7 @@ def test_public_surface_is_frozen():
         "save",
         "simulate",
         "steps",
+        "to_control",
         "to_text",
         "trapezoid",
         "triangle",
