@@ -118,7 +118,8 @@ class CPrinter(C99CodePrinter):
             return self._print_number(expr)
         if _is_negative(expr):
             return f"(-{self._print(-expr)})"
-        above, below = [], []
+        above: list[sympy.Expr] = []
+        below: list[sympy.Expr] = []
         for factor in sorted(expr.args, key=self._constants_first):
             inverse = factor.is_Pow and factor.exp.is_Rational and factor.exp < 0
             (below if inverse else above).append(1 / factor if inverse else factor)

@@ -53,8 +53,9 @@ class CCode:
 
     @cached_property
     def members(self) -> tuple[str, ...]:
-        """Of the structure NAME_state, all real numbers."""
-        return tuple(free_name(self.program.labels[s], ()) for s in self.program.states)
+        """Of the structure NAME_state, all real numbers; C wants one at least."""
+        names = tuple(free_name(self.program.labels[s], ()) for s in self.program.states)
+        return names or ("unused",)
 
     @cached_property
     def header(self) -> str:
@@ -122,13 +123,14 @@ def _header(code: CCode) -> str:
     given = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
     members = [
         f"    {real} {member};{_about(made, symbol)}"
-        for symbol, member in zip(made.states, code.members, strict=True)
+        for symbol, member in zip(made.states, code.members, strict=False)
     ] or [f"    {real} unused; /* this controller keeps nothing */"]
+    state = f"{name}_state *s"
     declared = {
-        "Sets the state before the first sample.": f"void {name}_init({name}_state *s)",
-        "The input u of this sample; changes nothing.": f"{real} {name}_output(const {name}_state *s, {given})",
-        "From this sample to the next one.": f"void {name}_update({name}_state *s, {given})",
-        "Both: the input u of this sample, then on to the next one.": f"{real} {name}_step({name}_state *s, {given})",
+        "Sets the state before the first sample.": f"void {name}_init({state})",
+        "The input u; changes nothing.": f"{real} {name}_output(const {state}, {given})",
+        "From this sample to the next one.": f"void {name}_update({state}, {given})",
+        "Both: the input u, then on to the next sample.": f"{real} {name}_step({state}, {given})",
     }
     functions = "\n\n".join(
         f"/* {note} */\n{wrapped(f'{text};', '')}" for note, text in declared.items()
@@ -146,7 +148,7 @@ typedef {code.real} {real};
 /* Measured plant states x: {", ".join(code.system.plant.states)}. */
 #define {name}_STATES {len(made.measured)}
 
-/* The reference y_d and its derivatives up to order {len(made.Y) - 1}, at the time of the sample. */
+/* The reference y_d and its derivatives up to order {len(made.Y) - 1}, when the sample is taken. */
 #define {name}_REFERENCES {len(made.Y)}
 
 /* What is kept from sample to sample. */
@@ -218,7 +220,7 @@ def _source(code: CCode) -> str:
     ]
     changes = [
         wrapped(f"s->{member} = {there.text(formula)};")
-        for member, formula in zip(code.members, made.update, strict=True)
+        for member, formula in zip(code.members, made.update, strict=False)
     ]
     advance = [
         *_locals(code, late.difference(both)),
@@ -238,7 +240,9 @@ def _source(code: CCode) -> str:
         "/* What is known of a sample once it is evaluated. */\ntypedef struct {\n"
         + "".join(f"    {real} {code.names[symbol]};\n" for symbol in kept)
         + f"}} {name}_signals;\n",
-        _function("From the measurements to the input.", f"static void evaluate({given})", evaluate),
+        _function(
+            "From the measurements to the input.", f"static void evaluate({given})", evaluate
+        ),
         _function(
             "From this sample to the next one.",
             f"static void advance({name}_state *s, {inputs}const {name}_signals *v)",
@@ -257,8 +261,8 @@ def _interface(code: CCode, advance: str) -> str:
     given = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
     start = [
         f"    s->{member} = {literal(value, code.real)};"
-        for member, value in zip(code.members, made.start, strict=True)
-    ] or [f"    s->unused = {literal(0, code.real)};"]
+        for member, value in zip(code.members, made.start or (0.0,), strict=True)
+    ]
     evaluate = [f"    {name}_signals v;", "", "    evaluate(s, x, y_d, &v);"]
     forward = [f"    {advance}"] if advance else []
     update = [*evaluate, *forward] if advance else [f"    (void){a};" for a in ("s", "x", "y_d")]
@@ -324,7 +328,7 @@ def _texts(code: CCode, others: dict[sympy.Symbol, str]) -> dict[sympy.Symbol, s
     return {
         **{symbol: names[symbol] for symbol in made.measured},
         **{symbol: f"y_d[{i}]" for i, symbol in enumerate(made.Y)},
-        **{s: f"s->{member}" for s, member in zip(made.states, code.members, strict=True)},
+        **{s: f"s->{member}" for s, member in zip(made.states, code.members, strict=False)},
         **{step.name: names[step.name] for step in (*made.steps, *made.rates)},
         **{symbol: names[symbol] for symbol in made.constants},
         **others,

@@ -20,14 +20,14 @@ from certrack.expressions import symbol
 from certrack.integrators.maps import Maps, Number
 from certrack.lowering import numpy_callable, rows
 from certrack.sampled_controller import COMMAND, controller_values
-from certrack.sampled_loop import resolved
+from certrack.sampled_loop import SampledLoop, resolved
 from certrack.sampled_simulation import SampledSimulator
 from certrack.system import System
 
 Array = np.ndarray
 
 #: Largest deviation over its scale.
-TOLERANCE = {"double": 1e-12, "float": 5e-5}
+TOLERANCE = {"double": 1e-12, "float": 5e-6}
 
 #: The error that must be caught, relative; a number shows well where it passes the tolerance by
 #: this factor.
@@ -102,17 +102,18 @@ def golden(system: System, made: Program, real: str = "double", seed: int = 0) -
     names = [label for label, _ in numbers]
     best = effects[:, keep].max(axis=1, initial=0.0) if keep else np.zeros(len(names))
     blind = tuple(name for name, value in zip(names, best, strict=True) if value < 1.0)
-    inputs = [part[:, keep] for part in found]
-    return Golden(count, *inputs, answers[:, keep], scales[:, keep], blind)
+    x, Y, states = (part[:, keep] for part in found)
+    return Golden(count, x, Y, states, answers[:, keep], scales[:, keep], blind)
 
+
+#: A number of the code, and what it is multiplied by.
+Change = tuple[int, float] | None
 
 #: Answers (1 + m, N) for x, Y, states and changed numbers.
 Evaluate = Callable[..., Array]
 
 
-def reference_answers(
-    system: System, made: Program
-) -> Callable[[Array, Array, Array], Array]:
+def reference_answers(system: System, made: Program) -> Callable[[Array, Array, Array], Array]:
     """The controller as the simulation has it: u and the next states, for columns of inputs."""
     controller, way = made.controller, system.implementation
     assert way is not None
@@ -160,7 +161,9 @@ def _probe(system: System, made: Program) -> tuple[Evaluate, list[tuple[str, flo
     function = numpy_callable([made.measured, made.Y, made.states, names], formulas)
     exact = reference_answers(system, made)
 
-    def evaluate(x: Array, Y: Array, states: Array, change: tuple[int, float] | None = None) -> Array:
+    def evaluate(
+        x: Array, Y: Array, states: Array, change: tuple[int, float] | None = None
+    ) -> Array:
         if change is None:
             return exact(x, Y, states)
         p = np.array(values)
@@ -234,7 +237,9 @@ def _candidates(
         base = part[:, some]
         typical = np.abs(part).max(axis=1, initial=0.0) + 1.0 * (len(part) > 0)
         size = typical[:, None] * 10.0 ** random.uniform(-2, 1, (1, CANDIDATES))
-        moved = base * random.integers(0, 2, (1, CANDIDATES)) + size * random.normal(size=base.shape)
+        moved = base * random.integers(0, 2, (1, CANDIDATES)) + size * random.normal(
+            size=base.shape
+        )
         return np.where(random.random(base.shape) < 0.35, 0.0, moved)
 
     found = [spread(part) for part in (x, Y, states)]
@@ -274,10 +279,14 @@ def recorded(system: System, made: Program) -> tuple[Array, Array, Array]:
     duration = min(system.settings.duration, way.offset + LONGEST * way.period)
     settings = replace(system.settings, duration=duration, tail=None)
     short = system.replace(settings=settings)
-    simulator = SampledSimulator(short)
-    recorder = _Recorder(simulator.maps)
-    simulator.maps = recorder
-    simulator.run(short)
+    recorders: list[_Recorder] = []
+
+    def listen(maps: Maps, _: SampledLoop) -> Maps:
+        recorders.append(_Recorder(maps))
+        return recorders[0]
+
+    SampledSimulator(short, around=listen).run(short)
+    (recorder,) = recorders
     x = np.array([measured for measured, _ in recorder.given]).T
     states = np.array([kept for _, kept in recorder.given]).reshape(len(recorder.given), -1).T
     inside = np.isfinite(x).all(axis=0) & np.isfinite(states).all(axis=0)

@@ -18,16 +18,17 @@ KEYWORDS = frozenset(
 )
 
 #: What <math.h> declares or defines, on some platform or other; the f and l forms as well.
-MATH = """acos asin atan atan2 cos sin tan acosh asinh atanh cosh sinh tanh exp exp2 exp10 expm1 frexp
-    ldexp log log10 log1p log2 logb ilogb modf scalbn scalbln scalb cbrt fabs hypot pow pow10 sqrt
+MATH = """acos asin atan atan2 cos sin tan acosh asinh atanh cosh sinh tanh exp exp2 exp10 expm1
+    frexp ldexp log
+    log10 log1p log2 logb ilogb modf scalbn scalbln scalb cbrt fabs hypot pow pow10 sqrt
     erf erfc lgamma tgamma gamma ceil floor nearbyint rint lrint llrint round lround llround trunc
     fmod remainder remquo copysign nan nextafter nexttoward fdim fmax fmin fma j0 j1 jn y0 y1 yn
     signgam significand drem sincos finite isinf isnan fpclassify isfinite isnormal signbit
     isgreater isgreaterequal isless islessequal islessgreater isunordered float_t double_t matherr
     abs labs div""".split()
 
-MACROS = """HUGE HUGE_VAL HUGE_VALF HUGE_VALL INFINITY NAN DOMAIN SING OVERFLOW UNDERFLOW PLOSS TLOSS
-    MAXFLOAT MATH_ERRNO MATH_ERREXCEPT math_errhandling I linux unix i386 arm avr""".split()
+MACROS = """HUGE HUGE_VAL HUGE_VALF HUGE_VALL INFINITY NAN DOMAIN SING OVERFLOW UNDERFLOW PLOSS
+    TLOSS MAXFLOAT MATH_ERRNO MATH_ERREXCEPT math_errhandling I linux unix i386 arm avr""".split()
 
 RESERVED = KEYWORDS | {name + end for name in MATH for end in ("", "f", "l")} | set(MACROS)
 

@@ -119,7 +119,10 @@ def program(system: System) -> Program:
     limited = command != ASKED
     steps.append(Step(ASKED if limited else COMMAND, asked, NOTES[ASKED]))
     last = [Step(COMMAND, command, NOTES[COMMAND])] if limited else []
-    rates = [Step(symbol(f"ctl_rate_{z.name}"), rate.xreplace(x)) for z, rate in equations.update]
+    rates = [
+        Step(symbol(f"ctl_rate_{z.name}"), rate.xreplace(x), "" if i else "rates of the estimates")
+        for i, (z, rate) in enumerate(equations.update)
+    ]
     after = next_estimates(full.estimates, [step.name for step in rates], full.hold, way)
     size = magnitude(ASKED - COMMAND)
     if any(formula.has(size) for formula in after):
@@ -284,7 +287,7 @@ def _selections(formula: sympy.Expr) -> sympy.Expr:
 
 def _labels(system: System, made: Program) -> dict[sympy.Symbol, str]:
     """Natural names."""
-    found = {name: label for name, label in zip(made.measured, system.plant.states, strict=True)}
+    found = dict(zip(made.measured, system.plant.states, strict=True))
     r = system.plant.r
     for group, names in system.controller.signals.all_parameters.items():
         square = len(names) == r * r and r > 1
