@@ -16,6 +16,7 @@ from exported import EVERYTHING, PythonController, along_a_run, sampled
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
+from test_cli import invoke, result
 
 import certrack
 from certrack.export.fmu import fmu
@@ -275,3 +276,17 @@ def test_what_is_needed(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(certrack.CertrackError, match="needs a C compiler: install gcc or clang"):
         fmu(sampled("example1"), "example1")
+
+
+def test_command_line(capfd, tmp_path, version, monkeypatch):
+    out = tmp_path / "drive.fmu"
+    ask = ("export", "fmu", "dual-motor-lean", "--fmi", version, "--period", "0.01", "--out")
+    assert result(capfd, *ask, str(out)) == {"file": str(out)}
+    description = fmpy.read_model_description(str(out))
+    assert description.coSimulation.modelIdentifier == "drive"
+    assert description.fmiVersion == f"{version}.0"
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    code, _, err = invoke(capfd, *ask, str(tmp_path / "other.fmu"))
+    assert (code, err.count("\n")) == (2, 1)
+    assert "needs a C compiler" in err
+    assert list(tmp_path.iterdir()) == [out]

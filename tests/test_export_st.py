@@ -7,6 +7,7 @@ import pytest
 import tree_sitter
 import tree_sitter_iec61131_3_st as grammar
 from exported import EVERYTHING, PythonController, along_a_run, sampled
+from test_cli import invoke, result
 
 import certrack
 from certrack.export.st import structured_text
@@ -231,3 +232,27 @@ def test_names_and_comments_that_do_not_fit():
 def test_needs_an_implementation():
     with pytest.raises(certrack.InputError, match="implementation: is missing"):
         structured_text(certrack.load("example1"), "example1")
+
+
+def test_command_line(capfd, tmp_path):
+    out = tmp_path / "drive.st"
+    code, _, err = invoke(
+        capfd, "export", "st", "dual-motor-lean", "--period", "0.01", "--out", str(out)
+    )
+    assert (code, err) == (0, "")
+    block = FunctionBlock(out.read_text())
+    assert "FUNCTION_BLOCK drive\n" in out.read_text()
+    assert block.call(0, 0, 0, 0, 0, 0, 0) == 0.0
+    assert result(capfd, "export", "st", "example1", "--period", "1", "--out", str(out)) == {
+        "file": str(out)
+    }
+    for arguments, message in (
+        (("--out", str(out)), "implementation: is missing"),
+        (("--period", "0", "--out", str(out)), "implementation.period: must be positive"),
+        (("--period", "1", "--out", str(tmp_path / "no" / "a.st")), "cannot be written"),
+    ):
+        code, _, err = invoke(capfd, "export", "st", "example1", *arguments)
+        assert code == 2
+        assert message in err
+        assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [out]

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import sympy
 
+from certrack.export.c_source import sampled_system
 from certrack.export.names import stem
 from certrack.export.program import Program, program
 from certrack.export.st_writer import INDENT, Writer, free, literal, plain
@@ -34,15 +35,18 @@ RESERVED = frozenset(
 )
 
 
-def structured_text(system: System, name: str) -> str:
+def structured_text(
+    system: System, name: str = "controller", *, period: float | None = None
+) -> str:
     """A function block that computes what the sampled controller computes.
 
     Parameters
     ----------
     system : System
-        With an implementation.
     name : str
         Of the system or its file; the block's name is derived from it.
+    period : float > 0, s, optional
+        Instead of that of the implementation; needed if the system has none.
 
     Returns
     -------
@@ -52,8 +56,9 @@ def structured_text(system: System, name: str) -> str:
     Raises
     ------
     InputError
-        If the system has no implementation.
+        If there is no period.
     """
+    system = sampled_system(system, period)
     made, taken = program(system), set(RESERVED)
     block = free(stem(name), taken)
     names = _names(made, taken)
