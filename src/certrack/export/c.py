@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from certrack.errors import InputError
-from certrack.export.c_readme import readme
+from certrack.export.c_readme import KIND, readme
 from certrack.export.c_source import CCode, c_code
 from certrack.export.c_test_source import test_source
 from certrack.export.golden import golden
 from certrack.lowering import numpy_callable
 from certrack.system import System
-from certrack.systemtext import write_whole
 
 #: Below this part of itself per sample, leakage is lost in the rounding of float.
 STALLS = 1e-4
@@ -112,27 +113,40 @@ def _leak_share(code: CCode) -> float:
 
 
 def write_all(folder: Path, texts: dict[str, str]) -> tuple[Path, ...]:
-    """Write files to a folder, all or none of the new ones.
+    """Write files to a folder, all or none.
 
     Raises
     ------
     InputError
-        If the folder cannot be made or written to.
+        If the folder cannot be made or written to, or has a README.md of another kind.
     """
-    new: list[Path] = []
+    readme = folder / "README.md"
     try:
-        made = not folder.exists()
+        new = not folder.exists()
+        if readme.exists() and KIND not in readme.read_text("utf-8", "replace"):
+            raise InputError(
+                str(readme), "is not of an exported controller", remedy="Choose another folder"
+            )
         folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            path = folder / name
-            new += [] if path.exists() else [path]
-            write_whole(path, text.encode())
+        try:
+            _write(folder, texts)
+        except OSError:
+            if new:
+                folder.rmdir()
+            raise
     except OSError as problem:
-        for path in new:
-            path.unlink(missing_ok=True)
-        if made and folder.is_dir():
-            folder.rmdir()
         raise InputError(
             str(folder), f"cannot be written ({problem.strerror})", remedy="Choose another folder"
         ) from None
     return tuple(folder / name for name in texts)
+
+
+def _write(folder: Path, texts: dict[str, str]) -> None:
+    """Write all files beside their places, then move them there."""
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".certrack-") as place:
+        for name, text in texts.items():
+            if (folder / name).is_dir():
+                raise IsADirectoryError(errno.EISDIR, f"{name} is a folder")
+            (Path(place) / name).write_text(text, "utf-8")
+        for name in texts:
+            (Path(place) / name).replace(folder / name)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from certrack.export.c_source import CCode
 
+#: What every such file says.
+KIND = "tracking controller in C99"
+
 
 def readme(code: CCode, notes: tuple[str, ...]) -> str:
     """Contents of README.md."""
@@ -12,7 +15,7 @@ def readme(code: CCode, notes: tuple[str, ...]) -> str:
     derivatives = ", ".join(["y_d", *(f"y_d^({i})" for i in range(1, len(code.program.Y)))])
     kept = ", ".join(code.members) if code.program.states else "nothing"
     warning = "".join(f"**Note:** {note}\n\n" for note in notes)
-    return f"""# {name}: tracking controller in C99
+    return f"""# {name}: {KIND}
 
 `{name}.h` and `{name}.c` are the controller, with `{code.real}` numbers, sampled every
 {way.period!r} s. They need `<math.h>` only: no dynamic memory, no globals, no loops.
