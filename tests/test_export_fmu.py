@@ -19,9 +19,11 @@ from fmpy.validation import validate_fmu
 from test_cli import invoke, result
 
 import certrack
-from certrack.export.fmu import fmu
+from certrack.export.fmu import compiler, fmu
 
 VERSIONS = ("2", "3")
+
+pytestmark = pytest.mark.skipif(not compiler(), reason="FMUs need a C compiler")
 
 HAS_ECOS = sys.platform == "linux" and ctypes.util.find_library("tbb") is not None
 NO_ECOS = "ecospy, the second importer, needs the system's libtbb (apt install libtbb12)"
@@ -113,6 +115,21 @@ def test_closed_loop_reproduces_the_run(name, way, version, tmp_path):
         u = controller.step(t, T)
         assert u == pytest.approx(u_run, rel=1e-11, abs=1e-11)
         state = blocks.plant.dynamics(t, state, [u])
+    controller.close()
+
+
+def test_jacobi_master_is_a_delay_of_one_period(version, tmp_path):
+    """Plant and controller side by side: the plant gets the command of the step before."""
+    system = sampled("example1").with_settings(tolerance=1e-12)
+    late = sampled("example1", delay=1.0).with_settings(tolerance=1e-12)
+    blocks, run, T = certrack.to_control(system), certrack.simulate(late), 0.001
+    controller = Imported(written(system, version, tmp_path), version, tmp_path)
+    state, times = blocks.X0[:2], T * np.arange(500)
+    for t, x in zip(times, run.trajectory.interpolate(times)[:2].T, strict=True):
+        assert state == pytest.approx(x, rel=1e-12, abs=1e-12)
+        controller.set(inputs(system, state, blocks.reference.output(t, [], [])))
+        state = blocks.plant.dynamics(t, state, controller.get("u"))
+        controller.step(t, T)
     controller.close()
 
 
@@ -233,14 +250,18 @@ print(json.dumps(found))
 """
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_wrappers_compile_without_a_warning(compiler, version, tmp_path):
-    if shutil.which(compiler) is None:
-        return
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.skipif(not shutil.which(name), reason=f"no {name}"))
+        for name in ("gcc", "clang")
+    ],
+)
+def test_wrappers_compile_without_a_warning(name, version, tmp_path):
     with zipfile.ZipFile(written(sampled("example1"), version, tmp_path)) as archive:
         archive.extractall(tmp_path)
     strict = "-std=c99 -Wall -Wextra -Wpedantic -Wshadow -Werror -Wno-unused-parameter".split()
-    command = [compiler, *strict, "-c", f"fmi{version}.c", "-o", "wrapper.o"]
+    command = [name, *strict, "-c", f"fmi{version}.c", "-o", "wrapper.o"]
     done = subprocess.run(
         command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False
     )

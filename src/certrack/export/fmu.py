@@ -86,11 +86,11 @@ def fmu(
     code = c_code(system, name, period=period)
     if code.name.lower() in {Path(file).stem for file in (*SHARED, *WRAPPERS[version], "model.h")}:
         code = c_code(system, f"{code.name}_c", period=period)
+    folder, ending = FOLDERS[_machine()][VERSIONS.index(version)], ENDINGS[sys.platform]
     contents = _sources(code, version)
     token = _token(code, contents, version)
     contents["model.h"] = _model(code, token)
     binary = _compiled(code.name, contents, WRAPPERS[version][0])
-    folder, ending = FOLDERS[_machine()][VERSIONS.index(version)], ENDINGS[sys.platform]
     compiled = [f"{code.name}.c", WRAPPERS[version][0]]
     described = DESCRIPTIONS[version](code, token, compiled)
     licence = _shipped("LICENSE")
@@ -153,16 +153,20 @@ def _machine() -> tuple[str, str]:
     return found
 
 
+def compiler() -> str | None:
+    """Path of a C compiler, if there is one."""
+    return next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+
+
 def _compiled(name: str, contents: Mapping[str, str], wrapper: str) -> bytes:
     """The shared library."""
-    _machine()
-    compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-    if compiler is None:
+    path = compiler()
+    if path is None:
         raise CertrackError("export fmu needs a C compiler: install gcc or clang")
     with tempfile.TemporaryDirectory(prefix="certrack-") as folder:
         for file, text in contents.items():
             (Path(folder) / file).write_text(text, "utf-8")
-        command = [compiler, *FLAGS, f"{name}.c", wrapper, "-o", "model", "-lm"]
+        command = [path, *FLAGS, f"{name}.c", wrapper, "-o", "model", "-lm"]
         try:
             subprocess.run(
                 command, cwd=folder, capture_output=True, check=True, text=True, timeout=PATIENCE
@@ -170,7 +174,7 @@ def _compiled(name: str, contents: Mapping[str, str], wrapper: str) -> bytes:
         except subprocess.SubprocessError as problem:
             said = getattr(problem, "stderr", None) or "it took too long"
             reason = shorten(one_line(said.strip()), 200)
-            raise CertrackError(f"export fmu: {compiler} failed: {reason}") from None
+            raise CertrackError(f"export fmu: {path} failed: {reason}") from None
         return (Path(folder) / "model").read_bytes()
 
 

@@ -14,7 +14,8 @@ typedef struct {
 static void report(const fmi2CallbackFunctions *callbacks, const char *name, const char *text)
 {
     if (callbacks != NULL && callbacks->logger != NULL) {
-        callbacks->logger(callbacks->componentEnvironment, name, fmi2Error, "logStatusError", text);
+        callbacks->logger(callbacks->componentEnvironment, name, fmi2Error, "logStatusError",
+                          text);
     }
 }
 
@@ -30,13 +31,15 @@ const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 
 const char *fmi2GetVersion(void) { return fmi2Version; }
 
-fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[])
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n,
+                               const fmi2String categories[])
 {
     return fmi2OK; /* only errors are logged, and always */
 }
 
-fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
-                              const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging)
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid,
+                              fmi2String resources, const fmi2CallbackFunctions *callbacks,
+                              fmi2Boolean visible, fmi2Boolean logging)
 {
     const char *problem = NULL;
     instance *self = NULL;
@@ -92,7 +95,8 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
     return fmi2OK;
 }
 
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[])
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                       const fmi2Real value[])
 {
     for (size_t k = 0; k < n; k++) {
         double *found = place(&((instance *)c)->now, vr[k]);
@@ -104,15 +108,14 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
     return fmi2OK;
 }
 
-#define ABSENT(TYPE)                                                                                        \
-    fmi2Status fmi2Get##TYPE(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##TYPE value[])  \
-    {                                                                                                       \
-        return n == 0 ? fmi2OK : refuse(c, BAD_VARIABLE);                                                   \
-    }                                                                                                       \
-    fmi2Status fmi2Set##TYPE(fmi2Component c, const fmi2ValueReference vr[], size_t n,                      \
-                             const fmi2##TYPE value[])                                                      \
-    {                                                                                                       \
-        return n == 0 ? fmi2OK : refuse(c, BAD_VARIABLE);                                                   \
+#define VARIABLE const fmi2ValueReference vr[], size_t n
+#define ABSENT(TYPE) \
+    NONE(fmi2Get##TYPE, VARIABLE, fmi2##TYPE value[]) \
+    NONE(fmi2Set##TYPE, VARIABLE, const fmi2##TYPE value[])
+#define NONE(NAME, ...) \
+    fmi2Status NAME(fmi2Component c, __VA_ARGS__) \
+    { \
+        return n == 0 ? fmi2OK : refuse(c, BAD_VARIABLE); \
     }
 
 ABSENT(Integer)
@@ -121,7 +124,7 @@ ABSENT(String)
 
 /* Steps. */
 
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean noSetFMUstatePriorToCurrentPoint)
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean noSetPrior)
 {
     return advance(&((instance *)c)->now, t, h) ? fmi2OK : refuse(c, BAD_STEP);
 }
@@ -165,7 +168,8 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte b
     return fmi2OK;
 }
 
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size,
+                                   fmi2FMUstate *state)
 {
     if (size != sizeof(memory) || (*state == NULL && (*state = malloc(size)) == NULL)) {
         return refuse(c, NO_MEMORY);
@@ -181,10 +185,8 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size
 
 REFUSED(fmi2GetDirectionalDerivative, const fmi2ValueReference unknown[], size_t m,
         const fmi2ValueReference known[], size_t n, const fmi2Real seed[], fmi2Real result[])
-REFUSED(fmi2SetRealInputDerivatives, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
-        const fmi2Real value[])
-REFUSED(fmi2GetRealOutputDerivatives, const fmi2ValueReference vr[], size_t n, const fmi2Integer order[],
-        fmi2Real value[])
+REFUSED(fmi2SetRealInputDerivatives, VARIABLE, const fmi2Integer order[], const fmi2Real value[])
+REFUSED(fmi2GetRealOutputDerivatives, VARIABLE, const fmi2Integer order[], fmi2Real value[])
 REFUSED(fmi2GetStatus, const fmi2StatusKind kind, fmi2Status *value)
 REFUSED(fmi2GetRealStatus, const fmi2StatusKind kind, fmi2Real *value)
 REFUSED(fmi2GetIntegerStatus, const fmi2StatusKind kind, fmi2Integer *value)

@@ -24,16 +24,17 @@ static fmi3Status refuse(fmi3Instance c, const char *text)
 
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
-fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[])
+fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n,
+                               const fmi3String categories[])
 {
     return fmi3OK; /* only errors are logged, and always */
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(
-    fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible, fmi3Boolean logging,
-    fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed, const fmi3ValueReference intermediate[],
-    size_t n, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
-    fmi3IntermediateUpdateCallback update)
+    fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+    fmi3Boolean logging, fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed,
+    const fmi3ValueReference intermediate[], size_t n, fmi3InstanceEnvironment environment,
+    fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update)
 {
     instance unborn = {.environment = environment, .log = log}, *self;
 
@@ -56,8 +57,9 @@ fmi3Instance fmi3InstantiateCoSimulation(
 
 void fmi3FreeInstance(fmi3Instance c) { free(c); }
 
-fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
-                                       fmi3Float64 start, fmi3Boolean stopDefined, fmi3Float64 stop)
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefined,
+                                       fmi3Float64 tolerance, fmi3Float64 start,
+                                       fmi3Boolean stopDefined, fmi3Float64 stop)
 {
     ((instance *)c)->now.time = start;
     return fmi3OK;
@@ -75,8 +77,8 @@ fmi3Status fmi3Reset(fmi3Instance c)
 
 /* Variables; all of them are real numbers. */
 
-fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[],
-                          size_t values)
+fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
+                          fmi3Float64 value[], size_t values)
 {
     memory *now = &((instance *)c)->now;
 
@@ -90,8 +92,8 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
     return fmi3OK;
 }
 
-fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 value[],
-                          size_t values)
+fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
+                          const fmi3Float64 value[], size_t values)
 {
     for (size_t k = 0; k < n && k < values; k++) {
         double *found = place(&((instance *)c)->now, vr[k]);
@@ -105,7 +107,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
 
 /* Steps. */
 
-fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
+fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean noSetPrior,
                       fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminateSimulation,
                       fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime)
 {
@@ -155,7 +157,8 @@ fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte by
     return fmi3OK;
 }
 
-fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
+fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size,
+                                   fmi3FMUState *state)
 {
     if (size != sizeof(memory) || (*state == NULL && (*state = malloc(size)) == NULL)) {
         return refuse(c, NO_MEMORY);
@@ -168,7 +171,8 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
                                           fmi3Boolean visible, fmi3Boolean logging,
-                                          fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
+                                          fmi3InstanceEnvironment environment,
+                                          fmi3LogMessageCallback log)
 {
     instance unborn = {.environment = environment, .log = log};
 
@@ -176,10 +180,12 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
     return NULL;
 }
 
-fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
-                                               fmi3Boolean visible, fmi3Boolean logging,
+fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token,
+                                               fmi3String resources, fmi3Boolean visible,
+                                               fmi3Boolean logging,
                                                fmi3InstanceEnvironment environment,
-                                               fmi3LogMessageCallback log, fmi3ClockUpdateCallback update,
+                                               fmi3LogMessageCallback log,
+                                               fmi3ClockUpdateCallback update,
                                                fmi3LockPreemptionCallback lock,
                                                fmi3UnlockPreemptionCallback unlock)
 {
@@ -195,7 +201,10 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
     NONE(fmi3Get##TYPE, VARIABLE, fmi3##TYPE value[], size_t values) \
     NONE(fmi3Set##TYPE, VARIABLE, const fmi3##TYPE value[], size_t values)
 #define NONE(NAME, ...) \
-    fmi3Status NAME(fmi3Instance c, __VA_ARGS__) { return n == 0 ? fmi3OK : refuse(c, BAD_VARIABLE); }
+    fmi3Status NAME(fmi3Instance c, __VA_ARGS__) \
+    { \
+        return n == 0 ? fmi3OK : refuse(c, BAD_VARIABLE); \
+    }
 
 ABSENT(Float32)
 ABSENT(Int8)
@@ -212,7 +221,8 @@ NONE(fmi3GetBinary, VARIABLE, size_t size[], fmi3Binary value[], size_t values)
 NONE(fmi3SetBinary, VARIABLE, const size_t size[], const fmi3Binary value[], size_t values)
 NONE(fmi3GetClock, VARIABLE, fmi3Clock value[])
 NONE(fmi3SetClock, VARIABLE, const fmi3Clock value[])
-REFUSED(fmi3GetIntervalDecimal, VARIABLE, fmi3Float64 interval[], fmi3IntervalQualifier qualifier[])
+REFUSED(fmi3GetIntervalDecimal, VARIABLE, fmi3Float64 interval[],
+        fmi3IntervalQualifier qualifier[])
 REFUSED(fmi3GetIntervalFraction, VARIABLE, fmi3UInt64 counter[], fmi3UInt64 resolution[],
         fmi3IntervalQualifier qualifier[])
 REFUSED(fmi3GetShiftDecimal, VARIABLE, fmi3Float64 shift[])
@@ -232,7 +242,8 @@ REFUSED(fmi3GetDirectionalDerivative, const fmi3ValueReference unknown[], size_t
 REFUSED(fmi3GetAdjointDerivative, const fmi3ValueReference unknown[], size_t m,
         const fmi3ValueReference known[], size_t n, const fmi3Float64 seed[], size_t seeds,
         fmi3Float64 result[], size_t results)
-REFUSED(fmi3GetOutputDerivatives, VARIABLE, const fmi3Int32 order[], fmi3Float64 value[], size_t values)
+REFUSED(fmi3GetOutputDerivatives, VARIABLE, const fmi3Int32 order[], fmi3Float64 value[],
+        size_t values)
 
 BARE(fmi3EnterConfigurationMode)
 BARE(fmi3ExitConfigurationMode)
@@ -240,8 +251,8 @@ BARE(fmi3EnterEventMode)
 BARE(fmi3EnterStepMode)
 BARE(fmi3EnterContinuousTimeMode)
 BARE(fmi3EvaluateDiscreteStates)
-REFUSED(fmi3UpdateDiscreteStates, fmi3Boolean *needed, fmi3Boolean *terminate, fmi3Boolean *nominals,
-        fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *next)
+REFUSED(fmi3UpdateDiscreteStates, fmi3Boolean *needed, fmi3Boolean *terminate,
+        fmi3Boolean *nominals, fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *next)
 REFUSED(fmi3CompletedIntegratorStep, fmi3Boolean final, fmi3Boolean *event, fmi3Boolean *terminate)
 REFUSED(fmi3SetTime, fmi3Float64 time)
 REFUSED(fmi3SetContinuousStates, const fmi3Float64 x[], size_t n)
