@@ -2,13 +2,16 @@
 
 import ctypes
 import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy
 from conftest import numbers, systems
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,6 +25,8 @@ from certrack.export.c_printer import comment, literal, wrapped
 from certrack.export.c_source import c_code, sampled_system
 from certrack.export.golden import TOLERANCE, golden
 from certrack.export.names import RESERVED, free_name, stem
+from certrack.laws import Adaptive
+from certrack.systemtext import field_values
 
 STRICT = (
     "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Wshadow -Werror -O2"
@@ -243,3 +248,203 @@ def test_random_controllers_agree(tmp_path_factory, drawn):
 @batches(40)
 def test_many_random_controllers_agree(tmp_path_factory, drawn):
     agree(tmp_path_factory.mktemp("c"), drawn)
+
+
+HOSTILE = 'ends here */ int x; /* ??/ // \\\\ "quoted"'
+
+
+class TestText:
+    def test_the_system_text_cannot_leave_its_comment(self, tmp_path):
+        system = sampled_system(certrack.load("example1"), 0.01).replace(title=HOSTILE)
+        code = c_code(system, "hostile")
+        assert code.header.index("*/") == code.header.index("*/\n\n#ifndef")
+        write(tmp_path, code)
+        run("gcc", *STRICT, "hostile.c", "hostile_test.c", "-lm", cwd=tmp_path)
+
+    @pytest.mark.parametrize("text", ["*/", "/*", "**/", "//*/", "/*/", "??/", "*" * 5 + "/" * 5])
+    def test_comments_are_plain(self, text):
+        body = comment([text, f"é{text}é"]).removeprefix("/*\n").removesuffix(" */\n")
+        assert not re.search(r"\*/|/\*|//|\?\?", body)
+        assert body.isascii()
+
+    @pytest.mark.parametrize(
+        ("source", "name"),
+        [
+            ("plants/dual-motor.toml", "dual_motor"),
+            ("2 axes.toml", "c_2_axes"),
+            ("Antrieb ü.toml", "Antrieb"),
+            ("...", "c"),
+            ("math.toml", "math_c"),
+            ("x" * 80, "x" * 24),
+        ],
+    )
+    def test_names_are_identifiers(self, source, name):
+        assert stem(source) == name
+        assert re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII)
+
+    def test_reserved_names_get_another(self):
+        assert free_name("double", ()) == "double_"
+        assert free_name("s", {"s", "s_"}) == "s__"
+        assert all(free_name(name, ()) not in RESERVED for name in RESERVED)
+
+    def test_states_may_be_called_anything(self, tmp_path):
+        names = ("x", "s", "y1", "double", "e_n", "nu")
+        system = certrack.loads(
+            f"""
+            title = "awkward names"
+            [plant]
+            states = {list(names)}
+            chain = [1, 1, 1, 1, 1]
+            drift = "gamma*sin(nu)*x + sqrt(1 + s**2) + double"
+            regressor = ["y1*e_n"]
+            gain_sign = 1
+            [plant.constants]
+            gamma = 0.3
+            [truth]
+            input_gain = 1
+            theta = [1]
+            [reference]
+            signal = "sin(t)"
+            [law]
+            kind = "adaptive"
+            c = [1, 1, 1, 1, 1, 1]
+            [simulation]
+            x0 = [0, 0, 0, 0, 0, 0]
+            duration = 1
+            [implementation]
+            period = 0.01
+            """
+        )
+        name = write(tmp_path, c_code(system, "awkward"))
+        run("gcc", *STRICT, f"{name}.c", f"{name}_test.c", "-lm", cwd=tmp_path)
+        run("./a.out", cwd=tmp_path)
+
+    @pytest.mark.parametrize(
+        ("value", "real", "text"),
+        [(0.1, "float", "0.1F"), (0.1, "double", "0.1"), (1e-7, "float", "1e-07F")],
+    )
+    def test_literals_round_trip(self, value, real, text):
+        assert literal(value, real) == text
+
+    def test_numbers_beyond_float_are_refused(self):
+        with pytest.raises(InputError, match="float cannot hold the number 1e\\+40"):
+            literal(1e40, "float")
+
+    def test_long_statements_are_wrapped(self, exported):
+        code, _ = exported
+        assert max(map(len, code.source.splitlines())) <= 100
+        text = "const real u = f(a, b) + " + " + ".join(f"(g{i} * h{i})" for i in range(40)) + ";"
+        assert " ".join(wrapped(text).split()) == text
+
+    def test_same_text_whatever_the_hash_seed(self, tmp_path):
+        texts = set()
+        for seed in ("1", "2"):
+            out = tmp_path / seed
+            command = ["certrack", "export", "c", "example1", "--period", "1e-3", "--out", str(out)]
+            program = f"from certrack.cli import main; main({command[1:]!r})"
+            environment = {**os.environ, "PYTHONHASHSEED": seed}
+            subprocess.run([sys.executable, "-c", program], env=environment, check=True)
+            texts.add("".join(path.read_text() for path in sorted(out.iterdir())))
+        assert len(texts) == 1
+
+    def test_a_law_that_uses_its_signals_in_its_own_way_is_printed_as_it_is(self, tmp_path):
+        class Own(Adaptive):
+            def equations(self, s):
+                found = super().equations(s)
+                return replace(found, u=found.u + sympy.diff(s.phi[0], s.x[0]) * s.e_n)
+
+        system = sampled_system(certrack.load("example1"), 0.001)
+        law = Own(**field_values(system.law))
+        code = c_code(system.replace(law=law), "own")
+        assert "e_n" not in code.source
+        name = write(tmp_path, code)
+        run("gcc", *STRICT, f"{name}.c", f"{name}_test.c", "-lm", cwd=tmp_path)
+        run("./a.out", cwd=tmp_path)
+
+
+class TestCommand:
+    def go(self, capsys, *arguments):
+        with pytest.raises(SystemExit) as stopped:
+            main(["export", "c", *map(str, arguments)])
+        return stopped.value.code, *capsys.readouterr()
+
+    def test_writes_four_files(self, tmp_path, capsys):
+        out = tmp_path / "new" / "firmware"
+        code, said, errors = self.go(
+            capsys, "example1", "--period", 1e-3, "--real", "float", "--out", out, "--json"
+        )
+        assert (code, errors) == (0, "")
+        found = json.loads(said)
+        assert found["name"] == "example1"
+        wanted = {"example1.h", "example1.c", "example1_test.c", "README.md"}
+        assert {path.name for path in out.iterdir()} == wanted
+        assert self.go(capsys, "example1", "--period", 1e-3, "--out", out)[0] == 0  # again
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            (["example1"], "implementation: is missing. Add a table [implementation] or give"),
+            (["example1", "--period", "-1"], "implementation.period: must be positive; got -1.0"),
+            (["example1", "--period", "1e-9"], "makes more than"),
+            (["nothing", "--period", "1"], "neither a file nor a shipped system"),
+        ],
+    )
+    def test_wrong_input_is_one_line(self, tmp_path, capsys, arguments, message):
+        code, said, errors = self.go(capsys, *arguments, "--out", tmp_path / "out")
+        assert (code, said) == (2, "")
+        assert message in errors and errors.count("\n") == 1
+        assert not (tmp_path / "out").exists()
+
+    def test_nothing_is_left_where_it_cannot_write(self, tmp_path, capsys):
+        (tmp_path / "example1.c").mkdir()
+        code, _, errors = self.go(capsys, "example1", "--period", 1, "--out", tmp_path)
+        assert code == 2 and "cannot be written" in errors
+        assert [path.name for path in tmp_path.iterdir()] == ["example1.c"]
+
+    def test_the_readme_of_a_stranger_stays(self, tmp_path, capsys):
+        (tmp_path / "README.md").write_text("mine")
+        code, _, errors = self.go(capsys, "example1", "--period", 1, "--out", tmp_path)
+        assert code == 2 and "is not of an exported controller" in errors
+        assert (tmp_path / "README.md").read_text() == "mine"
+
+    def test_period_of_the_command_wins(self, tmp_path):
+        system = certrack.load("example1").replace(implementation=FULL)
+        assert c_code(system, period=0.5).system.implementation == replace(FULL, period=0.5)
+
+    def test_float_stalls_are_told(self, tmp_path, capsys):
+        arguments = ["example1", "--real", "float", "--out", tmp_path, "--period"]
+        assert self.go(capsys, *arguments, 1e-3)[2] == ""
+        assert "estimates stall up to" in self.go(capsys, *arguments, 1e-4)[2]
+        assert "estimates stall up to" in (tmp_path / "README.md").read_text()
+
+
+class TestInTheLoop:
+    @pytest.mark.parametrize("full", [False, True], ids=["plain", "full"])
+    @pytest.mark.parametrize("name", ["example1", "example1-classic", "dual-motor-lean"])
+    def test_agrees_with_the_run_in_python(self, name, full):
+        system = certrack.load(name).with_settings(duration=3.0, tail=None)
+        system = fully_implemented(system) if full else sampled_system(system, 0.002)
+        system = system.replace(implementation=replace(system.implementation, delay=0.5))
+        ours, theirs = certrack.simulate(system).dataset(), with_c.simulate(system).dataset()
+        for variable in ours.data_vars:
+            a, b = ours[variable].values, theirs[variable].values
+            assert np.abs(a - b).max() <= 1e-12 * (1 + np.abs(a).max()), variable
+
+    def test_command(self, tmp_path, capsys):
+        path = tmp_path / "sampled.toml"
+        system = sampled_system(certrack.load("example1"), 0.01)
+        certrack.save(system, path)
+        results = []
+        for more in ([], ["--with-c"]):
+            with pytest.raises(SystemExit) as stopped:
+                main(["simulate", str(path), "--json", *more])
+            assert stopped.value.code == 0
+            results.append(json.loads(capsys.readouterr().out))
+        assert results[0]["final_state"] == pytest.approx(results[1]["final_state"], rel=1e-12)
+
+    def test_needs_an_implementation_and_a_compiler(self, capsys, monkeypatch):
+        with pytest.raises(InputError, match="only a sampled controller runs as C. Add a table"):
+            with_c.simulate(certrack.load("example1"))
+        monkeypatch.setenv("PATH", "")
+        with pytest.raises(with_c.NoCompiler, match="no C compiler was found: install gcc"):
+            with_c.compiler()

@@ -202,7 +202,8 @@ def helper(name: str, type_name: str, real: str) -> str:
     arguments, body, note = HELPERS[name]
     given = ", ".join(f"{type_name} {argument}" for argument in arguments)
     body = body.format(zero=literal(0, real), one=literal(1, real))
-    return f"/* {note} */\nstatic {type_name} {name}({given})\n{{\n    return {body};\n}}\n"
+    signature = wrapped(f"static {type_name} {name}({given})", "")
+    return f"/* {note} */\n{signature}\n{{\n    return {body};\n}}\n"
 
 
 def wrapped(text: str, indent: str = "    ") -> str:
