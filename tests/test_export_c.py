@@ -288,15 +288,15 @@ class TestText:
         assert all(free_name(name, ()) not in RESERVED for name in RESERVED)
 
     def test_states_may_be_called_anything(self, tmp_path):
-        names = ("x", "s", "y1", "double", "e_n", "nu")
+        names = ("x", "s", "y1", "double", "h", "advance")
         system = certrack.loads(
             f"""
             title = "awkward names"
             [plant]
             states = {list(names)}
             chain = [1, 1, 1, 1, 1]
-            drift = "gamma*sin(nu)*x + sqrt(1 + s**2) + double"
-            regressor = ["y1*e_n"]
+            drift = "gamma*sin(advance)*x + sqrt(1 + s**2) + double"
+            regressor = ["y1*h"]
             gain_sign = 1
             [plant.constants]
             gamma = 0.3
