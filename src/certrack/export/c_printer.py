@@ -27,14 +27,14 @@ HELPERS = {
     "clamp": (
         ("value", "low", "high"),
         "(low > value) ? low : ((value > high) ? high : value)",
-        "The value within [low, high]",
+        "The value within [low, high]; what is not a number stays so.",
     ),
-    "larger": (("a", "b"), "(a > b) ? a : b", "The larger of two"),
-    "smaller": (("a", "b"), "(b > a) ? a : b", "The smaller of two"),
+    "larger": (("a", "b"), "(a > b) ? a : b", "The larger of two."),
+    "smaller": (("a", "b"), "(b > a) ? a : b", "The smaller of two."),
     "sign": (
         ("value",),
         "(value > {zero}) ? {one} : ((value < {zero}) ? -{one} : value)",
-        "-1, 0 or 1",
+        "-1, 0 or 1.",
     ),
 }
 
@@ -202,10 +202,8 @@ def helper(name: str, type_name: str, real: str) -> str:
     arguments, body, note = HELPERS[name]
     given = ", ".join(f"{type_name} {argument}" for argument in arguments)
     body = body.format(zero=literal(0, real), one=literal(1, real))
-    return (
-        f"/* {note}; what is not a number stays so. */\n"
-        f"static {type_name} {name}({given})\n{{\n    return {body};\n}}\n"
-    )
+    signature = wrapped(f"static {type_name} {name}({given})", "")
+    return f"/* {note} */\n{signature}\n{{\n    return {body};\n}}\n"
 
 
 def wrapped(text: str, indent: str = "    ") -> str:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import sympy
 
+from certrack.errors import InputError
 from certrack.export.program import Program
 from certrack.expressions import symbol
 from certrack.integrators.maps import Maps, Number
@@ -36,8 +37,11 @@ MUTATION, CLEARLY = 3e-3, 10.0
 #: Samples of the carried run, of the run that they come from, random candidates, points of the run.
 CARRIED, LONGEST, CANDIDATES, EXCERPTS = 40, 2000, 4000, 20
 
+#: Smaller answers may be lost to underflow.
+SMALLEST = {"double": 1e-280, "float": 1e-20}
+
 #: Part of a state's own size that its scale contains: the rounding of state + rise.
-OWN_SHARE = 0.01
+OWN_SHARE = 0.05
 
 
 @dataclass(frozen=True)
@@ -67,8 +71,18 @@ class Golden:
     blind: tuple[str, ...]
 
 
-def golden(system: System, made: Program, real: str = "double", seed: int = 0) -> Golden:
-    """Golden vectors of a program, for code with numbers of type `real`."""
+def golden(
+    system: System, made: Program, real: str = "double", *, seed: int = 0, thin: bool = True
+) -> Golden:
+    """Golden vectors of a program, for code with numbers of type `real`.
+
+    With `thin`, only as many of the random points as it takes to see every number.
+
+    Raises
+    ------
+    InputError
+        If the law has no finite value anywhere.
+    """
     kind = np.dtype("float32" if real == "float" else "float64")
     evaluate, numbers = _probe(system, made)
     random = np.random.default_rng(seed)
@@ -91,19 +105,21 @@ def golden(system: System, made: Program, real: str = "double", seed: int = 0) -
             strict=True,
         )
     ]
-    effects, answers, scales = _judge(evaluate, numbers, found, count)
+    effects, answers, scales = _judge(evaluate, numbers, found, count, SMALLEST[real])
     usable = np.isfinite(answers).all(axis=0) & np.isfinite(scales).all(axis=0)
     usable &= (np.abs(answers) < 1e12).all(axis=0)
     usable[:count] &= np.logical_and.accumulate(usable[:count])
-    count = int(usable[:count].sum())
     effects = np.where(usable, effects / TOLERANCE[real], 0.0)
     given = count + len(chosen)
-    keep = [*np.flatnonzero(usable[:given]), *_cover(effects, given)]
+    rest = _cover(effects, given) if thin else given + np.flatnonzero(usable[given:])
+    keep = [*np.flatnonzero(usable[:given]), *rest]
+    if not keep:
+        raise InputError("law", "has no finite value at any of the points that were tried")
     names = [label for label, _ in numbers]
-    best = effects[:, keep].max(axis=1, initial=0.0) if keep else np.zeros(len(names))
+    best = effects[:, keep].max(axis=1, initial=0.0)
     blind = tuple(name for name, value in zip(names, best, strict=True) if value < 1.0)
     x, Y, states = (part[:, keep] for part in found)
-    return Golden(count, x, Y, states, answers[:, keep], scales[:, keep], blind)
+    return Golden(int(usable[:count].sum()), x, Y, states, answers[:, keep], scales[:, keep], blind)
 
 
 #: A number of the code, and what it is multiplied by.
@@ -145,7 +161,7 @@ def _probe(system: System, made: Program) -> tuple[Evaluate, list[tuple[str, flo
             return expr
         args = []
         for arg in expr.args:
-            if arg.is_number and arg not in (-1, 0, 1) and not expr.is_Pow:
+            if arg.is_number and arg != 0 and not expr.is_Pow and (expr.is_Add or arg != -1):
                 names.append(symbol(f"literal_{len(names)}"))
                 values.append(float(arg))
                 labels.append(f"{float(arg):g}")
@@ -175,7 +191,11 @@ def _probe(system: System, made: Program) -> tuple[Evaluate, list[tuple[str, flo
 
 
 def _judge(
-    evaluate: Evaluate, numbers: Sequence[object], inputs: Sequence[Array], carried: int
+    evaluate: Evaluate,
+    numbers: Sequence[object],
+    inputs: Sequence[Array],
+    carried: int,
+    smallest: float,
 ) -> tuple[Array, Array, Array]:
     """Effect of each number (P, N) over the scale, the answers and their scales.
 
@@ -201,7 +221,7 @@ def _judge(
     own[:carried] = 1.0
     scales[1:] += own * np.maximum(np.abs(states), np.abs(answers[1:]))
     scales = np.maximum(scales, np.abs(answers) * OWN_SHARE)
-    scales[scales == 0] = 1.0
+    scales[scales < smallest] = 1.0
     with np.errstate(all="ignore"):
         effects = np.array([(change / scales).max(axis=0) for change in changes])
     return np.nan_to_num(effects.reshape(len(changes), answers.shape[1])), answers, scales

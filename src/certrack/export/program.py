@@ -137,14 +137,18 @@ def program(system: System) -> Program:
         )
     )
     known = _numbers(system, full, values)
+    printed = (*_printable([*before, *steps], known, "t"), *last)
+    rates = _printable(rates, known, "r")
+    update = tuple(formula.xreplace(known) for formula in update)
+    needed = {COMMAND}.union(*(f.free_symbols for f in (*update, *(r.formula for r in rates))))
     made = Program(
         controller=full,
         measured=full.measured,
         Y=full.Y,
         states=full.states,
-        steps=(*_printable([*before, *steps], known, "t"), *last),
-        rates=tuple(_printable(rates, known, "r")),
-        update=tuple(formula.xreplace(known) for formula in update),
+        steps=tuple(_needed_steps(printed, needed)),
+        rates=tuple(rates),
+        update=update,
         constants={},
         labels={},
         start=tuple(starting_state(full, system.estimates, way).tolist()),
@@ -183,10 +187,14 @@ def _named(system: System) -> tuple[list[Step], Equations]:
             update = tuple((z, rate.xreplace(put)) for z, rate in equations.update)
             equations = Equations(equations.u.xreplace(put), update)
             break
-    used = set().union(*(formula.free_symbols for formula in _all(equations)))
-    for step in reversed(parts):
-        used |= step.formula.free_symbols if step.name in used else set()
-    return [step for step in parts if step.name in used], equations
+    return parts, equations
+
+
+def _needed_steps(steps: Sequence[Step], needed: set[sympy.Symbol]) -> list[Step]:
+    """Without those that nothing depends on: a gain may be zero."""
+    for step in reversed(steps):
+        needed = needed | step.formula.free_symbols if step.name in needed else needed
+    return [step for step in steps if step.name in needed]
 
 
 def _all(equations: Equations) -> list[sympy.Expr]:
