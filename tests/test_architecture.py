@@ -70,6 +70,7 @@ def test_public_surface_is_frozen():
         "save",
         "simulate",
         "steps",
+        "to_control",
         "to_text",
         "trapezoid",
         "triangle",

@@ -15,6 +15,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "backstepping": ["ErrorCoordinates", "Gains", "recursion"],
         "certificates": ["Certificates", "NoCertificate", "certify", "tube", "verify"],
         "ensembles.ensemble": ["Ensemble", "ensemble"],
+        "export.control": ["to_control"],
         "errors": ["CertrackError", "DesignError", "InputError", "MissingExtra"],
         "assumption": ["check_assumption_1"],
         "implementation": ["Implementation"],

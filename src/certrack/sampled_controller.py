@@ -16,6 +16,7 @@ the estimates (the leak) into account exactly: W = L^-1 (exp(L T) - I) [exponent
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,15 +102,9 @@ def sampled_controller(
     leak = _leak(controller, rates) if way.update == "exact_leak" else ()
     hold = _pattern(leak, len(estimates))
     numbers += [symbol(f"ctl_hold_{i}_{j}") for i, j in hold]
-    limited = way.saturation is not None or way.rate_limit is not None
-    rise = _rises(rates, hold, held=limited and way.anti_windup == "hold")
-    after = [z + by for z, by in zip(estimates, rise, strict=True)]
     if way.projection is not None:
-        boxes = [symbol(f"ctl_box_{i}") for i in range(2 * len(after))]
-        numbers += boxes
-        after = [
-            clamp(z, low, high) for z, low, high in zip(after, boxes[::2], boxes[1::2], strict=True)
-        ]
+        numbers += _boxes(len(estimates))
+    after = next_estimates(estimates, rates, hold, way)
     constants = [symbol(name) for name in plant.constant_values]
     return SampledController(
         measured=s.x,
@@ -123,6 +118,29 @@ def sampled_controller(
         hold=hold,
         leak=leak,
     )
+
+
+def next_estimates(
+    estimates: Sequence[sympy.Expr],
+    rates: Sequence[sympy.Expr],
+    hold: Sequence[tuple[int, int]],
+    way: Implementation,
+) -> list[sympy.Expr]:
+    """The estimates after one period, by their rates (formulas, or symbols for them)."""
+    limited = way.saturation is not None or way.rate_limit is not None
+    rises = _rises(rates, hold, held=limited and way.anti_windup == "hold")
+    after = [z + rise for z, rise in zip(estimates, rises, strict=True)]
+    if way.projection is None:
+        return after
+    boxes = _boxes(len(after))
+    return [
+        clamp(z, low, high) for z, low, high in zip(after, boxes[::2], boxes[1::2], strict=True)
+    ]
+
+
+def _boxes(estimates: int) -> list[sympy.Symbol]:
+    """Limits of the projection: low, high, low ..."""
+    return [symbol(f"ctl_box_{i}") for i in range(2 * estimates)]
 
 
 def clamp(value: sympy.Expr, low: sympy.Expr, high: sympy.Expr) -> sympy.Expr:
@@ -179,7 +197,7 @@ def _limited(way: Implementation, numbers: list[sympy.Symbol]) -> sympy.Expr:
 
 
 def _rises(
-    rates: list[sympy.Expr], hold: tuple[tuple[int, int], ...], *, held: bool
+    rates: Sequence[sympy.Expr], hold: Sequence[tuple[int, int]], *, held: bool
 ) -> list[sympy.Expr]:
     """By what the estimates change in one period."""
     if hold:

@@ -35,9 +35,13 @@ class SampledSimulator:
     Parameters
     ----------
     system : System
+    around : callable, optional
+        Gets the compiled maps and the loop; the run uses the maps that it returns.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(
+        self, system: System, around: Callable[[Maps, SampledLoop], Maps] | None = None
+    ) -> None:
         self.loop: SampledLoop = sample_loop(system)
         wanted = system.settings.integrator
         if wanted == "implicit":
@@ -49,6 +53,7 @@ class SampledSimulator:
             )
         by_numpy = wanted == "scipy" or not available()
         self.maps: Maps = NumpyMaps(self.loop) if by_numpy else HeyokaMaps(self.loop, vector=False)
+        self.maps = self.maps if around is None else around(self.maps, self.loop)
         self.outputs = outputs_of(self.loop)
         names = [TIME, self.loop.plant.states, INPUT, [*self.loop.parameters, *self.loop.pieces]]
         self._rates = numpy_callable(names, [*self.loop.plant.rates, self.loop.e_1])

@@ -73,8 +73,19 @@ def write_text(path: Path, text: str, *, overwrite: bool = True) -> None:
     """
     if not overwrite and path.exists():
         raise InputError(str(path), "exists already", remedy="Choose another name")
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
     try:
-        write_whole(path, text.encode())
+        write_whole(path, data)
     except OSError as problem:
         raise InputError(str(path), f"cannot be written ({problem.strerror})") from None
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from certrack.cli.exports import export
 from certrack.cli.files import design, list_systems, new
 from certrack.cli.margins import margin
 from certrack.cli.papers import reproduce
@@ -45,6 +46,7 @@ for verb in (
     verify,
     falsify,
     reproduce,
+    export,
 ):
     cli.add_command(verb)
 

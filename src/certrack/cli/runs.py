@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 @click.option("--tolerance", type=float, help="Of the integrator, e.g. 1e-9.")
 @click.option("--member", type=click.IntRange(0), help="Replay this member of the ensemble.")
 @click.option("--seed", type=click.IntRange(0, 2**63), help="Of the ensemble, with --member.")
+@click.option("--with-c", is_flag=True, help="Run the exported C code as the controller.")
 @json_option
 def simulate(
     file: str,
@@ -32,6 +33,7 @@ def simulate(
     tolerance: float | None,
     member: int | None,
     seed: int | None,
+    with_c: bool,
     as_json: bool,
 ) -> None:
     """Simulate one run and measure it.
@@ -53,7 +55,13 @@ def simulate(
 
         system = Members(system, seed or 0).member(member)
     changes = {"integrator": integrator, "tolerance": tolerance}
-    run = run_system(system, **{name: v for name, v in changes.items() if v is not None})
+    system = system.with_settings(**{name: v for name, v in changes.items() if v is not None})
+    if with_c:
+        from certrack.export.with_c import simulate as run_c
+
+        run = run_c(system)
+    else:
+        run = run_system(system)
     if out is not None:
         run.save(out, samples)
     if plot is not None:

@@ -1,0 +1,93 @@
+"""Verbs that hand the controller to other tools: export c, st, fmu."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from certrack.cli.base import FOLDER, json_option
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.group()
+def export() -> None:
+    """Export the controller to other tools.
+
+    \b
+    Example: certrack export c example1 --period 0.001 --out firmware
+    """
+
+
+@export.command()
+@click.argument("file")
+@click.option("--out", type=FOLDER, required=True, help="Folder for the files.")
+@click.option("--real", type=click.Choice(["double", "float"]), default="double", show_default=True)
+@click.option("--period", type=float, help="Sampling period, s; default: the file's.")
+@json_option
+def c(file: str, out: Path, real: str, period: float | None, as_json: bool) -> None:
+    """Write the controller as C99, with its acceptance test.
+
+    \b
+    Example: certrack export c example1 --period 0.001 --real float --out firmware
+    """
+    from certrack import report
+    from certrack.export.c import export as export_c
+    from certrack.systemfile import load
+
+    made = export_c(load(file), out, file, real=real, period=period)
+    for note in made.notes:
+        click.echo(f"certrack: note: {note}", err=True)
+    if as_json:
+        values = {"name": made.name, "files": [str(path) for path in made.files]}
+        click.echo(report.to_json(values | {"notes": made.notes}))
+        return
+    for path in made.files:
+        click.echo(f"{path} written")
+    click.echo(f"Next: cd {out} && gcc {made.name}.c {made.name}_test.c -lm && ./a.out")
+
+
+@export.command()
+@click.argument("file")
+@click.option("--out", type=FILE, required=True, help="NAME.st; NAME names the block.")
+@click.option("--period", type=float, help="Sampling period, s; default: the file's.")
+@json_option
+def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
+    """Write the controller as a function block in Structured Text (IEC 61131-3).
+
+    \b
+    Example: certrack export st dual-motor-lean --period 0.001 --out drive.st
+    """
+    from certrack.export.st import structured_text
+    from certrack.systemfile import load
+    from certrack.systemtext import write_text
+
+    write_text(out, structured_text(load(file), out.name, period=period))
+    _written(out, as_json)
+
+
+@export.command()
+@click.argument("file")
+@click.option("--out", type=FILE, required=True, help="NAME.fmu; NAME names the model.")
+@click.option("--fmi", type=click.Choice(["2", "3"]), default="2", show_default=True)
+@click.option("--period", type=float, help="Sampling period, s; default: the file's.")
+@json_option
+def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> None:
+    """Write the controller as a co-simulation FMU with sources and a binary for this machine.
+
+    \b
+    Example: certrack export fmu dual-motor-lean --fmi 3 --period 0.001 --out drive.fmu
+    """
+    from certrack.export.fmu import fmu as make
+    from certrack.systemfile import load
+    from certrack.systemtext import write_bytes
+
+    write_bytes(out, make(load(file), out.name, version=fmi, period=period))
+    _written(out, as_json)
+
+
+def _written(out: Path, as_json: bool) -> None:
+    from certrack import report
+
+    click.echo(report.to_json({"file": str(out)}) if as_json else f"{out} written")

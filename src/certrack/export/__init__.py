@@ -1,0 +1,1 @@
+"""The controller for other tools: each module writes one kind of file from the same description."""

@@ -1,0 +1,278 @@
+"""The system as blocks of python-control: plant, controller, reference, and the loop they make.
+
+python-control does not mix continuous and discrete time. Without an implementation all blocks are
+continuous; with one all have its period T as time step: the controller as it runs every T, and the
+plant, with actuator and sensors, by its solution from one sample to the next. Every block is a pure
+function of time, state and input; what acts later (a delay) or happened before is part of a state.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from certrack.errors import CertrackError, MissingExtra
+from certrack.expressions import TIME, symbol
+from certrack.implementation import Implementation
+from certrack.integrators.base import Outcome
+from certrack.integrators.maps import ORDER
+from certrack.lowering import numpy_callable
+from certrack.noise import keys, normal
+from certrack.sampled_controller import controller_values, sampled_controller, starting_state
+from certrack.sampled_loop import loop_values, resolved
+from certrack.sampled_simulation import SampledSimulator
+from certrack.simulated_plant import INPUT, plant_values, simulated_plant
+from certrack.system import System
+
+Array = np.ndarray
+
+#: A plant that needs more steps from one sample to the next is given up.
+MOST_STEPS = 5_000
+
+#: A time this close before a break of the reference, relatively, is the break.
+CLOSE = 1e-12
+
+
+@dataclass(frozen=True)
+class ControlBlocks:
+    """A system for python-control; all blocks are ``control.NonlinearIOSystem``.
+
+    Attributes
+    ----------
+    plant
+        From ``u`` to the measured states, which bear their names.
+    controller
+        From the measured states and ``y_d``, ``y_d_1`` ... (the reference and its derivatives) to
+        ``u``; its states are the estimates and what else a sampled controller keeps.
+    reference
+        Without input, to ``y_d``, ``y_d_1`` ...
+    loop
+        The three joined; without input, to the measured states, ``u`` and ``y_d``.
+    X0 : array
+        Initial state of `loop`: that of the plant, then that of the controller.
+    start : float, s
+        When `X0` holds: zero, or the time of the first sample.
+    """
+
+    plant: Any
+    controller: Any
+    reference: Any
+    loop: Any
+    X0: Array
+    start: float
+
+
+def to_control(system: System) -> ControlBlocks:
+    """The system as blocks of python-control.
+
+    Parameters
+    ----------
+    system : System
+        With an implementation the blocks are discrete, else continuous.
+
+    Returns
+    -------
+    ControlBlocks
+
+    Raises
+    ------
+    MissingExtra
+        If python-control is not installed.
+    CertrackError
+        Also by the plant's block, where its solution leaves ``simulation.max_state``.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> blocks = certrack.to_control(certrack.load("example1"))
+    >>> blocks.loop.output_labels
+    ['x1', 'x2', 'u', 'y_d']
+    """
+    try:
+        import control
+    except ImportError:
+        raise MissingExtra("python-control", "control", "to_control") from None
+
+    way, x = system.implementation, list(system.plant.states)
+    Y = ["y_d", *(f"y_d_{i}" for i in range(1, len(system.controller.signals.Y)))]
+    start, dt = (0.0, 0.0) if way is None else (way.offset, way.period)
+
+    def block(name: str, parts: _Block, inputs: list[str], outputs: list[str]) -> Any:
+        return control.nlsys(
+            parts.after if parts.states else None,
+            parts.shown,
+            name=name,
+            inputs=inputs or 0,
+            states=parts.states or None,
+            outputs=outputs,
+            dt=dt,
+        )
+
+    parts = _continuous(system) if way is None else _sampled(system, way)
+    plant = block("plant", parts[0], ["u"], x)
+    controller = block("controller", parts[1], [*x, *Y], ["u"])
+    reference = block("reference", _reference(system), [], Y)
+    loop = control.interconnect(
+        [plant, controller, reference],
+        name="loop",
+        connections=[
+            ["plant.u", "controller.u"],
+            *([f"controller.{name}", f"plant.{name}"] for name in x),
+            *([f"controller.{name}", f"reference.{name}"] for name in Y),
+        ],
+        inplist=[],
+        outlist=[*(f"plant.{name}" for name in x), "controller.u", "reference.y_d"],
+        outputs=[*x, "u", "y_d"],
+    )
+    X0 = np.concatenate([parts[0].start, parts[1].start])
+    return ControlBlocks(plant, controller, reference, loop, X0, start)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Rates or next states, and outputs: functions of time, state, input and unused parameters."""
+
+    states: list[str]
+    start: Array
+    after: Callable[[float, Array, Array, Any], Array]
+    shown: Callable[[float, Array, Array, Any], Array]
+
+
+def _reference(system: System) -> _Block:
+    reference = system.reference
+    formulas = reference.formulas(len(system.controller.signals.Y) - 1)
+    names = [TIME, reference.parameter_symbols, reference.piece_symbols]
+    evaluate, own = numpy_callable(names, formulas), reference.parameter_values
+
+    def shown(t: float, _x: Array, _u: Array, _: Any) -> Array:
+        return np.array(evaluate(t, own, reference.piece_values(t * (1 + CLOSE))), dtype=float)
+
+    return _Block([], np.empty(0), lambda *_: np.empty(0), shown)
+
+
+def _continuous(system: System) -> tuple[_Block, _Block]:
+    """Plant and controller."""
+    plant, law = simulated_plant(system), system.controller
+    true = plant_values(plant, system)
+    rates = numpy_callable([TIME, plant.states, [INPUT], plant.parameters], plant.rates)
+    outputs = numpy_callable([plant.states, plant.parameters], plant.outputs)
+
+    names, numbers = [*law.symbols], [*law.values]
+    for name, value in system.plant.constant_values.items():
+        names.append(symbol(name))
+        numbers.append(float(value))
+    given = [law.states, [*law.signals.x, *law.signals.Y], names]
+    update = numpy_callable(given, [rate for _, rate in law.equations.update])
+    u = numpy_callable(given, [law.equations.u])
+    return (
+        _Block(
+            [state.name for state in plant.states],
+            np.array(system.settings.x0),
+            lambda t, x, u, _: np.array(rates(t, x, u, true), dtype=float),
+            lambda _t, x, _u, _: np.array(outputs(x, true), dtype=float),
+        ),
+        _Block(
+            [state.name for state in law.states],
+            np.array(system.estimates),
+            lambda _t, z, given, _: np.array(update(z, given, numbers), dtype=float),
+            lambda _t, z, given, _: np.array(u(z, given, numbers), dtype=float),
+        ),
+    )
+
+
+def _sampled(system: System, way: Implementation) -> tuple[_Block, _Block]:
+    """Plant and controller."""
+    made = sampled_controller(system.plant, system.controller, way)
+    numbers = controller_values(made, system.plant, system.law, way)
+    command, update = resolved(made)
+    given = [made.states, [*made.measured, *made.Y], made.parameters]
+    u, after = numpy_callable(given, [command]), numpy_callable(given, update)
+    controller = _Block(
+        [state.name for state in made.states],
+        starting_state(made, system.estimates, way),
+        lambda _t, s, given, _: np.array(after(s, given, numbers), dtype=float),
+        lambda _t, s, given, _: np.array(u(s, given, numbers), dtype=float),
+    )
+    return _Period(system, way).block(), controller
+
+
+class _Period:
+    """The plant from sample to sample.
+
+    A command acts from `delay` periods after its sample. Its whole periods and one more for its
+    fraction are states: the latest commands, the last one first.
+    """
+
+    def __init__(self, system: System, way: Implementation) -> None:
+        made = SampledSimulator(system)
+        self._system, self._way, self._maps = system, way, made.maps
+        pieces = system.reference.piece_values(0.0)  # of what is totalled, which is not used
+        self._p = np.concatenate([loop_values(made.loop, system), pieces])[:, None]
+        self._totals = np.zeros((len(made.loop.totals), 1))
+        self._states = [state.name for state in made.loop.plant.states]
+        self._outputs = made.outputs
+        whole = math.floor(way.delay)
+        self._fraction = way.delay - whole
+        self._kept = whole + (self._fraction > 0)
+        self._keys = keys(way.seed, way.stream, 1)
+
+    def block(self) -> _Block:
+        first = self._way.initial_input
+        x = np.array(self._system.settings.x0)
+        x = self._cross(0.0, self._way.offset, x, first)
+        held = [f"u_before_{i + 1}" for i in range(self._kept)]
+        start = np.concatenate([x, np.full(self._kept, first)])
+        return _Block([*self._states, *held], start, self._after, self._shown)
+
+    def _after(self, t: float, state: Array, given: Array, _: Any) -> Array:
+        """States and kept commands one period later."""
+        n, T, quantum = len(self._states), self._way.period, self._way.input_quantum
+        u = np.rint(given / quantum) * quantum if quantum else given
+        commands = np.concatenate([u, state[n:]])  # the last one acts first
+        x, middle, end = state[:n], t + self._fraction * T, t + T
+        if self._fraction:
+            x = self._cross(t, middle, x, commands[-1])
+            x = self._cross(middle, end, x, commands[-2])
+        else:
+            x = self._cross(t, end, x, commands[-1])
+        return np.concatenate([x, commands[: self._kept]])
+
+    def _shown(self, t: float, state: Array, _u: Array, _: Any) -> Array:
+        """What the sensors show."""
+        way, x = self._way, state[: len(self._states), None]
+        shown = (x if self._outputs is None else self._outputs(x, self._p))[:, 0]
+        if way.noise is not None:
+            k = round((t - way.offset) / way.period)
+            drawn = normal(self._keys, k, len(shown))[:, 0]
+            shown = shown + np.array(way.noise) * drawn
+        if way.measurement_quantum is not None:
+            quantum = np.array(way.measurement_quantum)
+            with np.errstate(all="ignore"):
+                shown = np.where(quantum, np.rint(shown / quantum) * quantum, shown)
+        return shown
+
+    def _cross(self, begin: float, end: float, x: Array, u: float) -> Array:
+        """The states at the end of an interval of constant input.
+
+        python-control takes what is not a number for an algebraic loop: better to stop here.
+        """
+        settings, t, h = self._system.settings, begin, end - begin
+        column, held = x[:, None], np.array([u])
+        for _ in range(MOST_STEPS):
+            if not (abs(column) <= settings.max_state).all():
+                break
+            if t >= end:
+                return column[:, 0]
+            last = t + h >= end * (1 - 1e-15)
+            h = end - t if last else h
+            allowed = settings.tolerance * min(1.0, h)
+            after, _, error = self._maps.step(t, h, allowed, column, held, self._totals, self._p)
+            if error[0] <= 1.0:
+                t, column = end if last else t + h, after
+            size = error[0] if math.isfinite(error[0]) else 1e9
+            h *= min(5.0, max(0.1, 0.9 * max(size, 1e-9) ** (-1.0 / ORDER)))
+        raise CertrackError(f"stopped at t = {t:.6g} s: {Outcome.escaped.value}")

@@ -1,0 +1,58 @@
+"""Identifiers of C: derived from what the user wrote, never reserved, never taken twice."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+#: Longest stem; NAME_update and the like then differ within the 31 characters of C99.
+LONGEST = 24
+
+KEYWORDS = frozenset(
+    """auto break case char const continue default do double else enum extern float for goto if
+    inline int long register restrict return short signed sizeof static struct switch typedef
+    union unsigned void volatile while asm bool true false class delete friend new operator
+    private protected public template this throw try catch typename using virtual namespace
+    explicit mutable export near far huge interrupt fortran NULL EOF errno assert main""".split()
+)
+
+#: What <math.h> declares or defines, on some platform or other; the f and l forms as well.
+MATH = """acos asin atan atan2 cos sin tan acosh asinh atanh cosh sinh tanh exp exp2 exp10 expm1
+    frexp ldexp log
+    log10 log1p log2 logb ilogb modf scalbn scalbln scalb cbrt fabs hypot pow pow10 sqrt
+    erf erfc lgamma tgamma gamma ceil floor nearbyint rint lrint llrint round lround llround trunc
+    fmod remainder remquo copysign nan nextafter nexttoward fdim fmax fmin fma j0 j1 jn y0 y1 yn
+    signgam significand drem sincos finite isinf isnan fpclassify isfinite isnormal signbit
+    isgreater isgreaterequal isless islessequal islessgreater isunordered float_t double_t matherr
+    abs labs div""".split()
+
+MACROS = """HUGE HUGE_VAL HUGE_VALF HUGE_VALL INFINITY NAN DOMAIN SING OVERFLOW UNDERFLOW PLOSS
+    TLOSS MAXFLOAT MATH_ERRNO MATH_ERREXCEPT math_errhandling I linux unix i386 arm avr""".split()
+
+RESERVED = KEYWORDS | {name + end for name in MATH for end in ("", "f", "l")} | set(MACROS)
+
+#: Headers that a file NAME.h must not hide.
+HEADERS = frozenset(
+    """assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal
+    stdarg stdbool stddef stdint stdio stdlib string tgmath time wchar wctype""".split()
+)
+
+
+def stem(source: str) -> str:
+    """The NAME of the files and functions of a system, by the name of its file.
+
+    >>> stem("plants/dual-motor.toml")
+    'dual_motor'
+    """
+    found = re.sub(r"[^A-Za-z0-9]+", "_", Path(source).stem)[:LONGEST].strip("_")
+    if not found or not found[0].isalpha():
+        found = f"c_{found}"[:LONGEST].strip("_")
+    return f"{found}_c" if found.lower() in HEADERS else found
+
+
+def free_name(wanted: str, taken: Iterable[str]) -> str:
+    """`wanted`, or with as many underscores after it as make it a free identifier."""
+    while wanted in RESERVED or wanted in taken or re.match(r"(FP|M|FLT|DBL)_[A-Z]", wanted):
+        wanted += "_"
+    return wanted
