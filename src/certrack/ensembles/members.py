@@ -20,6 +20,7 @@ from certrack.lowering import numpy_callable, rows
 from certrack.plant import Plant, Truth
 from certrack.population import Distribution, probabilities
 from certrack.references import SymbolicReference
+from certrack.simulated_plant import true_constants
 from certrack.system import System
 
 #: The sum of the magnitudes of a member's sines: just below 1, so that rounding never passes it.
@@ -118,8 +119,9 @@ class Members:
         draws, count = self.draws(begin, end), end - begin
         plant, names = self.system.plant, [state.name for state in self.loop.states]
         starts = np.repeat(np.array(self.system.start)[:, None], count, axis=1)
+        own = self.loop.n
         for i in range(len(starts)):
-            name = f"x0[{i}]" if i < plant.n else f"estimates[{i - plant.n}]"
+            name = f"x0[{i}]" if i < own else f"estimates[{i - own}]"
             starts[i] = draws.get(name, starts[i])
         assert len(starts) == len(names) - 3
         found = self._derived(draws, count)
@@ -130,8 +132,7 @@ class Members:
                 found[f"ref_member_{name}"] = values
         if "input_gain" in draws:
             found[f"true_g_{plant.n - 1}"] = draws["input_gain"]
-        known = list(self.template.plant.constant_values)
-        for i, name in enumerate(known):
+        for i, name in enumerate(true_constants(self.template)):
             drawn = draws.get(name if name.startswith("member_") else f"constants.{name}")
             if drawn is not None:
                 found[f"true_constants_{i}"] = drawn
@@ -141,8 +142,9 @@ class Members:
         """Coefficients of the plant that follow from its varying constants."""
         plant, truth = self.system.plant, self.system.truth
         varying = [name for name, _ in self.population.constants]
-        if not varying:
+        if not varying or truth.states:
             return {}
+        assert truth.input_gain is not None
         others = dict(truth.constants)
         values = {
             name: float(others[name].expr if name in others else value)
@@ -166,7 +168,7 @@ class Members:
         system, plant = self.system, self.system.plant
         settings = system.settings
         x0 = [point.get(f"x0[{i}]", v) for i, v in enumerate(settings.x0)]
-        start = system.start[plant.n :]
+        start = system.start[len(x0) :]
         estimates = [point.get(f"estimates[{i}]", v) for i, v in enumerate(start)]
         own = plant
         if not written and self.population.disturbance == "multisine":
@@ -187,7 +189,9 @@ class Members:
         truth = self.system.truth
         others: dict[str, Any] = {name: value.text for name, value in truth.constants}
         others |= {n[10:]: v for n, v in point.items() if n.startswith("constants.")}
-        assert truth.tau is not None
+        if truth.states:
+            return replace(truth, constants=others).bound_to(plant)  # type: ignore[arg-type]
+        assert truth.tau is not None and truth.input_gain is not None
         omega: Any = truth.omega
         if self.population.disturbance == "multisine":
             omega = self._omega(point, written=written)
