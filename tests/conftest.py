@@ -26,6 +26,7 @@ settings.load_profile("certrack")
 SHIPPED = (
     "dual-motor",
     "dual-motor-lean",
+    "dual-motor-physical",
     "dual-motor-strong",
     "example1",
     "example1-classic",

@@ -108,6 +108,10 @@ def test_members_alone_and_together_are_the_same(name, sampling):
 
 def test_random_disturbances_are_admissible(shipped):
     population = Population(disturbance="multisine")
+    if shipped.truth.states:  # there is no omega to put them in
+        with pytest.raises(InputError, match="ensemble.disturbance: must be file"):
+            shipped.replace(population=population)
+        return
     members = Members(shipped.replace(population=population), 0)
     for index in (0, 1, 999):
         assert not check_assumption_1(members.member(index))
