@@ -248,6 +248,8 @@ class Plant:
 
     def with_constants(self, **values: float) -> Plant:
         """The same plant with other values of some constants; derived numbers follow."""
+        if not values:
+            return self
         unknown = set(values) - {name for name, _ in self.constants}
         if unknown:
             raise InputError("constants", f"unknown constant {sorted(unknown)[0]!r}")
@@ -344,7 +346,7 @@ class Truth:
             if name not in plant.constant_values:
                 raise InputError(f"truth.constants.{name}", "is not a constant of the plant")
         others = tuple((name, number(f"truth.constants.{name}", v)) for name, v in pairs.items())
-        known = {**plant.constant_values, **{name: value.expr for name, value in others}}
+        known = plant.with_constants(**dict(others)).constant_values  # type: ignore[arg-type]
         gain = check_gain("truth.input_gain", self.input_gain, plant.gain_sign, known)
         check_within("truth.input_gain", gain, plant.input_gain_range, "input_gain")
         theta = checks.sequence("truth.theta", self.theta, plant.r, "one number per regressor")

@@ -157,4 +157,4 @@ def _built(system: System) -> Plant:
     """The plant with the constants it really has."""
     known = system.plant.constant_values
     others = {n: float(value.expr) for n, value in system.truth.constants if n in known}
-    return system.plant.with_constants(**others) if others else system.plant
+    return system.plant.with_constants(**others)

@@ -139,24 +139,29 @@ class Members:
         return starts, {symbol(name): values for name, values in found.items()}
 
     def _derived(self, draws: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-        """Coefficients of the plant that follow from its varying constants."""
+        """Numbers of the plant that follow from its varying constants, derived constants too."""
         plant, truth = self.system.plant, self.system.truth
-        varying = [name for name, _ in self.population.constants]
-        if not varying or truth.states:
+        varying = dict(self.population.constants)
+        if not varying:
             return {}
-        assert truth.input_gain is not None
-        others = dict(truth.constants)
-        values = {
-            name: float(others[name].expr if name in others else value)
-            for name, value in plant.constant_values.items()
+        values = true_constants(self.system)
+        texts: dict[str, str] = {}
+        if truth.input_gain is not None:
+            texts |= {f"true_g_{i}": entry.text for i, entry in enumerate(plant.chain)}
+            for k, (i, j) in enumerate(self.loop.plant.couplings):
+                assert plant.linear is not None
+                texts[f"true_b_{k}"] = plant.linear[i][j].text
+            texts[f"true_g_{plant.n - 1}"] = truth.input_gain.text
+            texts |= {f"true_theta_{i}": entry.text for i, entry in enumerate(truth.theta)}
+        derived: dict[sympy.Symbol, sympy.Expr] = {}
+        for i, (name, entry) in enumerate(plant.constants):
+            if name not in {**varying, **dict(truth.constants)}:
+                derived[symbol(name)] = parse(name, entry.text, list(values)).expr.xreplace(derived)
+                texts[f"true_constants_{i}"] = name
+        formulas = {
+            name: parse(name, text, list(values)).expr.xreplace(derived)
+            for name, text in texts.items()
         }
-        texts = {f"true_g_{i}": entry.text for i, entry in enumerate(plant.chain)}
-        for k, (i, j) in enumerate(self.loop.plant.couplings):
-            assert plant.linear is not None
-            texts[f"true_b_{k}"] = plant.linear[i][j].text
-        texts[f"true_g_{plant.n - 1}"] = truth.input_gain.text
-        texts |= {f"true_theta_{i}": entry.text for i, entry in enumerate(truth.theta)}
-        formulas = {name: parse(name, text, list(values)).expr for name, text in texts.items()}
         free = {symbol(name) for name in varying}
         moving = {name: f for name, f in formulas.items() if f.free_symbols & free}
         evaluate = numpy_callable([symbol(name) for name in values], list(moving.values()))
