@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -323,6 +324,32 @@ def test_what_each_form_needs():
         assert str(caught.value) == message
 
 
+def test_the_example_of_the_page_is_a_whole_system():
+    page = (Path(__file__).parents[1] / "docs" / "mismatch.md").read_text()
+    example = page.split("```toml\n")[1].split("```")[0]
+    before, rest = starter().split("[truth]")
+    between = rest[rest.index("[reference]") : rest.index("[simulation]")]
+    run = simulate(certrack.loads(before + between + example))
+    assert run.outcome is Outcome.finished
+    assert list(run.final_state)[:3] == ["th", "om", "torque"]
+    assert run.metrics.tail_error < 0.05
+
+
+def test_a_state_of_the_law_is_no_state_of_the_plant():
+    from dataclasses import dataclass
+
+    from certrack.laws.base import Equations
+
+    @dataclass(frozen=True, kw_only=True)
+    class Integral(certrack.Robust):
+        def equations(self, s):
+            return Equations(super().equations(s).u - symbol("lag"), ((symbol("lag"), s.e_n),))
+
+    other = in_other_coordinates(certrack.load("dual-motor-lean"), [1])
+    with pytest.raises(InputError, match="law: has a state of this name already; got lag"):
+        other.replace(law=Integral(c=(4, 4, 4, 4)))
+
+
 def test_a_saved_file_reads_like_the_loaded_one(tmp_path):
     path = tmp_path / "servo.toml"
     certrack.save(physical(**MISMATCH), path)
@@ -456,3 +483,36 @@ def test_estimates_are_drawn_without_true_values(tmp_path):
     made = plotting.overview({"": run})
     labels = [text.get_text() for ax in made.axes for text in ax.get_legend().get_texts()]
     assert "true values" not in labels and any("hat" in label for label in labels)
+
+
+@pytest.mark.parametrize(("backlash", "published"), [(0.001, 0.00236), (0.01, 0.00954)])
+def test_play_within_widened_bounds_is_covered(backlash, published):
+    """The torque of a shaft is wrong by at most K_L times the play, hence beta."""
+    beta = (0, 12 * backlash, 0, 0.1 + 30 * backlash)
+    wider = certrack.Uncertainty(tau=(0, 1, 0, 1), gamma=(0, 0.01, 0, 0.01), beta=beta)
+    bound = certrack.certify(
+        PHYSICAL.replace(plant=replace(PHYSICAL.plant, uncertainty=wider))
+    ).best.bound
+    assert bound == pytest.approx(published, abs=1e-5)
+    start = tuple(Distribution("uniform", (-1, 1)) for _ in range(6))
+    varied = Population(x0=start, constants={"backlash": backlash})
+    found = certrack.ensemble(PHYSICAL.replace(population=varied), 200, limit=bound)
+    assert found.violations()["count"] == 0
+    assert simulate(physical(backlash=backlash)).metrics.tail_error > 0.00154  # the file's bound
+
+
+TABLE = {  # docs/mismatch.md: tail error, peak input, input energy
+    "": (0.00112, 13.58, 9.53),
+    "split": (0.00112, 13.58, 9.53),
+    "effectiveness_2": (0.00121, 13.58, 12.90),
+    "backlash": (0.00697, 13.58, 9.45),
+    "split effectiveness_2 backlash": (0.00123, 13.58, 11.95),
+}
+
+
+@pytest.mark.parametrize("names", TABLE)
+def test_the_table_of_mismatches(names):
+    run = simulate(physical(**{name: MISMATCH[name] for name in names.split()}))
+    metrics = run.metrics
+    found = (metrics.tail_error, metrics.peak_input, metrics.input_energy)
+    assert np.all(np.abs(np.subtract(found, TABLE[names])) <= (5.1e-6, 5.1e-3, 5.1e-3))

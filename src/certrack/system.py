@@ -123,6 +123,9 @@ class System:
         )
         checks.sequence("simulation.x0", self.settings.x0, len(self.simulated_states), what)
         controller = self.controller
+        for state in controller.states:
+            if state.name in (*plant.states, *self.simulated_states):
+                raise InputError("law", "has a state of this name already", state.name, "Rename it")
         if self.population is not None:
             if not isinstance(self.population, Population):
                 raise InputError("population", "must be a Population", self.population)
