@@ -106,9 +106,8 @@ def _with_own_states(system: System) -> SimulatedPlant:
 def plant_values(plant: SimulatedPlant, system: System) -> np.ndarray:
     """Values of :attr:`SimulatedPlant.parameters`."""
     truth, built = system.truth, _built(system)
-    constants = list(true_constants(system).values())
     if truth.states:
-        return np.array(constants)
+        return np.array(list(true_constants(system).values()))
     assert truth.tau is not None and truth.input_gain is not None
     return np.concatenate(
         [
@@ -117,7 +116,7 @@ def plant_values(plant: SimulatedPlant, system: System) -> np.ndarray:
             [built.b[i, j] for i, j in plant.couplings],
             [float(value.expr) for value in truth.theta],
             truth.tau,
-            constants,
+            [float(value) for value in built.constant_values.values()],
         ]
     )
 

@@ -161,10 +161,8 @@ class Simulator:
 def _same_form(a: Truth, b: Truth) -> bool:
     """Whether two truths of one plant surely differ in numbers only."""
     if a.states:
-        names = [[name for name, _ in truth.constants] for truth in (a, b)]
-        return (a.states, a.rates, a.outputs) == (b.states, b.rates, b.outputs) and names[
-            0
-        ] == names[1]
+        forms = [(v.states, v.rates, v.outputs, [name for name, _ in v.constants]) for v in (a, b)]
+        return forms[0] == forms[1]
     return a.omega == b.omega and not b.states and not a.constants  # these may fill a coupling
 
 

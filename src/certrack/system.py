@@ -115,12 +115,9 @@ class System:
                 raise InputError(name, f"must be a {kind.__name__}", getattr(self, name))
         plant = self.plant
         object.__setattr__(self, "truth", self.truth.bound_to(plant))
-        own = self.truth.states
-        what = (
-            f"one number per state of the truth ({', '.join(own)})"
-            if own
-            else "one number per state"
-        )
+        what = "one number per state"
+        if self.truth.states:
+            what += f" of the truth ({', '.join(self.truth.states)})"
         checks.sequence("simulation.x0", self.settings.x0, len(self.simulated_states), what)
         controller = self.controller
         for state in controller.states:

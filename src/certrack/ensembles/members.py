@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -53,6 +55,7 @@ class Members:
         self.template = self._system(
             {name: (d.low + d.high) / 2 for name, d in self.columns.items()}, written=False
         )
+        self._constants = tuple(true_constants(self.template))
         self.loop: ClosedLoop = close_loop(self.template)
         self.base = parameter_values(self.loop, self.template)
 
@@ -132,19 +135,25 @@ class Members:
                 found[f"ref_member_{name}"] = values
         if "input_gain" in draws:
             found[f"true_g_{plant.n - 1}"] = draws["input_gain"]
-        for i, name in enumerate(true_constants(self.template)):
+        for i, name in enumerate(self._constants):
             drawn = draws.get(name if name.startswith("member_") else f"constants.{name}")
             if drawn is not None:
                 found[f"true_constants_{i}"] = drawn
         return starts, {symbol(name): values for name, values in found.items()}
 
     def _derived(self, draws: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-        """Numbers of the plant that follow from its varying constants, derived constants too."""
-        plant, truth = self.system.plant, self.system.truth
-        varying = dict(self.population.constants)
-        if not varying:
+        """Numbers of the plant that follow from its varying constants."""
+        moving, evaluate, values = self._following
+        if not moving:
             return {}
-        values = true_constants(self.system)
+        columns = [draws.get(f"constants.{name}", value) for name, value in values.items()]
+        return dict(zip(moving, rows(evaluate(*columns), count), strict=True))
+
+    @cached_property
+    def _following(self) -> tuple[list[str], Callable[..., list[Any]], dict[str, float]]:
+        """Parameters that follow from varying constants, their formulas, and all constants."""
+        plant, truth = self.system.plant, self.system.truth
+        varying, values = dict(self.population.constants), true_constants(self.system)
         texts: dict[str, str] = {}
         if truth.input_gain is not None:
             texts |= {f"true_g_{i}": entry.text for i, entry in enumerate(plant.chain)}
@@ -153,7 +162,7 @@ class Members:
                 texts[f"true_b_{k}"] = plant.linear[i][j].text
             texts[f"true_g_{plant.n - 1}"] = truth.input_gain.text
             texts |= {f"true_theta_{i}": entry.text for i, entry in enumerate(truth.theta)}
-        derived: dict[sympy.Symbol, sympy.Expr] = {}
+        derived: dict[sympy.Symbol, sympy.Expr] = {}  # constants that are formulas of others
         for i, (name, entry) in enumerate(plant.constants):
             if name not in {**varying, **dict(truth.constants)}:
                 derived[symbol(name)] = parse(name, entry.text, list(values)).expr.xreplace(derived)
@@ -165,8 +174,7 @@ class Members:
         free = {symbol(name) for name in varying}
         moving = {name: f for name, f in formulas.items() if f.free_symbols & free}
         evaluate = numpy_callable([symbol(name) for name in values], list(moving.values()))
-        columns = [draws.get(f"constants.{name}", value) for name, value in values.items()]
-        return dict(zip(moving, rows(evaluate(*columns), count), strict=True))
+        return list(moving), evaluate, values
 
     def _system(self, point: dict[str, float], *, written: bool) -> System:
         """One member; its disturbance and reference numbers written out, or as constants."""
