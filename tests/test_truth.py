@@ -516,3 +516,21 @@ def test_the_table_of_mismatches(names):
     metrics = run.metrics
     found = (metrics.tail_error, metrics.peak_input, metrics.input_energy)
     assert np.all(np.abs(np.subtract(found, TABLE[names])) <= (5.1e-6, 5.1e-3, 5.1e-3))
+
+
+def test_a_sampled_controller_measures_the_outputs():
+    """Alone and together; the physical plant as shipped is the model here too."""
+    way = certrack.Implementation(period=0.005, delay=0.5)
+    model, plain = (
+        simulate(system.replace(implementation=way), tolerance=1e-10)
+        for system in (certrack.load("dual-motor-lean"), PHYSICAL)
+    )
+    assert plain.metrics.tail_error == pytest.approx(model.metrics.tail_error, rel=1e-6)
+    assert max(difference(plain, model)) < 1e-8
+    assert list(plain.final_state)[:6] == list(PHYSICAL.truth.states)
+    system = PHYSICAL.replace(implementation=way).with_settings(duration=8, tail=4)
+    assert certrack.loads(certrack.to_text(system)) == system
+    tails = [simulate(Members(system, 0).member(i)).metrics.tail_error for i in range(8)]
+    for method in METHODS[1:]:
+        found = certrack.ensemble(system, 8, method=method)
+        assert found.statistics.metrics["tail_error"].most == pytest.approx(max(tails), rel=1e-3)

@@ -8,13 +8,16 @@ goes on, so no step ever crosses a kink.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from typing import Any
 
 import numpy as np
 import sympy
 
 from certrack.expressions import TIME, derivative, without_minmax
+
+#: Begin of a step or of a part of it, and its length: in formulas of what is kept of a run.
+BEGIN, STEP = sympy.symbols("kept_begin kept_step", real=True)
 
 
 class Select(sympy.Function):
@@ -98,8 +101,18 @@ def numpy_callable(
     arguments: Sequence[Any], formulas: Sequence[sympy.Expr]
 ) -> Callable[..., list[Any]]:
     """Vectorised NumPy function of the given (nested) arguments that returns all formulas."""
-    found: Callable[..., list[Any]] = sympy.lambdify(arguments, list(formulas), "numpy", cse=True)
+    plain = [formula.replace(_is_cubic, lambda f: f.selections()) for formula in formulas]
+    modules = [{"Select": _select}, "numpy"]
+    found: Callable[..., list[Any]] = sympy.lambdify(arguments, plain, modules, cse=True)
     return found
+
+
+def _is_cubic(expr: sympy.Basic) -> bool:
+    return isinstance(expr, (Extremum, Entry))
+
+
+def _select(a: Any, b: Any, yes: Any, no: Any) -> Any:
+    return np.where(np.greater(a, b), yes, no)
 
 
 def jacobian(formulas: Sequence[sympy.Expr], by: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
@@ -218,6 +231,40 @@ def _integer_power(hy: Any, base: Any, exponent: int) -> Any:
     half = _integer_power(hy, base, exponent // 2)
     square = half**2.0  # a special case that heyoka does well
     return square * base if exponent % 2 else square
+
+
+def hoisted(
+    formulas: Sequence[sympy.Expr], common: Set[sympy.Symbol]
+) -> tuple[list[sympy.Expr], dict[sympy.Expr, sympy.Symbol]]:
+    """Replace every largest subexpression of common symbols alone by one symbol.
+
+    Returns
+    -------
+    formulas : list
+    found : dict
+        Symbol of each subexpression, in the order of their numbers.
+    """
+    found: dict[sympy.Expr, sympy.Symbol] = {}
+
+    def name(expr: sympy.Expr) -> sympy.Expr:
+        number, rest = expr.as_coeff_Mul()
+        if rest not in found:
+            found[rest] = sympy.Symbol(f"kept_shared_{len(found)}", real=True)
+        return number * found[rest]
+
+    def walk(expr: sympy.Expr) -> sympy.Expr:
+        free = expr.free_symbols
+        if not free & common:
+            return expr
+        if free <= common:
+            return name(expr)
+        if expr.is_Add or expr.is_Mul:
+            own = [arg for arg in expr.args if arg.free_symbols and arg.free_symbols <= common]
+            rest = [walk(arg) for arg in expr.args if arg not in own]
+            return expr.func(*rest, *([name(expr.func(*own))] if own else []))
+        return expr.func(*map(walk, expr.args))
+
+    return list(map(walk, formulas)), found
 
 
 def rows(values: Sequence[Any], count: int) -> np.ndarray:

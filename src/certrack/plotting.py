@@ -6,7 +6,7 @@ Figures are made without pyplot, so nothing global is touched and no window open
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib
 import numpy as np
 from cycler import cycler
+from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -24,6 +25,7 @@ from certrack.run import Run
 
 if TYPE_CHECKING:
     from certrack.ensembles.ensemble import Ensemble
+    from certrack.margin import Margins
 
 STYLE: dict[Any, Any] = {
     "font.size": 9,
@@ -246,6 +248,36 @@ def metric_histograms(found: Ensemble) -> Figure:
             ax.set_xlabel(label)
             ax.set_ylabel("members")
         title = f"{found.system.title}: {found.members} members"
+        made.suptitle(title, fontsize=10, fontweight="bold")
+    return made
+
+
+def margin_figure(found: Margins, title: str, units: Sequence[str] | None) -> Figure:
+    """Worst tail error against period, delay and saturation."""
+    names = [f"[{unit}]" if unit not in ("", "1") else "" for unit in units or ("", "")]
+    panels = {
+        "sampling period [s]": found.period,
+        f"delay at a period of {found.at:.3g} s [s]": found.delay,
+        f"saturation $\\pm u$ {names[-1]}": found.saturation,
+    }
+    with style():
+        made = Figure(figsize=(9.0, 2.9), layout="constrained")
+        for ax, (label, one) in zip(made.subplots(1, 3, sharey=True), panels.items(), strict=True):
+            values, errors = np.array(one.values), np.array(one.errors)
+            shown = np.isfinite(errors) & (errors < 1e3 * found.error)
+            ax.loglog(values[shown], errors[shown], ".-", label="worst member")
+            ax.plot(
+                values[~shown], np.full((~shown).sum(), 1e3 * found.error), "x", color="#d1495b"
+            )
+            ax.axhline(found.error, color="k", ls="--", lw=0.8, label="admitted")
+            if one.exact:
+                ax.axvline(one.exact, color="#2e8b57", ls=":", lw=1.2, label="exact edge")
+            ax.set_xlabel(label)
+            ax.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+            ax.xaxis.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
+            ax.xaxis.set_minor_formatter(ticker.NullFormatter())
+        made.axes[0].legend(loc="upper left")
+        made.axes[0].set_ylabel(f"tail error {names[0]}")
         made.suptitle(title, fontsize=10, fontweight="bold")
     return made
 

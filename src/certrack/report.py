@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from certrack.ensembles.ensemble import Ensemble
+    from certrack.margin import Margins
 
 
 def to_json(values: Any) -> str:
@@ -116,6 +117,18 @@ def rate_progress(what: str) -> Iterator[Callable[[int, int], None]]:
             fresh, spent = done - begun[1], now - begun[0]
             rate = f"{fresh / spent:,.0f}/s" if fresh and spent else ""
             bar.update(task, completed=done, total=total, rate=rate)
+
+        yield advance
+
+
+@contextmanager
+def count_progress(what: str) -> Iterator[Callable[[str, int], None]]:
+    """Counter of work whose end is not known; yields a function of what is done and how often."""
+    with _bar() as bar:
+        task = bar.add_task(what, total=None)
+
+        def advance(part: str, done: int) -> None:
+            bar.update(task, completed=done, description=f"{what}: {part}")
 
         yield advance
 
@@ -238,3 +251,30 @@ def certificates_notes(found: Certificates) -> list[str]:
             f"bound after {found.tube.settling_time(level):.4g} s"
         )
     return [*lines, "resting on:", *(f"  {line}" for line in found.best.assumptions)]
+
+
+def margin_table(found: Margins, units: Sequence[str] | None) -> Table:
+    """Margins side by side."""
+    unit = units[-1] if units and units[-1] not in ("", "1") else ""
+    labels = {
+        "longest period [s]": found.period,
+        "longest delay [s]": found.delay,
+        f"lowest saturation [+-{unit}]" if unit else "lowest saturation (+-)": found.saturation,
+    }
+    rows = [[label, m.within, m.bounded, m.exact] for label, m in labels.items()]
+    return table("", ["margin", "within the error", "bounded", "exact edge"], rows)
+
+
+def margin_notes(found: Margins) -> list[str]:
+    """What the margins refer to, in words."""
+    lines = [
+        f"admitted tail error: {found.error:.5g} ({found.origin}); {found.members} members tried "
+        "at every value, not proven",
+        f"delay and saturation at a period of {found.at:.4g} s",
+    ]
+    if found.period.exact is not None:
+        lines.append("exact edge: nominal plant, no disturbance; all eigenvalues inside below it")
+    for name in ("period", "delay", "saturation"):
+        if getattr(found, name).unlimited:
+            lines.append(f"{name}: nothing failed within the range searched")
+    return lines

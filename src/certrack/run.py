@@ -23,9 +23,6 @@ from certrack.version import version
 if TYPE_CHECKING:
     import xarray
 
-#: Samples per integration step at which extremes are looked for.
-PARTS = 8
-
 
 @dataclass(frozen=True)
 class Run:
@@ -58,13 +55,13 @@ class Run:
     @cached_property
     def t(self) -> np.ndarray:
         """Sample times, shape (N,), s: every integration step cut into equal parts."""
-        return subdivide(self.trajectory.times, PARTS)
+        return subdivide(self.trajectory.times, self.trajectory.parts)
 
     @cached_property
     def _states(self) -> np.ndarray:
         dense = self.trajectory.interpolate
         if isinstance(dense, TaylorSeries) and len(self.trajectory.times) > 1:
-            return dense.subdivided(self.trajectory.times, PARTS)
+            return dense.subdivided(self.trajectory.times, self.trajectory.parts)
         return dense(self.t)
 
     @cached_property
@@ -108,7 +105,7 @@ class Run:
             integrals,
             band,
             settings.tail_start,
-            per_step=PARTS + 1 if self.smooth_steps else 1,
+            per_step=self.trajectory.parts + 1 if self.smooth_steps else 1,
         )
 
     @property

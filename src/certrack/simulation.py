@@ -19,6 +19,7 @@ from certrack.integrators.taylor import TaylorIntegrator, available
 from certrack.lowering import numpy_callable, rows
 from certrack.plant import Truth
 from certrack.run import Run
+from certrack.sampled_simulation import SampledSimulator
 from certrack.system import System
 
 #: A design is stiff if its fastest pole has more time constants than this in a run: an explicit
@@ -51,6 +52,7 @@ class Simulator:
 
     def __init__(self, system: System) -> None:
         self.system = system
+        self._sampled = None if system.implementation is None else SampledSimulator(system)
         self.loop: ClosedLoop = close_loop(system)
         self._integrators: dict[tuple[str, float], TaylorIntegrator | ScipyIntegrator] = {}
         self._kinked = any(rate.has(*KINKS) for rate in self.loop.rates)
@@ -66,6 +68,8 @@ class Simulator:
             If its structure (formulas, law, feed-forward order) differs from the compiled one.
         """
         system = self._accept(system)
+        if self._sampled is not None:
+            return self._sampled.run(system)
         settings = system.settings
         parameters = (
             self._parameters if system is self.system else parameter_values(self.loop, system)

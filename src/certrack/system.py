@@ -8,6 +8,7 @@ from typing import Any
 
 from certrack import checks
 from certrack.errors import InputError
+from certrack.implementation import Implementation
 from certrack.laws.base import Controller, Law
 from certrack.plant import Plant, Truth
 from certrack.population import Population
@@ -88,7 +89,8 @@ class Settings:
 class System:
     """Plant, truth, reference, law and settings that fit each other.
 
-    A population, if given, says what varies between the members of an ensemble.
+    A population, if given, says what varies between the members of an ensemble; an implementation,
+    that the controller is sampled.
 
     Raises
     ------
@@ -103,6 +105,7 @@ class System:
     settings: Settings
     title: str = ""
     population: Population | None = None
+    implementation: Implementation | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (
@@ -131,6 +134,12 @@ class System:
             for i, entry in enumerate(bound.x0 or ()):
                 if max(abs(entry.low), abs(entry.high)) > self.settings.max_state:
                     raise InputError(f"ensemble.x0[{i}]", "must be within simulation.max_state")
+        if self.implementation is not None:
+            if not isinstance(self.implementation, Implementation):
+                raise InputError("implementation", "must be an Implementation", self.implementation)
+            way = self.implementation.bound_to(plant, len(controller.states))
+            way.samples(self.settings.duration)
+            object.__setattr__(self, "implementation", way)
         period = getattr(self.reference, "period", None)
         if period is not None and self.settings.duration > MAX_PERIODS * period:
             raise InputError(
@@ -172,7 +181,11 @@ class System:
         return replace(self, settings=replace(self.settings, **changes))
 
     @property
+    def estimates(self) -> tuple[float, ...]:
+        """Initial values of the controller's states."""
+        return self.settings.estimates or (0.0,) * len(self.controller.states)
+
+    @property
     def start(self) -> tuple[float, ...]:
         """Initial values of plant and controller states."""
-        count = len(self.controller.states)
-        return self.settings.x0 + (self.settings.estimates or (0.0,) * count)
+        return self.settings.x0 + self.estimates

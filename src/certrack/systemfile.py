@@ -20,6 +20,7 @@ import numpy as np
 
 from certrack import checks
 from certrack.errors import InputError
+from certrack.implementation import Implementation
 from certrack.laws import Law, known_laws
 from certrack.plant import Plant, Truth, Uncertainty
 from certrack.population import Population
@@ -29,7 +30,16 @@ from certrack.systemtext import field_values
 
 MAX_BYTES = 20_000_000
 
-SECTIONS = ("title", "plant", "truth", "reference", "law", "simulation", "ensemble")
+SECTIONS = (
+    "title",
+    "plant",
+    "truth",
+    "reference",
+    "law",
+    "simulation",
+    "ensemble",
+    "implementation",
+)
 PLANT_KEYS = (
     "states chain linear drift regressor gain_sign input_gain theta units constants ranges "
     "uncertainty"
@@ -39,6 +49,7 @@ POPULATION_KEYS = [
     *(entry.name for entry in fields(Population) if entry.name not in ("amplitude", "frequency")),
     "reference",
 ]
+IMPLEMENTATION_KEYS = [entry.name for entry in fields(Implementation)]
 SETTING_KEYS = [entry.name for entry in fields(Settings)]
 
 #: kind -> (maker, required keys, optional keys)
@@ -158,7 +169,7 @@ def _parse(text: str | bytes) -> dict[str, Any]:
 
 
 def _system(tables: dict[str, Any], folder: Path | None) -> System:
-    checks.known_keys("", tables, SECTIONS, required=SECTIONS[1:-1])
+    checks.known_keys("", tables, SECTIONS, required=SECTIONS[1:6])
     plant = _plant(tables["plant"])
     known = plant.constant_values
     law = _law(tables["law"], known)
@@ -170,6 +181,7 @@ def _system(tables: dict[str, Any], folder: Path | None) -> System:
         settings=_settings(tables["simulation"], known),
         title=checks.text("title", tables.get("title", "")),
         population=_population(tables["ensemble"]) if "ensemble" in tables else None,
+        implementation=_implementation(tables.get("implementation")),
     )
 
 
@@ -314,3 +326,11 @@ def _population(table: Any) -> Population:
     constants = values.get("constants", {})
     checks.known_keys("ensemble.constants", constants, constants)
     return Population(**values, **scales)
+
+
+def _implementation(table: Any) -> Implementation | None:
+    """The [implementation] table as it stands; the system checks it against the plant."""
+    if table is None:
+        return None
+    checks.known_keys("implementation", table, IMPLEMENTATION_KEYS, required=("period",))
+    return Implementation(**table)

@@ -13,6 +13,7 @@ import numpy as np
 
 from certrack.errors import InputError
 from certrack.expressions import Expression, parse
+from certrack.implementation import Implementation
 from certrack.laws import Law
 from certrack.plant import Plant, Truth
 from certrack.population import Distribution, Population
@@ -36,6 +37,8 @@ def to_text(system: System) -> str:
     }
     if system.population is not None:
         tables["ensemble"] = _population_table(system.population)
+    if system.implementation is not None:
+        tables["implementation"] = _implementation_table(system.implementation)
     for name, table in tables.items():
         document[name] = {
             key: _shelve(value, shelf) if isinstance(value, list) else value
@@ -168,3 +171,12 @@ def _population_table(population: Population) -> dict[str, Any]:
 def field_values(instance: Any) -> dict[str, Any]:
     """The fields of a dataclass, not copied."""
     return {entry.name: getattr(instance, entry.name) for entry in fields(instance)}
+
+
+def _implementation_table(way: Implementation) -> dict[str, Any]:
+    """What differs from the defaults."""
+    return {
+        entry.name: value
+        for entry in fields(way)
+        if (value := getattr(way, entry.name)) != entry.default
+    }

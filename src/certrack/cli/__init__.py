@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from certrack.cli.files import design, list_systems, new
+from certrack.cli.margins import margin
 from certrack.cli.papers import reproduce
 from certrack.cli.proofs import certify, falsify, verify
 from certrack.cli.runs import compare, ensemble, simulate
@@ -39,6 +40,7 @@ for verb in (
     simulate,
     compare,
     ensemble,
+    margin,
     certify,
     verify,
     falsify,

@@ -10,10 +10,13 @@ from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 
 import numpy as np
+import sympy
 
 from certrack.ensembles.flow import BAND, MEMORIES, SUMS, make_flow, shown
 from certrack.ensembles.members import AMPLITUDE, Members
+from certrack.ensembles.sampled import Group, SampledCrowd, Segments
 from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statistics, Tally
+from certrack.implementation import Implementation
 from certrack.integrators.base import Outcome
 from certrack.integrators.lockstep import Lockstep
 from certrack.integrators.native import LANES, STUCK, Native, Passed, Timeline, Unavailable
@@ -21,6 +24,11 @@ from certrack.integrators.taylor import available
 from certrack.metrics import Metrics
 from certrack.population import Distribution
 from certrack.run import Run
+from certrack.sampled_controller import (
+    SampledController,
+    controller_values,
+    sampled_controller,
+)
 from certrack.simulated_plant import measured
 from certrack.simulation import simulate
 from certrack.system import System
@@ -33,6 +41,9 @@ METHODS = ("native", "lockstep", "alone")
 
 #: Members that one thread takes at a time in lanes: their shown values stay in the cache.
 PIECE = 1024
+
+#: The same under a sampled controller, where a member takes a thousand times as long.
+SAMPLED_PIECE = 256
 
 #: More steps than this, and a group is given up.
 MOST_STEPS = 1_000_000
@@ -146,9 +157,11 @@ class Engine:
     plan : Plan
     threads : int
         Cores to use.
+    adjustable : bool
+        Whether :meth:`extremes` is to be asked for other implementations.
     """
 
-    def __init__(self, plan: Plan, threads: int = 1) -> None:
+    def __init__(self, plan: Plan, threads: int = 1, *, adjustable: bool = False) -> None:
         self.plan, self._threads = plan, threads
         system = plan.system
         self._members = Members(system, plan.seed)
@@ -166,6 +179,14 @@ class Engine:
         if plan.method == "lockstep" and not available():
             raise Unavailable("heyoka is not installed")
         _, varying = self._members.table(0, 1)
+        if system.implementation is not None:
+            segments = Segments(self._edges, self._shared)
+            if adjustable:
+                varying |= dict.fromkeys(self._sampled_controller().numbers, np.empty(0))
+            self._crowd = SampledCrowd(
+                self._members, varying, plan.method, plan.tolerance, segments, self._grid
+            )
+            return
         self._flow = make_flow(self._members, varying)
         if plan.method == "native":
             self._native = Native(self._flow, shown(self._flow, self._members.loop))
@@ -174,8 +195,9 @@ class Engine:
 
     def compute(self, begin: int, end: int) -> Statistics:
         """Statistics of the members begin ... end-1."""
-        starts = range(begin - begin % PIECE, end, PIECE)
-        pieces = [(max(first, begin), min(first + PIECE, end)) for first in starts]
+        size = PIECE if self.plan.system.implementation is None else SAMPLED_PIECE
+        starts = range(begin - begin % size, end, size)
+        pieces = [(max(first, begin), min(first + size, end)) for first in starts]
         shares = [pieces[i :: self._threads] for i in range(min(self._threads, len(pieces)))]
         if self.plan.method != "native":
             shares = [[(begin, end)]]
@@ -221,6 +243,8 @@ class Engine:
         alone = np.ones(count, dtype=bool)
         if self.plan.method != "alone":
             together = self._in_lanes if self.plan.method == "native" else self._in_step
+            if self.plan.system.implementation is not None:
+                together = self._sampled
             metrics, ends, alone = together(begin, end, bands)
             outcomes[~alone & (ends < self._edges[-1])] = Outcome.escaped.name
             metrics[:, ends < self._edges[-1]] = np.nan
@@ -240,15 +264,72 @@ class Engine:
             for k, value in zip(late.tolist(), values, strict=True):
                 bands.observe(signal, k, np.array([value]))
 
+    def _sampled(
+        self, begin: int, end: int, bands: Bands
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same, under a sampled controller; whole groups of eight share their steps."""
+        first, last = begin - begin % LANES, -(-end // LANES) * LANES
+        part = slice(begin - first, end - first)
+
+        def show(mark: int, values: np.ndarray) -> None:
+            for signal, row in enumerate(values):
+                bands.observe(signal, mark, row[part])
+
+        group = Group(first, *self._varied(first, last))
+        totals, ends, alone = self._crowd.run(group, show)
+        metrics = self._metrics({name: values[part] for name, values in totals.items()})
+        return metrics, ends[part], alone[part]
+
+    def extremes(self, members: int, way: Implementation) -> tuple[float, float]:
+        """Largest tail error and input of the first members under another implementation.
+
+        The error is inf where a member does not finish.
+
+        Parameters
+        ----------
+        members : int
+        way : Implementation
+            With the structure of the system's own.
+        """
+        system, controller = self.plan.system, self._sampled_controller()
+        values = controller_values(controller, system.plant, system.law, way)
+        numbers = dict(zip(controller.parameters, values, strict=True))
+        numbers = {name: numbers[name] for name in controller.numbers}
+        size = LANES * max(1, members // (LANES * self._threads))
+
+        def extremes(first: int) -> tuple[float, float]:
+            starts, table = self._varied(first, first + size)
+            table |= {name: np.full(size, value) for name, value in numbers.items()}
+            group = Group(first, starts, table)
+            totals, ends, alone = self._crowd.run(group, lambda _mark, _values: None, way)
+            mine = slice(0, members - first)
+            done = ~alone & (ends >= self._edges[-1])
+            tails = np.where(done, totals["tail_error"], np.inf)[mine]
+            return float(tails.max()), float(np.nanmax(totals["peak_input"][mine]))
+
+        with ThreadPoolExecutor(self._threads) as pool:
+            found = list(pool.map(extremes, range(0, members, size)))
+        return max(tail for tail, _ in found), max(peak for _, peak in found)
+
+    def _sampled_controller(self) -> SampledController:
+        system = self.plan.system
+        assert system.implementation is not None
+        return sampled_controller(system.plant, system.controller, system.implementation)
+
     def _table(self, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
-        """Starts and parameters of some members."""
+        """Starts and parameters of some members, as the flow has them."""
+        starts, table = self._varied(begin, end)
+        return starts, np.array([table[name] for name in self._flow.parameters])
+
+    def _varied(self, begin: int, end: int) -> tuple[np.ndarray, dict[sympy.Symbol, np.ndarray]]:
+        """Starts and parameters of some members, by name."""
         starts, table = self._members.table(begin, end)
         band = np.full(end - begin, self._band)
         amplitude = table.get(AMPLITUDE)
         if self.plan.system.settings.band is None and amplitude is not None:
             band *= np.abs(amplitude)
         table[BAND] = band
-        return starts, np.array([table[name] for name in self._flow.parameters])
+        return starts, table
 
     def _in_lanes(
         self, begin: int, end: int, bands: Bands
@@ -304,7 +385,7 @@ class Engine:
         duration, outside = self.plan.system.settings.duration, totals["last_outside"]
         found = totals | {
             "settling_time": np.where(outside >= duration * (1 - 1e-12), np.nan, outside),
-            "rms_error": np.sqrt(totals["integral_squared_error"] / duration),
+            "rms_error": np.sqrt(np.maximum(totals["integral_squared_error"], 0.0) / duration),
         }
         return np.array([found[name] for name in METRICS])
 

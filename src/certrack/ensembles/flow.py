@@ -13,8 +13,10 @@ import sympy
 from certrack.closed_loop import INTEGRALS, ClosedLoop
 from certrack.ensembles.members import Members
 from certrack.expressions import TIME, derivative, symbol
-from certrack.integrators.flow import BEGIN, STEP, Flow
-from certrack.lowering import Entry, Extremum, Select, larger, magnitude
+from certrack.integrators.flow import Flow
+from certrack.lowering import BEGIN, STEP, Entry, Extremum, Select, larger, magnitude
+from certrack.sampled_loop import SIDES, SQUARE, Totals
+from certrack.simulated_plant import INPUT
 
 #: Rows of the signals; outputs that are not states follow.
 SIGNALS = ("e", "e_rate", "u", "u_rate")
@@ -97,19 +99,41 @@ def _computed_outputs(loop: ClosedLoop) -> list[sympy.Expr]:
 def _memories(sides: tuple[tuple[sympy.Symbol, sympy.Symbol], ...]) -> list[sympy.Expr]:
     """Update of every memory at the end of a step."""
     (e0, e1), (r0, r1), (u0, u1), (v0, v1) = sides
-    variation, peak, tail, outside, total = map(_memory, MEMORIES)
+    variation, peak = map(_memory, MEMORIES[:2])
     u_peak = Extremum(u0, u1, STEP * v0, STEP * v1)
-    e_peak = Extremum(e0, e1, STEP * r0, STEP * r1)
-    largest = larger(larger(magnitude(e0), magnitude(e1)), magnitude(e_peak))
-    crossing = BEGIN + STEP * Entry(e0, e1, STEP * r0, STEP * r1, BAND)
-    left = Select(largest, BAND, crossing, outside)
     return [
         variation + magnitude(u_peak - u0) + magnitude(u1 - u_peak),
         larger(peak, larger(magnitude(u_peak), magnitude(u1))),
+        *_of_error(e0, e1, r0, r1),
+    ]
+
+
+def _of_error(e0: sympy.Expr, e1: sympy.Expr, r0: sympy.Expr, r1: sympy.Expr) -> list[sympy.Expr]:
+    """Tail error, last time outside the band, integral of |e_1|; from e_1 and its rate."""
+    tail, outside, total = map(_memory, MEMORIES[2:])
+    peak = Extremum(e0, e1, STEP * r0, STEP * r1)
+    largest = larger(larger(magnitude(e0), magnitude(e1)), magnitude(peak))
+    crossing = BEGIN + STEP * Entry(e0, e1, STEP * r0, STEP * r1, BAND)
+    left = Select(largest, BAND, crossing, outside)
+    return [
         larger(tail, IN_TAIL * largest),
         Select(magnitude(e1), BAND, BEGIN + STEP, left),
         total + STEP * _area(e0, e1, STEP * r0, STEP * r1),
     ]
+
+
+def sampled_totals() -> Totals:
+    """What is kept of a member under a sampled controller: u is constant on every step.
+
+    All of :data:`SUMS` and :data:`MEMORIES` but the variation of the input.
+    """
+    square, energy, peak = (_memory(name) for name in (*SUMS, MEMORIES[1]))
+    return (
+        (square, square + SQUARE),
+        (energy, energy + STEP * INPUT**2),
+        (peak, larger(peak, magnitude(INPUT))),
+        *zip(map(_memory, MEMORIES[2:]), _of_error(*SIDES), strict=True),
+    )
 
 
 def _area(e0: sympy.Expr, e1: sympy.Expr, d0: sympy.Expr, d1: sympy.Expr) -> sympy.Expr:

@@ -36,6 +36,8 @@ def uncovered(system: System, population: Population) -> str | None:
     """Why the certificate's assumptions do not hold for every member; None if they do."""
     if system.truth.states:
         return "the simulated plant has states of its own, the certified one has the design's form"
+    if system.implementation is not None:
+        return "the certificate is that of the continuous law, the controller is sampled"
     plant, u = system.plant, system.plant.uncertainty
     nominal = {name: float(value) for name, value in plant.constant_values.items()}
     if system.truth.constants or not all(

@@ -115,7 +115,11 @@ class Members:
         """
         draws = self.draws(index, index + 1)
         found = self._system({name: float(v[0]) for name, v in draws.items()}, written=True)
-        return found.replace(title=f"Member {index} (seed {self.seed}) of: {self.system.title}")
+        way = found.implementation
+        return found.replace(
+            title=f"Member {index} (seed {self.seed}) of: {self.system.title}",
+            implementation=None if way is None else replace(way, seed=self.seed, stream=index),
+        )
 
     def table(self, begin: int, end: int) -> tuple[np.ndarray, dict[sympy.Symbol, np.ndarray]]:
         """Starts (S, N), and the values of every parameter that differs between members."""
@@ -196,6 +200,7 @@ class Members:
             truth=self._truth(point, own, written=written),
             settings=replace(settings, x0=tuple(x0), estimates=tuple(estimates) or None),
             title=system.title,
+            implementation=system.implementation,
         )
 
     def _truth(self, point: dict[str, float], plant: Plant, *, written: bool) -> Truth:

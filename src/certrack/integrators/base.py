@@ -92,12 +92,15 @@ class Trajectory:
         States (S, N) at N times.
     outcome : Outcome
     method : str
+    parts : int
+        Into so many parts a step is cut where extremes are looked for.
     """
 
     times: np.ndarray
     interpolate: Callable[[np.ndarray], np.ndarray]
     outcome: Outcome
     method: str
+    parts: int = 8
 
     @property
     def end(self) -> float:

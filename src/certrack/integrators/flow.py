@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import sympy
 
 from certrack.expressions import TIME
-
-#: Begin of a step or of a part of it, and its length: for memories.
-BEGIN, STEP = sympy.symbols("kept_begin kept_step", real=True)
+from certrack.lowering import hoisted
 
 
 @dataclass(frozen=True)
@@ -66,34 +65,13 @@ class Flow:
 
     def without_time(self) -> tuple[Flow, dict[sympy.Expr, sympy.Symbol]]:
         """The flow with every largest subexpression that all members share as one symbol."""
-        common = {TIME, *self.shared}
-        found: dict[sympy.Expr, sympy.Symbol] = {}
-
-        def name(expr: sympy.Expr) -> sympy.Expr:
-            number, rest = expr.as_coeff_Mul()
-            if rest not in found:
-                found[rest] = sympy.Symbol(f"kept_shared_{len(found)}", real=True)
-            return number * found[rest]
-
-        def walk(expr: sympy.Expr) -> sympy.Expr:
-            free = expr.free_symbols
-            if not free & common:
-                return expr
-            if free <= common:
-                return name(expr)
-            if expr.is_Add or expr.is_Mul:
-                own = [arg for arg in expr.args if arg.free_symbols and arg.free_symbols <= common]
-                rest = [walk(arg) for arg in expr.args if arg not in own]
-                return expr.func(*rest, *([name(expr.func(*own))] if own else []))
-            return expr.func(*map(walk, expr.args))
-
+        kinds = (self.rates, self.integrands, self.signals, [f for _, f in self.memories])
+        formulas, found = hoisted([f for kind in kinds for f in kind], {TIME, *self.shared})
+        left = iter(formulas)
+        rates, integrands, signals, memories = (tuple(islice(left, len(kind))) for kind in kinds)
+        names = (name for name, _ in self.memories)
+        kept = tuple(zip(names, memories, strict=True))
         return (
-            replace(
-                self,
-                rates=tuple(map(walk, self.rates)),
-                integrands=tuple(map(walk, self.integrands)),
-                signals=tuple(map(walk, self.signals)),
-                memories=tuple((symbol, walk(formula)) for symbol, formula in self.memories),
-            ),
+            replace(self, rates=rates, integrands=integrands, signals=signals, memories=kept),
             found,
         )

@@ -13,8 +13,8 @@ from sympy.printing.c import C99CodePrinter
 
 from certrack.expressions import TIME, without_minmax
 from certrack.integrators.base import ESCAPING
-from certrack.integrators.flow import BEGIN, STEP, Flow
-from certrack.lowering import Select
+from certrack.integrators.flow import Flow
+from certrack.lowering import BEGIN, STEP, Select
 
 #: Vector functions that lanes.c has anyway, and those of two arguments.
 OWN = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())
@@ -119,7 +119,7 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
 
     def function(name: str, arguments: str, *results: tuple[str, Sequence[sympy.Expr]]) -> str:
         targets = [(f"{to}[{i}]", f) for to, formulas in results for i, f in enumerate(formulas)]
-        return _function(name, arguments, targets, names)
+        return c_function(name, arguments, targets, names)
 
     memories = [formula for _, formula in timeless.memories]
     parts = [
@@ -145,6 +145,11 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
         ),
         function("shown", "const V *x, const V *y_end, V *out", ("out", shown)),
     ]
+    return with_elementary(parts)
+
+
+def with_elementary(parts: Sequence[str]) -> str:
+    """The parts, preceded by the vector forms of the elementary functions that they call."""
     text = "\n".join(parts) + "\n"
     called = sorted(set(re.findall(r"\bv_(\w+)\(", text)) - OWN)
     macros = {name: "ELEMENTARY_OF_TWO" if name in OF_TWO else "ELEMENTARY" for name in called}
@@ -162,17 +167,18 @@ def _tables() -> list[str]:
     lines = []
     for name, table in found.items():
         shape = "".join(f"[{size}]" for size in table.shape)
-        lines.append(f"static const double {name}{shape} = {_braces(table.tolist())};")
+        lines.append(f"static const double {name}{shape} = {braces(table.tolist())};")
     return lines
 
 
-def _braces(values: Any) -> str:
+def braces(values: Any) -> str:
+    """Nested lists of numbers as a C initialiser."""
     if isinstance(values, list):
-        return "{" + ", ".join(map(_braces, values)) + "}"
+        return "{" + ", ".join(map(braces, values)) + "}"
     return repr(values)
 
 
-def _function(
+def c_function(
     name: str,
     arguments: str,
     results: Sequence[tuple[str, sympy.Expr]],

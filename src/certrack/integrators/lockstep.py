@@ -21,8 +21,8 @@ from scipy.integrate import DOP853, RK45
 
 from certrack.expressions import TIME
 from certrack.integrators.base import ESCAPING
-from certrack.integrators.flow import BEGIN, STEP, Flow
-from certrack.lowering import numpy_callable, rows, to_heyoka
+from certrack.integrators.flow import Flow
+from certrack.lowering import BEGIN, STEP, numpy_callable, rows, to_heyoka
 
 #: Vector lanes; the number of members at work is always a multiple, because heyoka evaluates a
 #: remainder by scalar functions, whose last bits differ.

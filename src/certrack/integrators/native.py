@@ -81,6 +81,27 @@ def _shipped(name: str) -> str:
     return (files("certrack.integrators") / name).read_text("utf-8")
 
 
+def built(name: str, system: str) -> ctypes.CDLL:
+    """A shipped C file, compiled with the generated header of a system.
+
+    Raises
+    ------
+    Unavailable
+        If no compiler can do it.
+    """
+    text = _shipped(name)
+    text = text.replace('#include "vector_math.h"\n', _shipped("vector_math.h"))
+    text = text.replace('#include "system.h"\n', system)
+    path = compiler()
+    if path is None:
+        raise Unavailable("no C compiler (gcc or clang) was found")
+    flags = ([*w, *m] for w in (WIDE, []) for m in VECTOR_MATH)
+    made = next((m for f in flags if (m := _attempt(path, text, f)) is not None), None)
+    if made is None:
+        raise Unavailable(f"the C compiler {path} failed")
+    return made
+
+
 class _Task(ctypes.Structure):
     """As in lanes.c."""
 
@@ -169,17 +190,7 @@ class Native:
 
     def __init__(self, flow: Flow, shown: Sequence[sympy.Expr]) -> None:
         self._sizes = (len(shown), len(flow.integrands) + len(flow.memories))
-        text = _shipped("lanes.c")
-        text = text.replace('#include "vector_math.h"\n', _shipped("vector_math.h"))
-        text = text.replace('#include "system.h"\n', system_header(flow, shown))
-        path = compiler()
-        if path is None:
-            raise Unavailable("no C compiler (gcc or clang) was found")
-        flags = ([*w, *m] for w in (WIDE, []) for m in VECTOR_MATH)
-        made = next((m for f in flags if (m := _attempt(path, text, f)) is not None), None)
-        if made is None:
-            raise Unavailable(f"the C compiler {path} failed")
-        self._library = made
+        self._library = built("lanes.c", system_header(flow, shown))
 
     def integrate(
         self,

@@ -1,0 +1,287 @@
+/* Many members of one plant under a sampled controller, in the lanes of vector registers.
+ *
+ * Eight members make a group that shares its steps. Between two events the input is constant and a
+ * group takes one step of the pair of Dormand and Prince; lanes whose error estimate demands it
+ * take several, as short as the most difficult of them needs (see sampled.py, which does the same).
+ *
+ * `system.h` is generated. It holds the sizes
+ *   STATES KEPT MEASURED PARAMETERS SHARED COMMON LAW_COMMON TOTALS SHOWN,
+ * the coefficients A, B, C, E of the method, ESCAPING, SHARE, MOST_STEPS, and
+ *   common(t, s, c), law_common(t, s, c)  what depends on time t and the segment's numbers s alone
+ *   rates(c, x, u, p, k, e)               k = x', e = (e_1, e_1')
+ *   measure(x, p, m)                      what the sensors would give
+ *   law(c, m, p, k, u)                    the command u; k are the controller's states
+ *   total(t, h, s, e, sums, u, p, y)      totals y after a step; e at begin and end, sums over it
+ *   shown(c, x, p, u, v)                  what is kept at a time of interest
+ */
+#include "vector_math.h"
+#include "system.h"
+
+enum { NODES = 7, SAMPLE = 1, ACT = 2 };
+
+/* How a member ended; known to the caller. */
+enum { FINISHED, ESCAPED, STUCK };
+
+typedef uint64_t U __attribute__((vector_size(8 * LANES)));
+
+typedef struct {
+  int64_t count;
+  const double *starts, *kept, *totals, *parameters; /* rows of `count` */
+  const uint64_t *keys; /* of the noise of each member */
+  int64_t events;
+  const double *times;
+  const uint8_t *kinds; /* SAMPLE, ACT */
+  const int32_t *marks; /* number of the time of interest, or -1 */
+  const int32_t *segments; /* which row of `shared` holds from an event on */
+  const double *shared; /* segments x SHARED */
+  int64_t depth; /* commands that may wait, and one */
+  const double *noise, *quantum; /* MEASURED each */
+  double input_quantum, initial_input, tolerance, limit;
+  double *values; /* times of interest x SHOWN x count */
+  double *found; /* (TOTALS + 1) x count; the last row is the variation of the input */
+  double *ends; /* count */
+  uint8_t *outcomes; /* count */
+} Task;
+
+/* A group on its way. */
+typedef struct {
+  V x[STATES], k[KEPT + 1], y[TOTALS], p[PARAMETERS + 1], u, variation;
+  I alive;
+  U key;
+  int64_t taken, begun; /* samples; commands that began to act */
+} Group;
+
+/* A step and what depends on time alone at its nodes. */
+typedef struct {
+  double t, h;
+  const double *s;
+  V c[NODES][COMMON + 1];
+} Step;
+
+static void lay(Step *step, double t, double h, const double *s) {
+  step->t = t;
+  step->h = h;
+  step->s = s;
+  if (!COMMON) return;
+  V when, found[COMMON + 1];
+  for (int i = 0; i < LANES; i++) when[i] = t + h * C[i < NODES ? i : 0];
+  common(when, s, found);
+  for (int i = 0; i < NODES; i++)
+    for (int j = 0; j < COMMON; j++) step->c[i][j] = SPLAT(found[j][i]);
+}
+
+/* One step: states and totals after it; returns the error over the allowed one, squared. */
+OUTLINE V attempt(const Group *g, const Step *step, double allowed, V *ends, V *y) {
+  V k[NODES][STATES], e[NODES][2], x[STATES];
+  double h = step->h;
+  rates(step->c[0], g->x, g->u, g->p, k[0], e[0]);
+#pragma GCC unroll 8
+  for (int i = 1; i < NODES; i++) {
+    for (int j = 0; j < STATES; j++) {
+      V sum = SPLAT(0.0);
+#pragma GCC unroll 8
+      for (int a = 0; a < i; a++)
+        if (A[i][a] != 0.0) sum += A[i][a] * k[a][j];
+      x[j] = g->x[j] + h * sum;
+    }
+    rates(step->c[i], x, g->u, g->p, k[i], e[i]);
+  }
+  V worst = SPLAT(0.0), sums[2] = {SPLAT(0.0), SPLAT(0.0)};
+  for (int j = 0; j < STATES; j++) {
+    V error = SPLAT(0.0);
+#pragma GCC unroll 8
+    for (int i = 0; i < NODES; i++)
+      if (E[i] != 0.0) error += E[i] * k[i][j];
+    V ratio = error * h / (allowed * (1.0 + v_max(v_abs(g->x[j]), v_abs(x[j]))));
+    worst += ratio * ratio;
+    ends[j] = x[j];
+  }
+#pragma GCC unroll 8
+  for (int i = 0; i < NODES - 1; i++)
+    if (B[i] != 0.0) {
+      sums[0] += B[i] * e[i][0] * e[i][0];
+      sums[1] += B[i] * e[i][0];
+    }
+  sums[0] *= h;
+  sums[1] *= h;
+  V sides[4] = {e[0][0], e[NODES - 1][0], e[0][1], e[NODES - 1][1]};
+  memcpy(y, g->y, sizeof g->y);
+  total(SPLAT(step->t), SPLAT(h), step->s, sides, sums, g->u, g->p, y);
+  return worst * (1.0 / STATES);
+}
+
+static void bury(Group *g, const Task *task, int64_t first, I which, int outcome, double t) {
+  which &= g->alive;
+  g->alive &= ~which;
+  for (int l = 0; l < LANES; l++)
+    if (which[l] && first + l < task->count) {
+      task->ends[first + l] = t;
+      task->outcomes[first + l] = (uint8_t)outcome;
+    }
+}
+
+static double allowance(const Task *task, double h, double interval) {
+  double share = h > SHARE * interval ? h : SHARE * interval;
+  return task->tolerance * (share < 1.0 ? share : 1.0);
+}
+
+/* By what the next step is longer, from the squared error. */
+static double factor(double error, double most) {
+  double found = 0.9 * pow(error > 1e-30 ? error : error == error ? 1e-30 : 1e18, -0.1);
+  return found < 0.1 ? 0.1 : found > most ? most : found;
+}
+
+static double largest(V error, I which) {
+  double worst = 0.0;
+  for (int l = 0; l < LANES; l++)
+    if (which[l] && !(error[l] <= worst)) worst = error[l] == error[l] ? error[l] : INFINITY;
+  return worst;
+}
+
+/* Lanes that no step serves: those with a large state are escaping. */
+static void give_up(Group *g, const Group *now, const Task *task, int64_t first, I lost, double t) {
+  I large = (I){0};
+  for (int j = 0; j < STATES; j++) large |= v_abs(now->x[j]) > SPLAT(ESCAPING);
+  bury(g, task, first, lost & large, ESCAPED, t);
+  bury(g, task, first, lost, STUCK, t);
+}
+
+/* Lanes that need several steps for an interval; the others keep what they have. */
+OUTLINE void creep(Group *g, const Task *task, int64_t first, double begin, double end,
+                   const double *s, I late, V error, V *ends, V *y) {
+  Group own = *g;
+  Step step;
+  V x[STATES], after[TOTALS];
+  double t = begin, h = (end - begin) * factor(largest(error, late), 0.5);
+  for (int64_t i = 0; i < MOST_STEPS && t < end && any(late); i++) {
+    int last = t + h >= end * (1 - 1e-15);
+    h = last ? end - t : h;
+    lay(&step, t, h, s);
+    V found = attempt(&own, &step, allowance(task, h, end - begin), x, after);
+    double worst = largest(found, late);
+    if (worst <= 1.0) {
+      memcpy(own.x, x, sizeof x);
+      memcpy(own.y, after, sizeof after);
+      t = last ? end : t + h;
+    }
+    h *= factor(worst, 5.0);
+    if (t < end && t + h <= t) { /* nothing is short enough for these */
+      I lost = late & ~(found <= SPLAT(1.0));
+      give_up(g, &own, task, first, lost, begin);
+      late &= ~lost;
+      h = (end - begin) * 1e-6;
+    }
+  }
+  if (t < end) give_up(g, &own, task, first, late, begin);
+  for (int j = 0; j < STATES; j++) ends[j] = choose(late, own.x[j], ends[j]);
+  for (int j = 0; j < TOTALS; j++) y[j] = choose(late, own.y[j], y[j]);
+}
+
+/* A standard normal number of a member's key and a counter: SplitMix64, Box and Muller. */
+INLINE V normal(U key, uint64_t counter) {
+  U z = key + counter * 0x9e3779b97f4a7c15u;
+  z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+  z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+  z = z ^ (z >> 31);
+  V high = __builtin_convertvector((I)(z >> 32), V), low = __builtin_convertvector((I)(z & 0xffffffffu), V);
+  return v_sqrt(-2.0 * v_log((high + 0.5) * 0x1p-32)) * v_cos(low * (0x1p-32 * 6.283185307179586));
+}
+
+INLINE V rounded(V a, double quantum) {
+  V n = a / quantum, near = (n + ROUND) - ROUND;
+  return choose(v_abs(n) < SPLAT(0x1p51), near, n) * quantum;
+}
+
+/* Measure, evaluate the law; the command waits for the actuator. */
+static void sample(Group *g, const Task *task, double t, const double *s, V *waiting) {
+  V m[MEASURED], c[LAW_COMMON + 1], u;
+  measure(g->x, g->p, m);
+  for (int j = 0; j < MEASURED; j++) {
+    if (task->noise[j] > 0.0)
+      m[j] += task->noise[j] * normal(g->key, (uint64_t)(g->taken * MEASURED + j + 1));
+    if (task->quantum[j] > 0.0) m[j] = rounded(m[j], task->quantum[j]);
+  }
+  law_common(SPLAT(t), s, c);
+  law(c, m, g->p, g->k, &u);
+  if (task->input_quantum > 0.0) u = rounded(u, task->input_quantum);
+  waiting[g->taken++ % task->depth] = u;
+}
+
+static void keep(const Group *g, const Task *task, int64_t first, double t, const double *s,
+                 int64_t mark) {
+  V c[COMMON + 1], v[SHOWN];
+  common(SPLAT(t), s, c);
+  shown(c, g->x, g->p, g->u, v);
+  for (int j = 0; j < SHOWN; j++) {
+    double *place = task->values + (mark * SHOWN + j) * task->count + first;
+    for (int l = 0; l < LANES && first + l < task->count; l++)
+      place[l] = g->alive[l] ? v[j][l] : NAN;
+  }
+}
+
+/* Members first ... first + 7 through all events. */
+static void travel(const Task *task, int64_t first, Group *g, V *waiting) {
+  memset(g, 0, sizeof *g);
+  for (int l = 0; l < LANES; l++) {
+    int64_t i = first + l < task->count ? first + l : task->count - 1;
+    for (int j = 0; j < STATES; j++) g->x[j][l] = task->starts[j * task->count + i];
+    for (int j = 0; j < KEPT; j++) g->k[j][l] = task->kept[j * task->count + i];
+    for (int j = 0; j < TOTALS; j++) g->y[j][l] = task->totals[j * task->count + i];
+    for (int j = 0; j < PARAMETERS; j++) g->p[j][l] = task->parameters[j * task->count + i];
+    g->key[l] = task->keys[i];
+  }
+  g->alive = ~(I){0};
+  g->u = SPLAT(task->initial_input);
+  Step step;
+  V ends[STATES], y[TOTALS];
+  for (int64_t k = 0; k < task->events; k++) {
+    double t = task->times[k];
+    const double *s = task->shared + task->segments[k] * SHARED;
+    if (task->kinds[k] & SAMPLE) sample(g, task, t, s, waiting);
+    if (task->kinds[k] & ACT) {
+      V u = waiting[g->begun++ % task->depth];
+      if (k) g->variation += v_abs(u - g->u);
+      g->u = u;
+    }
+    if (task->marks[k] >= 0) keep(g, task, first, t, s, task->marks[k]);
+    if (k + 1 == task->events) break;
+    double end = task->times[k + 1], h = end - t;
+    lay(&step, t, h, s);
+    V error = attempt(g, &step, allowance(task, h, h), ends, y);
+    I late = ~(error <= SPLAT(1.0)) & g->alive;
+    if (any(late)) creep(g, task, first, t, end, s, late, error, ends, y);
+    memcpy(g->y, y, sizeof y);
+    I outside = (I){0};
+    for (int j = 0; j < STATES; j++) {
+      g->x[j] = ends[j];
+      outside |= ~(v_abs(ends[j]) <= SPLAT(task->limit));
+    }
+    if (any(outside & g->alive)) bury(g, task, first, outside, ESCAPED, end);
+    if (!any(g->alive)) {
+      for (k++; k < task->events; k++)
+        if (task->marks[k] >= 0) keep(g, task, first, 0.0, s, task->marks[k]);
+      break;
+    }
+  }
+  bury(g, task, first, ~(I){0}, FINISHED, task->times[task->events - 1]);
+  for (int l = 0; l < LANES && first + l < task->count; l++) {
+    double *found = task->found + first + l;
+    for (int j = 0; j < TOTALS; j++, found += task->count) *found = g->y[j][l];
+    *found = g->variation[l];
+  }
+}
+
+/* Integrate all members of a task; returns 0, or -1 without memory. */
+int integrate(const Task *task) {
+  Group *g = NULL;
+  V *waiting = NULL;
+  if (posix_memalign((void **)&waiting, 64, (size_t)task->depth * sizeof *waiting) ||
+      posix_memalign((void **)&g, 64, sizeof *g)) {
+    free(waiting);
+    return -1;
+  }
+  for (int64_t first = 0; first < task->count; first += LANES) travel(task, first, g, waiting);
+  free(waiting);
+  free(g);
+  return 0;
+}

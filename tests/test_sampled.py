@@ -1,0 +1,410 @@
+"""Sampled control: against an independent loop, exact edges, limits, sensors, ensembles."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import certrack
+from certrack.integrators.native import compiler
+from certrack.noise import keys, normal
+from certrack.sampled_stability import linear_loop
+
+EVERYTHING = {
+    "period": 0.01,
+    "offset": 0.002,
+    "delay": 1.3,
+    "saturation": (-8, 8),
+    "rate_limit": 500,
+    "input_quantum": 0.001,
+    "measurement_quantum": (1e-3, 0),
+    "noise": (0.001, 0.002),
+    "velocity": ("x2",),
+    "velocity_filter": 0.02,
+    "update": "exact_leak",
+    "projection": ((0, 5), (-9, 9)),
+}
+
+METHODS = [
+    pytest.param("native", marks=pytest.mark.skipif(not compiler(), reason="no C compiler")),
+    "lockstep",
+]
+
+
+def sampled(name, **options):
+    way = certrack.Implementation(**options)
+    return certrack.load(name).replace(implementation=way)
+
+
+def finals(run):
+    return np.array(list(run.final_state.values()))
+
+
+# ---- against independent computations ------------------------------------------------------------
+
+
+def law(x, t, z):
+    """The adaptive law of example1, written out by hand: ubar, e_2, phi."""
+    (x1, x2), theta_hat = x, z[1]
+    e2 = 1.75 * x1 + x2 - 3.25 * 0.2 * math.cos(t)
+    phi = 1 + x1 * math.sin(x2)
+    nu = 0.16015625 * x1 - 5.265625 * x2 - x1**2 * x2
+    nu += 7.73828125 * 0.2 * math.cos(t) - 3.25 * 0.2 * math.sin(t)
+    return nu - theta_hat * phi, e2, phi
+
+
+def plant(t, x, u):
+    x1, x2 = x
+    w1 = 0.5 * math.hypot(x1, x2) * math.sin(2 * t)
+    w2 = 0.2 * math.log(1 + x1 * x1 + x2 * x2) + 0.1 / (1 + t)
+    rate2 = x1**2 * x2 + 2 * u + 2 * (1 + x1 * math.sin(x2)) + 0.2 * w2
+    return [2 * x2 - 3 * x1 + 0.1 * w1, rate2]
+
+
+def by_hand(T, duration, delay=0.0, limits=(-math.inf, math.inf)):
+    """Example1 under forward Euler updates, SciPy between the events."""
+    x, z, u, waiting = np.array([1.0, 2.0]), np.zeros(2), 0.0, []
+    count = round(duration / T)
+    samples = [(k * T, "sample") for k in range(count)]
+    events = sorted([*samples, *((t + delay * T, "act") for t, _ in samples), (duration, "end")],
+                    key=lambda event: (round(event[0], 12), event[1] == "act"))  # fmt: skip
+    for (t, kind), (after, _) in pairwise(events):
+        if kind == "sample":
+            ubar, e2, phi = law(x, t, z)
+            asked = z[0] * ubar
+            command = min(max(asked, limits[0]), limits[1])
+            rate = np.array([-ubar * e2 - 0.6 * (z[0] - 0.4), phi * e2 - 0.6 * (z[1] - 2.1)])
+            if command == asked:
+                z = z + T * rate
+            waiting.append(command)
+        if kind == "act":
+            u = waiting.pop(0)
+        if after > t + 1e-12 and t < duration:
+            until = min(after, duration)
+            options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
+            x = solve_ivp(plant, (t, until), x, args=(u,), **options).y[:, -1]
+    return np.array([*x, *z])
+
+
+@pytest.mark.parametrize(
+    ("delay", "limits"), [(0.0, None), (0.4, None), (1.7, (-4.0, 4.0)), (0.0, (-4.0, 6.0))]
+)
+@pytest.mark.parametrize("integrator", ["auto", "scipy"])
+def test_example1_against_a_loop_by_hand(delay, limits, integrator):
+    system = sampled("example1", period=0.001, delay=delay, saturation=limits)
+    run = certrack.simulate(system, duration=3, tail=1, integrator=integrator)
+    expected = by_hand(0.001, 3, delay, limits or (-math.inf, math.inf))
+    assert np.abs(finals(run) - expected).max() < 1e-8
+
+
+@pytest.mark.parametrize("name", ["example1", "dual-motor-lean", "example1-classic"])
+def test_converges_to_the_continuous_loop_with_order_one(name):
+    system = certrack.load(name)
+    exact = finals(certrack.simulate(system, duration=5, tail=2, tolerance=1e-11))
+    errors = []
+    for period in (2e-3, 1e-3, 5e-4):
+        run = certrack.simulate(sampled(name, period=period), duration=5, tail=2)
+        errors.append(np.abs(finals(run) - exact).max())
+    orders = np.log2(errors[:-1]) - np.log2(errors[1:])
+    assert np.abs(orders - 1).max() < 0.1, errors
+
+
+def test_kinks_of_the_plant_are_respected():
+    """Dry friction: steps shrink towards the kink; tolerance is kept against a brute-force run."""
+    text = certrack.to_text(certrack.load("example1"))
+    text = text.replace('"0.5*sqrt(x1**2 + x2**2)*sin(2*t)"', '"0.5*abs(x2)*sign(sin(2*t))"')
+    system = certrack.loads(text).replace(implementation=certrack.Implementation(period=0.02))
+    runs = {
+        integrator: certrack.simulate(system, integrator=integrator, duration=5, tail=2)
+        for integrator in ("auto", "scipy")
+    }
+    tight = certrack.simulate(system, duration=5, tail=2, tolerance=1e-13)
+    for run in runs.values():
+        assert run.outcome is certrack.Outcome.finished
+        assert np.abs(finals(run) - finals(tight)).max() < 1e-8
+
+
+@pytest.mark.parametrize("reference", ['kind = "triangle"\namplitude = 0.2\nperiod = 3.001', None])
+def test_integrals_and_peaks(reference):
+    """Metrics against sums over a fine grid of the dense output."""
+    system = sampled("dual-motor-lean", period=0.03, delay=0.5)
+    if reference:
+        text = certrack.to_text(system).replace("feedforward = 1", "feedforward = 0")
+        head, tail = text.split("[reference]")
+        system = certrack.loads(
+            head + "[reference]\n" + reference + "\n\n[law]" + tail.split("[law]")[1]
+        )
+    run = certrack.simulate(system, duration=6, tail=3)
+    t = np.linspace(0, 6, 600_001)
+    states = run.trajectory.interpolate(t)
+    e = states[0] - system.reference.values(t, 0)[0]
+    u = run.input_of(t, states)
+    found = run.metrics
+    assert found.integral_squared_error == pytest.approx(np.trapezoid(e**2, t), rel=1e-6)
+    assert found.integral_abs_error == pytest.approx(np.trapezoid(np.abs(e), t), rel=1e-5)
+    assert found.input_energy == pytest.approx(np.trapezoid(u**2, t), rel=1e-3)
+    assert found.tail_error == pytest.approx(np.abs(e[t >= 3]).max(), rel=1e-4)
+    assert found.peak_input == np.abs(u).max()
+    assert found.input_variation == pytest.approx(np.abs(np.diff(u)).sum(), rel=1e-9)
+
+
+# ---- what the implementation does ----------------------------------------------------------------
+
+
+def test_limits_are_kept_and_estimates_stand_still_meanwhile():
+    options = {"period": 0.002, "saturation": (-3, 4), "rate_limit": 200}
+    run = certrack.simulate(sampled("example1", **options))
+    dense = run.trajectory.interpolate
+    assert dense.inputs.min() >= -3 and dense.inputs.max() <= 4
+    steps = np.diff(dense.inputs, prepend=0.0)
+    assert np.abs(steps).max() <= 200 * 0.002 * (1 + 1e-12)
+    limited = (np.abs(steps) > 0.399999) | (dense.inputs == -3) | (dense.inputs == 4)
+    still = np.abs(np.diff(dense.estimates, axis=1)).max(axis=0) == 0
+    held = limited[: len(still)]
+    assert held.sum() > 5 and still[held].all() and not still[~held].any()
+    moving = certrack.simulate(sampled("example1", **options, anti_windup="none"))
+    changes = np.diff(moving.trajectory.interpolate.estimates, axis=1)
+    assert np.abs(changes).max(axis=0).min() > 0
+
+
+def test_projection_keeps_the_estimates_inside():
+    box = ((0.1, 0.45), (-1.0, 2.0))
+    run = certrack.simulate(sampled("example1", period=0.002, projection=box))
+    z = run.trajectory.interpolate.estimates[:, 1:]
+    for row, (low, high) in zip(z, box, strict=True):
+        assert row.min() >= low and row.max() <= high and np.isin([low, high], row).any()
+
+
+def test_quantised_inputs_and_measurements():
+    run = certrack.simulate(sampled("example1", period=0.005, input_quantum=0.25))
+    multiples = run.trajectory.interpolate.inputs / 0.25
+    assert np.array_equal(multiples, np.rint(multiples))
+    coarse, fine = (
+        certrack.simulate(sampled("example1", period=0.005, measurement_quantum=(q, q)))
+        for q in (1e-2, 1e-9)
+    )
+    exact = certrack.simulate(sampled("example1", period=0.005))
+    assert np.abs(finals(fine) - finals(exact)).max() < 1e-6
+    assert np.abs(finals(coarse) - finals(exact)).max() > 1e-4
+
+
+def test_differenced_speed():
+    """x_2 = (x_1' + 3 x_1)/2 from differences: converges with order one where w_1 = 0."""
+
+    def final(**way):
+        system = certrack.load("example1")
+        quiet = replace(system.truth, omega=(0, system.truth.omega[1]))
+        made = certrack.Implementation(**way) if way else None
+        system = system.replace(truth=quiet, implementation=made)
+        return certrack.simulate(system, duration=5, tail=2).final_state["x1"]
+
+    exact = final()
+    errors = [abs(final(period=T, velocity=("x2",)) - exact) for T in (2e-3, 1e-3)]
+    assert errors[1] < 1e-3 and 1.7 < errors[0] / errors[1] < 2.3
+    slow = final(period=1e-3, velocity=("x2",), velocity_filter=0.05)
+    assert abs(slow - exact) > 3 * errors[1]
+
+
+def test_exact_leak_is_exponential_euler():
+    """L W = exp(L T) - I, for a full adaptation gain; nothing couples delta_hat and theta_hat."""
+    from certrack.sampled_controller import controller_values, sampled_controller
+
+    Gamma = ((2.0, 0.5), (0.5, 1.0))
+    base = certrack.load("example1")
+    plant_ = replace(base.plant, regressor=("1", "sin(x2)"), theta=(1.0, 2.0), theta_range=None)
+    law_ = replace(base.law, Gamma=Gamma, theta0=(1.0, 2.0), leak_theta=3.0, leak_gain=5.0)
+    way = certrack.Implementation(period=0.1, update="exact_leak").bound_to(plant_, 3)
+    found = sampled_controller(plant_, law_.design(plant_), way)
+    values = dict(
+        zip(
+            (s.name for s in found.parameters),
+            controller_values(found, plant_, law_, way),
+            strict=True,
+        )
+    )
+    weights = np.zeros((3, 3))
+    for i, j in found.hold:
+        weights[i, j] = values[f"ctl_hold_{i}_{j}"]
+    L = np.zeros((3, 3))
+    L[0, 0], L[1:, 1:] = -5.0, -3.0 * np.array(Gamma)
+    assert np.abs(L @ weights - (expm(0.1 * L) - np.eye(3))).max() < 1e-14
+    assert {(0, 1), (1, 0), (0, 2), (2, 0)}.isdisjoint(found.hold)
+
+
+def test_noise_is_normal_and_reproducible():
+    drawn = np.array([normal(keys(3, 0, 5000), k, 2) for k in range(20)])
+    assert abs(drawn.mean()) < 0.01 and abs(drawn.std() - 1) < 0.01
+    assert abs(np.mean(drawn**4) - 3) < 0.1
+    assert np.array_equal(normal(keys(3, 77, 1), 5, 2)[:, 0], drawn[5, :, 77])
+    first, again, other = (
+        certrack.simulate(sampled("example1", period=0.01, noise=(0.01, 0.01), seed=seed))
+        for seed in (1, 1, 2)
+    )
+    assert finals(first).tolist() == finals(again).tolist() != finals(other).tolist()
+
+
+# ---- exact edges and margins ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["dual-motor", "dual-motor-lean"])
+@pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.3])
+@pytest.mark.parametrize("speeds", [(), ("x2", "x4")])
+def test_period_map_is_what_one_period_does(name, delay, speeds):
+    """Two runs under the same reference differ by a solution of the linear loop."""
+    way = {"period": 0.001, "velocity": speeds, "velocity_filter": 0.01 if speeds else 0.0}
+    system = sampled(name, **way)
+    system = system.replace(truth=replace(system.truth, omega=None))
+    loop, T, n = linear_loop(system), 0.001, system.plant.n
+    assert delay > 2 or loop.radius(T, delay) < 1
+    way = replace(system.implementation, delay=delay)
+    system = system.replace(implementation=way).with_settings(duration=300 * T, tail=None)
+    moved = system.with_settings(x0=tuple(x + 0.1 for x in system.settings.x0))
+    runs = [certrack.simulate(one).trajectory.interpolate for one in (system, moved)]
+    times = T * np.arange(1, 300)
+    gap = np.subtract(*(dense(times)[:n] for dense in runs[::-1]))
+
+    M = loop.period_map(T, delay)  # holds from the second sample on: the first has no difference
+    xi = np.zeros(len(M))
+    xi[:n] = gap[:, 0]
+    if speeds:
+        kept = [state.name for state in loop.controller.states]
+        for speed, before in (("x2", 0), ("x4", 2)):
+            start = np.subtract(*(dense(np.zeros(1))[:n, 0] for dense in runs[::-1]))
+            xi[n + kept.index(f"ctl_before_{speed}")] = start[before]
+    acts = np.array([delay * T + 1e-9])
+    xi[n + len(loop.controller.states)] = np.subtract(
+        *(dense.input(acts)[0] for dense in runs[::-1])
+    )
+    for k in range(len(times)):
+        assert np.abs(gap[:, k] - xi[:n]).max() < 1e-9 * (1 + np.abs(xi).max())
+        xi = M @ xi
+
+
+def test_stable_below_the_exact_edge_and_not_above():
+    system = sampled("dual-motor-lean", period=0.01)
+    loop = linear_loop(system)
+    assert loop.radius(0.0865, 0.0) < 1 < loop.radius(0.0878, 0.0)
+    outcomes = [
+        certrack.simulate(
+            sampled("dual-motor-lean", period=T), duration=170, tail=None
+        ).outcome.name
+        for T in (0.0865, 0.0885)
+    ]
+    assert outcomes == ["finished", "escaped"]
+
+
+def test_nonlinear_loops_have_no_exact_edge():
+    assert linear_loop(sampled("example1", period=0.01)) is None
+    text = certrack.to_text(sampled("dual-motor-lean", period=0.01))
+    bent = certrack.loads(text.replace('"K_L/J_M*(x1 - x3)"', '"K_L/J_M*sin(x1 - x3)"'))
+    assert linear_loop(bent) is None
+
+
+def test_margins_agree_with_the_exact_edge():
+    found = certrack.margins(certrack.load("dual-motor-lean"), members=16)
+    assert found.origin == "certificate"
+    for one in (found.period, found.delay):
+        assert one.within <= one.exact * 1.0001
+        assert one.within == pytest.approx(one.exact, rel=0.05)
+    assert found.period.errors[-1] == math.inf and not found.saturation.unlimited
+    assert 0 < found.saturation.within < 14
+    strict = certrack.margins(certrack.load("dual-motor-lean"), members=8, error=1e-6)
+    assert strict.period.within is None
+
+
+def test_margins_refuse_a_population_that_escapes():
+    with pytest.raises(certrack.InputError, match="not every member of the population finishes"):
+        certrack.margins(certrack.load("example1-classic"), members=64)
+
+
+# ---- ensembles -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("options", [{"period": 0.02}, EVERYTHING], ids=["plain", "everything"])
+def test_members_are_single_runs(method, options):
+    system = sampled("example1", **options)
+    found = certrack.ensemble(system, 12, seed=5, method=method)
+    every = [found.run(i).metrics.as_dict() for i in range(12)]
+    for name, tally in found.statistics.metrics.items():
+        values = [one[name] for one in every if one[name] is not None]
+        near = {"rel": 1e-5, "abs": 5e-4 if name == "settling_time" else 1e-12}
+        assert tally.most == pytest.approx(max(values), **near), name
+        assert tally.least == pytest.approx(min(values), **near), name
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_threads_and_chunks_do_not_matter(method):
+    system = sampled("example1", **EVERYTHING).with_settings(duration=2, tail=1)
+    packed = [
+        certrack.ensemble(
+            system, 600, seed=1, method=method, threads=threads, chunk=chunk
+        ).statistics.packed()
+        for threads, chunk in ((1, 4096), (2, 4096), (2, 100))
+    ]
+    for other in packed[1:]:
+        assert all(np.array_equal(packed[0][key], other[key]) for key in packed[0])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_members_that_escape(method):
+    system = sampled("dual-motor-lean", period=0.1).with_settings(duration=200, tail=None)
+    found = certrack.ensemble(system, 16, method=method)
+    assert dict(found.statistics.outcomes) == {"escaped": 16}
+    assert found.limit is None and "sampled" in found.limit_origin
+
+
+# ---- files, command line, bad input --------------------------------------------------------------
+
+
+def test_survives_a_system_file():
+    system = sampled("example1", **EVERYTHING, seed=3)
+    assert certrack.loads(certrack.to_text(system)) == system
+    member = certrack.ensemble(system, 3, seed=9).member(2)
+    again = certrack.loads(certrack.to_text(member))
+    assert finals(certrack.simulate(again)).tolist() == finals(certrack.simulate(member)).tolist()
+    assert (member.implementation.seed, member.implementation.stream) == (9, 2)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"period": -1}, "implementation.period: must be positive; got -1"),
+        ({"period": 1e-9}, "implementation.period: makes more than 20000000 samples"),
+        ({"period": 0.01, "offset": 0.02}, "implementation.offset: must be less than the period"),
+        ({"period": 0.01, "delay": -1}, "implementation.delay: must be 0 to 100 periods; got -1"),
+        (
+            {"period": 0.01, "saturation": (2, 2)},
+            "implementation.saturation: low must be less than high; got [2.0, 2.0]",
+        ),
+        (
+            {"period": 0.01, "saturation": (1, 2)},
+            "implementation.initial_input: must be within the saturation; got 0",
+        ),
+        ({"period": 0.01, "rate_limit": 0}, "implementation.rate_limit: must be positive"),
+        (
+            {"period": 0.01, "noise": (0.1,)},
+            "implementation.noise: must be a list of 2: one number per state",
+        ),
+        ({"period": 0.01, "velocity": ("x1",)}, "the first state has none before it"),
+        ({"period": 0.01, "velocity_filter": 1}, "implementation.velocity_filter: filters nothing"),
+        (
+            {"period": 0.01, "projection": ((0, 1),)},
+            "implementation.projection: must be a list of 2",
+        ),
+        ({"period": 0.01, "update": "heun"}, "must be one of euler, exact_leak; got heun"),
+    ],
+)
+def test_bad_implementations(options, message):
+    with pytest.raises(certrack.InputError) as problem:
+        sampled("example1", **options)
+    assert message in str(problem.value) and "\n" not in str(problem.value)
+
+
+def test_implicit_method_is_refused():
+    with pytest.raises(certrack.InputError, match="no implicit method"):
+        certrack.simulate(sampled("example1", period=0.01), integrator="implicit")
