@@ -27,6 +27,7 @@ SHIPPED = (
     "dual-motor",
     "dual-motor-drive",
     "dual-motor-lean",
+    "dual-motor-physical",
     "dual-motor-strong",
     "example1",
     "example1-classic",

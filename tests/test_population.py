@@ -85,7 +85,24 @@ VARIED = {
 def test_members_alone_and_together_are_the_same(name, sampling):
     """The rates of every member, from the table and from a system of its own."""
     system = certrack.load(name)
-    system = system.replace(population=Population(**VARIED[name], sampling=sampling))
+    agree(system.replace(population=Population(**VARIED[name], sampling=sampling)))
+
+
+@pytest.mark.parametrize("name", ["dual-motor-lean", "dual-motor-physical"])
+def test_derived_constants_follow_those_that_vary(name):
+    """Also in the drift, in the true input gain, and where another true value is stated."""
+    text = certrack.to_text(certrack.load(name).replace(population=None))
+    text = text.replace("J_M = 0.1\n", 'J_M = 0.1\nk = "K_L/J_M"\ng = "K_M/(2*J_M)"\nk2 = "2*k"\n')
+    text = text.replace("K_L/J_M*(x1", "k2/2*(x1").replace("K_L/J_M*(max", "k2/2*(max")
+    text = text.replace('input_gain = "K_M/(2*J_M)"', 'input_gain = "g"')
+    text = text.replace("[truth.constants]\n", "[truth.constants]\nJ_M = 0.11\n")
+    varied = {"K_L": {"uniform": [2, 4]}, "K_M": {"uniform": [3, 5]}}
+    system = certrack.loads(text).replace(population=Population(constants=varied))
+    assert "k2" in system.plant.drift.text and system.truth.constants
+    agree(system)
+
+
+def agree(system):
     members, count = Members(system, 3), 5
     starts, table = members.table(10, 10 + count)
     loop, base = members.loop, members.base
@@ -108,6 +125,10 @@ def test_members_alone_and_together_are_the_same(name, sampling):
 
 def test_random_disturbances_are_admissible(shipped):
     population = Population(disturbance="multisine")
+    if shipped.truth.states:  # there is no omega to put them in
+        with pytest.raises(InputError, match="ensemble.disturbance: must be file"):
+            shipped.replace(population=population)
+        return
     members = Members(shipped.replace(population=population), 0)
     for index in (0, 1, 999):
         assert not check_assumption_1(members.member(index))

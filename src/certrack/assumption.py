@@ -48,7 +48,8 @@ def check_assumption_1(system: System, seed: int = 0) -> list[Violation]:
     """Search for points where the truth's omega breaks its bound.
 
     Random states of all magnitudes and directions over the run's duration, the worst of each term
-    polished. Finding nothing is evidence, not proof.
+    polished. Finding nothing is evidence, not proof. A truth with states of its own has no omega to
+    be looked at.
     """
     plant, truth = system.plant, system.truth
     t, x = _samples(plant.n, system.settings.duration, seed)

@@ -88,8 +88,15 @@ def falsify(
     Raises
     ------
     InputError
-        If heyoka is missing, or a bound of the reference cannot be proven.
+        If heyoka is missing, a bound of the reference cannot be proven, or the truth has states
+        of its own.
     """
+    if system.truth.states:
+        raise InputError(
+            "truth.states",
+            "falsify searches disturbances of the design's plant, not of one with own states",
+            remedy="Give the truth in the design's form, or vary it by certrack ensemble",
+        )
     if not available():
         raise InputError(
             "falsify", "needs heyoka, which is not installed", remedy="conda-forge has it"

@@ -96,7 +96,7 @@ def plot_estimates(ax: Axes, runs: Runs) -> None:
             ax.plot(run.t, run.z[i], label=_label(_math(state.name), name, runs))
     truth = next(iter(runs.values())).system.truth
     names = {state.name for run in runs.values() for state in run.system.controller.states}
-    if "delta_hat" in names:
+    if "delta_hat" in names and truth.input_gain is not None:
         ax.axhline(1 / float(truth.input_gain.expr), color="k", lw=0.8, ls=":", label="true values")
     for theta in truth.theta if "theta_hat_1" in names else ():
         ax.axhline(float(theta.expr), color="k", lw=0.8, ls=":")

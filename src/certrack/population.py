@@ -14,7 +14,7 @@ import numpy as np
 
 from certrack import checks
 from certrack.errors import InputError
-from certrack.plant import Plant, check_gain, check_within, name_value_pairs
+from certrack.plant import Plant, Truth, check_gain, check_within, name_value_pairs
 
 SAMPLINGS = ("plain", "latin", "sobol")
 DISTURBANCES = ("file", "multisine")
@@ -120,7 +120,7 @@ class Population:
     Parameters
     ----------
     x0 : n distributions, optional
-        Initial plant states.
+        Initial plant states; those of the truth where it has states of its own.
     estimates : distributions, optional
         Initial controller states.
     input_gain : distribution, optional
@@ -163,9 +163,12 @@ class Population:
     points: int = 200
     limit: float | None = None
 
-    def bound_to(self, plant: Plant, estimates: int) -> Population:
-        """This population checked against `plant` and the number of controller states."""
+    def bound_to(self, plant: Plant, truth: Truth, estimates: int) -> Population:
+        """This population checked against plant, truth and the number of controller states."""
         known = plant.constant_values
+        whose = "one per state of the truth" if truth.states else "one per state"
+        if truth.states:
+            self._refuse_design_form()
 
         def some(key: str, given: Any, count: int, what: str) -> tuple[Distribution, ...] | None:
             if given is None:
@@ -194,8 +197,8 @@ class Population:
         constants = []
         for name, value in name_value_pairs("ensemble.constants", self.constants):
             key = f"ensemble.constants.{name}"
-            if name not in known:
-                raise InputError(key, "is not a constant of the plant")
+            if name not in (*known, *dict(truth.constants)):
+                raise InputError(key, "is not a constant of the plant or of the truth")
             constants.append((name, distribution(key, value, known)))
         amplitude = one("reference.amplitude", self.amplitude)
         frequency = one("reference.frequency", self.frequency)
@@ -206,7 +209,7 @@ class Population:
             raise InputError("ensemble.frequencies", "must be positive", low)
         limit = self.limit
         return Population(
-            x0=some("x0", self.x0, plant.n, "one per state"),
+            x0=some("x0", self.x0, len(truth.states or plant.states), whose),
             estimates=some("estimates", self.estimates, estimates, "one per controller state"),
             input_gain=gain,
             theta=theta,
@@ -222,9 +225,25 @@ class Population:
             limit=None if limit is None else checks.real("ensemble.limit", limit, known, above=0),
         )
 
+    def _refuse_design_form(self) -> None:
+        """What a truth with states of its own has no place for."""
+        own = "where the truth has states of its own"
+        for name in ("input_gain", "theta", "tau"):
+            if getattr(self, name) is not None:
+                remedy = "Vary ensemble.constants and ensemble.x0"
+                raise InputError(f"ensemble.{name}", f"must be left out {own}", remedy=remedy)
+        if self.disturbance == "multisine":
+            message = f"must be file {own}: its rates hold the disturbances"
+            raise InputError("ensemble.disturbance", message, self.disturbance)
+
     @classmethod
-    def default(cls, plant: Plant) -> Population:
-        """Every plant within the ranges, under every disturbance within the bounds."""
+    def default(cls, plant: Plant, truth: Truth) -> Population:
+        """Every plant within the ranges, under every disturbance within the bounds.
+
+        A truth with states of its own says itself what it is; then nothing varies.
+        """
+        if truth.states:
+            return cls()
 
         def uniform(box: tuple[float, float]) -> Distribution:
             return Distribution("uniform", box)

@@ -15,6 +15,7 @@ from certrack.errors import InputError
 from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.taylor import TaylorSeries
 from certrack.metrics import Metrics, measure
+from certrack.simulated_plant import measured
 from certrack.system import System
 from certrack.systemtext import to_text
 from certrack.version import version
@@ -63,15 +64,15 @@ class Run:
             return dense.subdivided(self.trajectory.times, self.trajectory.parts)
         return dense(self.t)
 
-    @property
+    @cached_property
     def x(self) -> np.ndarray:
-        """Plant states, shape (n, N)."""
-        return self._states[: self.system.plant.n]
+        """States of the design as the controller measures them, shape (n, N)."""
+        return measured(self.system, self._states)
 
     @property
     def z(self) -> np.ndarray:
         """Controller states (estimates), N columns."""
-        return self._states[self.system.plant.n : -len(INTEGRALS)]
+        return self._states[len(self.system.simulated_states) : -len(INTEGRALS)]
 
     @cached_property
     def y_d(self) -> np.ndarray:
@@ -109,8 +110,8 @@ class Run:
 
     @property
     def final_state(self) -> dict[str, float]:
-        """Plant and controller states at the last time reached, by name."""
-        names = (*self.system.plant.states, *(s.name for s in self.system.controller.states))
+        """Simulated plant's and controller's states at the last time reached, by name."""
+        names = (*self.system.simulated_states, *(s.name for s in self.system.controller.states))
         return dict(zip(names, self._states[: len(names), -1].tolist(), strict=True))
 
     def summary(self) -> dict[str, Any]:
@@ -139,18 +140,20 @@ class Run:
         -------
         xarray.Dataset
             Variables ``x`` and ``e`` (time, state), ``u`` and ``y_d`` (time), ``estimate``
-            (time, parameter); the attributes hold version, system text and metrics.
+            (time, parameter), ``truth`` (time, truth_state) where the truth has states of its own;
+            the attributes hold version, system text and metrics.
         """
         import xarray
 
         system, n = self.system, self.system.plant.n
         t = self.t if samples is None else np.linspace(0.0, self.trajectory.end, samples)
         states = self._states if samples is None else self.trajectory.interpolate(t)
+        own, x = system.simulated_states, measured(system, states)
         units = system.plant.units or ("1",) * (n + 1)
         y_d = system.reference.values(t, 0)[0]
         data: dict[str, Any] = {
-            "x": (("time", "state"), states[:n].T, {"long_name": "plant state"}),
-            "e": (("time", "state"), self._errors(t, states[:n]).T, {"long_name": "error"}),
+            "x": (("time", "state"), x.T, {"long_name": "plant state"}),
+            "e": (("time", "state"), self._errors(t, x).T, {"long_name": "error"}),
             "y_d": ("time", y_d, {"long_name": "reference", "units": units[0]}),
             "u": ("time", self.input_of(t, states), {"long_name": "input", "units": units[n]}),
         }
@@ -159,9 +162,13 @@ class Run:
             "state": list(system.plant.states),
             "state_units": ("state", list(units[:n])),
         }
+        if system.truth.states:
+            table = states[: len(own)].T
+            data["truth"] = (("time", "truth_state"), table, {"long_name": "state of the truth"})
+            coords["truth_state"] = list(own)
         estimates = [state.name for state in system.controller.states]
         if estimates:
-            z = states[n : n + len(estimates)].T
+            z = states[len(own) : len(own) + len(estimates)].T
             data["estimate"] = (("time", "parameter"), z, {"long_name": "estimate"})
             coords["parameter"] = estimates
         summary = {k: v for k, v in self.metrics.as_dict().items() if v is not None}

@@ -6,14 +6,17 @@ compiled from the formulas serves all of them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import sympy
 
 from certrack.expressions import symbol
 from certrack.laws.base import dot
+from certrack.lowering import numpy_callable, rows
 from certrack.plant import Plant
 from certrack.system import System
 
@@ -55,6 +58,8 @@ class SimulatedPlant:
 
 def simulated_plant(system: System) -> SimulatedPlant:
     """The truth of `system` as formulas."""
+    if system.truth.states:
+        return _with_own_states(system)
     plant, truth = system.plant, system.truth
     n, x = plant.n, plant.symbols
     present = np.argwhere((plant.b != 0) | (_built(system).b != 0))
@@ -85,10 +90,25 @@ def simulated_plant(system: System) -> SimulatedPlant:
     return SimulatedPlant(x, tuple(rates), x, tuple(true.items()), couplings)
 
 
+def _with_own_states(system: System) -> SimulatedPlant:
+    """The truth with states of its own."""
+    truth, names = system.truth, list(true_constants(system))
+    constants = tuple(symbol(f"true_constants_{i}") for i in range(len(names)))
+    as_built = dict(zip(map(symbol, names), constants, strict=True))
+    rates, outputs = (
+        tuple(formula.expr.xreplace(as_built) for formula in formulas or ())
+        for formulas in (truth.rates, truth.outputs)
+    )
+    states = tuple(map(symbol, truth.states or ()))
+    return SimulatedPlant(states, rates, outputs, (("constants", constants),), ())
+
+
 def plant_values(plant: SimulatedPlant, system: System) -> np.ndarray:
     """Values of :attr:`SimulatedPlant.parameters`."""
     truth, built = system.truth, _built(system)
-    assert truth.tau is not None
+    if truth.states:
+        return np.array(list(true_constants(system).values()))
+    assert truth.tau is not None and truth.input_gain is not None
     return np.concatenate(
         [
             built.g,
@@ -101,10 +121,39 @@ def plant_values(plant: SimulatedPlant, system: System) -> np.ndarray:
     )
 
 
+def true_constants(system: System) -> dict[str, float]:
+    """The plant's constants as they really are, then the truth's own."""
+    found = {name: float(value) for name, value in _built(system).constant_values.items()}
+    own = {name: float(value.expr) for name, value in system.truth.constants if name not in found}
+    return found | own
+
+
+def measured(system: System, states: np.ndarray) -> np.ndarray:
+    """What the controller measures: the states of the design, shape (n, N).
+
+    Parameters
+    ----------
+    system : System
+    states : (S, N) array
+        Those of the simulated plant; what follows them is ignored.
+    """
+    truth, count = system.truth, len(system.simulated_states)
+    if not truth.states:
+        return states[:count]
+    constants = true_constants(system)
+    values = _outputs(truth.states, truth.outputs, tuple(constants))
+    return rows(values(states[:count], list(constants.values())), states.shape[1])
+
+
+@lru_cache(maxsize=16)
+def _outputs(states: Any, outputs: Any, constants: Any) -> Callable[..., list[Any]]:
+    """The outputs, compiled for every value of the constants."""
+    arguments = [tuple(map(symbol, states)), tuple(map(symbol, constants))]
+    return numpy_callable(arguments, [formula.expr for formula in outputs])
+
+
 def _built(system: System) -> Plant:
     """The plant with the constants it really has."""
-    if not system.truth.constants:
-        return system.plant
-    return system.plant.with_constants(
-        **{name: float(value.expr) for name, value in system.truth.constants}
-    )
+    known = system.plant.constant_values
+    others = {n: float(value.expr) for n, value in system.truth.constants if n in known}
+    return system.plant.with_constants(**others)

@@ -17,6 +17,7 @@ from certrack.integrators.base import Outcome, Problem
 from certrack.integrators.scipy import ScipyIntegrator
 from certrack.integrators.taylor import TaylorIntegrator, available
 from certrack.lowering import numpy_callable, rows
+from certrack.plant import Truth
 from certrack.run import Run
 from certrack.sampled_simulation import SampledSimulator
 from certrack.system import System
@@ -79,7 +80,7 @@ class Simulator:
             reference=system.reference,
             duration=settings.duration,
             tolerance=settings.tolerance,
-            plant_order=system.plant.n,
+            plant_order=self.loop.n,
             fastest_pole=system.controller.coordinates.fastest_pole,
             max_state=settings.max_state,
         )
@@ -105,8 +106,7 @@ class Simulator:
             and type(system.law) is type(mine.law)
             and system.controller.equations == mine.controller.equations
             and system.reference == mine.reference
-            and system.truth.omega == mine.truth.omega
-            and not system.truth.constants
+            and _same_form(system.truth, mine.truth)
         )
         if not same and close_loop(system) != self.loop:
             raise InputError(
@@ -160,6 +160,14 @@ class Simulator:
         with np.errstate(all="ignore"):
             values = self._input(t, states, [*parameters.tolist(), *_pieces(system, t)])
         return rows(values, len(t))[0]
+
+
+def _same_form(a: Truth, b: Truth) -> bool:
+    """Whether two truths of one plant surely differ in numbers only."""
+    if a.states:
+        forms = [(v.states, v.rates, v.outputs, [name for name, _ in v.constants]) for v in (a, b)]
+        return forms[0] == forms[1]
+    return a.omega == b.omega and not b.states and not a.constants  # these may fill a coupling
 
 
 #: Where the automatic choice failed: what to try next, and what to say.

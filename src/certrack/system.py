@@ -26,7 +26,7 @@ class Settings:
     Parameters
     ----------
     x0 : n numbers
-        Initial plant state.
+        Initial plant state; that of the truth where it has states of its own.
     duration : float > 0, s
         Length of the run; it starts at t = 0.
     estimates : numbers, optional
@@ -116,14 +116,20 @@ class System:
         ):
             if not isinstance(getattr(self, name), kind):
                 raise InputError(name, f"must be a {kind.__name__}", getattr(self, name))
-        plant, n = self.plant, self.plant.n
+        plant = self.plant
         object.__setattr__(self, "truth", self.truth.bound_to(plant))
-        checks.sequence("simulation.x0", self.settings.x0, n, "one number per state")
+        what = "one number per state"
+        if self.truth.states:
+            what += f" of the truth ({', '.join(self.truth.states)})"
+        checks.sequence("simulation.x0", self.settings.x0, len(self.simulated_states), what)
         controller = self.controller
+        for state in controller.states:
+            if state.name in (*plant.states, *self.simulated_states):
+                raise InputError("law", "has a state of this name already", state.name, "Rename it")
         if self.population is not None:
             if not isinstance(self.population, Population):
                 raise InputError("population", "must be a Population", self.population)
-            bound = self.population.bound_to(plant, len(controller.states))
+            bound = self.population.bound_to(plant, self.truth, len(controller.states))
             object.__setattr__(self, "population", bound)
             for i, entry in enumerate(bound.x0 or ()):
                 if max(abs(entry.low), abs(entry.high)) > self.settings.max_state:
@@ -159,7 +165,12 @@ class System:
     @property
     def varied(self) -> Population:
         """What varies between the members of an ensemble: as stated, or by default."""
-        return self.population or Population.default(self.plant)
+        return self.population or Population.default(self.plant, self.truth)
+
+    @property
+    def simulated_states(self) -> tuple[str, ...]:
+        """Names of the simulated plant's states: the truth's own, or those of the design."""
+        return self.truth.states or self.plant.states
 
     def replace(self, **changes: Any) -> System:
         """A copy with some parts replaced, checked again."""

@@ -44,7 +44,7 @@ PLANT_KEYS = (
     "states chain linear drift regressor gain_sign input_gain theta units constants ranges "
     "uncertainty"
 ).split()
-TRUTH_KEYS = "input_gain theta omega tau constants".split()
+TRUTH_KEYS = "input_gain theta omega tau constants states rates outputs".split()
 POPULATION_KEYS = [
     *(entry.name for entry in fields(Population) if entry.name not in ("amplitude", "frequency")),
     "reference",
@@ -221,7 +221,7 @@ def _plant(table: Any) -> Plant:
 
 
 def _truth(table: Any, plant: Plant) -> Truth:
-    checks.known_keys("truth", table, TRUTH_KEYS, required=("input_gain",))
+    checks.known_keys("truth", table, TRUTH_KEYS)
     values = dict(table)
     constants = values.pop("constants", {})
     checks.known_keys("truth.constants", constants, constants)

@@ -143,7 +143,10 @@ def _plant_table(plant: Plant) -> dict[str, Any]:
 
 
 def _truth_table(truth: Truth) -> dict[str, Any]:
-    return _present(field_values(truth)) | {"constants": dict(truth.constants)}
+    values = _present(field_values(truth))
+    if truth.states is not None:
+        del values["theta"]
+    return values | {"constants": dict(truth.constants)}
 
 
 def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:

@@ -74,6 +74,8 @@ class LawConformance:
         """e' = (S - C - K) e + T w - R y_d^(q+1) + (0 ... 0, g_n u + phi^T theta - nu)."""
         system, loop = self.system, close_loop(self.system)
         plant, truth, found = system.plant, system.truth, system.controller.coordinates
+        if truth.input_gain is None:  # it has states of its own
+            return
         rates = numpy_callable([TIME, loop.states, loop.parameters], [*loop.rates, loop.u])
         names = [TIME, *plant.symbols]
         known = {name: float(v) for name, v in plant.constant_values.items()}

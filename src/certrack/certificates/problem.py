@@ -285,7 +285,9 @@ def refuse(system: System) -> None:
         raise NoCertificate(law.no_certificate)
     if not isinstance(law, (Adaptive, Robust)):
         raise NoCertificate(f"certificates know the adaptive and the robust law, not {law.kind}")
-    if system.truth.constants:
+    if system.truth.states:
+        _refuse_unknown_ranges(system)
+    elif system.truth.constants:
         raise NoCertificate(
             "truth.constants make the simulated plant differ from the certified one; remove them"
         )
@@ -303,6 +305,17 @@ def refuse(system: System) -> None:
             )
 
 
+def _refuse_unknown_ranges(system: System) -> None:
+    """A truth with states of its own tells the adaptive law no true g_n and theta."""
+    plant = system.plant
+    known = plant.input_gain_range and (plant.theta_range or not plant.r)
+    if isinstance(system.law, Adaptive) and not known:
+        raise NoCertificate(
+            "a truth with states of its own has no g_n and theta to be certified for; state "
+            "plant.ranges"
+        )
+
+
 def assumptions(system: System) -> list[str]:
     """What a certificate of `system` rests on."""
     plant, truth = system.plant, system.truth
@@ -317,6 +330,11 @@ def assumptions(system: System) -> list[str]:
         f"every reference with {listed}",
         "chain, linear, drift and regressor exactly as in the file",
     ]
+    if truth.states:
+        found.append(
+            "the simulated plant, which has states of its own, differing from the design's by no "
+            "more than w, that is within gamma and beta; nothing here checks this"
+        )
     if isinstance(system.law, Robust):
         found.append("g_n and theta exactly as the law uses them")
         return found + _irrational(system)
@@ -337,8 +355,8 @@ def assumptions(system: System) -> list[str]:
 def _irrational(system: System) -> list[str]:
     """Numbers that exact arithmetic must take by their floats."""
     plant, truth = system.plant, system.truth
-    numbers = [*plant.chain, *(v for row in plant.linear or () for v in row), truth.input_gain]
-    numbers += [*truth.theta, *(plant.theta or ()), *filter(None, [plant.input_gain])]
+    numbers = [*plant.chain, *(v for row in plant.linear or () for v in row), *truth.theta]
+    numbers += [*(plant.theta or ()), *filter(None, [truth.input_gain, plant.input_gain])]
     rounded = sorted({v.text for v in numbers if not v.expr.is_Rational})
     return [f"irrational numbers rounded to 17 digits: {', '.join(rounded)}"] if rounded else []
 

@@ -19,6 +19,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.exact import Proof, from_text, squared_bound
 from certrack.certificates.problem import ErrorProblem, error_problem
 from certrack.errors import InputError
+from certrack.simulated_plant import measured
 from certrack.system import System
 
 MAX_CORNERS = 4096
@@ -86,7 +87,7 @@ def tube(
 def _corners(system: System, box: Sequence[tuple[float, float]] | None) -> list[tuple[float, ...]]:
     """Starts at which the convex V can be largest."""
     if box is None:
-        return [system.settings.x0]
+        return [tuple(measured(system, np.array([system.settings.x0]).T)[:, 0].tolist())]
     n = system.plant.n
     pairs = [
         checks.interval(f"box[{i}]", pair)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 import sympy
 
-from certrack.ensembles.flow import BAND, MEMORIES, SIGNALS, SUMS, make_flow, shown
+from certrack.ensembles.flow import BAND, MEMORIES, SUMS, make_flow, shown
 from certrack.ensembles.members import AMPLITUDE, Members
 from certrack.ensembles.sampled import Group, SampledCrowd, Segments
 from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statistics, Tally
@@ -21,12 +22,14 @@ from certrack.integrators.lockstep import Lockstep
 from certrack.integrators.native import LANES, STUCK, Native, Passed, Timeline, Unavailable
 from certrack.integrators.taylor import available
 from certrack.metrics import Metrics
+from certrack.population import Distribution
 from certrack.run import Run
 from certrack.sampled_controller import (
     SampledController,
     controller_values,
     sampled_controller,
 )
+from certrack.simulated_plant import measured
 from certrack.simulation import simulate
 from certrack.system import System
 from certrack.systemtext import to_text
@@ -66,7 +69,7 @@ class Plan:
     limit : float, optional
         Of the tail error.
     centre : (R, T) array
-        e_1, the states and u of the nominal run on the time grid.
+        e_1, the states of the design and u of the nominal run on the time grid.
     scale : (R,) array
         Their magnitudes, powers of two.
     method : {"native", "lockstep", "alone"}
@@ -113,12 +116,20 @@ def make_plan(
     centre[0] = 0.0  # the error has a natural zero
     with np.errstate(invalid="ignore"):
         largest = np.nanmax(np.abs(_signals(run, run.t)), axis=1)
-    reach = [max(abs(d.low), abs(d.high)) for d in system.varied.x0 or ()]
-    largest[1 : len(reach) + 1] = np.fmax(largest[1 : len(reach) + 1], reach)
+        if system.varied.x0:
+            reach = np.abs(measured(system, _ends(system.varied.x0))).max(axis=1)
+            largest[1:-1] = np.fmax(largest[1:-1], reach)
     largest[0] = np.fmax(largest[0], largest[1])
     largest[~(largest > 0)] = 1.0
     scale = np.exp2(np.rint(np.log2(largest)))
     return Plan(system, seed, tolerance, limit, np.nan_to_num(centre), scale, method)
+
+
+def _ends(entries: tuple[Distribution, ...]) -> np.ndarray:
+    """Points at the ends of the distributions, one column each: all but one at the same end."""
+    low, high = ([getattr(entry, end) for entry in entries] for end in ("low", "high"))
+    one = np.eye(len(entries), dtype=bool)
+    return np.concatenate([np.where(one, low, high), np.where(one, high, low)]).T
 
 
 def grid(system: System) -> np.ndarray:
@@ -127,13 +138,13 @@ def grid(system: System) -> np.ndarray:
 
 
 def _signals(run: Run, t: np.ndarray) -> np.ndarray:
-    """e_1, the states and u of a run; NaN after its end."""
+    """e_1, the states of the design and u of a run; NaN after its end."""
     n = run.system.plant.n
     inside = t <= run.trajectory.end
     found = np.full((n + 2, len(t)), np.nan)
     states = run.trajectory.interpolate(t[inside])
-    found[1 : n + 1, inside] = states[:n]
-    found[0, inside] = states[0] - run.system.reference.values(t[inside], 0)[0]
+    found[1 : n + 1, inside] = measured(run.system, states)
+    found[0, inside] = found[1, inside] - run.system.reference.values(t[inside], 0)[0]
     found[n + 1, inside] = run.input_of(t[inside], states)
     return found
 
@@ -178,7 +189,7 @@ class Engine:
             return
         self._flow = make_flow(self._members, varying)
         if plan.method == "native":
-            self._native = Native(self._flow, shown(self._flow))
+            self._native = Native(self._flow, shown(self._flow, self._members.loop))
         else:
             self._lockstep = Lockstep(self._flow, plan.tolerance, parallel=threads > 1)
 
@@ -211,7 +222,7 @@ class Engine:
         return statistics
 
     def final_states(self, begin: int, end: int) -> np.ndarray:
-        """Plant states at the end of the run, shape (n, N); compiled C only."""
+        """States of the design at the end of the run, shape (n, N); compiled C only."""
         passed = self._pass(begin, end)
         reduced = passed.values[-1, 1:-1, begin % LANES : begin % LANES + end - begin]
         plan = self.plan
@@ -349,13 +360,15 @@ class Engine:
         times = np.union1d(self._grid, self._edges)
         places = {int(np.searchsorted(times, t)): k for k, t in enumerate(self._grid)}
         restarts = frozenset(np.searchsorted(times, self._edges[1:-1]).tolist())
-        first = rows["signals"].start
-        e, u = first + SIGNALS.index("e"), first + SIGNALS.index("u")
+        places_of = dict(zip(self._flow.states, itertools.count()))
+        signals = (end for _, end in self._flow.sides)
+        places_of |= zip(signals, itertools.count(rows["signals"].start))
+        bands_of = [places_of[name] for name in shown(self._flow, self._members.loop)]
         last: dict[str, np.ndarray] = {}
 
         def look(k: int, row: Callable[[int], np.ndarray]) -> None:
             if k in places:
-                for signal, index in enumerate([e, *range(self._flow.watched), u]):
+                for signal, index in enumerate(bands_of):
                     bands.observe(signal, places[k], row(index))
             if k == len(times) - 1:
                 for kind, names in (("integrals", SUMS), ("memories", MEMORIES)):

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 import sympy
 
-from certrack.closed_loop import INTEGRALS
+from certrack.closed_loop import INTEGRALS, ClosedLoop
 from certrack.ensembles.members import Members
 from certrack.expressions import TIME, derivative, symbol
 from certrack.integrators.flow import Flow
@@ -18,7 +18,7 @@ from certrack.lowering import BEGIN, STEP, Entry, Extremum, Select, larger, magn
 from certrack.sampled_loop import SIDES, SQUARE, Totals
 from certrack.simulated_plant import INPUT
 
-#: Rows of the signals.
+#: Rows of the signals; outputs that are not states follow.
 SIGNALS = ("e", "e_rate", "u", "u_rate")
 
 #: Rows of the integrals.
@@ -52,22 +52,24 @@ def make_flow(members: Members, varying: Iterable[sympy.Symbol]) -> Flow:
     e, u = loop.e_1.xreplace(fixed), loop.u.xreplace(fixed)
     slopes = tuple(symbol(f"kept_rate_of_{state.name}") for state in states)
     flow = dict(zip(states, slopes, strict=True)) | {TIME: sympy.Integer(1)}
+    outputs = [formula.xreplace(fixed) for formula in _computed_outputs(loop)]
     signals = tuple(
         f
         for formula in (e, u)
         for f in (formula, _along(formula, flow))  # and its rate
     )
-    sides = tuple((symbol(f"kept_{name}_begin"), symbol(f"kept_{name}_end")) for name in SIGNALS)
-    used = set().union(*(f.free_symbols for f in (*rates, e, u)))
+    names = (*SIGNALS, *(f"x{i}" for i in range(len(outputs))))
+    sides = tuple((symbol(f"kept_{name}_begin"), symbol(f"kept_{name}_end")) for name in names)
+    used = set().union(*(f.free_symbols for f in (*rates, e, u, *outputs)))
     pieces = tuple(loop.parameters[len(loop.parameters) - loop.pieces :])
     return Flow(
         states=states,
         rates=tuple(rates),
         parameters=(*(name for name in loop.parameters if name in used & free), BAND),
         integrands=(e**2, u**2),
-        signals=signals,
+        signals=(*signals, *outputs),
         slopes=slopes,
-        memories=tuple(zip(map(_memory, MEMORIES), _memories(sides), strict=True)),
+        memories=tuple(zip(map(_memory, MEMORIES), _memories(sides[: len(SIGNALS)]), strict=True)),
         sides=sides,
         watched=loop.n,
         shared=(IN_TAIL, *pieces),
@@ -80,10 +82,18 @@ def _along(formula: sympy.Expr, flow: dict[sympy.Symbol, sympy.Expr]) -> sympy.E
     return sympy.Add(*(derivative(formula, name) * flow[name] for name in present))
 
 
-def shown(flow: Flow) -> tuple[sympy.Expr, ...]:
-    """What the bands show of a flow: e_1, the plant's states, u."""
-    ends = dict(zip(SIGNALS, (end for _, end in flow.sides), strict=True))
-    return (ends["e"], *flow.states[: flow.watched], ends["u"])
+def shown(flow: Flow, loop: ClosedLoop) -> tuple[sympy.Symbol, ...]:
+    """What the bands show of a loop's flow: e_1, the states of the design, u."""
+    ends = [end for _, end in flow.sides]
+    computed = dict(zip(_computed_outputs(loop), ends[len(SIGNALS) :], strict=True))
+    states = (computed.get(output, output) for output in loop.plant.outputs)
+    return (ends[SIGNALS.index("e")], *states, ends[SIGNALS.index("u")])
+
+
+def _computed_outputs(loop: ClosedLoop) -> list[sympy.Expr]:
+    """Outputs of the simulated plant that are not states of it: signals of their own."""
+    outputs = dict.fromkeys(loop.plant.outputs)
+    return [output for output in outputs if output not in loop.plant.states]
 
 
 def _memories(sides: tuple[tuple[sympy.Symbol, sympy.Symbol], ...]) -> list[sympy.Expr]:

@@ -34,6 +34,8 @@ def limit_of(system: System, given: float | None) -> tuple[float | None, str]:
 
 def uncovered(system: System, population: Population) -> str | None:
     """Why the certificate's assumptions do not hold for every member; None if they do."""
+    if system.truth.states:
+        return "the simulated plant has states of its own, the certified one has the design's form"
     if system.implementation is not None:
         return "the certificate is that of the continuous law, the controller is sampled"
     plant, u = system.plant, system.plant.uncertainty

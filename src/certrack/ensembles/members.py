@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from certrack.lowering import numpy_callable, rows
 from certrack.plant import Plant, Truth
 from certrack.population import Distribution, probabilities
 from certrack.references import SymbolicReference
+from certrack.simulated_plant import true_constants
 from certrack.system import System
 
 #: The sum of the magnitudes of a member's sines: just below 1, so that rounding never passes it.
@@ -52,6 +55,7 @@ class Members:
         self.template = self._system(
             {name: (d.low + d.high) / 2 for name, d in self.columns.items()}, written=False
         )
+        self._constants = tuple(true_constants(self.template))
         self.loop: ClosedLoop = close_loop(self.template)
         self.base = parameter_values(self.loop, self.template)
 
@@ -122,8 +126,9 @@ class Members:
         draws, count = self.draws(begin, end), end - begin
         plant, names = self.system.plant, [state.name for state in self.loop.states]
         starts = np.repeat(np.array(self.system.start)[:, None], count, axis=1)
+        own = self.loop.n
         for i in range(len(starts)):
-            name = f"x0[{i}]" if i < plant.n else f"estimates[{i - plant.n}]"
+            name = f"x0[{i}]" if i < own else f"estimates[{i - own}]"
             starts[i] = draws.get(name, starts[i])
         assert len(starts) == len(names) - 3
         found = self._derived(draws, count)
@@ -134,43 +139,53 @@ class Members:
                 found[f"ref_member_{name}"] = values
         if "input_gain" in draws:
             found[f"true_g_{plant.n - 1}"] = draws["input_gain"]
-        known = list(self.template.plant.constant_values)
-        for i, name in enumerate(known):
+        for i, name in enumerate(self._constants):
             drawn = draws.get(name if name.startswith("member_") else f"constants.{name}")
             if drawn is not None:
                 found[f"true_constants_{i}"] = drawn
         return starts, {symbol(name): values for name, values in found.items()}
 
     def _derived(self, draws: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-        """Coefficients of the plant that follow from its varying constants."""
-        plant, truth = self.system.plant, self.system.truth
-        varying = [name for name, _ in self.population.constants]
-        if not varying:
+        """Numbers of the plant that follow from its varying constants."""
+        moving, evaluate, values = self._following
+        if not moving:
             return {}
-        others = dict(truth.constants)
-        values = {
-            name: float(others[name].expr if name in others else value)
-            for name, value in plant.constant_values.items()
+        columns = [draws.get(f"constants.{name}", value) for name, value in values.items()]
+        return dict(zip(moving, rows(evaluate(*columns), count), strict=True))
+
+    @cached_property
+    def _following(self) -> tuple[list[str], Callable[..., list[Any]], dict[str, float]]:
+        """Parameters that follow from varying constants, their formulas, and all constants."""
+        plant, truth = self.system.plant, self.system.truth
+        varying, values = dict(self.population.constants), true_constants(self.system)
+        texts: dict[str, str] = {}
+        if truth.input_gain is not None:
+            texts |= {f"true_g_{i}": entry.text for i, entry in enumerate(plant.chain)}
+            for k, (i, j) in enumerate(self.loop.plant.couplings):
+                assert plant.linear is not None
+                texts[f"true_b_{k}"] = plant.linear[i][j].text
+            texts[f"true_g_{plant.n - 1}"] = truth.input_gain.text
+            texts |= {f"true_theta_{i}": entry.text for i, entry in enumerate(truth.theta)}
+        derived: dict[sympy.Symbol, sympy.Expr] = {}  # constants that are formulas of others
+        for i, (name, entry) in enumerate(plant.constants):
+            if name not in {**varying, **dict(truth.constants)}:
+                derived[symbol(name)] = parse(name, entry.text, list(values)).expr.xreplace(derived)
+                texts[f"true_constants_{i}"] = name
+        formulas = {
+            name: parse(name, text, list(values)).expr.xreplace(derived)
+            for name, text in texts.items()
         }
-        texts = {f"true_g_{i}": entry.text for i, entry in enumerate(plant.chain)}
-        for k, (i, j) in enumerate(self.loop.plant.couplings):
-            assert plant.linear is not None
-            texts[f"true_b_{k}"] = plant.linear[i][j].text
-        texts[f"true_g_{plant.n - 1}"] = truth.input_gain.text
-        texts |= {f"true_theta_{i}": entry.text for i, entry in enumerate(truth.theta)}
-        formulas = {name: parse(name, text, list(values)).expr for name, text in texts.items()}
         free = {symbol(name) for name in varying}
         moving = {name: f for name, f in formulas.items() if f.free_symbols & free}
         evaluate = numpy_callable([symbol(name) for name in values], list(moving.values()))
-        columns = [draws.get(f"constants.{name}", value) for name, value in values.items()]
-        return dict(zip(moving, rows(evaluate(*columns), count), strict=True))
+        return list(moving), evaluate, values
 
     def _system(self, point: dict[str, float], *, written: bool) -> System:
         """One member; its disturbance and reference numbers written out, or as constants."""
         system, plant = self.system, self.system.plant
         settings = system.settings
         x0 = [point.get(f"x0[{i}]", v) for i, v in enumerate(settings.x0)]
-        start = system.start[plant.n :]
+        start = system.start[len(x0) :]
         estimates = [point.get(f"estimates[{i}]", v) for i, v in enumerate(start)]
         own = plant
         if not written and self.population.disturbance == "multisine":
@@ -192,7 +207,9 @@ class Members:
         truth = self.system.truth
         others: dict[str, Any] = {name: value.text for name, value in truth.constants}
         others |= {n[10:]: v for n, v in point.items() if n.startswith("constants.")}
-        assert truth.tau is not None
+        if truth.states:
+            return replace(truth, constants=others).bound_to(plant)  # type: ignore[arg-type]
+        assert truth.tau is not None and truth.input_gain is not None
         omega: Any = truth.omega
         if self.population.disturbance == "multisine":
             omega = self._omega(point, written=written)
