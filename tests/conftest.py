@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 import certrack
 from certrack.laws import Adaptive, Classic, Robust
-from certrack.plant import Plant, Truth, Uncertainty
+from certrack.plant import Plant, Uncertainty
 from certrack.references import SymbolicReference
 from certrack.system import Settings, System
+from certrack.truth import Truth
 
 settings.register_profile(
     "certrack",

@@ -31,10 +31,11 @@ from certrack.certificates.semidefinite import Program, best_solution
 from certrack.errors import InputError
 from certrack.falsify import falsify
 from certrack.laws import Robust
-from certrack.plant import Plant, Truth, Uncertainty
+from certrack.plant import Plant, Uncertainty
 from certrack.references import SymbolicReference
 from certrack.simulation import simulate
 from certrack.system import Settings, System
+from certrack.truth import Truth
 
 # Theory table, to the digits it gives.
 CLASSICAL = {

@@ -14,10 +14,11 @@ import certrack
 from certrack.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.laws import Adaptive, Robust
-from certrack.plant import Plant, Truth, Uncertainty
+from certrack.plant import Plant, Uncertainty
 from certrack.references import SymbolicReference, samples, steps, trapezoid, triangle
 from certrack.simulation import Simulator, simulate
 from certrack.system import Settings, System
+from certrack.truth import Truth
 
 DATA = Path(__file__).parent / "data"
 TRAJECTORIES = {

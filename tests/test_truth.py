@@ -22,11 +22,11 @@ from certrack.errors import InputError
 from certrack.expressions import symbol
 from certrack.integrators.base import Outcome
 from certrack.integrators.native import compiler
-from certrack.plant import Truth
 from certrack.population import Distribution, Population
 from certrack.simulated_plant import measured, plant_values, simulated_plant
 from certrack.simulation import Simulator, simulate
 from certrack.systemfile import starter
+from certrack.truth import Truth
 
 METHODS = ["alone", "lockstep"] + ["native"] * (compiler() is not None)
 PHYSICAL = certrack.load("dual-motor-physical")

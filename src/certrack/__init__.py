@@ -23,7 +23,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "laws": ["Adaptive", "Classic", "Law", "Robust"],
         "margin": ["margins"],
         "metrics": ["Metrics"],
-        "plant": ["Plant", "Truth", "Uncertainty"],
+        "plant": ["Plant", "Uncertainty"],
         "population": ["Distribution", "Population"],
         "references": [
             "SymbolicReference",
@@ -37,5 +37,6 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "system": ["Settings", "System"],
         "systemfile": ["catalog", "load", "loads"],
         "systemtext": ["save", "to_text"],
+        "truth": ["Truth"],
     },
 )

@@ -26,10 +26,10 @@ from certrack.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.integrators.batch import BatchIntegrator
 from certrack.integrators.taylor import available
-from certrack.plant import Truth
 from certrack.references import SymbolicReference
 from certrack.simulation import simulate
 from certrack.system import System
+from certrack.truth import Truth
 
 GRID = 600
 MAX_HARDNESS = 30.0

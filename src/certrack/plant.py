@@ -1,4 +1,4 @@
-"""The plant as the designer knows it, its uncertainty, and the truth that is simulated.
+"""The plant as the designer knows it, and its uncertainty.
 
 x_i' = g_i x_{i+1} + sum_{j<=i} b_ij x_j + tau_i w_i(t, x)               i = 1 ... n-1
 x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n(t, x)                             [5]
@@ -36,10 +36,11 @@ PREFIXES = (
     "integral_",
     "kept_",
     "ref_",
+    "ctl_",
 )
 
 
-def _set(instance: object, **values: Any) -> None:
+def set_fields(instance: object, **values: Any) -> None:
     """Normalise fields of a frozen dataclass while it is being made."""
     for name, value in values.items():
         object.__setattr__(instance, name, value)
@@ -63,7 +64,7 @@ class Uncertainty:
         for name in ("tau", "gamma", "beta"):
             key = f"plant.uncertainty.{name}"
             values = checks.reals(key, getattr(self, name), None, "n numbers", least=0)
-            _set(self, **{name: values})
+            set_fields(self, **{name: values})
 
     @staticmethod
     def none(n: int) -> Uncertainty:
@@ -128,14 +129,14 @@ class Plant:
     def __post_init__(self) -> None:
         states = self._check_states()
         n = len(states)
-        _set(self, states=states, constants=self._check_constants(states))
+        set_fields(self, states=states, constants=self._check_constants(states))
         known = self.constant_values
         g = checks.sequence("plant.chain", self.chain, n - 1, "g_1 ... g_{n-1}")
         for i, value in enumerate(g):
             checks.real(f"plant.chain[{i}]", value, known, nonzero=True)
         names = [*states, *known]
         phi = checks.sequence("plant.regressor", self.regressor, None, "phi_1(x) ... phi_r(x)")
-        _set(
+        set_fields(
             self,
             chain=tuple(parse(f"plant.chain[{i}]", v, known) for i, v in enumerate(g)),
             linear=self._check_linear(n, known),
@@ -151,7 +152,7 @@ class Plant:
         self._check_parameters(known)
         if self.units is not None:
             units = checks.sequence("plant.units", self.units, n + 1, "states, then input")
-            _set(self, units=tuple(checks.text("plant.units", unit) for unit in units))
+            set_fields(self, units=tuple(checks.text("plant.units", unit) for unit in units))
 
     def _check_states(self) -> tuple[str, ...]:
         given = checks.sequence("plant.states", self.states, None, "names of x_1 ... x_n")
@@ -159,7 +160,7 @@ class Plant:
             raise InputError("plant.states", f"must be 1 to {MAX_ORDER} names", given)
         states: list[str] = []
         for i, name in enumerate(given):
-            states.append(_own_name(f"plant.states[{i}]", name, states))
+            states.append(own_name(f"plant.states[{i}]", name, states))
         return tuple(states)
 
     def _check_constants(self, states: tuple[str, ...]) -> tuple[tuple[str, Expression], ...]:
@@ -167,7 +168,7 @@ class Plant:
         found: dict[str, Expression] = {}
         for name, value in pairs:
             key = f"plant.constants.{name}"
-            _own_name(key, name, [*states, *found])
+            own_name(key, name, [*states, *found])
             found[name] = number(key, value, {k: v.expr for k, v in found.items()})
         return tuple(found.items())
 
@@ -193,24 +194,24 @@ class Plant:
             raise InputError("plant.gain_sign", "must be 1 or -1", self.gain_sign)
         if self.input_gain is not None:
             check_gain("plant.input_gain", self.input_gain, self.gain_sign, known)
-            _set(self, input_gain=number("plant.input_gain", self.input_gain, known))
+            set_fields(self, input_gain=number("plant.input_gain", self.input_gain, known))
         if self.theta is not None:
             what = "one number per regressor"
             theta = checks.sequence("plant.theta", self.theta, self.r, what)
             values = (number(f"plant.theta[{i}]", v, known) for i, v in enumerate(theta))
-            _set(self, theta=tuple(values))
+            set_fields(self, theta=tuple(values))
         if self.input_gain_range is not None:
             low, high = checks.interval("plant.ranges.input_gain", self.input_gain_range, known)
             for end in (low, high):
                 check_gain("plant.ranges.input_gain", end, self.gain_sign)
-            _set(self, input_gain_range=(low, high))
+            set_fields(self, input_gain_range=(low, high))
         if self.theta_range is not None:
             what = "[low, high] per regressor"
             box = checks.sequence("plant.ranges.theta", self.theta_range, self.r, what)
             pairs = (
                 checks.interval(f"plant.ranges.theta[{i}]", v, known) for i, v in enumerate(box)
             )
-            _set(self, theta_range=tuple(pairs))
+            set_fields(self, theta_range=tuple(pairs))
 
     @property
     def n(self) -> int:
@@ -271,7 +272,7 @@ def name_value_pairs(key: str, given: Any) -> list[tuple[str, Any]]:
     return pairs  # type: ignore[return-value]
 
 
-def _own_name(key: str, name: Any, taken: Sequence[str]) -> str:
+def own_name(key: str, name: Any, taken: Sequence[str]) -> str:
     """A name that neither the language nor the closed loop uses."""
     check_name(key, name, taken)
     if name in SIGNALS or name.startswith(PREFIXES):
@@ -293,120 +294,3 @@ def check_within(key: str, value: float, box: tuple[float, float] | None, name: 
     """Refuse a true value outside the range that the designer states."""
     if box is not None and not box[0] <= value <= box[1]:
         raise InputError(key, f"must lie in plant.ranges.{name} = [{box[0]:g}, {box[1]:g}]", value)
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What the simulated plant really is, unknown to the controller.
-
-    It has the form of the design's plant, or states, rates and outputs of its own instead of
-    input_gain, theta, omega and tau.
-
-    Parameters
-    ----------
-    input_gain : nonzero number
-        True g_n.
-    theta : r numbers
-        True theta.
-    omega : n formulas in t and the states
-        The uncertain terms w_1 ... w_n.
-    tau : n numbers >= 0, optional
-        True strengths; those of the plant's uncertainty if left out.
-    constants : mapping, optional
-        True values of plant constants that differ from the designer's; with states of its own,
-        also constants of its own.
-    states : names, optional
-        States of its own, different from the plant's.
-    rates : formulas in t, these states, the input u and the constants
-        One per state.
-    outputs : n formulas in these states and the constants
-        What the controller measures: x_1 ... x_n of the design.
-    """
-
-    input_gain: Expression | None = None
-    theta: tuple[Expression, ...] = ()
-    omega: tuple[Expression, ...] | None = None
-    tau: tuple[float, ...] | None = None
-    constants: tuple[tuple[str, Expression], ...] = ()
-    states: tuple[str, ...] | None = None
-    rates: tuple[Expression, ...] | None = None
-    outputs: tuple[Expression, ...] | None = None
-
-    def bound_to(self, plant: Plant) -> Truth:
-        """This truth checked against `plant`, with its defaults filled in."""
-        if self.states is not None:
-            return self._with_own_states(plant)
-        for name in ("rates", "outputs"):
-            if getattr(self, name) is not None:
-                raise InputError(f"truth.{name}", "needs truth.states", remedy="Name the states")
-        if self.input_gain is None:
-            raise InputError("truth.input_gain", "is missing")
-        pairs = dict(name_value_pairs("truth.constants", self.constants))
-        for name in pairs:
-            if name not in plant.constant_values:
-                raise InputError(f"truth.constants.{name}", "is not a constant of the plant")
-        others = tuple((name, number(f"truth.constants.{name}", v)) for name, v in pairs.items())
-        known = plant.with_constants(**dict(others)).constant_values  # type: ignore[arg-type]
-        gain = check_gain("truth.input_gain", self.input_gain, plant.gain_sign, known)
-        check_within("truth.input_gain", gain, plant.input_gain_range, "input_gain")
-        theta = checks.sequence("truth.theta", self.theta, plant.r, "one number per regressor")
-        for i, box in enumerate(plant.theta_range or ()):
-            value = checks.real(f"truth.theta[{i}]", theta[i], known)
-            check_within(f"truth.theta[{i}]", value, box, "theta")
-        given_omega = (0,) * plant.n if self.omega is None else self.omega
-        omega = checks.sequence("truth.omega", given_omega, plant.n, "w_1 ... w_n, one per state")
-        names = ["t", *plant.states, *known]
-        tau = plant.uncertainty.tau if self.tau is None else self.tau
-        return Truth(
-            input_gain=number("truth.input_gain", self.input_gain, known),
-            theta=tuple(number(f"truth.theta[{i}]", v, known) for i, v in enumerate(theta)),
-            omega=tuple(parse(f"truth.omega[{i}]", v, names) for i, v in enumerate(omega)),
-            tau=checks.reals("truth.tau", tau, plant.n, "one number per state", known, least=0),
-            constants=others,
-        )
-
-    def _with_own_states(self, plant: Plant) -> Truth:
-        """The same for a truth with states of its own."""
-        for name in ("input_gain", "theta", "omega", "tau"):
-            given = getattr(self, name)
-            if given is not None and not (isinstance(given, tuple) and not given):
-                message = "must be left out where the truth has states of its own"
-                raise InputError(f"truth.{name}", message, given, "Write it into truth.rates")
-        states: list[str] = []
-        entries = checks.sequence("truth.states", self.states, None, "names")
-        if not 1 <= len(entries) <= MAX_ORDER:
-            raise InputError("truth.states", f"must be 1 to {MAX_ORDER} names", entries)
-        for i, name in enumerate(entries):
-            key = f"truth.states[{i}]"
-            if name in (*plant.states, *plant.constant_values):
-                raise InputError(key, "is a name of the plant already", name, "Rename it")
-            states.append(_own_name(key, name, states))
-        constants: dict[str, Expression] = {}
-        for name, value in name_value_pairs("truth.constants", self.constants):
-            key = f"truth.constants.{name}"
-            if name not in plant.constant_values:
-                _own_name(key, name, [*plant.states, *states, *constants])
-            constants[name] = number(key, value)
-        known = [*states, *dict.fromkeys([*plant.constant_values, *constants])]
-        rates = _formulas(
-            "truth.rates", self.rates, len(states), "one per state", ["t", "u", *known]
-        )
-        if not any(symbol("u") in rate.expr.free_symbols for rate in rates):
-            raise InputError("truth.rates", "must contain the input u")
-        what = "one per state of the plant"
-        return Truth(
-            constants=tuple(constants.items()),
-            states=tuple(states),
-            rates=rates,
-            outputs=_formulas("truth.outputs", self.outputs, plant.n, what, known),
-        )
-
-
-def _formulas(
-    key: str, given: Any, count: int, what: str, names: Sequence[str]
-) -> tuple[Expression, ...]:
-    """So many formulas in the names."""
-    if given is None:
-        raise InputError(key, "is missing")
-    entries = checks.sequence(key, given, count, what)
-    return tuple(parse(f"{key}[{i}]", entry, names) for i, entry in enumerate(entries))

@@ -14,7 +14,8 @@ import numpy as np
 
 from certrack import checks
 from certrack.errors import InputError
-from certrack.plant import Plant, Truth, check_gain, check_within, name_value_pairs
+from certrack.plant import Plant, check_gain, check_within, name_value_pairs
+from certrack.truth import Truth
 
 SAMPLINGS = ("plain", "latin", "sobol")
 DISTURBANCES = ("file", "multisine")

@@ -17,10 +17,10 @@ from certrack.integrators.base import Outcome, Problem
 from certrack.integrators.scipy import ScipyIntegrator
 from certrack.integrators.taylor import TaylorIntegrator, available
 from certrack.lowering import numpy_callable, rows
-from certrack.plant import Truth
 from certrack.run import Run
 from certrack.sampled_simulation import SampledSimulator
 from certrack.system import System
+from certrack.truth import Truth
 
 #: A design is stiff if its fastest pole has more time constants than this in a run: an explicit
 #: method would have to follow them all.

@@ -10,9 +10,10 @@ from certrack import checks
 from certrack.errors import InputError
 from certrack.implementation import Implementation
 from certrack.laws.base import Controller, Law
-from certrack.plant import Plant, Truth
+from certrack.plant import Plant
 from certrack.population import Population
 from certrack.references import Reference, require_order
+from certrack.truth import Truth
 
 MAX_PERIODS = 20_000
 

@@ -22,11 +22,12 @@ from certrack import checks
 from certrack.errors import InputError
 from certrack.implementation import Implementation
 from certrack.laws import Law, known_laws
-from certrack.plant import Plant, Truth, Uncertainty
+from certrack.plant import Plant, Uncertainty
 from certrack.population import Population
 from certrack.references import Reference, SymbolicReference, piecewise
 from certrack.system import Settings, System
 from certrack.systemtext import field_values
+from certrack.truth import Truth
 
 MAX_BYTES = 20_000_000
 

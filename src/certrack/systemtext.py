@@ -15,10 +15,11 @@ from certrack.errors import InputError
 from certrack.expressions import Expression, parse
 from certrack.implementation import Implementation
 from certrack.laws import Law
-from certrack.plant import Plant, Truth
+from certrack.plant import Plant
 from certrack.population import Distribution, Population
 from certrack.references import Reference, SymbolicReference, piecewise
 from certrack.system import System
+from certrack.truth import Truth
 
 
 def to_text(system: System) -> str:

@@ -19,11 +19,12 @@ from certrack.closed_loop import ClosedLoop, close_loop, parameter_values
 from certrack.errors import InputError
 from certrack.expressions import parse, symbol
 from certrack.lowering import numpy_callable, rows
-from certrack.plant import Plant, Truth
+from certrack.plant import Plant
 from certrack.population import Distribution, probabilities
 from certrack.references import SymbolicReference
 from certrack.simulated_plant import true_constants
 from certrack.system import System
+from certrack.truth import Truth
 
 #: The sum of the magnitudes of a member's sines: just below 1, so that rounding never passes it.
 FULL = 1 - 1e-12
