@@ -169,13 +169,10 @@ def _measured(
         before, speed = symbol(f"ctl_before_{name}"), symbol(f"ctl_speed_{name}")
         difference = Select(FIRST, 0, 0, (position - before) / PERIOD)
         filtered, value = symbol(f"ctl_filtered_{name}"), symbol(f"ctl_{name}")
-        row = [
-            sympy.Float(plant.b[i - 1, j]) * found.get(x[j], x[j])
-            for j in range(i)
-            if plant.b[i - 1, j]
-        ]
+        assert plant.linear is not None
+        row = [b.expr * found.get(x[j], x[j]) for j, b in enumerate(plant.linear[i - 1])]
         steps.append((filtered, speed + pole * (difference - speed)))
-        steps.append((value, (filtered - sympy.Add(*row)) / sympy.Float(plant.g[i - 1])))
+        steps.append((value, (filtered - sympy.Add(*row)) / plant.chain[i - 1].expr))
         kept += [(before, position), (speed, filtered)]
         found[x[i]] = value
     kept.append((FIRST, sympy.Integer(0)))
