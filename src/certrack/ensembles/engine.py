@@ -15,7 +15,16 @@ from certrack.ensembles.members import AMPLITUDE, Members
 from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statistics, Tally
 from certrack.integrators.base import Outcome
 from certrack.integrators.lockstep import Lockstep
-from certrack.integrators.native import LANES, STUCK, Native, Passed, Timeline, Unavailable
+from certrack.integrators.native import (
+    GROUP,
+    STUCK,
+    Control,
+    Counted,
+    Native,
+    Passed,
+    Timeline,
+    Unavailable,
+)
 from certrack.integrators.taylor import available
 from certrack.metrics import Metrics
 from certrack.run import Run
@@ -190,11 +199,9 @@ class Engine:
 
     def final_states(self, begin: int, end: int) -> np.ndarray:
         """Plant states at the end of the run, shape (n, N); compiled C only."""
-        passed = self._pass(begin, end)
-        reduced = passed.values[-1, 1:-1, begin % LANES : begin % LANES + end - begin]
-        plan = self.plan
-        found: np.ndarray = reduced * plan.unit[1:-1, None] + plan.centre[1:-1, -1:]
-        return found
+        passed, part = self._pass(begin, end, Bands(self.plan.centre, self.plan.scale))
+        found: np.ndarray = passed.finals[: self._flow.watched, part]
+        return np.where(passed.ends[part] < self._edges[-1], np.nan, found)
 
     def _share(self, pieces: list[Range]) -> tuple[Bands, list[Part]]:
         """What one thread computes: bands, and every member's metrics and outcome."""
@@ -243,21 +250,22 @@ class Engine:
         self, begin: int, end: int, bands: Bands
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Metrics, last times, and who must be run alone."""
-        part = slice(begin % LANES, begin % LANES + end - begin)
-        passed = self._pass(begin, end)
-        self._native.count(passed, part, SIDE, BAND_BITS, bands.counts)
+        passed, part = self._pass(begin, end, bands)
         totals = dict(zip((*SUMS, *MEMORIES), passed.totals[:, part], strict=True))
         return self._metrics(totals), passed.ends[part], passed.outcomes[part] == STUCK
 
-    def _pass(self, begin: int, end: int) -> Passed:
-        """Members share their steps in groups of eight, always the same eight: whole groups."""
-        plan = self.plan
-        starts, parameters = self._table(begin - begin % LANES, -(-end // LANES) * LANES)
+    def _pass(self, begin: int, end: int, bands: Bands) -> tuple[Passed, slice]:
+        """Members share their steps in groups, always the same ones: whole groups are computed.
+
+        Counts the members begin ... end-1, and says where they are among the computed.
+        """
+        plan, first = self.plan, begin - begin % GROUP
+        starts, parameters = self._table(first, -(-end // GROUP) * GROUP)
         timeline = Timeline(self._edges, self._shared, self._grid, plan.centre, plan.unit)
-        limit = plan.system.settings.max_state
-        return self._native.integrate(
-            starts, parameters, timeline, plan.tolerance, limit, MOST_STEPS
-        )
+        part = slice(begin - first, end - first)
+        control = Control(plan.tolerance, plan.system.settings.max_state, MOST_STEPS)
+        counted = Counted(part, SIDE, BAND_BITS, bands.counts)
+        return self._native.integrate(starts, parameters, timeline, control, counted), part
 
     def _in_step(
         self, begin: int, end: int, bands: Bands

@@ -20,6 +20,9 @@ from certrack.lowering import Select
 OWN = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())
 OF_TWO = {"pow", "atan2"}
 
+#: Names of numbers that are not vectors: the same for all members.
+SCALAR = re.compile(r"[cs]\[|begin$|h$")
+
 
 class _Printer(C99CodePrinter):
     """Formulas of vectors: known names, products for small powers, selections for kinks."""
@@ -42,7 +45,7 @@ class _Printer(C99CodePrinter):
         if not expr.free_symbols:
             return f"SPLAT({float(expr)!r})"
         text = self._print(expr)
-        scalar = all(self._names[name].startswith("s[") for name in expr.free_symbols)
+        scalar = all(SCALAR.match(self._names[name]) for name in expr.free_symbols)
         return f"SPLAT({text})" if scalar else text
 
     def _print_Mul(self, expr: sympy.Mul) -> str:
@@ -63,7 +66,7 @@ class _Printer(C99CodePrinter):
         arguments = [self.vector(arg) for arg in expr.args]
         if isinstance(expr, Select):
             a, b, yes, no = arguments
-            return f"choose({a} > {b}, {yes}, {no})"
+            return f"greater({a}, {b}, {yes}, {no})"
         if expr.is_number:
             return self._print_number(expr)
         names = {sympy.Abs: "v_abs", sympy.sign: "v_sign", sympy.atan2: "v_atan2"}
@@ -90,7 +93,7 @@ def _power(base: str, exponent: int) -> str:
 def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
     """The generated part of lanes.c."""
     timeless, found = flow.without_time()
-    names: dict[sympy.Symbol, str] = {TIME: "t", BEGIN: "t", STEP: "h"}
+    names: dict[sympy.Symbol, str] = {TIME: "t", BEGIN: "begin", STEP: "h"}
     for letter, symbols in (
         ("c", list(found.values())),
         ("x", flow.states),
@@ -114,6 +117,7 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
         "SHOWN": len(shown),
         "STAGES": len(DOP853.B),
         "ALL_STAGES": len(DOP853.A_EXTRA[0]),
+        "TERMS": len(DOP853.D) + 3,
     }
     assert sizes["SHOWN"] and sizes["SIGNALS"] and sizes["MEMORIES"]
 
@@ -129,18 +133,18 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
         function("common", "V t, const double *s, V *out", ("out", list(found))),
         function(
             "rates",
-            "const V *c, const V *x, const V *p, V *k, V *q",
+            "const double *c, const V *x, const V *p, V *k, V *q",
             ("k", timeless.rates),
             ("q", timeless.integrands),
         ),
         function(
             "signals",
-            "const V *c, const V *x, const V *p, const V *k, V *out",
+            "const double *c, const V *x, const V *p, const V *k, V *out",
             ("out", timeless.signals),
         ),
         function(
             "memories",
-            "V t, V h, const V *c, const V *p, const V *y, const V *y_end, V *m",
+            "double begin, double h, const double *c, const V *p, const V *y, const V *y_end, V *m",
             ("m", memories),
         ),
         function("shown", "const V *x, const V *y_end, V *out", ("out", shown)),
@@ -158,7 +162,11 @@ def _tables() -> list[str]:
     A[:stages, :stages], A[stages + 1 :] = DOP853.A, DOP853.A_EXTRA
     C[:stages], C[stages + 1 :] = DOP853.C, DOP853.C_EXTRA
     assert DOP853.E3[-1] == DOP853.E5[-1] == 0
-    found = {"A": A, "B": DOP853.B, "C": C, "E3": DOP853.E3, "E5": DOP853.E5, "D": DOP853.D}
+    rise, begin, end = np.zeros((3, every))
+    rise[:stages], begin[0], end[stages] = DOP853.B, 1.0, 1.0
+    # weights of the slopes in the rise: of theta, theta (1 - theta), theta^2 (1 - theta), ...
+    dense = np.array([rise, begin - rise, 2 * rise - begin - end, *DOP853.D])
+    found = {"A": A, "B": DOP853.B, "C": C, "E3": DOP853.E3, "E5": DOP853.E5, "DENSE": dense}
     lines = []
     for name, table in found.items():
         shape = "".join(f"[{size}]" for size in table.shape)
