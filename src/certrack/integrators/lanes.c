@@ -1,7 +1,7 @@
 /* Many members of one system in the lanes of vector registers.
  *
  * Explicit Runge-Kutta pair DOP853 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations
- * I, II.5 and II.6): order 8, error control of orders 5 and 3, dense output of order 7. A group of
+ * I, II.5 and II.6): order 8, error control of orders 5 and 3, dense output of order 6. A group of
  * members shares its steps, as short as the most difficult of them needs: then what depends on time
  * alone, the weights of the dense output among it, is computed once for all. The members of a group
  * fill several blocks of lanes, so that the work of one block hides the latency of another.
@@ -33,8 +33,8 @@ enum { FINISHED, ESCAPED, STUCK };
 /* Blocks of lanes in a group, and its members; known to the caller. */
 enum { BLOCKS = 4, GROUP = BLOCKS * LANES };
 
-/* Nodes of a step: the stages, its end, and those of the dense output. */
-enum { NODES = (ALL_STAGES + LANES - 1) / LANES * LANES };
+/* Nodes of a step: the stages and its end. */
+enum { NODES = (STAGES + LANES) / LANES * LANES };
 
 /* Members whose bins are gathered before they are counted: few enough for the cache, enough to find
  * the bins of a row in it. A row is not a power of two: rows must not share cache sets. */
@@ -87,8 +87,7 @@ typedef struct {
 /* A step of a group that is tried. */
 typedef struct {
   double h, c[NODES][COMMON + 1];
-  int more; /* whether the stages of the dense output are there */
-  V k[BLOCKS][ALL_STAGES][STATES], ends[BLOCKS][STATES];
+  V k[BLOCKS][STAGES + 1][STATES], ends[BLOCKS][STATES];
   V q[BLOCKS][INTEGRALS + 1], r[BLOCKS][INTEGRALS + 1];
 } Step;
 
@@ -104,7 +103,7 @@ static void common_at(double t, const double *s, double *c) {
 static void common_along(double t, double h, const double *s, double (*c)[COMMON + 1]) {
   for (int i = 0; i < NODES; i += LANES) {
     V when, found[COMMON + 1];
-    for (int l = 0; l < LANES; l++) when[l] = t + h * C[i + l < ALL_STAGES ? i + l : 0];
+    for (int l = 0; l < LANES; l++) when[l] = t + h * C[i + l <= STAGES ? i + l : 0];
     common(when, s, found);
     for (int j = 0; j < COMMON; j++)
       for (int l = 0; l < LANES; l++) c[i + l][j] = found[j][l];
@@ -138,7 +137,7 @@ INLINE V finish(const Block *g, double h, double tolerance, V (*k)[STATES], V *e
     third += e3 * e3;
     fifth += e5 * e5;
   }
-  return h / tolerance * fifth / v_sqrt((fifth + 0.01 * third) * STATES + 1e-300);
+  return h / tolerance * fifth * rough_inverse(v_sqrt((fifth + 0.01 * third) * STATES + 1e-300));
 }
 
 /* One step: slopes of the stages, ends, rise of the integrals, integrands at the end; returns the
@@ -146,9 +145,9 @@ INLINE V finish(const Block *g, double h, double tolerance, V (*k)[STATES], V *e
 OUTLINE double advance(const Group *g, double tolerance, Step *s) {
   double h = s->h, (*c)[COMMON + 1] = s->c;
   V x[STATES], r[INTEGRALS + 1], worst = SPLAT(0.0);
-  s->more = 0;
   EACH_BLOCK(b) {
-    memcpy(s->k[b][0], g->block[b].k, sizeof s->k[b][0]); /* first same as last */
+    /* first same as last; memcpy would move half registers, which cannot be forwarded */
+    for (int j = 0; j < STATES; j++) s->k[b][0][j] = g->block[b].k[j];
     for (int j = 0; j < INTEGRALS; j++) s->q[b][j] = B[0] * g->block[b].r[j];
   }
 #pragma GCC unroll 16
@@ -171,28 +170,17 @@ OUTLINE double advance(const Group *g, double tolerance, Step *s) {
   return largest;
 }
 
-/* The stages that only the dense output needs. */
-OUTLINE void complete(const Group *g, Step *s) {
-  V x[STATES], r[INTEGRALS + 1];
-#pragma GCC unroll 16
-  for (int i = STAGES + 1; i < ALL_STAGES; i++)
-    EACH_BLOCK(b) {
-      stage(&g->block[b], s->h, i, s->k[b], x);
-      rates(s->c[i], x, g->block[b].p, s->k[b][i], r);
-    }
-  s->more = 1;
-}
-
 /* Weights of the slopes in the rise of the states until begin + theta h, and in their slope there. */
 static void weigh(double theta, double h, double *value, double *slope) {
-  double term = theta, change = 1.0;
-  V v[NODES / LANES] = {0}, d[NODES / LANES] = {0}, row[NODES / LANES];
-  for (int i = 0; i < TERMS; i++) { /* theta, theta (1 - theta), theta^2 (1 - theta), ... */
-    memcpy(row, DENSE[i], sizeof row);
-    for (int l = 0; l < NODES / LANES; l++) v[l] += h * term * row[l], d[l] += change * row[l];
-    change = i % 2 ? change * theta + term : change * (1 - theta) - term;
-    term *= i % 2 ? theta : 1 - theta;
-  }
+  V v[NODES / LANES] = {0}, d[NODES / LANES] = {0}, row;
+  double power = 1.0;
+#pragma GCC unroll 8
+  for (int i = 0; i < TERMS; i++, power *= theta)
+    for (int l = 0; l < NODES / LANES; l++) {
+      memcpy(&row, DENSE[i] + l * LANES, sizeof row);
+      v[l] += h * theta * power * row;
+      d[l] += (i + 1) * power * row;
+    }
   memcpy(value, v, sizeof v);
   memcpy(slope, d, sizeof d);
 }
@@ -219,7 +207,7 @@ INLINE void see(Group *g, const Task *task, int b, double now, const double *c, 
   V y[SIGNALS], v[SHOWN];
   signals(c, x, block->p, slopes, y);
   memories(g->at, now - g->at, c, block->p, block->y, y, block->m);
-  memcpy(block->y, y, sizeof y);
+  for (int j = 0; j < SIGNALS; j++) block->y[j] = y[j];
   if (!shows) return;
   shown(x, y, v);
   for (int j = 0; j < SHOWN; j++) {
@@ -233,15 +221,13 @@ INLINE void see(Group *g, const Task *task, int b, double now, const double *c, 
 OUTLINE void see_inside(Group *g, const Task *task, Step *s, double now, const double *c,
                         int shows) {
   double value[NODES], slope[NODES];
-  if (!s->more) complete(g, s);
   weigh((now - g->t) / s->h, s->h, value, slope);
   EACH_BLOCK(b) {
     V x[STATES], d[STATES];
-    memcpy(x, g->block[b].x, sizeof x);
-    memset(d, 0, sizeof d);
+    for (int j = 0; j < STATES; j++) x[j] = g->block[b].x[j], d[j] = SPLAT(0.0);
 #pragma GCC unroll 16
-    for (int i = 0; i < ALL_STAGES; i++)
-      if (DENSE[0][i] != 0.0 || DENSE[1][i] != 0.0 || DENSE[TERMS - 1][i] != 0.0)
+    for (int i = 0; i <= STAGES; i++)
+      if (DENSE[1][i] != 0.0)
         for (int j = 0; j < STATES; j++) {
           x[j] += value[i] * s->k[b][i][j];
           d[j] += slope[i] * s->k[b][i][j];

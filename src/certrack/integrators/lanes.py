@@ -13,6 +13,7 @@ from sympy.printing.c import C99CodePrinter
 
 from certrack.expressions import TIME, without_minmax
 from certrack.integrators.base import ESCAPING
+from certrack.integrators.dense import weights
 from certrack.integrators.flow import BEGIN, STEP, Flow
 from certrack.lowering import Select
 
@@ -20,8 +21,33 @@ from certrack.lowering import Select
 OWN = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())
 OF_TWO = {"pow", "atan2"}
 
+#: Functions up to so many letters are expanded where they are called: the rates at every stage.
+SHORT = 3000
+
 #: Names of numbers that are not vectors: the same for all members.
 SCALAR = re.compile(r"[cs]\[|begin$|h$")
+
+
+class Magnitude(sympy.Function):
+    """|a|; SymPy's own would be rewritten."""
+
+    nargs = 1
+    is_real = True
+
+
+class Larger(sympy.Function):
+    """max(a, b)."""
+
+    nargs = 2
+    is_real = True
+
+
+def _shorter(select: Select) -> sympy.Expr:
+    """A selection that is a single instruction as such."""
+    a, b, yes, no = select.args
+    if (yes, no) == (a, b):
+        return Larger(a, b)
+    return Magnitude(a) if b == 0 and (yes, no) == (a, -a) else select
 
 
 class _Printer(C99CodePrinter):
@@ -70,6 +96,7 @@ class _Printer(C99CodePrinter):
         if expr.is_number:
             return self._print_number(expr)
         names = {sympy.Abs: "v_abs", sympy.sign: "v_sign", sympy.atan2: "v_atan2"}
+        names |= {Magnitude: "v_abs", Larger: "v_max"}
         name = names.get(type(expr)) or f"v_{type(expr).__name__}"
         return f"{name}({', '.join(arguments)})"
 
@@ -77,6 +104,7 @@ class _Printer(C99CodePrinter):
     _print_asin = _print_acos = _print_atan = _print_atan2 = _print_Function
     _print_sinh = _print_cosh = _print_tanh = _print_exp = _print_log = _print_Function
     _print_Select = _print_Extremum = _print_Entry = _print_Function
+    _print_Magnitude = _print_Larger = _print_Function
 
     def _print_NumberSymbol(self, expr: sympy.Expr) -> str:
         return self._print_number(expr)
@@ -116,8 +144,7 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
         "MEMORIES": len(flow.memories),
         "SHOWN": len(shown),
         "STAGES": len(DOP853.B),
-        "ALL_STAGES": len(DOP853.A_EXTRA[0]),
-        "TERMS": len(DOP853.D) + 3,
+        "TERMS": len(weights()),
     }
     assert sizes["SHOWN"] and sizes["SIGNALS"] and sizes["MEMORIES"]
 
@@ -156,17 +183,11 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
 
 
 def _tables() -> list[str]:
-    """Coefficients of the method, as SciPy has them."""
-    stages, every = len(DOP853.B), len(DOP853.A_EXTRA[0])
-    A, C = np.zeros((every, every)), np.ones(every)
-    A[:stages, :stages], A[stages + 1 :] = DOP853.A, DOP853.A_EXTRA
-    C[:stages], C[stages + 1 :] = DOP853.C, DOP853.C_EXTRA
+    """Coefficients of the method, as SciPy has them, and of its dense output."""
     assert DOP853.E3[-1] == DOP853.E5[-1] == 0
-    rise, begin, end = np.zeros((3, every))
-    rise[:stages], begin[0], end[stages] = DOP853.B, 1.0, 1.0
-    # weights of the slopes in the rise: of theta, theta (1 - theta), theta^2 (1 - theta), ...
-    dense = np.array([rise, begin - rise, 2 * rise - begin - end, *DOP853.D])
-    found = {"A": A, "B": DOP853.B, "C": C, "E3": DOP853.E3, "E5": DOP853.E5, "DENSE": dense}
+    C = np.append(DOP853.C, 1.0)
+    found = {"A": DOP853.A, "B": DOP853.B, "C": C, "E3": DOP853.E3, "E5": DOP853.E5}
+    found["DENSE"] = np.pad(weights(), ((0, 0), (0, -len(C) % 8)))  # whole vectors
     lines = []
     for name, table in found.items():
         shape = "".join(f"[{size}]" for size in table.shape)
@@ -188,7 +209,10 @@ def _function(
 ) -> str:
     """A C function that assigns the results; common subexpressions are computed once."""
     temporaries = sympy.numbered_symbols("c", real=True)
-    formulas = [without_minmax(formula) for _, formula in results]
+    formulas = [
+        without_minmax(formula).replace(Select, lambda *args: _shorter(Select(*args)))
+        for _, formula in results
+    ]
     common, reduced = sympy.cse(formulas, temporaries)
     known = names | {symbol: f"{symbol.name}_" for symbol, _ in common}
     printer = _Printer(known)
@@ -201,4 +225,5 @@ def _function(
     ]  # all before the first is assigned: a result may be an argument of another
     lines += [f"  {target} = r{i}_;" for i, (target, _) in enumerate(results)]
     body = "\n".join(lines)
-    return f"static void {name}({arguments}) {{\n{unused}{body}\n}}\n"
+    kind = "INLINE" if len(body) < SHORT else "static"
+    return f"{kind} void {name}({arguments}) {{\n{unused}{body}\n}}\n"
