@@ -68,6 +68,8 @@ def test_peers(system, report):
     candidates = {
         "C Tsit5, 1 thread": peers.c_tsit5(1),
         f"C Tsit5, {cores()} threads": peers.c_tsit5(cores()),
+        "plain C Tsit5, 1 thread": peers.c_tsit5(1, plain=True),
+        f"plain C Tsit5, {cores()} threads": peers.c_tsit5(cores(), plain=True),
         "diffrax Tsit5": peers.diffrax_tsit5(),
         "SciPy LSODA": peers.scipy_solver("LSODA"),
         "SciPy DOP853": peers.scipy_solver("DOP853"),
@@ -106,7 +108,7 @@ def test_peers(system, report):
                 else peers.errors(candidates[name], tolerance)
             )
             lines.append(
-                f"{tolerance:.0e}  {name:22s}"
+                f"{tolerance:.0e}  {name:25s}"
                 + "".join(f"{value:12.1f}" for value in row)
                 + f"  x{1e-6 * row[-1] / base:8.2f}  error {error.max():.1e}"
             )

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -37,16 +38,13 @@ METRICS = tuple(entry.name for entry in fields(Metrics) if entry.name not in ("b
 
 METHODS = ("native", "lockstep", "alone")
 
-#: Members that one thread takes at a time in lanes: their shown values stay in the cache.
+#: Threads share the members in pieces of so many, whose random numbers are drawn together.
 PIECE = 1024
 
 #: More steps than this, and a group is given up.
 MOST_STEPS = 1_000_000
 
 Range = tuple[int, int]
-
-#: First member; metrics (one row each) and outcomes of some members.
-Part = tuple[int, np.ndarray, np.ndarray]
 
 #: Fine grid on which the reference's largest magnitude is looked for.
 FINE = 20_001
@@ -172,20 +170,9 @@ class Engine:
 
     def compute(self, begin: int, end: int) -> Statistics:
         """Statistics of the members begin ... end-1."""
-        starts = range(begin - begin % PIECE, end, PIECE)
-        pieces = [(max(first, begin), min(first + PIECE, end)) for first in starts]
-        shares = [pieces[i :: self._threads] for i in range(min(self._threads, len(pieces)))]
-        if self.plan.method != "native":
-            shares = [[(begin, end)]]
-        with ThreadPoolExecutor(len(shares)) as pool:
-            done = list(pool.map(self._share, shares))
-        found = done[0][0]
-        for bands, _ in done[1:]:
-            found.merge(bands)
-        parts = sorted((part for _, parts in done for part in parts), key=lambda part: part[0])
-        metrics = np.concatenate([values for _, values, _ in parts], axis=1)
-        outcomes = np.concatenate([names for _, _, names in parts])
-        statistics = self.plan.empty(found)
+        bands = Bands(self.plan.centre, self.plan.scale)
+        metrics, outcomes = self._piece(begin, end, bands)
+        statistics = self.plan.empty(bands)
         statistics.members = end - begin
         statistics.outcomes.update(outcomes.tolist())
         for name, values in zip(METRICS, metrics, strict=True):
@@ -203,11 +190,6 @@ class Engine:
         found: np.ndarray = passed.finals[: self._flow.watched, part]
         return np.where(passed.ends[part] < self._edges[-1], np.nan, found)
 
-    def _share(self, pieces: list[Range]) -> tuple[Bands, list[Part]]:
-        """What one thread computes: bands, and every member's metrics and outcome."""
-        bands = Bands(self.plan.centre, self.plan.scale)
-        return bands, [(begin, *self._piece(begin, end, bands)) for begin, end in pieces]
-
     def _piece(self, begin: int, end: int, bands: Bands) -> tuple[np.ndarray, np.ndarray]:
         """Metrics and outcomes of the members begin ... end-1; their signals go to the bands."""
         count = end - begin
@@ -216,7 +198,7 @@ class Engine:
         ends = np.full(count, -1.0)
         alone = np.ones(count, dtype=bool)
         if self.plan.method != "alone":
-            together = self._in_lanes if self.plan.method == "native" else self._in_step
+            together = self._in_threads if self.plan.method == "native" else self._in_step
             metrics, ends, alone = together(begin, end, bands)
             outcomes[~alone & (ends < self._edges[-1])] = Outcome.escaped.name
             metrics[:, ends < self._edges[-1]] = np.nan
@@ -246,10 +228,23 @@ class Engine:
         table[BAND] = band
         return starts, np.array([table[name] for name in self._flow.parameters])
 
-    def _in_lanes(
+    def _in_threads(
         self, begin: int, end: int, bands: Bands
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Metrics, last times, and who must be run alone."""
+        first, last = begin // PIECE, -(-end // PIECE)
+        count = min(self._threads, last - first)
+        cuts = [PIECE * (first + (last - first) * i // count) for i in range(count + 1)]
+        shares = [(max(a, begin), min(b, end), bands) for a, b in pairwise(cuts)]
+        with ThreadPoolExecutor(count) as pool:
+            found = pool.map(self._in_lanes, *zip(*shares, strict=True))
+        metrics, ends, alone = zip(*found, strict=True)
+        return np.concatenate(metrics, axis=1), np.concatenate(ends), np.concatenate(alone)
+
+    def _in_lanes(
+        self, begin: int, end: int, bands: Bands
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same, by one thread."""
         passed, part = self._pass(begin, end, bands)
         totals = dict(zip((*SUMS, *MEMORIES), passed.totals[:, part], strict=True))
         return self._metrics(totals), passed.ends[part], passed.outcomes[part] == STUCK

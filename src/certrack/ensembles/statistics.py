@@ -160,7 +160,9 @@ class Statistics:
 
     def observe_worst(self, values: np.ndarray, first: int) -> None:
         """Remember the members with the largest values; infinite for one that did not finish."""
-        order = np.argsort(-values, kind="stable")[:WORST]
+        some = min(WORST, len(values))
+        large = np.flatnonzero(values >= np.partition(values, -some)[-some])
+        order = large[np.argsort(-values[large], kind="stable")][:WORST]
         self._keep([(float(values[i]), first + int(i)) for i in order])
 
     def _keep(self, found: list[tuple[float, int]]) -> None:

@@ -57,7 +57,8 @@ typedef struct {
   int64_t most; /* steps of a group */
   int64_t begin, end; /* the members that are counted */
   int64_t side, bits; /* bins of one side, leading bits of one bin: see statistics.py */
-  int32_t *counts; /* points x SHOWN x (2 side + 1) */
+  int32_t *counts; /* points x SHOWN x (2 side + 1); other tasks may add to it, too */
+  uint16_t *some; /* of the same shape, zero before and after: half as much for the cache */
   double *totals; /* (INTEGRALS + MEMORIES) x count */
   double *finals; /* STATES x count */
   double *ends; /* count */
@@ -66,6 +67,8 @@ typedef struct {
   double reach; /* the part of a step between nodes of the memories, at most */
   double (*marks)[COMMON + 1]; /* what depends on time alone, on the grid */
   uint16_t *bins; /* points x SHOWN x PITCH */
+  struct Filled { uint16_t low, high; } *filled; /* points x SHOWN: what is not zero of `some` */
+  int64_t counted; /* members in `some` */
 } Task;
 
 /* Members side by side in the lanes. */
@@ -398,27 +401,65 @@ static void keep(Group *g, Task *task) {
   task->steps += g->steps;
 }
 
+/* Add `some` to the counts. */
+static void add_up(Task *task) {
+  int64_t size = 2 * task->side + 1;
+  for (int64_t row = 0; row < task->points * SHOWN; row++) {
+    struct Filled *filled = &task->filled[row];
+    for (int64_t i = row * size + filled->low; i <= row * size + filled->high; i++)
+      if (task->some[i]) {
+        __atomic_fetch_add(&task->counts[i], task->some[i], __ATOMIC_RELAXED);
+        task->some[i] = 0;
+      }
+    *filled = (struct Filled){UINT16_MAX, 0};
+  }
+  task->counted = 0;
+}
+
 /* Count the bins of the members on the shelf. */
-static void count(const Task *task, int64_t shelf) {
+static void count(Task *task, int64_t shelf) {
   int64_t from = shelf > task->begin ? shelf : task->begin;
   int64_t to = shelf + SHELF < task->end ? shelf + SHELF : task->end;
-  const uint16_t *bins = task->bins - shelf;
-  int32_t *counts = task->counts;
-  for (int64_t row = 0; row < task->points * SHOWN; row++, bins += PITCH)
-    for (int64_t i = from; i < to; i++) counts[row * (2 * task->side + 1) + bins[i]]++;
+  if (task->counted > UINT16_MAX - SHELF) add_up(task);
+  for (int64_t row = 0; row < task->points * SHOWN; row += SHOWN) {
+    const uint16_t *bins = task->bins + row * PITCH - shelf;
+    int64_t size = 2 * task->side + 1;
+    uint16_t *some = task->some + row * size;
+    for (int j = 0; j < SHOWN; j++) {
+      struct Filled *filled = &task->filled[row + j];
+      uint16_t low = filled->low, high = filled->high;
+      for (int64_t i = from; i < to; i++) {
+        low = bins[j * PITCH + i] < low ? bins[j * PITCH + i] : low;
+        high = bins[j * PITCH + i] > high ? bins[j * PITCH + i] : high;
+      }
+      *filled = (struct Filled){low, high};
+      if (row + SHOWN < task->points * SHOWN) { /* what the next time will need */
+        const uint16_t *next = some + (SHOWN + j) * size;
+        for (int64_t i = filled[SHOWN].low; i <= filled[SHOWN].high; i += 32)
+          __builtin_prefetch(next + i, 1);
+      }
+    }
+    for (int64_t i = from; i < to; i++) /* in turns: the same bin twice running takes long */
+      for (int j = 0; j < SHOWN; j++) some[j * size + bins[j * PITCH + i]]++;
+  }
+  task->counted += to - from;
 }
 
 /* Integrate all members of a task; returns 0, or -1 without memory. */
 int integrate(Task *task) {
-  void *group = NULL, *step = NULL, *marks = NULL, *bins = NULL;
+  void *group = NULL, *step = NULL, *marks = NULL, *bins = NULL, *filled = NULL;
   size_t points = (size_t)task->points;
   int failed = posix_memalign(&group, 64, sizeof(Group)) ||
                posix_memalign(&step, 64, sizeof(Step)) ||
                posix_memalign(&marks, 64, points * sizeof *task->marks) ||
-               posix_memalign(&bins, 64, points * SHOWN * PITCH * sizeof *task->bins);
+               posix_memalign(&bins, 64, points * SHOWN * PITCH * sizeof *task->bins) ||
+               posix_memalign(&filled, 64, points * SHOWN * sizeof *task->filled);
   if (!failed) {
     task->marks = marks;
     task->bins = bins;
+    task->filled = filled;
+    for (size_t row = 0; row < points * SHOWN; row++)
+      task->filled[row] = (struct Filled){UINT16_MAX, 0};
     task->reach = REACH * pow(REACH_AT / task->tolerance, 0.125);
     int64_t segment = 0;
     for (int64_t k = 0; k < task->points; k++) {
@@ -432,10 +473,12 @@ int integrate(Task *task) {
       if ((first + GROUP) % SHELF == 0 || first + GROUP >= task->count)
         count(task, first - first % SHELF);
     }
+    add_up(task);
   }
   free(group);
   free(step);
   free(marks);
   free(bins);
+  free(filled);
   return failed ? -1 : 0;
 }

@@ -103,6 +103,7 @@ class _Task(ctypes.Structure):
         ("side", ctypes.c_int64),
         ("bits", ctypes.c_int64),
         ("counts", ctypes.c_void_p),
+        ("some", ctypes.c_void_p),
         ("totals", ctypes.c_void_p),
         ("finals", ctypes.c_void_p),
         ("ends", ctypes.c_void_p),
@@ -111,6 +112,8 @@ class _Task(ctypes.Structure):
         ("reach", ctypes.c_double),
         ("marks", ctypes.c_void_p),
         ("bins", ctypes.c_void_p),
+        ("filled", ctypes.c_void_p),
+        ("counted", ctypes.c_int64),
     ]
 
 
@@ -166,7 +169,7 @@ class Counted:
     side, bits : int
         Bins of one side of zero, leading bits of a bin (see ``statistics.py``).
     counts : (T, R, 2 side + 1) array of int32
-        They are added to it.
+        They are added to it; several threads may count in one array.
     """
 
     part: slice
@@ -225,6 +228,7 @@ class Native:
         if made is None:
             raise Unavailable(f"the C compiler {path} failed")
         self._library = made
+        self._spare: list[np.ndarray] = []
 
     def integrate(
         self,
@@ -245,6 +249,7 @@ class Native:
         ]
         inputs.append(1.0 / np.asarray(timeline.unit, dtype=float))
         pointers = [array.ctypes.data for array in inputs]
+        some = self._zeros(tally.counts.shape)
         task = _Task(
             count,
             *pointers[:2],
@@ -259,8 +264,17 @@ class Native:
             tally.part.stop,
             tally.side,
             tally.bits,
-            *(array.ctypes.data for array in (tally.counts, totals, finals, ends, outcomes)),
+            *(a.ctypes.data for a in (tally.counts, some, totals, finals, ends, outcomes)),
         )
         if self._library.integrate(ctypes.byref(task)):
             raise MemoryError
+        self._spare.append(some)
         return Passed(totals, finals, ends, outcomes, int(task.steps))
+
+    def _zeros(self, shape: tuple[int, ...]) -> np.ndarray:
+        """A table of zeros, used before if possible: new memory costs as much as counting."""
+        while self._spare:
+            some = self._spare.pop()
+            if some.shape == shape:
+                return some
+        return np.zeros(shape, dtype=np.uint16)
