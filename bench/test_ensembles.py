@@ -27,6 +27,9 @@ FEW = 3  # members of those who integrate one after the other
 WANTED = {"diffrax Tsit5": 15, "best of SciPy's solve_ivp": 200}
 LEAST = {"diffrax Tsit5": 6, "best of SciPy's solve_ivp": 150}
 
+#: Times of hand-written C, final states only, that are wanted at most at two tolerances.
+MOST = {1e-6: 3, 1e-9: 1}
+
 
 def uniform(low, high):
     return certrack.Distribution("uniform", (low, high))
@@ -122,6 +125,11 @@ def test_peers(system, report):
         "best of SciPy's solve_ivp": scipy / us,
     }
     report(*(f"{name}: {ratio:.1f}x, wanted {WANTED[name]}x" for name, ratio in found.items()))
+    for tolerance, wanted in MOST.items():
+        for name in ("C Tsit5", "plain C Tsit5"):
+            floor = best[f"{name}, {cores()} threads", tolerance, 10_000]
+            ratio = best[f"certrack, {cores()} threads", tolerance, 10_000] / floor
+            report(f"{tolerance:.0e}: {ratio:.2f}x the time of {name}, wanted at most {wanted}x")
     assert all(ratio > LEAST[name] for name, ratio in found.items())
 
 

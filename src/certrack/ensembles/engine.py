@@ -200,8 +200,9 @@ class Engine:
         if self.plan.method != "alone":
             together = self._in_threads if self.plan.method == "native" else self._in_step
             metrics, ends, alone = together(begin, end, bands)
-            outcomes[~alone & (ends < self._edges[-1])] = Outcome.escaped.name
-            metrics[:, ends < self._edges[-1]] = np.nan
+            if (early := ends < self._edges[-1]).any():
+                outcomes[early & ~alone] = Outcome.escaped.name
+                metrics[:, early] = np.nan
         for i in np.flatnonzero(alone).tolist():
             run = simulate(self._members.member(begin + i))
             outcomes[i] = run.outcome.name

@@ -119,10 +119,13 @@ class Tally:
 
     def merge(self, other: Tally) -> None:
         """Add the counts of other members."""
-        keys, place = np.unique(np.concatenate([self.keys, other.keys]), return_inverse=True)
-        counts = np.zeros(len(keys), dtype=np.int64)
-        np.add.at(counts, place, np.concatenate([self.counts, other.counts]))
-        self.keys, self.counts = keys, counts
+        if not self.keys.size:
+            self.keys, self.counts = other.keys, other.counts
+        elif other.keys.size:
+            keys, place = np.unique(np.concatenate([self.keys, other.keys]), return_inverse=True)
+            counts = np.zeros(len(keys), dtype=np.int64)
+            np.add.at(counts, place, np.concatenate([self.counts, other.counts]))
+            self.keys, self.counts = keys, counts
         self.missing += other.missing
         self.least, self.most = min(self.least, other.least), max(self.most, other.most)
 

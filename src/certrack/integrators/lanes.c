@@ -129,9 +129,9 @@ INLINE V finish(const Block *g, double h, double tolerance, V (*k)[STATES], V *e
     V sum = SPLAT(0.0), e3 = SPLAT(0.0), e5 = SPLAT(0.0);
 #pragma GCC unroll 16
     for (int i = 0; i < STAGES; i++) {
-      sum += B[i] * k[i][j];
-      e3 += E3[i] * k[i][j];
-      e5 += E5[i] * k[i][j];
+      if (B[i] != 0.0) sum += B[i] * k[i][j];
+      if (E3[i] != 0.0) e3 += E3[i] * k[i][j];
+      if (E5[i] != 0.0) e5 += E5[i] * k[i][j];
     }
     ends[j] = g->x[j] + h * sum;
     V scale = rough_inverse(1.0 + v_max(v_abs(g->x[j]), v_abs(ends[j])));
@@ -158,7 +158,7 @@ OUTLINE double advance(const Group *g, double tolerance, Step *s) {
     EACH_BLOCK(b) {
       stage(&g->block[b], h, i, s->k[b], x);
       rates(c[i], x, g->block[b].p, s->k[b][i], r);
-      for (int j = 0; j < INTEGRALS; j++) s->q[b][j] += B[i] * r[j];
+      for (int j = 0; j < INTEGRALS && B[i] != 0.0; j++) s->q[b][j] += B[i] * r[j];
     }
   EACH_BLOCK(b) {
     const Block *block = &g->block[b];
