@@ -8,6 +8,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
+from itertools import pairwise
+from threading import Lock
 
 import numpy as np
 import sympy
@@ -19,7 +21,17 @@ from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statis
 from certrack.implementation import Implementation
 from certrack.integrators.base import Outcome
 from certrack.integrators.lockstep import Lockstep
-from certrack.integrators.native import LANES, STUCK, Native, Passed, Timeline, Unavailable
+from certrack.integrators.maps import LANES
+from certrack.integrators.native import (
+    GROUP,
+    STUCK,
+    Control,
+    Counted,
+    Native,
+    Passed,
+    Timeline,
+    Unavailable,
+)
 from certrack.integrators.taylor import available
 from certrack.metrics import Metrics
 from certrack.population import Distribution
@@ -39,7 +51,7 @@ METRICS = tuple(entry.name for entry in fields(Metrics) if entry.name not in ("b
 
 METHODS = ("native", "lockstep", "alone")
 
-#: Members that one thread takes at a time in lanes: their shown values stay in the cache.
+#: Threads share the members in pieces of so many, whose random numbers are drawn together.
 PIECE = 1024
 
 #: The same under a sampled controller, where a member takes a thousand times as long.
@@ -49,9 +61,6 @@ SAMPLED_PIECE = 256
 MOST_STEPS = 1_000_000
 
 Range = tuple[int, int]
-
-#: First member; metrics (one row each) and outcomes of some members.
-Part = tuple[int, np.ndarray, np.ndarray]
 
 #: Fine grid on which the reference's largest magnitude is looked for.
 FINE = 20_001
@@ -165,6 +174,7 @@ class Engine:
         self.plan, self._threads = plan, threads
         system = plan.system
         self._members = Members(system, plan.seed)
+        self._counting = Lock()  # several threads count in the same bands
         settings, reference = system.settings, system.reference
         self._grid = grid(system)
         fine = np.linspace(0.0, settings.duration, FINE)
@@ -195,21 +205,9 @@ class Engine:
 
     def compute(self, begin: int, end: int) -> Statistics:
         """Statistics of the members begin ... end-1."""
-        size = PIECE if self.plan.system.implementation is None else SAMPLED_PIECE
-        starts = range(begin - begin % size, end, size)
-        pieces = [(max(first, begin), min(first + size, end)) for first in starts]
-        shares = [pieces[i :: self._threads] for i in range(min(self._threads, len(pieces)))]
-        if self.plan.method != "native":
-            shares = [[(begin, end)]]
-        with ThreadPoolExecutor(len(shares)) as pool:
-            done = list(pool.map(self._share, shares))
-        found = done[0][0]
-        for bands, _ in done[1:]:
-            found.merge(bands)
-        parts = sorted((part for _, parts in done for part in parts), key=lambda part: part[0])
-        metrics = np.concatenate([values for _, values, _ in parts], axis=1)
-        outcomes = np.concatenate([names for _, _, names in parts])
-        statistics = self.plan.empty(found)
+        bands = Bands(self.plan.centre, self.plan.scale)
+        metrics, outcomes = self._piece(begin, end, bands)
+        statistics = self.plan.empty(bands)
         statistics.members = end - begin
         statistics.outcomes.update(outcomes.tolist())
         for name, values in zip(METRICS, metrics, strict=True):
@@ -222,17 +220,10 @@ class Engine:
         return statistics
 
     def final_states(self, begin: int, end: int) -> np.ndarray:
-        """States of the design at the end of the run, shape (n, N); compiled C only."""
-        passed = self._pass(begin, end)
-        reduced = passed.values[-1, 1:-1, begin % LANES : begin % LANES + end - begin]
-        plan = self.plan
-        found: np.ndarray = reduced * plan.unit[1:-1, None] + plan.centre[1:-1, -1:]
-        return found
-
-    def _share(self, pieces: list[Range]) -> tuple[Bands, list[Part]]:
-        """What one thread computes: bands, and every member's metrics and outcome."""
-        bands = Bands(self.plan.centre, self.plan.scale)
-        return bands, [(begin, *self._piece(begin, end, bands)) for begin, end in pieces]
+        """Plant states at the end of the run, shape (n, N); compiled C only."""
+        passed, part = self._pass(begin, end, Bands(self.plan.centre, self.plan.scale))
+        found: np.ndarray = passed.finals[: self._flow.watched, part]
+        return np.where(passed.ends[part] < self._edges[-1], np.nan, found)
 
     def _piece(self, begin: int, end: int, bands: Bands) -> tuple[np.ndarray, np.ndarray]:
         """Metrics and outcomes of the members begin ... end-1; their signals go to the bands."""
@@ -242,12 +233,13 @@ class Engine:
         ends = np.full(count, -1.0)
         alone = np.ones(count, dtype=bool)
         if self.plan.method != "alone":
-            together = self._in_lanes if self.plan.method == "native" else self._in_step
-            if self.plan.system.implementation is not None:
+            together = self._in_threads if self.plan.method == "native" else self._in_step
+            if self.plan.system.implementation is not None and self.plan.method == "lockstep":
                 together = self._sampled
             metrics, ends, alone = together(begin, end, bands)
-            outcomes[~alone & (ends < self._edges[-1])] = Outcome.escaped.name
-            metrics[:, ends < self._edges[-1]] = np.nan
+            if (early := ends < self._edges[-1]).any():
+                outcomes[early & ~alone] = Outcome.escaped.name
+                metrics[:, early] = np.nan
         for i in np.flatnonzero(alone).tolist():
             run = simulate(self._members.member(begin + i))
             outcomes[i] = run.outcome.name
@@ -272,8 +264,9 @@ class Engine:
         part = slice(begin - first, end - first)
 
         def show(mark: int, values: np.ndarray) -> None:
-            for signal, row in enumerate(values):
-                bands.observe(signal, mark, row[part])
+            with self._counting:
+                for signal, row in enumerate(values):
+                    bands.observe(signal, mark, row[part])
 
         group = Group(first, *self._varied(first, last))
         totals, ends, alone = self._crowd.run(group, show)
@@ -331,25 +324,43 @@ class Engine:
         table[BAND] = band
         return starts, table
 
-    def _in_lanes(
+    def _in_threads(
         self, begin: int, end: int, bands: Bands
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Metrics, last times, and who must be run alone."""
-        part = slice(begin % LANES, begin % LANES + end - begin)
-        passed = self._pass(begin, end)
-        self._native.count(passed, part, SIDE, BAND_BITS, bands.counts)
+        sampled = self.plan.system.implementation is not None
+        size = SAMPLED_PIECE if sampled else PIECE
+        first, last = begin // size, -(-end // size)
+        count = last - first if sampled else min(self._threads, last - first)
+        cuts = [size * (first + (last - first) * i // count) for i in range(count + 1)]
+        shares = [(max(a, begin), min(b, end), bands) for a, b in pairwise(cuts)]
+        with ThreadPoolExecutor(self._threads) as pool:
+            found = pool.map(
+                self._sampled if sampled else self._in_lanes, *zip(*shares, strict=True)
+            )
+        metrics, ends, alone = zip(*found, strict=True)
+        return np.concatenate(metrics, axis=1), np.concatenate(ends), np.concatenate(alone)
+
+    def _in_lanes(
+        self, begin: int, end: int, bands: Bands
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same, by one thread."""
+        passed, part = self._pass(begin, end, bands)
         totals = dict(zip((*SUMS, *MEMORIES), passed.totals[:, part], strict=True))
         return self._metrics(totals), passed.ends[part], passed.outcomes[part] == STUCK
 
-    def _pass(self, begin: int, end: int) -> Passed:
-        """Members share their steps in groups of eight, always the same eight: whole groups."""
-        plan = self.plan
-        starts, parameters = self._table(begin - begin % LANES, -(-end // LANES) * LANES)
+    def _pass(self, begin: int, end: int, bands: Bands) -> tuple[Passed, slice]:
+        """Members share their steps in groups, always the same ones: whole groups are computed.
+
+        Counts the members begin ... end-1, and says where they are among the computed.
+        """
+        plan, first = self.plan, begin - begin % GROUP
+        starts, parameters = self._table(first, -(-end // GROUP) * GROUP)
         timeline = Timeline(self._edges, self._shared, self._grid, plan.centre, plan.unit)
-        limit = plan.system.settings.max_state
-        return self._native.integrate(
-            starts, parameters, timeline, plan.tolerance, limit, MOST_STEPS
-        )
+        part = slice(begin - first, end - first)
+        control = Control(plan.tolerance, plan.system.settings.max_state, MOST_STEPS)
+        counted = Counted(part, SIDE, BAND_BITS, bands.counts)
+        return self._native.integrate(starts, parameters, timeline, control, counted), part
 
     def _in_step(
         self, begin: int, end: int, bands: Bands

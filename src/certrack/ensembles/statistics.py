@@ -119,10 +119,13 @@ class Tally:
 
     def merge(self, other: Tally) -> None:
         """Add the counts of other members."""
-        keys, place = np.unique(np.concatenate([self.keys, other.keys]), return_inverse=True)
-        counts = np.zeros(len(keys), dtype=np.int64)
-        np.add.at(counts, place, np.concatenate([self.counts, other.counts]))
-        self.keys, self.counts = keys, counts
+        if not self.keys.size:
+            self.keys, self.counts = other.keys, other.counts
+        elif other.keys.size:
+            keys, place = np.unique(np.concatenate([self.keys, other.keys]), return_inverse=True)
+            counts = np.zeros(len(keys), dtype=np.int64)
+            np.add.at(counts, place, np.concatenate([self.counts, other.counts]))
+            self.keys, self.counts = keys, counts
         self.missing += other.missing
         self.least, self.most = min(self.least, other.least), max(self.most, other.most)
 
@@ -160,7 +163,9 @@ class Statistics:
 
     def observe_worst(self, values: np.ndarray, first: int) -> None:
         """Remember the members with the largest values; infinite for one that did not finish."""
-        order = np.argsort(-values, kind="stable")[:WORST]
+        some = min(WORST, len(values))
+        large = np.flatnonzero(values >= np.partition(values, -some)[-some])
+        order = large[np.argsort(-values[large], kind="stable")][:WORST]
         self._keep([(float(values[i]), first + int(i)) for i in order])
 
     def _keep(self, found: list[tuple[float, int]]) -> None:

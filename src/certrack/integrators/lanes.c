@@ -1,14 +1,15 @@
 /* Many members of one system in the lanes of vector registers.
  *
  * Explicit Runge-Kutta pair DOP853 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations
- * I, II.5 and II.6): order 8, error control of orders 5 and 3, dense output of order 7. Eight
- * members make a group that shares its steps, as short as the most difficult of them needs: then
- * what depends on time alone is computed once, for eight stages in the lanes of one register.
+ * I, II.5 and II.6): order 8, error control of orders 5 and 3, dense output of order 6. A group of
+ * members shares its steps, as short as the most difficult of them needs: then what depends on time
+ * alone, the weights of the dense output among it, is computed once for all. The members of a group
+ * fill several blocks of lanes, so that the work of one block hides the latency of another.
  *
  * `system.h` is generated. It holds the sizes
  *   STATES WATCHED PARAMETERS SHARED COMMON INTEGRALS SIGNALS MEMORIES SHOWN,
- * the coefficients A, B, C, E3, E5, D of the method, ESCAPING (a state larger than this where steps
- * vanish is escaping), and
+ * the coefficients A, B, C, E3, E5, DENSE of the method, ESCAPING (a state larger than this where
+ * steps vanish is escaping), and
  *   common(t, s, c)              what depends on time t and the segment's numbers s alone
  *   rates(c, x, p, k, q)         k = x', q = integrands
  *   signals(c, x, p, k, y)       what the memories look at
@@ -21,57 +22,98 @@
 
 static const double SAFETY = 0.9, SHRINK = 0.2, GROW = 6.0;
 
-/* The memories see at least so many nodes of a step, times of the grid among them. */
-enum { PARTS = 4 };
+/* The memories see nodes no further apart than this part of a step at this tolerance, and the same
+ * distance at any other: times of the grid among them. Between nodes they see cubics, which must not
+ * fall behind a method of order 8. */
+static const double REACH = 1.0 / 3, REACH_AT = 1e-5;
 
 /* How a member ended; known to the caller. */
 enum { FINISHED, ESCAPED, STUCK };
 
-/* Nodes of a step: the stages, its end, and those of the dense output. */
-enum { NODES = (ALL_STAGES + LANES - 1) / LANES * LANES };
+/* Blocks of lanes in a group, and its members; known to the caller. */
+enum { BLOCKS = 4, GROUP = BLOCKS * LANES };
+
+/* Nodes of a step: the stages and its end. */
+enum { NODES = (STAGES + LANES) / LANES * LANES };
+
+/* Members whose bins are gathered before they are counted: few enough for the cache, enough to find
+ * the bins of a row in it. A row is not a power of two: rows must not share cache sets. */
+enum { SHELF = 8 * GROUP, PITCH = SHELF + GROUP };
+
+typedef float F __attribute__((vector_size(4 * LANES)));
+typedef int32_t J __attribute__((vector_size(4 * LANES)));
+typedef uint16_t H __attribute__((vector_size(2 * LANES)));
 
 typedef struct {
-  int64_t count, pitch; /* members; length of a row of `values`, whole groups at least */
+  int64_t count; /* members */
   const double *starts, *parameters; /* STATES x count, PARAMETERS x count */
   int64_t segments;
   const double *edges; /* segments + 1 times */
   const double *shared; /* segments x SHARED */
   int64_t points;
   const double *grid; /* times; the first is the start */
-  const double *centre, *pace; /* SHOWN x points, SHOWN: (value - centre) pace is kept */
+  const double *centre, *pace; /* SHOWN x points, SHOWN: (value - centre) pace is counted */
   double tolerance, limit;
   int64_t most; /* steps of a group */
-  float *values; /* points x SHOWN x pitch */
+  int64_t begin, end; /* the members that are counted */
+  int64_t side, bits; /* bins of one side, leading bits of one bin: see statistics.py */
+  int32_t *counts; /* points x SHOWN x (2 side + 1); other tasks may add to it, too */
+  uint16_t *some; /* of the same shape, zero before and after: half as much for the cache */
   double *totals; /* (INTEGRALS + MEMORIES) x count */
+  double *finals; /* STATES x count */
   double *ends; /* count */
   uint8_t *outcomes; /* count */
-  int64_t *steps; /* of all groups together */
+  int64_t steps; /* of all groups together */
+  double reach; /* the part of a step between nodes of the memories, at most */
+  double (*marks)[COMMON + 1]; /* what depends on time alone, on the grid */
+  uint16_t *bins; /* points x SHOWN x PITCH */
+  struct Filled { uint16_t low, high; } *filled; /* points x SHOWN: what is not zero of `some` */
+  int64_t counted; /* members in `some` */
 } Task;
+
+/* Members side by side in the lanes. */
+typedef struct {
+  I alive;
+  V x[STATES], k[STATES], p[PARAMETERS + 1];
+  V q[INTEGRALS + 1], r[INTEGRALS + 1]; /* integrals, integrands at t */
+  V y[SIGNALS], m[MEMORIES];
+} Block;
 
 /* A group on its way. */
 typedef struct {
   double t, at; /* begin of the step; last node that the memories have seen */
   int64_t next, steps; /* time of the grid; steps tried */
-  I alive;
-  V x[STATES], k[STATES], p[PARAMETERS + 1];
-  V q[INTEGRALS + 1], r[INTEGRALS + 1]; /* integrals, integrands at t */
-  V y[SIGNALS], m[MEMORIES];
+  int64_t first; /* member */
+  Block block[BLOCKS];
 } Group;
 
-static void common_at(double t, const double *s, V *c) { common(SPLAT(t), s, c); }
+/* A step of a group that is tried. */
+typedef struct {
+  double h, c[NODES][COMMON + 1];
+  V k[BLOCKS][STAGES + 1][STATES], ends[BLOCKS][STATES];
+  V q[BLOCKS][INTEGRALS + 1], r[BLOCKS][INTEGRALS + 1];
+} Step;
+
+#define EACH_BLOCK(b) _Pragma("GCC unroll 1") for (int b = 0; b < BLOCKS; b++)
+
+static void common_at(double t, const double *s, double *c) {
+  V found[COMMON + 1];
+  common(SPLAT(t), s, found);
+  for (int j = 0; j < COMMON; j++) c[j] = found[j][0];
+}
 
 /* What depends on time alone at the nodes of a step. */
-static void common_along(double t, double h, const double *s, V (*c)[COMMON + 1]) {
+static void common_along(double t, double h, const double *s, double (*c)[COMMON + 1]) {
   for (int i = 0; i < NODES; i += LANES) {
     V when, found[COMMON + 1];
-    for (int l = 0; l < LANES; l++) when[l] = t + h * C[i + l < ALL_STAGES ? i + l : 0];
+    for (int l = 0; l < LANES; l++) when[l] = t + h * C[i + l <= STAGES ? i + l : 0];
     common(when, s, found);
     for (int j = 0; j < COMMON; j++)
-      for (int l = 0; l < LANES; l++) c[i + l][j] = SPLAT(found[j][l]);
+      for (int l = 0; l < LANES; l++) c[i + l][j] = found[j][l];
   }
 }
 
-INLINE void stage(const Group *g, double h, int i, V (*k)[STATES], V *x) {
+INLINE void stage(const Block *g, double h, int i, V (*k)[STATES], V *x) {
   for (int j = 0; j < STATES; j++) x[j] = SPLAT(0.0);
 #pragma GCC unroll 16
   for (int a = 0; a < i; a++)
@@ -80,244 +122,363 @@ INLINE void stage(const Group *g, double h, int i, V (*k)[STATES], V *x) {
   for (int j = 0; j < STATES; j++) x[j] = g->x[j] + h * x[j];
 }
 
-/* One step: ends, slopes of the stages, rise of the integrals, integrands at the end; returns the
- * error estimate. */
-OUTLINE V advance(const Group *g, double h, double tolerance, V (*c)[COMMON + 1], V *ends,
-                  V (*k)[STATES], V *q, V *r) {
-  V x[STATES], total[INTEGRALS + 1];
-  memcpy(k[0], g->k, sizeof k[0]); /* first same as last */
-  for (int j = 0; j < INTEGRALS; j++) total[j] = B[0] * g->r[j];
-#pragma GCC unroll 16
-  for (int i = 1; i < STAGES; i++) {
-    stage(g, h, i, k, x);
-    rates(c[i], x, g->p, k[i], r);
-    for (int j = 0; j < INTEGRALS; j++) total[j] += B[i] * r[j];
-  }
-  for (int j = 0; j < INTEGRALS; j++) q[j] = h * total[j];
+/* The end of a block's step; returns the error estimate. */
+INLINE V finish(const Block *g, double h, double tolerance, V (*k)[STATES], V *ends) {
   V third = SPLAT(0.0), fifth = SPLAT(0.0);
   for (int j = 0; j < STATES; j++) {
     V sum = SPLAT(0.0), e3 = SPLAT(0.0), e5 = SPLAT(0.0);
 #pragma GCC unroll 16
     for (int i = 0; i < STAGES; i++) {
-      sum += B[i] * k[i][j];
-      e3 += E3[i] * k[i][j];
-      e5 += E5[i] * k[i][j];
+      if (B[i] != 0.0) sum += B[i] * k[i][j];
+      if (E3[i] != 0.0) e3 += E3[i] * k[i][j];
+      if (E5[i] != 0.0) e5 += E5[i] * k[i][j];
     }
     ends[j] = g->x[j] + h * sum;
-    V scale = h / (tolerance * (1.0 + v_max(v_abs(g->x[j]), v_abs(ends[j]))));
+    V scale = rough_inverse(1.0 + v_max(v_abs(g->x[j]), v_abs(ends[j])));
     e3 *= scale;
     e5 *= scale;
     third += e3 * e3;
     fifth += e5 * e5;
   }
-  rates(c[STAGES], ends, g->p, k[STAGES], r);
-  return fifth / v_sqrt((fifth + 0.01 * third) * STATES + 1e-300);
+  return h / tolerance * fifth * rough_inverse(v_sqrt((fifth + 0.01 * third) * STATES + 1e-300));
 }
 
-/* Coefficients of the dense output over a step. */
-OUTLINE void prepare(const Group *g, double h, V (*c)[COMMON + 1], const V *ends,
-                     V (*k)[STATES], V (*f)[STATES]) {
-  V x[STATES], r[INTEGRALS + 1];
-#pragma GCC unroll 16
-  for (int i = STAGES + 1; i < ALL_STAGES; i++) {
-    stage(g, h, i, k, x);
-    rates(c[i], x, g->p, k[i], r);
+/* One step: slopes of the stages, ends, rise of the integrals, integrands at the end; returns the
+ * largest error estimate of members that are alive. */
+OUTLINE double advance(const Group *g, double tolerance, Step *s) {
+  double h = s->h, (*c)[COMMON + 1] = s->c;
+  V x[STATES], r[INTEGRALS + 1], worst = SPLAT(0.0);
+  EACH_BLOCK(b) {
+    /* first same as last; memcpy would move half registers, which cannot be forwarded */
+    for (int j = 0; j < STATES; j++) s->k[b][0][j] = g->block[b].k[j];
+    for (int j = 0; j < INTEGRALS; j++) s->q[b][j] = B[0] * g->block[b].r[j];
   }
-  for (int j = 0; j < STATES; j++) {
-    V rise = ends[j] - g->x[j];
-    f[0][j] = rise;
-    f[1][j] = h * k[0][j] - rise;
-    f[2][j] = 2.0 * rise - h * (k[STAGES][j] + k[0][j]);
-    for (int d = 0; d < 4; d++) {
-      V sum = SPLAT(0.0);
 #pragma GCC unroll 16
-      for (int i = 0; i < ALL_STAGES; i++)
-        if (D[d][i] != 0.0) sum += D[d][i] * k[i][j];
-      f[3 + d][j] = h * sum;
+  for (int i = 1; i < STAGES; i++)
+    EACH_BLOCK(b) {
+      stage(&g->block[b], h, i, s->k[b], x);
+      rates(c[i], x, g->block[b].p, s->k[b][i], r);
+      for (int j = 0; j < INTEGRALS && B[i] != 0.0; j++) s->q[b][j] += B[i] * r[j];
     }
+  EACH_BLOCK(b) {
+    const Block *block = &g->block[b];
+    V error = finish(block, h, tolerance, s->k[b], s->ends[b]);
+    error = choose(error == error, error, SPLAT(INFINITY));
+    worst = v_max(worst, choose(block->alive, error, SPLAT(0.0)));
+    for (int j = 0; j < INTEGRALS; j++) s->q[b][j] *= h;
+    rates(c[STAGES], s->ends[b], block->p, s->k[b][STAGES], s->r[b]);
   }
+  double largest = 0.0;
+  for (int l = 0; l < LANES; l++) largest = worst[l] > largest ? worst[l] : largest;
+  return largest;
 }
 
-/* State and its slope at begin + theta h. */
-INLINE void dense(const V *x, V (*f)[STATES], double theta, double h, V *found, V *slope) {
-  double back = 1.0 - theta;
-  for (int j = 0; j < STATES; j++) {
-    V v = SPLAT(0.0), d = SPLAT(0.0); /* v and its derivative by theta */
+/* Weights of the slopes in the rise of the states until begin + theta h, and in their slope there. */
+static void weigh(double theta, double h, double *value, double *slope) {
+  V v[NODES / LANES] = {0}, d[NODES / LANES] = {0}, row;
+  double power = 1.0;
 #pragma GCC unroll 8
-    for (int i = 6; i >= 0; i--) {
-      V sum = v + f[i][j];
-      d = i % 2 ? d * back - sum : d * theta + sum;
-      v = i % 2 ? sum * back : sum * theta;
+  for (int i = 0; i < TERMS; i++, power *= theta)
+    for (int l = 0; l < NODES / LANES; l++) {
+      memcpy(&row, DENSE[i] + l * LANES, sizeof row);
+      v[l] += h * theta * power * row;
+      d[l] += (i + 1) * power * row;
     }
-    found[j] = x[j] + v;
-    slope[j] = d * (1.0 / h);
-  }
+  memcpy(value, v, sizeof v);
+  memcpy(slope, d, sizeof d);
 }
 
-/* The memories see the time `now`; at a time of the grid the shown values are kept. */
-OUTLINE void visit(Group *g, const Task *task, int64_t first, double now, const V *c,
-                   const V *x, const V *slopes, int shows) {
-  V y[SIGNALS];
-  signals(c, x, g->p, slopes, y);
-  memories(SPLAT(g->at), SPLAT(now - g->at), c, g->p, g->y, y, g->m);
-  memcpy(g->y, y, sizeof y);
-  g->at = now;
+/* Bins of 1 + |v| by its leading bits (see statistics.py); the last is for what is not a number. */
+INLINE H bins_of(F v, I alive, const Task *task) {
+  int side = (int)task->side;
+  F y = 1.0f + (F)((J)v & INT32_MAX);
+  J bin = ((J)y - (127 << 23)) >> (int)(23 - task->bits), beyond = bin >= side, negative = v < 0.0f;
+  bin = (beyond & (side - 1)) | (~beyond & bin);
+  bin = side + (bin ^ negative); /* k -> -k - 1 */
+  J real = (v == v) & __builtin_convertvector(alive, J);
+  return __builtin_convertvector((real & bin) | (~real & (2 * side)), H);
+}
+
+INLINE H *place(const Task *task, const Group *g, int64_t row, int j, int b) {
+  return (H *)(task->bins + (row * SHOWN + j) * PITCH + g->first % SHELF + b * LANES);
+}
+
+/* The memories of a block see the time `now`; at a time of the grid the bins are kept. */
+INLINE void see(Group *g, const Task *task, int b, double now, const double *c, const V *x,
+                const V *slopes, int shows) {
+  Block *block = &g->block[b];
+  V y[SIGNALS], v[SHOWN];
+  signals(c, x, block->p, slopes, y);
+  memories(g->at, now - g->at, c, block->p, block->y, y, block->m);
+  for (int j = 0; j < SIGNALS; j++) block->y[j] = y[j];
   if (!shows) return;
-  V v[SHOWN];
-  typedef float F __attribute__((vector_size(4 * LANES)));
   shown(x, y, v);
-  int64_t row = g->next++;
   for (int j = 0; j < SHOWN; j++) {
-    V reduced = (v[j] - task->centre[j * task->points + row]) * task->pace[j];
-    F kept = __builtin_convertvector(choose(g->alive, reduced, SPLAT(NAN)), F);
-    float *place = task->values + (row * SHOWN + j) * task->pitch + first;
-    memcpy(place, &kept, sizeof kept);
+    V reduced = (v[j] - task->centre[j * task->points + g->next]) * task->pace[j];
+    *place(task, g, g->next, j, b) =
+        bins_of(__builtin_convertvector(reduced, F), block->alive, task);
   }
 }
 
-static void bury(Group *g, const Task *task, int64_t first, I which, int outcome, double t) {
-  which &= g->alive;
-  g->alive &= ~which;
+/* See a time inside a step. */
+OUTLINE void see_inside(Group *g, const Task *task, Step *s, double now, const double *c,
+                        int shows) {
+  double value[NODES], slope[NODES];
+  weigh((now - g->t) / s->h, s->h, value, slope);
+  EACH_BLOCK(b) {
+    V x[STATES], d[STATES];
+    for (int j = 0; j < STATES; j++) x[j] = g->block[b].x[j], d[j] = SPLAT(0.0);
+#pragma GCC unroll 16
+    for (int i = 0; i <= STAGES; i++)
+      if (DENSE[1][i] != 0.0)
+        for (int j = 0; j < STATES; j++) {
+          x[j] += value[i] * s->k[b][i][j];
+          d[j] += slope[i] * s->k[b][i][j];
+        }
+    see(g, task, b, now, c, x, d, shows);
+  }
+  g->at = now;
+  g->next += shows;
+}
+
+/* See the begin of a segment or the end of the run, where the group is. */
+OUTLINE void see_edge(Group *g, const Task *task, const double *c, int ends) {
+  int shows = g->next < task->points && task->grid[g->next] == g->t && ends;
+  EACH_BLOCK(b) see(g, task, b, g->t, c, g->block[b].x, g->block[b].k, shows);
+  g->at = g->t;
+  g->next += shows;
+}
+
+/* The memories follow a step. */
+static void follow(Group *g, const Task *task, Step *s, const double *shared, double end,
+                   double stop) {
+  for (;;) {
+    double mark = g->next < task->points ? task->grid[g->next] : INFINITY;
+    double until = mark < stop ? mark : stop;
+    double parts = ceil((until - g->at) / (task->reach * s->h) * 0.999), c[COMMON + 1];
+    double now = parts > 1 ? g->at + (until - g->at) / parts : until;
+    now = now < g->t ? g->t : now;
+    if (now > end || now >= stop) return;
+    int shows = now >= mark;
+    if (!shows) common_at(now, shared, c);
+    see_inside(g, task, s, now, shows ? task->marks[g->next] : c, shows);
+  }
+}
+
+static void bury(Group *g, const Task *task, int b, I which, int outcome) {
+  which &= g->block[b].alive;
+  g->block[b].alive &= ~which;
+  int64_t first = g->first + b * LANES;
   for (int l = 0; l < LANES; l++)
     if (which[l] && first + l < task->count) {
-      task->ends[first + l] = t;
+      task->ends[first + l] = g->t;
       task->outcomes[first + l] = (uint8_t)outcome;
     }
 }
 
+/* No step leads on: those that object are escaping or stuck; all are, after too many steps. */
+static void give_up(Group *g, const Task *task, const Step *s) {
+  EACH_BLOCK(b) {
+    V *x = g->block[b].x, ends[STATES], k[STAGES + 1][STATES];
+    memcpy(k, s->k[b], sizeof k);
+    V error = finish(&g->block[b], s->h, task->tolerance, k, ends);
+    I bad = g->steps >= task->most ? ~(I){0} : ~(error <= SPLAT(1.0)), large = (I){0};
+    for (int j = 0; j < WATCHED; j++) large |= v_abs(x[j]) > SPLAT(ESCAPING);
+    bury(g, task, b, bad & large, ESCAPED);
+    bury(g, task, b, bad, STUCK);
+  }
+}
+
+static void accept(Group *g, const Task *task, const Step *s, double end) {
+  g->t = end;
+  EACH_BLOCK(b) {
+    Block *block = &g->block[b];
+    I outside = (I){0};
+    for (int j = 0; j < STATES; j++) {
+      block->x[j] = s->ends[b][j];
+      block->k[j] = s->k[b][STAGES][j];
+      if (j < WATCHED) outside |= ~(v_abs(block->x[j]) <= SPLAT(task->limit));
+    }
+    for (int j = 0; j < INTEGRALS; j++) block->q[j] += s->q[b][j], block->r[j] = s->r[b][j];
+    if (any(outside & block->alive)) bury(g, task, b, outside, ESCAPED);
+    if (g->steps >= task->most) bury(g, task, b, ~(I){0}, STUCK);
+  }
+}
+
 /* Longest first step that none of the group objects to. */
 static double first_step(const Group *g, double tolerance) {
-  V size = SPLAT(0.0), speed = SPLAT(0.0);
-  for (int j = 0; j < STATES; j++) {
-    V scale = 1.0 / (1.0 + v_abs(g->x[j]));
-    size += g->x[j] * g->x[j] * scale * scale;
-    speed += g->k[j] * g->k[j] * scale * scale;
-  }
-  V h = 0.1 * v_sqrt((size + 1e-4) / (speed + 1e-4)) * pow(tolerance, 0.125);
   double least = INFINITY;
-  for (int l = 0; l < LANES; l++) least = h[l] < least ? h[l] : least;
+  EACH_BLOCK(b) {
+    const Block *block = &g->block[b];
+    V size = SPLAT(0.0), speed = SPLAT(0.0);
+    for (int j = 0; j < STATES; j++) {
+      V scale = 1.0 / (1.0 + v_abs(block->x[j]));
+      size += block->x[j] * block->x[j] * scale * scale;
+      speed += block->k[j] * block->k[j] * scale * scale;
+    }
+    V h = 0.1 * v_sqrt((size + 1e-4) / (speed + 1e-4)) * pow(tolerance, 0.125);
+    for (int l = 0; l < LANES; l++) least = h[l] < least ? h[l] : least;
+  }
   return least < INFINITY ? least : 1e-6;
 }
 
-/* Members first ... first + 7 from begin to end; `marks` is what depends on time at the grid. */
-static void travel(const Task *task, V (*marks)[COMMON + 1], int64_t first, Group *g) {
+static void begin(Group *g, const Task *task, int64_t first) {
   memset(g, 0, sizeof *g);
-  for (int l = 0; l < LANES; l++) {
-    int64_t i = first + l < task->count ? first + l : task->count - 1;
-    for (int j = 0; j < STATES; j++) g->x[j][l] = task->starts[j * task->count + i];
-    for (int j = 0; j < PARAMETERS; j++) g->p[j][l] = task->parameters[j * task->count + i];
-  }
-  g->alive = ~(I){0};
+  g->first = first;
   g->t = g->at = task->edges[0];
-  double h = 0.0;
-  V c[NODES][COMMON + 1], ends[STATES], k[ALL_STAGES][STATES], f[7][STATES];
-  V q[INTEGRALS + 1], r[INTEGRALS + 1], x[STATES], slopes[STATES];
-  for (int64_t segment = 0; segment < task->segments; segment++) {
-    const double *s = task->shared + segment * SHARED, stop = task->edges[segment + 1];
-    common_at(g->t, s, c[0]);
-    rates(c[0], g->x, g->p, g->k, g->r);
-    if (!segment) {
-      signals(c[0], g->x, g->p, g->k, g->y);
-      h = first_step(g, task->tolerance);
+  EACH_BLOCK(b) {
+    Block *block = &g->block[b];
+    block->alive = ~(I){0};
+    for (int l = 0; l < LANES; l++) {
+      int64_t i = first + b * LANES + l;
+      i = i < task->count ? i : task->count - 1;
+      for (int j = 0; j < STATES; j++) block->x[j][l] = task->starts[j * task->count + i];
+      for (int j = 0; j < PARAMETERS; j++) block->p[j][l] = task->parameters[j * task->count + i];
     }
-    int shows = g->next < task->points && task->grid[g->next] == g->t;
-    visit(g, task, first, g->t, c[0], g->x, g->k, shows);
-    while (g->t < stop && any(g->alive)) {
+  }
+}
+
+static int living(const Group *g) {
+  I found = g->block[0].alive;
+  for (int b = 1; b < BLOCKS; b++) found |= g->block[b].alive;
+  return any(found);
+}
+
+/* A group from begin to end. */
+static void travel(const Task *task, Group *g, Step *s) {
+  double h = 0.0;
+  for (int64_t segment = 0; segment < task->segments; segment++) {
+    const double *shared = task->shared + segment * SHARED, stop = task->edges[segment + 1];
+    common_at(g->t, shared, s->c[0]);
+    EACH_BLOCK(b) {
+      Block *block = &g->block[b];
+      rates(s->c[0], block->x, block->p, block->k, block->r);
+      if (!segment) signals(s->c[0], block->x, block->p, block->k, block->y);
+    }
+    if (!segment) h = first_step(g, task->tolerance);
+    see_edge(g, task, s->c[0], 1);
+    while (g->t < stop && living(g)) {
       int final = h >= (stop - g->t) * (1 - 1e-12);
-      double step = final ? stop - g->t : h, end = final ? stop : g->t + step;
-      common_along(g->t, step, s, c);
-      V error = advance(g, step, task->tolerance, c, ends, k, q, r);
-      double worst = 0.0;
-      for (int l = 0; l < LANES; l++)
-        if (g->alive[l] && !(error[l] <= worst)) worst = error[l] == error[l] ? error[l] : INFINITY;
+      double end = final ? stop : g->t + h;
+      s->h = final ? stop - g->t : h;
+      common_along(g->t, s->h, shared, s->c);
+      double worst = advance(g, task->tolerance, s);
       double factor = SAFETY * pow(worst + 1e-30, -0.125);
       factor = factor > GROW ? GROW : factor > SHRINK ? factor : SHRINK;
       int hopeless = ++g->steps >= task->most || end <= g->t + 1e-15 * fabs(g->t);
       if (!(worst <= 1.0)) {
-        if (hopeless) {
-          I bad = g->steps >= task->most ? ~(I){0} : ~(error <= SPLAT(1.0)), large = (I){0};
-          for (int j = 0; j < WATCHED; j++) large |= v_abs(g->x[j]) > SPLAT(ESCAPING);
-          bury(g, task, first, bad & large, ESCAPED, g->t);
-          bury(g, task, first, bad, STUCK, g->t);
-        }
-        h = step * (factor < 0.9 ? factor : 0.9);
+        if (hopeless) give_up(g, task, s);
+        h = s->h * (factor < 0.9 ? factor : 0.9);
         continue;
       }
-      prepare(g, step, c, ends, k, f);
-      int last = final && segment + 1 == task->segments; /* an inner edge is shown after its jump */
-      int64_t inside = g->next;
-      while (inside < task->points && task->grid[inside] < end) inside++;
-      int parts = inside - g->next < PARTS ? PARTS : 1;
-      for (int part = 1; part <= parts; part++) {
-        double until = part < parts ? g->t + step * part / parts : end;
-        for (; g->next < inside && task->grid[g->next] <= until;) {
-          double now = task->grid[g->next];
-          dense(g->x, f, (now - g->t) / step, step, x, slopes);
-          visit(g, task, first, now, marks[g->next], x, slopes, 1);
-        }
-        if (part < parts && g->at < until) {
-          V mark[COMMON + 1];
-          common_at(until, s, mark);
-          dense(g->x, f, (until - g->t) / step, step, x, slopes);
-          visit(g, task, first, until, mark, x, slopes, 0);
-        }
-      }
-      int shows = g->next < task->points && task->grid[g->next] == end && (!final || last);
-      visit(g, task, first, end, c[STAGES], ends, k[STAGES], shows);
-      g->t = end;
-      I outside = (I){0};
-      for (int j = 0; j < STATES; j++) {
-        g->x[j] = ends[j];
-        g->k[j] = k[STAGES][j];
-        if (j < WATCHED) outside |= ~(v_abs(ends[j]) <= SPLAT(task->limit));
-      }
-      for (int j = 0; j < INTEGRALS; j++) g->q[j] += q[j], g->r[j] = r[j];
-      if (any(outside & g->alive)) bury(g, task, first, outside, ESCAPED, end);
-      if (g->steps >= task->most) bury(g, task, first, ~(I){0}, STUCK, end);
-      double tried = step * factor;
+      follow(g, task, s, shared, end, stop);
+      accept(g, task, s, end);
+      /* an inner edge is shown after its jump */
+      if (final) see_edge(g, task, s->c[STAGES], segment + 1 == task->segments);
+      double tried = s->h * factor;
       h = final && tried < h ? h : tried;
     }
   }
-  bury(g, task, first, ~(I){0}, FINISHED, g->t);
-  for (int l = 0; l < LANES && first + l < task->count; l++) {
-    double *total = task->totals + first + l;
-    for (int j = 0; j < INTEGRALS; j++, total += task->count) *total = g->q[j][l];
-    for (int j = 0; j < MEMORIES; j++, total += task->count) *total = g->m[j][l];
+}
+
+/* What is kept of a group that has ended. */
+static void keep(Group *g, Task *task) {
+  EACH_BLOCK(b) {
+    const Block *block = &g->block[b];
+    for (int64_t row = g->next; row < task->points; row++)
+      for (int j = 0; j < SHOWN; j++)
+        *place(task, g, row, j, b) = (H){0} + (uint16_t)(2 * task->side);
+    for (int l = 0; l < LANES; l++) {
+      int64_t i = g->first + b * LANES + l;
+      if (i >= task->count) break;
+      double *total = task->totals + i, *final = task->finals + i;
+      for (int j = 0; j < INTEGRALS; j++, total += task->count) *total = block->q[j][l];
+      for (int j = 0; j < MEMORIES; j++, total += task->count) *total = block->m[j][l];
+      for (int j = 0; j < STATES; j++, final += task->count) *final = block->x[j][l];
+    }
+    bury(g, task, b, ~(I){0}, FINISHED);
   }
-  *task->steps += g->steps;
+  task->steps += g->steps;
+}
+
+/* Add `some` to the counts. */
+static void add_up(Task *task) {
+  int64_t size = 2 * task->side + 1;
+  for (int64_t row = 0; row < task->points * SHOWN; row++) {
+    struct Filled *filled = &task->filled[row];
+    for (int64_t i = row * size + filled->low; i <= row * size + filled->high; i++)
+      if (task->some[i]) {
+        __atomic_fetch_add(&task->counts[i], task->some[i], __ATOMIC_RELAXED);
+        task->some[i] = 0;
+      }
+    *filled = (struct Filled){UINT16_MAX, 0};
+  }
+  task->counted = 0;
+}
+
+/* Count the bins of the members on the shelf. */
+static void count(Task *task, int64_t shelf) {
+  int64_t from = shelf > task->begin ? shelf : task->begin;
+  int64_t to = shelf + SHELF < task->end ? shelf + SHELF : task->end;
+  if (task->counted > UINT16_MAX - SHELF) add_up(task);
+  for (int64_t row = 0; row < task->points * SHOWN; row += SHOWN) {
+    const uint16_t *bins = task->bins + row * PITCH - shelf;
+    int64_t size = 2 * task->side + 1;
+    uint16_t *some = task->some + row * size;
+    for (int j = 0; j < SHOWN; j++) {
+      struct Filled *filled = &task->filled[row + j];
+      uint16_t low = filled->low, high = filled->high;
+      for (int64_t i = from; i < to; i++) {
+        low = bins[j * PITCH + i] < low ? bins[j * PITCH + i] : low;
+        high = bins[j * PITCH + i] > high ? bins[j * PITCH + i] : high;
+      }
+      *filled = (struct Filled){low, high};
+      if (row + SHOWN < task->points * SHOWN) { /* what the next time will need */
+        const uint16_t *next = some + (SHOWN + j) * size;
+        for (int64_t i = filled[SHOWN].low; i <= filled[SHOWN].high; i += 32)
+          __builtin_prefetch(next + i, 1);
+      }
+    }
+    for (int64_t i = from; i < to; i++) /* in turns: the same bin twice running takes long */
+      for (int j = 0; j < SHOWN; j++) some[j * size + bins[j * PITCH + i]]++;
+  }
+  task->counted += to - from;
 }
 
 /* Integrate all members of a task; returns 0, or -1 without memory. */
-int integrate(const Task *task) {
-  Group *g = NULL;
-  V(*marks)[COMMON + 1] = NULL;
-  if (posix_memalign((void **)&marks, 64, (size_t)task->points * sizeof *marks) ||
-      posix_memalign((void **)&g, 64, sizeof *g)) {
-    free(marks);
-    return -1;
-  }
-  int64_t segment = 0;
-  for (int64_t k = 0; k < task->points; k++) {
-    while (segment + 1 < task->segments && task->grid[k] > task->edges[segment + 1]) segment++;
-    common_at(task->grid[k], task->shared + segment * SHARED, marks[k]);
-  }
-  for (int64_t first = 0; first < task->count; first += LANES) travel(task, marks, first, g);
-  free(marks);
-  free(g);
-  return 0;
-}
-
-/* Count reduced values in bins of 1 + |v| by their leading bits (see statistics.py). */
-void count(int64_t rows, int64_t members, int64_t pitch, const float *values, int64_t side,
-           int32_t bits, int32_t *counts) {
-  for (int64_t r = 0; r < rows; r++, values += pitch, counts += 2 * side + 1)
-    for (int64_t i = 0; i < members; i++) {
-      float v = values[i], y = 1.0f + fabsf(v);
-      int32_t pattern;
-      memcpy(&pattern, &y, sizeof y);
-      int64_t bin = (pattern - (127 << 23)) >> (23 - bits);
-      bin = bin < side ? bin : side - 1;
-      bin = v < 0 ? side - 1 - bin : side + bin;
-      counts[v == v ? bin : 2 * side]++;
+int integrate(Task *task) {
+  void *group = NULL, *step = NULL, *marks = NULL, *bins = NULL, *filled = NULL;
+  size_t points = (size_t)task->points;
+  int failed = posix_memalign(&group, 64, sizeof(Group)) ||
+               posix_memalign(&step, 64, sizeof(Step)) ||
+               posix_memalign(&marks, 64, points * sizeof *task->marks) ||
+               posix_memalign(&bins, 64, points * SHOWN * PITCH * sizeof *task->bins) ||
+               posix_memalign(&filled, 64, points * SHOWN * sizeof *task->filled);
+  if (!failed) {
+    task->marks = marks;
+    task->bins = bins;
+    task->filled = filled;
+    for (size_t row = 0; row < points * SHOWN; row++)
+      task->filled[row] = (struct Filled){UINT16_MAX, 0};
+    task->reach = REACH * pow(REACH_AT / task->tolerance, 0.125);
+    int64_t segment = 0;
+    for (int64_t k = 0; k < task->points; k++) {
+      while (segment + 1 < task->segments && task->grid[k] > task->edges[segment + 1]) segment++;
+      common_at(task->grid[k], task->shared + segment * SHARED, task->marks[k]);
     }
+    for (int64_t first = 0; first < task->count; first += GROUP) {
+      begin(group, task, first);
+      travel(task, group, step);
+      keep(group, task);
+      if ((first + GROUP) % SHELF == 0 || first + GROUP >= task->count)
+        count(task, first - first % SHELF);
+    }
+    add_up(task);
+  }
+  free(group);
+  free(step);
+  free(marks);
+  free(bins);
+  free(filled);
+  return failed ? -1 : 0;
 }

@@ -13,12 +13,41 @@ from sympy.printing.c import C99CodePrinter
 
 from certrack.expressions import TIME, without_minmax
 from certrack.integrators.base import ESCAPING
+from certrack.integrators.dense import weights
 from certrack.integrators.flow import Flow
 from certrack.lowering import BEGIN, STEP, Select
 
 #: Vector functions that lanes.c has anyway, and those of two arguments.
 OWN = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())
 OF_TWO = {"pow", "atan2"}
+
+#: Functions up to so many letters are expanded where they are called: the rates at every stage.
+SHORT = 3000
+
+#: Names of numbers that are not vectors: the same for all members.
+SCALAR = re.compile(r"[cs]\[|begin$|h$")
+
+
+class Magnitude(sympy.Function):
+    """|a|; SymPy's own would be rewritten."""
+
+    nargs = 1
+    is_real = True
+
+
+class Larger(sympy.Function):
+    """max(a, b)."""
+
+    nargs = 2
+    is_real = True
+
+
+def _shorter(select: Select) -> sympy.Expr:
+    """A selection that is a single instruction as such."""
+    a, b, yes, no = select.args
+    if (yes, no) == (a, b):
+        return Larger(a, b)
+    return Magnitude(a) if b == 0 and (yes, no) == (a, -a) else select
 
 
 class _Printer(C99CodePrinter):
@@ -42,7 +71,7 @@ class _Printer(C99CodePrinter):
         if not expr.free_symbols:
             return f"SPLAT({float(expr)!r})"
         text = self._print(expr)
-        scalar = all(self._names[name].startswith("s[") for name in expr.free_symbols)
+        scalar = all(SCALAR.match(self._names[name]) for name in expr.free_symbols)
         return f"SPLAT({text})" if scalar else text
 
     def _print_Mul(self, expr: sympy.Mul) -> str:
@@ -63,10 +92,11 @@ class _Printer(C99CodePrinter):
         arguments = [self.vector(arg) for arg in expr.args]
         if isinstance(expr, Select):
             a, b, yes, no = arguments
-            return f"choose({a} > {b}, {yes}, {no})"
+            return f"greater({a}, {b}, {yes}, {no})"
         if expr.is_number:
             return self._print_number(expr)
         names = {sympy.Abs: "v_abs", sympy.sign: "v_sign", sympy.atan2: "v_atan2"}
+        names |= {Magnitude: "v_abs", Larger: "v_max"}
         name = names.get(type(expr)) or f"v_{type(expr).__name__}"
         return f"{name}({', '.join(arguments)})"
 
@@ -74,6 +104,7 @@ class _Printer(C99CodePrinter):
     _print_asin = _print_acos = _print_atan = _print_atan2 = _print_Function
     _print_sinh = _print_cosh = _print_tanh = _print_exp = _print_log = _print_Function
     _print_Select = _print_Extremum = _print_Entry = _print_Function
+    _print_Magnitude = _print_Larger = _print_Function
 
     def _print_NumberSymbol(self, expr: sympy.Expr) -> str:
         return self._print_number(expr)
@@ -90,7 +121,7 @@ def _power(base: str, exponent: int) -> str:
 def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
     """The generated part of lanes.c."""
     timeless, found = flow.without_time()
-    names: dict[sympy.Symbol, str] = {TIME: "t", BEGIN: "t", STEP: "h"}
+    names: dict[sympy.Symbol, str] = {TIME: "t", BEGIN: "begin", STEP: "h"}
     for letter, symbols in (
         ("c", list(found.values())),
         ("x", flow.states),
@@ -113,7 +144,7 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
         "MEMORIES": len(flow.memories),
         "SHOWN": len(shown),
         "STAGES": len(DOP853.B),
-        "ALL_STAGES": len(DOP853.A_EXTRA[0]),
+        "TERMS": len(weights()),
     }
     assert sizes["SHOWN"] and sizes["SIGNALS"] and sizes["MEMORIES"]
 
@@ -129,18 +160,18 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
         function("common", "V t, const double *s, V *out", ("out", list(found))),
         function(
             "rates",
-            "const V *c, const V *x, const V *p, V *k, V *q",
+            "const double *c, const V *x, const V *p, V *k, V *q",
             ("k", timeless.rates),
             ("q", timeless.integrands),
         ),
         function(
             "signals",
-            "const V *c, const V *x, const V *p, const V *k, V *out",
+            "const double *c, const V *x, const V *p, const V *k, V *out",
             ("out", timeless.signals),
         ),
         function(
             "memories",
-            "V t, V h, const V *c, const V *p, const V *y, const V *y_end, V *m",
+            "double begin, double h, const double *c, const V *p, const V *y, const V *y_end, V *m",
             ("m", memories),
         ),
         function("shown", "const V *x, const V *y_end, V *out", ("out", shown)),
@@ -157,13 +188,11 @@ def with_elementary(parts: Sequence[str]) -> str:
 
 
 def _tables() -> list[str]:
-    """Coefficients of the method, as SciPy has them."""
-    stages, every = len(DOP853.B), len(DOP853.A_EXTRA[0])
-    A, C = np.zeros((every, every)), np.ones(every)
-    A[:stages, :stages], A[stages + 1 :] = DOP853.A, DOP853.A_EXTRA
-    C[:stages], C[stages + 1 :] = DOP853.C, DOP853.C_EXTRA
+    """Coefficients of the method, as SciPy has them, and of its dense output."""
     assert DOP853.E3[-1] == DOP853.E5[-1] == 0
-    found = {"A": A, "B": DOP853.B, "C": C, "E3": DOP853.E3, "E5": DOP853.E5, "D": DOP853.D}
+    C = np.append(DOP853.C, 1.0)
+    found = {"A": DOP853.A, "B": DOP853.B, "C": C, "E3": DOP853.E3, "E5": DOP853.E5}
+    found["DENSE"] = np.pad(weights(), ((0, 0), (0, -len(C) % 8)))  # whole vectors
     lines = []
     for name, table in found.items():
         shape = "".join(f"[{size}]" for size in table.shape)
@@ -186,7 +215,10 @@ def c_function(
 ) -> str:
     """A C function that assigns the results; common subexpressions are computed once."""
     temporaries = sympy.numbered_symbols("c", real=True)
-    formulas = [without_minmax(formula) for _, formula in results]
+    formulas = [
+        without_minmax(formula).replace(Select, lambda *args: _shorter(Select(*args)))
+        for _, formula in results
+    ]
     common, reduced = sympy.cse(formulas, temporaries)
     known = names | {symbol: f"{symbol.name}_" for symbol, _ in common}
     printer = _Printer(known)
@@ -199,4 +231,5 @@ def c_function(
     ]  # all before the first is assigned: a result may be an argument of another
     lines += [f"  {target} = r{i}_;" for i, (target, _) in enumerate(results)]
     body = "\n".join(lines)
-    return f"static void {name}({arguments}) {{\n{unused}{body}\n}}\n"
+    kind = "INLINE" if len(body) < SHORT else "static"
+    return f"{kind} void {name}({arguments}) {{\n{unused}{body}\n}}\n"

@@ -33,8 +33,8 @@ WIDE = ["-mprefer-vector-width=512"]
 #: The error of the states then still stays below the tolerance (a test measures it).
 CAUTION = 10.0
 
-#: Members that share their steps, as in vector_math.h.
-LANES = 8
+#: Members that share their steps, as in lanes.c.
+GROUP = 32
 
 #: Outcome of a member whose group took too many steps, or none that is long enough.
 STUCK = 2
@@ -107,7 +107,6 @@ class _Task(ctypes.Structure):
 
     _fields_ = [
         ("count", ctypes.c_int64),
-        ("pitch", ctypes.c_int64),
         ("starts", ctypes.c_void_p),
         ("parameters", ctypes.c_void_p),
         ("segments", ctypes.c_int64),
@@ -120,11 +119,22 @@ class _Task(ctypes.Structure):
         ("tolerance", ctypes.c_double),
         ("limit", ctypes.c_double),
         ("most", ctypes.c_int64),
-        ("values", ctypes.c_void_p),
+        ("begin", ctypes.c_int64),
+        ("end", ctypes.c_int64),
+        ("side", ctypes.c_int64),
+        ("bits", ctypes.c_int64),
+        ("counts", ctypes.c_void_p),
+        ("some", ctypes.c_void_p),
         ("totals", ctypes.c_void_p),
+        ("finals", ctypes.c_void_p),
         ("ends", ctypes.c_void_p),
         ("outcomes", ctypes.c_void_p),
-        ("steps", ctypes.c_void_p),
+        ("steps", ctypes.c_int64),
+        ("reach", ctypes.c_double),
+        ("marks", ctypes.c_void_p),
+        ("bins", ctypes.c_void_p),
+        ("filled", ctypes.c_void_p),
+        ("counted", ctypes.c_int64),
     ]
 
 
@@ -152,22 +162,60 @@ class Timeline:
 
 
 @dataclass(frozen=True)
+class Control:
+    """When members are accurate enough, gone, or given up.
+
+    Attributes
+    ----------
+    tolerance : float
+    limit : float
+        A watched state beyond it has escaped.
+    most : int
+        Steps.
+    """
+
+    tolerance: float
+    limit: float
+    most: int
+
+
+@dataclass(frozen=True)
+class Counted:
+    """Which members are counted in which bins.
+
+    Attributes
+    ----------
+    part : slice
+        The members.
+    side, bits : int
+        Bins of one side of zero, leading bits of a bin (see ``statistics.py``).
+    counts : (T, R, 2 side + 1) array of int32
+        They are added to it; several threads may count in one array.
+    """
+
+    part: slice
+    side: int
+    bits: int
+    counts: np.ndarray
+
+
+@dataclass(frozen=True)
 class Passed:
     """What came of some members.
 
     Attributes
     ----------
-    values : (T, R, N + padding) array of float32
-        Reduced shown values; NaN after the end of a member.
     totals : (integrals + memories, N) array
+    finals : (S, N) array
+        States at the end of a member.
     ends : (N,) array, s
     outcomes : (N,) array
         0 finished, 1 escaped, 2 stuck.
     steps : int
     """
 
-    values: np.ndarray
     totals: np.ndarray
+    finals: np.ndarray
     ends: np.ndarray
     outcomes: np.ndarray
     steps: int
@@ -189,27 +237,22 @@ class Native:
     """
 
     def __init__(self, flow: Flow, shown: Sequence[sympy.Expr]) -> None:
-        self._sizes = (len(shown), len(flow.integrands) + len(flow.memories))
+        self._kept = len(flow.integrands) + len(flow.memories)
         self._library = built("lanes.c", system_header(flow, shown))
+        self._spare: list[np.ndarray] = []
 
     def integrate(
         self,
         starts: np.ndarray,
         parameters: np.ndarray,
         timeline: Timeline,
-        tolerance: float,
-        limit: float,
-        most: int,
+        control: Control,
+        tally: Counted,
     ) -> Passed:
         """Integrate members; starts (S, N), parameters (P, N). Releases the interpreter lock."""
-        count, (shown, kept) = starts.shape[1], self._sizes
-        whole = -(-count // LANES) * LANES
-        pitch = whole + 2 * LANES  # not a power of two: rows must not share cache sets
-        points = len(timeline.grid)
-        steps = np.zeros(1, dtype=np.int64)
-        values = np.full((points, shown, pitch), np.nan, dtype=np.float32)
-        totals, ends = np.full((kept, count), np.nan), np.zeros(count)
-        outcomes = np.zeros(count, dtype=np.uint8)
+        size, count = starts.shape
+        totals, ends = np.full((self._kept, count), np.nan), np.zeros(count)
+        finals, outcomes = np.full((size, count), np.nan), np.zeros(count, dtype=np.uint8)
         inputs = [np.ascontiguousarray(a, dtype=float) for a in (starts, parameters)]
         inputs += [
             np.ascontiguousarray(a, dtype=float)
@@ -217,33 +260,32 @@ class Native:
         ]
         inputs.append(1.0 / np.asarray(timeline.unit, dtype=float))
         pointers = [array.ctypes.data for array in inputs]
+        some = self._zeros(tally.counts.shape)
         task = _Task(
             count,
-            pitch,
             *pointers[:2],
             len(timeline.edges) - 1,
             *pointers[2:4],
-            points,
+            len(timeline.grid),
             *pointers[4:],
-            CAUTION * tolerance,
-            limit,
-            most,
-            *(array.ctypes.data for array in (values, totals, ends, outcomes, steps)),
+            CAUTION * control.tolerance,
+            control.limit,
+            control.most,
+            tally.part.start,
+            tally.part.stop,
+            tally.side,
+            tally.bits,
+            *(a.ctypes.data for a in (tally.counts, some, totals, finals, ends, outcomes)),
         )
         if self._library.integrate(ctypes.byref(task)):
             raise MemoryError
-        return Passed(values, totals, ends, outcomes, int(steps[0]))
+        self._spare.append(some)
+        return Passed(totals, finals, ends, outcomes, int(task.steps))
 
-    def count(self, passed: Passed, part: slice, side: int, bits: int, counts: np.ndarray) -> None:
-        """Count the reduced values of some members in the bins of each row."""
-        values = passed.values
-        first, last, _ = part.indices(len(passed.ends))
-        self._library.count(
-            ctypes.c_int64(values.shape[0] * values.shape[1]),
-            ctypes.c_int64(last - first),
-            ctypes.c_int64(values.shape[2]),
-            ctypes.c_void_p(values.ctypes.data + first * values.itemsize),
-            ctypes.c_int64(side),
-            ctypes.c_int32(bits),
-            ctypes.c_void_p(counts.ctypes.data),
-        )
+    def _zeros(self, shape: tuple[int, ...]) -> np.ndarray:
+        """A table of zeros, used before if possible: new memory costs as much as counting."""
+        while self._spare:
+            some = self._spare.pop()
+            if some.shape == shape:
+                return some
+        return np.zeros(shape, dtype=np.uint16)

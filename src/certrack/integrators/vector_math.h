@@ -17,8 +17,19 @@ typedef int64_t I __attribute__((vector_size(8 * LANES)));
 
 INLINE V choose(I mask, V yes, V no) { return (V)((mask & (I)yes) | (~mask & (I)no)); }
 INLINE V v_abs(V a) { return (V)((I)a & INT64_MAX); }
-INLINE V v_max(V a, V b) { return choose(a > b, a, b); }
-INLINE V v_min(V a, V b) { return choose(a < b, a, b); }
+#ifdef __AVX512DQ__
+INLINE V greater(V a, V b, V yes, V no) {
+  return _mm512_mask_blend_pd(_mm512_cmp_pd_mask(a, b, _CMP_GT_OQ), no, yes);
+}
+INLINE V v_max(V a, V b) { return _mm512_max_pd(a, b); } /* b if one is not a number */
+INLINE V v_min(V a, V b) { return _mm512_min_pd(a, b); }
+INLINE V rough_inverse(V a) { return _mm512_rcp14_pd(a); } /* to 14 bits */
+#else
+INLINE V greater(V a, V b, V yes, V no) { return choose(a > b, yes, no); } /* a > b ? yes : no */
+INLINE V v_max(V a, V b) { return greater(a, b, a, b); }
+INLINE V v_min(V a, V b) { return greater(b, a, a, b); }
+INLINE V rough_inverse(V a) { return 1.0 / a; }
+#endif
 INLINE int any(I mask) {
 #ifdef __AVX512F__
   return _mm512_test_epi64_mask((__m512i)mask, (__m512i)mask) != 0;
@@ -29,22 +40,22 @@ INLINE int any(I mask) {
 #endif
 }
 
-/* Cubics with p = e, p' = d at the ends of [0, 1]; see `Extremum` and `Entry` in lowering.py. */
+/* Cubics with p = e, p' = d at the ends of [0, 1]; see `Extremum` and `Entry` in lowering.py. The
+ * value at an extremum hardly depends on the place: 14 bits of that are enough, and no branch, as
+ * among eight members there is often one that turns. */
 INLINE V cubic(V s, V e0, V d0, V b, V a) { return e0 + s * (d0 + s * (b + s * a)); }
 INLINE V within(V s) { return v_min(v_max(s, SPLAT(0.0)), SPLAT(1.0)); }
 INLINE V v_Extremum(V e0, V e1, V d0, V d1) {
-  I turns = d0 * d1 < SPLAT(0.0);
-  if (!any(turns)) return e0;
   V rise = e1 - e0, b = 3.0 * rise - 2.0 * d0 - d1, a = d0 + d1 - 2.0 * rise;
-  V per_change = 1.0 / (d0 - d1), even = d0 * per_change;
+  V per_change = rough_inverse(d0 - d1), even = d0 * per_change;
   V s = within(even + (d0 + even * (2.0 * b + 3.0 * even * a)) * per_change);
-  return choose(turns, cubic(s, e0, d0, b, a), e0);
+  return greater(SPLAT(0.0), d0 * d1, cubic(s, e0, d0, b, a), e0);
 }
 INLINE V v_Entry(V e0, V e1, V d0, V d1, V band) {
   I enters = v_max(v_abs(e0), v_abs(e1)) > band;
   if (!any(enters)) return SPLAT(1.0);
   V rise = e1 - e0, b = 3.0 * rise - 2.0 * d0 - d1, a = d0 + d1 - 2.0 * rise;
-  V level = choose(e0 > SPLAT(0.0), band, -band), per_rise = 1.0 / rise;
+  V level = choose(e0 > SPLAT(0.0), band, -band), per_rise = rough_inverse(rise);
   V s = within((level - e0) * per_rise);
   V better = within(s - (cubic(s, e0, d0, b, a) - level) * per_rise);
   return choose(enters & (better == better), better, SPLAT(1.0));
@@ -88,10 +99,27 @@ INLINE V v_sign(V a) {
 
 /* sin, cos, exp and log are written out: a call would empty all registers. Arguments beyond the
  * range of the series go to the C library, lane by lane. */
-#define EACH(mask, name)              \
-  if (__builtin_expect(any(mask), 0)) \
-    for (int l = 0; l < LANES; l++)   \
-      if (mask[l]) found[l] = name(a[l]);
+#ifdef __AVX512F__
+INLINE int beyond(V a, double least, double most) {
+  return _mm512_cmp_pd_mask(a, SPLAT(least), _CMP_NGT_UQ) |
+         _mm512_cmp_pd_mask(a, SPLAT(most), _CMP_NLT_UQ);
+}
+#else
+INLINE int beyond(V a, double least, double most) {
+  return any(~((a > SPLAT(least)) & (a < SPLAT(most))));
+}
+#endif
+#define FAR(name, least, most)                                                 \
+  static __attribute__((noinline, cold)) V far_##name(V a, V found) {          \
+    for (int l = 0; l < LANES; l++)                                            \
+      if (!(a[l] > least && a[l] < most)) found[l] = name(a[l]);               \
+    return found;                                                              \
+  }                                                                            \
+  INLINE V v_##name(V a) {                                                     \
+    V found = near_##name(a);                                                  \
+    if (__builtin_expect(beyond(a, least, most), 0)) found = far_##name(a, found); \
+    return found;                                                              \
+  }
 
 #define HORNER(sum, table, x)                                            \
   do {                                                                   \
@@ -102,39 +130,29 @@ INLINE V v_sign(V a) {
 
 static const double ROUND = 6755399441055744.0; /* 1.5 2^52: adding it rounds to an integer */
 
-/* sin of a + quarter turns: Taylor on [-pi/4, pi/4], pi/2 in three parts. */
-INLINE V circular(V a, int64_t quarter) {
-  static const double ODD[] = {-1.0 / 6,           1.0 / 120,           -1.0 / 5040,
-                               1.0 / 362880,       -1.0 / 39916800,     1.0 / 6227020800,
-                               -1.0 / 1307674368e3, 1.0 / 355687428096e3};
-  static const double EVEN[] = {-1.0 / 2,         1.0 / 24,           -1.0 / 720, 1.0 / 40320,
-                                -1.0 / 3628800,   1.0 / 479001600,    -1.0 / 87178291200,
-                                1.0 / 20922789888e3};
-  V shifted = a * 0.63661977236758134 + ROUND, n = shifted - ROUND;
-  V r = a - n * 0x1.921fb544p+0; /* 33 bits each: the products are exact */
+/* (-1)^(n / 2) sin(a - n pi/2) for even (`odd` = 0) or odd n, where |a - n pi/2| <= pi/2: a
+ * minimax polynomial, pi/2 in three parts. */
+INLINE V circular(V a, int odd) {
+  V shifted = (a * 0.31830988618379067 - 0.5 * odd) + ROUND;
+  V n = (shifted - ROUND) * 2.0 + odd;
+  V r = a - n * 0x1.921fb544p+0; /* 33 bits: the products are exact */
   r = r - n * 0x1.0b4611a6p-34;
   r = r - n * 0x1.3198a2e037073p-69;
-  I turn = ((I)shifted + quarter) & 3;
-  V square = r * r, odd = SPLAT(0.0), even = SPLAT(0.0);
-  HORNER(odd, ODD, square);
-  HORNER(even, EVEN, square);
-  V found = choose((turn & 1) != 0, 1.0 + square * even, r + r * square * odd);
-  return (V)((I)found ^ ((turn & 2) << 62));
+  V z = r * r, z2 = z * z;
+  V p0 = z * 0.0083333333333259309 - 0.16666666666666648; /* short chains, not Horner's */
+  V p1 = z * 2.7557318055499585e-6 - 0.00019841269836468067;
+  V p2 = z * 1.605097160362982e-10 - 2.5051972905379012e-8;
+  V p = p0 + z2 * (p1 + z2 * (p2 - 7.4080454517479943e-13 * z2));
+  I sign = (I)shifted + odd;
+  return (V)((I)(r + (r * z) * p) ^ (sign << 63));
 }
-INLINE V v_sin(V a) {
-  V found = circular(a, 0);
-  I far = ~(v_abs(a) < SPLAT(1e5));
-  EACH(far, sin)
-  return found;
-}
-INLINE V v_cos(V a) {
-  V found = circular(a, 1);
-  I far = ~(v_abs(a) < SPLAT(1e5));
-  EACH(far, cos)
-  return found;
-}
+INLINE V near_sin(V a) { return circular(a, 0); }
+INLINE V near_cos(V a) { return circular(a, 1); }
+FAR(sin, -1e5, 1e5)
+FAR(cos, -1e5, 1e5)
+
 /* exp(a) = 2^n exp(r), |r| <= log(2)/2. */
-INLINE V v_exp(V a) {
+INLINE V near_exp(V a) {
   static const double TAYLOR[] = {1.0,           1.0,           1.0 / 2,        1.0 / 6,
                                   1.0 / 24,      1.0 / 120,     1.0 / 720,      1.0 / 5040,
                                   1.0 / 40320,   1.0 / 362880,  1.0 / 3628800,  1.0 / 39916800,
@@ -144,24 +162,36 @@ INLINE V v_exp(V a) {
   r = r - n * 0x1.473de6af278edp-34;
   V found = SPLAT(0.0);
   HORNER(found, TAYLOR, r);
-  found = (V)((I)found + ((I)shifted << 52));
-  I far = ~(v_abs(a) < SPLAT(700.0));
-  EACH(far, exp)
-  return found;
+  return (V)((I)found + ((I)shifted << 52));
 }
-/* log(2^n m) = n log 2 + 2 artanh((m - 1)/(m + 1)), m from 0.7 to 1.4. */
-INLINE V v_log(V a) {
-  static const double SERIES[] = {1.0 / 3,  1.0 / 5,  1.0 / 7,  1.0 / 9,  1.0 / 11,
-                                  1.0 / 13, 1.0 / 15, 1.0 / 17, 1.0 / 19, 1.0 / 21};
-  I pattern = (I)a - 0x3fe6a09e667f3bcd; /* sqrt(1/2) */
-  I n = pattern >> 52;
-  V m = (V)((I)a - (n << 52));
-  V exponent = (V)(n + (I)SPLAT(ROUND)) - ROUND;
-  V f = (m - 1.0) / (m + 1.0), square = f * f, sum = SPLAT(0.0);
-  HORNER(sum, SERIES, square);
-  V found = exponent * 0x1.62e42fefp-1 +
-            (2.0 * f + (2.0 * f * square * sum + exponent * 0x1.473de6af278edp-34));
-  I far = ~((a > SPLAT(1e-300)) & (a < SPLAT(1e300)));
-  EACH(far, log)
+FAR(exp, -700.0, 700.0)
+
+/* log(2^n m), m from 1 to 2: by a table of log c_i at the centres c_i of 16 parts, and a minimax
+ * polynomial of m/c_i - 1; absolute error 1e-15 for a of order 1. */
+#define PARTS(F) F(1) F(3) F(5) F(7) F(9) F(11) F(13) F(15) F(17) F(19) F(21) F(23) F(25) F(27) \
+    F(29) F(31)
+#define ONE_INVERSE(i) 32.0 / (32 + i),
+#define ONE_LOG(i) __builtin_log((32.0 + i) / 32),
+static const double INVERSE[16] = {PARTS(ONE_INVERSE)}, LOG[16] = {PARTS(ONE_LOG)};
+INLINE V lookup(const double *table, I index) {
+#ifdef __AVX512F__
+  return _mm512_permutex2var_pd(_mm512_loadu_pd(table), (__m512i)index,
+                                _mm512_loadu_pd(table + 8));
+#else
+  V found;
+  for (int l = 0; l < LANES; l++) found[l] = table[index[l] & 15];
   return found;
+#endif
 }
+INLINE V near_log(V a) {
+  const int64_t one = 0x3ff0000000000000, fraction = 0x000fffffffffffff;
+  I bits = (I)a, index = bits >> 48;
+  V m = (V)((bits & fraction) | one);
+  V k = __builtin_convertvector((bits - one) >> 52, V);
+  V r = m * lookup(INVERSE, index) - 1.0, z = r * r;
+  V p = r * 0.14302004969935271 - 0.16684993320145907;
+  V q = r * 0.19999994032650117 - 0.24999993286903622;
+  V s = r * 0.33333333333657097 - 0.50000000000364225;
+  return (k * 0.69314718055994531 + (lookup(LOG, index) + r)) + z * (s + z * (q + z * p));
+}
+FAR(log, 1e-300, 1e300)
