@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import sympy
 from conftest import numbers, systems
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certrack
@@ -201,8 +201,6 @@ def controllers(draw):
         regressor=[draw(formulas) for _ in range(system.plant.r)],
     )
     system = system.replace(plant=plant)
-    values = (*plant.g, *plant.b.flat, *system.controller.values)
-    assume(all(value == 0 or abs(value) > 1e-9 for value in values))  # float has them
     return system.replace(implementation=draw(implementations(system)))
 
 
@@ -227,11 +225,18 @@ def worst(library, code):
     return deviations.max()
 
 
+def reals(system):
+    """Float only where its numbers do not underflow."""
+    plant = system.plant
+    values = np.abs([*plant.g, *plant.b.flat, *system.controller.values])
+    return ("double",) if values[values > 0].min() < 1e-9 else ("double", "float")
+
+
 def agree(folder, drawn):
     codes = [
         c_code(system, f"c{i}_{real}", real=real)
         for i, system in enumerate(drawn)
-        for real in ("double", "float")
+        for real in reals(system)
     ]
     for code in codes:
         (folder / f"{code.name}.h").write_text(code.header)
