@@ -112,3 +112,19 @@ def systems(draw, orders=st.integers(1, 8), kinds=("adaptive", "robust", "classi
 def relative(found, expected):
     found, expected = np.asarray(found, float), np.asarray(expected, float)
     return float(np.abs(found - expected).max() / (1 + np.abs(expected).max()))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Print what tests measured."""
+    reports = [r for group in terminalreporter.stats.values() for r in group]
+    lines = [
+        value
+        for report in reports
+        if getattr(report, "when", None) == "call"
+        for name, value in report.user_properties
+        if name.startswith("microcontroller")
+    ]
+    if lines:
+        terminalreporter.section("Cortex-M4F: instructions, code, state, stack")
+        for line in sorted(lines):
+            terminalreporter.line(line)

@@ -143,6 +143,11 @@ def _boxes(estimates: int) -> list[sympy.Symbol]:
     return [symbol(f"ctl_box_{i}") for i in range(2 * estimates)]
 
 
+def differenced(name: str) -> sympy.Symbol:
+    """Stands for a state that is not measured."""
+    return symbol(f"ctl_value_{name}")
+
+
 def clamp(value: sympy.Expr, low: sympy.Expr, high: sympy.Expr) -> sympy.Expr:
     """The value within [low, high]; what is not a number stays so."""
     return Select(low, value, low, Select(value, high, high, value))
@@ -168,7 +173,7 @@ def _measured(
         position = found.get(x[i - 1], x[i - 1])
         before, speed = symbol(f"ctl_before_{name}"), symbol(f"ctl_speed_{name}")
         difference = Select(FIRST, 0, 0, (position - before) / PERIOD)
-        filtered, value = symbol(f"ctl_filtered_{name}"), symbol(f"ctl_{name}")
+        filtered, value = symbol(f"ctl_filtered_{name}"), differenced(name)
         assert plant.linear is not None
         row = [b.expr * found.get(x[j], x[j]) for j, b in enumerate(plant.linear[i - 1])]
         steps.append((filtered, speed + pole * (difference - speed)))

@@ -40,8 +40,18 @@ CARRIED, LONGEST, CANDIDATES, EXCERPTS = 40, 2000, 4000, 20
 #: Smaller answers may be lost to underflow.
 SMALLEST = {"double": 1e-280, "float": 1e-20}
 
+#: Relative changes that sensitivities are taken by: somewhat more than rounding.
+SMALL = {"double": 1e-9, "float": 3e-6}
+
 #: Part of a state's own size that its scale contains: the rounding of state + rise.
 OWN_SHARE = 0.05
+
+
+#: A number of the code, and what it is multiplied by.
+Change = tuple[int, float] | None
+
+#: Answers (1 + m, N) for x, Y, states and changed numbers.
+Evaluate = Callable[..., Array]
 
 
 @dataclass(frozen=True)
@@ -83,50 +93,47 @@ def golden(
     InputError
         If the law has no finite value anywhere.
     """
-    kind = np.dtype("float32" if real == "float" else "float64")
     evaluate, numbers = _probe(system, made)
-    random = np.random.default_rng(seed)
-    x, Y, states = recorded(system, made)
-    x, Y, states = (part.astype(kind).astype(float) for part in (x, Y, states))
-    count = min(CARRIED, x.shape[1])
-    carried = np.empty((len(states), count))
-    carried[:, 0] = made.start
-    for k in range(count - 1):
-        carried[:, k + 1] = evaluate(*_column(x, Y, carried, k))[1:, 0]
-    chosen = np.unique(np.linspace(0, x.shape[1] - 1, EXCERPTS).astype(int))
-    points = _candidates(random, x, Y, states, made, system)
-    points = [part.astype(kind).astype(float) for part in points]
-    found = [
-        np.concatenate(parts, axis=1)
-        for parts in zip(
-            (x[:, :count], Y[:, :count], carried),
-            (x[:, chosen], Y[:, chosen], states[:, chosen]),
-            points,
-            strict=True,
-        )
-    ]
-    effects, answers, scales = _judge(evaluate, numbers, found, count, SMALLEST[real])
+    kind = np.dtype("float32" if real == "float" else "float64")
+    inputs, count, given = _inputs(evaluate, system, made, kind, np.random.default_rng(seed))
+    effects, answers, scales = _judge(evaluate, len(numbers), inputs, count, real)
     usable = np.isfinite(answers).all(axis=0) & np.isfinite(scales).all(axis=0)
     usable &= (np.abs(answers) < 1e12).all(axis=0)
     usable[:count] &= np.logical_and.accumulate(usable[:count])
     effects = np.where(usable, effects / TOLERANCE[real], 0.0)
-    given = count + len(chosen)
     rest = _cover(effects, given) if thin else given + np.flatnonzero(usable[given:])
     keep = [*np.flatnonzero(usable[:given]), *rest]
     if not keep:
         raise InputError("law", "has no finite value at any of the points that were tried")
-    names = [label for label, _ in numbers]
     best = effects[:, keep].max(axis=1, initial=0.0)
-    blind = tuple(name for name, value in zip(names, best, strict=True) if value < 1.0)
-    x, Y, states = (part[:, keep] for part in found)
-    return Golden(int(usable[:count].sum()), x, Y, states, answers[:, keep], scales[:, keep], blind)
+    blind = tuple(name for name, value in zip(numbers, best, strict=True) if value < 1.0)
+    x, Y, states = (part[:, keep] for part in inputs)
+    carried = int(usable[:count].sum())
+    return Golden(carried, x, Y, states, answers[:, keep], scales[:, keep], blind)
 
 
-#: A number of the code, and what it is multiplied by.
-Change = tuple[int, float] | None
+def _inputs(
+    evaluate: Evaluate, system: System, made: Program, kind: np.dtype, random: np.random.Generator
+) -> tuple[list[Array], int, int]:
+    """x, Y and states of all candidates; how many are carried, and how many are given.
 
-#: Answers (1 + m, N) for x, Y, states and changed numbers.
-Evaluate = Callable[..., Array]
+    All are numbers of the type `kind`, but for the states that are carried.
+    """
+    x, Y, states = (part.astype(kind).astype(float) for part in recorded(system, made))
+    count = min(CARRIED, x.shape[1])
+    carried = np.empty((len(states), count))
+    carried[:, 0] = made.start
+    for k in range(count - 1):
+        column = (part[:, k : k + 1] for part in (x, Y, carried))
+        carried[:, k + 1] = evaluate(*column)[1:, 0]
+    chosen = np.unique(np.linspace(0, x.shape[1] - 1, EXCERPTS).astype(int))
+    points = _candidates(random, x, Y, states, made)
+    parts = zip((x, Y, states), (x[:, :count], Y[:, :count], carried), points, strict=True)
+    inputs = [
+        np.concatenate([first, part[:, chosen], point.astype(kind).astype(float)], axis=1)
+        for part, first, point in parts
+    ]
+    return inputs, count, count + len(chosen)
 
 
 def reference_answers(system: System, made: Program) -> Callable[[Array, Array, Array], Array]:
@@ -147,10 +154,10 @@ def reference_answers(system: System, made: Program) -> Callable[[Array, Array, 
     return answers
 
 
-def _probe(system: System, made: Program) -> tuple[Evaluate, list[tuple[str, float]]]:
-    """The controller, and the numbers of its code; the answers may be had for changed ones.
+def _probe(system: System, made: Program) -> tuple[Evaluate, list[str]]:
+    """The controller, and the names of the numbers in its code.
 
-    Without changes the answers are those of the simulation's own description.
+    It answers for changed numbers, too; without, as the simulation's own description does.
     """
     names: list[sympy.Symbol] = list(made.constants)
     values = list(made.constants.values())
@@ -177,9 +184,7 @@ def _probe(system: System, made: Program) -> tuple[Evaluate, list[tuple[str, flo
     function = numpy_callable([made.measured, made.Y, made.states, names], formulas)
     exact = reference_answers(system, made)
 
-    def evaluate(
-        x: Array, Y: Array, states: Array, change: tuple[int, float] | None = None
-    ) -> Array:
+    def evaluate(x: Array, Y: Array, states: Array, change: Change = None) -> Array:
         if change is None:
             return exact(x, Y, states)
         p = np.array(values)
@@ -187,26 +192,22 @@ def _probe(system: System, made: Program) -> tuple[Evaluate, list[tuple[str, flo
         with np.errstate(all="ignore"):
             return rows(function(x, Y, states, p), x.shape[1])
 
-    return evaluate, list(zip(labels, values, strict=True))
+    return evaluate, labels
 
 
 def _judge(
-    evaluate: Evaluate,
-    numbers: Sequence[object],
-    inputs: Sequence[Array],
-    carried: int,
-    smallest: float,
+    evaluate: Evaluate, numbers: int, inputs: Sequence[Array], carried: int, real: str
 ) -> tuple[Array, Array, Array]:
     """Effect of each number (P, N) over the scale, the answers and their scales.
 
     The scale of an answer is what it would change by if all that it depends on changed by 100 %,
     each to its disadvantage; so rounding is a few units of the last place of the scale.
     """
-    small = 1e-5
+    small = SMALL[real]
     answers = evaluate(*inputs)
     states = inputs[2]
     scales, changes = np.zeros_like(answers), []
-    for i in range(len(numbers)):
+    for i in range(numbers):
         scales += np.abs(evaluate(*inputs, (i, 1 + small)) - answers) / small
         changes.append(np.abs(evaluate(*inputs, (i, 1 + MUTATION)) - answers))
     for which, part in enumerate(inputs):
@@ -221,7 +222,7 @@ def _judge(
     own[:carried] = 1.0
     scales[1:] += own * np.maximum(np.abs(states), np.abs(answers[1:]))
     scales = np.maximum(scales, np.abs(answers) * OWN_SHARE)
-    scales[scales < smallest] = 1.0
+    scales[scales < SMALLEST[real]] = 1.0
     with np.errstate(all="ignore"):
         effects = np.array([(change / scales).max(axis=0) for change in changes])
     return np.nan_to_num(effects.reshape(len(changes), answers.shape[1])), answers, scales
@@ -243,12 +244,7 @@ def _cover(effects: Array, given: int) -> list[int]:
 
 
 def _candidates(
-    random: np.random.Generator,
-    x: Array,
-    Y: Array,
-    states: Array,
-    made: Program,
-    system: System,
+    random: np.random.Generator, x: Array, Y: Array, states: Array, made: Program
 ) -> list[Array]:
     """Points of all magnitudes around the run, with many zeros."""
     some = random.integers(0, x.shape[1], CANDIDATES)
@@ -267,10 +263,6 @@ def _candidates(
         if name.name == "ctl_first":
             found[2][row] = (random.random(CANDIDATES) < 0.1) * 1.0
     return found
-
-
-def _column(x: Array, Y: Array, states: Array, k: int) -> list[Array]:
-    return [part[:, k : k + 1] for part in (x, Y, states)]
 
 
 class _Recorder:

@@ -8,13 +8,14 @@ law uses its signals in another way, the formulas stay as they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import sympy
 
 from certrack.errors import InputError
 from certrack.expressions import symbol
+from certrack.implementation import Implementation
 from certrack.laws.base import Equations, Signals
 from certrack.lowering import Select, larger, magnitude
 from certrack.sampled_controller import (
@@ -23,6 +24,7 @@ from certrack.sampled_controller import (
     PERIOD,
     SampledController,
     controller_values,
+    differenced,
     next_estimates,
     sampled_controller,
     starting_state,
@@ -101,24 +103,59 @@ class Program:
 
 def program(system: System) -> Program:
     """The controller of a system that has an implementation."""
-    way = system.implementation
+    way, plant = system.implementation, system.plant
     if way is None:
         raise InputError(
             "implementation", "is missing", remedy="Add a table [implementation], or give a period"
         )
-    full = sampled_controller(system.plant, system.controller, way)
-    before = [Step(*step, _velocity_note(step[0])) for step in full.steps[:-2]]
-    x = {
-        name: symbol(f"ctl_{label}")
-        for name, label in zip(system.plant.symbols, system.plant.states, strict=True)
-        if label in way.velocity
-    }
+    full = sampled_controller(plant, system.controller, way)
+    numbers = controller_values(full, plant, system.law, way).tolist()
+    values = dict(zip(full.parameters, numbers, strict=True))
+    known = _numbers(system, full, values)
     parts, equations = _named(system)
-    steps = [replace(step, formula=step.formula.xreplace(x)) for step in parts]
-    asked, command = equations.u.xreplace(x), full.steps[-1][1]
-    limited = command != ASKED
-    steps.append(Step(ASKED if limited else COMMAND, asked, NOTES[ASKED]))
-    last = [Step(COMMAND, command, NOTES[COMMAND])] if limited else []
+    x = {name: differenced(name.name) for name in plant.symbols if name.name in way.velocity}
+    rates, update = _update(full, way, equations, x)
+    rates = _printable(rates, known, "r")
+    update = tuple(formula.xreplace(known) for formula in update)
+    steps = _steps(full, [*parts, Step(ASKED, equations.u, NOTES[ASKED])], x, known)
+    needed = {COMMAND}.union(*(f.free_symbols for f in (*update, *(r.formula for r in rates))))
+    steps = _without_idle(steps, needed)
+    used = needed.union(*(step.formula.free_symbols for step in steps))
+    made = Program(
+        controller=full,
+        measured=full.measured,
+        Y=full.Y,
+        states=full.states,
+        steps=tuple(steps),
+        rates=tuple(rates),
+        update=update,
+        constants={name: value for name, value in values.items() if name in used},
+        labels={},
+        start=tuple(starting_state(full, system.estimates, way).tolist()),
+    )
+    return replace(made, labels=_labels(system, made))
+
+
+#: What stands for the states that are not measured, and for numbers.
+Known = Mapping[sympy.Symbol, sympy.Expr]
+
+
+def _steps(full: SampledController, law: Sequence[Step], x: Known, known: Known) -> list[Step]:
+    """From the inputs to the command, by the law's own steps."""
+    before = [Step(*step, _velocity_note(step[0])) for step in full.steps[:-2]]
+    within = [replace(step, formula=step.formula.xreplace(x)) for step in law]
+    command = full.steps[-1][1]
+    if command == ASKED:  # without limits
+        within[-1] = replace(within[-1], name=COMMAND)
+        return _printable([*before, *within], known, "t")
+    limited = Step(COMMAND, command, NOTES[COMMAND])
+    return [*_printable([*before, *within], known, "t"), limited]
+
+
+def _update(
+    full: SampledController, way: Implementation, equations: Equations, x: Known
+) -> tuple[list[Step], tuple[sympy.Expr, ...]]:
+    """The rates of the estimates, and the next states by them."""
     rates = [
         Step(symbol(f"ctl_rate_{z.name}"), rate.xreplace(x), "" if i else "rates of the estimates")
         for i, (z, rate) in enumerate(equations.update)
@@ -128,34 +165,7 @@ def program(system: System) -> Program:
     if any(formula.has(size) for formula in after):
         after = [formula.xreplace({size: CUT}) for formula in after]
         rates.append(Step(CUT, size, NOTES[CUT]))
-    update = (*after, *full.update[len(after) :])
-    values = dict(
-        zip(
-            full.parameters,
-            controller_values(full, system.plant, system.law, way).tolist(),
-            strict=True,
-        )
-    )
-    known = _numbers(system, full, values)
-    printed = (*_printable([*before, *steps], known, "t"), *last)
-    rates = _printable(rates, known, "r")
-    update = tuple(formula.xreplace(known) for formula in update)
-    needed = {COMMAND}.union(*(f.free_symbols for f in (*update, *(r.formula for r in rates))))
-    made = Program(
-        controller=full,
-        measured=full.measured,
-        Y=full.Y,
-        states=full.states,
-        steps=tuple(_needed_steps(printed, needed)),
-        rates=tuple(rates),
-        update=update,
-        constants={},
-        labels={},
-        start=tuple(starting_state(full, system.estimates, way).tolist()),
-    )
-    used = set().union(*(formula.free_symbols for formula in made.formulas))
-    constants = {name: value for name, value in values.items() if name in used}
-    return replace(made, constants=constants, labels=_labels(system, made))
+    return rates, (*after, *full.update[len(after) :])
 
 
 def _named(system: System) -> tuple[list[Step], Equations]:
@@ -190,8 +200,8 @@ def _named(system: System) -> tuple[list[Step], Equations]:
     return parts, equations
 
 
-def _needed_steps(steps: Sequence[Step], needed: set[sympy.Symbol]) -> list[Step]:
-    """Without those that nothing depends on: a gain may be zero."""
+def _without_idle(steps: Sequence[Step], needed: set[sympy.Symbol]) -> list[Step]:
+    """Without the steps that nothing depends on: a gain may be zero."""
     for step in reversed(steps):
         needed = needed | step.formula.free_symbols if step.name in needed else needed
     return [step for step in steps if step.name in needed]
@@ -214,18 +224,14 @@ def _numbers(
     groups = system.controller.signals.all_parameters
     linear = {name for group in LINEAR for name in groups.get(group, ())}
     gains = full.parameters[: len(system.controller.symbols)]
-    known = {name: _number(values[name]) for name in gains if name in linear or values[name] == 0}
-    pole = symbol("ctl_filter")
-    return known | ({pole: sympy.Integer(1)} if values.get(pole) == 1 else {})
+    return {name: _number(values[name]) for name in gains if name in linear or values[name] == 0}
 
 
 def _number(value: float) -> sympy.Expr:
     return sympy.Integer(int(value)) if value in (-1, 0, 1) else sympy.Float(value)
 
 
-def _printable(
-    steps: Iterable[Step], known: dict[sympy.Symbol, sympy.Expr], letter: str
-) -> list[Step]:
+def _printable(steps: Iterable[Step], known: Known, letter: str) -> list[Step]:
     """Steps with numbers; what is costly and occurs twice is computed once."""
     steps = [replace(s, formula=_selections(s.formula.xreplace(known))) for s in steps]
     names = (symbol(f"ctl_{letter}_{i}") for i in range(1, 1_000_000))
@@ -260,7 +266,8 @@ def _needed(formula: sympy.Expr, costly: dict[sympy.Symbol, sympy.Expr]) -> list
 
 def _is_costly(formula: sympy.Expr) -> bool:
     return formula.has(sympy.Function) or any(
-        not power.exp.is_Integer or power.exp < 0 for power in formula.atoms(sympy.Pow)
+        not power.exp.is_Integer or (power.exp < 0 and not power.base.is_Symbol)
+        for power in formula.atoms(sympy.Pow)
     )
 
 
@@ -311,6 +318,6 @@ def _labels(system: System, made: Program) -> dict[sympy.Symbol, str]:
     found |= {symbol(f"ctl_hold_{i}_{j}"): f"hold_{i + 1}_{j + 1}" for i, j in made.controller.hold}
     own = {step.name for step in (*made.steps, *made.rates)} | set(made.states)
     for name in own | set(made.controller.parameters):
-        found.setdefault(name, name.name.removeprefix("ctl_"))
+        found.setdefault(name, name.name.removeprefix("ctl_").removeprefix("value_"))
     found[PERIOD] = "period"
     return found

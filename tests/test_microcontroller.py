@@ -1,0 +1,96 @@
+"""The exported C on a microcontroller: a Cortex-M4F, emulated instruction by instruction."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from test_export_c import fully_implemented
+
+import certrack
+from certrack.export import c as export_c
+from certrack.export.c_source import c_code, sampled_system
+
+FIRMWARE = Path(__file__).parent / "firmware"
+PAGE = Path(__file__).parents[1] / "docs" / "deployment.md"
+MISSING = [tool for tool in ("arm-none-eabi-gcc", "qemu-system-arm") if shutil.which(tool) is None]
+
+pytestmark = pytest.mark.skipif(
+    bool(MISSING),
+    reason=f"NOT TESTED on the microcontroller: no {', '.join(MISSING)} (see .ci/run)",
+)
+
+COMPILER = (
+    "arm-none-eabi-gcc -mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16 -std=c99 -O2 "
+    "-Wall -Wextra -Wdouble-promotion -Werror"
+).split()
+LINKED = ["--specs=rdimon.specs", "-nostartfiles", "-T", str(FIRMWARE / "mps2.ld")]
+EMULATOR = (
+    "qemu-system-arm -M mps2-an386 -nographic -monitor none -serial none "
+    "-semihosting-config enable=on,target=native -icount shift=0 -kernel"
+).split()
+
+VARIANTS = [
+    (name, real)
+    for name in ("example1", "example1 (limits, filter)", "dual-motor-lean")
+    for real in ("float", "double")
+]
+
+
+def run(*command, cwd):
+    done = subprocess.run(
+        command, cwd=cwd, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr  # semihosting writes to either
+
+
+def emulate(folder, *sources):
+    start = FIRMWARE / "startup.c"
+    run(*COMPILER, *LINKED, "-I.", *sources, str(start), "-lm", "-o", "firmware.elf", cwd=folder)
+    return run(*EMULATOR, "firmware.elf", cwd=folder)
+
+
+@pytest.fixture(params=VARIANTS, ids=lambda variant: "-".join(variant))
+def firmware(request, tmp_path):
+    name, real = request.param
+    plain = certrack.load(name.split()[0])
+    system = fully_implemented(plain) if "(" in name else sampled_system(plain, 0.001)
+    code = c_code(system, "controller", real=real)
+    for file, text in export_c.files(code).items():
+        (tmp_path / file).write_text(text)
+    return name, code, tmp_path
+
+
+def documented():
+    """Rows of the page's table, by controller and numbers."""
+    rows = re.findall(r"^\| (\S.*?) \| (float|double) \| (.*) \|$", PAGE.read_text(), re.M)
+    return {(name, real): [int(v) for v in rest.split(" | ")] for name, real, rest in rows}
+
+
+def test_answers_are_right_and_costs_are_as_documented(firmware, record_property):
+    name, code, folder = firmware
+    said = emulate(folder, "controller.c", "controller_test.c")
+    assert "passed" in said
+    define = "-DCONTROLLER=controller"
+    measured = emulate(folder, define, "controller.c", str(FIRMWARE / "measure.c"))
+    instructions, state, stack = map(int, measured.split())
+    run(*COMPILER, "-c", "-fstack-usage", "controller.c", cwd=folder)
+    size = int(run("arm-none-eabi-size", "controller.o", cwd=folder).split()[6])
+    usage = (folder / "controller.su").read_text().splitlines()
+    frames = [int(line.split()[-2]) for line in usage]
+    assert max(frames) <= stack
+    row = [instructions, size, state, stack]
+    worst = re.search(r"worst deviation (\S+)", said)[1]
+    record_property("microcontroller", f"| {name} | {code.real} | {' | '.join(map(str, row))} |")
+    record_property("microcontroller_worst", f"{name}, {code.real}: worst deviation {worst}")
+    wanted = documented()[name, code.real]
+    assert row == [pytest.approx(value, rel=0.2, abs=16) for value in wanted]
+
+
+def test_float_code_calls_no_double_arithmetic(firmware):
+    _, code, folder = firmware
+    run(*COMPILER, "-c", "controller.c", cwd=folder)
+    called = run("arm-none-eabi-nm", "-u", "controller.o", cwd=folder).split()[1::2]
+    assert any(name.startswith("__aeabi_d") for name in called) == (code.real == "double")
