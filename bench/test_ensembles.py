@@ -46,11 +46,12 @@ def system():
 
 
 def ours(system, tolerance, threads):
-    engine = Engine(make_plan(system, 0, tolerance, None, "native"), threads)
+    plan = make_plan(system, 0, tolerance, None, "native")
+    engine, total = Engine(plan, threads), plan.empty()
 
     def solve(x0, gain, theta, _):
         for begin in range(0, gain.size, CHUNK):
-            engine.compute(begin, min(gain.size, begin + CHUNK))
+            engine.compute(begin, min(gain.size, begin + CHUNK), total)
 
     return solve
 

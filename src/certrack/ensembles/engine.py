@@ -8,7 +8,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from itertools import pairwise
 from threading import Lock
 
 import numpy as np
@@ -51,10 +50,7 @@ METRICS = tuple(entry.name for entry in fields(Metrics) if entry.name not in ("b
 
 METHODS = ("native", "lockstep", "alone")
 
-#: Threads share the members in pieces of so many, whose random numbers are drawn together.
-PIECE = 1024
-
-#: The same under a sampled controller, where a member takes a thousand times as long.
+#: Members under a sampled controller that a thread takes at a time.
 SAMPLED_PIECE = 256
 
 #: More steps than this, and a group is given up.
@@ -203,20 +199,24 @@ class Engine:
         else:
             self._lockstep = Lockstep(self._flow, plan.tolerance, parallel=threads > 1)
 
-    def compute(self, begin: int, end: int) -> Statistics:
-        """Statistics of the members begin ... end-1."""
-        bands = Bands(self.plan.centre, self.plan.scale)
-        metrics, outcomes = self._piece(begin, end, bands)
-        statistics = self.plan.empty(bands)
-        statistics.members = end - begin
-        statistics.outcomes.update(outcomes.tolist())
+    def compute(self, begin: int, end: int, total: Statistics | None = None) -> Statistics:
+        """Statistics of the members begin ... end-1; added to those of others, if given.
+
+        A fresh table of counts costs as much as a thousand members.
+        """
+        statistics = self.plan.empty() if total is None else total
+        metrics, outcomes = self._piece(begin, end, statistics.bands)
+        statistics.members += end - begin
+        for outcome, count in zip(Outcome, np.bincount(outcomes).tolist(), strict=False):
+            if count:
+                statistics.outcomes[outcome.name] += count
         for name, values in zip(METRICS, metrics, strict=True):
             statistics.metrics[name].observe(values)
         tail = metrics[METRICS.index("tail_error")]
         tail = np.where(np.isnan(tail), np.inf, tail)
         statistics.observe_worst(tail, begin)
         if self.plan.limit is not None:
-            statistics.violations = int((tail > self.plan.limit).sum())
+            statistics.violations += int((tail > self.plan.limit).sum())
         return statistics
 
     def final_states(self, begin: int, end: int) -> np.ndarray:
@@ -226,23 +226,32 @@ class Engine:
         return np.where(passed.ends[part] < self._edges[-1], np.nan, found)
 
     def _piece(self, begin: int, end: int, bands: Bands) -> tuple[np.ndarray, np.ndarray]:
-        """Metrics and outcomes of the members begin ... end-1; their signals go to the bands."""
+        """Metrics of the members begin ... end-1, and their outcomes by number.
+
+        Their signals go to the bands.
+        """
         count = end - begin
         metrics = np.full((len(METRICS), count), np.nan)
-        outcomes = np.full(count, Outcome.finished.name, dtype=object)
+        codes = {outcome: code for code, outcome in enumerate(Outcome)}
+        outcomes = np.full(count, codes[Outcome.finished])
         ends = np.full(count, -1.0)
         alone = np.ones(count, dtype=bool)
         if self.plan.method != "alone":
-            together = self._in_threads if self.plan.method == "native" else self._in_step
-            if self.plan.system.implementation is not None and self.plan.method == "lockstep":
-                together = self._sampled
+            sampled, native = (
+                self.plan.system.implementation is not None,
+                self.plan.method == "native",
+            )
+            if sampled:
+                together = self._in_threads if native else self._sampled
+            else:
+                together = self._in_lanes if native else self._in_step
             metrics, ends, alone = together(begin, end, bands)
             if (early := ends < self._edges[-1]).any():
-                outcomes[early & ~alone] = Outcome.escaped.name
+                outcomes[early & ~alone] = codes[Outcome.escaped]
                 metrics[:, early] = np.nan
         for i in np.flatnonzero(alone).tolist():
             run = simulate(self._members.member(begin + i))
-            outcomes[i] = run.outcome.name
+            outcomes[i] = codes[run.outcome]
             if run.outcome is Outcome.finished:
                 metrics[:, i] = [getattr(run.metrics, name) for name in METRICS]
             self._show_alone(run, float(ends[i]), bands)
@@ -327,24 +336,18 @@ class Engine:
     def _in_threads(
         self, begin: int, end: int, bands: Bands
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Metrics, last times, and who must be run alone."""
-        sampled = self.plan.system.implementation is not None
-        size = SAMPLED_PIECE if sampled else PIECE
-        first, last = begin // size, -(-end // size)
-        count = last - first if sampled else min(self._threads, last - first)
-        cuts = [size * (first + (last - first) * i // count) for i in range(count + 1)]
-        shares = [(max(a, begin), min(b, end), bands) for a, b in pairwise(cuts)]
+        """The same, in pieces that threads take in turns."""
+        starts = range(begin - begin % SAMPLED_PIECE, end, SAMPLED_PIECE)
+        shares = [(max(a, begin), min(a + SAMPLED_PIECE, end), bands) for a in starts]
         with ThreadPoolExecutor(self._threads) as pool:
-            found = pool.map(
-                self._sampled if sampled else self._in_lanes, *zip(*shares, strict=True)
-            )
+            found = pool.map(self._sampled, *zip(*shares, strict=True))
         metrics, ends, alone = zip(*found, strict=True)
         return np.concatenate(metrics, axis=1), np.concatenate(ends), np.concatenate(alone)
 
     def _in_lanes(
         self, begin: int, end: int, bands: Bands
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same, by one thread."""
+        """Metrics, last times, and who must be run alone."""
         passed, part = self._pass(begin, end, bands)
         totals = dict(zip((*SUMS, *MEMORIES), passed.totals[:, part], strict=True))
         return self._metrics(totals), passed.ends[part], passed.outcomes[part] == STUCK
@@ -360,7 +363,10 @@ class Engine:
         part = slice(begin - first, end - first)
         control = Control(plan.tolerance, plan.system.settings.max_state, MOST_STEPS)
         counted = Counted(part, SIDE, BAND_BITS, bands.counts)
-        return self._native.integrate(starts, parameters, timeline, control, counted), part
+        passed = self._native.integrate(
+            starts, parameters, timeline, control, counted, self._threads
+        )
+        return passed, part
 
     def _in_step(
         self, begin: int, end: int, bands: Bands

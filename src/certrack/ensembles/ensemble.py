@@ -216,9 +216,13 @@ def ensemble(
     wanted = sum(end - begin for begin, end in missing)
     progress(members - wanted, members)
     seconds = 0.0
-    done = hands.cluster(plan, missing, client) if engine is None else hands.here(engine, missing)
+    if engine is None:
+        done = hands.cluster(plan, missing, client)
+    else:
+        done = hands.here(engine, missing, total if store is None else None)
     for span, found, spent in done if missing else ():
-        total.merge(found)
+        if found is not total:
+            total.merge(found)
         covered.append(span)
         seconds += spent
         if store is not None:

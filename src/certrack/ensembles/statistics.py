@@ -99,6 +99,16 @@ def _rank(counts: np.ndarray, level: float) -> int | None:
     return int(np.searchsorted(total, max(1, math.ceil(level * int(total[-1]) - 1e-9))))
 
 
+def _counted(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Different keys in order, and how often each occurs; a table where they lie close together."""
+    first = keys.min() if len(keys) else 0
+    if len(keys) and keys.max() - first < 16 * len(keys) + 4096:
+        table = np.bincount(keys - first)
+        found = np.flatnonzero(table)
+        return found + first, table[found]
+    return np.unique(keys, return_counts=True)
+
+
 @dataclass
 class Tally:
     """Counts of one metric by its leading bits; exact extremes."""
@@ -112,20 +122,22 @@ class Tally:
     def observe(self, values: np.ndarray) -> None:
         """Count non-negative numbers; NaN counts as missing."""
         real = np.ascontiguousarray(values[np.isfinite(values)])
-        keys, counts = np.unique(real.view(np.int64) >> (52 - METRIC_BITS), return_counts=True)
+        keys, counts = _counted(real.view(np.int64) >> (52 - METRIC_BITS))
         least = float(real.min(initial=math.inf))
         most = float(real.max(initial=-math.inf))
         self.merge(Tally(keys, counts, len(values) - len(real), least, most))
 
     def merge(self, other: Tally) -> None:
         """Add the counts of other members."""
-        if not self.keys.size:
-            self.keys, self.counts = other.keys, other.counts
-        elif other.keys.size:
-            keys, place = np.unique(np.concatenate([self.keys, other.keys]), return_inverse=True)
+        place = np.searchsorted(self.keys, other.keys)
+        known = self.keys.size and np.array_equal(self.keys.take(place, mode="clip"), other.keys)
+        if not known:
+            keys = np.union1d(self.keys, other.keys)
             counts = np.zeros(len(keys), dtype=np.int64)
-            np.add.at(counts, place, np.concatenate([self.counts, other.counts]))
+            counts[np.searchsorted(keys, self.keys)] = self.counts
             self.keys, self.counts = keys, counts
+            place = np.searchsorted(keys, other.keys)
+        self.counts[place] += other.counts
         self.missing += other.missing
         self.least, self.most = min(self.least, other.least), max(self.most, other.most)
 

@@ -28,11 +28,11 @@ def cores() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def here(engine: Engine, chunks: Iterable[Range]) -> Iterator[Done]:
-    """In this process."""
+def here(engine: Engine, chunks: Iterable[Range], total: Statistics | None) -> Iterator[Done]:
+    """In this process; the statistics are added to `total`, or each chunk's are its own."""
     for begin, end in chunks:
         clock = time.perf_counter()
-        found = engine.compute(begin, end)
+        found = engine.compute(begin, end, total)
         yield (begin, end), found, time.perf_counter() - clock
 
 

@@ -63,6 +63,7 @@ typedef struct {
   double *finals; /* STATES x count */
   double *ends; /* count */
   uint8_t *outcomes; /* count */
+  int64_t *next; /* first member that no thread has taken yet; shared by all */
   int64_t steps; /* of all groups together */
   double reach; /* the part of a step between nodes of the memories, at most */
   double (*marks)[COMMON + 1]; /* what depends on time alone, on the grid */
@@ -445,7 +446,8 @@ static void count(Task *task, int64_t shelf) {
   task->counted += to - from;
 }
 
-/* Integrate all members of a task; returns 0, or -1 without memory. */
+/* Integrate members until none is left: one thread of several, which draw a shelf at a time. Returns
+ * 0, or -1 without memory. */
 int integrate(Task *task) {
   void *group = NULL, *step = NULL, *marks = NULL, *bins = NULL, *filled = NULL;
   size_t points = (size_t)task->points;
@@ -466,12 +468,15 @@ int integrate(Task *task) {
       while (segment + 1 < task->segments && task->grid[k] > task->edges[segment + 1]) segment++;
       common_at(task->grid[k], task->shared + segment * SHARED, task->marks[k]);
     }
-    for (int64_t first = 0; first < task->count; first += GROUP) {
-      begin(group, task, first);
-      travel(task, group, step);
-      keep(group, task);
-      if ((first + GROUP) % SHELF == 0 || first + GROUP >= task->count)
-        count(task, first - first % SHELF);
+    int64_t shelf;
+    while ((shelf = __atomic_fetch_add(task->next, SHELF, __ATOMIC_RELAXED)) < task->count) {
+      int64_t last = shelf + SHELF < task->count ? shelf + SHELF : task->count;
+      for (int64_t first = shelf; first < last; first += GROUP) {
+        begin(group, task, first);
+        travel(task, group, step);
+        keep(group, task);
+      }
+      count(task, shelf);
     }
     add_up(task);
   }

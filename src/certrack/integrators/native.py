@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -30,7 +31,8 @@ FLAGS = (
 WIDE = ["-mprefer-vector-width=512"]
 
 #: The error estimate of DOP853 exceeds its error by far: this many times the tolerance is allowed.
-#: The error of the states then still stays below the tolerance (a test measures it).
+#: At the end of a run the error of the states then stays below the tolerance (a test measures it);
+#: on the way it may be twice as large, as that of any integrator whose tolerance is one of steps.
 CAUTION = 10.0
 
 #: Members that share their steps, as in lanes.c.
@@ -129,6 +131,7 @@ class _Task(ctypes.Structure):
         ("finals", ctypes.c_void_p),
         ("ends", ctypes.c_void_p),
         ("outcomes", ctypes.c_void_p),
+        ("next", ctypes.c_void_p),
         ("steps", ctypes.c_int64),
         ("reach", ctypes.c_double),
         ("marks", ctypes.c_void_p),
@@ -248,8 +251,9 @@ class Native:
         timeline: Timeline,
         control: Control,
         tally: Counted,
+        threads: int = 1,
     ) -> Passed:
-        """Integrate members; starts (S, N), parameters (P, N). Releases the interpreter lock."""
+        """Integrate members; starts (S, N), parameters (P, N)."""
         size, count = starts.shape
         totals, ends = np.full((self._kept, count), np.nan), np.zeros(count)
         finals, outcomes = np.full((size, count), np.nan), np.zeros(count, dtype=np.uint8)
@@ -260,27 +264,36 @@ class Native:
         ]
         inputs.append(1.0 / np.asarray(timeline.unit, dtype=float))
         pointers = [array.ctypes.data for array in inputs]
-        some = self._zeros(tally.counts.shape)
-        task = _Task(
-            count,
-            *pointers[:2],
-            len(timeline.edges) - 1,
-            *pointers[2:4],
-            len(timeline.grid),
-            *pointers[4:],
-            CAUTION * control.tolerance,
-            control.limit,
-            control.most,
-            tally.part.start,
-            tally.part.stop,
-            tally.side,
-            tally.bits,
-            *(a.ctypes.data for a in (tally.counts, some, totals, finals, ends, outcomes)),
-        )
-        if self._library.integrate(ctypes.byref(task)):
-            raise MemoryError
-        self._spare.append(some)
-        return Passed(totals, finals, ends, outcomes, int(task.steps))
+        drawn = np.zeros(1, dtype=np.int64)
+
+        def integrate(some: np.ndarray) -> int:
+            """One thread; releases the interpreter lock."""
+            task = _Task(
+                count,
+                *pointers[:2],
+                len(timeline.edges) - 1,
+                *pointers[2:4],
+                len(timeline.grid),
+                *pointers[4:],
+                CAUTION * control.tolerance,
+                control.limit,
+                control.most,
+                tally.part.start,
+                tally.part.stop,
+                tally.side,
+                tally.bits,
+                *(a.ctypes.data for a in (tally.counts, some, totals, finals, ends, outcomes)),
+                drawn.ctypes.data,
+            )
+            if self._library.integrate(ctypes.byref(task)):
+                raise MemoryError
+            self._spare.append(some)
+            return int(task.steps)
+
+        tables = [self._zeros(tally.counts.shape) for _ in range(threads)]
+        with ThreadPoolExecutor(threads) as pool:
+            steps = sum(pool.map(integrate, tables))
+        return Passed(totals, finals, ends, outcomes, steps)
 
     def _zeros(self, shape: tuple[int, ...]) -> np.ndarray:
         """A table of zeros, used before if possible: new memory costs as much as counting."""
