@@ -15,9 +15,10 @@ import pytest
 from scipy.stats import linregress
 
 import certrack
-from certrack.ensembles.engine import Engine, make_plan
+from certrack.ensembles.engine import Engine
 from certrack.ensembles.ensemble import CHUNK
 from certrack.ensembles.members import Members
+from certrack.ensembles.plan import make_plan
 from certrack.ensembles.workers import cores
 
 MEMBERS = (1, 100, 10_000)

@@ -11,7 +11,8 @@ from peers import rates
 from scipy.integrate import solve_ivp
 
 import certrack
-from certrack.ensembles.engine import Engine, make_plan
+from certrack.ensembles.engine import Engine
+from certrack.ensembles.plan import make_plan
 from certrack.ensembles.workers import cores
 
 PERIOD, DURATION, MEMBERS = 1e-3, 20.0, 1000

@@ -19,8 +19,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import DOP853
 
 import certrack
-from certrack.ensembles.engine import METRICS, Engine, make_plan
+from certrack.ensembles.engine import CODES, Engine
 from certrack.ensembles.members import Members
+from certrack.ensembles.plan import METRICS, make_plan
 from certrack.ensembles.statistics import (
     BAND_BITS,
     FINEST,
@@ -31,6 +32,7 @@ from certrack.ensembles.statistics import (
     binomial_interval,
 )
 from certrack.errors import InputError
+from certrack.integrators.base import Outcome
 from certrack.integrators.dense import weights
 from certrack.integrators.native import compiler
 from certrack.population import Distribution, Population
@@ -78,7 +80,7 @@ def test_metrics_are_those_of_single_runs(name, method):
     engine = Engine(make_plan(system, 5, 1e-7, None, method))
     bands = Bands(engine.plan.centre, engine.plan.scale)
     found, outcomes = engine._piece(3, 9, bands)
-    assert set(outcomes) == {"finished"}
+    assert set(outcomes) == {CODES[Outcome.finished]}
     close = {
         "settling_time": {"atol": 5e-3},
         "tail_error": {"rtol": 1e-3},

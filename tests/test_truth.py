@@ -15,8 +15,9 @@ from scipy.integrate import solve_ivp
 from test_cli import invoke, result
 
 import certrack
-from certrack.ensembles.engine import METRICS, Engine, make_plan
+from certrack.ensembles.engine import Engine
 from certrack.ensembles.members import Members
+from certrack.ensembles.plan import METRICS, make_plan
 from certrack.ensembles.statistics import LEVELS, Bands
 from certrack.errors import InputError
 from certrack.expressions import symbol

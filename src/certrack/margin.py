@@ -19,8 +19,9 @@ from scipy.optimize import brentq
 
 from certrack import checks
 from certrack.ensembles import workers
-from certrack.ensembles.engine import METHODS, Engine, Plan
+from certrack.ensembles.engine import Engine
 from certrack.ensembles.limit import limit_of
+from certrack.ensembles.plan import METHODS, Plan
 from certrack.errors import InputError
 from certrack.implementation import MAX_DELAY, Implementation
 from certrack.integrators.native import Unavailable

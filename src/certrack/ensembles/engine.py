@@ -6,8 +6,7 @@ import itertools
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from threading import Lock
 
 import numpy as np
@@ -15,8 +14,9 @@ import sympy
 
 from certrack.ensembles.flow import BAND, MEMORIES, SUMS, make_flow, shown
 from certrack.ensembles.members import AMPLITUDE, Members
+from certrack.ensembles.plan import METRICS, Plan, grid, signals_of
 from certrack.ensembles.sampled import Group, SampledCrowd, Segments
-from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statistics, Tally
+from certrack.ensembles.statistics import BAND_BITS, SIDE, Bands, Statistics
 from certrack.implementation import Implementation
 from certrack.integrators.base import Outcome
 from certrack.integrators.lockstep import Lockstep
@@ -32,23 +32,16 @@ from certrack.integrators.native import (
     Unavailable,
 )
 from certrack.integrators.taylor import available
-from certrack.metrics import Metrics
-from certrack.population import Distribution
 from certrack.run import Run
 from certrack.sampled_controller import (
     SampledController,
     controller_values,
     sampled_controller,
 )
-from certrack.simulated_plant import measured
 from certrack.simulation import simulate
-from certrack.system import System
-from certrack.systemtext import to_text
 
-#: The metrics of a member, as those of a single run.
-METRICS = tuple(entry.name for entry in fields(Metrics) if entry.name not in ("band", "tail_start"))
-
-METHODS = ("native", "lockstep", "alone")
+#: Numbers of the outcomes.
+CODES = {outcome: code for code, outcome in enumerate(Outcome)}
 
 #: Members under a sampled controller that a thread takes at a time.
 SAMPLED_PIECE = 256
@@ -56,102 +49,9 @@ SAMPLED_PIECE = 256
 #: More steps than this, and a group is given up.
 MOST_STEPS = 1_000_000
 
-Range = tuple[int, int]
 
 #: Fine grid on which the reference's largest magnitude is looked for.
 FINE = 20_001
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """What workers need to know.
-
-    Attributes
-    ----------
-    system : System
-    seed : int
-    tolerance : float
-    limit : float, optional
-        Of the tail error.
-    centre : (R, T) array
-        e_1, the states of the design and u of the nominal run on the time grid.
-    scale : (R,) array
-        Their magnitudes, powers of two.
-    method : {"native", "lockstep", "alone"}
-        Compiled C; heyoka's compiled maps; or each member by itself, by the ordinary simulation.
-    """
-
-    system: System
-    seed: int
-    tolerance: float
-    limit: float | None
-    centre: np.ndarray
-    scale: np.ndarray
-    method: str
-
-    @property
-    def unit(self) -> np.ndarray:
-        """What the bands count in."""
-        return self.scale * 2.0**-FINEST
-
-    @cached_property
-    def key(self) -> bytes:
-        """Equal for equal plans."""
-        text = f"{to_text(self.system)} {self.seed} {self.tolerance!r} {self.limit!r} {self.method}"
-        return text.encode() + self.centre.tobytes() + self.scale.tobytes()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Plan) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def empty(self, bands: Bands | None = None) -> Statistics:
-        """Statistics of no members, or with the given bands."""
-        metrics = {name: Tally() for name in METRICS}
-        return Statistics(bands or Bands(self.centre, self.scale), metrics)
-
-
-def make_plan(
-    system: System, seed: int, tolerance: float, limit: float | None, method: str
-) -> Plan:
-    """A plan around the nominal run, the one of the system itself."""
-    run = simulate(system)
-    centre = _signals(run, grid(system))
-    centre[0] = 0.0  # the error has a natural zero
-    with np.errstate(invalid="ignore"):
-        largest = np.nanmax(np.abs(_signals(run, run.t)), axis=1)
-        if system.varied.x0:
-            reach = np.abs(measured(system, _ends(system.varied.x0))).max(axis=1)
-            largest[1:-1] = np.fmax(largest[1:-1], reach)
-    largest[0] = np.fmax(largest[0], largest[1])
-    largest[~(largest > 0)] = 1.0
-    scale = np.exp2(np.rint(np.log2(largest)))
-    return Plan(system, seed, tolerance, limit, np.nan_to_num(centre), scale, method)
-
-
-def _ends(entries: tuple[Distribution, ...]) -> np.ndarray:
-    """Points at the ends of the distributions, one column each: all but one at the same end."""
-    low, high = ([getattr(entry, end) for entry in entries] for end in ("low", "high"))
-    one = np.eye(len(entries), dtype=bool)
-    return np.concatenate([np.where(one, low, high), np.where(one, high, low)]).T
-
-
-def grid(system: System) -> np.ndarray:
-    """Times of the bands, s."""
-    return np.linspace(0.0, system.settings.duration, system.varied.points + 1)
-
-
-def _signals(run: Run, t: np.ndarray) -> np.ndarray:
-    """e_1, the states of the design and u of a run; NaN after its end."""
-    n = run.system.plant.n
-    inside = t <= run.trajectory.end
-    found = np.full((n + 2, len(t)), np.nan)
-    states = run.trajectory.interpolate(t[inside])
-    found[1 : n + 1, inside] = measured(run.system, states)
-    found[0, inside] = found[1, inside] - run.system.reference.values(t[inside], 0)[0]
-    found[n + 1, inside] = run.input_of(t[inside], states)
-    return found
 
 
 class Engine:
@@ -207,7 +107,7 @@ class Engine:
         statistics = self.plan.empty() if total is None else total
         metrics, outcomes = self._piece(begin, end, statistics.bands)
         statistics.members += end - begin
-        for outcome, count in zip(Outcome, np.bincount(outcomes).tolist(), strict=False):
+        for outcome, count in zip(CODES, np.bincount(outcomes).tolist(), strict=False):
             if count:
                 statistics.outcomes[outcome.name] += count
         for name, values in zip(METRICS, metrics, strict=True):
@@ -232,26 +132,22 @@ class Engine:
         """
         count = end - begin
         metrics = np.full((len(METRICS), count), np.nan)
-        codes = {outcome: code for code, outcome in enumerate(Outcome)}
-        outcomes = np.full(count, codes[Outcome.finished])
+        outcomes = np.full(count, CODES[Outcome.finished])
         ends = np.full(count, -1.0)
         alone = np.ones(count, dtype=bool)
         if self.plan.method != "alone":
-            sampled, native = (
-                self.plan.system.implementation is not None,
-                self.plan.method == "native",
-            )
-            if sampled:
+            native = self.plan.method == "native"
+            if self.plan.system.implementation is not None:
                 together = self._in_threads if native else self._sampled
             else:
                 together = self._in_lanes if native else self._in_step
             metrics, ends, alone = together(begin, end, bands)
             if (early := ends < self._edges[-1]).any():
-                outcomes[early & ~alone] = codes[Outcome.escaped]
+                outcomes[early & ~alone] = CODES[Outcome.escaped]
                 metrics[:, early] = np.nan
         for i in np.flatnonzero(alone).tolist():
             run = simulate(self._members.member(begin + i))
-            outcomes[i] = codes[run.outcome]
+            outcomes[i] = CODES[run.outcome]
             if run.outcome is Outcome.finished:
                 metrics[:, i] = [getattr(run.metrics, name) for name in METRICS]
             self._show_alone(run, float(ends[i]), bands)
@@ -260,7 +156,7 @@ class Engine:
     def _show_alone(self, run: Run, after: float, bands: Bands) -> None:
         """Count a run of its own where the lockstep did not."""
         late = np.flatnonzero(self._grid > after)
-        signals = _signals(run, self._grid[late])
+        signals = signals_of(run, self._grid[late])
         for signal, values in enumerate(signals):
             for k, value in zip(late.tolist(), values, strict=True):
                 bands.observe(signal, k, np.array([value]))

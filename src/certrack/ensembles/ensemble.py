@@ -12,9 +12,10 @@ import numpy as np
 
 from certrack import checks
 from certrack.ensembles import workers as hands
-from certrack.ensembles.engine import METHODS, Engine, Plan, Range, grid, make_plan
+from certrack.ensembles.engine import Engine
 from certrack.ensembles.limit import limit_of
 from certrack.ensembles.members import Members
+from certrack.ensembles.plan import METHODS, Plan, Range, grid, make_plan
 from certrack.ensembles.statistics import LEVELS, Statistics, binomial_interval
 from certrack.ensembles.store import Store
 from certrack.errors import InputError

@@ -14,7 +14,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from certrack.ensembles.engine import Plan, Range
+from certrack.ensembles.plan import Plan, Range
 from certrack.ensembles.statistics import Statistics
 from certrack.errors import InputError
 from certrack.systemtext import to_text, write_whole

@@ -11,7 +11,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from certrack.ensembles.engine import Engine, Plan, Range, compute_chunk
+from certrack.ensembles.engine import Engine, compute_chunk
+from certrack.ensembles.plan import Plan, Range
 from certrack.ensembles.statistics import Statistics
 from certrack.errors import InputError, MissingExtra
 
