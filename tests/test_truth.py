@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from test_cli import invoke, result
 
 import certrack
-from certrack.ensembles.engine import Engine
+from certrack.ensembles.engine import CODES, Engine
 from certrack.ensembles.members import Members
 from certrack.ensembles.plan import METRICS, make_plan
 from certrack.ensembles.statistics import LEVELS, Bands
@@ -391,7 +391,7 @@ def test_an_ensemble_is_its_members(method):
 def test_every_member_is_replayed(method):
     engine = Engine(make_plan(PHYSICAL, 7, 1e-8, None, method))
     found, outcomes = engine._piece(3, 9, Bands(engine.plan.centre, engine.plan.scale))
-    assert set(outcomes) == {"finished"}
+    assert set(outcomes) == {CODES[Outcome.finished]}
     for k in range(6):
         member = Members(PHYSICAL, 7).member(3 + k)
         assert certrack.loads(certrack.to_text(member)) == member
