@@ -29,8 +29,8 @@ SHARE = 1e-3
 #: A member that needs more steps for one interval is given up.
 MOST_STEPS = 5_000
 
-#: Times closer than this part of a period are one.
-CLOSE = 1e-9
+#: Times closer than this part of a period are one, and those that rounding may have separated.
+CLOSE, ROUNDING = 1e-9, 1e-15
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Timeline:
         From the begin to the end of the run.
     samples, acts : (K+1,) arrays of bool
         Where a sample is taken; where the next command begins to act.
-    breaks : (K+1,) array of bool
-        Where a new piece of the reference, or of what is totalled, begins.
+    breaks : (K+1,) array of int
+        How many new pieces of the reference, or of what is totalled, begin there.
     marks : (K+1,) array of int
         Number of the time of interest there, or -1.
     """
@@ -65,12 +65,13 @@ def timeline(way: Implementation, duration: float, breaks: Array, marks: Array) 
     kinds = [taken, begun, np.asarray(breaks), np.asarray(marks), np.array([0.0, duration])]
     times = np.concatenate(kinds)
     kind = np.repeat(np.arange(len(kinds)), [len(part) for part in kinds])
-    order = np.lexsort((kind, times))  # a sample gives its name to the event
+    order = np.lexsort((kind, times))
     gaps = np.diff(times[order], prepend=-np.inf)
     event = np.empty(len(times), dtype=int)
-    event[order] = np.cumsum(gaps > CLOSE * way.period) - 1
+    close = max(CLOSE * min(way.period, duration), ROUNDING * duration)
+    event[order] = np.cumsum(gaps > close) - 1
     merged = np.empty(event.max() + 1)
-    for part in (3, 2, 1, 0, 4):  # the last one has the say
+    for part in (3, 1, 0, 2, 4):  # the last one has the say: at a break the new piece holds
         merged[event[kind == part]] = times[kind == part]
 
     def where(part: int) -> Array:
@@ -80,7 +81,8 @@ def timeline(way: Implementation, duration: float, breaks: Array, marks: Array) 
 
     shown = np.full(len(merged), -1)
     shown[event[kind == 3]] = np.arange(len(marks))
-    return Timeline(merged, where(0), where(1), where(2), shown)
+    begun_there = np.bincount(event[kind == 2], minlength=len(merged))
+    return Timeline(merged, where(0), where(1), begun_there, shown)
 
 
 @dataclass(frozen=True)
