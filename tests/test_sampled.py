@@ -180,6 +180,23 @@ def test_a_period_longer_than_the_run(period, method):
     assert found.statistics.metrics["tail_error"].least > 0
 
 
+@pytest.mark.parametrize("method", [*METHODS, "alone"])
+def test_escape_in_the_first_and_in_the_last_interval(method):
+    """Both in one: the run is shorter than the period."""
+    system = sampled("example1", period=10.0).with_settings(duration=5, tail=1)
+    found = certrack.ensemble(system, 8, method=method)
+    assert dict(found.statistics.outcomes) == {"escaped": 8}
+    assert found.statistics.metrics["tail_error"].missing == 8
+
+
+def test_escape_before_the_first_step_ends():
+    system = sampled("example1", period=0.01)
+    run = certrack.simulate(system, max_state=2.0)
+    assert run.outcome is certrack.Outcome.escaped
+    assert run.trajectory.end == 0.0 and finals(run).tolist() == [1, 2, 0, 0]
+    assert run.dataset().sizes["time"] == 1 and run.summary()["peak_input"] == 0.0
+
+
 # ---- what the implementation does ----------------------------------------------------------------
 
 

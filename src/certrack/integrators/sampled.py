@@ -136,7 +136,7 @@ class SampledRun:
     marks : int
         Times of interest reached.
     ends : (N,) array, s
-        Last time reached.
+        Last event reached within the admitted states.
     outcomes : (N,) array of Outcome
     """
 
@@ -190,9 +190,9 @@ class SampledRun:
                 self.marks += 1
             if k + 1 < len(times):
                 self._cross(t, times[k + 1], record)
-                self.ends[self._alive] = times[k + 1]
-                if not self._inside(times[k + 1]):
+                if not self._inside():
                     return
+                self.ends[self._alive] = times[k + 1]
 
     def _sample(self, t: float) -> None:
         """Measure, evaluate the law; its command waits for the actuator."""
@@ -269,7 +269,7 @@ class SampledRun:
                 self.outcomes[group[i]] = Outcome.escaped if wild[i] else limit
         x_end[:, group], totals_end[:, group] = x, totals
 
-    def _inside(self, t: float) -> bool:
+    def _inside(self) -> bool:
         """End the members that left the admitted states; whether any goes on."""
         limit = self._course.max_state
         if self.x.max() <= limit and self.x.min() >= -limit:  # nearly always, and not for NaN
