@@ -197,6 +197,22 @@ def test_escape_before_the_first_step_ends():
     assert run.dataset().sizes["time"] == 1 and run.summary()["peak_input"] == 0.0
 
 
+def test_simulator_refuses_another_structure_of_the_implementation():
+    plain = sampled("example1", period=0.01)
+    simulator, continuous = (certrack.Simulator(s) for s in (plain, certrack.load("example1")))
+    limited = sampled("example1", period=0.01, saturation=(-1, 1))
+    for one, other in (
+        (simulator, limited),
+        (simulator, certrack.load("example1")),
+        (simulator, sampled("example1", period=0.01, velocity=("x2",))),
+        (continuous, plain),
+    ):
+        with pytest.raises(certrack.InputError, match="has another structure"):
+            one.run(other)
+    slower = sampled("example1", period=0.02, delay=0.5)
+    assert finals(simulator.run(slower)).tolist() == finals(certrack.simulate(slower)).tolist()
+
+
 # ---- what the implementation does ----------------------------------------------------------------
 
 
