@@ -40,6 +40,12 @@ def sampled(name, **options):
     return certrack.load(name).replace(implementation=way)
 
 
+def with_reference(system, reference):
+    text = certrack.to_text(system).replace("feedforward = 1", "feedforward = 0")
+    head, tail = text.split("[reference]")
+    return certrack.loads(f"{head}[reference]\n{reference}\n\n[law]{tail.split('[law]')[1]}")
+
+
 def finals(run):
     return np.array(list(run.final_state.values()))
 
@@ -133,11 +139,7 @@ def test_integrals_and_peaks(reference):
     """Metrics against sums over a fine grid of the dense output."""
     system = sampled("dual-motor-lean", period=0.03, delay=0.5)
     if reference:
-        text = certrack.to_text(system).replace("feedforward = 1", "feedforward = 0")
-        head, tail = text.split("[reference]")
-        system = certrack.loads(
-            head + "[reference]\n" + reference + "\n\n[law]" + tail.split("[law]")[1]
-        )
+        system = with_reference(system, reference)
     run = certrack.simulate(system, duration=6, tail=3)
     t = np.linspace(0, 6, 600_001)
     states = run.trajectory.interpolate(t)
@@ -150,6 +152,65 @@ def test_integrals_and_peaks(reference):
     assert found.tail_error == pytest.approx(np.abs(e[t >= 3]).max(), rel=1e-4)
     assert found.peak_input == np.abs(u).max()
     assert found.input_variation == pytest.approx(np.abs(np.diff(u)).sum(), rel=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_break_and_the_begin_of_the_tail_that_rounding_separates(method):
+    """The triangle bends at 17 * 0.2 = 3.4000000000000004."""
+    system = sampled("dual-motor-lean", period=0.01).with_settings(duration=6, tail=3.4)
+    system = with_reference(system, 'kind = "triangle"\namplitude = 0.2\nperiod = 0.4')
+    assert 0 < np.abs(system.reference.breaks(0.0, 6.0) - 3.4).min() < 1e-15
+    found, alone = (certrack.ensemble(system, 2, method=m) for m in (method, "alone"))
+    for name in ("tail_error", "integral_squared_error", "input_energy"):
+        one, other = (each.statistics.metrics[name].most for each in (found, alone))
+        assert one == pytest.approx(other, rel=1e-6), name
+
+
+@pytest.mark.parametrize("period", [1e3, 1e12])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_period_longer_than_the_run(period, method):
+    """One sample, at the begin; its input stays, and the loop is open."""
+    short = {"duration": 0.5, "tail": 0.25}
+    system = sampled("example1", period=period).with_settings(**short)
+    run = certrack.simulate(system)
+    expected = certrack.simulate(sampled("example1", period=0.5), **short)
+    assert np.abs(finals(run)[:2] - finals(expected)[:2]).max() < 1e-9
+    found = certrack.ensemble(system, 3, method=method)
+    assert dict(found.statistics.outcomes) == {"finished": 3}
+    assert found.statistics.metrics["tail_error"].least > 0
+
+
+@pytest.mark.parametrize("method", [*METHODS, "alone"])
+def test_escape_in_the_first_and_in_the_last_interval(method):
+    """Both in one: the run is shorter than the period."""
+    system = sampled("example1", period=10.0).with_settings(duration=5, tail=1)
+    found = certrack.ensemble(system, 8, method=method)
+    assert dict(found.statistics.outcomes) == {"escaped": 8}
+    assert found.statistics.metrics["tail_error"].missing == 8
+
+
+def test_escape_before_the_first_step_ends():
+    system = sampled("example1", period=0.01)
+    run = certrack.simulate(system, max_state=2.0)
+    assert run.outcome is certrack.Outcome.escaped
+    assert run.trajectory.end == 0.0 and finals(run).tolist() == [1, 2, 0, 0]
+    assert run.dataset().sizes["time"] == 1 and run.summary()["peak_input"] == 0.0
+
+
+def test_simulator_refuses_another_structure_of_the_implementation():
+    plain = sampled("example1", period=0.01)
+    simulator, continuous = (certrack.Simulator(s) for s in (plain, certrack.load("example1")))
+    limited = sampled("example1", period=0.01, saturation=(-1, 1))
+    for one, other in (
+        (simulator, limited),
+        (simulator, certrack.load("example1")),
+        (simulator, sampled("example1", period=0.01, velocity=("x2",))),
+        (continuous, plain),
+    ):
+        with pytest.raises(certrack.InputError, match="has another structure"):
+            one.run(other)
+    slower = sampled("example1", period=0.02, delay=0.5)
+    assert finals(simulator.run(slower)).tolist() == finals(certrack.simulate(slower)).tolist()
 
 
 # ---- what the implementation does ----------------------------------------------------------------

@@ -91,10 +91,13 @@ class SampledSimulator:
         run.go(sampled=lambda t, s: kept.append((t, s[:count, 0])), record=record)
         kept.append((float(line.times[-1]), run.states[:count, 0]))
         outcome: Outcome = run.outcomes[0]
-        if outcome is not Outcome.finished and len(ends) > 2:
+        if outcome is not Outcome.finished:
             inside = np.abs(np.array(columns)[:, : len(course.x)]).max(axis=1)
             last = int(np.argmax(np.append(~(inside <= settings.max_state), True)))
             ends, columns, inputs = ends[:last], columns[:last], inputs[: last - 1]
+        times = np.array(ends)
+        if len(ends) == 1:  # not one step: a start alone, as a step of no length
+            ends, columns, inputs = ends * 2, columns * 2, [run.u[0]]
         dense = Steps(
             np.array(ends),
             np.array(columns).T,
@@ -104,7 +107,7 @@ class SampledSimulator:
             partial(self._slopes, system, parameters[:, 0]),
             len(course.x),
         )
-        trajectory = Trajectory(dense.ends, dense, outcome, "sampled", 2 if len(ends) > MANY else 8)
+        trajectory = Trajectory(times, dense, outcome, "sampled", 2 if len(ends) > MANY else 8)
         return Run(system, trajectory, lambda t, _: dense.input(t))
 
     def _slopes(
@@ -171,7 +174,7 @@ class Steps:
         t = np.asarray(t, dtype=float)
         k = self._owner(t)
         begin, h = self.ends[k], np.diff(self.ends)[k]
-        s = (t - begin) / h
+        s = (t - begin) / np.where(h > 0, h, 1.0)
         a, b, u = self.columns[:, k], self.columns[:, k + 1], self.inputs[k]
         da = h * self.slopes(begin, a[: self.n], u, begin)
         db = h * self.slopes(begin + h, b[: self.n], u, begin)

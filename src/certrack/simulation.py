@@ -18,6 +18,7 @@ from certrack.integrators.scipy import ScipyIntegrator
 from certrack.integrators.taylor import TaylorIntegrator, available
 from certrack.lowering import numpy_callable, rows
 from certrack.run import Run
+from certrack.sampled_loop import sample_loop
 from certrack.sampled_simulation import SampledSimulator
 from certrack.system import System
 from certrack.truth import Truth
@@ -108,11 +109,18 @@ class Simulator:
             and system.reference == mine.reference
             and _same_form(system.truth, mine.truth)
         )
-        if not same and close_loop(system) != self.loop:
+        if (not same and close_loop(system) != self.loop) or not self._same_way(system, same):
             raise InputError(
                 "system", "has another structure than the compiled one", remedy="Make a Simulator"
             )
         return system
+
+    def _same_way(self, system: System, same: bool) -> bool:
+        """Whether the compiled loop serves the implementation of `system`."""
+        if self._sampled is None or system.implementation is None:
+            return self._sampled is None and system.implementation is None
+        unchanged = same and system.implementation == self.system.implementation
+        return unchanged or sample_loop(system) == self._sampled.loop
 
     def _choose(self, system: System) -> tuple[str, list[str]]:
         """Method for `system`, and why if it is not the usual one."""

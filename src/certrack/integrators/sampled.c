@@ -256,7 +256,7 @@ static void travel(const Task *task, int64_t first, Group *g, V *waiting) {
       g->x[j] = ends[j];
       outside |= ~(v_abs(ends[j]) <= SPLAT(task->limit));
     }
-    if (any(outside & g->alive)) bury(g, task, first, outside, ESCAPED, end);
+    if (any(outside & g->alive)) bury(g, task, first, outside, ESCAPED, t);
     if (!any(g->alive)) {
       for (k++; k < task->events; k++)
         if (task->marks[k] >= 0) keep(g, task, first, 0.0, s, task->marks[k]);

@@ -29,8 +29,8 @@ SHARE = 1e-3
 #: A member that needs more steps for one interval is given up.
 MOST_STEPS = 5_000
 
-#: Times closer than this part of a period are one.
-CLOSE = 1e-9
+#: Times closer than this part of a period are one, and those that rounding may have separated.
+CLOSE, ROUNDING = 1e-9, 1e-15
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Timeline:
         From the begin to the end of the run.
     samples, acts : (K+1,) arrays of bool
         Where a sample is taken; where the next command begins to act.
-    breaks : (K+1,) array of bool
-        Where a new piece of the reference, or of what is totalled, begins.
+    breaks : (K+1,) array of int
+        How many new pieces of the reference, or of what is totalled, begin there.
     marks : (K+1,) array of int
         Number of the time of interest there, or -1.
     """
@@ -65,12 +65,13 @@ def timeline(way: Implementation, duration: float, breaks: Array, marks: Array) 
     kinds = [taken, begun, np.asarray(breaks), np.asarray(marks), np.array([0.0, duration])]
     times = np.concatenate(kinds)
     kind = np.repeat(np.arange(len(kinds)), [len(part) for part in kinds])
-    order = np.lexsort((kind, times))  # a sample gives its name to the event
+    order = np.lexsort((kind, times))
     gaps = np.diff(times[order], prepend=-np.inf)
     event = np.empty(len(times), dtype=int)
-    event[order] = np.cumsum(gaps > CLOSE * way.period) - 1
+    close = max(CLOSE * min(way.period, duration), ROUNDING * duration)
+    event[order] = np.cumsum(gaps > close) - 1
     merged = np.empty(event.max() + 1)
-    for part in (3, 2, 1, 0, 4):  # the last one has the say
+    for part in (3, 1, 0, 2, 4):  # the last one has the say: at a break the new piece holds
         merged[event[kind == part]] = times[kind == part]
 
     def where(part: int) -> Array:
@@ -80,7 +81,8 @@ def timeline(way: Implementation, duration: float, breaks: Array, marks: Array) 
 
     shown = np.full(len(merged), -1)
     shown[event[kind == 3]] = np.arange(len(marks))
-    return Timeline(merged, where(0), where(1), where(2), shown)
+    begun_there = np.bincount(event[kind == 2], minlength=len(merged))
+    return Timeline(merged, where(0), where(1), begun_there, shown)
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class SampledRun:
     marks : int
         Times of interest reached.
     ends : (N,) array, s
-        Last time reached.
+        Last event reached within the admitted states.
     outcomes : (N,) array of Outcome
     """
 
@@ -188,9 +190,9 @@ class SampledRun:
                 self.marks += 1
             if k + 1 < len(times):
                 self._cross(t, times[k + 1], record)
-                self.ends[self._alive] = times[k + 1]
-                if not self._inside(times[k + 1]):
+                if not self._inside():
                     return
+                self.ends[self._alive] = times[k + 1]
 
     def _sample(self, t: float) -> None:
         """Measure, evaluate the law; its command waits for the actuator."""
@@ -267,7 +269,7 @@ class SampledRun:
                 self.outcomes[group[i]] = Outcome.escaped if wild[i] else limit
         x_end[:, group], totals_end[:, group] = x, totals
 
-    def _inside(self, t: float) -> bool:
+    def _inside(self) -> bool:
         """End the members that left the admitted states; whether any goes on."""
         limit = self._course.max_state
         if self.x.max() <= limit and self.x.min() >= -limit:  # nearly always, and not for NaN

@@ -51,6 +51,7 @@ class Passed:
     totals : (T + 1, N) array
         The last row is the variation of the input.
     ends : (N,) array, s
+        Last event reached within the admitted states.
     outcomes : (N,) array
         0 finished, 1 escaped, 2 stuck.
     """
