@@ -120,11 +120,6 @@ static void bury(Group *g, const Task *task, int64_t first, I which, int outcome
     }
 }
 
-static double allowance(const Task *task, double h, double interval) {
-  double share = h > SHARE * interval ? h : SHARE * interval;
-  return task->tolerance * (share < 1.0 ? share : 1.0);
-}
-
 /* By what the next step is longer, from the squared error. */
 static double factor(double error, double most) {
   double found = 0.9 * pow(error > 1e-30 ? error : error == error ? 1e-30 : 1e18, -0.1);
@@ -157,7 +152,7 @@ OUTLINE void creep(Group *g, const Task *task, int64_t first, double begin, doub
     int last = t + h >= end * (1 - 1e-15);
     h = last ? end - t : h;
     lay(&step, t, h, s);
-    V found = attempt(&own, &step, allowance(task, h, end - begin), x, after);
+    V found = attempt(&own, &step, SHARE * task->tolerance, x, after);
     double worst = largest(found, late);
     if (worst <= 1.0) {
       memcpy(own.x, x, sizeof x);
@@ -247,7 +242,7 @@ static void travel(const Task *task, int64_t first, Group *g, V *waiting) {
     if (k + 1 == task->events) break;
     double end = task->times[k + 1], h = end - t;
     lay(&step, t, h, s);
-    V error = attempt(g, &step, allowance(task, h, h), ends, y);
+    V error = attempt(g, &step, SHARE * task->tolerance, ends, y);
     I late = ~(error <= SPLAT(1.0)) & g->alive;
     if (any(late)) creep(g, task, first, t, end, s, late, error, ends, y);
     memcpy(g->y, y, sizeof y);

@@ -17,14 +17,14 @@ import numpy as np
 
 from certrack.implementation import Implementation
 from certrack.integrators.base import ESCAPING, Outcome
-from certrack.integrators.maps import LANES, ORDER, Maps, Number
+from certrack.integrators.maps import LANES, ORDER, Maps
 from certrack.noise import normal
 
 Array = np.ndarray
 
-#: The error allowed per second is the tolerance; of a step it is at least that of this part of its
-#: interval, or none would ever pass across a kink.
-SHARE = 1e-3
+#: The error allowed in a step is this part of the tolerance: there may be many steps while an error
+#: dies out.
+SHARE = 0.1
 
 #: A member that needs more steps for one interval is given up.
 MOST_STEPS = 5_000
@@ -142,6 +142,7 @@ class SampledRun:
 
     def __init__(self, maps: Maps, course: Course) -> None:
         self._maps, self._course = maps, course
+        self._allowed = SHARE * course.tolerance
         count = course.x.shape[1]
         self.x, self.states, self.totals = course.x, course.states, course.totals
         self.u = np.full(count, course.way.initial_input)
@@ -216,7 +217,7 @@ class SampledRun:
         """All members from one event to the next."""
         h = end - begin
         x, totals, error = self._maps.step(
-            begin, h, self._allowed(h, h), self.x, self.u, self.totals, self.parameters
+            begin, h, self._allowed, self.x, self.u, self.totals, self.parameters
         )
         late = ~(error <= 1.0)
         if late.any():
@@ -226,9 +227,6 @@ class SampledRun:
         if record is not None and not late[0]:
             record(end, x, totals, self.u)
         self.x, self.totals = x, totals
-
-    def _allowed(self, h: Number, interval: float) -> Number:
-        return self._course.tolerance * np.minimum(1.0, np.maximum(h, SHARE * interval))
 
     def _creep(
         self,
@@ -248,9 +246,7 @@ class SampledRun:
         for _ in range(MOST_STEPS):
             last = t + h >= end * (1 - 1e-15)
             h = np.where(last, end - t, h)
-            after, sums, error = self._maps.step(
-                t, h, self._allowed(h, end - begin), x, u, totals, p
-            )
+            after, sums, error = self._maps.step(t, h, self._allowed, x, u, totals, p)
             passed = (error <= 1.0) & (t < end)
             x, totals = np.where(passed, after, x), np.where(passed, sums, totals)
             t = np.where(passed, np.where(last, end, t + h), t)
