@@ -101,7 +101,8 @@ def by_hand(T, duration, delay=0.0, limits=(-math.inf, math.inf)):
 )
 @pytest.mark.parametrize("integrator", ["auto", "scipy"])
 def test_example1_against_a_loop_by_hand(delay, limits, integrator):
-    system = sampled("example1", period=0.001, delay=delay, saturation=limits)
+    way = {"period": 0.001, "delay": delay, "saturation": limits, "anti_windup": "hold"}
+    system = sampled("example1", **way)
     run = certrack.simulate(system, duration=3, tail=1, integrator=integrator)
     expected = by_hand(0.001, 3, delay, limits or (-math.inf, math.inf))
     assert np.abs(finals(run) - expected).max() < 1e-8
@@ -220,7 +221,7 @@ def test_simulator_refuses_another_structure_of_the_implementation():
 
 def test_limits_are_kept_and_estimates_stand_still_meanwhile():
     options = {"period": 0.002, "saturation": (-3, 4), "rate_limit": 200}
-    run = certrack.simulate(sampled("example1", **options))
+    run = certrack.simulate(sampled("example1", **options, anti_windup="hold"))
     dense = run.trajectory.interpolate
     assert dense.inputs.min() >= -3 and dense.inputs.max() <= 4
     steps = np.diff(dense.inputs, prepend=0.0)
@@ -232,6 +233,27 @@ def test_limits_are_kept_and_estimates_stand_still_meanwhile():
     moving = certrack.simulate(sampled("example1", **options, anti_windup="none"))
     changes = np.diff(moving.trajectory.interpolate.estimates, axis=1)
     assert np.abs(changes).max(axis=0).min() > 0
+
+
+def test_estimates_forget_while_the_input_is_limited():
+    """z + T (leak) there, z + T (drive + leak) elsewhere; the classic law has none and stands."""
+    options = {"period": 0.002, "saturation": (-3, 4)}
+    dense = certrack.simulate(sampled("example1", **options)).trajectory.interpolate
+    z, u = dense.estimates, dense.input(dense.samples[:-1])
+    limited = np.flatnonzero((u == -3) | (u == 4))
+    rates = -0.6 * (z - np.array([[0.4], [2.1]]))
+    change = np.diff(z, axis=1)[:, limited]
+    assert len(limited) > 5
+    np.testing.assert_allclose(change, 0.002 * rates[:, limited], rtol=1e-9, atol=1e-15)
+    rest = np.setdiff1d(np.arange(z.shape[1] - 1), limited)
+    assert np.abs(np.diff(z, axis=1) - 0.002 * rates[:, :-1])[:, rest[:100]].min() > 0
+
+    classic = sampled("example1-classic", **options).with_settings(duration=1, tail=0.5)
+    dense = certrack.simulate(classic).trajectory.interpolate
+    u = dense.input(dense.samples[:-1])
+    still = np.abs(np.diff(dense.estimates, axis=1)).max(axis=0) == 0
+    held = (u == -3) | (u == 4)
+    assert held.any() and still[held].all()
 
 
 def test_projection_keeps_the_estimates_inside():

@@ -15,7 +15,7 @@ from certrack.errors import InputError
 from certrack.plant import Plant
 
 UPDATES = ("euler", "exact_leak")
-ANTI_WINDUPS = ("hold", "none")
+ANTI_WINDUPS = ("leak", "hold", "none")
 
 #: Longest computation delay, periods.
 MAX_DELAY = 100.0
@@ -54,8 +54,9 @@ class Implementation:
         Time constant of the filter; none if zero.
     update : {"euler", "exact_leak"}
         Step of the estimates: forward Euler, or exact for the constant leak in their rates.
-    anti_windup : {"hold", "none"}
-        ``hold``: the estimates stand still while the input is limited.
+    anti_windup : {"leak", "hold", "none"}
+        While the input is limited the estimates only forget (``leak``: towards the priors), stand
+        still (``hold``), or go on adapting (``none``).
     projection : pairs (low, high), one per estimate, optional
         The estimates are kept within.
     initial_input : float
@@ -80,7 +81,7 @@ class Implementation:
     velocity: tuple[str, ...] = ()
     velocity_filter: float = 0.0
     update: str = "euler"
-    anti_windup: str = "hold"
+    anti_windup: str = "leak"
     projection: tuple[tuple[float, float], ...] | None = None
     initial_input: float = 0.0
 

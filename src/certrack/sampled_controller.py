@@ -7,7 +7,7 @@ t_k:
     x_{i+1} = (v_i - sum_j b_ij x_j)/g_i        where not measured; v_i: filtered difference of x_i
     u_law   = law(x, Y, estimates)
     u       = u_law, within the saturation and the rate limit
-    z_{k+1} = z_k + W rate(x, Y, z_k)           estimates; standing still while u /= u_law
+    z_{k+1} = z_k + W rate(x, Y, z_k)           estimates; only forgetting while u /= u_law
 
 W = T I is forward Euler. ``exact_leak`` takes the constant part L of the Jacobian of the rates by
 the estimates (the leak) into account exactly: W = L^-1 (exp(L T) - I) [exponential Euler].
@@ -16,7 +16,7 @@ the estimates (the leak) into account exactly: W = L^-1 (exp(L T) - I) [exponent
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,7 +104,8 @@ def sampled_controller(
     numbers += [symbol(f"ctl_hold_{i}_{j}") for i, j in hold]
     if way.projection is not None:
         numbers += _boxes(len(estimates))
-    after = next_estimates(estimates, rates, hold, way)
+    forgetting = forgetting_rates(rates, {*controller.symbols, *estimates})
+    after = next_estimates(estimates, rates, forgetting, hold, way)
     constants = [symbol(name) for name in plant.constant_values]
     return SampledController(
         measured=s.x,
@@ -123,12 +124,30 @@ def sampled_controller(
 def next_estimates(
     estimates: Sequence[sympy.Expr],
     rates: Sequence[sympy.Expr],
+    forgetting: Sequence[sympy.Expr],
     hold: Sequence[tuple[int, int]],
     way: Implementation,
 ) -> list[sympy.Expr]:
-    """The estimates after one period, by their rates (formulas, or symbols for them)."""
+    """The estimates after one period.
+
+    Parameters
+    ----------
+    estimates, rates : formulas
+        Rates may be symbols for them.
+    forgetting : formulas
+        The rates' part that :func:`forgetting_rates` finds.
+    hold : pairs (i, j)
+        See :class:`SampledController`.
+    way : Implementation
+    """
+    rises = _weighted(rates, hold)
     limited = way.saturation is not None or way.rate_limit is not None
-    rises = _rises(rates, hold, held=limited and way.anti_windup == "hold")
+    if limited and way.anti_windup != "none":
+        rest = [sympy.S.Zero] * len(rises)
+        if way.anti_windup == "leak":
+            rest = _weighted(forgetting, hold)
+        cut = magnitude(ASKED - COMMAND)
+        rises = [Select(cut, 0, slow, rise) for slow, rise in zip(rest, rises, strict=True)]
     after = [z + rise for z, rise in zip(estimates, rises, strict=True)]
     if way.projection is None:
         return after
@@ -198,21 +217,29 @@ def _limited(way: Implementation, numbers: list[sympy.Symbol]) -> sympy.Expr:
     return command
 
 
-def _rises(
-    rates: Sequence[sympy.Expr], hold: Sequence[tuple[int, int]], *, held: bool
-) -> list[sympy.Expr]:
-    """By what the estimates change in one period."""
-    if hold:
-        weights = {(i, j): symbol(f"ctl_hold_{i}_{j}") for i, j in hold}
-        rises = [
-            sympy.Add(*(w * rates[j] for (row, j), w in weights.items() if row == i))
-            for i in range(len(rates))
-        ]
-    else:
-        rises = [PERIOD * rate for rate in rates]
-    if held:
-        rises = [Select(magnitude(ASKED - COMMAND), 0, 0, rise) for rise in rises]
-    return rises
+def forgetting_rates(rates: Sequence[sympy.Expr], known: Set[sympy.Symbol]) -> list[sympy.Expr]:
+    """The terms of the rates in gains and estimates alone: the leakage towards the priors."""
+    return [
+        sympy.Add(
+            *(
+                term
+                for term in sympy.Add.make_args(sympy.expand(rate))
+                if term.free_symbols <= known
+            )
+        )
+        for rate in rates
+    ]
+
+
+def _weighted(rates: Sequence[sympy.Expr], hold: Sequence[tuple[int, int]]) -> list[sympy.Expr]:
+    """W times the rates."""
+    if not hold:
+        return [PERIOD * rate for rate in rates]
+    weights = {(i, j): symbol(f"ctl_hold_{i}_{j}") for i, j in hold}
+    return [
+        sympy.Add(*(w * rates[j] for (row, j), w in weights.items() if row == i))
+        for i in range(len(rates))
+    ]
 
 
 def _leak(controller: Controller, rates: list[sympy.Expr]) -> tuple[sympy.Expr, ...]:

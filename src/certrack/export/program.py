@@ -25,6 +25,7 @@ from certrack.sampled_controller import (
     SampledController,
     controller_values,
     differenced,
+    forgetting_rates,
     next_estimates,
     sampled_controller,
     starting_state,
@@ -160,7 +161,10 @@ def _update(
         Step(symbol(f"ctl_rate_{z.name}"), rate.xreplace(x), "" if i else "rates of the estimates")
         for i, (z, rate) in enumerate(equations.update)
     ]
-    after = next_estimates(full.estimates, [step.name for step in rates], full.hold, way)
+    known = {*full.parameters, *full.estimates}
+    forgetting = forgetting_rates([rate for _, rate in equations.update], known)
+    names = [step.name for step in rates]
+    after = next_estimates(full.estimates, names, forgetting, full.hold, way)
     size = magnitude(ASKED - COMMAND)
     if any(formula.has(size) for formula in after):
         after = [formula.xreplace({size: CUT}) for formula in after]
