@@ -401,6 +401,18 @@ def test_margins_agree_with_the_exact_edge():
     assert strict.period.within is None
 
 
+def test_margins_keep_the_rest_of_the_file():
+    """A delay shortens the longest period; the file's own point is judged."""
+    late = sampled("dual-motor-lean", period=0.01, delay=1.0)
+    found = certrack.margins(late, members=8, error=0.002)
+    loop = linear_loop(late)
+    assert loop.radius(found.period.exact, 1.0) == pytest.approx(1.0, abs=1e-9)
+    assert found.period.within == pytest.approx(0.0274, rel=0.05)
+    assert found.at == 0.01 and found.as_given < 0.002
+    beyond = certrack.margins(late, members=8, error=1e-4)
+    assert beyond.as_given > beyond.error and beyond.saturation.within is None
+
+
 def test_margins_refuse_a_population_that_escapes():
     with pytest.raises(certrack.InputError, match="not every member of the population finishes"):
         certrack.margins(certrack.load("example1-classic"), members=64)

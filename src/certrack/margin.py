@@ -97,6 +97,9 @@ class Margins:
     members : int
     at : float, s
         The period at which delay and saturation were searched.
+    as_given : float, optional
+        Worst tail error under the implementation as it stands in the file; inf where a member does
+        not finish.
     period : Margin, s
     delay : Margin, s
     saturation : Margin, unit of the input
@@ -107,6 +110,7 @@ class Margins:
     origin: str
     members: int
     at: float
+    as_given: float | None
     period: Margin
     delay: Margin
     saturation: Margin
@@ -118,6 +122,7 @@ class Margins:
             "origin": self.origin,
             "members": self.members,
             "at_period": self.at,
+            "as_given": self.as_given,
             **{name: getattr(self, name).summary() for name in ("period", "delay", "saturation")},
         }
 
@@ -135,8 +140,8 @@ def margins(
     Parameters
     ----------
     system : System
-        Its implementation, if any, is the mildest case: its noise, quantisation and differenced
-        speeds stay; period, delay and saturation are varied one by one.
+        Period, delay and saturation are varied one by one; all else is as in its implementation,
+        if it has one.
     error : float, optional
         Admitted tail error; by default the population's limit, the certified bound where it covers
         the population, else twice the worst tail error of the finest sampling.
@@ -155,15 +160,10 @@ def margins(
     checks.integer("seed", seed, 0, 2**63)
     given, duration = system.implementation, system.settings.duration
     first = min(FINE / system.controller.coordinates.fastest_pole, duration / 100)
-    mildest = replace(
-        given or Implementation(first),
-        period=first,
-        offset=0.0,
-        delay=0.0,
-        rate_limit=None,
-        saturation=(-FREE, FREE),
-    )
-    system = system.replace(implementation=mildest)
+    own = given or Implementation(first)
+    base = replace(own, offset=0.0, saturation=own.saturation or (-FREE, FREE))
+    finest = replace(base, period=min(first, base.period))
+    system = system.replace(implementation=finest)
     trials = _Trials(system, members, seed, progress)
     admitted, origin = _admitted(system, error, trials)
     linear = linear_loop(system)
@@ -174,29 +174,33 @@ def margins(
     longest = duration / 20
     period = trials.search(
         "period",
-        lambda T: replace(mildest, period=T),
-        (first, STEP, longest),
+        lambda T: replace(base, period=T),
+        (finest.period, STEP, longest),
         admitted,
-        edge(lambda T: (T, 0.0), first, longest),
+        edge(lambda T: (T, base.delay), finest.period, longest),
     )
-    at = given.period if given is not None else (period.within or first) / 10
+    at = (period.within or first) / 10 if given is None else given.period
+    base = replace(base, period=at)
     shortest, latest = at / 5, MAX_DELAY * at
     delay = trials.search(
         "delay",
-        lambda D: replace(mildest, period=at, delay=D / at),
+        lambda D: replace(base, delay=D / at),
         (shortest, STEP, latest),
         admitted,
         edge(lambda D: (at, D / at), shortest, latest),
     )
-    trials.worst("saturation", replace(mildest, period=at))
+    unlimited = trials.worst("saturation", replace(base, saturation=(-FREE, FREE)))
     peak = trials.peak
+    if own.saturation is not None and not unlimited <= admitted:  # begin where it is known to serve
+        peak = max(map(abs, own.saturation)) / 2
     saturation = trials.search(
         "saturation",
-        lambda u: replace(mildest, period=at, saturation=(-u, u)),
+        lambda u: replace(base, saturation=(-u, u)),
         (2 * peak, 1 / STEP, 1e-4 * peak),
         admitted,
     )
-    return Margins(admitted, origin, members, at, period, delay, saturation)
+    as_given = None if given is None else trials.worst("as in the file", base)
+    return Margins(admitted, origin, members, at, as_given, period, delay, saturation)
 
 
 class _Trials:

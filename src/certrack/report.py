@@ -270,8 +270,11 @@ def margin_notes(found: Margins) -> list[str]:
     lines = [
         f"admitted tail error: {found.error:.5g} ({found.origin}); {found.members} members tried "
         "at every value, not proven",
-        f"delay and saturation at a period of {found.at:.4g} s",
+        f"delay and saturation at a period of {found.at:.4g} s; the rest is as in the file",
     ]
+    if found.as_given is not None:
+        within = "within" if found.as_given <= found.error else "BEYOND"
+        lines.append(f"[implementation] as it stands: tail error {found.as_given:.5g}, {within} it")
     if found.period.exact is not None:
         lines.append("exact edge: nominal plant, no disturbance; all eigenvalues inside below it")
     for name in ("period", "delay", "saturation"):

@@ -85,7 +85,7 @@ def certify(system: System) -> Certificates:
         proof=proof,
         cascade_proof=cascade_proof,
         critical_published=critical_strength(system),
-        critical_semidefinite=critical_semidefinite(system),
+        critical_semidefinite=critical_semidefinite(system, semidefinite),
         tube=None if proof is None else tube(system, proof),
     )
 
@@ -123,11 +123,16 @@ def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
     return Certificate("semidefinite", bound, alpha, delta, True, assumptions=rests), proof
 
 
-def critical_semidefinite(system: System, accuracy: float = 1e-3) -> float:
+def critical_semidefinite(
+    system: System, certified: Certificate | None = None, accuracy: float = 1e-3
+) -> float:
     """Largest common scale of tau for which a certificate exists, verified exactly.
 
     Parameters
     ----------
+    certified : Certificate, optional
+        The verified bound at scale 1, where it exists: it holds at every smaller scale, too, and
+        its rate tells how slow the leakage lets V fall.
     accuracy : float
         Relative width of the bisection; the value returned is proven feasible.
     """
@@ -135,29 +140,31 @@ def critical_semidefinite(system: System, accuracy: float = 1e-3) -> float:
         exact = error_problem(system, rational)
     except NoCertificate:
         return 0.0
-    if not _provable(exact, 0.0):
+    holds = certified is not None and certified.verified
+    slow = certified.alpha / 2 if holds and certified is not None else math.inf
+    if not holds and not _provable(exact, 0.0, slow):
         return 0.0
     if not exact.counts[0]:
         return math.inf
-    low, high = 0.0, 1.0
-    while _provable(exact, high):
+    low, high = (1.0, 4.0) if holds else (0.0, 1.0)
+    while _provable(exact, high, slow):
         low, high = high, 4 * high
         if high > 1e9:
             return math.inf
     while high - low > accuracy * high and high > 1e-9:
         middle = (low + high) / 2 if low else high / 4
-        if _provable(exact, middle):
+        if _provable(exact, middle, slow):
             low = middle
         else:
             high = middle
     return low
 
 
-def _provable(exact: ErrorProblem, strength: float) -> bool:
+def _provable(exact: ErrorProblem, strength: float, slow: float) -> bool:
     """Whether the problem with scaled tau has an exactly verified certificate."""
     scaled = exact.homogeneous(flint.fmpq(*float(strength).as_integer_ratio()))
     program = Program(scaled.in_floats())
     if not program.fastest > 0:
         return False
-    found = program.solve(1e-3 * program.fastest)
+    found = program.solve(min(1e-3 * program.fastest, slow))
     return found is not None and prove(scaled, found) is not None
