@@ -365,6 +365,36 @@ def test_nonlinear_loops_have_no_exact_edge():
     assert linear_loop(bent) is None
 
 
+def test_motions_that_the_controller_neither_causes_nor_sees_do_not_hide_the_edge():
+    """Two equal motors without play swing undamped against each other; the rest is the model."""
+    shafts = ["th_1 - th_L", "th_2 - th_L"]
+    plain = certrack.load("dual-motor-physical")
+    rates = [
+        "om_L",
+        f"K_L/J_L*({' + '.join(shafts)})",
+        "om_1",
+        f"K_M/J_M*split*u - K_L/J_M*({shafts[0]})",
+        "om_2",
+        f"K_M/J_M*(1 - split)*effectiveness_2*u - K_L/J_M*({shafts[1]})",
+    ]
+    constants = {"split": 0.5, "effectiveness_2": 1}
+    way, found = certrack.Implementation(period=0.01, velocity=("x2", "x4")), []
+    for truth in (
+        certrack.load("dual-motor-lean").truth,
+        replace(plain.truth, rates=rates, constants=constants),
+        replace(plain.truth, rates=rates, constants=constants | {"split": 0.6}),
+    ):
+        x0 = plain.settings.x0 if truth.states else certrack.load("dual-motor-lean").settings.x0
+        system = plain.replace(
+            truth=truth, settings=replace(plain.settings, x0=x0), population=None
+        )
+        loop = linear_loop(system.replace(implementation=way))
+        found.append([loop.radius(T, 0.3) for T in (1e-3, 0.01, 0.05, 0.1)])
+    assert found[0][0] < 1 < found[0][-1]
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+    assert found[2] == pytest.approx(found[0], rel=1e-9)  # the mean does not feel the split
+
+
 def test_margins_agree_with_the_exact_edge():
     found = certrack.margins(certrack.load("dual-motor-lean"), members=16)
     assert found.origin == "certificate"
