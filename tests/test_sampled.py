@@ -449,6 +449,18 @@ def test_members_that_escape(method):
     assert found.limit is None and "sampled" in found.limit_origin
 
 
+@pytest.mark.parametrize("method", [*METHODS, "alone"])
+def test_members_without_a_way_on_are_counted_once(method):
+    """Where the uncertain term leaves its domain; every member is then run alone."""
+    text = certrack.to_text(sampled("example1", period=0.01))
+    omega = next(line for line in text.splitlines() if line.startswith("omega"))
+    system = certrack.loads(text.replace(omega, 'omega = ["0", "sqrt(3.2 - t + 0.05*x1)"]'))
+    system = system.replace(population=replace(system.varied, disturbance="file"))
+    found = certrack.ensemble(system.with_settings(duration=5, tail=1), 11, method=method)
+    assert dict(found.statistics.outcomes) == {"undefined": 11}
+    assert np.unique(found.statistics.bands.counts.sum(axis=2)).tolist() == [11]
+
+
 # ---- files, command line, bad input --------------------------------------------------------------
 
 

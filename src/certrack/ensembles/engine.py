@@ -14,7 +14,7 @@ import sympy
 
 from certrack.ensembles.flow import BAND, MEMORIES, SUMS, make_flow, shown
 from certrack.ensembles.members import AMPLITUDE, Members
-from certrack.ensembles.sampled import Group, SampledCrowd, Segments
+from certrack.ensembles.sampled import Group, SampledCrowd, Segments, later
 from certrack.ensembles.statistics import BAND_BITS, FINEST, SIDE, Bands, Statistics, Tally
 from certrack.implementation import Implementation
 from certrack.integrators.base import Outcome
@@ -258,7 +258,7 @@ class Engine:
 
     def _show_alone(self, run: Run, after: float, bands: Bands) -> None:
         """Count a run of its own where the lockstep did not."""
-        late = np.flatnonzero(self._grid > after)
+        late = np.flatnonzero(later(self._grid, after))
         signals = _signals(run, self._grid[late])
         for signal, values in enumerate(signals):
             for k, value in zip(late.tolist(), values, strict=True):
@@ -271,9 +271,9 @@ class Engine:
         first, last = begin - begin % LANES, -(-end // LANES) * LANES
         part = slice(begin - first, end - first)
 
-        def show(mark: int, values: np.ndarray) -> None:
+        def show(mark: int, values: np.ndarray, counted: np.ndarray) -> None:
             for signal, row in enumerate(values):
-                bands.observe(signal, mark, row[part])
+                bands.observe(signal, mark, row[part][counted[part]])
 
         group = Group(first, *self._varied(first, last))
         totals, ends, alone = self._crowd.run(group, show)
@@ -301,7 +301,7 @@ class Engine:
             starts, table = self._varied(first, first + size)
             table |= {name: np.full(size, value) for name, value in numbers.items()}
             group = Group(first, starts, table)
-            totals, ends, alone = self._crowd.run(group, lambda _mark, _values: None, way)
+            totals, ends, alone = self._crowd.run(group, lambda *_: None, way)
             mine = slice(0, members - first)
             done = ~alone & (ends >= self._edges[-1])
             tails = np.where(done, totals["tail_error"], np.inf)[mine]
