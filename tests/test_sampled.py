@@ -253,6 +253,17 @@ def test_quantised_inputs_and_measurements():
     assert np.abs(finals(coarse) - finals(exact)).max() > 1e-4
 
 
+@pytest.mark.parametrize("method", [*METHODS, "alone"])
+def test_converter_stays_within_the_saturation(method):
+    """The limit -8 is nearer to the step -9 than to -6."""
+    system = sampled("example1", period=0.005, saturation=(-8, 8), input_quantum=3)
+    system = system.with_settings(duration=3, tail=1)
+    inputs = certrack.simulate(system).trajectory.interpolate.inputs
+    assert np.unique(inputs).tolist() == [-6, -3, 0]
+    found = certrack.ensemble(system, 8, method=method).statistics.metrics["peak_input"]
+    assert found.most == 6
+
+
 def test_differenced_speed():
     """x_2 = (x_1' + 3 x_1)/2 from differences: converges with order one where w_1 = 0."""
 
@@ -498,6 +509,10 @@ def test_survives_a_system_file():
         (
             {"period": 0.01, "projection": ((0, 1),)},
             "implementation.projection: must be a list of 2",
+        ),
+        (
+            {"period": 0.01, "saturation": (0.1, 0.2), "input_quantum": 1, "initial_input": 0.1},
+            "implementation.input_quantum: has no step within the saturation; got 1",
         ),
         ({"period": 0.01, "update": "heun"}, "must be one of euler, exact_leak; got heun"),
     ],
