@@ -423,6 +423,13 @@ def test_margins_refuse_a_population_that_escapes():
         certrack.margins(certrack.load("example1-classic"), members=64)
 
 
+def test_margins_refuse_a_pole_too_fast_to_be_sampled():
+    system = certrack.load("dual-motor-lean")
+    fast = system.replace(law=replace(system.law, c=(1e6,) * 4))
+    with pytest.raises(certrack.InputError, match=r"fastest error pole, 1e\+06 /s, has more than"):
+        certrack.margins(fast, members=2)
+
+
 # ---- ensembles -----------------------------------------------------------------------------------
 
 

@@ -22,7 +22,7 @@ from certrack.ensembles import workers
 from certrack.ensembles.engine import METHODS, Engine, Plan
 from certrack.ensembles.limit import limit_of
 from certrack.errors import InputError
-from certrack.implementation import MAX_DELAY, Implementation
+from certrack.implementation import MAX_DELAY, MAX_SAMPLES, Implementation
 from certrack.integrators.native import Unavailable
 from certrack.sampled_stability import LinearLoop, linear_loop
 from certrack.system import System
@@ -162,6 +162,14 @@ def margins(
         rate_limit=None,
         saturation=(-FREE, FREE),
     )
+    if duration / first > MAX_SAMPLES:
+        pole = system.controller.coordinates.fastest_pole
+        raise InputError(
+            "margin",
+            f"a run sampled finely for the fastest error pole, {pole:.3g} /s, has more than "
+            f"{MAX_SAMPLES} samples",
+            remedy="Lower c, or shorten simulation.duration",
+        )
     system = system.replace(implementation=mildest)
     trials = _Trials(system, members, seed, progress)
     admitted, origin = _admitted(system, error, trials)
