@@ -277,6 +277,17 @@ def test_quantised_inputs_and_measurements():
     assert np.abs(finals(coarse) - finals(exact)).max() > 1e-4
 
 
+@pytest.mark.parametrize("method", [*METHODS, "alone"])
+def test_converter_stays_within_the_saturation(method):
+    """The limit -8 is nearer to the step -9 than to -6."""
+    system = sampled("example1", period=0.005, saturation=(-8, 8), input_quantum=3)
+    system = system.with_settings(duration=3, tail=1)
+    inputs = certrack.simulate(system).trajectory.interpolate.inputs
+    assert np.unique(inputs).tolist() == [-6, -3, 0]
+    found = certrack.ensemble(system, 8, method=method).statistics.metrics["peak_input"]
+    assert found.most == 6
+
+
 def test_differenced_speed():
     """x_2 = (x_1' + 3 x_1)/2 from differences: converges with order one where w_1 = 0."""
 
@@ -389,6 +400,36 @@ def test_nonlinear_loops_have_no_exact_edge():
     assert linear_loop(bent) is None
 
 
+def test_motions_that_the_controller_neither_causes_nor_sees_do_not_hide_the_edge():
+    """Two equal motors without play swing undamped against each other; the rest is the model."""
+    shafts = ["th_1 - th_L", "th_2 - th_L"]
+    plain = certrack.load("dual-motor-physical")
+    rates = [
+        "om_L",
+        f"K_L/J_L*({' + '.join(shafts)})",
+        "om_1",
+        f"K_M/J_M*split*u - K_L/J_M*({shafts[0]})",
+        "om_2",
+        f"K_M/J_M*(1 - split)*effectiveness_2*u - K_L/J_M*({shafts[1]})",
+    ]
+    constants = {"split": 0.5, "effectiveness_2": 1}
+    way, found = certrack.Implementation(period=0.01, velocity=("x2", "x4")), []
+    for truth in (
+        certrack.load("dual-motor-lean").truth,
+        replace(plain.truth, rates=rates, constants=constants),
+        replace(plain.truth, rates=rates, constants=constants | {"split": 0.6}),
+    ):
+        x0 = plain.settings.x0 if truth.states else certrack.load("dual-motor-lean").settings.x0
+        system = plain.replace(
+            truth=truth, settings=replace(plain.settings, x0=x0), population=None
+        )
+        loop = linear_loop(system.replace(implementation=way))
+        found.append([loop.radius(T, 0.3) for T in (1e-3, 0.01, 0.05, 0.1)])
+    assert found[0][0] < 1 < found[0][-1]
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+    assert found[2] == pytest.approx(found[0], rel=1e-9)  # the mean does not feel the split
+
+
 def test_margins_agree_with_the_exact_edge():
     found = certrack.margins(certrack.load("dual-motor-lean"), members=16)
     assert found.origin == "certificate"
@@ -416,6 +457,13 @@ def test_margins_keep_the_rest_of_the_file():
 def test_margins_refuse_a_population_that_escapes():
     with pytest.raises(certrack.InputError, match="not every member of the population finishes"):
         certrack.margins(certrack.load("example1-classic"), members=64)
+
+
+def test_margins_refuse_a_pole_too_fast_to_be_sampled():
+    system = certrack.load("dual-motor-lean")
+    fast = system.replace(law=replace(system.law, c=(1e6,) * 4))
+    with pytest.raises(certrack.InputError, match=r"fastest error pole, 1e\+06 /s, has more than"):
+        certrack.margins(fast, members=2)
 
 
 # ---- ensembles -----------------------------------------------------------------------------------
@@ -455,6 +503,18 @@ def test_members_that_escape(method):
     assert found.limit is None and "sampled" in found.limit_origin
 
 
+@pytest.mark.parametrize("method", [*METHODS, "alone"])
+def test_members_without_a_way_on_are_counted_once(method):
+    """Where the uncertain term leaves its domain; every member is then run alone."""
+    text = certrack.to_text(sampled("example1", period=0.01))
+    omega = next(line for line in text.splitlines() if line.startswith("omega"))
+    system = certrack.loads(text.replace(omega, 'omega = ["0", "sqrt(3.2 - t + 0.05*x1)"]'))
+    system = system.replace(population=replace(system.varied, disturbance="file"))
+    found = certrack.ensemble(system.with_settings(duration=5, tail=1), 11, method=method)
+    assert dict(found.statistics.outcomes) == {"undefined": 11}
+    assert np.unique(found.statistics.bands.counts.sum(axis=2)).tolist() == [11]
+
+
 # ---- files, command line, bad input --------------------------------------------------------------
 
 
@@ -492,6 +552,10 @@ def test_survives_a_system_file():
         (
             {"period": 0.01, "projection": ((0, 1),)},
             "implementation.projection: must be a list of 2",
+        ),
+        (
+            {"period": 0.01, "saturation": (0.1, 0.2), "input_quantum": 1, "initial_input": 0.1},
+            "implementation.input_quantum: has no step within the saturation; got 1",
         ),
         ({"period": 0.01, "update": "heun"}, "must be one of euler, exact_leak; got heun"),
     ],

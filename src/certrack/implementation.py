@@ -6,9 +6,12 @@ The input is limited, and acts from t_k + delay T until the next one does (zero-
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from certrack import checks
 from certrack.errors import InputError
@@ -41,7 +44,7 @@ class Implementation:
     rate_limit : float > 0, optional
         Largest |u_k - u_{k-1}| / T, input unit per second.
     input_quantum : float >= 0
-        Step of the actuator's converter.
+        Step of the actuator's converter; it gives the nearest step within the saturation.
     measurement_quantum : n numbers >= 0, optional
         Step of each sensor (an encoder of N lines per turn with x in rad: 2 pi/(4 N)).
     noise : n numbers >= 0, optional
@@ -111,6 +114,13 @@ class Implementation:
             raise InputError(
                 "implementation.initial_input", "must be within the saturation", initial
             )
+        quantum = real("input_quantum", least=0)
+        if saturation is not None and quantum:
+            low, high = _steps_within(saturation, quantum)
+            if low > high:
+                raise InputError(
+                    "implementation.input_quantum", "has no step within the saturation", quantum
+                )
         limit = None if self.rate_limit is None else real("rate_limit", above=0)
         if self.velocity_filter and not self.velocity:
             raise InputError(
@@ -124,7 +134,7 @@ class Implementation:
             delay=delay,
             saturation=saturation,
             rate_limit=limit,
-            input_quantum=real("input_quantum", least=0),
+            input_quantum=quantum,
             measurement_quantum=per_state("measurement_quantum"),
             noise=per_state("noise"),
             seed=checks.integer("implementation.seed", self.seed, 0, 2**63),
@@ -166,6 +176,22 @@ class Implementation:
         boxes = checks.sequence(key, self.projection, estimates, "[low, high] per estimate")
         return tuple(checks.interval(f"{key}[{i}]", box, known) for i, box in enumerate(boxes))
 
+    @property
+    def converter(self) -> tuple[float, float, float]:
+        """Step of the actuator's converter, and the lowest and highest input it gives."""
+        if self.saturation is None or not self.input_quantum:
+            return self.input_quantum, -math.inf, math.inf
+        low, high = _steps_within(self.saturation, self.input_quantum)
+        return self.input_quantum, low * self.input_quantum, high * self.input_quantum
+
+    def converted(self, command: np.ndarray) -> np.ndarray:
+        """What the actuator's converter makes of commands."""
+        quantum, low, high = self.converter
+        if not quantum:
+            return command
+        found: np.ndarray = np.clip(np.rint(command / quantum) * quantum, low, high)
+        return found
+
     def samples(self, duration: float) -> int:
         """Number of samples in a run.
 
@@ -183,3 +209,9 @@ class Implementation:
                 "State the period in seconds",
             )
         return max(0, int(count * (1 + 1e-12))) + 1
+
+
+def _steps_within(saturation: tuple[float, float], quantum: float) -> tuple[float, float]:
+    """Numbers of the lowest and highest step of a converter; rounding of a limit does no harm."""
+    low, high = (end / quantum for end in saturation)
+    return float(np.ceil(low - 1e-9)), float(np.floor(high + 1e-9))

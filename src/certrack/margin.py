@@ -23,7 +23,7 @@ from certrack.ensembles.engine import Engine
 from certrack.ensembles.limit import limit_of
 from certrack.ensembles.plan import METHODS, Plan
 from certrack.errors import InputError
-from certrack.implementation import MAX_DELAY, Implementation
+from certrack.implementation import MAX_DELAY, MAX_SAMPLES, Implementation
 from certrack.integrators.native import Unavailable
 from certrack.sampled_stability import LinearLoop, linear_loop
 from certrack.system import System
@@ -160,6 +160,14 @@ def margins(
     checks.integer("seed", seed, 0, 2**63)
     given, duration = system.implementation, system.settings.duration
     first = min(FINE / system.controller.coordinates.fastest_pole, duration / 100)
+    if duration / first > MAX_SAMPLES:
+        pole = system.controller.coordinates.fastest_pole
+        raise InputError(
+            "margin",
+            f"a run sampled finely for the fastest error pole, {pole:.3g} /s, has more than "
+            f"{MAX_SAMPLES} samples",
+            remedy="Lower c, or shorten simulation.duration",
+        )
     own = given or Implementation(first)
     base = replace(own, offset=0.0, saturation=own.saturation or (-FREE, FREE))
     finest = replace(base, period=min(first, base.period))

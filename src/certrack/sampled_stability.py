@@ -7,7 +7,9 @@ further states,
     xi = (x, s, u_{k-1} ... u_{k-d-1}),     xi_{k+1} = M(T, delay) xi_k + what the reference adds
 
 and the loop is exponentially stable exactly where all eigenvalues of M lie inside the unit circle.
-The uncertain terms w are left out; limits, quantisation and noise too.
+The uncertain terms w are left out; limits, quantisation and noise too. So are, in a truth with
+states of its own, motions that the input does not cause or that no sensor shows: no controller
+changes them, and undamped ones would hide the edge.
 """
 
 from __future__ import annotations
@@ -32,6 +34,9 @@ from certrack.sampled_loop import resolved
 from certrack.simulated_plant import INPUT, plant_values, simulated_plant
 from certrack.system import System
 
+#: A direction counts as new if more than this part of it is.
+NOTHING = 1e-10
+
 
 @dataclass(frozen=True)
 class LinearLoop:
@@ -42,7 +47,7 @@ class LinearLoop:
     system : System
         Without disturbance, limits, quantisation and noise.
     A, b : (N, N) and (N,) arrays
-        x' = A x + b u.
+        x' = A x + b u; of a truth with states of its own, what is caused by u and measured.
     C : (n, N) array
         Measured states of the plant's.
     controller : SampledController
@@ -128,7 +133,28 @@ def linear_loop(system: System) -> LinearLoop | None:
     numbers = np.array(values, dtype=float).reshape(-1, len(moving))
     n = plant.n
     A, b, C = numbers[:n, :-1], numbers[:n, -1], numbers[n:, :-1]
+    if system.truth.states:
+        V = _reached(A, b[:, None])
+        A, b, C = V.T @ A @ V, V.T @ b, C @ V
+        V = _reached(A.T, C.T)
+        A, b, C = V.T @ A @ V, V.T @ b, C @ V
     return LinearLoop(system, A, b, C, found, numpy_callable(found.parameters, slopes))
+
+
+def _reached(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Orthonormal basis, in columns, of the space spanned by B, A B, A^2 B ..."""
+    found: list[np.ndarray] = []
+    waiting = list(B.T)
+    while waiting and len(found) < len(A):
+        new = waiting.pop(0)
+        rest, size = new, np.linalg.norm(new)
+        for _ in range(2):  # the second time for rounding
+            for old in found:
+                rest = rest - (old @ rest) * old
+        if np.linalg.norm(rest) > NOTHING * size:
+            found.append(rest / np.linalg.norm(rest))
+            waiting.append(A @ found[-1])
+    return np.array(found).reshape(-1, len(A)).T
 
 
 def _later(formula: sympy.Expr) -> sympy.Expr:

@@ -15,7 +15,7 @@ import sympy
 from certrack.ensembles.flow import BAND, MEMORIES, SUMS, make_flow, shown
 from certrack.ensembles.members import AMPLITUDE, Members
 from certrack.ensembles.plan import METRICS, Plan, grid, signals_of
-from certrack.ensembles.sampled import Group, SampledCrowd, Segments
+from certrack.ensembles.sampled import Group, SampledCrowd, Segments, later
 from certrack.ensembles.statistics import BAND_BITS, SIDE, Bands, Statistics
 from certrack.implementation import Implementation
 from certrack.integrators.base import Outcome
@@ -155,7 +155,7 @@ class Engine:
 
     def _show_alone(self, run: Run, after: float, bands: Bands) -> None:
         """Count a run of its own where the lockstep did not."""
-        late = np.flatnonzero(self._grid > after)
+        late = np.flatnonzero(later(self._grid, after))
         signals = signals_of(run, self._grid[late])
         for signal, values in enumerate(signals):
             for k, value in zip(late.tolist(), values, strict=True):
@@ -168,10 +168,10 @@ class Engine:
         first, last = begin - begin % LANES, -(-end // LANES) * LANES
         part = slice(begin - first, end - first)
 
-        def show(mark: int, values: np.ndarray) -> None:
+        def show(mark: int, values: np.ndarray, counted: np.ndarray) -> None:
             with self._counting:
                 for signal, row in enumerate(values):
-                    bands.observe(signal, mark, row[part])
+                    bands.observe(signal, mark, row[part][counted[part]])
 
         group = Group(first, *self._varied(first, last))
         totals, ends, alone = self._crowd.run(group, show)
@@ -199,7 +199,7 @@ class Engine:
             starts, table = self._varied(first, first + size)
             table |= {name: np.full(size, value) for name, value in numbers.items()}
             group = Group(first, starts, table)
-            totals, ends, alone = self._crowd.run(group, lambda _mark, _values: None, way)
+            totals, ends, alone = self._crowd.run(group, lambda *_: None, way)
             mine = slice(0, members - first)
             done = ~alone & (ends >= self._edges[-1])
             tails = np.where(done, totals["tail_error"], np.inf)[mine]

@@ -70,8 +70,9 @@ class Group:
     table: Mapping[sympy.Symbol, np.ndarray]
 
 
-#: Gets the number of a time of the grid and the shown values of all members there.
-Show = Callable[[int, np.ndarray], None]
+#: Gets the number of a time of the grid, the shown values of all members there, and which of them
+#: count: those that have to be run alone show what comes after their last time themselves.
+Show = Callable[[int, np.ndarray, np.ndarray], None]
 
 #: What is totalled, by name; last times; which members have to be run alone.
 Found = tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]
@@ -165,22 +166,31 @@ class SampledCrowd:
 
     def _by_native(self, native: SampledNative, course: Course, show: Show) -> Found:
         passed = native.integrate(course, self._segments.shared)
+        stuck = passed.outcomes == STUCK
         for mark, values in enumerate(passed.values):
-            show(mark, values)
+            show(mark, values, ~(stuck & later(self._grid[mark], passed.ends)))
         totals = dict(zip(TOTALS, passed.totals, strict=True))
-        return totals, passed.ends, passed.outcomes == STUCK
+        return totals, passed.ends, stuck
 
     def _by_maps(self, maps: Maps, course: Course, show: Show) -> Found:
         run, line, count = SampledRun(maps, course), course.timeline, course.x.shape[1]
         times = line.times[line.marks >= 0]
 
+        def alone() -> np.ndarray:
+            known = {Outcome.finished, Outcome.escaped}
+            return np.array([outcome not in known for outcome in run.outcomes])
+
         def look(mark: int) -> None:
             values = self._shown(times[mark], run.x, run.u, run.parameters)
-            show(mark, rows(values, count))
+            show(mark, rows(values, count), ~alone())
 
         run.go(look=look)
         for mark in range(run.marks, len(times)):
-            show(mark, np.full((len(self._loop.plant.outputs) + 2, count), np.nan))
+            show(mark, np.full((len(self._loop.plant.outputs) + 2, count), np.nan), ~alone())
         totals = dict(zip(TOTALS, [*run.totals, run.variation], strict=True))
-        known = {Outcome.finished, Outcome.escaped}
-        return totals, run.ends, np.array([outcome not in known for outcome in run.outcomes])
+        return totals, run.ends, alone()
+
+
+def later(time: float | np.ndarray, end: float | np.ndarray) -> np.ndarray:
+    """Whether a time of the grid lies after an event that rounding may have moved."""
+    return np.asarray(time > np.asarray(end) * (1 + 1e-12))

@@ -230,8 +230,7 @@ class _Period:
 
     def _after(self, t: float, state: Array, given: Array, _: Any) -> Array:
         """States and kept commands one period later."""
-        n, T, quantum = len(self._states), self._way.period, self._way.input_quantum
-        u = np.rint(given / quantum) * quantum if quantum else given
+        n, T, u = len(self._states), self._way.period, self._way.converted(given)
         commands = np.concatenate([u, state[n:]])  # the last one acts first
         x, middle, end = state[:n], t + self._fraction * T, t + T
         if self._fraction:

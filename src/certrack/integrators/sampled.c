@@ -36,7 +36,8 @@ typedef struct {
   const double *shared; /* segments x SHARED */
   int64_t depth; /* commands that may wait, and one */
   const double *noise, *quantum; /* MEASURED each */
-  double input_quantum, initial_input, tolerance, limit;
+  double input_quantum, input_low, input_high; /* of the converter */
+  double initial_input, tolerance, limit;
   double *values; /* times of interest x SHOWN x count */
   double *found; /* (TOTALS + 1) x count; the last row is the variation of the input */
   double *ends; /* count */
@@ -198,7 +199,11 @@ static void sample(Group *g, const Task *task, double t, const double *s, V *wai
   }
   law_common(SPLAT(t), s, c);
   law(c, m, g->p, g->k, &u);
-  if (task->input_quantum > 0.0) u = rounded(u, task->input_quantum);
+  if (task->input_quantum > 0.0) {
+    V low = SPLAT(task->input_low), high = SPLAT(task->input_high);
+    u = rounded(u, task->input_quantum);
+    u = choose(u < low, low, choose(u > high, high, u)); /* what is not a number stays so */
+  }
   waiting[g->taken++ % task->depth] = u;
 }
 

@@ -209,9 +209,7 @@ class SampledRun:
             with np.errstate(all="ignore"):
                 measured = np.where(quantum, np.rint(measured / quantum) * quantum, measured)
         u, self.states = self._maps.control(t, measured, self.states, self.parameters)
-        if way.input_quantum:
-            u = np.rint(u / way.input_quantum) * way.input_quantum
-        self._waiting.append(u)
+        self._waiting.append(way.converted(u))
 
     def _cross(self, begin: float, end: float, record: Record | None) -> None:
         """All members from one event to the next."""

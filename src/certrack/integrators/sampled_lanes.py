@@ -34,7 +34,10 @@ class _Task(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("noise", "quantum")),
         *(
             (name, ctypes.c_double)
-            for name in ("input_quantum", "initial_input", "tolerance", "limit")
+            for name in (
+                *("input_quantum", "input_low", "input_high"),
+                *("initial_input", "tolerance", "limit"),
+            )
         ),
         *((name, ctypes.c_void_p) for name in ("values", "found", "ends", "outcomes")),
     ]
@@ -119,7 +122,7 @@ class SampledNative:
             *pointers[5:10],
             int(way.delay) + 2,
             *pointers[10:],
-            way.input_quantum,
+            *way.converter,
             way.initial_input,
             course.tolerance,
             course.max_state,
