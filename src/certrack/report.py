@@ -133,6 +133,14 @@ def count_progress(what: str) -> Iterator[Callable[[str, int], None]]:
         yield advance
 
 
+@contextmanager
+def share_progress(what: str) -> Iterator[Callable[[float], None]]:
+    """Progress bar of a share of the work; yields a function of it."""
+    with _bar() as bar:
+        task = bar.add_task(what, total=100)
+        yield lambda share: bar.update(task, completed=int(100 * share))
+
+
 METRIC_ROWS = {
     "settling_time": "settling time [s]",
     "tail_error": "tail error",

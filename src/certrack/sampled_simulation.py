@@ -28,6 +28,9 @@ Array = np.ndarray
 #: Beyond so many steps a run is sampled at their ends and middles only.
 MANY = 20_000
 
+#: Samples after which the progress is told.
+OFTEN = 500
+
 
 class SampledSimulator:
     """A system with an implementation, compiled; runs it for any numbers.
@@ -58,8 +61,8 @@ class SampledSimulator:
         names = [TIME, self.loop.plant.states, INPUT, [*self.loop.parameters, *self.loop.pieces]]
         self._rates = numpy_callable(names, [*self.loop.plant.rates, self.loop.e_1])
 
-    def run(self, system: System) -> Run:
-        """Simulate `system`."""
+    def run(self, system: System, progress: Callable[[float], None] = lambda _share: None) -> Run:
+        """Simulate `system`; `progress` gets the share that is done."""
         way, settings = system.implementation, system.settings
         assert way is not None
         breaks = system.reference.breaks(0.0, settings.duration)
@@ -88,7 +91,13 @@ class SampledSimulator:
 
         count = len(system.controller.states)
         run = SampledRun(self.maps, course)
-        run.go(sampled=lambda t, s: kept.append((t, s[:count, 0])), record=record)
+
+        def sampled(t: float, states: Array) -> None:
+            kept.append((t, states[:count, 0]))
+            if len(kept) % OFTEN == 0:
+                progress(t / settings.duration)
+
+        run.go(sampled=sampled, record=record)
         kept.append((float(line.times[-1]), run.states[:count, 0]))
         outcome: Outcome = run.outcomes[0]
         if outcome is not Outcome.finished:

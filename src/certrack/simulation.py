@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -60,8 +61,14 @@ class Simulator:
         self._parameters = parameter_values(self.loop, system)
         self._input = numpy_callable([TIME, self.loop.states, self.loop.parameters], [self.loop.u])
 
-    def run(self, system: System | None = None) -> Run:
+    def run(
+        self,
+        system: System | None = None,
+        progress: Callable[[float], None] = lambda _share: None,
+    ) -> Run:
         """Simulate `system`, by default the one given at construction.
+
+        `progress` gets the share that is done of a sampled run, which may take long.
 
         Raises
         ------
@@ -70,7 +77,7 @@ class Simulator:
         """
         system = self._accept(system)
         if self._sampled is not None:
-            return self._sampled.run(system)
+            return self._sampled.run(system, progress)
         settings = system.settings
         parameters = (
             self._parameters if system is self.system else parameter_values(self.loop, system)
