@@ -23,6 +23,7 @@ from certrack.cli import main
 from certrack.export import c as export_c
 from certrack.export import with_c
 from certrack.export.c_printer import comment, literal, wrapped
+from certrack.export.c_readme import readme
 from certrack.export.c_source import c_code, sampled_system
 from certrack.export.golden import TOLERANCE, golden
 from certrack.export.names import RESERVED, free_name, stem
@@ -138,6 +139,18 @@ class TestCode:
         sanitize = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
         run("gcc", *sanitize, f"{code.name}.c", f"{code.name}_test.c", "-lm", cwd=folder)
         run("./a.out", cwd=folder)
+
+
+def test_what_is_not_read_is_not_called_measured():
+    code = c_code(fully_implemented(certrack.load("example1")), "example1")
+    assert (
+        "/* Plant states x, measured: x1, x2;\n * x2: not read; computed from x1.\n */"
+        in code.header
+    )
+    assert "| measured plant states: x1, x2 (not read; computed from x1) |" in readme(code, ())
+    plain = c_code(certrack.load("example1"), "example1", period=0.001)
+    assert "/* Measured plant states x: x1, x2. */" in plain.header
+    assert "not read" not in plain.header + readme(plain, ())
 
 
 def mutants(text, start=0):
