@@ -201,7 +201,7 @@ BAD = {
     "units": (edited('"rad/s", "N m"]', '"rad/s"]'), "plant.units: must be a list of 3"),
     "smoothness": (
         edited('signal = "0.5*sin(t)"', 'kind = "triangle"\namplitude = 1\nperiod = 2'),
-        "reference: the adaptive law needs 2 bounded derivatives",
+        "reference: this design (law.feedforward = 1) needs 2 bounded derivatives",
     ),
 }
 
