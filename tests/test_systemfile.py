@@ -123,7 +123,7 @@ BAD = {
     ),
     "range shape": (
         edited("[[1.0, 3.0]]", "[1.0, 3.0]"),
-        "plant.ranges.theta: needs 1 pair [low, high], one per regressor; got ",
+        "plant.ranges.theta: needs 1 pair [low, high], one per regressor; got 2: [1.0, 3",
     ),
     "tau negative": (
         edited("tau = [0, 1]", "tau = [0, -1]"),
