@@ -475,6 +475,13 @@ class TestInTheLoop:
             assert stopped.value.code == 0
             results.append(json.loads(capsys.readouterr().out))
         assert results[0]["final_state"] == pytest.approx(results[1]["final_state"], rel=1e-12)
+        assert [found["controller"] for found in results] == ["python", "c"]
+        assert results[1]["difference_from_python"] < 1e-12 * results[1]["peak_input"]
+        with pytest.raises(SystemExit):
+            main(["simulate", str(path), "--with-c"])
+        said = capsys.readouterr().out
+        assert "controller: the exported C, compiled by" in said
+        assert "largest difference of u from Python: " in said
 
     def test_needs_an_implementation_and_a_compiler(self, capsys, monkeypatch):
         with pytest.raises(InputError, match="only a sampled controller runs as C. Add a table"):

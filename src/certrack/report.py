@@ -91,7 +91,7 @@ def _number(value: float, digits: int) -> str:
     """
     text = f"{value:.{digits}g}" if abs(value) >= 1e-3 or not value else f"{value:.{digits - 1}e}"
     mantissa, mark, exponent = text.partition("e")
-    return f"{mantissa}e{int(exponent)}" if mark else text
+    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}" if mark else text
 
 
 def console(*, error: bool = False) -> Console:

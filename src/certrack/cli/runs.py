@@ -61,21 +61,28 @@ def simulate(
     changes = {"integrator": integrator, "tolerance": tolerance}
     system = system.with_settings(**{name: v for name, v in changes.items() if v is not None})
     if with_c:
-        from certrack.export.with_c import simulate as run_c
+        from certrack.export import with_c as in_the_loop
 
-        run = run_c(system)
+        run = in_the_loop.simulate(system)
+        difference = in_the_loop.difference_from_python(run)
+        controller = {"controller": "c", "difference_from_python": difference}
     else:
-        run = run_system(system)
+        run, controller = run_system(system), {"controller": "python"}
     if out is not None:
         run.save(out, samples)
     if plot is not None:
         draw({Path(file).stem: run}, plot, system.title)
     summary = run.summary()
     if as_json:
-        click.echo(report.to_json(summary))
+        click.echo(report.to_json(summary | controller))
     else:
         click.echo(system.title or file)
         report.console().print(report.metrics_table({Path(file).stem: summary}))
+        if with_c:
+            click.echo(
+                f"controller: the exported C, compiled by {Path(in_the_loop.compiler()).name}; "
+                f"largest difference of u from Python: {difference:.2g}"
+            )
     diagnose(run)
 
 
