@@ -23,6 +23,7 @@ from certrack.cli import main
 from certrack.export import c as export_c
 from certrack.export import with_c
 from certrack.export.c_printer import comment, literal, wrapped
+from certrack.export.c_readme import readme
 from certrack.export.c_source import c_code, sampled_system
 from certrack.export.golden import TOLERANCE, golden
 from certrack.export.names import RESERVED, free_name, stem
@@ -138,6 +139,18 @@ class TestCode:
         sanitize = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
         run("gcc", *sanitize, f"{code.name}.c", f"{code.name}_test.c", "-lm", cwd=folder)
         run("./a.out", cwd=folder)
+
+
+def test_what_is_not_read_is_not_called_measured():
+    code = c_code(fully_implemented(certrack.load("example1")), "example1")
+    assert (
+        "/* Plant states x, measured: x1, x2;\n * x2: not read; computed from x1.\n */"
+        in code.header
+    )
+    assert "| measured plant states: x1, x2 (not read; computed from x1) |" in readme(code, ())
+    plain = c_code(certrack.load("example1"), "example1", period=0.001)
+    assert "/* Measured plant states x: x1, x2. */" in plain.header
+    assert "not read" not in plain.header + readme(plain, ())
 
 
 def mutants(text, start=0):
@@ -462,6 +475,13 @@ class TestInTheLoop:
             assert stopped.value.code == 0
             results.append(json.loads(capsys.readouterr().out))
         assert results[0]["final_state"] == pytest.approx(results[1]["final_state"], rel=1e-12)
+        assert [found["controller"] for found in results] == ["python", "c"]
+        assert results[1]["difference_from_python"] < 1e-12 * results[1]["peak_input"]
+        with pytest.raises(SystemExit):
+            main(["simulate", str(path), "--with-c"])
+        said = capsys.readouterr().out
+        assert "controller: the exported C, compiled by" in said
+        assert "largest difference of u from Python: " in said
 
     def test_needs_an_implementation_and_a_compiler(self, capsys, monkeypatch):
         with pytest.raises(InputError, match="only a sampled controller runs as C. Add a table"):

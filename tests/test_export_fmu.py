@@ -19,7 +19,9 @@ from fmpy.validation import validate_fmu
 from test_cli import invoke, result
 
 import certrack
+from certrack.export.c_source import c_code
 from certrack.export.fmu import compiler, fmu
+from certrack.export.fmu_description import variables
 
 VERSIONS = ("2", "3")
 
@@ -162,6 +164,14 @@ def test_reproducible(version):
     other = fmu(system, "example1", version=version, period=0.002)
     tokens = [token_of(archive) for archive in (data, other)]
     assert tokens[0] != tokens[1]
+
+
+def test_what_is_not_read_is_not_called_measured():
+    found = {
+        v.name: v.description for v in variables(c_code(sampled("example1", velocity=("x2",))))
+    }
+    assert found["x1"] == "measured state"
+    assert found["x2"] == "not read; computed from x1"
 
 
 def token_of(archive):

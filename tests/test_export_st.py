@@ -211,6 +211,12 @@ def test_interface():
     assert block.sections["VAR_OUTPUT"] == ["U"]
 
 
+def test_what_is_not_read_is_not_called_measured():
+    text = structured_text(sampled("example1", velocity=("x2",)))
+    assert "x1 : LREAL; (* measured" in text
+    assert "x2 : LREAL; (* not read; computed from x1 *)" in text
+
+
 def test_names_and_comments_that_do_not_fit():
     """Identifiers are the same in capitals; some are reserved; a title may end a comment."""
     system = sampled("example1", duration=0.1)

@@ -87,5 +87,5 @@ def test_classic_law_refuses_what_it_does_not_have():
 
 def test_classic_law_needs_a_smooth_reference():
     system = certrack.load("example1-classic")
-    with pytest.raises(InputError, match="needs 2 bounded derivatives of y_d, this one has 1"):
+    with pytest.raises(InputError, match="needs 2 bounded derivatives of y_d, the reference has 1"):
         system.replace(reference=triangle(0.2, 4.0))

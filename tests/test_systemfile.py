@@ -123,7 +123,7 @@ BAD = {
     ),
     "range shape": (
         edited("[[1.0, 3.0]]", "[1.0, 3.0]"),
-        "plant.ranges.theta: must be a list of 1",
+        "plant.ranges.theta: needs 1 pair [low, high], one per regressor; got 2: [1.0, 3",
     ),
     "tau negative": (
         edited("tau = [0, 1]", "tau = [0, -1]"),
@@ -199,9 +199,13 @@ BAD = {
         "simulation.tail: must be before",
     ),
     "units": (edited('"rad/s", "N m"]', '"rad/s"]'), "plant.units: must be a list of 3"),
+    "pairs": (
+        edited("theta = [[1.0, 3.0]]", "theta = [[1.0, 3.0], [0, 1]]"),
+        "plant.ranges.theta: needs 1 pair [low, high], one per regressor; got 2: [[1.0, 3.0], [0",
+    ),
     "smoothness": (
         edited('signal = "0.5*sin(t)"', 'kind = "triangle"\namplitude = 1\nperiod = 2'),
-        "reference: the adaptive law needs 2 bounded derivatives",
+        "reference: this design (law.feedforward = 1) needs 2 bounded derivatives",
     ),
 }
 

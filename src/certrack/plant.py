@@ -206,8 +206,11 @@ class Plant:
                 check_gain("plant.ranges.input_gain", end, self.gain_sign)
             set_fields(self, input_gain_range=(low, high))
         if self.theta_range is not None:
-            what = "[low, high] per regressor"
-            box = checks.sequence("plant.ranges.theta", self.theta_range, self.r, what)
+            box = checks.sequence("plant.ranges.theta", self.theta_range, None, "[low, high] pairs")
+            if len(box) != self.r:
+                many = f"{self.r} pair{'' if self.r == 1 else 's'}"
+                what = f"needs {many} [low, high], one per regressor"
+                raise InputError("plant.ranges.theta", what, f"{len(box)}: {box}")
             pairs = (
                 checks.interval(f"plant.ranges.theta[{i}]", v, known) for i, v in enumerate(box)
             )

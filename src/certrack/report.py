@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Console
+from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
@@ -41,22 +42,56 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> Table:
-    """A table of text; numbers are shown with five digits."""
+#: Longer words than this may be broken in a table.
+LONGEST_WORD = 24
+
+
+def table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 5
+) -> Table:
+    """A table of text and numbers; neither a number nor a word of a usual length is broken."""
     made = Table(title=title or None, title_justify="left", title_style="bold")
-    for i, column in enumerate(columns):
-        made.add_column(column, overflow="fold", justify="left" if i == 0 else "default")
-    for row in rows:
-        made.add_row(*(_cell(value) for value in row))
+    cells = [[_cell(value, digits) for value in row] for row in rows]
+    room = console().width - 3 * len(columns) - 1
+    heads = list(columns)
+    if sum(max(map(len, both)) for both in zip(heads, *cells, strict=True)) > room:
+        heads = [_broken(head, entries) for head, *entries in zip(heads, *cells, strict=True)]
+    least = [_longest_word(both) for both in zip(heads, *cells, strict=True)]
+    for head, width in zip(heads, least, strict=True):
+        made.add_column(head, overflow="fold", min_width=width if sum(least) <= room else None)
+    for row in cells:
+        made.add_row(*row)
     return made
 
 
-def _cell(value: object) -> str:
+def _longest_word(texts: Sequence[str]) -> int:
+    return min(LONGEST_WORD, max(len(word) for text in texts for word in [*text.split(), ""]))
+
+
+def _broken(head: str, entries: Sequence[str]) -> str:
+    """The head of a column broken after words and hyphens, as narrow as its entries allow."""
+    pieces = textwrap.wrap(head, 1, break_long_words=False)
+    width = max(_longest_word(entries), *map(len, pieces), 1)
+    return "\n".join(textwrap.wrap(head, width, break_long_words=False))
+
+
+def _cell(value: object, digits: int) -> str:
     if value is None:
         return "-"
     if isinstance(value, float):
-        return f"{value:.5g}" if math.isfinite(value) else "-"
+        return _number(value, digits) if math.isfinite(value) else "-"
     return str(value)
+
+
+def _number(value: float, digits: int) -> str:
+    """A number with a short exponent, if any.
+
+    >>> _number(804940.0, 4), _number(0.00012344, 4), _number(0.5, 4)
+    ('8.049e5', '1.234e-4', '0.5')
+    """
+    text = f"{value:.{digits}g}" if abs(value) >= 1e-3 or not value else f"{value:.{digits - 1}e}"
+    mantissa, mark, exponent = text.partition("e")
+    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}" if mark else text
 
 
 def console(*, error: bool = False) -> Console:
@@ -152,8 +187,14 @@ METRIC_ROWS = {
 }
 
 
-def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Metrics of one or several runs, one column each."""
+def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Group:
+    """Metrics of one or several runs, one column each, below each other where there are many."""
+    names, beside = list(summaries), max(1, (console().width - 20) // 15)
+    parts = (names[i : i + beside] for i in range(0, len(names), beside))
+    return Group(*(_metrics_table({name: summaries[name] for name in part}) for part in parts))
+
+
+def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
     rows = [
         [label, *(summary[key] for summary in summaries.values())]
         for key, label in METRIC_ROWS.items()
@@ -170,7 +211,7 @@ def ensemble_table(found: Ensemble) -> Table:
         entries = found.statistics.metrics[key].summary()
         shown = [entries[name] for name in ("5%", "50%", "95%", "99%", "max")]
         rows.append([label, *shown, entries["missing"]])
-    return table("", ["metric", "5%", "median", "95%", "99%", "largest", "none"], rows)
+    return table("", ["metric", "5%", "median", "95%", "99%", "largest", "none"], rows, digits=4)
 
 
 def ensemble_notes(found: Ensemble, file: str) -> list[str]:

@@ -148,7 +148,8 @@ class System:
                 f"must not repeat more than {MAX_PERIODS} times in simulation.duration",
                 period,
             )
-        require_order(self.reference, controller.coordinates.q + 1, f"the {self.law.kind} law")
+        q = controller.coordinates.q
+        require_order(self.reference, q + 1, f"this design (law.feedforward = {q})")
         if self.settings.estimates is not None:
             names = ", ".join(state.name for state in controller.states) or "none"
             checks.sequence(

@@ -11,7 +11,11 @@ from certrack.cli.base import FOLDER, json_option
 
 @click.command()
 @click.argument("file")
-@click.option("--error", type=float, help="Admitted tail error; default: the limit or certificate.")
+@click.option(
+    "--error",
+    type=float,
+    help="Admitted tail error, in the unit of the output x_1; default: the limit or certificate.",
+)
 @click.option("-n", "--members", type=click.IntRange(1, 100_000), default=64, show_default=True)
 @click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True)
 @click.option("--plot", type=FOLDER, help="Folder for the picture of error against period.")

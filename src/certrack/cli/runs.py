@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 @click.option("--tolerance", type=float, help="Of the integrator, e.g. 1e-9.")
 @click.option("--member", type=click.IntRange(0), help="Replay this member of the ensemble.")
 @click.option("--seed", type=click.IntRange(0, 2**63), help="Of the ensemble, with --member.")
-@click.option("--with-c", is_flag=True, help="Run the exported C code as the controller.")
+@click.option(
+    "--with-c",
+    is_flag=True,
+    help="Run the exported C code as the controller; needs [implementation] and a C compiler.",
+)
 @json_option
 def simulate(
     file: str,
@@ -57,21 +61,28 @@ def simulate(
     changes = {"integrator": integrator, "tolerance": tolerance}
     system = system.with_settings(**{name: v for name, v in changes.items() if v is not None})
     if with_c:
-        from certrack.export.with_c import simulate as run_c
+        from certrack.export import with_c as in_the_loop
 
-        run = run_c(system)
+        run = in_the_loop.simulate(system)
+        difference = in_the_loop.difference_from_python(run)
+        controller = {"controller": "c", "difference_from_python": difference}
     else:
-        run = run_system(system)
+        run, controller = run_system(system), {"controller": "python"}
     if out is not None:
         run.save(out, samples)
     if plot is not None:
         draw({Path(file).stem: run}, plot, system.title)
     summary = run.summary()
     if as_json:
-        click.echo(report.to_json(summary))
+        click.echo(report.to_json(summary | controller))
     else:
         click.echo(system.title or file)
         report.console().print(report.metrics_table({Path(file).stem: summary}))
+        if with_c:
+            click.echo(
+                f"controller: the exported C, compiled by {Path(in_the_loop.compiler()).name}; "
+                f"largest difference of u from Python: {difference:.2g}"
+            )
     diagnose(run)
 
 
@@ -108,7 +119,11 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
 @click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True)
 @click.option("--out", type=FOLDER, help="Folder for results; a stopped run goes on from it.")
 @click.option("--tolerance", type=float, default=1e-6, show_default=True, help="Of the integrator.")
-@click.option("--limit", type=float, help="Of the tail error; default: the file's or certified.")
+@click.option(
+    "--limit",
+    type=float,
+    help="Of the tail error, in the unit of the output x_1; default: the file's or certified.",
+)
 @click.option("--threads", type=click.IntRange(1, 1024), help="Default: one per core.")
 @click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://host:8786.")
 @click.option("--keep", type=click.IntRange(0), multiple=True, help="Save this member's full run.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from certrack.export.c_source import CCode
+from certrack.export.program import unread
 
 #: What every such file says.
 KIND = "tracking controller in C99"
@@ -13,6 +14,8 @@ def readme(code: CCode, notes: tuple[str, ...]) -> str:
     way, name = code.system.implementation, code.name
     assert way is not None
     derivatives = ", ".join(["y_d", *(f"y_d^({i})" for i in range(1, len(code.program.Y)))])
+    idle = unread(code.system)
+    states = ", ".join(f"{s} ({idle[s]})" if s in idle else s for s in code.system.plant.states)
     kept = ", ".join(code.members) if code.program.states else "nothing"
     warning = "".join(f"**Note:** {note}\n\n" for note in notes)
     return f"""# {name}: {KIND}
@@ -47,7 +50,7 @@ void every_period(const {name}_real x[{name}_STATES], const {name}_real y_d[{nam
 
 | | |
 |---|---|
-| `x` | measured plant states: {", ".join(code.system.plant.states)} |
+| `x` | measured plant states: {states} |
 | `y_d` | the reference and its derivatives, all at the time of the sample: {derivatives} |
 | returned | the input u, to be held until the next one |
 | kept in `{name}_state` | {kept} |

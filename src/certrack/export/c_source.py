@@ -17,7 +17,7 @@ from certrack import checks
 from certrack.errors import InputError
 from certrack.export.c_printer import REALS, CPrinter, comment, helper, literal, wrapped
 from certrack.export.names import free_name, stem
-from certrack.export.program import Program, Step, program
+from certrack.export.program import Program, Step, program, unread
 from certrack.implementation import Implementation
 from certrack.sampled_controller import COMMAND, PERIOD
 from certrack.system import System
@@ -145,7 +145,7 @@ typedef {code.real} {real};
 /* Time between two samples, s. */
 #define {name}_PERIOD {literal(way.period, code.real)}
 
-/* Measured plant states x: {", ".join(code.system.plant.states)}. */
+{_about_inputs(code)}
 #define {name}_STATES {len(made.measured)}
 
 /* The reference y_d and its derivatives up to order {len(made.Y) - 1}, when the sample is taken. */
@@ -182,6 +182,15 @@ def _about_system(code: CCode) -> list[str]:
         "",
         *(f"  {line}" for line in text),
     ]
+
+
+def _about_inputs(code: CCode) -> str:
+    """The comment on the entries of x."""
+    states, idle = ", ".join(code.system.plant.states), unread(code.system)
+    if not idle:
+        return f"/* Measured plant states x: {states}. */"
+    notes = (f" * {name}: {note}." for name, note in idle.items())
+    return _lines([f"/* Plant states x, measured: {states};", *notes, " */"])
 
 
 def _about(made: Program, symbol: sympy.Symbol) -> str:

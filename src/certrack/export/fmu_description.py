@@ -8,6 +8,7 @@ from html import escape
 from xml.etree import ElementTree as Tree
 
 from certrack.export.c_source import CCode
+from certrack.export.program import unread
 from certrack.version import version
 
 
@@ -39,9 +40,10 @@ def variables(code: CCode) -> list[Variable]:
     """In the order of ``fmi/instance.h``: states, reference, input of the plant, what is kept."""
     plant, way, made = code.system.plant, code.system.implementation, code.program
     assert way is not None
+    idle = unread(code.system)
     units = plant.units or ("",) * (plant.n + 1)
     found = [
-        Variable(name, "input", 0.0, "measured state", unit)
+        Variable(name, "input", 0.0, idle.get(name, "measured state"), unit)
         for name, unit in zip(plant.states, units, strict=False)
     ]
     found.append(Variable("y_d", "input", 0.0, "reference", units[0]))

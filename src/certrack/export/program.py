@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import sympy
 
@@ -100,6 +101,17 @@ class Program:
         """All of them."""
         yield from (step.formula for step in (*self.steps, *self.rates))
         yield from self.update
+
+
+def unread(system: System) -> dict[str, str]:
+    """States whose measurement the controller does not read, and what to say of each."""
+    way, states = system.implementation, system.plant.states
+    velocity = () if way is None else way.velocity
+    return {
+        name: f"not read; computed from {before}"
+        for before, name in pairwise(states)
+        if name in velocity
+    }
 
 
 def program(system: System) -> Program:

@@ -12,7 +12,7 @@ import sympy
 
 from certrack.export.c_source import sampled_system
 from certrack.export.names import stem
-from certrack.export.program import Program, program
+from certrack.export.program import Program, program, unread
 from certrack.export.st_writer import INDENT, Writer, free, literal, plain
 from certrack.sampled_controller import COMMAND
 from certrack.system import System
@@ -130,12 +130,9 @@ def _declared(name: str, value: float | None = None, note: str = "", kind: str =
 
 
 def _inputs(system: System, made: Program, names: Mapping[sympy.Symbol, str]) -> list[str]:
-    way = system.implementation
-    assert way is not None
+    idle = unread(system)
     notes = [
-        "not used: found from differences"
-        if state in way.velocity
-        else _with_unit("measured", system, i)
+        idle.get(state, _with_unit("measured", system, i))
         for i, state in enumerate(system.plant.states)
     ]
     notes += ["reference", *(f"its derivative no. {i}" for i in range(1, len(made.Y)))]

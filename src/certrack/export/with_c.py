@@ -123,3 +123,9 @@ def simulate(system: System) -> Run:
         )
     code = c_code(system)
     return SampledSimulator(system, around=lambda maps, loop: CMaps(maps, loop, code)).run(system)
+
+
+def difference_from_python(run: Run) -> float:
+    """Largest |u - u of the same run with its controller in Python|, at the times of both."""
+    ours = SampledSimulator(run.system).run(run.system)
+    return float(abs(ours.dataset().u - run.dataset().u).max())

@@ -72,7 +72,8 @@ def require_order(reference: Reference, order: int, who: str) -> None:
     if reference.order < order:
         raise InputError(
             "reference",
-            f"{who} needs {order} bounded derivatives of y_d, this one has {reference.order:g}",
+            f"{who} needs {order} bounded derivatives of y_d, the reference has "
+            f"{reference.order:g}",
             remedy="Lower law.feedforward or choose a smoother reference",
         )
 
