@@ -218,6 +218,9 @@ def ensemble_notes(found: Ensemble, file: str) -> list[str]:
     """Outcomes, violations and the worst member in words."""
     outcomes = ", ".join(f"{n} {name}" for name, n in sorted(found.statistics.outcomes.items()))
     lines = [f"outcomes: {outcomes}"]
+    unsettled = found.statistics.metrics["settling_time"].missing
+    if unsettled:
+        lines.append(f"{unsettled} of {found.members} members are never settled within the band")
     violations = found.violations()
     if violations is None:
         lines.append(f"no limit: {found.limit_origin}")

@@ -46,7 +46,7 @@ def simulate(
     Example: certrack simulate example1 --plot pictures --out run.nc
     """
     from certrack import report
-    from certrack.simulation import simulate as run_system
+    from certrack.simulation import Simulator
     from certrack.systemfile import load
 
     if samples is not None and out is None:
@@ -67,7 +67,8 @@ def simulate(
         difference = in_the_loop.difference_from_python(run)
         controller = {"controller": "c", "difference_from_python": difference}
     else:
-        run, controller = run_system(system), {"controller": "python"}
+        with report.share_progress("Simulating") as advance:
+            run, controller = Simulator(system).run(progress=advance), {"controller": "python"}
     if out is not None:
         run.save(out, samples)
     if plot is not None:
