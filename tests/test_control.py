@@ -1,6 +1,7 @@
 """The system as python-control blocks: the same responses as our own runs."""
 
 import sys
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -87,6 +88,17 @@ def test_reference_with_breaks_and_converter():
     assert found.states[:2] == pytest.approx(run.trajectory.interpolate(found.time)[:2], abs=1e-10)
     rounded = np.rint(found.outputs[2] / 0.25) * 0.25
     assert rounded == pytest.approx(run.input_of(found.time + T / 2, None), abs=1e-10)
+
+
+def test_a_jump_of_the_rates_is_crossed():
+    """The first one is at t = 0."""
+    T, system = 0.01, certrack.load("example1")
+    truth = replace(system.truth, omega=("0", "5*sign(sin(2.1*t))"))
+    way = certrack.Implementation(period=T)
+    system = system.replace(truth=truth, implementation=way).with_settings(duration=4, tail=2)
+    found = respond(certrack.to_control(system), T * np.arange(390))
+    run = certrack.simulate(system)
+    assert found.states[:2] == pytest.approx(run.trajectory.interpolate(found.time)[:2], abs=1e-7)
 
 
 def test_blocks_are_pure_functions_with_names():

@@ -40,6 +40,13 @@ def sampled(name, **options):
     return certrack.load(name).replace(implementation=way)
 
 
+def with_omega(system, *omega):
+    text = certrack.to_text(system)
+    line = next(line for line in text.splitlines() if line.startswith("omega"))
+    listed = ", ".join(f'"{term}"' for term in omega)
+    return certrack.loads(text.replace(line, f"omega = [{listed}]"))
+
+
 def with_reference(system, reference):
     text = certrack.to_text(system).replace("feedforward = 1", "feedforward = 0")
     head, tail = text.split("[reference]")
@@ -133,6 +140,18 @@ def test_kinks_of_the_plant_are_respected():
     for run in runs.values():
         assert run.outcome is certrack.Outcome.finished
         assert np.abs(finals(run) - finals(tight)).max() < 1e-8
+
+
+@pytest.mark.parametrize("method", [*METHODS, "alone"])
+def test_large_jumps_of_the_rates_are_crossed(method):
+    """The error of the shortest step across one is above its share of the tolerance."""
+    system = with_omega(sampled("dual-motor-lean", period=0.001), 0, 0, 0, "100*sign(sin(2.1*t))")
+    system = system.with_settings(duration=4, tail=2, tolerance=1e-11)
+    system = system.replace(population=replace(system.varied, disturbance="file", x0=None))
+    found = certrack.ensemble(system, 1, method=method, tolerance=1e-11)
+    assert dict(found.statistics.outcomes) == {"finished": 1}
+    loose = certrack.simulate(system, tolerance=1e-7).metrics.tail_error
+    assert found.statistics.metrics["tail_error"].most == pytest.approx(loose, rel=1e-7)
 
 
 @pytest.mark.parametrize("reference", ['kind = "triangle"\namplitude = 0.2\nperiod = 3.001', None])
@@ -506,9 +525,7 @@ def test_members_that_escape(method):
 @pytest.mark.parametrize("method", [*METHODS, "alone"])
 def test_members_without_a_way_on_are_counted_once(method):
     """Where the uncertain term leaves its domain; every member is then run alone."""
-    text = certrack.to_text(sampled("example1", period=0.01))
-    omega = next(line for line in text.splitlines() if line.startswith("omega"))
-    system = certrack.loads(text.replace(omega, 'omega = ["0", "sqrt(3.2 - t + 0.05*x1)"]'))
+    system = with_omega(sampled("example1", period=0.01), 0, "sqrt(3.2 - t + 0.05*x1)")
     system = system.replace(population=replace(system.varied, disturbance="file"))
     found = certrack.ensemble(system.with_settings(duration=5, tail=1), 11, method=method)
     assert dict(found.statistics.outcomes) == {"undefined": 11}

@@ -18,8 +18,9 @@ import numpy as np
 from certrack.errors import CertrackError, MissingExtra
 from certrack.expressions import TIME, symbol
 from certrack.implementation import Implementation
-from certrack.integrators.base import Outcome
+from certrack.integrators.base import ESCAPING, Outcome
 from certrack.integrators.maps import ORDER
+from certrack.integrators.sampled import SHARE, SHORTEST
 from certrack.lowering import numpy_callable
 from certrack.noise import keys, normal
 from certrack.sampled_controller import controller_values, sampled_controller, starting_state
@@ -260,18 +261,25 @@ class _Period:
         python-control takes what is not a number for an algebraic loop: better to stop here.
         """
         settings, t, h = self._system.settings, begin, end - begin
-        column, held = x[:, None], np.array([u])
+        column, held, outcome = x[:, None], np.array([u]), Outcome.step_limit
+        shortest = SHORTEST * end
         for _ in range(MOST_STEPS):
             if not (abs(column) <= settings.max_state).all():
                 break
             if t >= end:
                 return column[:, 0]
             last = t + h >= end * (1 - 1e-15)
-            h = end - t if last else h
-            allowed = settings.tolerance * min(1.0, h)
+            h = end - t if last else max(h, shortest)
+            share = 1.0 if h <= shortest else min(1.0, max(h, SHARE * (end - begin)))
+            allowed = settings.tolerance * share
             after, _, error = self._maps.step(t, h, allowed, column, held, self._totals, self._p)
             if error[0] <= 1.0:
                 t, column = end if last else t + h, after
+            elif h <= shortest:
+                outcome = Outcome.undefined
+                break
             size = error[0] if math.isfinite(error[0]) else 1e9
             h *= min(5.0, max(0.1, 0.9 * max(size, 1e-9) ** (-1.0 / ORDER)))
-        raise CertrackError(f"stopped at t = {t:.6g} s: {Outcome.escaped.value}")
+        if not abs(column).max() <= min(ESCAPING, settings.max_state):
+            outcome = Outcome.escaped
+        raise CertrackError(f"stopped at t = {t:.6g} s: {outcome.value}")

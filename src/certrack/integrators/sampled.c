@@ -6,7 +6,7 @@
  *
  * `system.h` is generated. It holds the sizes
  *   STATES KEPT MEASURED PARAMETERS SHARED COMMON LAW_COMMON TOTALS SHOWN,
- * the coefficients A, B, C, E of the method, ESCAPING, SHARE, MOST_STEPS, and
+ * the coefficients A, B, C, E of the method, ESCAPING, SHARE, SHORTEST, MOST_STEPS, and
  *   common(t, s, c), law_common(t, s, c)  what depends on time t and the segment's numbers s alone
  *   rates(c, x, u, p, k, e)               k = x', e = (e_1, e_1')
  *   measure(x, p, m)                      what the sensors would give
@@ -149,11 +149,14 @@ OUTLINE void creep(Group *g, const Task *task, int64_t first, double begin, doub
   Step step;
   V x[STATES], after[TOTALS];
   double t = begin, h = (end - begin) * factor(largest(error, late), 0.5);
+  double shortest = SHORTEST * end;
   for (int64_t i = 0; i < MOST_STEPS && t < end && any(late); i++) {
     int last = t + h >= end * (1 - 1e-15);
-    h = last ? end - t : h;
+    h = last ? end - t : h > shortest ? h : shortest;
+    int least = h <= shortest;
     lay(&step, t, h, s);
-    V found = attempt(&own, &step, SHARE * task->tolerance, x, after);
+    double allowed = (least ? 1.0 : SHARE) * task->tolerance;
+    V found = attempt(&own, &step, allowed, x, after);
     double worst = largest(found, late);
     if (worst <= 1.0) {
       memcpy(own.x, x, sizeof x);
@@ -161,7 +164,7 @@ OUTLINE void creep(Group *g, const Task *task, int64_t first, double begin, doub
       t = last ? end : t + h;
     }
     h *= factor(worst, 5.0);
-    if (t < end && t + h <= t) { /* nothing is short enough for these */
+    if (least && !(worst <= 1.0)) { /* nothing is short enough for these */
       I lost = late & ~(found <= SPLAT(1.0));
       give_up(g, &own, task, first, lost, begin);
       late &= ~lost;

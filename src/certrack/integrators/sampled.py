@@ -26,6 +26,10 @@ Array = np.ndarray
 #: dies out.
 SHARE = 0.1
 
+#: No step is shorter than this part of the time. One that is as short may have the whole tolerance
+#: as its error: a jump of the rates is crossed by it, where formulas cease to exist it fails.
+SHORTEST = 1e-15
+
 #: A member that needs more steps for one interval is given up.
 MOST_STEPS = 5_000
 
@@ -240,18 +244,20 @@ class SampledRun:
         t = np.full(len(group), begin)
         x, totals = self.x[:, group], self.totals[:, group]
         u, p = self.u[group], np.ascontiguousarray(self.parameters[:, group])
-        lost = np.zeros(len(group), dtype=bool)
+        lost, shortest = np.zeros(len(group), dtype=bool), SHORTEST * end
         for _ in range(MOST_STEPS):
             last = t + h >= end * (1 - 1e-15)
-            h = np.where(last, end - t, h)
-            after, sums, error = self._maps.step(t, h, self._allowed, x, u, totals, p)
+            h = np.where(last, end - t, np.maximum(h, shortest))
+            least = h <= shortest
+            allowed = np.where(least, self._course.tolerance, self._allowed)
+            after, sums, error = self._maps.step(t, h, allowed, x, u, totals, p)
             passed = (error <= 1.0) & (t < end)
             x, totals = np.where(passed, after, x), np.where(passed, sums, totals)
             t = np.where(passed, np.where(last, end, t + h), t)
             if record is not None and passed[0]:
                 record(float(t[0]), x, totals, u)
             h = h * _factor(error, 5.0)
-            lost |= (t < end) & (t + h <= t)
+            lost |= (t < end) & least & ~passed
             if (lost | (t >= end)).all():
                 break
         stuck = t < end

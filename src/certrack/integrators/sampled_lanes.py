@@ -14,7 +14,7 @@ from certrack.expressions import TIME
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.lanes import braces, c_function, with_elementary
 from certrack.integrators.native import built
-from certrack.integrators.sampled import MOST_STEPS, SHARE, Course
+from certrack.integrators.sampled import MOST_STEPS, SHARE, SHORTEST, Course
 from certrack.lowering import BEGIN, STEP, hoisted
 from certrack.sampled_loop import AREA, SIDES, SQUARE, SampledLoop, resolved
 from certrack.simulated_plant import INPUT
@@ -188,7 +188,8 @@ def _header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
     return with_elementary(
         [
             "enum { " + ", ".join(f"{name} = {size}" for name, size in sizes.items()) + " };",
-            f"static const double ESCAPING = {ESCAPING!r}, SHARE = {SHARE!r};",
+            f"static const double ESCAPING = {ESCAPING!r}, SHARE = {SHARE!r}, "
+            f"SHORTEST = {SHORTEST!r};",
             *(
                 f"static const double {name}{''.join(f'[{k}]' for k in table.shape)} = "
                 f"{braces(table.tolist())};"
