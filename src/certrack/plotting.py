@@ -16,7 +16,9 @@ import numpy as np
 from cycler import cycler
 from matplotlib import ticker
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from certrack.certificates.tube import Tube
 from certrack.ensembles.statistics import LEVELS
@@ -43,9 +45,21 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "certrack",
     "axes.prop_cycle": cycler(
-        color=["#0b61a4", "#d1495b", "#2e8b57", "#edae49", "#6a4c93", "#00798c"]
+        color=[
+            "#0b61a4",
+            "#d1495b",
+            "#2e8b57",
+            "#edae49",
+            "#6a4c93",
+            "#00798c",
+            "#8c564b",
+            "#7f7f7f",
+        ]
     ),
 }
+
+#: Of a system's name in a legend, and of the legend's type.
+MOST_LETTERS, LETTERS_PER_INCH = 32, 14
 
 #: Runs by the name that the legend shows.
 Runs = Mapping[str, Run]
@@ -65,50 +79,51 @@ def unit(run: Run, index: int) -> str:
 def plot_output(ax: Axes, runs: Runs) -> None:
     """Output and reference against time."""
     first = next(iter(runs.values()))
-    ax.plot(first.t, first.y_d, "k--", lw=1.0, label="$y_d$")
-    for name, run in runs.items():
-        ax.plot(run.t, run.x[0], label=_label("$y$", name, runs))
-    _finish(ax, f"output{unit(first, 0)}")
+    line = {"ls": "--", "lw": 1.0} if len(runs) == 1 else {"ls": "-", "lw": 0.7}  # dashes tell runs
+    ax.plot(first.t, first.y_d, color="k", **line, label="$y_d$")
+    for k, run in enumerate(runs.values()):
+        _curve(ax, runs, k, run.x[0], "$y$")
+    _finish(ax, f"output{unit(first, 0)}", runs)
 
 
 def plot_error(ax: Axes, runs: Runs) -> None:
     """Tracking error against time, with the settling band."""
     first = next(iter(runs.values()))
-    for name, run in runs.items():
-        ax.plot(run.t, run.e[0], label=_label("$e_1$", name, runs))
+    for k, run in enumerate(runs.values()):
+        _curve(ax, runs, k, run.e[0], "$e_1$")
     band = first.metrics.band
     ax.axhspan(-band, band, color="#000000", alpha=0.07, lw=0, label=f"band $\\pm${band:.3g}")
-    _finish(ax, f"tracking error{unit(first, 0)}")
+    _finish(ax, f"tracking error{unit(first, 0)}", runs)
 
 
 def plot_states(ax: Axes, runs: Runs) -> None:
     """All plant states against time."""
-    for name, run in runs.items():
+    for k, run in enumerate(runs.values()):
         for i, state in enumerate(run.system.plant.states):
-            ax.plot(run.t, run.x[i], label=_label(_math(state) + unit(run, i), name, runs))
-    _finish(ax, "states")
+            _curve(ax, runs, k, run.x[i], _math(state) + unit(run, i))
+    _finish(ax, "states", runs)
 
 
 def plot_estimates(ax: Axes, runs: Runs) -> None:
     """Controller states against time, with the true values they estimate."""
-    for name, run in runs.items():
+    for k, run in enumerate(runs.values()):
         for i, state in enumerate(run.system.controller.states):
-            ax.plot(run.t, run.z[i], label=_label(_math(state.name), name, runs))
+            _curve(ax, runs, k, run.z[i], _math(state.name))
     truth = next(iter(runs.values())).system.truth
     names = {state.name for run in runs.values() for state in run.system.controller.states}
     if "delta_hat" in names and truth.input_gain is not None:
         ax.axhline(1 / float(truth.input_gain.expr), color="k", lw=0.8, ls=":", label="true values")
     for theta in truth.theta if "theta_hat_1" in names else ():
         ax.axhline(float(theta.expr), color="k", lw=0.8, ls=":")
-    _finish(ax, "estimates")
+    _finish(ax, "estimates", runs)
 
 
 def plot_input(ax: Axes, runs: Runs) -> None:
     """Control input against time."""
     first = next(iter(runs.values()))
-    for name, run in runs.items():
-        ax.plot(run.t, run.u, label=_label("$u$", name, runs))
-    _finish(ax, f"input{unit(first, -1)}")
+    for k, run in enumerate(runs.values()):
+        _curve(ax, runs, k, run.u, "$u$")
+    _finish(ax, f"input{unit(first, -1)}", runs)
 
 
 Panel = Callable[[Axes, Runs], None]
@@ -135,6 +150,7 @@ def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
         ax = made.add_subplot()
         panel(ax, runs)
         ax.set_title(title, loc="left")
+        _name_systems(made, runs)
     return made
 
 
@@ -144,13 +160,13 @@ def plot_tube(ax: Axes, runs: Runs, tube: Tube) -> None:
     t = np.unique(np.concatenate([run.t for run in runs.values()]))
     bound = tube(t)
     ax.fill_between(t, -bound, bound, color="#0b61a4", alpha=0.10, lw=0, label="certified tube")
-    for name, run in runs.items():
-        ax.plot(run.t, run.e[0], label=_label("$e_1$", name, runs))
+    for k, run in enumerate(runs.values()):
+        _curve(ax, runs, k, run.e[0], "$e_1$")
     floor = math.sqrt(tube.floor)
     for sense in (-1, 1):
         label = f"limsup $|e_1| \\leq$ {floor:.4g}" if sense > 0 else None
         ax.axhline(sense * floor, color="#0b61a4", lw=0.9, ls="--", label=label)
-    _finish(ax, f"tracking error{unit(first, 0)}")
+    _finish(ax, f"tracking error{unit(first, 0)}", runs)
 
 
 def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
@@ -181,6 +197,7 @@ def overview(runs: Runs, title: str = "") -> Figure:
             ax.label_outer()
         made.align_ylabels()
         made.suptitle(title, fontsize=10, fontweight="bold")
+        _name_systems(made, runs)
     return made
 
 
@@ -299,8 +316,40 @@ def save_figure(made: Figure, folder: Path, name: str) -> list[Path]:
     return paths
 
 
-def _label(what: str, name: str, runs: Runs) -> str:
-    return what if len(runs) == 1 else f"{what} {name}"
+#: How system after system is drawn over the others: line, width, and the lightness of the colour:
+#: the share of white (black where negative) that is mixed in.
+LOOKS = (("-", 2.4, 0.55), ("--", 1.2, 0.0), (":", 1.2, -0.45), ("-.", 0.8, -0.2))
+
+
+def _look(color: str, k: int) -> dict[str, Any]:
+    """How the k-th of several systems draws what has this colour."""
+    line, width, light = LOOKS[k % len(LOOKS)]
+    end = 1.0 if light > 0 else 0.0
+    mixed = (1 - abs(light)) * np.array(to_rgb(color)) + abs(light) * end
+    return {"color": tuple(mixed.tolist()), "ls": line, "lw": width}
+
+
+def _curve(ax: Axes, runs: Runs, k: int, values: np.ndarray, label: str) -> None:
+    """Signal of the k-th run: the signal sets the colour, the run the line."""
+    t = list(runs.values())[k].t
+    if len(runs) == 1:
+        ax.plot(t, values, label=label)
+        return
+    named = {line.get_label(): line for line in ax.lines}
+    if label not in named:
+        (named[label],) = ax.plot([], [], label=label)  # the legend shows the plain colour
+    ax.plot(t, values, **_look(str(named[label].get_color()), k))
+
+
+def _name_systems(made: Figure, runs: Runs) -> None:
+    """One legend of the figure for the systems, where there are several."""
+    if len(runs) == 1:
+        return
+    names = [name if len(name) <= MOST_LETTERS else f"...{name[-MOST_LETTERS:]}" for name in runs]
+    lines = [Line2D([], [], **_look("#404040", k)) for k in range(len(runs))]
+    letters = made.get_figwidth() * LETTERS_PER_INCH
+    columns = max(1, min(len(names), int(letters / (max(map(len, names)) + 8))))
+    made.legend(lines, names, loc="outside upper center", ncols=columns, handlelength=3)
 
 
 def _math(name: str) -> str:
@@ -316,8 +365,11 @@ def _math(name: str) -> str:
     return f"${head}_{{{index}}}$" if index and len(head) == 1 else name
 
 
-def _finish(ax: Axes, label: str) -> None:
+def _finish(ax: Axes, label: str, runs: Runs) -> None:
     ax.set_xlabel("time [s]")
     ax.set_ylabel(label)
     ax.margins(x=0.01)  # a jump at t = 0 stays visible beside the axis
-    ax.legend(ncols=3, loc="best")
+    if len(runs) == 1:
+        ax.legend(ncols=3, loc="best")
+    else:
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))

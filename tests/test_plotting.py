@@ -1,0 +1,61 @@
+"""Pictures: what they show, and that drawing them warns of nothing."""
+
+import numpy as np
+import pytest
+
+import certrack
+from certrack import plotting
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+@pytest.fixture(scope="module")
+def runs():
+    names = ("dual-motor", "dual-motor-lean", "dual-motor-drive")
+    systems = {name: certrack.load(name).with_settings(duration=1.0, tail=0.5) for name in names}
+    return {name: certrack.simulate(system) for name, system in systems.items()}
+
+
+def texts(legend):
+    return [text.get_text() for text in legend.get_texts()]
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_systems_differ_by_line_and_states_by_colour(runs, tmp_path, count):
+    some = dict(list(runs.items())[:count])
+    made = plotting.overview(some)
+    plotting.save_figure(made, tmp_path, "overview")
+    (systems,) = made.legends
+    assert texts(systems) == list(some)
+    assert len({line.get_linestyle() for line in systems.get_lines()}) == count
+    states = made.axes[2].get_legend()
+    assert len(states.get_texts()) == 4
+    assert len({line.get_color() for line in states.get_lines()}) == 4
+    width, height = made.get_size_inches() * made.dpi
+    for legend in (systems, *(ax.get_legend() for ax in made.axes)):
+        box = legend.get_window_extent()
+        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
+    for ax in made.axes:
+        assert ax.get_legend().get_window_extent().x0 >= ax.get_window_extent().x1
+
+
+def test_long_names_stay_on_the_page(runs, tmp_path):
+    run = runs["dual-motor-lean"]
+    made = plotting.overview({f"{'a-folder/' * 8}{k}.toml": run for k in range(5)})
+    plotting.save_figure(made, tmp_path, "overview")
+    box = made.legends[0].get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= made.get_figwidth() * made.dpi
+
+
+def test_one_run_needs_no_legend_of_systems(runs):
+    made = plotting.overview({"lean": runs["dual-motor-lean"]})
+    assert not made.legends
+    assert len(texts(made.axes[2].get_legend())) == 4
+
+
+def test_the_input_of_a_sampled_run_is_a_staircase(runs):
+    run = runs["dual-motor-drive"]
+    made = plotting.figure(plotting.plot_input, {"": run})
+    t, u = made.axes[0].lines[0].get_data()
+    rising = np.diff(t) > 1e-9
+    assert np.all(np.diff(u)[rising] == 0) and np.any(np.diff(u) != 0)
