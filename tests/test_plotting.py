@@ -1,10 +1,13 @@
 """Pictures: what they show, and that drawing them warns of nothing."""
 
+import math
+
 import numpy as np
 import pytest
 
 import certrack
 from certrack import plotting
+from certrack.margin import Margin, Margins
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -59,3 +62,28 @@ def test_the_input_of_a_sampled_run_is_a_staircase(runs):
     t, u = made.axes[0].lines[0].get_data()
     rising = np.diff(t) > 1e-9
     assert np.all(np.diff(u)[rising] == 0) and np.any(np.diff(u) != 0)
+
+
+def drawn_labels(axis):
+    """Boxes of the tick labels that are seen."""
+    low, high = sorted(axis.get_view_interval())
+    ticks = [t for t in axis.get_major_ticks() if low <= t.get_loc() <= high]
+    boxes = [t.label1.get_window_extent() for t in ticks if t.label1.get_text()]
+    return sorted(boxes, key=lambda box: box.x0)
+
+
+@pytest.mark.parametrize("span", [(0.00125, 0.0013), (0.0005, 0.002), (1e-4, 2e-2), (1e-5, 3.0)])
+def test_margin_figure_of_any_span(tmp_path, span):
+    values = tuple(np.geomspace(*span, 9).tolist())
+    one = Margin(span[0], span[0], None, False, values, (*[1e-3] * 8, math.inf))
+    found = Margins(1e-2, "given", 8, span[0], one, one, one)
+    made = plotting.margin_figure(found, "title", ["rad", "1"])
+    plotting.save_figure(made, tmp_path, "margin")
+    for ax in made.axes:
+        boxes = drawn_labels(ax.xaxis)
+        assert len(boxes) >= 2
+        assert all(a.x1 < b.x0 for a, b in zip(boxes, boxes[1:], strict=False))
+    assert made.axes[0].get_xlabel() == "sampling period [ms]"
+    (legend,) = made.legends
+    assert texts(legend) == ["worst member", "lost, or off the scale", "admitted"]
+    assert all(legend.get_window_extent().y1 < ax.get_window_extent().y0 for ax in made.axes)

@@ -79,8 +79,8 @@ def unit(run: Run, index: int) -> str:
 def plot_output(ax: Axes, runs: Runs) -> None:
     """Output and reference against time."""
     first = next(iter(runs.values()))
-    line = {"ls": "--", "lw": 1.0} if len(runs) == 1 else {"ls": "-", "lw": 0.7}  # dashes tell runs
-    ax.plot(first.t, first.y_d, color="k", **line, label="$y_d$")
+    line, width = ("--", 1.0) if len(runs) == 1 else ("-", 0.7)  # dashes tell several runs apart
+    ax.plot(first.t, first.y_d, color="k", ls=line, lw=width, label="$y_d$")
     for k, run in enumerate(runs.values()):
         _curve(ax, runs, k, run.x[0], "$y$")
     _finish(ax, f"output{unit(first, 0)}", runs)
@@ -271,32 +271,65 @@ def metric_histograms(found: Ensemble) -> Figure:
 
 def margin_figure(found: Margins, title: str, units: Sequence[str] | None) -> Figure:
     """Worst tail error against period, delay and saturation."""
-    names = [f"[{unit}]" if unit not in ("", "1") else "" for unit in units or ("", "")]
+    names = [f" [{unit}]" if unit not in ("", "1") else "" for unit in units or ("", "")]
+    at, unit_ = _seconds(found.at)
     panels = {
-        "sampling period [s]": found.period,
-        f"delay at a period of {found.at:.3g} s [s]": found.delay,
-        f"saturation $\\pm u$ {names[-1]}": found.saturation,
+        "sampling period": found.period,
+        f"delay at a period of {found.at * at:.3g} {unit_}": found.delay,
+        f"saturation $\\pm u${names[-1]}": found.saturation,
     }
+    top = 1e3 * found.error
     with style():
-        made = Figure(figsize=(9.0, 2.9), layout="constrained")
-        for ax, (label, one) in zip(made.subplots(1, 3, sharey=True), panels.items(), strict=True):
-            values, errors = np.array(one.values), np.array(one.errors)
-            shown = np.isfinite(errors) & (errors < 1e3 * found.error)
+        made = Figure(figsize=(9.0, 3.2), layout="constrained")
+        axes, lost = made.subplots(1, 3, sharey=True), False
+        for ax, (label, one) in zip(axes, panels.items(), strict=True):
+            factor, unit_ = (1.0, "") if ax is axes[-1] else _seconds(*one.values)
+            values, errors = factor * np.array(one.values), np.array(one.errors)
+            shown = np.isfinite(errors) & (errors < top)
             ax.loglog(values[shown], errors[shown], ".-", label="worst member")
-            ax.plot(
-                values[~shown], np.full((~shown).sum(), 1e3 * found.error), "x", color="#d1495b"
-            )
+            lost = lost or not shown.all()
+            label_ = "lost, or off the scale"
+            ax.plot(values[~shown], [top] * (~shown).sum(), "x", color="#d1495b", label=label_)
             ax.axhline(found.error, color="k", ls="--", lw=0.8, label="admitted")
-            if one.exact:
-                ax.axvline(one.exact, color="#2e8b57", ls=":", lw=1.2, label="exact edge")
-            ax.set_xlabel(label)
-            ax.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
-            ax.xaxis.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
-            ax.xaxis.set_minor_formatter(ticker.NullFormatter())
-        made.axes[0].legend(loc="upper left")
-        made.axes[0].set_ylabel(f"tail error {names[0]}")
+            edge = factor * one.exact if one.exact else math.nan
+            ax.axvline(edge, color="#2e8b57", ls=":", lw=1.2, label="exact edge of stability")
+            ax.set_xlabel(f"{label} [{unit_}]" if unit_ else label)
+            _few_ticks(ax)
+        handles, labels = axes[0].get_legend_handles_labels()
+        some = {
+            "lost, or off the scale": lost,
+            "exact edge of stability": any(one.exact for one in panels.values()),
+        }
+        kept = [k for k, label in enumerate(labels) if some.get(label, True)]
+        made.legend(
+            [handles[k] for k in kept],
+            [labels[k] for k in kept],
+            loc="outside lower center",
+            ncols=len(kept),
+        )
+        axes[0].set_ylabel(f"tail error{names[0]}")
         made.suptitle(title, fontsize=10, fontweight="bold")
     return made
+
+
+def _seconds(*times: float) -> tuple[float, str]:
+    """Factor and unit in which these times in seconds are short numbers."""
+    return (1e3, "ms") if np.exp(np.mean(np.log(times))) < 0.1 else (1.0, "s")
+
+
+def _few_ticks(ax: Axes) -> None:
+    """Labels that do not touch on a logarithmic axis of any span."""
+    low, high = ax.get_xlim()
+    decades = math.log10(high / low)
+    if decades < 0.7:
+        locator: ticker.Locator = ticker.MaxNLocator(4, steps=[1, 2, 5, 10])
+    elif decades < 2:
+        locator = ticker.LogLocator(subs=(1.0, 2.0, 5.0))
+    else:
+        locator = ticker.LogLocator(numticks=6)
+    ax.xaxis.set_major_locator(locator)
+    ax.xaxis.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
+    ax.xaxis.set_minor_formatter(ticker.NullFormatter())
 
 
 def save_figure(made: Figure, folder: Path, name: str) -> list[Path]:
