@@ -1,6 +1,7 @@
 """Pictures: what they show, and that drawing them warns of nothing."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -87,3 +88,21 @@ def test_margin_figure_of_any_span(tmp_path, span):
     (legend,) = made.legends
     assert texts(legend) == ["worst member", "lost, or off the scale", "admitted"]
     assert all(legend.get_window_extent().y1 < ax.get_window_extent().y0 for ax in made.axes)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_estimates_of_other_magnitudes_have_their_own_axes(count, tmp_path):
+    system = certrack.load("example1").with_settings(duration=1.0, tail=0.5)
+    law = replace(system.law, gain_rate=1e-4, delta0=0.01)
+    run = certrack.simulate(system.replace(law=law))
+    small, large = (float(np.abs(row).max()) for row in run.z)
+    assert small < 0.1 * large
+    made = plotting.figure(plotting.plot_estimates, {str(k): run for k in range(count)})
+    plotting.save_figure(made, tmp_path, "estimates")
+    left, right = made.axes
+    assert left.get_ylim()[1] > large > 5 * right.get_ylim()[1]
+    assert left.get_legend() is None
+    found = [r"$\hat\theta_{1}$", "true values", r"$\hat\delta$ (right)"]
+    assert texts(right.get_legend()) == found
+    together = plotting.figure(plotting.plot_estimates, {"": certrack.simulate(system)})
+    assert len(together.axes) == 1

@@ -61,6 +61,10 @@ STYLE: dict[Any, Any] = {
 #: Of a system's name in a legend, and of the legend's type.
 MOST_LETTERS, LETTERS_PER_INCH = 32, 14
 
+#: The estimate of the gain has its own axis, of this colour, where the largest values of it and of
+#: the other estimates differ by more than this factor.
+GAIN_COLOR, MAGNITUDES = "#6a4c93", 10.0
+
 #: Runs by the name that the legend shows.
 Runs = Mapping[str, Run]
 
@@ -105,17 +109,65 @@ def plot_states(ax: Axes, runs: Runs) -> None:
 
 
 def plot_estimates(ax: Axes, runs: Runs) -> None:
-    """Controller states against time, with the true values they estimate."""
-    for k, run in enumerate(runs.values()):
-        for i, state in enumerate(run.system.controller.states):
-            _curve(ax, runs, k, run.z[i], _math(state.name))
+    """Controller states against time, with the true values they estimate.
+
+    The estimate of the gain has an axis of its own, on the right, where the others are of another
+    magnitude.
+    """
     truth = next(iter(runs.values())).system.truth
     names = {state.name for run in runs.values() for state in run.system.controller.states}
+    true: list[tuple[str, float]] = []
     if "delta_hat" in names and truth.input_gain is not None:
-        ax.axhline(1 / float(truth.input_gain.expr), color="k", lw=0.8, ls=":", label="true values")
-    for theta in truth.theta if "theta_hat_1" in names else ():
-        ax.axhline(float(theta.expr), color="k", lw=0.8, ls=":")
+        true.append(("delta_hat", 1 / float(truth.input_gain.expr)))
+    if "theta_hat_1" in names:
+        true.extend(("theta_hat", float(theta.expr)) for theta in truth.theta)
+    apart = _magnitudes_differ(runs)
+    gain = ax.twinx() if apart else ax
+    for k, run in enumerate(runs.values()):
+        for i, state in enumerate(run.system.controller.states):
+            own = apart and state.name == "delta_hat"
+            label = _math(state.name) + (" (right)" if own else "")
+            color = GAIN_COLOR if own else None
+            _curve(gain if own else ax, runs, k, run.z[i], label, color)
+    for name, value in true[::-1]:
+        own = apart and name == "delta_hat"
+        named = "true values" if (name, value) == true[-1] else None
+        color = GAIN_COLOR if own else "k"
+        (gain if own else ax).axhline(value, color=color, lw=0.8, ls=":", label=named)
     _finish(ax, "estimates", runs)
+    if apart:
+        _share_legend(ax, gain)
+        gain.set_ylabel(_math("delta_hat"), color=GAIN_COLOR)
+
+
+def _magnitudes_differ(runs: Runs) -> bool:
+    """Whether the estimate of the gain and the others do not fit one axis."""
+    largest = {True: 0.0, False: 0.0}
+    for run in runs.values():
+        for state, values in zip(run.system.controller.states, run.z, strict=False):
+            gain = state.name == "delta_hat"
+            largest[gain] = max(largest[gain], float(np.nanmax(np.abs(values), initial=0.0)))
+    low, high = sorted(largest.values())
+    return low > 0 and high > MAGNITUDES * low
+
+
+def _share_legend(ax: Axes, right: Axes) -> None:
+    """One legend above the curves of two axes that lie on each other."""
+    shown: dict[str, Any] = {}
+    for one in (ax, right):
+        handles, labels = one.get_legend_handles_labels()
+        for handle, label in zip(handles, labels, strict=True):
+            shown.setdefault(label, handle)
+        low, high = one.get_ylim()
+        one.set_ylim(low, high + 0.3 * (high - low))
+    legend = ax.get_legend()
+    if legend is not None:
+        legend.remove()
+    right.legend(list(shown.values()), list(shown), loc="upper right", ncols=min(5, len(shown)))
+    right.spines["right"].set_visible(True)
+    right.spines["right"].set_color(GAIN_COLOR)
+    right.tick_params(axis="y", colors=GAIN_COLOR)
+    right.grid(visible=False)
 
 
 def plot_input(ax: Axes, runs: Runs) -> None:
@@ -362,15 +414,19 @@ def _look(color: str, k: int) -> dict[str, Any]:
     return {"color": tuple(mixed.tolist()), "ls": line, "lw": width}
 
 
-def _curve(ax: Axes, runs: Runs, k: int, values: np.ndarray, label: str) -> None:
+def _curve(
+    ax: Axes, runs: Runs, k: int, values: np.ndarray, label: str, color: str | None = None
+) -> None:
     """Signal of the k-th run: the signal sets the colour, the run the line."""
     t = list(runs.values())[k].t
     if len(runs) == 1:
-        ax.plot(t, values, label=label)
+        ax.plot(t, values, color=color, label=label)
         return
     named = {line.get_label(): line for line in ax.lines}
     if label not in named:
-        (named[label],) = ax.plot([], [], label=label)  # the legend shows the plain colour
+        (named[label],) = ax.plot(
+            [], [], color=color, label=label
+        )  # the legend shows the plain colour
     ax.plot(t, values, **_look(str(named[label].get_color()), k))
 
 
