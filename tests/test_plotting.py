@@ -8,6 +8,7 @@ import pytest
 
 import certrack
 from certrack import plotting
+from certrack.ensembles.statistics import LEVELS
 from certrack.margin import Margin, Margins
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -106,3 +107,27 @@ def test_estimates_of_other_magnitudes_have_their_own_axes(count, tmp_path):
     assert texts(right.get_legend()) == found
     together = plotting.figure(plotting.plot_estimates, {"": certrack.simulate(system)})
     assert len(together.axes) == 1
+
+
+def test_runaways_leave_the_fan_chart_and_histograms_readable(tmp_path):
+    system = certrack.load("dual-motor-lean").with_settings(duration=1.0, tail=0.5)
+    calm = certrack.ensemble(system, 50)
+    for name, made in plotting.ensemble_figures(calm).items():
+        plotting.save_figure(made, tmp_path, name)
+        assert {ax.get_yscale() for ax in made.axes} == {ax.get_xscale() for ax in made.axes}
+    wild = certrack.ensemble(system, 50)
+    bands = wild.bands.copy()
+    bands[LEVELS.index(0.95) :, :, -5:] = 1e5
+    bands[-1, :, -1] = np.inf
+    wild.__dict__["bands"] = bands
+    for metric in wild.statistics.metrics.values():
+        metric.observe(np.array([1e5]))
+    figures = plotting.ensemble_figures(wild)
+    for name, made in figures.items():
+        plotting.save_figure(made, tmp_path, name)
+    assert {ax.get_yscale() for ax in figures["fan"].axes} == {"symlog"}
+    assert "run away" in figures["fan"].axes[0].texts[0].get_text()
+    axes = figures["metrics"].axes
+    assert {ax.get_xscale() for ax in axes} == {"log"}
+    assert axes[0].get_xlabel() == "tail error [rad]"
+    assert [sum(bar.get_height() for bar in ax.patches) for ax in axes] == [51] * 4
