@@ -8,6 +8,7 @@ import pytest
 
 import certrack
 from certrack import plotting
+from certrack.certificates.tube import Tube
 from certrack.ensembles.statistics import LEVELS
 from certrack.margin import Margin, Margins
 
@@ -131,3 +132,11 @@ def test_runaways_leave_the_fan_chart_and_histograms_readable(tmp_path):
     assert {ax.get_xscale() for ax in axes} == {"log"}
     assert axes[0].get_xlabel() == "tail error [rad]"
     assert [sum(bar.get_height() for bar in ax.patches) for ax in axes] == [51] * 4
+
+
+@pytest.mark.parametrize("name", ["dual-motor-lean", "dual-motor-drive"])
+def test_the_tube_is_said_to_be_of_the_continuous_law(name, runs):
+    made = plotting.tube_figure(runs[name], Tube(start=9.0, floor=1e-6, alpha=1.0), "title")
+    said = "continuous law" in made.axes[0].get_title(loc="left")
+    (shown, *_) = [text for text in texts(made.axes[0].get_legend()) if "tube" in text]
+    assert said == ("continuous law" in shown) == (name == "dual-motor-drive")

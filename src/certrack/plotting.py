@@ -211,13 +211,16 @@ def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
 
 
 def plot_tube(ax: Axes, runs: Runs, tube: Tube) -> None:
-    """Tracking errors inside the certified tube."""
+    """Tracking errors and the certified tube, which is of the continuous law."""
     first = next(iter(runs.values()))
     t = np.unique(np.concatenate([run.t for run in runs.values()]))
     bound = tube(t)
-    ax.fill_between(t, -bound, bound, color="#0b61a4", alpha=0.10, lw=0, label="certified tube")
+    sampled = any(run.system.implementation is not None for run in runs.values())
+    of = "certified tube" + (" (continuous law)" if sampled else "")
+    ax.fill_between(t, -bound, bound, color="#0b61a4", alpha=0.10, lw=0, label=of)
     for k, run in enumerate(runs.values()):
-        _curve(ax, runs, k, run.e[0], "$e_1$")
+        real = run.system.implementation is not None
+        _curve(ax, runs, k, run.e[0], "$e_1$ (sampled run)" if real else "$e_1$")
     floor = math.sqrt(tube.floor)
     for sense in (-1, 1):
         label = f"limsup $|e_1| \\leq$ {floor:.4g}" if sense > 0 else None
@@ -237,6 +240,8 @@ def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
         axes[1].set_ylim(-2 * floor, 2 * floor)
         axes[1].get_legend().remove()
         axes[1].set_title("magnified", loc="left")
+        if run.system.implementation is not None:
+            title = f"{title}\ntube of the continuous law; the run shown is sampled".strip()
         axes[0].set_title(title, loc="left")
         made.align_ylabels()
     return made
