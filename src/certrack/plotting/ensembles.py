@@ -128,7 +128,7 @@ def _histogram(ax: Axes, tally: Tally) -> None:
     low, high = tally.quantile(LEVELS[0]), tally.quantile(LEVELS[-1])
     assert low is not None and high is not None
     if low > 0 and (tally.most > 1e3 * low or tally.most > RUNAWAY * high):
-        least = max(tally.least, low / 10)  # a lone tiny value does not stretch the axis
+        least = max(tally.least, low / 10, 1e-12 * tally.most)  # tiny ones do not stretch the axis
         edges = np.geomspace(least, tally.most, bars + 1).tolist()
         ax.hist(np.clip(values, edges[0], edges[-1]), edges, weights=tally.counts, color="#0b61a4")
         ax.set_xscale("log")

@@ -59,7 +59,7 @@ def seconds(*times: float) -> tuple[float, str]:
 def few_ticks(ax: Axes) -> None:
     """Labels that do not touch on a logarithmic axis of any span."""
     low, high = ax.get_xlim()
-    decades = math.log10(high / low)
+    decades = math.log10(high) - math.log10(low)
     if decades < 0.7:
         locator: ticker.Locator = ticker.MaxNLocator(4, steps=[1, 2, 5, 10])
     elif decades < 2:
