@@ -1,0 +1,48 @@
+"""Pictures of runs, ensembles and margins.
+
+Figures are made without pyplot, so nothing global is touched and no window opens.
+"""
+
+from certrack.plotting.ensembles import ensemble_figures, fan_chart, metric_histograms
+from certrack.plotting.margins import margin_figure
+from certrack.plotting.runs import (
+    PANELS,
+    Panel,
+    Runs,
+    figure,
+    overview,
+    panels_for,
+    plot_error,
+    plot_estimates,
+    plot_input,
+    plot_output,
+    plot_states,
+    plot_tube,
+    tube_figure,
+    unit,
+)
+from certrack.plotting.shared import STYLE, save_figure, style
+
+__all__ = [
+    "PANELS",
+    "STYLE",
+    "Panel",
+    "Runs",
+    "ensemble_figures",
+    "fan_chart",
+    "figure",
+    "margin_figure",
+    "metric_histograms",
+    "overview",
+    "panels_for",
+    "plot_error",
+    "plot_estimates",
+    "plot_input",
+    "plot_output",
+    "plot_states",
+    "plot_tube",
+    "save_figure",
+    "style",
+    "tube_figure",
+    "unit",
+]

@@ -1,0 +1,264 @@
+"""Pictures of one run or of several: output, error, states, estimates, input, the tube."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from certrack.certificates.tube import Tube
+from certrack.plotting.shared import math_name, style
+from certrack.run import Run
+
+#: Of a system's name in a legend, and of the legend's type.
+MOST_LETTERS, LETTERS_PER_INCH = 32, 14
+
+
+#: The estimate of the gain has its own axis, of this colour, where the largest values of it and of
+#: the other estimates differ by more than this factor.
+GAIN_COLOR, MAGNITUDES = "#6a4c93", 10.0
+
+
+#: Runs by the name that the legend shows.
+Runs = Mapping[str, Run]
+
+
+def unit(run: Run, index: int) -> str:
+    """Unit of state `index` (the input is last) as a label suffix."""
+    units = run.system.plant.units
+    return f" [{units[index]}]" if units and units[index] not in ("", "1") else ""
+
+
+def plot_output(ax: Axes, runs: Runs) -> None:
+    """Output and reference against time."""
+    first = next(iter(runs.values()))
+    line, width = ("--", 1.0) if len(runs) == 1 else ("-", 0.7)  # dashes tell several runs apart
+    ax.plot(first.t, first.y_d, color="k", ls=line, lw=width, label="$y_d$")
+    for k, run in enumerate(runs.values()):
+        _curve(ax, runs, k, run.x[0], "$y$")
+    _finish(ax, f"output{unit(first, 0)}", runs)
+
+
+def plot_error(ax: Axes, runs: Runs) -> None:
+    """Tracking error against time, with the settling band."""
+    first = next(iter(runs.values()))
+    for k, run in enumerate(runs.values()):
+        _curve(ax, runs, k, run.e[0], "$e_1$")
+    band = first.metrics.band
+    ax.axhspan(-band, band, color="#000000", alpha=0.07, lw=0, label=f"band $\\pm${band:.3g}")
+    _finish(ax, f"tracking error{unit(first, 0)}", runs)
+
+
+def plot_states(ax: Axes, runs: Runs) -> None:
+    """All plant states against time."""
+    for k, run in enumerate(runs.values()):
+        for i, state in enumerate(run.system.plant.states):
+            _curve(ax, runs, k, run.x[i], math_name(state) + unit(run, i))
+    _finish(ax, "states", runs)
+
+
+def plot_estimates(ax: Axes, runs: Runs) -> None:
+    """Controller states against time, with the true values they estimate.
+
+    The estimate of the gain has an axis of its own, on the right, where the others are of another
+    magnitude.
+    """
+    truth = next(iter(runs.values())).system.truth
+    names = {state.name for run in runs.values() for state in run.system.controller.states}
+    true: list[tuple[str, float]] = []
+    if "delta_hat" in names and truth.input_gain is not None:
+        true.append(("delta_hat", 1 / float(truth.input_gain.expr)))
+    if "theta_hat_1" in names:
+        true.extend(("theta_hat", float(theta.expr)) for theta in truth.theta)
+    apart = _magnitudes_differ(runs)
+    gain = ax.twinx() if apart else ax
+    for k, run in enumerate(runs.values()):
+        for i, state in enumerate(run.system.controller.states):
+            own = apart and state.name == "delta_hat"
+            label = math_name(state.name) + (" (right)" if own else "")
+            color = GAIN_COLOR if own else None
+            _curve(gain if own else ax, runs, k, run.z[i], label, color)
+    for name, value in true[::-1]:
+        own = apart and name == "delta_hat"
+        named = "true values" if (name, value) == true[-1] else None
+        color = GAIN_COLOR if own else "k"
+        (gain if own else ax).axhline(value, color=color, lw=0.8, ls=":", label=named)
+    _finish(ax, "estimates", runs)
+    if apart:
+        _share_legend(ax, gain)
+        gain.set_ylabel(math_name("delta_hat"), color=GAIN_COLOR)
+
+
+def _magnitudes_differ(runs: Runs) -> bool:
+    """Whether the estimate of the gain and the others do not fit one axis."""
+    largest = {True: 0.0, False: 0.0}
+    for run in runs.values():
+        for state, values in zip(run.system.controller.states, run.z, strict=False):
+            gain = state.name == "delta_hat"
+            largest[gain] = max(largest[gain], float(np.nanmax(np.abs(values), initial=0.0)))
+    low, high = sorted(largest.values())
+    return low > 0 and high > MAGNITUDES * low
+
+
+def _share_legend(ax: Axes, right: Axes) -> None:
+    """One legend above the curves of two axes that lie on each other."""
+    shown: dict[str, Any] = {}
+    for one in (ax, right):
+        handles, labels = one.get_legend_handles_labels()
+        for handle, label in zip(handles, labels, strict=True):
+            shown.setdefault(label, handle)
+        low, high = one.get_ylim()
+        one.set_ylim(low, high + 0.3 * (high - low))
+    legend = ax.get_legend()
+    if legend is not None:
+        legend.remove()
+    right.legend(list(shown.values()), list(shown), loc="upper right", ncols=min(5, len(shown)))
+    right.spines["right"].set_visible(True)
+    right.spines["right"].set_color(GAIN_COLOR)
+    right.tick_params(axis="y", colors=GAIN_COLOR)
+    right.grid(visible=False)
+
+
+def plot_input(ax: Axes, runs: Runs) -> None:
+    """Control input against time."""
+    first = next(iter(runs.values()))
+    for k, run in enumerate(runs.values()):
+        _curve(ax, runs, k, run.u, "$u$")
+    _finish(ax, f"input{unit(first, -1)}", runs)
+
+
+Panel = Callable[[Axes, Runs], None]
+
+
+PANELS: dict[str, Panel] = {
+    "output": plot_output,
+    "error": plot_error,
+    "states": plot_states,
+    "estimates": plot_estimates,
+    "input": plot_input,
+}
+
+
+def panels_for(runs: Runs) -> dict[str, Panel]:
+    """The panels that have something to show."""
+    estimating = any(run.system.controller.states for run in runs.values())
+    return {name: draw for name, draw in PANELS.items() if name != "estimates" or estimating}
+
+
+def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
+    """One panel as a figure of a paper's column width."""
+    with style():
+        made = Figure(figsize=(5.0, 3.0), layout="constrained")
+        ax = made.add_subplot()
+        panel(ax, runs)
+        ax.set_title(title, loc="left")
+        _name_systems(made, runs)
+    return made
+
+
+def plot_tube(ax: Axes, runs: Runs, tube: Tube) -> None:
+    """Tracking errors and the certified tube, which is of the continuous law."""
+    first = next(iter(runs.values()))
+    t = np.unique(np.concatenate([run.t for run in runs.values()]))
+    bound = tube(t)
+    sampled = any(run.system.implementation is not None for run in runs.values())
+    of = "certified tube" + (" (continuous law)" if sampled else "")
+    ax.fill_between(t, -bound, bound, color="#0b61a4", alpha=0.10, lw=0, label=of)
+    for k, run in enumerate(runs.values()):
+        real = run.system.implementation is not None
+        _curve(ax, runs, k, run.e[0], "$e_1$ (sampled run)" if real else "$e_1$")
+    floor = math.sqrt(tube.floor)
+    for sense in (-1, 1):
+        label = f"limsup $|e_1| \\leq$ {floor:.4g}" if sense > 0 else None
+        ax.axhline(sense * floor, color="#0b61a4", lw=0.9, ls="--", label=label)
+    _finish(ax, f"tracking error{unit(first, 0)}", runs)
+
+
+def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
+    """The response in its tube: the whole run, and the end of it magnified."""
+    with style():
+        made = Figure(figsize=(6.5, 4.2), layout="constrained")
+        axes = made.subplots(2, 1, sharex=True)
+        for ax in axes:
+            plot_tube(ax, {"": run}, tube)
+            ax.label_outer()
+        floor = math.sqrt(tube.floor)
+        axes[1].set_ylim(-2 * floor, 2 * floor)
+        axes[1].get_legend().remove()
+        axes[1].set_title("magnified", loc="left")
+        if run.system.implementation is not None:
+            title = f"{title}\ntube of the continuous law; the run shown is sampled".strip()
+        axes[0].set_title(title, loc="left")
+        made.align_ylabels()
+    return made
+
+
+def overview(runs: Runs, title: str = "") -> Figure:
+    """All panels below each other."""
+    panels = panels_for(runs)
+    with style():
+        made = Figure(figsize=(6.5, 1.9 * len(panels) + 0.4), layout="constrained")
+        axes = made.subplots(len(panels), 1, sharex=True)
+        for ax, panel in zip(np.atleast_1d(axes), panels.values(), strict=True):
+            panel(ax, runs)
+            ax.label_outer()
+        made.align_ylabels()
+        made.suptitle(title, fontsize=10, fontweight="bold")
+        _name_systems(made, runs)
+    return made
+
+
+#: How system after system is drawn over the others: line, width, and the lightness of the colour:
+#: the share of white (black where negative) that is mixed in.
+LOOKS = (("-", 2.4, 0.55), ("--", 1.2, 0.0), (":", 1.2, -0.45), ("-.", 0.8, -0.2))
+
+
+def _look(color: str, k: int) -> dict[str, Any]:
+    """How the k-th of several systems draws what has this colour."""
+    line, width, light = LOOKS[k % len(LOOKS)]
+    end = 1.0 if light > 0 else 0.0
+    mixed = (1 - abs(light)) * np.array(to_rgb(color)) + abs(light) * end
+    return {"color": tuple(mixed.tolist()), "ls": line, "lw": width}
+
+
+def _curve(
+    ax: Axes, runs: Runs, k: int, values: np.ndarray, label: str, color: str | None = None
+) -> None:
+    """Signal of the k-th run: the signal sets the colour, the run the line."""
+    t = list(runs.values())[k].t
+    if len(runs) == 1:
+        ax.plot(t, values, color=color, label=label)
+        return
+    named = {line.get_label(): line for line in ax.lines}
+    if label not in named:
+        (named[label],) = ax.plot(
+            [], [], color=color, label=label
+        )  # the legend shows the plain colour
+    ax.plot(t, values, **_look(str(named[label].get_color()), k))
+
+
+def _name_systems(made: Figure, runs: Runs) -> None:
+    """One legend of the figure for the systems, where there are several."""
+    if len(runs) == 1:
+        return
+    names = [name if len(name) <= MOST_LETTERS else f"...{name[-MOST_LETTERS:]}" for name in runs]
+    lines = [Line2D([], [], **_look("#404040", k)) for k in range(len(runs))]
+    letters = made.get_figwidth() * LETTERS_PER_INCH
+    columns = max(1, min(len(names), int(letters / (max(map(len, names)) + 8))))
+    made.legend(lines, names, loc="outside upper center", ncols=columns, handlelength=3)
+
+
+def _finish(ax: Axes, label: str, runs: Runs) -> None:
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel(label)
+    ax.margins(x=0.01)  # a jump at t = 0 stays visible beside the axis
+    if len(runs) == 1:
+        ax.legend(ncols=3, loc="best")
+    else:
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))

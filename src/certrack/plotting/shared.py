@@ -1,0 +1,104 @@
+"""What all pictures share: the style, names in mathematical type, few ticks, writing."""
+
+from __future__ import annotations
+
+import math
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from cycler import cycler
+from matplotlib import ticker
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from certrack.errors import InputError
+
+STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.5,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.3,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "certrack",
+    "axes.prop_cycle": cycler(
+        color=[
+            "#0b61a4",
+            "#d1495b",
+            "#2e8b57",
+            "#edae49",
+            "#6a4c93",
+            "#00798c",
+            "#8c564b",
+            "#7f7f7f",
+        ]
+    ),
+}
+
+
+def style() -> AbstractContextManager[None]:
+    """Context in which certrack draws."""
+    return matplotlib.rc_context(STYLE)
+
+
+def seconds(*times: float) -> tuple[float, str]:
+    """Factor and unit in which these times in seconds are short numbers."""
+    return (1e3, "ms") if np.exp(np.mean(np.log(times))) < 0.1 else (1.0, "s")
+
+
+def few_ticks(ax: Axes) -> None:
+    """Labels that do not touch on a logarithmic axis of any span."""
+    low, high = ax.get_xlim()
+    decades = math.log10(high) - math.log10(low)
+    if decades < 0.7:
+        locator: ticker.Locator = ticker.MaxNLocator(4, steps=[1, 2, 5, 10])
+    elif decades < 2:
+        locator = ticker.LogLocator(subs=(1.0, 2.0, 5.0))
+    else:
+        locator = ticker.LogLocator(numticks=6)
+    formatter: ticker.Formatter = ticker.StrMethodFormatter("{x:g}")
+    if decades > 5:
+        formatter = ticker.LogFormatterSciNotation()
+    ax.xaxis.set_major_locator(locator)
+    ax.xaxis.set_major_formatter(formatter)
+    ax.xaxis.set_minor_formatter(ticker.NullFormatter())
+
+
+def save_figure(made: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as PNG and SVG; returns the paths."""
+    paths = [folder / f"{name}.{kind}" for kind in ("png", "svg")]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with style():
+            for path in paths:
+                part = path.with_name(f"{path.name}.part")
+                kind = path.suffix[1:]
+                stamp = {"Date": None} if kind == "svg" else {"Software": None}
+                made.savefig(part, format=kind, dpi=200, metadata=stamp)
+                part.replace(path)
+    except OSError as problem:
+        raise InputError(str(folder), f"cannot be written ({problem.strerror})") from None
+    return paths
+
+
+def math_name(name: str) -> str:
+    """A state or estimate name in mathematical type where it has an index."""
+    if name in ("e_1", "u"):
+        return f"${name}$"
+    if name == "delta_hat":
+        return r"$\hat\delta$"
+    if name.startswith("theta_hat_"):
+        return rf"$\hat\theta_{{{name[10:]}}}$"
+    head = name.rstrip("0123456789")
+    index = name[len(head) :]
+    return f"${head}_{{{index}}}$" if index and len(head) == 1 else name
