@@ -79,7 +79,7 @@ def drawn_labels(axis):
 def test_margin_figure_of_any_span(tmp_path, span):
     values = tuple(np.geomspace(*span, 9).tolist())
     one = Margin(span[0], span[0], None, False, values, (*[1e-3] * 8, math.inf))
-    found = Margins(1e-2, "given", 8, span[0], one, one, one)
+    found = Margins(1e-2, "given", 8, span[0], None, one, one, one)
     made = plotting.margin_figure(found, "title", ["rad", "1"])
     plotting.save_figure(made, tmp_path, "margin")
     for ax in made.axes:
