@@ -586,3 +586,41 @@ def test_bad_implementations(options, message):
 def test_implicit_method_is_refused():
     with pytest.raises(certrack.InputError, match="no implicit method"):
         certrack.simulate(sampled("example1", period=0.01), integrator="implicit")
+
+
+@pytest.mark.parametrize("integrator", ["auto", "scipy"])
+def test_a_reference_faster_than_the_plant(integrator):
+    """x' = u, sampled twice a second, while y_d turns ten times a second: the error is resolved."""
+    text = certrack.to_text(sampled("dual-motor-lean", period=0.5))
+    head = text[: text.index("[plant]")]
+    system = certrack.loads(
+        head
+        + """
+[plant]
+states = ["x1"]
+gain_sign = 1
+input_gain = 1
+[truth]
+input_gain = 1
+[reference]
+signal = "sin(20*t)"
+[law]
+kind = "robust"
+c = [1]
+[simulation]
+x0 = [0.3]
+duration = 6
+tail = 3
+[implementation]
+period = 0.5
+"""
+    )
+    run = certrack.simulate(system, integrator=integrator)
+    t = np.linspace(0, 6, 600_001)
+    e = run.trajectory.interpolate(t)[0] - np.sin(20 * t)
+    found = run.metrics
+    assert found.integral_squared_error == pytest.approx(np.trapezoid(e**2, t), rel=1e-7)
+    assert found.integral_abs_error == pytest.approx(np.trapezoid(np.abs(e), t), rel=1e-5)
+    crowd = certrack.ensemble(system, 1, method="native" if compiler() else "lockstep")
+    square = crowd.statistics.metrics["integral_squared_error"].most
+    assert square == pytest.approx(found.integral_squared_error, rel=1e-4)

@@ -84,9 +84,12 @@ class NumpyMaps:
             sides = np.array([e[0], e[6], stages[0, n + 1], stages[6, n + 1]])
             square, area = h * (RK45.B @ e[:6] ** 2), h * (RK45.B @ e[:6])
             after = rows(self._totals(t, h, sides, square, area, u, totals, p), count)
-            error = h * np.einsum("s,sij->ij", RK45.E, stages[:, :n])
-            scaled = error / (allowed * (1.0 + np.maximum(np.abs(x), np.abs(end))))
-            return end, after, np.sqrt((scaled**2).mean(axis=0))
+            error = h * np.einsum(
+                "s,sij->ij", RK45.E, stages[:, : n + 1]
+            )  # of the integral of e_1, too
+            sizes = np.maximum(np.abs([*x, e[0]]), np.abs([*end, e[6]]))
+            scaled = error / (allowed * (1.0 + sizes))
+            return end, after, np.sqrt((scaled**2).sum(axis=0) / n)
 
 
 class HeyokaMaps:
@@ -181,7 +184,8 @@ class HeyokaMaps:
         place |= {SQUARE: weighted(RK45.B, [value * value for value in e])}
         place |= zip(SIDES, (e[0], last[n], stages[0][n + 1], last[n + 1]), strict=True)
         totals = to_heyoka([formula for _, formula in loop.totals], place, kinks=True)
-        return [*end, *totals, self._error(hy, x, end, [*stages, last], weighted, allowed)], inputs
+        error = self._error(hy, [*x, e[0]], [*end, last[n]], [*stages, last], weighted, allowed)
+        return [*end, *totals, error], inputs
 
     def _error(
         self,
@@ -192,7 +196,10 @@ class HeyokaMaps:
         weighted: Callable[..., Any],
         allowed: Any,
     ) -> Any:
-        """Root mean square of the estimated errors over allowed (1 + |x|)."""
+        """Norm of the estimated errors over allowed (1 + |x|), per root of the number of states.
+
+        Of the states and, last, of the integral of e_1: a reference may be faster than the plant.
+        """
         a, b = sympy.symbols("a b", real=True)
         squares = []
         for j, (begin, after) in enumerate(zip(x, end, strict=True)):
@@ -200,4 +207,4 @@ class HeyokaMaps:
             (size,) = to_heyoka([larger(magnitude(a), magnitude(b))], ends, kinks=True)
             scaled = weighted(RK45.E, [s[j] for s in stages]) / (allowed * (1.0 + size))
             squares.append(scaled * scaled)
-        return hy.sqrt(hy.sum(squares) * (1.0 / len(squares)))
+        return hy.sqrt(hy.sum(squares) * (1.0 / (len(squares) - 1)))
