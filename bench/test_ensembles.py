@@ -135,6 +135,25 @@ def test_peers(system, report):
     assert all(ratio > LEAST[name] for name, ratio in found.items())
 
 
+def test_at_equal_error(system, report):
+    """The hand-tuned C at 1e-9 against certrack at the tolerance that gives no larger an error."""
+    tolerance, count = 4e-9, 10_000
+    given = peers.ensemble(count)
+    solvers = {"certrack": ours(system, tolerance, cores()), "C Tsit5": peers.c_tsit5(cores())}
+    best = dict.fromkeys(solvers, np.inf)
+    for _ in range(16):
+        for name, solve in solvers.items():
+            time.sleep(0.03)  # threads of OpenMP wait busily for a while
+            begin = time.perf_counter()
+            solve(*given, 1e-9)
+            best[name] = min(best[name], time.perf_counter() - begin)
+    own = our_errors(system, tolerance, 200).max()
+    floor = peers.errors(solvers["C Tsit5"], 1e-9, 200).max()
+    ratio = best["certrack"] / best["C Tsit5"]
+    report(f"errors {own:.1e} (certrack), {floor:.1e} (C): {ratio:.2f}x the time of C Tsit5")
+    assert own < 1.5 * floor
+
+
 def test_cost_and_memory(report, tmp_path):
     """Per member the same cost from 10^4 to 10^6, and the same peak memory."""
     code = (

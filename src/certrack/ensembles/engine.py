@@ -96,6 +96,7 @@ class Engine:
         self._flow = make_flow(self._members, varying)
         if plan.method == "native":
             self._native = Native(self._flow, shown(self._flow, self._members.loop))
+            self._native.reserve(threads, plan.empty().bands.counts.shape)
         else:
             self._lockstep = Lockstep(self._flow, plan.tolerance, parallel=threads > 1)
 

