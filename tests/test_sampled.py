@@ -10,6 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import certrack
+from certrack.ensembles.engine import fastest
+from certrack.ensembles.plan import make_plan
+from certrack.integrators import native
 from certrack.integrators.native import compiler
 from certrack.noise import keys, normal
 from certrack.sampled_stability import linear_loop
@@ -530,6 +533,23 @@ def test_members_without_a_way_on_are_counted_once(method):
     found = certrack.ensemble(system.with_settings(duration=5, tail=1), 11, method=method)
     assert dict(found.statistics.outcomes) == {"undefined": 11}
     assert np.unique(found.statistics.bands.counts.sum(axis=2)).tolist() == [11]
+
+
+def test_neither_compiler_nor_heyoka(monkeypatch):
+    """NumPy takes the members side by side, and margins have a method, too."""
+
+    def missing(*_):
+        raise native.Unavailable
+
+    monkeypatch.setattr("certrack.integrators.sampled_lanes.built", missing)
+    monkeypatch.setattr("certrack.ensembles.sampled.available", lambda: False)
+    monkeypatch.setattr("certrack.ensembles.engine.available", lambda: False)
+    system = sampled("example1", **EVERYTHING).with_settings(duration=1, tail=0.5)
+    ready = fastest(make_plan(system, 3, 1e-9, None, "native"), 1, adjustable=True)
+    assert ready.plan.method == "lockstep"
+    worst, _ = ready.extremes(3, system.implementation)
+    every = [certrack.ensemble(system, 3, seed=3).run(i).metrics.tail_error for i in range(3)]
+    assert worst == pytest.approx(max(every), rel=1e-7)
 
 
 # ---- files, command line, bad input --------------------------------------------------------------

@@ -19,12 +19,11 @@ from scipy.optimize import brentq
 
 from certrack import checks
 from certrack.ensembles import workers
-from certrack.ensembles.engine import Engine
+from certrack.ensembles.engine import fastest
 from certrack.ensembles.limit import limit_of
 from certrack.ensembles.plan import METHODS, Plan
 from certrack.errors import InputError
 from certrack.implementation import MAX_DELAY, MAX_SAMPLES, Implementation
-from certrack.integrators.native import Unavailable
 from certrack.sampled_stability import LinearLoop, linear_loop
 from certrack.system import System
 
@@ -221,12 +220,7 @@ class _Trials:
         rows = system.plant.n + 2  # what bands would show; nobody asks for them
         nothing, none = np.zeros((rows, system.varied.points + 1)), np.ones(rows)
         plan = Plan(system, seed, TOLERANCE, None, nothing, none, METHODS[0])
-        threads = workers.cores()
-        try:
-            self._engine = Engine(plan, threads, adjustable=True)
-        except Unavailable:
-            slower = replace(plan, method=METHODS[1])
-            self._engine = Engine(slower, threads, adjustable=True)
+        self._engine = fastest(plan, workers.cores(), adjustable=True)
 
     def worst(self, what: str, way: Implementation) -> float:
         """Worst tail error of the members."""

@@ -219,16 +219,8 @@ def _limited(way: Implementation, numbers: list[sympy.Symbol]) -> sympy.Expr:
 
 def forgetting_rates(rates: Sequence[sympy.Expr], known: Set[sympy.Symbol]) -> list[sympy.Expr]:
     """The terms of the rates in gains and estimates alone: the leakage towards the priors."""
-    return [
-        sympy.Add(
-            *(
-                term
-                for term in sympy.Add.make_args(sympy.expand(rate))
-                if term.free_symbols <= known
-            )
-        )
-        for rate in rates
-    ]
+    terms = (sympy.Add.make_args(sympy.expand(rate)) for rate in rates)
+    return [sympy.Add(*(term for term in part if term.free_symbols <= known)) for part in terms]
 
 
 def _weighted(rates: Sequence[sympy.Expr], hold: Sequence[tuple[int, int]]) -> list[sympy.Expr]:

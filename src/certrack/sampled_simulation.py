@@ -17,6 +17,7 @@ from certrack.integrators.sampled import Course, SampledRun, timeline
 from certrack.integrators.taylor import available
 from certrack.lowering import numpy_callable, rows
 from certrack.noise import keys
+from certrack.references import pieces_at
 from certrack.run import Run
 from certrack.sampled_controller import starting_state
 from certrack.sampled_loop import SampledLoop, loop_values, sample_loop
@@ -123,9 +124,7 @@ class SampledSimulator:
         self, system: System, parameters: Array, t: Array, x: Array, u: Array, begins: Array
     ) -> Array:
         """Rates of the plant's states and of the integrals, for steps that begin at `begins`."""
-        edges = np.concatenate([[0.0], system.reference.breaks(0.0, system.settings.duration)])
-        table = np.array([system.reference.piece_values(edge) for edge in edges])
-        pieces = table[np.searchsorted(edges, begins * (1 + 1e-12), side="right") - 1].T
+        pieces = pieces_at(system.reference, begins * (1 + 1e-12))
         with np.errstate(all="ignore"):
             found = rows(self._rates(t, x, u, [*parameters, *pieces]), len(t))
         e = found[-1]

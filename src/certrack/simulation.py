@@ -18,6 +18,7 @@ from certrack.integrators.base import Outcome, Problem
 from certrack.integrators.scipy import ScipyIntegrator
 from certrack.integrators.taylor import TaylorIntegrator, available
 from certrack.lowering import numpy_callable, rows
+from certrack.references import pieces_at
 from certrack.run import Run
 from certrack.sampled_loop import sample_loop
 from certrack.sampled_simulation import SampledSimulator
@@ -173,7 +174,7 @@ class Simulator:
     ) -> np.ndarray:
         """Control input u at times t, shape (N,)."""
         with np.errstate(all="ignore"):
-            values = self._input(t, states, [*parameters.tolist(), *_pieces(system, t)])
+            values = self._input(t, states, [*parameters.tolist(), *pieces_at(system.reference, t)])
         return rows(values, len(t))[0]
 
 
@@ -194,15 +195,6 @@ _RETRY = {
     ("taylor", Outcome.kink_missed): ("scipy", "A kink of abs, sign, min or max was missed"),
     ("taylor", Outcome.step_limit): ("implicit", "The explicit method reached its step limit"),
 }
-
-
-def _pieces(system: System, t: np.ndarray) -> list[np.ndarray]:
-    """Values of the reference's piece symbols at every time."""
-    if not system.reference.piece_symbols:
-        return []
-    edges = np.concatenate([[0.0], system.reference.breaks(0.0, float(t[-1]))])
-    table = np.array([system.reference.piece_values(edge) for edge in edges])
-    return list(table[np.searchsorted(edges, t, side="right") - 1].T)
 
 
 def simulate(system: System, **settings: Any) -> Run:

@@ -6,7 +6,8 @@ import itertools
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from dataclasses import replace
+from functools import cached_property, lru_cache
 from threading import Lock
 
 import numpy as np
@@ -14,7 +15,7 @@ import sympy
 
 from certrack.ensembles.flow import BAND, MEMORIES, SUMS, make_flow, shown
 from certrack.ensembles.members import AMPLITUDE, Members
-from certrack.ensembles.plan import METRICS, Plan, grid, signals_of
+from certrack.ensembles.plan import METHODS, METRICS, Plan, grid, signals_of
 from certrack.ensembles.sampled import Group, SampledCrowd, Segments, later
 from certrack.ensembles.statistics import BAND_BITS, SIDE, Bands, Statistics
 from certrack.implementation import Implementation
@@ -49,7 +50,6 @@ SAMPLED_PIECE = 256
 #: More steps than this, and a group is given up.
 MOST_STEPS = 1_000_000
 
-
 #: Fine grid on which the reference's largest magnitude is looked for.
 FINE = 20_001
 
@@ -82,13 +82,11 @@ class Engine:
         self._shared = np.array([self._shared_at(time) for time in self._edges[:-1]])
         if plan.method == "alone":
             return
-        if plan.method == "lockstep" and not available():
-            raise Unavailable("heyoka is not installed")
         _, varying = self._members.table(0, 1)
         if system.implementation is not None:
             segments = Segments(self._edges, self._shared)
             if adjustable:
-                varying |= dict.fromkeys(self._sampled_controller().numbers, np.empty(0))
+                varying |= dict.fromkeys(self._controller.numbers, np.empty(0))
             self._crowd = SampledCrowd(
                 self._members, varying, plan.method, plan.tolerance, segments, self._grid
             )
@@ -97,6 +95,8 @@ class Engine:
         if plan.method == "native":
             self._native = Native(self._flow, shown(self._flow, self._members.loop))
             self._native.reserve(threads, plan.empty().bands.counts.shape)
+        elif not available():
+            raise Unavailable("heyoka is not installed")
         else:
             self._lockstep = Lockstep(self._flow, plan.tolerance, parallel=threads > 1)
 
@@ -190,7 +190,7 @@ class Engine:
         way : Implementation
             With the structure of the system's own.
         """
-        system, controller = self.plan.system, self._sampled_controller()
+        system, controller = self.plan.system, self._controller
         values = controller_values(controller, system.plant, system.law, way)
         numbers = dict(zip(controller.parameters, values, strict=True))
         numbers = {name: numbers[name] for name in controller.numbers}
@@ -210,7 +210,9 @@ class Engine:
             found = list(pool.map(extremes, range(0, members, size)))
         return max(tail for tail, _ in found), max(peak for _, peak in found)
 
-    def _sampled_controller(self) -> SampledController:
+    @cached_property
+    def _controller(self) -> SampledController:
+        """The sampled controller of the plan's system."""
         system = self.plan.system
         assert system.implementation is not None
         return sampled_controller(system.plant, system.controller, system.implementation)
@@ -307,6 +309,16 @@ class Engine:
         """Values of the shared symbols: whether the tail has begun, the reference's piece."""
         tail = float(time >= self.plan.system.settings.tail_start)
         return np.concatenate([[tail], self.plan.system.reference.piece_values(time)])
+
+
+def fastest(plan: Plan, threads: int, *, adjustable: bool = False) -> Engine:
+    """The plan by the first method that this machine has, whatever the plan's is."""
+    for name in METHODS:
+        try:
+            return Engine(replace(plan, method=name), threads, adjustable=adjustable)
+        except Unavailable:
+            continue
+    raise AssertionError("members can always be run alone")
 
 
 @lru_cache(maxsize=4)

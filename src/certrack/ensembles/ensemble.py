@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from certrack import checks
 from certrack.ensembles import workers as hands
-from certrack.ensembles.engine import Engine
+from certrack.ensembles.engine import Engine, fastest
 from certrack.ensembles.limit import limit_of
 from certrack.ensembles.members import Members
 from certrack.ensembles.plan import METHODS, Plan, Range, grid, make_plan
@@ -244,16 +244,12 @@ def _prepared(
 ) -> tuple[Plan, Engine | None]:
     """The plan, and its engine unless a cluster computes; the first method that works."""
     plan = make_plan(system, seed, tolerance, limit, method or METHODS[0])
-    for name in (method,) if method else METHODS:
-        plan = replace(plan, method=name)
-        try:
-            engine = Engine(plan, threads or hands.cores())
-        except Unavailable as reason:
-            if method:
-                raise InputError("method", str(reason), method, "Leave it out") from None
-            continue
-        return plan, None if client is not None else engine
-    raise AssertionError("members can always be run alone")
+    cores = threads or hands.cores()
+    try:
+        engine = Engine(plan, cores) if method else fastest(plan, cores)
+    except Unavailable as reason:
+        raise InputError("method", str(reason), method, "Leave it out") from None
+    return engine.plan, None if client is not None else engine
 
 
 def _missing(covered: list[Range], members: int, chunk: int) -> Iterator[Range]:

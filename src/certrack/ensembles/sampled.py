@@ -12,9 +12,9 @@ from certrack.ensembles.flow import BAND, IN_TAIL, MEMORIES, SUMS, sampled_total
 from certrack.ensembles.members import Members
 from certrack.expressions import TIME
 from certrack.implementation import Implementation
-from certrack.integrators.base import Outcome
 from certrack.integrators.maps import HeyokaMaps, Maps, NumpyMaps
-from certrack.integrators.sampled import Course, SampledRun, timeline
+from certrack.integrators.native import STUCK
+from certrack.integrators.sampled import Course, SampledRun, Timeline, timeline
 from certrack.integrators.sampled_lanes import SampledNative
 from certrack.integrators.taylor import available
 from certrack.lowering import numpy_callable, rows
@@ -26,9 +26,6 @@ from certrack.simulated_plant import INPUT
 
 #: Names of what is totalled; the last one is kept by the integrators themselves.
 TOTALS = (*SUMS, *MEMORIES[1:], MEMORIES[0])
-
-#: Outcome of a member that a fast method gave up.
-STUCK = 2
 
 
 @dataclass(frozen=True)
@@ -118,6 +115,8 @@ class SampledCrowd:
         self._loop = loop = replace(
             loop, parameters=(*loop.parameters, BAND), pieces=(IN_TAIL, *loop.pieces)
         )
+        self._line = self._timeline(self._system.implementation)
+        self._outputs = outputs_of(loop)
         shown = (loop.e_1, *loop.plant.outputs, INPUT)
         self._native, self._maps = None, None
         if method == "native":
@@ -140,6 +139,7 @@ class SampledCrowd:
             changes must be among the varying ones.
         """
         system, count = self._system, group.starts.shape[1]
+        line = self._line if way is None else self._timeline(way)
         way = way or system.implementation
         assert way is not None
         n, settings = self._loop.plant.n, system.settings
@@ -152,8 +152,8 @@ class SampledCrowd:
             totals=np.zeros((len(self._loop.totals), count)),
             parameters=np.array([group.table[name] for name in self._loop.parameters]),
             way=way,
-            timeline=timeline(way, settings.duration, self._segments.edges[1:-1], self._grid),
-            outputs=outputs_of(self._loop),
+            timeline=line,
+            outputs=self._outputs,
             pieces=self._segments.at,
             keys=keys(self._seed, group.first, count),
             tolerance=self._tolerance,
@@ -163,6 +163,12 @@ class SampledCrowd:
             return self._by_native(self._native, course, show)
         assert self._maps is not None
         return self._by_maps(self._maps, course, show)
+
+    def _timeline(self, way: Implementation | None) -> Timeline:
+        """All events under an implementation: the same for all members."""
+        assert way is not None
+        duration = self._system.settings.duration
+        return timeline(way, duration, self._segments.edges[1:-1], self._grid)
 
     def _by_native(self, native: SampledNative, course: Course, show: Show) -> Found:
         passed = native.integrate(course, self._segments.shared)
@@ -176,19 +182,15 @@ class SampledCrowd:
         run, line, count = SampledRun(maps, course), course.timeline, course.x.shape[1]
         times = line.times[line.marks >= 0]
 
-        def alone() -> np.ndarray:
-            known = {Outcome.finished, Outcome.escaped}
-            return np.array([outcome not in known for outcome in run.outcomes])
-
         def look(mark: int) -> None:
             values = self._shown(times[mark], run.x, run.u, run.parameters)
-            show(mark, rows(values, count), ~alone())
+            show(mark, rows(values, count), ~run.stuck)
 
         run.go(look=look)
         for mark in range(run.marks, len(times)):
-            show(mark, np.full((len(self._loop.plant.outputs) + 2, count), np.nan), ~alone())
+            show(mark, np.full((len(self._loop.plant.outputs) + 2, count), np.nan), ~run.stuck)
         totals = dict(zip(TOTALS, [*run.totals, run.variation], strict=True))
-        return totals, run.ends, alone()
+        return totals, run.ends, run.stuck
 
 
 def later(time: float | np.ndarray, end: float | np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,9 @@ import numpy as np
 from certrack.errors import CertrackError, MissingExtra
 from certrack.expressions import TIME, symbol
 from certrack.implementation import Implementation
-from certrack.integrators.base import ESCAPING, Outcome
-from certrack.integrators.maps import ORDER
-from certrack.integrators.sampled import SHARE, SHORTEST
+from certrack.integrators.sampled import Course, SampledRun, sensed, timeline
 from certrack.lowering import numpy_callable
-from certrack.noise import keys, normal
+from certrack.noise import keys
 from certrack.sampled_controller import controller_values, sampled_controller, starting_state
 from certrack.sampled_loop import loop_values, resolved
 from certrack.sampled_simulation import SampledSimulator
@@ -30,9 +28,6 @@ from certrack.simulated_plant import INPUT, plant_values, simulated_plant
 from certrack.system import System
 
 Array = np.ndarray
-
-#: A plant that needs more steps from one sample to the next is given up.
-MOST_STEPS = 5_000
 
 #: A time this close before a break of the reference, relatively, is the break.
 CLOSE = 1e-12
@@ -211,15 +206,24 @@ class _Period:
     def __init__(self, system: System, way: Implementation) -> None:
         made = SampledSimulator(system)
         self._system, self._way, self._maps = system, way, made.maps
-        pieces = system.reference.piece_values(0.0)  # of what is totalled, which is not used
-        self._p = np.concatenate([loop_values(made.loop, system), pieces])[:, None]
-        self._totals = np.zeros((len(made.loop.totals), 1))
         self._states = [state.name for state in made.loop.plant.states]
-        self._outputs = made.outputs
+        self._course = Course(
+            x=np.array(system.settings.x0)[:, None],
+            states=np.empty((0, 1)),
+            totals=np.zeros((len(made.loop.totals), 1)),
+            parameters=loop_values(made.loop, system)[:, None],
+            way=way,
+            timeline=timeline(way, way.period, np.empty(0), np.empty(0)),  # python-control's own
+            outputs=made.outputs,
+            pieces=system.reference.piece_values,  # of what is totalled, which is not used
+            keys=keys(way.seed, way.stream, 1),
+            tolerance=system.settings.tolerance,
+            max_state=system.settings.max_state,
+        )
+        self._p = SampledRun(made.maps, self._course).parameters
         whole = math.floor(way.delay)
         self._fraction = way.delay - whole
         self._kept = whole + (self._fraction > 0)
-        self._keys = keys(way.seed, way.stream, 1)
 
     def block(self) -> _Block:
         first = self._way.initial_input
@@ -244,42 +248,18 @@ class _Period:
     def _shown(self, t: float, state: Array, _u: Array, _: Any) -> Array:
         """What the sensors show."""
         way, x = self._way, state[: len(self._states), None]
-        shown = (x if self._outputs is None else self._outputs(x, self._p))[:, 0]
-        if way.noise is not None:
-            k = round((t - way.offset) / way.period)
-            drawn = normal(self._keys, k, len(shown))[:, 0]
-            shown = shown + np.array(way.noise) * drawn
-        if way.measurement_quantum is not None:
-            quantum = np.array(way.measurement_quantum)
-            with np.errstate(all="ignore"):
-                shown = np.where(quantum, np.rint(shown / quantum) * quantum, shown)
-        return shown
+        true = x if self._course.outputs is None else self._course.outputs(x, self._p)
+        return sensed(true, way, self._course.keys, round((t - way.offset) / way.period))[:, 0]
 
     def _cross(self, begin: float, end: float, x: Array, u: float) -> Array:
         """The states at the end of an interval of constant input.
 
         python-control takes what is not a number for an algebraic loop: better to stop here.
         """
-        settings, t, h = self._system.settings, begin, end - begin
-        column, held, outcome = x[:, None], np.array([u]), Outcome.step_limit
-        shortest = SHORTEST * end
-        for _ in range(MOST_STEPS):
-            if not (abs(column) <= settings.max_state).all():
-                break
-            if t >= end:
-                return column[:, 0]
-            last = t + h >= end * (1 - 1e-15)
-            h = end - t if last else max(h, shortest)
-            share = 1.0 if h <= shortest else min(1.0, max(h, SHARE * (end - begin)))
-            allowed = settings.tolerance * share
-            after, _, error = self._maps.step(t, h, allowed, column, held, self._totals, self._p)
-            if error[0] <= 1.0:
-                t, column = end if last else t + h, after
-            elif h <= shortest:
-                outcome = Outcome.undefined
-                break
-            size = error[0] if math.isfinite(error[0]) else 1e9
-            h *= min(5.0, max(0.1, 0.9 * max(size, 1e-9) ** (-1.0 / ORDER)))
-        if not abs(column).max() <= min(ESCAPING, settings.max_state):
-            outcome = Outcome.escaped
-        raise CertrackError(f"stopped at t = {t:.6g} s: {outcome.value}")
+        if begin >= end:
+            return x
+        run = SampledRun(self._maps, replace(self._course, x=x[:, None]))
+        run.u = np.array([u])
+        if not run.cross(begin, end):
+            raise CertrackError(f"stopped at t = {begin:.6g} s: {run.outcomes[0].value}")
+        return run.x[:, 0]

@@ -84,9 +84,8 @@ class NumpyMaps:
             sides = np.array([e[0], e[6], stages[0, n + 1], stages[6, n + 1]])
             square, area = h * (RK45.B @ e[:6] ** 2), h * (RK45.B @ e[:6])
             after = rows(self._totals(t, h, sides, square, area, u, totals, p), count)
-            error = h * np.einsum(
-                "s,sij->ij", RK45.E, stages[:, : n + 1]
-            )  # of the integral of e_1, too
+            # of the states and of the integral of e_1: a reference may be faster than the plant
+            error = h * np.einsum("s,sij->ij", RK45.E, stages[:, : n + 1])
             sizes = np.maximum(np.abs([*x, e[0]]), np.abs([*end, e[6]]))
             scaled = error / (allowed * (1.0 + sizes))
             return end, after, np.sqrt((scaled**2).sum(axis=0) / n)
@@ -100,19 +99,16 @@ class HeyokaMaps:
     loop : SampledLoop
     vector : bool
         For a multiple of :data:`LANES` members; otherwise for one.
-    parallel : bool
-        Let heyoka share the members among the cores.
     """
 
     #: Rows of the runtime parameters before those of the loop: time, step, allowed error.
     OWN = 3
 
-    def __init__(self, loop: SampledLoop, *, vector: bool, parallel: bool = False) -> None:
+    def __init__(self, loop: SampledLoop, *, vector: bool) -> None:
         import heyoka as hy
 
         hy.set_logger_level_critical()
         self._loop = loop
-        self._options = {"batch_parallel": True} if parallel else {}
         self._known = {
             name: hy.par[self.OWN + i] for i, name in enumerate((*loop.parameters, *loop.pieces))
         }
@@ -140,9 +136,7 @@ class HeyokaMaps:
         for row, value in zip(table, own, strict=False):
             row[:] = value
         table[self.OWN :] = p[: max(0, function.nparams - self.OWN)]
-        found: Array = function(
-            np.ascontiguousarray(np.concatenate(inputs)), pars=table, **self._options
-        )
+        found: Array = function(np.ascontiguousarray(np.concatenate(inputs)), pars=table)
         return found
 
     def _control_formulas(self, hy: Any) -> tuple[list[Any], list[Any]]:

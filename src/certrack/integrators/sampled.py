@@ -142,6 +142,8 @@ class SampledRun:
     ends : (N,) array, s
         Last event reached within the admitted states.
     outcomes : (N,) array of Outcome
+    stuck : (N,) array of bool
+        Who was given up for another reason than an escape.
     """
 
     def __init__(self, maps: Maps, course: Course) -> None:
@@ -152,7 +154,7 @@ class SampledRun:
         self.u = np.full(count, course.way.initial_input)
         self.ends = np.zeros(count)
         self.outcomes = np.full(count, Outcome.finished, dtype=object)
-        self._alive = np.ones(count, dtype=bool)
+        self._alive, self.stuck = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
         self._waiting: deque[Array] = deque()
         self._taken = self.marks = 0
         self.variation = np.zeros(count)
@@ -193,30 +195,21 @@ class SampledRun:
             if marks[k] >= 0:
                 look(marks[k])
                 self.marks += 1
-            if k + 1 < len(times):
-                self._cross(t, times[k + 1], record)
-                if not self._inside():
-                    return
-                self.ends[self._alive] = times[k + 1]
+            if k + 1 < len(times) and not self.cross(t, times[k + 1], record):
+                return
 
     def _sample(self, t: float) -> None:
         """Measure, evaluate the law; its command waits for the actuator."""
         way, x = self._course.way, self.x
         outputs = self._course.outputs
-        measured = x if outputs is None else outputs(x, self.parameters)
-        if way.noise is not None:
-            drawn = normal(self._course.keys, self._taken, len(measured))
-            measured = measured + np.array(way.noise)[:, None] * drawn
+        true = x if outputs is None else outputs(x, self.parameters)
+        measured = sensed(true, way, self._course.keys, self._taken)
         self._taken += 1
-        if way.measurement_quantum is not None:
-            quantum = np.array(way.measurement_quantum)[:, None]
-            with np.errstate(all="ignore"):
-                measured = np.where(quantum, np.rint(measured / quantum) * quantum, measured)
         u, self.states = self._maps.control(t, measured, self.states, self.parameters)
         self._waiting.append(way.converted(u))
 
-    def _cross(self, begin: float, end: float, record: Record | None) -> None:
-        """All members from one event to the next."""
+    def cross(self, begin: float, end: float, record: Record | None = None) -> bool:
+        """All members from one event to the next; whether any goes on."""
         h = end - begin
         x, totals, error = self._maps.step(
             begin, h, self._allowed, self.x, self.u, self.totals, self.parameters
@@ -229,6 +222,10 @@ class SampledRun:
         if record is not None and not late[0]:
             record(end, x, totals, self.u)
         self.x, self.totals = x, totals
+        if not self._inside():
+            return False
+        self.ends[self._alive] = end
+        return True
 
     def _creep(
         self,
@@ -267,6 +264,7 @@ class SampledRun:
             for i in np.flatnonzero(stuck):
                 limit = Outcome.undefined if lost[i] else Outcome.step_limit
                 self.outcomes[group[i]] = Outcome.escaped if wild[i] else limit
+                self.stuck[group[i]] = not wild[i]
         x_end[:, group], totals_end[:, group] = x, totals
 
     def _inside(self) -> bool:
@@ -281,6 +279,18 @@ class SampledRun:
         self._alive &= ~gone
         self.x[:, gone] = np.nan
         return bool(self._alive.any())
+
+
+def sensed(true: Array, way: Implementation, keys: Array, sample: int) -> Array:
+    """What the sensors give for measured values (n, N) at a sample: with noise, and rounded."""
+    found = true
+    if way.noise is not None:
+        found = found + np.array(way.noise)[:, None] * normal(keys, sample, len(true))
+    if way.measurement_quantum is not None:
+        quantum = np.array(way.measurement_quantum)[:, None]
+        with np.errstate(all="ignore"):
+            found = np.where(quantum, np.rint(found / quantum) * quantum, found)
+    return found
 
 
 def _factor(error: Array, most: float) -> Array:

@@ -5,7 +5,7 @@ continuous. A law with feed-forward order q needs order q + 1 (section "feed-for
 theory page); the paper's law needs one derivative only, so a triangle will do.
 """
 
-from certrack.references.base import Bounds, Reference, require_order
+from certrack.references.base import Bounds, Reference, pieces_at, require_order
 from certrack.references.piecewise import PiecewiseReference, samples, steps, trapezoid, triangle
 from certrack.references.symbolic import SymbolicReference
 
@@ -14,6 +14,7 @@ __all__ = [
     "PiecewiseReference",
     "Reference",
     "SymbolicReference",
+    "pieces_at",
     "require_order",
     "samples",
     "steps",

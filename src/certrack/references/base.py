@@ -67,6 +67,16 @@ class Reference(Protocol):
         """Values of :attr:`piece_symbols` on the piece that begins at or contains `t`."""
 
 
+def pieces_at(reference: Reference, t: np.ndarray) -> np.ndarray:
+    """Values of the piece symbols at every time, a row each."""
+    if not reference.piece_symbols:
+        return np.empty((0, len(t)))
+    edges = np.concatenate([[0.0], reference.breaks(0.0, float(t.max()))])
+    table = np.array([reference.piece_values(edge) for edge in edges])
+    found: np.ndarray = table[np.searchsorted(edges, t, side="right") - 1].T
+    return found
+
+
 def require_order(reference: Reference, order: int, who: str) -> None:
     """Refuse a reference that is not smooth enough for `who`."""
     if reference.order < order:
