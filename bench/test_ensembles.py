@@ -15,11 +15,11 @@ import pytest
 from scipy.stats import linregress
 
 import certrack
-from certrack.ensembles.engine import Engine
-from certrack.ensembles.ensemble import CHUNK
-from certrack.ensembles.members import Members
-from certrack.ensembles.plan import make_plan
-from certrack.ensembles.workers import cores
+from certrack.studies.ensembles.engine import Engine
+from certrack.studies.ensembles.ensemble import CHUNK
+from certrack.studies.ensembles.members import Members
+from certrack.studies.ensembles.plan import make_plan
+from certrack.studies.ensembles.workers import cores
 
 MEMBERS = (1, 100, 10_000)
 FEW = 3  # members of those who integrate one after the other

@@ -11,9 +11,9 @@ from peers import rates
 from scipy.integrate import solve_ivp
 
 import certrack
-from certrack.ensembles.engine import Engine
-from certrack.ensembles.plan import make_plan
-from certrack.ensembles.workers import cores
+from certrack.studies.ensembles.engine import Engine
+from certrack.studies.ensembles.plan import make_plan
+from certrack.studies.ensembles.workers import cores
 
 PERIOD, DURATION, MEMBERS = 1e-3, 20.0, 1000
 SAMPLES = round(DURATION / PERIOD)

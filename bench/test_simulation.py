@@ -10,12 +10,12 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import certrack
-from certrack.backstepping import Gains, recursion
-from certrack.closed_loop import INTEGRAL_SCALE, close_loop, parameter_values
-from certrack.expressions import TIME
-from certrack.lowering import numpy_callable
-from certrack.metrics import measure
-from certrack.simulation import Simulator, simulate
+from certrack.core.expressions import TIME
+from certrack.core.lowering import numpy_callable
+from certrack.laws.backstepping import Gains, recursion
+from certrack.loops.continuous import INTEGRAL_SCALE, close_loop, parameter_values
+from certrack.simulation.metrics import measure
+from certrack.simulation.simulator import Simulator, simulate
 
 TIMES = np.linspace(0, 20, 1001)
 TOLERANCES = 10.0 ** -np.arange(8, 13, 0.2)

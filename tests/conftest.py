@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 import certrack
 from certrack.laws import Adaptive, Classic, Robust
-from certrack.plant import Plant, Uncertainty
+from certrack.model.plant import Plant, Uncertainty
+from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
-from certrack.system import Settings, System
-from certrack.truth import Truth
+from certrack.systems.system import Settings, System
 
 settings.register_profile(
     "certrack",

@@ -3,9 +3,9 @@
 import numpy as np
 
 import certrack
-from certrack.lowering import numpy_callable
-from certrack.sampled_controller import controller_values, sampled_controller, starting_state
-from certrack.sampled_loop import resolved
+from certrack.core.lowering import numpy_callable
+from certrack.loops.controller import controller_values, sampled_controller, starting_state
+from certrack.loops.sampled import resolved
 
 #: All that a controller on a drive may do, for example1.
 EVERYTHING = {

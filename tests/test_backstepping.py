@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import certrack
-from certrack.backstepping import Gains, recursion
-from certrack.errors import DesignError, InputError
-from certrack.expressions import TIME, symbol
+from certrack.core.errors import DesignError, InputError
+from certrack.core.expressions import TIME, symbol
 from certrack.laws import Adaptive, Robust
-from certrack.plant import Plant
+from certrack.laws.backstepping import Gains, recursion
+from certrack.model.plant import Plant
 from certrack.testing import LawConformance
 
 # Theory: Actuators 14:367, Examples 1 and 2, recomputed to 8 decimals.

@@ -28,15 +28,15 @@ from certrack.certificates.exact import Proof, check, prove
 from certrack.certificates.problem import error_problem
 from certrack.certificates.published import certify_published, collect, critical_strength
 from certrack.certificates.semidefinite import Program, best_solution
-from certrack.errors import InputError
-from certrack.falsify import falsify
+from certrack.core.errors import InputError
 from certrack.laws import Robust
-from certrack.plant import Plant, Uncertainty
+from certrack.model.plant import Plant, Uncertainty
+from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
-from certrack.simulation import simulate
-from certrack.system import Settings, System
-from certrack.systemfile import loads, starter
-from certrack.truth import Truth
+from certrack.simulation.simulator import simulate
+from certrack.studies.falsify import falsify
+from certrack.systems.reader import loads, starter
+from certrack.systems.system import Settings, System
 
 # Theory table, to the digits it gives.
 CLASSICAL = {

@@ -9,8 +9,7 @@ import pytest
 from conftest import SHIPPED
 
 import certrack
-from certrack import report
-from certrack.cli import main
+from certrack.cli import main, report
 
 
 def invoke(capfd, *arguments):

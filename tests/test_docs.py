@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from certrack.export.fmu import compiler
+from certrack.export.fmu.archive import compiler
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -72,7 +72,7 @@ def test_every_system_file_key_is_documented():
     from dataclasses import fields as fields_of
 
     from certrack.laws import LAWS
-    from certrack.systemfile import (
+    from certrack.systems.reader import (
         IMPLEMENTATION_KEYS,
         PLANT_KEYS,
         POPULATION_KEYS,

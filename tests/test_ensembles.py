@@ -19,10 +19,15 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import DOP853
 
 import certrack
-from certrack.ensembles.engine import CODES, Engine
-from certrack.ensembles.members import Members
-from certrack.ensembles.plan import METRICS, make_plan
-from certrack.ensembles.statistics import (
+from certrack.core.errors import InputError
+from certrack.integrators.base import Outcome
+from certrack.integrators.many.dense import weights
+from certrack.integrators.many.native import compiler
+from certrack.model.population import Distribution, Population
+from certrack.studies.ensembles.engine import CODES, Engine
+from certrack.studies.ensembles.members import Members
+from certrack.studies.ensembles.plan import METRICS, make_plan
+from certrack.studies.ensembles.statistics import (
     BAND_BITS,
     FINEST,
     LEVELS,
@@ -31,11 +36,6 @@ from certrack.ensembles.statistics import (
     Tally,
     binomial_interval,
 )
-from certrack.errors import InputError
-from certrack.integrators.base import Outcome
-from certrack.integrators.dense import weights
-from certrack.integrators.native import compiler
-from certrack.population import Distribution, Population
 
 METHODS = ["lockstep"] + ["native"] * (compiler() is not None)
 

@@ -20,15 +20,15 @@ from hypothesis import strategies as st
 import certrack
 from certrack import Implementation, InputError
 from certrack.cli import main
-from certrack.export import c as export_c
-from certrack.export import with_c
-from certrack.export.c_printer import comment, literal, wrapped
-from certrack.export.c_readme import readme
-from certrack.export.c_source import c_code, sampled_system
-from certrack.export.golden import TOLERANCE, golden
+from certrack.export.c import files as export_c
+from certrack.export.c import with_c
+from certrack.export.c.golden import TOLERANCE, golden
+from certrack.export.c.printer import comment, literal, wrapped
+from certrack.export.c.readme import readme
+from certrack.export.c.source import c_code, sampled_system
 from certrack.export.names import RESERVED, free_name, stem
 from certrack.laws import Adaptive
-from certrack.systemtext import field_values
+from certrack.systems.writer import field_values
 
 STRICT = (
     "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Wshadow -Werror -O2"

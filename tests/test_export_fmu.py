@@ -19,9 +19,9 @@ from fmpy.validation import validate_fmu
 from test_cli import invoke, result
 
 import certrack
-from certrack.export.c_source import c_code
-from certrack.export.fmu import compiler, fmu
-from certrack.export.fmu_description import variables
+from certrack.export.c.source import c_code
+from certrack.export.fmu.archive import compiler, fmu
+from certrack.export.fmu.description import variables
 
 VERSIONS = ("2", "3")
 

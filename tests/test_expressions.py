@@ -8,8 +8,8 @@ import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from certrack.errors import InputError
-from certrack.expressions import Expression, derivative, parse, symbol, without_minmax
+from certrack.core.errors import InputError
+from certrack.core.expressions import Expression, derivative, parse, symbol, without_minmax
 
 HOSTILE = {
     "attribute": "x.__class__",

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 import certrack
-from certrack.errors import InputError
+from certrack.core.errors import InputError
 from certrack.laws import Classic, Robust
 from certrack.laws.base import Equations, Law, Signals, dot, gain
-from certrack.plant import Plant
+from certrack.model.plant import Plant
 from certrack.references import triangle
 from certrack.testing import LawConformance
 
@@ -59,7 +59,7 @@ def test_kit_catches_a_wrong_law():
     @dataclass(frozen=True, kw_only=True)
     class Foreign(Robust):
         def equations(self, s: Signals) -> Equations:
-            from certrack.expressions import symbol
+            from certrack.core.expressions import symbol
 
             return Equations(u=super().equations(s).u + symbol("x9"))
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from certrack.metrics import _crossing, _integral_of_magnitude, measure, supremum
+from certrack.simulation.metrics import _crossing, _integral_of_magnitude, measure, supremum
 
 
 def order(error, counts=(200, 400, 800)):

@@ -9,8 +9,8 @@ import pytest
 from test_export_c import fully_implemented
 
 import certrack
-from certrack.export import c as export_c
-from certrack.export.c_source import c_code, sampled_system
+from certrack.export.c import files as export_c
+from certrack.export.c.source import c_code, sampled_system
 
 FIRMWARE = Path(__file__).parent / "firmware"
 PAGE = Path(__file__).parents[1] / "docs" / "deployment.md"

@@ -9,8 +9,8 @@ import pytest
 import certrack
 from certrack import plotting
 from certrack.certificates.tube import Tube
-from certrack.ensembles.statistics import LEVELS
-from certrack.margin import Margin, Margins
+from certrack.studies.ensembles.statistics import LEVELS
+from certrack.studies.margins import Margin, Margins
 
 pytestmark = pytest.mark.filterwarnings("error")
 

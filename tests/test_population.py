@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import certrack
-from certrack.assumption import check_assumption_1
-from certrack.closed_loop import close_loop, parameter_values
-from certrack.ensembles.members import Members
-from certrack.errors import InputError
-from certrack.expressions import TIME
-from certrack.lowering import numpy_callable
-from certrack.population import GROUP, SAMPLINGS, Distribution, Population, probabilities
+from certrack.certificates.assumption_1 import check_assumption_1
+from certrack.core.errors import InputError
+from certrack.core.expressions import TIME
+from certrack.core.lowering import numpy_callable
+from certrack.loops.continuous import close_loop, parameter_values
+from certrack.model.population import GROUP, SAMPLINGS, Distribution, Population, probabilities
+from certrack.studies.ensembles.members import Members
 
 
 def uniform(low, high):

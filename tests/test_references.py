@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from certrack.errors import InputError
+from certrack.core.errors import InputError
 from certrack.references import SymbolicReference, samples, steps, trapezoid, triangle
 from certrack.references.base import total_bound
 

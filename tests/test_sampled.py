@@ -10,12 +10,12 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import certrack
-from certrack.ensembles.engine import fastest
-from certrack.ensembles.plan import make_plan
 from certrack.integrators import native
-from certrack.integrators.native import compiler
-from certrack.noise import keys, normal
-from certrack.sampled_stability import linear_loop
+from certrack.integrators.many.native import compiler
+from certrack.loops.stability import linear_loop
+from certrack.model.noise import keys, normal
+from certrack.studies.ensembles.engine import fastest
+from certrack.studies.ensembles.plan import make_plan
 
 EVERYTHING = {
     "period": 0.01,
@@ -329,7 +329,7 @@ def test_differenced_speed():
 
 def test_exact_leak_is_exponential_euler():
     """L W = exp(L T) - I, for a full adaptation gain; nothing couples delta_hat and theta_hat."""
-    from certrack.sampled_controller import controller_values, sampled_controller
+    from certrack.loops.controller import controller_values, sampled_controller
 
     Gamma = ((2.0, 0.5), (0.5, 1.0))
     base = certrack.load("example1")
@@ -541,9 +541,9 @@ def test_neither_compiler_nor_heyoka(monkeypatch):
     def missing(*_):
         raise native.Unavailable
 
-    monkeypatch.setattr("certrack.integrators.sampled_lanes.built", missing)
-    monkeypatch.setattr("certrack.ensembles.sampled.available", lambda: False)
-    monkeypatch.setattr("certrack.ensembles.engine.available", lambda: False)
+    monkeypatch.setattr("certrack.integrators.many.sampled_lanes.built", missing)
+    monkeypatch.setattr("certrack.studies.ensembles.sampled.available", lambda: False)
+    monkeypatch.setattr("certrack.studies.ensembles.engine.available", lambda: False)
     system = sampled("example1", **EVERYTHING).with_settings(duration=1, tail=0.5)
     ready = fastest(make_plan(system, 3, 1e-9, None, "native"), 1, adjustable=True)
     assert ready.plan.method == "lockstep"

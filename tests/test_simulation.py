@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certrack
-from certrack.errors import InputError
+from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.laws import Adaptive, Robust
-from certrack.plant import Plant, Uncertainty
+from certrack.model.plant import Plant, Uncertainty
+from certrack.model.truth import Truth
 from certrack.references import SymbolicReference, samples, steps, trapezoid, triangle
-from certrack.simulation import Simulator, simulate
-from certrack.system import Settings, System
-from certrack.truth import Truth
+from certrack.simulation.simulator import Simulator, simulate
+from certrack.systems.system import Settings, System
 
 DATA = Path(__file__).parent / "data"
 TRAJECTORIES = {
@@ -253,7 +253,7 @@ def test_dataset_has_labels_units_and_provenance(tmp_path):
 
 
 def test_missing_heyoka_falls_back_to_scipy_with_one_warning(monkeypatch):
-    monkeypatch.setattr("certrack.simulation.available", lambda: False)
+    monkeypatch.setattr("certrack.simulation.simulator.available", lambda: False)
     system = certrack.load("example1").with_settings(duration=1, tail=None)
     with pytest.warns(UserWarning, match="heyoka is not installed") as caught:
         run = simulate(system)

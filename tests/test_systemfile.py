@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certrack
-from certrack.errors import InputError
+from certrack.core.errors import InputError
 from certrack.references import samples, steps, trapezoid, triangle
-from certrack.system import System
-from certrack.systemfile import loads, starter
-from certrack.systemtext import to_text
+from certrack.systems.reader import loads, starter
+from certrack.systems.system import System
+from certrack.systems.writer import to_text
 
 GOOD = starter()
 
@@ -280,7 +280,7 @@ def test_unreadable_sources_are_our_error(name):
 
 
 def test_too_large_file_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("certrack.systemfile.MAX_BYTES", 100)
+    monkeypatch.setattr("certrack.systems.reader.MAX_BYTES", 100)
     (tmp_path / "big.toml").write_text("#" * 200)
     with pytest.raises(InputError, match="larger than"):
         certrack.load(tmp_path / "big.toml")
@@ -333,5 +333,5 @@ def test_swapped_lines_raise_nothing_but_our_error(first, second):
 
 def test_catalog_lists_every_shipped_file():
     assert tuple(certrack.catalog()) == SHIPPED
-    folder = Path(certrack.__file__).parent / "catalog"
+    folder = Path(certrack.__file__).parent / "systems" / "catalog"
     assert {path.stem for path in folder.glob("*.toml")} == set(SHIPPED)

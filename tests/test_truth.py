@@ -15,19 +15,19 @@ from scipy.integrate import solve_ivp
 from test_cli import invoke, result
 
 import certrack
-from certrack.ensembles.engine import CODES, Engine
-from certrack.ensembles.members import Members
-from certrack.ensembles.plan import METRICS, make_plan
-from certrack.ensembles.statistics import LEVELS, Bands
-from certrack.errors import InputError
-from certrack.expressions import symbol
+from certrack.core.errors import InputError
+from certrack.core.expressions import symbol
 from certrack.integrators.base import Outcome
-from certrack.integrators.native import compiler
-from certrack.population import Distribution, Population
-from certrack.simulated_plant import measured, plant_values, simulated_plant
-from certrack.simulation import Simulator, simulate
-from certrack.systemfile import starter
-from certrack.truth import Truth
+from certrack.integrators.many.native import compiler
+from certrack.loops.plant import measured, plant_values, simulated_plant
+from certrack.model.population import Distribution, Population
+from certrack.model.truth import Truth
+from certrack.simulation.simulator import Simulator, simulate
+from certrack.studies.ensembles.engine import CODES, Engine
+from certrack.studies.ensembles.members import Members
+from certrack.studies.ensembles.plan import METRICS, make_plan
+from certrack.studies.ensembles.statistics import LEVELS, Bands
+from certrack.systems.reader import starter
 
 METHODS = ["alone", "lockstep"] + ["native"] * (compiler() is not None)
 PHYSICAL = certrack.load("dual-motor-physical")

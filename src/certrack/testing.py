@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from certrack.closed_loop import close_loop, parameter_values
-from certrack.expressions import TIME
-from certrack.integrators.taylor import available
+from certrack.core.expressions import TIME
+from certrack.core.lowering import extract_switches, numpy_callable, to_heyoka
+from certrack.integrators.single.taylor import available
 from certrack.laws import known_laws
-from certrack.lowering import extract_switches, numpy_callable, to_heyoka
-from certrack.simulation import Simulator, simulate
-from certrack.system import System
-from certrack.systemfile import loads
-from certrack.systemtext import to_text
+from certrack.loops.continuous import close_loop, parameter_values
+from certrack.simulation.simulator import Simulator, simulate
+from certrack.systems.reader import loads
+from certrack.systems.system import System
+from certrack.systems.writer import to_text
 
 
 class LawConformance:

@@ -10,7 +10,7 @@ import flint
 import numpy as np
 import sympy
 
-from certrack.expressions import Expression
+from certrack.core.expressions import Expression
 
 #: Turns a number or formula into the arithmetic at hand: :func:`rational` or :func:`decimal`.
 Number = Callable[[Any], Any]

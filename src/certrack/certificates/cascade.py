@@ -28,7 +28,7 @@ from certrack.certificates.certificate import Certificate, NoCertificate, missin
 from certrack.certificates.exact import Proof, check, float_up, from_text, prove
 from certrack.certificates.problem import ErrorProblem, assumptions, error_problem
 from certrack.certificates.semidefinite import FAILED, Program, Solution, best_solution
-from certrack.system import System
+from certrack.systems.system import System
 
 
 def certify_cascade(system: System) -> tuple[Certificate, tuple[Proof, ...] | None]:

@@ -24,9 +24,9 @@ from certrack.certificates.arithmetic import rational, solve, upper
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, from_text, root_up
 from certrack.certificates.problem import ErrorProblem, coordinates
-from certrack.expressions import symbol
+from certrack.core.expressions import symbol
 from certrack.references.supremum import interval
-from certrack.system import System
+from certrack.systems.system import System
 
 
 def centred_problem(

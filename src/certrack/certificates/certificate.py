@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from certrack.errors import CertrackError
+from certrack.core.errors import CertrackError
 
 
 class NoCertificate(CertrackError):

@@ -15,7 +15,7 @@ from certrack.certificates.problem import ErrorProblem, assumptions, error_probl
 from certrack.certificates.published import certify_published, critical_strength
 from certrack.certificates.semidefinite import Program, best_solution
 from certrack.certificates.tube import Tube, tube
-from certrack.system import System
+from certrack.systems.system import System
 
 
 @dataclass(frozen=True)

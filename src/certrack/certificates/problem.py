@@ -20,11 +20,11 @@ from typing import Any
 import flint
 import numpy as np
 
-from certrack.backstepping import ErrorCoordinates, carry_out
 from certrack.certificates.arithmetic import Number, positive_definite, rational, solve, upper
 from certrack.certificates.certificate import NoCertificate
 from certrack.laws import Adaptive, Robust
-from certrack.system import System
+from certrack.laws.backstepping import ErrorCoordinates, carry_out
+from certrack.systems.system import System
 
 
 @dataclass(frozen=True)

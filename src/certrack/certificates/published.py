@@ -26,7 +26,7 @@ from certrack.certificates.arithmetic import decimal
 from certrack.certificates.certificate import Certificate, NoCertificate, missing
 from certrack.certificates.problem import Adaptation, assumptions, error_problem
 from certrack.references.base import total_bound
-from certrack.system import System
+from certrack.systems.system import System
 
 ROUNDING = 1 + 1e-9
 

@@ -14,13 +14,13 @@ from itertools import product
 
 import numpy as np
 
-from certrack import checks
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.exact import Proof, from_text, squared_bound
 from certrack.certificates.problem import ErrorProblem, error_problem
-from certrack.errors import InputError
-from certrack.simulated_plant import measured
-from certrack.system import System
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.loops.plant import measured
+from certrack.systems.system import System
 
 MAX_CORNERS = 4096
 ROUNDING = 1 + 1e-12

@@ -19,7 +19,7 @@ from certrack.cli.margins import margin
 from certrack.cli.papers import reproduce
 from certrack.cli.proofs import certify, falsify, verify
 from certrack.cli.runs import compare, ensemble, simulate
-from certrack.errors import CertrackError, one_line
+from certrack.core.errors import CertrackError, one_line
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

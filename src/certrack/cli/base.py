@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from certrack.run import Run
-    from certrack.system import System
+    from certrack.simulation.run import Run
+    from certrack.systems.system import System
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -22,7 +22,7 @@ def json_option(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def note_violations(system: System) -> None:
     """Say where the file's omega breaks Assumption 1: no certificate covers such a run."""
-    from certrack.assumption import check_assumption_1
+    from certrack.certificates.assumption_1 import check_assumption_1
 
     for violation in check_assumption_1(system):
         click.echo(f"certrack: note: {violation}", err=True)

@@ -32,9 +32,9 @@ def c(file: str, out: Path, real: str, period: float | None, as_json: bool) -> N
     \b
     Example: certrack export c example1 --period 0.001 --real float --out firmware
     """
-    from certrack import report
-    from certrack.export.c import export as export_c
-    from certrack.systemfile import load
+    from certrack.cli import report
+    from certrack.export.c.files import export as export_c
+    from certrack.systems.reader import load
 
     made = export_c(load(file), out, file, real=real, period=period)
     for note in made.notes:
@@ -59,9 +59,9 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     \b
     Example: certrack export st dual-motor-lean --period 0.001 --out drive.st
     """
-    from certrack.export.st import structured_text
-    from certrack.systemfile import load
-    from certrack.systemtext import write_text
+    from certrack.export.st.block import structured_text
+    from certrack.systems.reader import load
+    from certrack.systems.writer import write_text
 
     write_text(out, structured_text(load(file), out.name, period=period))
     _written(out, as_json)
@@ -79,15 +79,15 @@ def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> 
     \b
     Example: certrack export fmu dual-motor-lean --fmi 3 --period 0.001 --out drive.fmu
     """
-    from certrack.export.fmu import fmu as make
-    from certrack.systemfile import load
-    from certrack.systemtext import write_bytes
+    from certrack.export.fmu.archive import fmu as make
+    from certrack.systems.reader import load
+    from certrack.systems.writer import write_bytes
 
     write_bytes(out, make(load(file), out.name, version=fmi, period=period))
     _written(out, as_json)
 
 
 def _written(out: Path, as_json: bool) -> None:
-    from certrack import report
+    from certrack.cli import report
 
     click.echo(report.to_json({"file": str(out)}) if as_json else f"{out} written")

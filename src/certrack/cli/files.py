@@ -17,8 +17,8 @@ def list_systems(as_json: bool) -> None:
     \b
     Example: certrack list
     """
-    from certrack import report
-    from certrack.systemfile import catalog
+    from certrack.cli import report
+    from certrack.systems.reader import catalog
 
     systems = catalog()
     if as_json:
@@ -36,9 +36,9 @@ def new(name: Path, as_json: bool) -> None:
     \b
     Example: certrack new drive.toml
     """
-    from certrack import report
-    from certrack.systemfile import starter
-    from certrack.systemtext import write_text
+    from certrack.cli import report
+    from certrack.systems.reader import starter
+    from certrack.systems.writer import write_text
 
     if not name.name:
         raise click.UsageError("NAME must be a file name", click.get_current_context())
@@ -60,8 +60,9 @@ def design(file: str, latex: bool, as_json: bool) -> None:
     \b
     Example: certrack design dual-motor --latex
     """
-    from certrack import formulas, report
-    from certrack.systemfile import load
+    from certrack.cli import report
+    from certrack.systems import formulas
+    from certrack.systems.reader import load
 
     system = load(file)
     if latex and not as_json:

@@ -31,9 +31,9 @@ def margin(
     \b
     Example: certrack margin dual-motor-lean --plot pictures
     """
-    from certrack import report
-    from certrack.margin import margins
-    from certrack.systemfile import load
+    from certrack.cli import report
+    from certrack.studies.margins import margins
+    from certrack.systems.reader import load
 
     system = load(file)
     with report.count_progress("Margins") as advance:

@@ -20,7 +20,7 @@ def reproduce(out: Path, as_json: bool) -> None:
     """
     from dataclasses import asdict
 
-    from certrack import report
+    from certrack.cli import report
     from certrack.papers import liu2025
     from certrack.plotting import save_figure
 

@@ -22,8 +22,9 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
     \b
     Example: certrack certify dual-motor-lean --out cert.json
     """
-    from certrack import certificates, report
-    from certrack.systemfile import load
+    from certrack import certificates
+    from certrack.cli import report
+    from certrack.systems.reader import load
 
     system = load(file)
     note_violations(system)
@@ -33,7 +34,7 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
         certificates.save_certificate(system, found.stages, out)
     if plot is not None and found.tube is not None:
         from certrack import plotting
-        from certrack.simulation import simulate as run_system
+        from certrack.simulation.simulator import simulate as run_system
 
         run = run_system(system)
         plotting.save_figure(plotting.tube_figure(run, found.tube, system.title), plot, "tube")
@@ -60,7 +61,8 @@ def verify(certificate: Path, as_json: bool) -> None:
     \b
     Example: certrack verify cert.json
     """
-    from certrack import certificates, report
+    from certrack import certificates
+    from certrack.cli import report
 
     found = certificates.verify(certificate)
     if as_json:
@@ -89,11 +91,11 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     \b
     Example: certrack falsify example1 --out worst.toml
     """
-    from certrack import falsify as falsifier
-    from certrack import report
     from certrack.certificates import best_sound_bound
-    from certrack.systemfile import load
-    from certrack.systemtext import save
+    from certrack.cli import report
+    from certrack.studies import falsify as falsifier
+    from certrack.systems.reader import load
+    from certrack.systems.writer import save
 
     system = load(file)
     note_violations(system)

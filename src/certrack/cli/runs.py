@@ -10,7 +10,7 @@ import click
 from certrack.cli.base import FOLDER, diagnose, draw, json_option
 
 if TYPE_CHECKING:
-    from certrack.ensembles.ensemble import Ensemble
+    from certrack.studies.ensembles.ensemble import Ensemble
 
 
 @click.command()
@@ -45,9 +45,9 @@ def simulate(
     \b
     Example: certrack simulate example1 --plot pictures --out run.nc
     """
-    from certrack import report
-    from certrack.simulation import Simulator
-    from certrack.systemfile import load
+    from certrack.cli import report
+    from certrack.simulation.simulator import Simulator
+    from certrack.systems.reader import load
 
     if samples is not None and out is None:
         raise click.UsageError("--samples needs --out", click.get_current_context())
@@ -55,13 +55,13 @@ def simulate(
         raise click.UsageError("--seed needs --member", click.get_current_context())
     system = load(file)
     if member is not None:
-        from certrack.ensembles.members import Members
+        from certrack.studies.ensembles.members import Members
 
         system = Members(system, seed or 0).member(member)
     changes = {"integrator": integrator, "tolerance": tolerance}
     system = system.with_settings(**{name: v for name, v in changes.items() if v is not None})
     if with_c:
-        from certrack.export import with_c as in_the_loop
+        from certrack.export.c import with_c as in_the_loop
 
         run = in_the_loop.simulate(system)
         difference = in_the_loop.difference_from_python(run)
@@ -97,9 +97,9 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
     \b
     Example: certrack compare example1 example1-classic
     """
-    from certrack import report
-    from certrack.simulation import simulate as run_system
-    from certrack.systemfile import load
+    from certrack.cli import report
+    from certrack.simulation.simulator import simulate as run_system
+    from certrack.systems.reader import load
 
     systems = {file: load(file) for file in files}
     runs = {file: run_system(system) for file, system in systems.items()}
@@ -151,10 +151,10 @@ def ensemble(
     """
     from contextlib import nullcontext
 
-    from certrack import report
-    from certrack.ensembles import workers as hands
-    from certrack.ensembles.ensemble import ensemble as run_ensemble
-    from certrack.systemfile import load
+    from certrack.cli import report
+    from certrack.studies.ensembles import workers as hands
+    from certrack.studies.ensembles.ensemble import ensemble as run_ensemble
+    from certrack.systems.reader import load
 
     if keep and out is None:
         raise click.UsageError("--keep needs --out", click.get_current_context())
@@ -195,9 +195,10 @@ def ensemble(
 
 def _save(found: Ensemble, summary: dict[str, Any], out: Path, keep: tuple[int, ...]) -> None:
     """Bands, summary, pictures and chosen members."""
-    from certrack import plotting, report
-    from certrack.run import write_netcdf
-    from certrack.systemtext import write_text
+    from certrack import plotting
+    from certrack.cli import report
+    from certrack.simulation.run import write_netcdf
+    from certrack.systems.writer import write_text
 
     write_netcdf(found.dataset(), out / "bands.nc")
     write_text(out / "summary.json", report.to_json(summary) + "\n")

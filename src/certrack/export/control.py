@@ -15,17 +15,17 @@ from typing import Any
 
 import numpy as np
 
-from certrack.errors import CertrackError, MissingExtra
-from certrack.expressions import TIME, symbol
-from certrack.implementation import Implementation
-from certrack.integrators.sampled import Course, SampledRun, sensed, timeline
-from certrack.lowering import numpy_callable
-from certrack.noise import keys
-from certrack.sampled_controller import controller_values, sampled_controller, starting_state
-from certrack.sampled_loop import loop_values, resolved
-from certrack.sampled_simulation import SampledSimulator
-from certrack.simulated_plant import INPUT, plant_values, simulated_plant
-from certrack.system import System
+from certrack.core.errors import CertrackError, MissingExtra
+from certrack.core.expressions import TIME, symbol
+from certrack.core.lowering import numpy_callable
+from certrack.integrators.many.sampled import Course, SampledRun, sensed, timeline
+from certrack.loops.controller import controller_values, sampled_controller, starting_state
+from certrack.loops.plant import INPUT, plant_values, simulated_plant
+from certrack.loops.sampled import loop_values, resolved
+from certrack.model.implementation import Implementation
+from certrack.model.noise import keys
+from certrack.simulation.sampled import SampledSimulator
+from certrack.systems.system import System
 
 Array = np.ndarray
 

@@ -1,6 +1,6 @@
 """The sampled controller as a program that reads like the law: named formulas, in order.
 
-:mod:`certrack.sampled_controller` says what is computed; here its formulas get the names of the
+:mod:`certrack.loops.controller` says what is computed; here its formulas get the names of the
 field (e_n, nu, ubar, the rates of the estimates) and its numbers. The languages differ in how they
 print a program only. Putting the names back gives the same formulas: this is checked, and where a
 law uses its signals in another way, the formulas stay as they are.
@@ -14,12 +14,11 @@ from itertools import pairwise
 
 import sympy
 
-from certrack.errors import InputError
-from certrack.expressions import symbol
-from certrack.implementation import Implementation
+from certrack.core.errors import InputError
+from certrack.core.expressions import symbol
+from certrack.core.lowering import Select, larger, magnitude
 from certrack.laws.base import Equations, Signals
-from certrack.lowering import Select, larger, magnitude
-from certrack.sampled_controller import (
+from certrack.loops.controller import (
     ASKED,
     COMMAND,
     PERIOD,
@@ -31,7 +30,8 @@ from certrack.sampled_controller import (
     sampled_controller,
     starting_state,
 )
-from certrack.system import System
+from certrack.model.implementation import Implementation
+from certrack.systems.system import System
 
 E_N, NU, UBAR, DRIFT, CUT = (symbol(f"ctl_{name}") for name in ("e_n", "nu", "ubar", "h", "cut"))
 
@@ -72,7 +72,7 @@ class Program:
     measured, Y, states : symbols
         Inputs: measured plant states, y_d ... y_d^(q+1), the controller's own states.
     steps : Steps
-        From the inputs to :data:`~certrack.sampled_controller.COMMAND`.
+        From the inputs to :data:`~certrack.loops.controller.COMMAND`.
     rates : Steps
         Of the estimates; of everything above.
     update : formulas

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from certrack.expressions import symbol
+from certrack.core.expressions import symbol
 from certrack.laws.base import (
     Equations,
     Law,
@@ -18,7 +18,7 @@ from certrack.laws.base import (
     theta_vector,
     vector,
 )
-from certrack.plant import Plant
+from certrack.model.plant import Plant
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,15 +21,15 @@ from typing import Any, ClassVar
 import numpy as np
 import sympy
 
-from certrack import checks
-from certrack.backstepping import ErrorCoordinates, Gains, recursion
-from certrack.errors import InputError
-from certrack.expressions import symbol
-from certrack.plant import Plant
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.core.expressions import symbol
+from certrack.laws.backstepping import ErrorCoordinates, Gains, recursion
+from certrack.model.plant import Plant
 
 
 def gain(**limits: Any) -> Any:
-    """Dataclass field: one number within the limits of :func:`certrack.checks.real`."""
+    """Dataclass field: one number within the limits of :func:`certrack.core.checks.real`."""
     default = {"default": limits.pop("default")} if "default" in limits else {}
     return field(**default, metadata={"shape": "number", **limits})
 
@@ -146,7 +146,7 @@ class Law(ABC):
     Parameters
     ----------
     c, k, p
-        See :class:`certrack.backstepping.Gains`.
+        See :class:`certrack.laws.backstepping.Gains`.
     feedforward : int
         q, how many derivatives of y_d the virtual controls use; needs q + 1 bounded derivatives.
     """

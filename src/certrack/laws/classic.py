@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from certrack.errors import InputError
-from certrack.expressions import symbol
+from certrack.core.errors import InputError
+from certrack.core.expressions import symbol
 from certrack.laws.base import Equations, Law, Signals, dot, gain, metric, theta_metric
-from certrack.plant import Plant
+from certrack.model.plant import Plant
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from certrack.errors import DesignError
+from certrack.core.errors import DesignError
 from certrack.laws.base import Equations, Law, Signals, dot
-from certrack.plant import Plant
+from certrack.model.plant import Plant
 
 
 @dataclass(frozen=True, kw_only=True)

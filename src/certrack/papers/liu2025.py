@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 from certrack.certificates import Tube, certify
-from certrack.falsify import falsify
 from certrack.plotting import (
     figure,
     plot_error,
@@ -27,10 +26,11 @@ from certrack.plotting import (
     style,
 )
 from certrack.references import SymbolicReference
-from certrack.run import Run
-from certrack.simulation import Simulator, simulate
-from certrack.system import System
-from certrack.systemfile import load
+from certrack.simulation.run import Run
+from certrack.simulation.simulator import Simulator, simulate
+from certrack.studies.falsify import falsify
+from certrack.systems.reader import load
+from certrack.systems.system import System
 
 HOLDS, DIFFERS, AMBIGUOUS = "holds", "differs", "ambiguous"
 

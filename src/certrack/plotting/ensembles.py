@@ -10,12 +10,12 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from certrack.ensembles.statistics import LEVELS
 from certrack.plotting.shared import few_ticks, math_name, style
+from certrack.studies.ensembles.statistics import LEVELS
 
 if TYPE_CHECKING:
-    from certrack.ensembles.ensemble import Ensemble
-    from certrack.ensembles.statistics import Tally
+    from certrack.studies.ensembles.ensemble import Ensemble
+    from certrack.studies.ensembles.statistics import Tally
 
 
 #: Members run away where the outer quantiles exceed the inner ones by this factor.

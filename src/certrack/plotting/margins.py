@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from certrack.plotting.shared import few_ticks, seconds, style
 
 if TYPE_CHECKING:
-    from certrack.margin import Margins
+    from certrack.studies.margins import Margins
 
 
 def margin_figure(found: Margins, title: str, units: Sequence[str] | None) -> Figure:

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from certrack.certificates.tube import Tube
 from certrack.plotting.shared import math_name, style
-from certrack.run import Run
+from certrack.simulation.run import Run
 
 #: Of a system's name in a legend, and of the legend's type.
 MOST_LETTERS, LETTERS_PER_INCH = 32, 14

@@ -14,7 +14,7 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from certrack.errors import InputError
+from certrack.core.errors import InputError
 
 STYLE: dict[Any, Any] = {
     "font.size": 9,

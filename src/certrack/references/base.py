@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 import sympy
 
-from certrack.errors import InputError
+from certrack.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import sympy
 
-from certrack import checks
-from certrack.errors import InputError
-from certrack.expressions import TIME
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.core.expressions import TIME
 from certrack.references.base import Bounds, round_up
 
 DEGREE = 3

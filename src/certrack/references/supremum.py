@@ -11,7 +11,7 @@ import sympy
 from mpmath import iv, mp
 from sympy.simplify.fu import TR8
 
-from certrack.expressions import TIME
+from certrack.core.expressions import TIME
 
 
 def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import sympy
 
-from certrack import checks
-from certrack.errors import InputError
-from certrack.expressions import TIME, Expression, derivative, number, parse, symbol
-from certrack.lowering import numpy_callable, rows
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.core.expressions import TIME, Expression, derivative, number, parse, symbol
+from certrack.core.lowering import numpy_callable, rows
 from certrack.references.base import Bounds, require_order
 from certrack.references.supremum import interval_supremum, sinusoid_supremum
 

@@ -1,0 +1,1 @@
+"""What every other room stands on: messages, checks of input, formulas, their lowering, files."""

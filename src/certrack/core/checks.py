@@ -1,0 +1,126 @@
+"""Refuse early: turn what the user gave into what the library needs, or say exactly why not."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from certrack.core.errors import InputError
+from certrack.core.expressions import MAX_MAGNITUDE, Expression, number
+
+Constants = Mapping[str, Any]
+
+
+def sequence(key: str, value: Any, length: int | None, what: str) -> list[Any]:
+    """A list of the given length (any length if None)."""
+    is_list = isinstance(value, Iterable) and not isinstance(value, (str, bytes, Mapping))
+    entries = list(value) if is_list else None
+    if entries is None or (length is not None and len(entries) != length):
+        count = "a list" if length is None else f"a list of {length}"
+        raise InputError(key, f"must be {count}: {what}", _plain(value))
+    return entries
+
+
+def _plain(value: Any) -> Any:
+    """The value as the user wrote it, for messages."""
+    if isinstance(value, Expression):
+        return value.text
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return value
+
+
+def real(
+    key: str,
+    value: Any,
+    names: Constants | None = None,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    nonzero: bool = False,
+    infinite: bool = False,
+) -> float:
+    """A number, or a formula of the constants, within the stated limits.
+
+    Parameters
+    ----------
+    above, least : float, optional
+        Strict and non-strict lower limit.
+    nonzero : bool
+        Refuse zero.
+    infinite : bool
+        Accept ``inf``.
+    """
+    if infinite and (value == "inf" or (isinstance(value, float) and value == math.inf)):
+        return math.inf
+    plain = type(value) in (float, int) and abs(value) <= MAX_MAGNITUDE
+    found = float(value) if plain else float(number(key, value, names).expr)
+    if above is not None and not found > above:
+        wanted = "positive" if above == 0 else f"greater than {above:g}"
+        raise InputError(key, f"must be {wanted}" + (" or inf" if infinite else ""), _plain(value))
+    if least is not None and not found >= least:
+        wanted = "zero or positive" if least == 0 else f"at least {least:g}"
+        raise InputError(key, f"must be {wanted}", _plain(value))
+    if nonzero and found == 0:
+        raise InputError(key, "must not be zero", _plain(value))
+    return found
+
+
+def reals(
+    key: str,
+    value: Any,
+    length: int | None,
+    what: str,
+    names: Constants | None = None,
+    **limits: Any,
+) -> tuple[float, ...]:
+    """A list of numbers, each within the limits of :func:`real`."""
+    entries = sequence(key, value, length, what)
+    return tuple(real(f"{key}[{i}]", v, names, **limits) for i, v in enumerate(entries))
+
+
+def interval(key: str, value: Any, names: Constants | None = None) -> tuple[float, float]:
+    """A pair [low, high] with low <= high."""
+    low, high = reals(key, value, 2, "[low, high]", names)
+    if low > high:
+        raise InputError(key, "low must not exceed high", _plain(value))
+    return low, high
+
+
+def integer(key: str, value: Any, least: int, most: int) -> int:
+    """A whole number within [least, most]."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not whole or not least <= value <= most:
+        raise InputError(key, f"must be a whole number from {least} to {most}", _plain(value))
+    return int(value)
+
+
+def choice(key: str, value: Any, options: Iterable[str]) -> str:
+    """One of the listed words."""
+    options = list(options)
+    if not isinstance(value, str) or value not in options:
+        raise InputError(key, "must be one of " + ", ".join(options), _plain(value))
+    return value
+
+
+def text(key: str, value: Any) -> str:
+    """A string."""
+    if not isinstance(value, str) or not value.isprintable():
+        raise InputError(key, "must be one line of printable text", _plain(value))
+    return value
+
+
+def known_keys(key: str, table: Any, allowed: Iterable[str], required: Iterable[str] = ()) -> None:
+    """Refuse a table with unknown or missing keys."""
+    if not isinstance(table, Mapping):
+        raise InputError(key, f"must be a table [{key}]", _plain(table))
+    allowed = list(allowed)
+    for name in table:
+        if name not in allowed:
+            where = f"{key}.{name}" if key else str(name)
+            raise InputError(where, "unknown key", remedy="Known here: " + ", ".join(allowed))
+    for name in required:
+        if name not in table:
+            raise InputError(f"{key}.{name}" if key else name, "is missing")

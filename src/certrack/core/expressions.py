@@ -1,0 +1,356 @@
+"""Text to SymPy, safely.
+
+A system file may come from a stranger, so the text is never evaluated by Python or by SymPy's own
+parser. It is parsed to Python's syntax tree and rebuilt node by node from a white list: the listed
+names, numbers, arithmetic and a few functions. Size is bounded at every level, and every constant
+sub-expression is checked in floating point before SymPy sees it, so that ``9**9**9**9`` or
+``exp(exp(exp(99)))`` is refused instead of computed.
+"""
+
+from __future__ import annotations
+
+import ast
+import keyword
+import math
+import numbers
+import re
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import sympy
+
+from certrack.core.errors import InputError
+
+MAX_LENGTH = 10_000  # characters
+MAX_NESTING = 100  # parentheses and operators
+MAX_NODES = 4_000
+MAX_POWER = 64  # magnitude of a numeric exponent
+MAX_ARGUMENTS = 8  # of min and max
+MAX_MAGNITUDE = 1e300  # of any constant
+
+TIME = sympy.Symbol("t", real=True)
+
+_Unary = Callable[[float], float]
+
+
+def _sign(value: float) -> float:
+    return float((value > 0) - (value < 0))
+
+
+#: name -> (SymPy function, the same in floating point, fewest and most arguments)
+FUNCTIONS: dict[str, tuple[Any, Callable[..., float], int, int]] = {
+    **{
+        name: (getattr(sympy, name), getattr(math, name), 1, 1)
+        for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh")
+    },
+    "exp": (sympy.exp, math.exp, 1, 1),
+    "log": (sympy.log, math.log, 1, 1),
+    "sqrt": (sympy.sqrt, math.sqrt, 1, 1),
+    "atan2": (sympy.atan2, math.atan2, 2, 2),
+    "abs": (sympy.Abs, abs, 1, 1),
+    "sign": (sympy.sign, _sign, 1, 1),
+    "min": (sympy.Min, min, 1, MAX_ARGUMENTS),
+    "max": (sympy.Max, max, 1, MAX_ARGUMENTS),
+}
+
+RESERVED = frozenset(FUNCTIONS) | {"t", "pi", "inf", "nan"}
+
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A formula: the text the user wrote and what it means.
+
+    Attributes
+    ----------
+    text : str
+        The source text, kept so that a saved file reads like the loaded one.
+    expr : sympy.Expr
+        The parsed expression over real symbols; decimals are exact rationals.
+    """
+
+    text: str
+    expr: sympy.Expr
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def symbol(name: str) -> sympy.Symbol:
+    """The real symbol every part of certrack uses for `name`."""
+    return sympy.Symbol(name, real=True)
+
+
+def check_name(key: str, name: Any, taken: Iterable[str] = ()) -> str:
+    """Refuse a name that is not an identifier, is reserved, or is taken."""
+    if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or keyword.iskeyword(name):
+        raise InputError(
+            key, "names must be identifiers: a letter, then letters, digits and _", name
+        )
+    if name in RESERVED:
+        raise InputError(
+            key, "this name is reserved (function, time or number)", name, "Choose another name"
+        )
+    if name in taken:
+        raise InputError(key, "names must be different from each other", name)
+    return name
+
+
+def parse(key: str, text: Any, names: Iterable[str] | Mapping[str, Any] = ()) -> Expression:
+    """Parse `text`, a formula in the given names.
+
+    Parameters
+    ----------
+    key : str
+        Where the text stands, for messages.
+    text : str, int, float, sympy.Expr or Expression
+        The formula. A SymPy expression is taken by its own text, so the same rules hold.
+    names : iterable of str, or mapping to numbers
+        Symbols that may occur; with a mapping, each name is replaced by its number.
+
+    Returns
+    -------
+    Expression
+
+    Raises
+    ------
+    InputError
+        For anything outside the white list or beyond the size bounds.
+    """
+    if isinstance(text, Expression):
+        text = text.text
+    if isinstance(text, sympy.Basic):
+        text = _sympy_text(text)
+    if isinstance(text, numbers.Real) and not isinstance(text, (bool, int, float)):
+        text = int(text) if isinstance(text, numbers.Integral) else float(text)  # NumPy's
+    if isinstance(text, bool) or not isinstance(text, (str, int, float)):
+        raise InputError(key, "must be a formula (text) or a number", text)
+    if isinstance(text, (int, float)):
+        text = _number_text(key, text)
+    return Expression(text, _Builder(key, text, names).build())
+
+
+def number(key: str, text: Any, names: Mapping[str, Any] | None = None) -> Expression:
+    """Parse a formula that must be a finite number once the constants are put in."""
+    known = names or {}
+    found = parse(key, text, known)
+    if found.expr.free_symbols:  # pragma: no cover - the builder knows no other names
+        raise InputError(key, "must be a number", found.text)
+    return found
+
+
+def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
+    """Classical derivative where it exists; kinks (abs, min, max) give their one-sided slopes."""
+    signs: dict[sympy.Symbol, sympy.Expr] = {}
+
+    def freeze(inside: sympy.Expr) -> sympy.Symbol:
+        name = sympy.Dummy("sign", real=True)
+        signs[name] = sympy.sign(inside)
+        return name
+
+    # |f| = s f with s constant: SymPy's own rule needs f to be provably real
+    frozen = without_minmax(expr).replace(sympy.Abs, lambda f: freeze(f) * f)
+    slope = sympy.diff(frozen.replace(sympy.sign, freeze), by)
+    for name in reversed(list(signs)):
+        slope = slope.xreplace({name: signs[name]})
+    return slope
+
+
+def without_minmax(expr: sympy.Expr) -> sympy.Expr:
+    """Write min and max by abs: max(a, b) = (a + b + |a - b|)/2."""
+
+    def fold(sense: int) -> Callable[..., sympy.Expr]:
+        def combine(*args: sympy.Expr) -> sympy.Expr:
+            result = args[0]
+            for other in args[1:]:
+                result = (result + other + sense * sympy.Abs(result - other)) / 2
+            return result
+
+        return combine
+
+    return expr.replace(sympy.Max, fold(+1)).replace(sympy.Min, fold(-1))
+
+
+def _number_text(key: str, value: float) -> str:
+    if not abs(value) <= MAX_MAGNITUDE:
+        raise InputError(key, "must be a finite number", value)
+    return repr(int(value)) if isinstance(value, int) else repr(float(value))
+
+
+def _sympy_text(expr: sympy.Basic) -> str:
+    text = sympy.sstr(expr, full_prec=False)
+    text = re.sub(r"\b(Abs|Min|Max)\b", lambda match: match[0].lower(), text)
+    return re.sub(r"\bE\b", "exp(1)", text) if expr.has(sympy.E) else text
+
+
+class _Builder:
+    """One pass over the syntax tree; every node yields (SymPy expression, float or None)."""
+
+    def __init__(self, key: str, text: str, names: Iterable[str] | Mapping[str, Any]) -> None:
+        self.key, self.text = key, text
+        values = names if isinstance(names, Mapping) else {}
+        self.names: dict[str, tuple[sympy.Expr, float | None]] = {
+            name: (symbol(name), None) for name in names
+        }
+        for name, value in values.items():
+            exact = sympy.nsimplify(value) if isinstance(value, Fraction) else sympy.sympify(value)
+            self.names[name] = (exact, float(value))
+        self.names["pi"] = (sympy.pi, math.pi)
+        self.nodes = 0
+
+    def fail(self, expected: str, got: Any = None, remedy: str = "") -> InputError:
+        return InputError(self.key, expected, self.text if got is None else got, remedy)
+
+    def build(self) -> sympy.Expr:
+        if len(self.text) > MAX_LENGTH:
+            raise self.fail(
+                f"formula is longer than {MAX_LENGTH} characters", f"{len(self.text)} characters"
+            )
+        depth = 0
+        for char in self.text:
+            depth += (char in "([{") - (char in ")]}")
+            if depth > MAX_NESTING:
+                raise self.fail(f"formula is nested deeper than {MAX_NESTING}")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # e.g. "1if": the tree decides, not the warning
+                tree = ast.parse(self.text.strip(), mode="eval")
+            expr, value = self.visit(tree.body, 0)
+        except (SyntaxError, ValueError, MemoryError, RecursionError) as problem:
+            if isinstance(problem, InputError):
+                raise
+            raise self.fail("is not a formula (syntax)") from None
+        if value is None and not expr.free_symbols:
+            value = self.checked(lambda: float(expr))
+        if expr.has(sympy.nan, sympy.oo, sympy.zoo, sympy.I):
+            raise self.fail("is not a finite real formula")
+        for constant in expr.atoms(sympy.Rational):  # x*1e300*1e300 merges its factors
+            self.checked(lambda constant=constant: float(constant))  # type: ignore[misc]
+        return expr
+
+    def visit(self, node: ast.AST, depth: int) -> tuple[sympy.Expr, float | None]:
+        self.nodes += 1
+        if self.nodes > MAX_NODES or depth > MAX_NESTING:
+            raise self.fail(
+                f"formula is too large (more than {MAX_NODES} parts or deeper than {MAX_NESTING})"
+            )
+        match node:
+            case ast.Constant(value=value):
+                return self.constant(value)
+            case ast.Name(id=name):
+                if name not in self.names:
+                    known = ", ".join(sorted(self.names))
+                    raise self.fail(f"unknown name {name!r}", remedy=f"Known here: {known}")
+                return self.names[name]
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
+                expr, value = self.visit(operand, depth + 1)
+                if isinstance(op, ast.UAdd):
+                    return expr, value
+                return -expr, None if value is None else -value
+            case ast.BinOp(left=left, op=op, right=right):
+                return self.binary(op, self.visit(left, depth + 1), self.visit(right, depth + 1))
+            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
+                return self.call(name, [self.visit(arg, depth + 1) for arg in args])
+        raise self.fail(
+            f"{type(node).__name__} is not allowed in a formula",
+            remedy="Allowed: names, numbers, + - * / **, and " + ", ".join(sorted(FUNCTIONS)),
+        )
+
+    def constant(self, value: Any) -> tuple[sympy.Expr, float]:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.fail(f"{type(value).__name__} is not a number", value)
+        if isinstance(value, int) and value.bit_length() > 1000:
+            raise self.fail(f"a number is larger than {MAX_MAGNITUDE:g}")
+        if not abs(value) <= MAX_MAGNITUDE:
+            raise self.fail(f"a number is larger than {MAX_MAGNITUDE:g}")
+        exact = Fraction(repr(value))  # the decimal text, not the binary float
+        return sympy.Rational(exact.numerator, exact.denominator), float(value)
+
+    def binary(
+        self,
+        op: ast.operator,
+        left: tuple[sympy.Expr, float | None],
+        right: tuple[sympy.Expr, float | None],
+    ) -> tuple[sympy.Expr, float | None]:
+        (a, va), (b, vb) = left, right
+        constant = va is not None and vb is not None
+        match op:
+            case ast.Add():
+                return a + b, self.checked(lambda: va + vb) if constant else None  # type: ignore[operator]
+            case ast.Sub():
+                return a - b, self.checked(lambda: va - vb) if constant else None  # type: ignore[operator]
+            case ast.Mult():
+                value = self.checked(lambda: va * vb) if constant else None  # type: ignore[operator]
+                return self.exact(a * b), value
+            case ast.Div():
+                if vb == 0 or b == 0:
+                    raise self.fail("divides by zero")
+                value = self.checked(lambda: va / vb) if constant else None  # type: ignore[operator]
+                return self.exact(a / b), value
+            case ast.Pow():
+                return self.power(a, va, b, vb)
+        raise self.fail(f"operator {type(op).__name__} is not allowed in a formula")
+
+    def power(
+        self, a: sympy.Expr, va: float | None, b: sympy.Expr, vb: float | None
+    ) -> tuple[sympy.Expr, float | None]:
+        va, vb = self.constant_value(a, va), self.constant_value(b, vb)
+        if vb is None:
+            raise self.fail("an exponent must be a number", remedy="Write exp(y*log(x))")
+        if abs(vb) > MAX_POWER:
+            raise self.fail(f"an exponent is larger than {MAX_POWER}")
+        if va is not None:
+            value = self.checked(lambda: math.pow(va, vb))
+            return self.exact(a**b), value
+        if vb < 0 and a == 0:
+            raise self.fail("divides by zero")
+        result = a**b
+        merged = result.exp if isinstance(result, sympy.Pow) else sympy.S.One
+        if merged.is_number and abs(merged) > MAX_POWER:  # (x**64)**64 merges its exponents
+            raise self.fail(f"an exponent is larger than {MAX_POWER}")
+        return result, None
+
+    def call(
+        self, name: str, args: list[tuple[sympy.Expr, float | None]]
+    ) -> tuple[sympy.Expr, float | None]:
+        if name not in FUNCTIONS:
+            raise self.fail(
+                f"unknown function {name!r}", remedy="Known: " + ", ".join(sorted(FUNCTIONS))
+            )
+        build, compute, fewest, most = FUNCTIONS[name]
+        if not fewest <= len(args) <= most:
+            raise self.fail(f"{name} takes {fewest} to {most} arguments", f"{len(args)} arguments")
+        args = [(expr, self.constant_value(expr, value)) for expr, value in args]
+        exprs = [expr for expr, _ in args]
+        values = [value for _, value in args if value is not None]
+        if len(values) == len(args):
+            return build(*exprs), self.checked(lambda: compute(*values))
+        if name in ("min", "max") and len(exprs) > 1:  # SymPy would compare all pairs
+            return build(*exprs, evaluate=False), None
+        return build(*exprs), None
+
+    def constant_value(self, expr: sympy.Expr, value: float | None) -> float | None:
+        """The value of a part whose names have cancelled (x1 - x1), before SymPy computes on it."""
+        if value is None and not expr.free_symbols:
+            return self.checked(lambda: float(expr))
+        return value
+
+    def checked(self, compute: Callable[[], Any]) -> float:
+        """The constant's value, refused unless it is a finite real number of sane size."""
+        try:
+            value = float(compute())
+        except (ArithmeticError, ValueError, TypeError):
+            raise self.fail("a constant in the formula is not a finite real number") from None
+        if not abs(value) <= MAX_MAGNITUDE:
+            raise self.fail("a constant in the formula is not a finite real number")
+        return value
+
+    def exact(self, expr: sympy.Expr) -> sympy.Expr:
+        """Refuse rationals that grow without bound under repeated multiplication."""
+        if expr.is_Rational and expr.q.bit_length() + abs(expr.p).bit_length() > 20_000:
+            raise self.fail("a constant in the formula has too many digits")
+        return expr

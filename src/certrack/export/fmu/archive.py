@@ -1,0 +1,190 @@
+"""The sampled controller as a co-simulation FMU (FMI 2.0 or 3.0), with sources and a binary.
+
+The C of :mod:`certrack.export.c.source` does the work; ``fmi/fmi2.c`` and ``fmi/fmi3.c`` wrap it in
+the interface, and a generated ``model.h`` tells them the names. Same system, same compiler: same
+bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+
+from certrack.core import checks
+from certrack.core.errors import CertrackError, InputError, one_line, shorten
+from certrack.export.c.source import CCode, c_code
+from certrack.export.fmu.description import DESCRIPTIONS, page
+from certrack.systems.system import System
+
+VERSIONS = ("2", "3")
+
+SHARED = ("instance.h",)
+
+#: Files of the interface, by version; the first one is compiled.
+WRAPPERS = {
+    "2": ("fmi2.c", "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    "3": ("fmi3.c", "fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
+
+#: Folder of the binary: (system, machine) -> (FMI 2, FMI 3).
+FOLDERS = {
+    ("linux", "x86_64"): ("linux64", "x86_64-linux"),
+    ("linux", "aarch64"): ("aarch64-linux", "aarch64-linux"),
+    ("darwin", "x86_64"): ("darwin64", "x86_64-darwin"),
+    ("darwin", "arm64"): ("aarch64-darwin", "aarch64-darwin"),
+    ("win32", "AMD64"): ("win64", "x86_64-windows"),
+}
+ENDINGS = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
+
+FLAGS = "-std=c99 -O2 -fPIC -shared -fvisibility=hidden".split()
+
+#: A compilation that takes longer has failed, s.
+PATIENCE = 120
+
+#: Of all files in the archive, so that the bytes do not depend on when it is written.
+DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def fmu(
+    system: System, name: str = "controller", *, version: str = "2", period: float | None = None
+) -> bytes:
+    """The controller of a system as an FMU.
+
+    Parameters
+    ----------
+    system : System
+    name : str
+        Of the system or its file; the model identifier is derived from it.
+    version : {"2", "3"}
+        Of FMI.
+    period : float > 0, s, optional
+        Instead of that of the implementation.
+
+    Returns
+    -------
+    bytes
+        Contents of NAME.fmu.
+
+    Raises
+    ------
+    InputError
+        If there is no period, or FMI has no name for this machine.
+    CertrackError
+        If there is no C compiler, or it failed.
+    """
+    checks.choice("--fmi", version, VERSIONS)
+    code = c_code(system, name, period=period)
+    if code.name.lower() in {Path(file).stem for file in (*SHARED, *WRAPPERS[version], "model.h")}:
+        code = c_code(system, f"{code.name}_c", period=period)
+    folder, ending = FOLDERS[_machine()][VERSIONS.index(version)], ENDINGS[sys.platform]
+    contents = _sources(code, version)
+    token = _token(code, contents, version)
+    contents["model.h"] = _model(code, token)
+    binary = _compiled(code.name, contents, WRAPPERS[version][0])
+    compiled = [f"{code.name}.c", WRAPPERS[version][0]]
+    described = DESCRIPTIONS[version](code, token, compiled)
+    licence = _shipped("LICENSE")
+    return _zipped(
+        {name: text.encode() for name, text in described.items()}
+        | {f"sources/{name}": text.encode() for name, text in contents.items()}
+        | {"documentation/index.html": page(code).encode()}
+        | {"documentation/licenses/fmi-headers.txt": licence.encode()}
+        | {f"binaries/{folder}/{code.name}{ending}": binary}
+    )
+
+
+def _shipped(name: str) -> str:
+    return (files("certrack.export.fmu") / "fmi" / name).read_text("utf-8")
+
+
+def _sources(code: CCode, version: str) -> dict[str, str]:
+    own = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
+    return own | {name: _shipped(name) for name in (*SHARED, *WRAPPERS[version])}
+
+
+def _token(code: CCode, contents: Mapping[str, str], version: str) -> str:
+    """What ties the binary to its description: a hash of both."""
+    known = hashlib.sha256()
+    for text in (*contents.values(), *DESCRIPTIONS[version](code, "", []).values()):
+        known.update(text.encode())
+    return f"{{{uuid.UUID(bytes=known.digest()[:16], version=5)}}}"
+
+
+def _model(code: CCode, token: str) -> str:
+    """The header that tells the wrapper the names."""
+    name, way = code.name, code.system.implementation
+    assert way is not None
+    return f"""/* {name}, as its wrapper knows it. */
+#ifndef MODEL_H
+#define MODEL_H
+
+#include "{name}.h"
+
+#define MODEL_TOKEN "{token}"
+#define MODEL_STATES {name}_STATES
+#define MODEL_REFERENCES {name}_REFERENCES
+#define MODEL_KEPT {len(code.members)}
+#define MODEL_PERIOD {name}_PERIOD
+#define MODEL_PERIOD_TEXT "{way.period!r}"
+#define MODEL_START {way.initial_input!r}
+
+#define model_state {name}_state
+#define model_init {name}_init
+#define model_step {name}_step
+
+#endif
+"""
+
+
+def _machine() -> tuple[str, str]:
+    found = sys.platform, platform.machine()
+    if found not in FOLDERS:
+        raise InputError("export fmu", "FMI has no name for this machine", " ".join(found))
+    return found
+
+
+def compiler() -> str | None:
+    """Path of a C compiler, if there is one."""
+    return next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+
+
+def _compiled(name: str, contents: Mapping[str, str], wrapper: str) -> bytes:
+    """The shared library."""
+    path = compiler()
+    if path is None:
+        raise CertrackError("export fmu needs a C compiler: install gcc or clang")
+    with tempfile.TemporaryDirectory(prefix="certrack-") as folder:
+        for file, text in contents.items():
+            (Path(folder) / file).write_text(text, "utf-8")
+        command = [path, *FLAGS, f"{name}.c", wrapper, "-o", "model", "-lm"]
+        try:
+            subprocess.run(
+                command, cwd=folder, capture_output=True, check=True, text=True, timeout=PATIENCE
+            )
+        except subprocess.SubprocessError as problem:
+            said = getattr(problem, "stderr", None) or "it took too long"
+            reason = shorten(one_line(said.strip()), 200)
+            raise CertrackError(f"export fmu: {path} failed: {reason}") from None
+        return (Path(folder) / "model").read_bytes()
+
+
+def _zipped(contents: Mapping[str, bytes]) -> bytes:
+    """An archive that depends on its contents alone."""
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as target:
+        for name, data in contents.items():
+            entry = zipfile.ZipInfo(name, DATE)
+            entry.external_attr = 0o644 << 16
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            target.writestr(entry, data)
+    return archive.getvalue()

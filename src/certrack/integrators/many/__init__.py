@@ -1,0 +1,1 @@
+"""Many runs at once: compiled steps in lockstep, C in vector lanes, sampled loops."""

@@ -1,0 +1,77 @@
+"""What the integrators of many members are given: rates, and what is kept of every member."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+import sympy
+
+from certrack.core.expressions import TIME
+from certrack.core.lowering import hoisted
+
+
+@dataclass(frozen=True)
+class Flow:
+    """What is integrated and what is kept of it.
+
+    Attributes
+    ----------
+    states : symbols
+    rates : formulas of the states, the parameters and what all members share
+    parameters : symbols
+        Numbers that differ between members.
+    integrands : formulas
+        Integrated along the run.
+    signals : formulas
+        Evaluated at both ends of every step; they may contain the symbols of :attr:`slopes`.
+    slopes : symbols
+        Stand for the rates in the signals.
+    memories : pairs (symbol, formula)
+        Updated at the end of every step. The formula may contain its own symbol, BEGIN, STEP,
+        ``sides[j][0]`` and ``sides[j][1]`` (signal j at begin and end), and shared symbols.
+    sides : pairs of symbols, one per signal
+    watched : int
+        The first states, which must stay within a limit.
+    shared : symbols that are the same for all members besides time (the reference's piece)
+    """
+
+    states: tuple[sympy.Symbol, ...]
+    rates: tuple[sympy.Expr, ...]
+    parameters: tuple[sympy.Symbol, ...]
+    integrands: tuple[sympy.Expr, ...]
+    signals: tuple[sympy.Expr, ...]
+    slopes: tuple[sympy.Symbol, ...]
+    memories: tuple[tuple[sympy.Symbol, sympy.Expr], ...]
+    sides: tuple[tuple[sympy.Symbol, sympy.Symbol], ...]
+    watched: int
+    shared: tuple[sympy.Symbol, ...] = ()
+
+    @property
+    def rows(self) -> dict[str, slice]:
+        """Where each kind lies in a member's column; all of it is handed from step to step."""
+        sizes = {
+            "states": len(self.states),
+            "parameters": len(self.parameters),
+            "integrals": len(self.integrands),
+            "slopes": len(self.rates),
+            "signals": len(self.signals),
+            "memories": len(self.memories),
+        }
+        ends = np.cumsum(list(sizes.values())).tolist()
+        begins = [0, *ends[:-1]]
+        return {name: slice(a, b) for name, a, b in zip(sizes, begins, ends, strict=True)}
+
+    def without_time(self) -> tuple[Flow, dict[sympy.Expr, sympy.Symbol]]:
+        """The flow with every largest subexpression that all members share as one symbol."""
+        kinds = (self.rates, self.integrands, self.signals, [f for _, f in self.memories])
+        formulas, found = hoisted([f for kind in kinds for f in kind], {TIME, *self.shared})
+        left = iter(formulas)
+        rates, integrands, signals, memories = (tuple(islice(left, len(kind))) for kind in kinds)
+        names = (name for name, _ in self.memories)
+        kept = tuple(zip(names, memories, strict=True))
+        return (
+            replace(self, rates=rates, integrands=integrands, signals=signals, memories=kept),
+            found,
+        )

@@ -1,0 +1,204 @@
+"""What happens at a sample and between two, compiled for many members at once.
+
+heyoka compiles both to vector code; without it NumPy evaluates the same formulas. Between samples
+the plant takes steps of the pair of Dormand and Prince (order 5, error control of order 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import sympy
+from scipy.integrate import RK45
+
+from certrack.core.expressions import TIME
+from certrack.core.lowering import BEGIN, STEP, larger, magnitude, numpy_callable, rows, to_heyoka
+from certrack.loops.controller import COMMAND
+from certrack.loops.plant import INPUT
+from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
+
+Array = np.ndarray
+
+#: A number for all members, or one for each.
+Number = float | np.ndarray
+
+#: Members per vector register.
+LANES = 8
+
+#: Order of the pair.
+ORDER = 5
+
+
+class Maps(Protocol):
+    """Both maps; arrays have a column per member, p a row per parameter, then per piece symbol."""
+
+    def control(self, t: Number, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
+        """Commanded inputs (N,) and the controller's next states."""
+
+    def step(
+        self, t: Number, h: Number, allowed: Number, x: Array, u: Array, totals: Array, p: Array
+    ) -> tuple[Array, Array, Array]:
+        """Plant states and totals after a step, and its error over the allowed one."""
+
+
+class NumpyMaps:
+    """Maps evaluated by NumPy."""
+
+    def __init__(self, loop: SampledLoop) -> None:
+        p = [*loop.parameters, *loop.pieces]
+        plant, controller = loop.plant, loop.controller
+        command, update = resolved(controller)
+        self._control = numpy_callable(
+            [TIME, controller.measured, controller.states, p], [command, *update]
+        )
+        self._rates = numpy_callable(
+            [TIME, plant.states, INPUT, p], [*plant.rates, loop.e_1, loop.slope]
+        )
+        names = [name for name, _ in loop.totals]
+        self._totals = numpy_callable(
+            [BEGIN, STEP, SIDES, SQUARE, AREA, INPUT, names, p],
+            [formula for _, formula in loop.totals],
+        )
+        self._n = plant.n
+
+    def control(self, t: Number, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
+        with np.errstate(all="ignore"):
+            found = rows(self._control(t, measured, states, p), measured.shape[1])
+        return found[0], found[1:]
+
+    def step(
+        self, t: Number, h: Number, allowed: Number, x: Array, u: Array, totals: Array, p: Array
+    ) -> tuple[Array, Array, Array]:
+        n, count = self._n, x.shape[1]
+        with np.errstate(all="ignore"):
+            stages = np.empty((7, n + 2, count))
+            stages[0] = rows(self._rates(t, x, u, p), count)
+            for i in range(1, 6):
+                inner = x + h * np.einsum("s,sij->ij", RK45.A[i, :i], stages[:i, :n])
+                stages[i] = rows(self._rates(t + RK45.C[i] * h, inner, u, p), count)
+            end = x + h * np.einsum("s,sij->ij", RK45.B, stages[:6, :n])
+            stages[6] = rows(self._rates(t + h, end, u, p), count)
+            e = stages[:, n]
+            sides = np.array([e[0], e[6], stages[0, n + 1], stages[6, n + 1]])
+            square, area = h * (RK45.B @ e[:6] ** 2), h * (RK45.B @ e[:6])
+            after = rows(self._totals(t, h, sides, square, area, u, totals, p), count)
+            # of the states and of the integral of e_1: a reference may be faster than the plant
+            error = h * np.einsum("s,sij->ij", RK45.E, stages[:, : n + 1])
+            sizes = np.maximum(np.abs([*x, e[0]]), np.abs([*end, e[6]]))
+            scaled = error / (allowed * (1.0 + sizes))
+            return end, after, np.sqrt((scaled**2).sum(axis=0) / n)
+
+
+class HeyokaMaps:
+    """Maps compiled by heyoka.
+
+    Parameters
+    ----------
+    loop : SampledLoop
+    vector : bool
+        For a multiple of :data:`LANES` members; otherwise for one.
+    """
+
+    #: Rows of the runtime parameters before those of the loop: time, step, allowed error.
+    OWN = 3
+
+    def __init__(self, loop: SampledLoop, *, vector: bool) -> None:
+        import heyoka as hy
+
+        hy.set_logger_level_critical()
+        self._loop = loop
+        self._known = {
+            name: hy.par[self.OWN + i] for i, name in enumerate((*loop.parameters, *loop.pieces))
+        }
+        options = {"batch_size": LANES, "force_avx512": True} if vector else {}
+        self._control = hy.cfunc(*self._control_formulas(hy), **options)
+        self._step = hy.cfunc(*self._step_formulas(hy), **options)
+        self._buffers: dict[tuple[int, int], Array] = {}
+
+    def control(self, t: Number, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
+        found = self._call(self._control, (t, 0.0, 0.0), (measured, states), p)
+        return found[0], found[1:]
+
+    def step(
+        self, t: Number, h: Number, allowed: Number, x: Array, u: Array, totals: Array, p: Array
+    ) -> tuple[Array, Array, Array]:
+        found = self._call(self._step, (t, h, allowed), (x, u[None], totals), p)
+        return found[: len(x)], found[len(x) : -1], found[-1]
+
+    def _call(self, function: Any, own: Sequence[Any], inputs: Sequence[Array], p: Array) -> Array:
+        count = inputs[0].shape[1]
+        key = (function.nparams, count)
+        if key not in self._buffers:
+            self._buffers[key] = np.empty(key)
+        table = self._buffers[key]
+        for row, value in zip(table, own, strict=False):
+            row[:] = value
+        table[self.OWN :] = p[: max(0, function.nparams - self.OWN)]
+        found: Array = function(np.ascontiguousarray(np.concatenate(inputs)), pars=table)
+        return found
+
+    def _control_formulas(self, hy: Any) -> tuple[list[Any], list[Any]]:
+        controller = self._loop.controller
+        names = [*controller.measured, *controller.states]
+        inputs = [hy.expression(f"in_{i}") for i in range(len(names))]
+        known = self._known | {TIME: hy.par[0]} | dict(zip(names, inputs, strict=True))
+        for name, formula in controller.steps:
+            (known[name],) = to_heyoka([formula], known, kinks=True)
+        update = to_heyoka(controller.update, known, kinks=True)
+        return [known[COMMAND], *update], inputs
+
+    def _step_formulas(self, hy: Any) -> tuple[list[Any], list[Any]]:
+        loop, plant = self._loop, self._loop.plant
+        names = [*plant.states, INPUT, *(name for name, _ in loop.totals)]
+        inputs = [hy.expression(f"in_{i}") for i in range(len(names))]
+        t, h, allowed = hy.par[0], hy.par[1], hy.par[2]
+        known = self._known | dict(zip(names, inputs, strict=True))
+        x, n = inputs[: plant.n], plant.n
+
+        def rates(node: float, states: Sequence[Any]) -> list[Any]:
+            when = {TIME: t + float(node) * h} if node else {TIME: t}
+            at = known | dict(zip(plant.states, states, strict=True)) | when
+            return to_heyoka([*plant.rates, loop.e_1, loop.slope], at, kinks=True)
+
+        def weighted(weights: Sequence[float], values: Sequence[Any]) -> Any:
+            terms = [float(w) * v for w, v in zip(weights, values, strict=True) if w]
+            return h * hy.sum(terms)
+
+        stages = [rates(0.0, x)]
+        for i in range(1, 6):
+            row = RK45.A[i, :i]
+            inner = [v + weighted(row, [s[j] for s in stages]) for j, v in enumerate(x)]
+            stages.append(rates(RK45.C[i], inner))
+        end = [v + weighted(RK45.B, [s[j] for s in stages]) for j, v in enumerate(x)]
+        last = rates(1.0, end)
+        e = [s[n] for s in stages]
+        place = known | {BEGIN: t, STEP: h, AREA: weighted(RK45.B, e)}
+        place |= {SQUARE: weighted(RK45.B, [value * value for value in e])}
+        place |= zip(SIDES, (e[0], last[n], stages[0][n + 1], last[n + 1]), strict=True)
+        totals = to_heyoka([formula for _, formula in loop.totals], place, kinks=True)
+        error = self._error(hy, [*x, e[0]], [*end, last[n]], [*stages, last], weighted, allowed)
+        return [*end, *totals, error], inputs
+
+    def _error(
+        self,
+        hy: Any,
+        x: Sequence[Any],
+        end: Sequence[Any],
+        stages: Sequence[Sequence[Any]],
+        weighted: Callable[..., Any],
+        allowed: Any,
+    ) -> Any:
+        """Norm of the estimated errors over allowed (1 + |x|), per root of the number of states.
+
+        Of the states and, last, of the integral of e_1: a reference may be faster than the plant.
+        """
+        a, b = sympy.symbols("a b", real=True)
+        squares = []
+        for j, (begin, after) in enumerate(zip(x, end, strict=True)):
+            ends = {a: begin, b: after}
+            (size,) = to_heyoka([larger(magnitude(a), magnitude(b))], ends, kinks=True)
+            scaled = weighted(RK45.E, [s[j] for s in stages]) / (allowed * (1.0 + size))
+            squares.append(scaled * scaled)
+        return hy.sqrt(hy.sum(squares) * (1.0 / (len(squares) - 1)))

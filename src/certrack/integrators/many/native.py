@@ -1,0 +1,308 @@
+"""Members in the lanes of vector registers: C written for the system, compiled where it runs.
+
+The fastest way by far, where there is a C compiler with GCC's vector extensions (gcc, clang);
+``lanes.c`` beside this file holds the method, ``vector_math.h`` the arithmetic, ``lanes.py`` writes
+the system for them; this module compiles and calls them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import sympy
+
+from certrack.integrators.many.flow import Flow
+from certrack.integrators.many.lanes import system_header
+
+FLAGS = (
+    "-std=gnu11 -O3 -march=native -fno-math-errno -fno-trapping-math -fno-signed-zeros "
+    "-fschedule-insns -shared -fPIC"
+).split()
+WIDE = ["-mprefer-vector-width=512"]
+
+#: The error estimate of DOP853 exceeds its error by far: this many times the tolerance is allowed.
+#: At the end of a run the error of the states then stays below the tolerance (a test measures it);
+#: on the way it may be twice as large, as that of any integrator whose tolerance is one of steps.
+CAUTION = 10.0
+
+#: Members that share their steps, as in lanes.c.
+GROUP = 32
+
+#: Outcome of a member whose group took too many steps, or none that is long enough.
+STUCK = 2
+
+#: A compilation that takes longer has failed, s.
+PATIENCE = 300
+
+#: Vector functions of the C library, from the most to none: older ones lack some or all.
+VECTOR_MATH = (
+    ["-DVECTOR_MATH", "-DMORE_VECTOR_MATH", "-lmvec", "-lm"],
+    ["-DVECTOR_MATH", "-lmvec", "-lm"],
+    ["-lm"],
+)
+
+
+@lru_cache(maxsize=1)
+def compiler() -> str | None:
+    """Path of a C compiler that can do it, or None."""
+    for name in ("gcc", "cc", "clang"):
+        path = shutil.which(name)
+        if path is not None and _attempt(path, "int main(void) { return 0; }\n", []) is not None:
+            return path
+    return None
+
+
+class Unavailable(Exception):
+    """Compiled C cannot be had on this machine."""
+
+
+def _attempt(path: str, source: str, flags: Sequence[str]) -> ctypes.CDLL | None:
+    """The shared library compiled from `source`, or None."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="certrack-") as folder:
+            text, made = Path(folder) / "lanes.c", Path(folder) / "lanes.so"
+            text.write_text(source, "utf-8")
+            command = [path, *FLAGS, str(text), "-o", str(made), *flags]
+            subprocess.run(command, capture_output=True, check=True, timeout=PATIENCE)
+            return ctypes.CDLL(str(made))  # stays loaded when the file is gone
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _shipped(name: str) -> str:
+    return (files("certrack.integrators.many") / name).read_text("utf-8")
+
+
+def built(name: str, system: str) -> ctypes.CDLL:
+    """A shipped C file, compiled with the generated header of a system.
+
+    Raises
+    ------
+    Unavailable
+        If no compiler can do it.
+    """
+    text = _shipped(name)
+    text = text.replace('#include "vector_math.h"\n', _shipped("vector_math.h"))
+    text = text.replace('#include "system.h"\n', system)
+    path = compiler()
+    if path is None:
+        raise Unavailable("no C compiler (gcc or clang) was found")
+    flags = ([*w, *m] for w in (WIDE, []) for m in VECTOR_MATH)
+    made = next((m for f in flags if (m := _attempt(path, text, f)) is not None), None)
+    if made is None:
+        raise Unavailable(f"the C compiler {path} failed")
+    return made
+
+
+class _Task(ctypes.Structure):
+    """As in lanes.c."""
+
+    _fields_ = [
+        ("count", ctypes.c_int64),
+        ("starts", ctypes.c_void_p),
+        ("parameters", ctypes.c_void_p),
+        ("segments", ctypes.c_int64),
+        ("edges", ctypes.c_void_p),
+        ("shared", ctypes.c_void_p),
+        ("points", ctypes.c_int64),
+        ("grid", ctypes.c_void_p),
+        ("centre", ctypes.c_void_p),
+        ("pace", ctypes.c_void_p),
+        ("tolerance", ctypes.c_double),
+        ("limit", ctypes.c_double),
+        ("most", ctypes.c_int64),
+        ("begin", ctypes.c_int64),
+        ("end", ctypes.c_int64),
+        ("side", ctypes.c_int64),
+        ("bits", ctypes.c_int64),
+        ("counts", ctypes.c_void_p),
+        ("some", ctypes.c_void_p),
+        ("totals", ctypes.c_void_p),
+        ("finals", ctypes.c_void_p),
+        ("ends", ctypes.c_void_p),
+        ("outcomes", ctypes.c_void_p),
+        ("next", ctypes.c_void_p),
+        ("steps", ctypes.c_int64),
+        ("reach", ctypes.c_double),
+        ("marks", ctypes.c_void_p),
+        ("bins", ctypes.c_void_p),
+        ("filled", ctypes.c_void_p),
+        ("counted", ctypes.c_int64),
+    ]
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """What all members share.
+
+    Attributes
+    ----------
+    edges : (K+1,) array, s
+        Segments; between them rates and signals may jump.
+    shared : (K, H) array
+        Values of the shared symbols on every segment.
+    grid : (T,) array, s
+        Where the shown values are looked at; begins with the first edge.
+    centre, unit : (R, T) and (R,) arrays
+        The shown values are reduced by them: (value - centre)/unit.
+    """
+
+    edges: np.ndarray
+    shared: np.ndarray
+    grid: np.ndarray
+    centre: np.ndarray
+    unit: np.ndarray
+
+
+@dataclass(frozen=True)
+class Control:
+    """When members are accurate enough, gone, or given up.
+
+    Attributes
+    ----------
+    tolerance : float
+    limit : float
+        A watched state beyond it has escaped.
+    most : int
+        Steps.
+    """
+
+    tolerance: float
+    limit: float
+    most: int
+
+
+@dataclass(frozen=True)
+class Counted:
+    """Which members are counted in which bins.
+
+    Attributes
+    ----------
+    part : slice
+        The members.
+    side, bits : int
+        Bins of one side of zero, leading bits of a bin (see ``statistics.py``).
+    counts : (T, R, 2 side + 1) array of int32
+        They are added to it; several threads may count in one array.
+    """
+
+    part: slice
+    side: int
+    bits: int
+    counts: np.ndarray
+
+
+@dataclass(frozen=True)
+class Passed:
+    """What came of some members.
+
+    Attributes
+    ----------
+    totals : (integrals + memories, N) array
+    finals : (S, N) array
+        States at the end of a member.
+    ends : (N,) array, s
+    outcomes : (N,) array
+        0 finished, 1 escaped, 2 stuck.
+    steps : int
+    """
+
+    totals: np.ndarray
+    finals: np.ndarray
+    ends: np.ndarray
+    outcomes: np.ndarray
+    steps: int
+
+
+class Native:
+    """A compiled :class:`Flow`; may be used by several threads at once.
+
+    Parameters
+    ----------
+    flow : Flow
+    shown : formulas
+        Of the states and of the signals' symbols at the end of a step.
+
+    Raises
+    ------
+    Unavailable
+        If no compiler can do it.
+    """
+
+    def __init__(self, flow: Flow, shown: Sequence[sympy.Expr]) -> None:
+        self._kept = len(flow.integrands) + len(flow.memories)
+        self._library = built("lanes.c", system_header(flow, shown))
+        self._spare: list[np.ndarray] = []
+
+    def integrate(
+        self,
+        starts: np.ndarray,
+        parameters: np.ndarray,
+        timeline: Timeline,
+        control: Control,
+        tally: Counted,
+        threads: int = 1,
+    ) -> Passed:
+        """Integrate members; starts (S, N), parameters (P, N)."""
+        size, count = starts.shape
+        totals, ends = np.full((self._kept, count), np.nan), np.zeros(count)
+        finals, outcomes = np.full((size, count), np.nan), np.zeros(count, dtype=np.uint8)
+        inputs = [np.ascontiguousarray(a, dtype=float) for a in (starts, parameters)]
+        inputs += [
+            np.ascontiguousarray(a, dtype=float)
+            for a in (timeline.edges, timeline.shared, timeline.grid, timeline.centre)
+        ]
+        inputs.append(1.0 / np.asarray(timeline.unit, dtype=float))
+        pointers = [array.ctypes.data for array in inputs]
+        drawn = np.zeros(1, dtype=np.int64)
+
+        def integrate(some: np.ndarray) -> int:
+            """One thread; releases the interpreter lock."""
+            task = _Task(
+                count,
+                *pointers[:2],
+                len(timeline.edges) - 1,
+                *pointers[2:4],
+                len(timeline.grid),
+                *pointers[4:],
+                CAUTION * control.tolerance,
+                control.limit,
+                control.most,
+                tally.part.start,
+                tally.part.stop,
+                tally.side,
+                tally.bits,
+                *(a.ctypes.data for a in (tally.counts, some, totals, finals, ends, outcomes)),
+                drawn.ctypes.data,
+            )
+            if self._library.integrate(ctypes.byref(task)):
+                raise MemoryError
+            self._spare.append(some)
+            return int(task.steps)
+
+        tables = [self._zeros(tally.counts.shape) for _ in range(threads)]
+        with ThreadPoolExecutor(threads) as pool:
+            steps = sum(pool.map(integrate, tables))
+        return Passed(totals, finals, ends, outcomes, steps)
+
+    def reserve(self, threads: int, shape: tuple[int, ...]) -> None:
+        """Tables that threads count in: new memory costs as much as counting."""
+        self._spare += [np.full(shape, 0, dtype=np.uint16) for _ in range(threads)]
+
+    def _zeros(self, shape: tuple[int, ...]) -> np.ndarray:
+        """A table of zeros, used before if possible."""
+        while self._spare:
+            some = self._spare.pop()
+            if some.shape == shape:
+                return some
+        return np.zeros(shape, dtype=np.uint16)

@@ -1,0 +1,105 @@
+"""Kinks of the state: keep every switch s = sign(f) right while a Taylor integrator runs.
+
+See :mod:`certrack.core.lowering` for how abs, sign, min and max become switches. heyoka locates
+f = 0 as an event; here the switches are set at the start and after events, and the finished run is
+checked: a switch that disagrees with its function in the middle of a step means a missed event.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import sympy
+
+from certrack.core.expressions import TIME
+from certrack.core.lowering import numpy_callable
+
+#: After an event, its function is not looked at for this long, s: rounding would fire it again,
+#: and from rest on a kink heyoka would deduce zero. What is missed by it is found by the check.
+COOLDOWN = 1e-9
+
+
+class Switches:
+    """The switches of one compiled loop.
+
+    Parameters
+    ----------
+    states, parameters : symbols
+        Of the loop; `parameters` ends with the switch symbols.
+    rates : formulas
+        Smooth right-hand sides.
+    functions : formulas
+        What each switch is the sign of.
+    """
+
+    def __init__(
+        self,
+        states: Sequence[sympy.Symbol],
+        parameters: Sequence[sympy.Symbol],
+        rates: Sequence[sympy.Expr],
+        functions: Sequence[sympy.Expr],
+    ) -> None:
+        self.count = len(functions)
+        self.first = len(parameters) - self.count
+        arguments = [TIME, states, parameters]
+        self._functions = numpy_callable(arguments, functions)
+        self._rates = numpy_callable(arguments, rates)
+        self._used: list[np.ndarray] = []
+
+    def events(self, hy: Any, functions: Sequence[Any]) -> list[Any]:
+        """Terminal events that flip one switch each and let the integration go on."""
+        return [
+            hy.t_event(function, callback=_Flip(self.first + k), cooldown=COOLDOWN)
+            for k, function in enumerate(functions)
+        ]
+
+    def begin(self) -> None:
+        """Forget the record of the run before."""
+        self._used = []
+
+    def record(self, integrator: Any) -> None:
+        """Remember the parameters that the next step uses."""
+        self._used.append(integrator.pars.copy())
+
+    def set(self, integrator: Any, skip: int = -1) -> None:
+        """Set every switch to the sign its function has a moment from now.
+
+        Looking ahead a moment settles functions that are zero now, and those that cross zero at
+        the same time as number `skip`, whose event has just set it.
+        """
+        t, state, pars = integrator.time, integrator.state, integrator.pars
+        for _ in range(self.count):  # later functions may contain earlier switches
+            before = pars[self.first :].copy()
+            for moment in (1e-6, 1e-10 * max(1.0, abs(t))):  # the shorter one has the say
+                with np.errstate(all="ignore"):
+                    ahead = state + moment * np.array(self._rates(t, state, pars), dtype=float)
+                    values = self._functions(t + moment, ahead, pars)
+                for k, value in enumerate(values):
+                    if k != skip and value:
+                        pars[self.first + k] = 1.0 if value > 0 else -1.0
+            if np.array_equal(before, pars[self.first :]):
+                break
+
+    def missed(self, t: np.ndarray, states: np.ndarray) -> bool:
+        """Whether a switch disagrees with its function at the middle (t, states) of some step."""
+        pars = np.array(self._used[: len(t)]).T
+        with np.errstate(all="ignore"):
+            values = np.array(
+                [np.broadcast_to(f, t.shape) for f in self._functions(t, states, pars)]
+            )
+        wrong = values * pars[self.first :] < 0
+        return bool((wrong & (np.abs(values) > 1e-9 * (1 + np.abs(states).max()))).any())
+
+
+class _Flip:
+    """Event callback: set a switch to the direction in which its function crosses zero."""
+
+    def __init__(self, index: int) -> None:
+        self.index = index
+
+    def __call__(self, integrator: Any, direction: int) -> bool:
+        if direction:
+            integrator.pars[self.index] = float(direction)
+        return True

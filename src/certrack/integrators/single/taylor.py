@@ -1,0 +1,269 @@
+"""Adaptive Taylor method (heyoka): compiled once per closed loop, reused for every run.
+
+A step is never taken across a break of the reference (it stops and takes the next piece) or across
+a kink of the state (an event stops it and flips the switch, see :mod:`certrack.core.lowering`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from certrack.core.lowering import extract_switches, to_heyoka
+from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory, fractions
+from certrack.integrators.single.switches import Switches
+from certrack.loops.continuous import INTEGRALS, ClosedLoop
+
+
+def available() -> bool:
+    """Whether heyoka is installed (it has no wheels for macOS and Windows)."""
+    from importlib.util import find_spec
+
+    return find_spec("heyoka") is not None
+
+
+#: With careful steps, which are many, a run is not followed beyond this.
+ESCAPED = 1e9
+
+#: So many steps in a row that do not move time end a run; an event may cut a few that short.
+BRINK = 50
+
+#: Length of a step that leaves a kink on which the run rests, s.
+NUDGE = 1e-6
+
+
+class TaylorIntegrator:
+    """A compiled closed loop. Not for two threads at once: make one per thread.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    tolerance : float
+        Fixes the order of the method, hence part of the compilation.
+    """
+
+    def __init__(self, loop: ClosedLoop, tolerance: float) -> None:
+        import heyoka as hy
+
+        hy.set_logger_level_critical()  # it warns on standard output, where JSON goes
+        rates, kinks = extract_switches(loop.rates)
+        used = set().union(*(f.free_symbols for f in (*rates, *(f for _, f in kinks))))
+        count = len(loop.parameters) - loop.pieces
+        own = [i for i, symbol in enumerate(loop.parameters[:count]) if symbol in used]
+        self._own = np.array(own, dtype=int)  # heyoka refuses parameters that nothing uses
+        parameters = [
+            *(loop.parameters[i] for i in own),
+            *loop.parameters[count:],
+            *(symbol for symbol, _ in kinks),
+        ]
+        self._piece = slice(len(own), len(own) + loop.pieces)
+        names = [state.name for state in loop.states]
+        variables = [hy.expression(name) for name in names]
+        known = {symbol: hy.par[i] for i, symbol in enumerate(parameters)}
+        known |= dict(zip(loop.states, variables, strict=True))
+        self._moving = len(loop.states) - len(INTEGRALS)
+        self._switches: Switches | None = None
+        events = []
+        if kinks:
+            functions = [inside for _, inside in kinks]
+            self._switches = Switches(loop.states, parameters, rates, functions)
+            events = self._switches.events(hy, to_heyoka(functions, known))
+        self._integrator = hy.taylor_adaptive(
+            list(zip(variables, to_heyoka(rates, known), strict=True)),
+            [0.0] * len(variables),
+            tol=tolerance,
+            pars=[0.0] * len(parameters),
+            t_events=events,
+        )
+
+    def integrate(self, problem: Problem) -> Trajectory:
+        """Solve `problem`; stops early at an escape, an undefined rate or the step limit."""
+        found, steps = self._attempt(problem, careful=False)
+        taken = np.diff(found.times)
+        size = np.abs(steps.table[: len(taken), : problem.plant_order, 0]).max(axis=1, initial=0.0)
+        tame = int(np.argmax(np.append(size > ESCAPING, True)))  # an escape's last steps are wild
+        if tame and _excess(steps, self._moving, taken[:tame]) > 10 * SLACK:
+            found, steps = self._attempt(problem, careful=True)
+        switches = self._switches
+        if switches is not None and len(found.times) > 1:
+            middle = (found.times[:-1] + found.times[1:]) / 2
+            if switches.missed(middle, found.interpolate(middle)):
+                return replace(found, outcome=Outcome.kink_missed)
+        return found
+
+    def _attempt(self, problem: Problem, *, careful: bool) -> tuple[Trajectory, _Steps]:
+        """Integrate from the start; with `careful`, shorten steps that are too long."""
+        ta, switches = self._integrator, self._switches
+        ta.state[:] = problem.start
+        ta.pars[: self._piece.start] = problem.parameters[self._own]
+        steps = _Steps(ta.tc.shape)
+        end, outcome = 0.0, Outcome.finished
+        if switches is not None:
+            switches.begin()
+        for begin, stop in problem.segments:
+            ta.pars[self._piece] = problem.reference.piece_values(begin)
+            ta.time = begin
+            if switches is not None:
+                switches.set(ta)
+            end, outcome = self._segment(begin, stop, problem.max_steps, steps, careful)
+            if outcome is not Outcome.finished:
+                break
+        return _finish(steps, end, outcome, problem), steps
+
+    def _segment(
+        self, begin: float, stop: float, max_steps: int, steps: _Steps, careful: bool
+    ) -> tuple[float, Outcome]:
+        """Step from `begin` to `stop`, keeping the Taylor coefficients of every step."""
+        ta, switches = self._integrator, self._switches
+        step, tc, k, starts, table = ta.step, ta.tc, steps.count, steps.starts, steps.table
+        stuck = stalled = 0
+        while True:  # the hot loop: heyoka's step takes about as long as two Python calls
+            if switches is not None:
+                switches.record(ta)
+            room = stop - begin
+            outcome, taken = step(room, True)
+            if careful and not abs(tc[:, 0]).max() < ESCAPED:
+                result = begin, Outcome.undefined
+                break
+            if careful and taken > (safe := _safe_step(tc[: self._moving], taken)):
+                ta.state[:], ta.time = tc[:, 0], begin
+                outcome, taken = step(safe, True)
+            if switches is not None:
+                stuck = stuck + 1 if taken == 0.0 else 0
+                if stuck > 3:  # at rest on a kink its event fires for ever: leave by the series
+                    stuck, taken = 0, min(NUDGE, room)
+                    ta.state[:] = tc @ taken ** np.arange(tc.shape[1])
+                    ta.time = begin + taken
+            if taken != taken:  # NaN: the rates are not finite
+                result = begin, Outcome.undefined
+                break
+            if k == len(starts):
+                starts, table = steps.grow()
+            starts[k], table[k] = begin, tc
+            k += 1
+            if taken == room:
+                result = stop, Outcome.finished
+                break
+            stalled = stalled + 1 if begin + taken == begin else 0
+            if stalled > BRINK:  # of a finite escape
+                result = begin, Outcome.undefined
+                break
+            begin += taken
+            if k >= max_steps:
+                result = begin, Outcome.step_limit
+                break
+            if switches is not None and int(outcome) >= 0:
+                switches.set(ta, skip=int(outcome))
+        steps.count = k
+        return result
+
+
+# heyoka takes the step h from the last two Taylor coefficients c_p and c_{p-1} alone, such that
+# |c_j| h^j ~ |x| exp(-2 j) there. Where these two happen to vanish, as from x = 0 in x' = 1 + x^3
+# whose series has only every third term, the step is far too long. So the few coefficients before
+# them are held to the same rule, with some slack because they usually exceed it a little.
+SLACK = 100.0
+ORDERS_BEFORE = 5
+
+
+def _orders(count: int) -> range:
+    """The orders j that are looked at, of `count` coefficients."""
+    return range(max(2, count - 1 - ORDERS_BEFORE), count - 1)
+
+
+def _excess(steps: _Steps, moving: int, taken: np.ndarray) -> float:
+    """Largest |c_j| h^j / (|x| exp(-2 j)) over all steps."""
+    table = steps.table[: len(taken), :moving]
+    orders = _orders(table.shape[2])
+    begin, late = table[:, :, :2], table[:, :, orders.start : orders.stop]
+    with np.errstate(all="ignore"):  # an escape overflows; an event may end a step at its begin
+        squares = np.einsum("sij,sij->sj", begin, begin)  # Euclidean norms: several times faster
+        size = np.maximum(squares[:, 0], squares[:, 1] * taken**2) + 1e-300
+        reach = np.log(taken) + 2.0
+        growth = np.exp(2.0 * reach[:, None] * np.arange(orders.start, orders.stop))
+        terms = np.einsum("sij,sij->sj", late, late) * growth
+        return float(np.sqrt((terms / size[:, None]).max()))
+
+
+def _safe_step(coefficients: np.ndarray, taken: float) -> float:
+    """Longest step by the rule above."""
+    table = np.abs(coefficients)
+    size = max(table[:, 0].max(), table[:, 1].max() * taken)
+    j = np.array(_orders(table.shape[1]))
+    with np.errstate(divide="ignore"):
+        limits = (SLACK * size / table[:, j].max(axis=0)) ** (1.0 / j) * np.exp(-2.0)
+    return float(limits.min())
+
+
+class _Steps:
+    """Growing record of steps: begin and Taylor coefficients."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.count = 0
+        self.starts = np.empty(128)
+        self.table = np.empty((128, *shape))
+
+    def grow(self) -> tuple[np.ndarray, np.ndarray]:
+        """Double the room."""
+        self.starts = np.concatenate([self.starts, np.empty_like(self.starts)])
+        self.table = np.concatenate([self.table, np.empty_like(self.table)])
+        return self.starts, self.table
+
+
+def _finish(steps: _Steps, end: float, outcome: Outcome, problem: Problem) -> Trajectory:
+    """Cut the record where a plant state first passes the limit."""
+    count = steps.count
+    starts, table = steps.starts[:count], steps.table[:count]
+    if not count:
+        starts, table = np.zeros(1), problem.start[None, :, None]
+        return Trajectory(np.zeros(1), TaylorSeries(starts, table), outcome, "taylor")
+    size = np.abs(table[:, : problem.plant_order, 0]).max(axis=1)
+    beyond = np.flatnonzero(~(size <= problem.max_state))
+    if beyond.size and beyond[0] > 0:
+        k = int(beyond[0])
+        end, outcome = float(starts[k]), Outcome.escaped
+        starts, table = starts[:k], table[:k]
+    elif outcome is Outcome.undefined and size[-1] > ESCAPING:
+        outcome = Outcome.escaped
+    return Trajectory(np.append(starts, end), TaylorSeries(starts, table), outcome, "taylor")
+
+
+@dataclass(frozen=True)
+class TaylorSeries:
+    """Piecewise Taylor series: the dense output of the method, at no extra cost.
+
+    Attributes
+    ----------
+    starts : (K,) array, s
+        Beginning of each step.
+    table : (K, S, order + 1) array
+        Taylor coefficients of the states.
+    """
+
+    starts: np.ndarray
+    table: np.ndarray
+
+    def __call__(self, t: np.ndarray) -> np.ndarray:
+        t = np.asarray(t, dtype=float)
+        k = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, None)
+        since = (t - self.starts[k])[:, None]
+        value = self.table[k, :, -1]
+        for order in range(self.table.shape[2] - 2, -1, -1):
+            value = value * since + self.table[k, :, order]
+        return value.T
+
+    def subdivided(self, times: np.ndarray, parts: int) -> np.ndarray:
+        """States at :func:`certrack.integrators.base.subdivide` of the steps, much faster."""
+        steps, size, orders = self.table.shape
+        powers = np.empty((steps, 1, orders))  # h^k, by products: pow() is slow
+        powers[:, 0, 0], powers[:, 0, 1:] = 1.0, np.diff(times)[:, None]
+        np.multiply.accumulate(powers, axis=2, out=powers)
+        samples = fractions(parts)
+        series = samples ** np.arange(orders)[:, None]
+        values = (self.table * powers).reshape(-1, orders) @ series  # all steps at once
+        values = values.reshape(steps, size, parts + 1)
+        values[0, :, 0] = self.table[0, :, 0]
+        values[-1, :, -1] = (self.table[-1] * powers[-1]).sum(axis=1)
+        found: np.ndarray = values.transpose(1, 0, 2).reshape(size, -1)
+        return found

@@ -1,0 +1,246 @@
+"""The backstepping recursion, numeric: gains in, error coordinates and virtual controls out.
+
+The stabilising functions are linear with constant coefficients,
+
+    lambda_m = sum_{j<=m} eta_mj x_j + sum_{i<=q} d_mi y_d^(i)                              [9]
+
+so the whole design is a few vector operations per step; nothing is differentiated. With
+Y = (y_d, y_d', ..., y_d^(q)), the error coordinates are e = A x - B Y [30, 31]. q = 0 is the
+published law; q > 0 feeds derivatives of the reference forward and q = n - 1 is the classic one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from certrack.core import checks
+from certrack.core.errors import DesignError, InputError
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Design parameters of the recursion.
+
+    Parameters
+    ----------
+    c : n positive numbers, 1/s
+        Decay rates of the steps.
+    k : n rows, row m of 2m positive numbers or inf, optional
+        Damping by Young's inequality: k_{m,2i-1} of the gamma-part of w_i at step m, k_{m,2i} of
+        its beta-part. ``inf`` omits a term; all are omitted if left out (a lean design).
+    p : n - 1 positive numbers or inf, optional
+        Damping of the reference derivative that is not fed forward.
+    """
+
+    c: tuple[float, ...]
+    k: tuple[tuple[float, ...], ...] | None = None
+    p: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        c = checks.reals("law.c", self.c, None, "c_1 ... c_n", above=0)
+        n = len(c)
+        k = tuple((math.inf,) * (2 * m) for m in range(1, n + 1)) if self.k is None else self.k
+        p = (math.inf,) * (n - 1) if self.p is None else self.p
+        rows = checks.sequence("law.k", k, n, "row m holds k_m1 ... k_m,2m, m = 1 ... n")
+        limits: dict[str, Any] = {"above": 0, "infinite": True}
+        object.__setattr__(self, "c", c)
+        object.__setattr__(
+            self,
+            "k",
+            tuple(
+                checks.reals(f"law.k[{m}]", row, 2 * m + 2, f"k_{m + 1},j", **limits)
+                for m, row in enumerate(rows)
+            ),
+        )
+        p = checks.reals("law.p", p, n - 1, "p_1 ... p_{n-1}", **limits)
+        object.__setattr__(self, "p", p)
+
+    @property
+    def is_lean(self) -> bool:
+        """Whether all damping is omitted."""
+        assert self.k is not None and self.p is not None
+        return all(math.isinf(v) for row in (*self.k, self.p) for v in row)
+
+    @property
+    def n(self) -> int:
+        """Order of the plant they are made for."""
+        return len(self.c)
+
+
+@dataclass(frozen=True)
+class ErrorCoordinates:
+    """Result of the recursion: e = A x - B Y with Y = (y_d ... y_d^(q)).
+
+    Attributes
+    ----------
+    A : (n, n) array
+        Unit lower triangular.
+    B : (n, q+1) array
+        First row (1, 0 ... 0); row m + 1 holds the d_mi.
+    F : (n-1, n) array
+        Rows of the nominal chain: F_i x = g_i x_{i+1} + sum_j b_ij x_j.
+    c, kappa : (n,) arrays, 1/s
+        Decay and added damping [18].
+    g : (n-1,) array
+        Virtual control coefficients.
+    nu_x, nu_Y : (n,) and (q+2,) arrays
+        nu = nu_x . x + nu_Y . (y_d ... y_d^(q+1)) - h(x), the part all laws share [20].
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    F: np.ndarray
+    c: np.ndarray
+    kappa: np.ndarray
+    g: np.ndarray
+    nu_x: np.ndarray
+    nu_Y: np.ndarray
+
+    @property
+    def n(self) -> int:
+        """Order of the plant."""
+        return len(self.c)
+
+    @property
+    def q(self) -> int:
+        """Feed-forward order."""
+        return self.B.shape[1] - 1
+
+    @property
+    def eta(self) -> list[np.ndarray]:
+        """eta_m1 ... eta_mm of lambda_m, m = 1 ... n-1."""
+        return [-self.A[m, :m] for m in range(1, self.n)]
+
+    @property
+    def d(self) -> np.ndarray:
+        """d_m0 ... d_mq of lambda_m, shape (n-1, q+1)."""
+        return self.B[1:]
+
+    @cached_property
+    def R(self) -> np.ndarray:
+        """Coefficients of the reference derivative that stays uncompensated; R_n = 0."""
+        residual = self.B[:, self.q].copy()
+        residual[-1] = 0
+        return residual
+
+    @cached_property
+    def error_matrix(self) -> np.ndarray:
+        """S - C - K of the error system e' = (S - C - K) e + ... [21]."""
+        skew = np.diag(self.g, 1) - np.diag(self.g, -1)
+        return skew - np.diag(self.c + self.kappa)
+
+    @cached_property
+    def poles(self) -> np.ndarray:
+        """Eigenvalues of the error matrix, 1/s."""
+        return np.linalg.eigvals(self.error_matrix)
+
+    @cached_property
+    def slowest_pole(self) -> float:
+        """Smallest magnitude of the poles, 1/s."""
+        return float(np.abs(self.poles).min())
+
+    @cached_property
+    def fastest_pole(self) -> float:
+        """Largest magnitude of the poles, 1/s."""
+        return float(np.abs(self.poles).max())
+
+
+def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCoordinates:
+    """Carry out the recursion in O(n^3).
+
+    Parameters
+    ----------
+    g : (n-1,) array
+        Virtual control coefficients, nonzero.
+    b : (n-1, n) array
+        Linear couplings b_ij, lower triangular.
+    gains : Gains
+    q : int
+        Feed-forward order, 0 <= q <= n-1.
+
+    Returns
+    -------
+    ErrorCoordinates
+
+    Raises
+    ------
+    InputError
+        If the number of gains or q does not fit the plant.
+    DesignError
+        If the damping terms overflow (they grow doubly exponentially with n).
+    """
+    n = len(g) + 1
+    if gains.n != n:
+        raise InputError("law.c", f"must be a list of {n}: c_1 ... c_n", list(gains.c))
+    q = checks.integer("law.feedforward", q, 0, n - 1)
+    assert gains.k is not None and gains.p is not None
+    weights = [(0.25 / np.array(row)).reshape(-1, 2).sum(axis=1) for row in gains.k]
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = carry_out(
+            np.asarray(g, float), b, np.array(gains.c), weights, 0.25 / np.array(gains.p), q
+        )
+    results = (found.kappa, found.nu_x, found.nu_Y, found.A, found.B)
+    if not all(np.isfinite(values).all() and np.abs(values).max() < 1e150 for values in results):
+        if gains.is_lean:
+            raise DesignError(
+                "law.c", "the design overflows", remedy="Lower c, or scale the states (chain)"
+            )
+        step = int(np.argmin(np.isfinite(found.kappa))) + 1
+        raise DesignError(
+            "law.k",
+            f"the damping overflows at step {step} of {n}: each step squares it",
+            remedy="Raise k and p, or leave them out (a lean design)",
+        )
+    return found
+
+
+def carry_out(
+    g: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    weights: Sequence[np.ndarray],
+    residual_weights: np.ndarray,
+    q: int,
+) -> ErrorCoordinates:
+    """The recursion itself, in the arithmetic of its arguments (float, or exact rationals).
+
+    Parameters
+    ----------
+    g, b, c
+        As in :func:`recursion`.
+    weights : n arrays
+        Entry i of row m is 1/(4 k_{m,2i-1}) + 1/(4 k_{m,2i}).
+    residual_weights : (n-1,) array
+        1/(4 p_m).
+    q : int
+        Feed-forward order.
+    """
+    n = len(c)
+    F = b + np.eye(n - 1, n, 1, dtype=b.dtype) * g[:, None]
+    A, B = np.eye(n, dtype=b.dtype), np.zeros((n, q + 1), dtype=b.dtype)
+    kappa = np.zeros(n, dtype=b.dtype)
+    B[0, 0] = 1
+    for m in range(n):  # step m + 1 of the paper
+        eta = -A[m, :m]
+        kappa[m] = weights[m][m] + (weights[m][:m] * eta**2).sum()  # [18]
+        if m < n - 1:
+            kappa[m] += B[m, q] ** 2 * residual_weights[m]
+        x_part = -(c[m] + kappa[m]) * A[m] + eta @ F[:m]
+        y_part = (c[m] + kappa[m]) * B[m]
+        if m:
+            x_part -= g[m - 1] * A[m - 1]
+            y_part += g[m - 1] * B[m - 1]
+        if m == n - 1:  # nu [20]: every derivative is fed forward
+            nu_Y = np.append(y_part, 0) + np.append(0, B[m])
+            break
+        y_part[1:] += B[m, :q]  # the derivatives that lambda_m may use
+        lambda_x = (x_part - b[m]) / g[m]  # [9], [13]
+        A[m + 1, : m + 1] = -lambda_x[: m + 1]
+        B[m + 1] = y_part / g[m]
+    return ErrorCoordinates(A, B, F, c, kappa, g, x_part, nu_Y)

@@ -1,0 +1,297 @@
+"""The controller as it runs every period: from measurements to the input, and its next state.
+
+One description serves the simulation, the exported code and the block-diagram tools. With the
+measured states m, the reference Y = (y_d ... y_d^(q+1)) and the controller's own states s, all at
+t_k:
+
+    x_{i+1} = (v_i - sum_j b_ij x_j)/g_i        where not measured; v_i: filtered difference of x_i
+    u_law   = law(x, Y, estimates)
+    u       = u_law, within the saturation and the rate limit
+    z_{k+1} = z_k + W rate(x, Y, z_k)           estimates; only forgetting while u /= u_law
+
+W = T I is forward Euler. ``exact_leak`` takes the constant part L of the Jacobian of the rates by
+the estimates (the leak) into account exactly: W = L^-1 (exp(L T) - I) [exponential Euler].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
+
+import numpy as np
+import sympy
+
+from certrack.core.expressions import symbol
+from certrack.core.lowering import Select, magnitude, numpy_callable
+from certrack.laws.base import Controller, Law
+from certrack.model.implementation import Implementation
+from certrack.model.plant import Plant
+
+Steps = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
+
+#: The commanded input, and the one that the law asks for.
+COMMAND, ASKED = symbol("ctl_u"), symbol("ctl_u_law")
+
+PERIOD = symbol("ctl_period")
+
+#: 1 at the first sample, 0 later: there is nothing to take a difference from yet.
+FIRST = symbol("ctl_first")
+
+
+@dataclass(frozen=True)
+class SampledController:
+    """A controller in discrete time; equal for implementations that differ in numbers only.
+
+    Attributes
+    ----------
+    measured : n symbols
+        Of the plant's states; those that are differenced are not used.
+    Y : symbols
+        y_d ... y_d^(q+1).
+    estimates : symbols
+        The law's own states; they come first among `states`.
+    states : symbols
+        All that is kept from sample to sample.
+    steps : pairs (symbol, formula)
+        To be computed in this order; the last one is :data:`COMMAND`.
+    update : formulas, one per state
+        Of everything above.
+    parameters : symbols
+        Of :func:`controller_values`: gains, then numbers of the implementation.
+    gain_names : names of the law's gains
+    hold : pairs (i, j)
+        Entries of W that are not structurally zero, where it is not T I.
+    leak : formulas
+        Constant part of the Jacobian, row-major, of the gains.
+    """
+
+    measured: tuple[sympy.Symbol, ...]
+    Y: tuple[sympy.Symbol, ...]
+    estimates: tuple[sympy.Symbol, ...]
+    states: tuple[sympy.Symbol, ...]
+    steps: Steps
+    update: tuple[sympy.Expr, ...]
+    parameters: tuple[sympy.Symbol, ...]
+    gain_names: tuple[str, ...]
+    hold: tuple[tuple[int, int], ...]
+    leak: tuple[sympy.Expr, ...]
+
+    @property
+    def numbers(self) -> tuple[sympy.Symbol, ...]:
+        """The parameters that an implementation of the same structure may change."""
+        return tuple(name for name in self.parameters if name.name.startswith("ctl_"))
+
+
+def sampled_controller(
+    plant: Plant, controller: Controller, way: Implementation
+) -> SampledController:
+    """The controller of a law in discrete time."""
+    s = controller.signals
+    steps: list[tuple[sympy.Symbol, sympy.Expr]] = []
+    kept: list[tuple[sympy.Symbol, sympy.Expr]] = []
+    numbers = [PERIOD]
+    x = _measured(plant, way, steps, kept, numbers)
+    asked = controller.equations.u.xreplace(x)
+    steps.append((ASKED, asked))
+    steps.append((COMMAND, _limited(way, numbers)))
+    if way.rate_limit is not None:
+        kept.append((symbol("ctl_u_last"), COMMAND))
+    estimates = controller.states
+    rates = [rate.xreplace(x) for _, rate in controller.equations.update]
+    leak = _leak(controller, rates) if way.update == "exact_leak" else ()
+    hold = _pattern(leak, len(estimates))
+    numbers += [symbol(f"ctl_hold_{i}_{j}") for i, j in hold]
+    if way.projection is not None:
+        numbers += _boxes(len(estimates))
+    forgetting = forgetting_rates(rates, {*controller.symbols, *estimates})
+    after = next_estimates(estimates, rates, forgetting, hold, way)
+    constants = [symbol(name) for name in plant.constant_values]
+    return SampledController(
+        measured=s.x,
+        Y=s.Y,
+        estimates=estimates,
+        states=(*estimates, *(name for name, _ in kept)),
+        steps=tuple(steps),
+        update=(*after, *(formula for _, formula in kept)),
+        parameters=(*controller.symbols, *constants, *numbers),
+        gain_names=tuple(s.all_parameters),
+        hold=hold,
+        leak=leak,
+    )
+
+
+def next_estimates(
+    estimates: Sequence[sympy.Expr],
+    rates: Sequence[sympy.Expr],
+    forgetting: Sequence[sympy.Expr],
+    hold: Sequence[tuple[int, int]],
+    way: Implementation,
+) -> list[sympy.Expr]:
+    """The estimates after one period.
+
+    Parameters
+    ----------
+    estimates, rates : formulas
+        Rates may be symbols for them.
+    forgetting : formulas
+        The rates' part that :func:`forgetting_rates` finds.
+    hold : pairs (i, j)
+        See :class:`SampledController`.
+    way : Implementation
+    """
+    rises = _weighted(rates, hold)
+    limited = way.saturation is not None or way.rate_limit is not None
+    if limited and way.anti_windup != "none":
+        rest = [sympy.S.Zero] * len(rises)
+        if way.anti_windup == "leak":
+            rest = _weighted(forgetting, hold)
+        cut = magnitude(ASKED - COMMAND)
+        rises = [Select(cut, 0, slow, rise) for slow, rise in zip(rest, rises, strict=True)]
+    after = [z + rise for z, rise in zip(estimates, rises, strict=True)]
+    if way.projection is None:
+        return after
+    boxes = _boxes(len(after))
+    return [
+        clamp(z, low, high) for z, low, high in zip(after, boxes[::2], boxes[1::2], strict=True)
+    ]
+
+
+def _boxes(estimates: int) -> list[sympy.Symbol]:
+    """Limits of the projection: low, high, low ..."""
+    return [symbol(f"ctl_box_{i}") for i in range(2 * estimates)]
+
+
+def differenced(name: str) -> sympy.Symbol:
+    """Stands for a state that is not measured."""
+    return symbol(f"ctl_value_{name}")
+
+
+def clamp(value: sympy.Expr, low: sympy.Expr, high: sympy.Expr) -> sympy.Expr:
+    """The value within [low, high]; what is not a number stays so."""
+    return Select(low, value, low, Select(value, high, high, value))
+
+
+def _measured(
+    plant: Plant,
+    way: Implementation,
+    steps: list[tuple[sympy.Symbol, sympy.Expr]],
+    kept: list[tuple[sympy.Symbol, sympy.Expr]],
+    numbers: list[sympy.Symbol],
+) -> dict[sympy.Symbol, sympy.Expr]:
+    """What stands for each state in the law: itself, or its value by differences."""
+    found: dict[sympy.Symbol, sympy.Expr] = {}
+    if not way.velocity:
+        return found
+    x, pole = plant.symbols, symbol("ctl_filter")
+    numbers.append(pole)
+    for i in range(1, plant.n):
+        if plant.states[i] not in way.velocity:
+            continue
+        name = plant.states[i]
+        position = found.get(x[i - 1], x[i - 1])
+        before, speed = symbol(f"ctl_before_{name}"), symbol(f"ctl_speed_{name}")
+        difference = Select(FIRST, 0, 0, (position - before) / PERIOD)
+        filtered, value = symbol(f"ctl_filtered_{name}"), differenced(name)
+        assert plant.linear is not None
+        row = [b.expr * found.get(x[j], x[j]) for j, b in enumerate(plant.linear[i - 1])]
+        steps.append((filtered, speed + pole * (difference - speed)))
+        steps.append((value, (filtered - sympy.Add(*row)) / plant.chain[i - 1].expr))
+        kept += [(before, position), (speed, filtered)]
+        found[x[i]] = value
+    kept.append((FIRST, sympy.Integer(0)))
+    return found
+
+
+def _limited(way: Implementation, numbers: list[sympy.Symbol]) -> sympy.Expr:
+    """The input that the law asks for, within the limits."""
+    command: sympy.Expr = ASKED
+    if way.rate_limit is not None:
+        last, step = symbol("ctl_u_last"), symbol("ctl_u_step")
+        numbers.append(step)
+        command = clamp(command, last - step, last + step)
+    if way.saturation is not None:
+        low, high = symbol("ctl_u_low"), symbol("ctl_u_high")
+        numbers += [low, high]
+        command = clamp(command, low, high)
+    return command
+
+
+def forgetting_rates(rates: Sequence[sympy.Expr], known: Set[sympy.Symbol]) -> list[sympy.Expr]:
+    """The terms of the rates in gains and estimates alone: the leakage towards the priors."""
+    terms = (sympy.Add.make_args(sympy.expand(rate)) for rate in rates)
+    return [sympy.Add(*(term for term in part if term.free_symbols <= known)) for part in terms]
+
+
+def _weighted(rates: Sequence[sympy.Expr], hold: Sequence[tuple[int, int]]) -> list[sympy.Expr]:
+    """W times the rates."""
+    if not hold:
+        return [PERIOD * rate for rate in rates]
+    weights = {(i, j): symbol(f"ctl_hold_{i}_{j}") for i, j in hold}
+    return [
+        sympy.Add(*(w * rates[j] for (row, j), w in weights.items() if row == i))
+        for i in range(len(rates))
+    ]
+
+
+def _leak(controller: Controller, rates: list[sympy.Expr]) -> tuple[sympy.Expr, ...]:
+    """Jacobian of the rates by the estimates, where it depends on gains alone; else zero."""
+    gains = set(controller.symbols)
+    table = [sympy.diff(rate, z) for rate in rates for z in controller.states]
+    return tuple(entry if entry.free_symbols <= gains else sympy.S.Zero for entry in table)
+
+
+def _pattern(leak: tuple[sympy.Expr, ...], count: int) -> tuple[tuple[int, int], ...]:
+    """Entries of W that are not structurally zero: those of I + |L| + |L|^2 + ..."""
+    if not any(leak):
+        return ()
+    links = np.array([entry != 0 for entry in leak]).reshape(count, count)
+    reach = np.eye(count, dtype=bool) | links
+    for _ in range(count):
+        reach = (reach.astype(int) @ reach.astype(int)) > 0
+    return tuple((int(i), int(j)) for i, j in np.argwhere(reach))
+
+
+def controller_values(
+    found: SampledController, plant: Plant, law: Law, way: Implementation
+) -> np.ndarray:
+    """Values of :attr:`SampledController.parameters`."""
+    gains = law.values(plant, found.gain_names)
+    T, known = way.period, {}
+    known[PERIOD] = T
+    smooth = 1.0 - math.exp(-T / way.velocity_filter) if way.velocity_filter else 1.0
+    known[symbol("ctl_filter")] = smooth
+    if way.rate_limit is not None:
+        known[symbol("ctl_u_step")] = way.rate_limit * T
+    if way.saturation is not None:
+        known[symbol("ctl_u_low")], known[symbol("ctl_u_high")] = way.saturation
+    if found.hold:
+        weights = _weights(found, gains, T)
+        known |= {symbol(f"ctl_hold_{i}_{j}"): weights[i, j] for i, j in found.hold}
+    for i, end in enumerate(end for box in way.projection or () for end in box):
+        known[symbol(f"ctl_box_{i}")] = end
+    constants = [float(value) for value in plant.constant_values.values()]
+    rest = found.parameters[len(gains) + len(constants) :]
+    return np.concatenate([gains, constants, [known[name] for name in rest]])
+
+
+def _weights(found: SampledController, gains: np.ndarray, T: float) -> np.ndarray:
+    """W = L^-1 (exp(L T) - I), without dividing by L."""
+    from scipy.linalg import expm
+
+    count = len(found.estimates)
+    names = found.parameters[: len(gains)]
+    L = np.array(numpy_callable(names, found.leak)(*gains), dtype=float).reshape(count, count)
+    block = np.zeros((2 * count, 2 * count))
+    block[:count, :count], block[:count, count:] = L * T, np.eye(count) * T
+    weights: np.ndarray = expm(block)[:count, count:]
+    return weights
+
+
+def starting_state(
+    found: SampledController, estimates: tuple[float, ...], way: Implementation
+) -> np.ndarray:
+    """States before the first sample."""
+    others = {FIRST: 1.0, symbol("ctl_u_last"): way.initial_input}
+    rest = [others.get(name, 0.0) for name in found.states[len(found.estimates) :]]
+    return np.array([*estimates, *rest])

@@ -1,0 +1,168 @@
+"""Exact stability of a linear sampled loop: the spectral radius of what one period does.
+
+For a plant with linear rates (drift and regressor linear, no disturbance) and a law that is linear
+in the measured states, everything between two samples is a matrix. With the waiting commands as
+further states,
+
+    xi = (x, s, u_{k-1} ... u_{k-d-1}),     xi_{k+1} = M(T, delay) xi_k + what the reference adds
+
+and the loop is exponentially stable exactly where all eigenvalues of M lie inside the unit circle.
+The uncertain terms w are left out; limits, quantisation and noise too. So are, in a truth with
+states of its own, motions that the input does not cause or that no sensor shows: no controller
+changes them, and undamped ones would hide the edge.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import sympy
+
+from certrack.core.lowering import Select, numpy_callable
+from certrack.loops.controller import (
+    FIRST,
+    SampledController,
+    controller_values,
+    sampled_controller,
+)
+from certrack.loops.plant import INPUT, plant_values, simulated_plant
+from certrack.loops.sampled import resolved
+from certrack.model.implementation import Implementation
+from certrack.systems.system import System
+
+#: A direction counts as new if more than this part of it is.
+NOTHING = 1e-10
+
+
+@dataclass(frozen=True)
+class LinearLoop:
+    """A sampled loop whose plant and law are linear.
+
+    Attributes
+    ----------
+    system : System
+        Without disturbance, limits, quantisation and noise.
+    A, b : (N, N) and (N,) arrays
+        x' = A x + b u; of a truth with states of its own, what is caused by u and measured.
+    C : (n, N) array
+        Measured states of the plant's.
+    controller : SampledController
+    slopes : callable
+        Of the controller's parameters: derivatives of the command and the next kept states, a row
+        each, by the measured and the kept states.
+    """
+
+    system: System
+    A: np.ndarray
+    b: np.ndarray
+    C: np.ndarray
+    controller: SampledController
+    slopes: Callable[..., list[Any]]
+
+    def period_map(self, period: float, delay: float) -> np.ndarray:
+        """M of the module's text.
+
+        Parameters
+        ----------
+        period : float, s
+        delay : float, periods
+        """
+        law = self._law(period)
+        N, n, kept = len(self.b), len(self.C), len(law) - 1
+        whole = math.floor(delay)
+        size = N + kept + whole + 1
+        seen = np.zeros((n + kept, size))  # measured and kept states over xi
+        seen[:n, :N], seen[n:, N : N + kept] = self.C, np.eye(kept)
+        after = law @ seen
+        inputs = np.vstack([after[:1], np.eye(size)[N + kept :]])  # u_k, u_{k-1} ... u_{k-d-1}
+        x = np.eye(size)[:N]
+        for u, h in ((inputs[whole + 1], delay - whole), (inputs[whole], 1 - delay + whole)):
+            A, b = self._across(h * period)
+            x = A @ x + np.outer(b, u)
+        found: np.ndarray = np.vstack([x, after[1:], inputs[: whole + 1]])
+        return found
+
+    def radius(self, period: float, delay: float) -> float:
+        """Spectral radius of the period map; the loop is stable where it is below 1."""
+        M = self.period_map(period, delay)
+        return float(np.abs(np.linalg.eigvals(M)).max()) if np.isfinite(M).all() else math.inf
+
+    def _law(self, period: float) -> np.ndarray:
+        system = self.system
+        assert system.implementation is not None
+        way = replace(system.implementation, period=period)
+        values = controller_values(self.controller, system.plant, system.law, way)
+        rows = 1 + len(self.controller.states)
+        return np.array(self.slopes(*values), dtype=float).reshape(rows, -1)
+
+    def _across(self, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """The plant over a time h with constant input."""
+        from scipy.linalg import expm
+
+        N = len(self.b)
+        block = np.zeros((N + 1, N + 1))
+        block[:N, :N], block[:N, N] = self.A * h, self.b * h
+        with np.errstate(all="ignore"):
+            found = expm(block)
+        return found[:N, :N], found[:N, N]
+
+
+def linear_loop(system: System) -> LinearLoop | None:
+    """The loop as matrices, or None where it is not linear."""
+    if system.controller.states or system.implementation is None:
+        return None
+    given = system.implementation
+    way = Implementation(given.period, velocity=given.velocity)
+    way = replace(way, velocity_filter=given.velocity_filter)
+    system = system.replace(truth=replace(system.truth, omega=None), implementation=way)
+
+    plant = simulated_plant(system)
+    moving = (*plant.states, INPUT)
+    table = [sympy.diff(f, v) for f in (*plant.rates, *plant.outputs) for v in moving]
+    found = sampled_controller(system.plant, system.controller, way)
+    command, update = resolved(found)
+    seen = (*found.measured, *found.states)
+    slopes = [sympy.diff(_later(f), v) for f in (command, *update) for v in seen]
+    if not _constant(table, plant.parameters) or not _constant(slopes, found.parameters):
+        return None
+    values = numpy_callable(plant.parameters, table)(*plant_values(plant, system))
+    numbers = np.array(values, dtype=float).reshape(-1, len(moving))
+    n = plant.n
+    A, b, C = numbers[:n, :-1], numbers[:n, -1], numbers[n:, :-1]
+    if system.truth.states:
+        V = _reached(A, b[:, None])
+        A, b, C = V.T @ A @ V, V.T @ b, C @ V
+        V = _reached(A.T, C.T)
+        A, b, C = V.T @ A @ V, V.T @ b, C @ V
+    return LinearLoop(system, A, b, C, found, numpy_callable(found.parameters, slopes))
+
+
+def _reached(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Orthonormal basis, in columns, of the space spanned by B, A B, A^2 B ..."""
+    found: list[np.ndarray] = []
+    waiting = list(B.T)
+    while waiting and len(found) < len(A):
+        new = waiting.pop(0)
+        rest, size = new, np.linalg.norm(new)
+        for _ in range(2):  # the second time for rounding
+            for old in found:
+                rest = rest - (old @ rest) * old
+        if np.linalg.norm(rest) > NOTHING * size:
+            found.append(rest / np.linalg.norm(rest))
+            waiting.append(A @ found[-1])
+    return np.array(found).reshape(-1, len(A)).T
+
+
+def _later(formula: sympy.Expr) -> sympy.Expr:
+    """The formula from the second sample on."""
+    formula = formula.xreplace({FIRST: sympy.S.Zero})
+    return formula.replace(lambda f: isinstance(f, Select) and f.args[0] == 0, lambda f: f.args[3])
+
+
+def _constant(table: list[sympy.Expr], parameters: tuple[sympy.Symbol, ...]) -> bool:
+    """Whether derivatives are numbers and parameters alone."""
+    return all(entry.free_symbols <= set(parameters) for entry in table)

@@ -1,0 +1,1 @@
+"""What is given: plant, its uncertainty, the truth, the population of plants, the drive."""

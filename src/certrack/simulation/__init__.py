@@ -1,0 +1,1 @@
+"""One run of a system: choose a method, integrate, measure."""

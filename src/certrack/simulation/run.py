@@ -1,0 +1,219 @@
+"""The result of one simulation: samples, metrics, and a labelled dataset with provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from certrack.core.errors import InputError
+from certrack.core.version import version
+from certrack.integrators.base import Outcome, Trajectory, subdivide
+from certrack.integrators.single.taylor import TaylorSeries
+from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
+from certrack.loops.plant import measured
+from certrack.simulation.metrics import Metrics, measure
+from certrack.systems.system import System
+from certrack.systems.writer import to_text
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@dataclass(frozen=True)
+class Run:
+    """One simulated run.
+
+    Attributes
+    ----------
+    system : System
+    trajectory : Trajectory
+        Dense output of all states.
+    input_of : callable
+        u at given times and states.
+    notes : texts
+        What the user should know of how the run was carried out.
+    smooth_steps : bool
+        Whether no kink lies inside a step, so that peaks may be refined there.
+    """
+
+    system: System
+    trajectory: Trajectory
+    input_of: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    notes: tuple[str, ...] = ()
+    smooth_steps: bool = True
+
+    @property
+    def outcome(self) -> Outcome:
+        """How the run ended."""
+        return self.trajectory.outcome
+
+    @cached_property
+    def t(self) -> np.ndarray:
+        """Sample times, shape (N,), s: every integration step cut into equal parts."""
+        return subdivide(self.trajectory.times, self.trajectory.parts)
+
+    @cached_property
+    def _states(self) -> np.ndarray:
+        dense = self.trajectory.interpolate
+        if isinstance(dense, TaylorSeries) and len(self.trajectory.times) > 1:
+            return dense.subdivided(self.trajectory.times, self.trajectory.parts)
+        return dense(self.t)
+
+    @cached_property
+    def x(self) -> np.ndarray:
+        """States of the design as the controller measures them, shape (n, N)."""
+        return measured(self.system, self._states)
+
+    @property
+    def z(self) -> np.ndarray:
+        """Controller states (estimates), N columns."""
+        return self._states[len(self.system.simulated_states) : -len(INTEGRALS)]
+
+    @cached_property
+    def y_d(self) -> np.ndarray:
+        """Reference, shape (N,)."""
+        return self.system.reference.values(self.t, 0)[0]
+
+    @cached_property
+    def u(self) -> np.ndarray:
+        """Control input, shape (N,)."""
+        return self.input_of(self.t, self._states)
+
+    @cached_property
+    def e(self) -> np.ndarray:
+        """Error coordinates e = A x - B Y, shape (n, N); the first is the tracking error."""
+        return self._errors(self.t, self.x)
+
+    @cached_property
+    def metrics(self) -> Metrics:
+        """What the run is judged by."""
+        settings = self.system.settings
+        band = settings.band
+        if band is None:
+            band = 0.05 * float(np.abs(self.y_d).max()) or 0.05
+        integrals = self._states[-len(INTEGRALS) :] * INTEGRAL_SCALE
+        error = self.x[0] - self.y_d
+        return measure(
+            self.t,
+            error,
+            self.u,
+            integrals,
+            band,
+            settings.tail_start,
+            per_step=self.trajectory.parts + 1 if self.smooth_steps else 1,
+        )
+
+    @property
+    def final_state(self) -> dict[str, float]:
+        """Simulated plant's and controller's states at the last time reached, by name."""
+        names = (*self.system.simulated_states, *(s.name for s in self.system.controller.states))
+        return dict(zip(names, self._states[: len(names), -1].tolist(), strict=True))
+
+    def summary(self) -> dict[str, Any]:
+        """Metrics, final state and outcome, ready for JSON."""
+        return {
+            **self.metrics.as_dict(),
+            "final_time": self.trajectory.end,
+            "final_state": self.final_state,
+            "outcome": self.outcome.name,
+            "message": self.outcome.value,
+            "integrator": self.trajectory.method,
+            "steps": len(self.trajectory.times) - 1,
+            "notes": list(self.notes),
+        }
+
+    def dataset(self, samples: int | None = None) -> xarray.Dataset:
+        """Labelled result with units and provenance.
+
+        Parameters
+        ----------
+        samples : int, optional
+            Number of equidistant times; if left out, the integrator's own steps, subdivided, which
+            resolve every layer and peak.
+
+        Returns
+        -------
+        xarray.Dataset
+            Variables ``x`` and ``e`` (time, state), ``u`` and ``y_d`` (time), ``estimate``
+            (time, parameter), ``truth`` (time, truth_state) where the truth has states of its own;
+            the attributes hold version, system text and metrics.
+        """
+        import xarray
+
+        system, n = self.system, self.system.plant.n
+        t = self.t if samples is None else np.linspace(0.0, self.trajectory.end, samples)
+        states = self._states if samples is None else self.trajectory.interpolate(t)
+        own, x = system.simulated_states, measured(system, states)
+        units = system.plant.units or ("1",) * (n + 1)
+        y_d = system.reference.values(t, 0)[0]
+        data: dict[str, Any] = {
+            "x": (("time", "state"), x.T, {"long_name": "plant state"}),
+            "e": (("time", "state"), self._errors(t, x).T, {"long_name": "error"}),
+            "y_d": ("time", y_d, {"long_name": "reference", "units": units[0]}),
+            "u": ("time", self.input_of(t, states), {"long_name": "input", "units": units[n]}),
+        }
+        coords: dict[str, Any] = {
+            "time": ("time", t, {"units": "s", "long_name": "time"}),
+            "state": list(system.plant.states),
+            "state_units": ("state", list(units[:n])),
+        }
+        if system.truth.states:
+            table = states[: len(own)].T
+            data["truth"] = (("time", "truth_state"), table, {"long_name": "state of the truth"})
+            coords["truth_state"] = list(own)
+        estimates = [state.name for state in system.controller.states]
+        if estimates:
+            z = states[len(own) : len(own) + len(estimates)].T
+            data["estimate"] = (("time", "parameter"), z, {"long_name": "estimate"})
+            coords["parameter"] = estimates
+        summary = {k: v for k, v in self.metrics.as_dict().items() if v is not None}
+        attributes = {
+            "title": system.title,
+            "source": f"certrack {version()}",
+            "integrator": self.trajectory.method,
+            "tolerance": system.settings.tolerance,
+            "outcome": self.outcome.name,
+            "notes": " ".join(self.notes),
+            "system": to_text(system),
+        }
+        return xarray.Dataset(data, coords, attributes | summary)
+
+    def save(self, path: str | Path, samples: int | None = None) -> None:
+        """Write the dataset as NetCDF; the file appears only when it is complete.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written.
+        """
+        write_netcdf(self.dataset(samples), Path(path))
+
+    def _errors(self, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+        found = self.system.controller.coordinates
+        return found.A @ x - found.B @ self.system.reference.values(t, found.q)
+
+
+def write_netcdf(dataset: xarray.Dataset, target: Path) -> None:
+    """Write a dataset whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    part = target.with_name(target.name + ".part")
+    if not target.parent.is_dir():
+        raise InputError("--out", f"cannot write {target}: the folder does not exist")
+    try:
+        dataset.to_netcdf(part, engine="h5netcdf")
+        part.replace(target)
+    except (OSError, ValueError) as problem:
+        reason = getattr(problem, "strerror", None) or "the folder cannot be written"
+        raise InputError("--out", f"cannot write {target}: {reason}") from None
+    finally:
+        part.unlink(missing_ok=True)

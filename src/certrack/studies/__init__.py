@@ -1,0 +1,1 @@
+"""Questions that take many runs: ensembles, margins of the implementation, the falsifier."""

@@ -1,0 +1,263 @@
+"""Run an ensemble: cut the members into chunks, have them computed, merge, report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.integrators.many.native import Unavailable
+from certrack.model.population import MOST
+from certrack.simulation.run import Run
+from certrack.simulation.simulator import simulate
+from certrack.studies.ensembles import workers as hands
+from certrack.studies.ensembles.engine import Engine, fastest
+from certrack.studies.ensembles.limit import limit_of
+from certrack.studies.ensembles.members import Members
+from certrack.studies.ensembles.plan import METHODS, Plan, Range, grid, make_plan
+from certrack.studies.ensembles.statistics import LEVELS, Statistics, binomial_interval
+from certrack.studies.ensembles.store import Store
+from certrack.systems.system import System
+
+if TYPE_CHECKING:
+    import xarray
+
+#: Members per chunk: what is lost when a run is killed, and what a worker gets at a time.
+CHUNK = 16_384
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Statistics of many members.
+
+    Attributes
+    ----------
+    system : System
+    seed : int
+    statistics : Statistics
+    limit : float, optional
+        A member whose tail error exceeds it, or that does not finish, is a violation.
+    limit_origin : str
+        Where the limit comes from, or why there is none.
+    computed : int
+        Members computed by this call; the others were on disk.
+    seconds : float
+        Integration and statistics of the computed ones, without start-up and compilation.
+    """
+
+    system: System
+    seed: int
+    statistics: Statistics
+    limit: float | None
+    limit_origin: str
+    computed: int
+    seconds: float
+
+    @cached_property
+    def _members(self) -> Members:
+        return Members(self.system, self.seed)
+
+    @property
+    def members(self) -> int:
+        """Number of members."""
+        return self.statistics.members
+
+    @property
+    def t(self) -> np.ndarray:
+        """Times of the bands, s."""
+        return grid(self.system)
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the signals of the bands."""
+        return ("e_1", *self.system.plant.states, "u")
+
+    def member(self, index: int) -> System:
+        """Member `index` as a system of its own."""
+        return self._members.member(index)
+
+    def run(self, index: int) -> Run:
+        """The full run of member `index`."""
+        return simulate(self.member(index))
+
+    @property
+    def independent(self) -> bool:
+        """Whether the members are independent, which the binomial interval rests on."""
+        return self.system.varied.sampling == "plain"
+
+    @cached_property
+    def bands(self) -> np.ndarray:
+        """Quantiles of every signal, shape (levels, signals, times)."""
+        return self.statistics.bands.quantiles(LEVELS)
+
+    def violations(self) -> dict[str, Any] | None:
+        """Violations of the limit with their probability and its 95 % interval."""
+        if self.limit is None:
+            return None
+        count, total = self.statistics.violations, self.members
+        interval = binomial_interval(count, total) if self.independent else None
+        return {
+            "limit": self.limit,
+            "origin": self.limit_origin,
+            "count": count,
+            "probability": count / total,
+            "interval": None if interval is None else list(interval),
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        found = self.statistics
+        metrics = {name: tally.summary() for name, tally in found.metrics.items()}
+        worst = [{"member": index, "tail_error": value} for value, index in found.worst]
+        tail = metrics.pop("tail_error") | {"worst_member": worst[0]["member"]}
+        return {
+            "members": self.members,
+            "seed": self.seed,
+            "sampling": self.system.varied.sampling,
+            "tail_error": tail,
+            "violations": self.violations(),
+            "outcomes": {name: found.outcomes[name] for name in sorted(found.outcomes)},
+            "metrics": metrics,
+            "worst": worst,
+            "computed": self.computed,
+            "microseconds_per_member": 1e6 * self.seconds / self.computed
+            if self.computed
+            else None,
+        }
+
+    def dataset(self) -> xarray.Dataset:
+        """Quantile bands with labels and units."""
+        import xarray
+
+        units = self.system.plant.units or ("1",) * (self.system.plant.n + 1)
+        return xarray.Dataset(
+            {"quantiles": (("level", "signal", "time"), self.bands)},
+            {
+                "level": list(LEVELS),
+                "signal": list(self.signals),
+                "signal_units": ("signal", [units[0], *units]),
+                "time": ("time", self.t, {"units": "s"}),
+            },
+            {"title": self.system.title, "members": self.members, "seed": self.seed},
+        )
+
+
+def ensemble(
+    system: System,
+    members: int = 10_000,
+    *,
+    seed: int = 0,
+    tolerance: float = 1e-6,
+    limit: float | None = None,
+    threads: int | None = None,
+    method: str | None = None,
+    chunk: int = CHUNK,
+    out: Path | str | None = None,
+    client: Any = None,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Ensemble:
+    """Simulate many members of a system's population and keep their statistics.
+
+    The result depends on the system, the number of members, the seed and the tolerance alone, not
+    on threads, chunks or interruptions.
+
+    Parameters
+    ----------
+    system : System
+        Its population says what varies; by default the plant's ranges and, within the bounds of
+        its uncertainty, the disturbances.
+    members : int
+    seed : int
+    tolerance : float
+        Of the integrator; statistics seldom need more than the default.
+    limit : float, optional
+        Of the tail error; by default the population's, else the certified bound where the
+        population is within the certificate's assumptions.
+    threads : int, optional
+        By default one per core.
+    method : {"native", "lockstep", "alone"}, optional
+        Compiled C; heyoka's compiled maps; or each member by itself as in :func:`simulate`. By
+        default the first that this machine has. All agree within the tolerance.
+    chunk : int
+        Members computed at a time.
+    out : path, optional
+        Folder where finished chunks are kept. The same call goes on where a stopped one was.
+    client : distributed.Client, optional
+        Compute on its Dask cluster.
+    progress : callable
+        Gets the members done and in all.
+
+    Raises
+    ------
+    InputError
+        If an argument does not fit or the folder cannot be written.
+    """
+    checks.integer("members", members, 1, MOST)
+    checks.integer("seed", seed, 0, 2**63)
+    checks.integer("chunk", chunk, 1, 2**24)
+    if threads is not None:
+        checks.integer("threads", threads, 1, 1024)
+    if method is not None:
+        checks.choice("method", method, METHODS)
+    checks.real("tolerance", tolerance, least=1e-13)
+    if tolerance > 1e-2:
+        raise InputError("tolerance", "must be at most 0.01", tolerance)
+    limit, origin = limit_of(system, limit)
+    plan, engine = _prepared(system, seed, tolerance, limit, method, threads, client)
+    total = plan.empty()
+    store = None if out is None else Store(Path(out), plan)
+    covered = [] if store is None else store.load(total, members)
+    missing = list(_missing(covered, members, chunk))
+    wanted = sum(end - begin for begin, end in missing)
+    progress(members - wanted, members)
+    seconds = 0.0
+    if engine is None:
+        done = hands.cluster(plan, missing, client)
+    else:
+        done = hands.here(engine, missing, total if store is None else None)
+    for span, found, spent in done if missing else ():
+        if found is not total:
+            total.merge(found)
+        covered.append(span)
+        seconds += spent
+        if store is not None:
+            store.save(span, found.packed())
+            store.gather(total, covered)
+        progress(total.members, members)
+    return Ensemble(system, seed, total, limit, origin, wanted, seconds)
+
+
+def _prepared(
+    system: System,
+    seed: int,
+    tolerance: float,
+    limit: float | None,
+    method: str | None,
+    threads: int | None,
+    client: Any,
+) -> tuple[Plan, Engine | None]:
+    """The plan, and its engine unless a cluster computes; the first method that works."""
+    plan = make_plan(system, seed, tolerance, limit, method or METHODS[0])
+    cores = threads or hands.cores()
+    try:
+        engine = Engine(plan, cores) if method else fastest(plan, cores)
+    except Unavailable as reason:
+        raise InputError("method", str(reason), method, "Leave it out") from None
+    return engine.plan, None if client is not None else engine
+
+
+def _missing(covered: list[Range], members: int, chunk: int) -> Iterator[Range]:
+    """Members that no range covers, cut at multiples of the chunk."""
+    begin = 0
+    for first, last in [*covered, (members, members)]:
+        while begin < first:
+            end = min(first, (begin // chunk + 1) * chunk)
+            yield begin, end
+            begin = end
+        begin = max(begin, last)

@@ -1,0 +1,70 @@
+"""The limit that members are held against: the user's, or the certificate where it applies."""
+
+from __future__ import annotations
+
+import math
+
+from certrack.certificates import best_sound_bound
+from certrack.certificates.assumption_1 import check_assumption_1
+from certrack.core import checks
+from certrack.model.population import Distribution, Population
+from certrack.systems.system import System
+
+
+def limit_of(system: System, given: float | None) -> tuple[float | None, str]:
+    """Limit of the tail error, and where it comes from.
+
+    Returns
+    -------
+    limit : float or None
+    origin : str
+        ``"given"``, ``"file"``, ``"certificate"``, or why there is none.
+    """
+    population = system.varied
+    if given is not None:
+        return checks.real("limit", given, above=0), "given"
+    if population.limit is not None:
+        return population.limit, "file"
+    reason = uncovered(system, population)
+    if reason is not None:
+        return None, f"no certificate covers the population: {reason}"
+    bound = best_sound_bound(system)
+    return (bound, "certificate") if math.isfinite(bound) else (None, "no certificate exists")
+
+
+def uncovered(system: System, population: Population) -> str | None:
+    """Why the certificate's assumptions do not hold for every member; None if they do."""
+    if system.truth.states:
+        return "the simulated plant has states of its own, the certified one has the design's form"
+    if system.implementation is not None:
+        return "the certificate is that of the continuous law, the controller is sampled"
+    plant, u = system.plant, system.plant.uncertainty
+    nominal = {name: float(value) for name, value in plant.constant_values.items()}
+    if system.truth.constants or not all(
+        _is(entry, nominal[name]) for name, entry in population.constants
+    ):
+        return "the plant's constants are not the designer's"
+    known = plant if system.law.kind == "robust" else system.truth
+    assert known.input_gain is not None
+    gain = population.input_gain or Distribution("fixed", (float(known.input_gain.expr),))
+    if plant.input_gain_range is None and not _is(gain, float(known.input_gain.expr)):
+        return "input_gain is another than certified, and plant.ranges does not say how far"
+    for entry, value in zip(population.theta or (), known.theta or (), strict=False):
+        if plant.theta_range is None and not _is(entry, float(value.expr)):
+            return "theta is another than certified, and plant.ranges does not say how far"
+    assert system.truth.tau is not None
+    strengths = [entry.high for entry in population.tau or ()] or list(system.truth.tau)
+    if any(value > limit for value, limit in zip(strengths, u.tau, strict=True)):
+        return "tau exceeds plant.uncertainty.tau"
+    amplitude, frequency = population.amplitude, population.frequency
+    if amplitude is not None and max(abs(amplitude.low), abs(amplitude.high)) > 1:
+        return "the reference's amplitude exceeds the one certified"
+    if frequency is not None and frequency.high > 1:
+        return "the reference's frequency exceeds the one certified"
+    if population.disturbance == "file" and check_assumption_1(system):
+        return "omega breaks Assumption 1"
+    return None
+
+
+def _is(entry: Distribution, value: float) -> bool:
+    return entry.low == entry.high == value

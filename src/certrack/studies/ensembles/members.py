@@ -1,0 +1,274 @@
+"""The members of an ensemble: from (seed, index) to a complete system, one alone or many at once.
+
+Both ways use the same draws; a test holds them against each other.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import sympy
+
+from certrack.core.errors import InputError
+from certrack.core.expressions import parse, symbol
+from certrack.core.lowering import numpy_callable, rows
+from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
+from certrack.loops.plant import true_constants
+from certrack.model.plant import Plant
+from certrack.model.population import Distribution, probabilities
+from certrack.model.truth import Truth
+from certrack.references import SymbolicReference
+from certrack.systems.system import System
+
+#: The sum of the magnitudes of a member's sines: just below 1, so that rounding never passes it.
+FULL = 1 - 1e-12
+
+#: ||x|| in the disturbances is sqrt(x.x + ROUNDING^2) - ROUNDING: smooth at zero, never above.
+ROUNDING = 1e-6
+
+#: Parameter that scales the reference of a member.
+AMPLITUDE = symbol("ref_member_amplitude")
+
+
+class Members:
+    """All members of a system's population for one seed.
+
+    Parameters
+    ----------
+    system : System
+    seed : int
+    """
+
+    def __init__(self, system: System, seed: int) -> None:
+        self.system, self.seed = system, seed
+        self.population = system.varied
+        self._refuse_unscalable()
+        for name in system.plant.constant_values:
+            if name.startswith("member_"):
+                raise InputError(f"plant.constants.{name}", "is reserved here", remedy="Rename it")
+        self.columns = self._columns()
+        self.template = self._system(
+            {name: (d.low + d.high) / 2 for name, d in self.columns.items()}, written=False
+        )
+        self._constants = tuple(true_constants(self.template))
+        self.loop: ClosedLoop = close_loop(self.template)
+        self.base = parameter_values(self.loop, self.template)
+
+    def _refuse_unscalable(self) -> None:
+        population, reference = self.population, self.system.reference
+        scaled = population.amplitude is not None or population.frequency is not None
+        if scaled and not isinstance(reference, SymbolicReference):
+            raise InputError(
+                "ensemble.reference",
+                "needs a reference given by a formula",
+                remedy="State reference.signal, or leave [ensemble.reference] out",
+            )
+
+    def _columns(self) -> dict[str, Distribution]:
+        """Name and distribution of every drawn number, in the order of the draws."""
+        given, plant, u = self.population, self.system.plant, self.system.plant.uncertainty
+        found: dict[str, Distribution | None] = {}
+        for name in ("x0", "estimates", "theta", "tau"):
+            entries = getattr(given, name)
+            found |= {f"{name}[{i}]": entry for i, entry in enumerate(entries or ())}
+        found |= {f"constants.{name}": entry for name, entry in given.constants}
+        for name in ("input_gain", "amplitude", "frequency"):
+            found[name] = getattr(given, name)
+        if given.disturbance == "multisine":
+            speed = Distribution("loguniform", given.frequencies)
+            turn = Distribution("uniform", (0.0, 2 * math.pi))
+            share = Distribution("uniform", (0.0, 1.0))
+            for k in range(plant.n):
+                if u.gamma[k] + u.beta[k] > 0:
+                    for j in range(given.sines):
+                        found |= {f"member_sine_w{k}_{j}": speed, f"member_sine_p{k}_{j}": turn}
+                        found |= {f"member_sine_a{k}_{j}": share}
+        return {name: entry for name, entry in found.items() if entry is not None}
+
+    def draws(self, begin: int, end: int) -> dict[str, np.ndarray]:
+        """Every drawn number of the members begin ... end-1, by name."""
+        free = [name for name, entry in self.columns.items() if not entry.fixed]
+        table = probabilities(self.population.sampling, self.seed, begin, end, len(free))
+        p = dict(zip(free, table, strict=True))
+        nothing = np.zeros(end - begin)
+        found = {name: d.quantile(p.get(name, nothing)) for name, d in self.columns.items()}
+        for name in [
+            name for name in found if name.startswith("member_sine_a") and name.endswith("_0")
+        ]:
+            own = [f"{name[:-1]}{j}" for j in range(self.population.sines)]
+            total = sum(found[other] for other in own) + 1e-300
+            found |= {other: FULL * found[other] / total for other in own}
+        return found
+
+    def member(self, index: int) -> System:
+        """Member `index` as a system of its own, its numbers written out.
+
+        Raises
+        ------
+        InputError
+            If the index is negative or beyond the sequence.
+        """
+        draws = self.draws(index, index + 1)
+        found = self._system({name: float(v[0]) for name, v in draws.items()}, written=True)
+        way = found.implementation
+        return found.replace(
+            title=f"Member {index} (seed {self.seed}) of: {self.system.title}",
+            implementation=None if way is None else replace(way, seed=self.seed, stream=index),
+        )
+
+    def table(self, begin: int, end: int) -> tuple[np.ndarray, dict[sympy.Symbol, np.ndarray]]:
+        """Starts (S, N), and the values of every parameter that differs between members."""
+        draws, count = self.draws(begin, end), end - begin
+        plant, names = self.system.plant, [state.name for state in self.loop.states]
+        starts = np.repeat(np.array(self.system.start)[:, None], count, axis=1)
+        own = self.loop.n
+        for i in range(len(starts)):
+            name = f"x0[{i}]" if i < own else f"estimates[{i - own}]"
+            starts[i] = draws.get(name, starts[i])
+        assert len(starts) == len(names) - 3
+        found = self._derived(draws, count)
+        for name, values in draws.items():
+            if match := re.fullmatch(r"(theta|tau)\[(\d+)\]", name):
+                found[f"true_{match[1]}_{match[2]}"] = values
+            elif name in ("amplitude", "frequency"):
+                found[f"ref_member_{name}"] = values
+        if "input_gain" in draws:
+            found[f"true_g_{plant.n - 1}"] = draws["input_gain"]
+        for i, name in enumerate(self._constants):
+            drawn = draws.get(name if name.startswith("member_") else f"constants.{name}")
+            if drawn is not None:
+                found[f"true_constants_{i}"] = drawn
+        return starts, {symbol(name): values for name, values in found.items()}
+
+    def _derived(self, draws: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+        """Numbers of the plant that follow from its varying constants."""
+        moving, evaluate, values = self._following
+        if not moving:
+            return {}
+        columns = [draws.get(f"constants.{name}", value) for name, value in values.items()]
+        return dict(zip(moving, rows(evaluate(*columns), count), strict=True))
+
+    @cached_property
+    def _following(self) -> tuple[list[str], Callable[..., list[Any]], dict[str, float]]:
+        """Parameters that follow from varying constants, their formulas, and all constants."""
+        plant, truth = self.system.plant, self.system.truth
+        varying, values = dict(self.population.constants), true_constants(self.system)
+        texts: dict[str, str] = {}
+        if truth.input_gain is not None:
+            texts |= {f"true_g_{i}": entry.text for i, entry in enumerate(plant.chain)}
+            for k, (i, j) in enumerate(self.loop.plant.couplings):
+                assert plant.linear is not None
+                texts[f"true_b_{k}"] = plant.linear[i][j].text
+            texts[f"true_g_{plant.n - 1}"] = truth.input_gain.text
+            texts |= {f"true_theta_{i}": entry.text for i, entry in enumerate(truth.theta)}
+        derived: dict[sympy.Symbol, sympy.Expr] = {}  # constants that are formulas of others
+        for i, (name, entry) in enumerate(plant.constants):
+            if name not in {**varying, **dict(truth.constants)}:
+                derived[symbol(name)] = parse(name, entry.text, list(values)).expr.xreplace(derived)
+                texts[f"true_constants_{i}"] = name
+        formulas = {
+            name: parse(name, text, list(values)).expr.xreplace(derived)
+            for name, text in texts.items()
+        }
+        free = {symbol(name) for name in varying}
+        moving = {name: f for name, f in formulas.items() if f.free_symbols & free}
+        evaluate = numpy_callable([symbol(name) for name in values], list(moving.values()))
+        return list(moving), evaluate, values
+
+    def _system(self, point: dict[str, float], *, written: bool) -> System:
+        """One member; its disturbance and reference numbers written out, or as constants."""
+        system, plant = self.system, self.system.plant
+        settings = system.settings
+        x0 = [point.get(f"x0[{i}]", v) for i, v in enumerate(settings.x0)]
+        start = system.start[len(x0) :]
+        estimates = [point.get(f"estimates[{i}]", v) for i, v in enumerate(start)]
+        own = plant
+        if not written and self.population.disturbance == "multisine":
+            sines = {
+                name: value for name, value in point.items() if name.startswith("member_sine_")
+            }
+            own = replace(plant, constants=dict(plant.constants) | sines)  # type: ignore[arg-type]
+        return System(
+            plant=own,
+            law=system.law,
+            reference=self._reference(point),
+            truth=self._truth(point, own, written=written),
+            settings=replace(settings, x0=tuple(x0), estimates=tuple(estimates) or None),
+            title=system.title,
+            implementation=system.implementation,
+        )
+
+    def _truth(self, point: dict[str, float], plant: Plant, *, written: bool) -> Truth:
+        truth = self.system.truth
+        others: dict[str, Any] = {name: value.text for name, value in truth.constants}
+        others |= {n[10:]: v for n, v in point.items() if n.startswith("constants.")}
+        if truth.states:
+            return replace(truth, constants=others).bound_to(plant)  # type: ignore[arg-type]
+        assert truth.tau is not None and truth.input_gain is not None
+        omega: Any = truth.omega
+        if self.population.disturbance == "multisine":
+            omega = self._omega(point, written=written)
+        return Truth(
+            input_gain=point.get("input_gain", truth.input_gain.text),  # type: ignore[arg-type]
+            theta=tuple(
+                point.get(f"theta[{i}]", v.text)  # type: ignore[misc, arg-type]
+                for i, v in enumerate(truth.theta)
+            ),
+            omega=omega,
+            tau=tuple(point.get(f"tau[{i}]", v) for i, v in enumerate(truth.tau)),
+            constants=others,  # type: ignore[arg-type]
+        ).bound_to(plant)
+
+    def _omega(self, point: dict[str, float], *, written: bool) -> tuple[str, ...]:
+        """w_k = (sum_j a_kj sin(w_kj t + p_kj)) (gamma_k ||x|| + beta_k)."""
+        plant, u = self.system.plant, self.system.plant.uncertainty
+        square = " + ".join(f"{x}**2" for x in plant.states)
+        norm = f"(sqrt({square} + {ROUNDING**2!r}) - {ROUNDING!r})"
+
+        def number(name: str) -> str:
+            return f"({point[name]!r})" if written else name
+
+        terms = []
+        for k in range(plant.n):
+            if f"member_sine_a{k}_0" not in point:
+                terms.append("0")
+                continue
+            parts = (
+                f"{number(f'member_sine_a{k}_{j}')}"
+                f"*sin({number(f'member_sine_w{k}_{j}')}*t + {number(f'member_sine_p{k}_{j}')})"
+                for j in range(self.population.sines)
+            )
+            limit = [f"{u.gamma[k]!r}*{norm}"] if u.gamma[k] else []
+            limit += [repr(u.beta[k])] if u.beta[k] else []
+            terms.append(f"({' + '.join(parts)})*({' + '.join(limit)})")
+        return tuple(terms)
+
+    def _reference(self, point: dict[str, float]) -> Any:
+        """The reference with its own amplitude and frequency: A y_d(F t)."""
+        reference = self.system.reference
+        scales = {name: point[name] for name in ("amplitude", "frequency") if name in point}
+        if not scales:
+            return reference
+        assert isinstance(reference, SymbolicReference)
+        a, f = scales.get("amplitude", 1.0), scales.get("frequency", 1.0)
+        text = reference.signal.text
+        if "frequency" in scales:
+            text = re.sub(r"\bt\b", "(member_frequency*t)", text)
+        if "amplitude" in scales:
+            text = f"member_amplitude*({text})"
+        constants: dict[str, Any] = dict(reference.constants)
+        constants |= {f"member_{name}": value for name, value in scales.items()}
+        slack = abs(a) * (1 + 1e-12)
+        declared = reference.declared
+        return SymbolicReference(
+            text,  # type: ignore[arg-type]
+            None if reference.bound is None else slack * max(1.0, f) * reference.bound,
+            None if declared is None else tuple(slack * f**i * Y for i, Y in enumerate(declared)),
+            constants,  # type: ignore[arg-type]
+        )

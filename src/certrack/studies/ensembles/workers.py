@@ -1,0 +1,92 @@
+"""Who computes the chunks: the threads of this process, or a Dask cluster.
+
+The results are the same; only the order of completion differs.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from certrack.core.errors import InputError, MissingExtra
+from certrack.studies.ensembles.engine import Engine, compute_chunk
+from certrack.studies.ensembles.plan import Plan, Range
+from certrack.studies.ensembles.statistics import Statistics
+
+#: Members, their statistics, and the seconds spent on them divided by the number of workers.
+Done = tuple[Range, Statistics, float]
+
+#: Chunks in flight per worker: enough that none waits, few enough that memory stays flat.
+AHEAD = 2
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+def here(engine: Engine, chunks: Iterable[Range], total: Statistics | None) -> Iterator[Done]:
+    """In this process; the statistics are added to `total`, or each chunk's are its own."""
+    for begin, end in chunks:
+        clock = time.perf_counter()
+        found = engine.compute(begin, end, total)
+        yield (begin, end), found, time.perf_counter() - clock
+
+
+def cluster(plan: Plan, chunks: Iterable[Range], client: Any) -> Iterator[Done]:
+    """On a Dask cluster; a chunk whose worker dies is computed by another."""
+    from distributed import as_completed
+
+    everywhere = client.scatter(plan, broadcast=True)
+    waiting = iter(chunks)
+    workers = max(1, len(client.scheduler_info()["workers"]))
+    spans: dict[Any, Range] = {}
+
+    def submit() -> Any:
+        for begin, end in waiting:
+            future = client.submit(compute_chunk, everywhere, begin, end, pure=False, retries=5)
+            spans[future.key] = (begin, end)
+            return future
+        return None
+
+    first = [future for _ in range(AHEAD * workers) if (future := submit()) is not None]
+    queue = as_completed(first)
+    for future in queue:
+        arrays, spent = future.result()
+        found = plan.empty()
+        found.add_packed(arrays)
+        yield spans.pop(future.key), found, spent / workers
+        if (following := submit()) is not None:
+            queue.add(following)
+
+
+@contextmanager
+def connect(address: str) -> Iterator[Any]:
+    """A client of the Dask scheduler at `address`.
+
+    Raises
+    ------
+    MissingExtra
+        If distributed is not installed.
+    InputError
+        If the scheduler cannot be reached or has no workers.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingExtra("distributed", "cluster", "running on a Dask cluster") from None
+    try:
+        client = Client(address, timeout=10)
+    except (OSError, ValueError, TimeoutError) as problem:
+        reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
+        raise InputError(
+            "--cluster", f"cannot reach the scheduler ({reason})", address, "e.g. tcp://host:8786"
+        ) from None
+    with client:
+        if not client.scheduler_info()["workers"]:
+            raise InputError("--cluster", "the scheduler has no workers", address)
+        yield client

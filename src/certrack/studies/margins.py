@@ -1,0 +1,309 @@
+"""What a real drive may take away: longest period, longest delay, lowest saturation.
+
+A period (delay, saturation) *holds* where every one of some members of the population tracks within
+the stated error. From the harmless end on, values are tried in geometric steps until one does not
+hold, and the edge is bisected: what is reported held, and so did everything tried before it. For
+the robust law on a linear plant the edge of stability is exact besides (see
+:mod:`certrack.loops.stability`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.loops.stability import LinearLoop, linear_loop
+from certrack.model.implementation import MAX_DELAY, MAX_SAMPLES, Implementation
+from certrack.studies.ensembles import workers
+from certrack.studies.ensembles.engine import fastest
+from certrack.studies.ensembles.limit import limit_of
+from certrack.studies.ensembles.plan import METHODS, Plan
+from certrack.systems.system import System
+
+#: Of the first period tried: this part of the fastest error pole's time constant.
+FINE = 0.05
+
+#: Ratio of one value tried to the next, and how closely an edge is found.
+STEP, CLOSE = 1.25, 1.01
+
+#: Values tried at most before the search ends without an edge.
+MOST = 60
+
+#: A loop counts as bounded while its error is below so many times the admitted one.
+BOUNDED = 100.0
+
+#: Of the integrator.
+TOLERANCE = 1e-6
+
+#: Stands for no saturation.
+FREE = 1e12
+
+
+@dataclass(frozen=True)
+class Margin:
+    """One margin.
+
+    Attributes
+    ----------
+    within : float, optional
+        Extreme value at which every member keeps the stated error; None if not even the mildest.
+    bounded : float, optional
+        The same for staying bounded.
+    exact : float, optional
+        Edge of stability of the nominal loop, where it can be computed.
+    unlimited : bool
+        Whether the search ended before anything failed.
+    values, errors : tuples
+        What was tried, and the worst member's tail error (inf where a member does not finish).
+    """
+
+    within: float | None
+    bounded: float | None
+    exact: float | None
+    unlimited: bool
+    values: tuple[float, ...]
+    errors: tuple[float, ...]
+
+    def summary(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "within": self.within,
+            "bounded": self.bounded,
+            "exact": self.exact,
+            "unlimited": self.unlimited,
+            "values": list(self.values),
+            "errors": list(self.errors),
+        }
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of a sampled loop.
+
+    Attributes
+    ----------
+    error : float
+        The admitted tail error.
+    origin : str
+        Where it comes from.
+    members : int
+    at : float, s
+        The period at which delay and saturation were searched.
+    as_given : float, optional
+        Worst tail error under the implementation as it stands in the file; inf where a member does
+        not finish.
+    period : Margin, s
+    delay : Margin, s
+    saturation : Margin, unit of the input
+        Of the symmetric limits +-u.
+    """
+
+    error: float
+    origin: str
+    members: int
+    at: float
+    as_given: float | None
+    period: Margin
+    delay: Margin
+    saturation: Margin
+
+    def summary(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "error": self.error,
+            "origin": self.origin,
+            "members": self.members,
+            "at_period": self.at,
+            "as_given": self.as_given,
+            **{name: getattr(self, name).summary() for name in ("period", "delay", "saturation")},
+        }
+
+
+def margins(
+    system: System,
+    *,
+    error: float | None = None,
+    members: int = 64,
+    seed: int = 0,
+    progress: Callable[[str, int], None] = lambda _what, _done: None,
+) -> Margins:
+    """Search the margins of a system's controller on a real drive.
+
+    Parameters
+    ----------
+    system : System
+        Period, delay and saturation are varied one by one; all else is as in its implementation,
+        if it has one.
+    error : float, optional
+        Admitted tail error; by default the population's limit, the certified bound where it covers
+        the population, else twice the worst tail error of the finest sampling.
+    members : int
+        Of the population, tried at every value.
+    seed : int
+    progress : callable
+        Gets what is searched and how many values were tried.
+
+    Raises
+    ------
+    InputError
+        If an argument does not fit.
+    """
+    checks.integer("members", members, 1, 100_000)
+    checks.integer("seed", seed, 0, 2**63)
+    given, duration = system.implementation, system.settings.duration
+    first = min(FINE / system.controller.coordinates.fastest_pole, duration / 100)
+    if duration / first > MAX_SAMPLES:
+        pole = system.controller.coordinates.fastest_pole
+        raise InputError(
+            "margin",
+            f"a run sampled finely for the fastest error pole, {pole:.3g} /s, has more than "
+            f"{MAX_SAMPLES} samples",
+            remedy="Lower c, or shorten simulation.duration",
+        )
+    own = given or Implementation(first)
+    base = replace(own, offset=0.0, saturation=own.saturation or (-FREE, FREE))
+    finest = replace(base, period=min(first, base.period))
+    system = system.replace(implementation=finest)
+    trials = _Trials(system, members, seed, progress)
+    admitted, origin = _admitted(system, error, trials)
+    linear = linear_loop(system)
+
+    def edge(way: Callable[[float], tuple[float, float]], start: float, end: float) -> float | None:
+        return None if linear is None else _exact(linear, way, start, end)
+
+    longest = duration / 20
+    period = trials.search(
+        "period",
+        lambda T: replace(base, period=T),
+        (finest.period, STEP, longest),
+        admitted,
+        edge(lambda T: (T, base.delay), finest.period, longest),
+    )
+    at = (period.within or first) / 10 if given is None else given.period
+    base = replace(base, period=at)
+    shortest, latest = at / 5, MAX_DELAY * at
+    delay = trials.search(
+        "delay",
+        lambda D: replace(base, delay=D / at),
+        (shortest, STEP, latest),
+        admitted,
+        edge(lambda D: (at, D / at), shortest, latest),
+    )
+    unlimited = trials.worst("saturation", replace(base, saturation=(-FREE, FREE)))
+    peak = trials.peak
+    if own.saturation is not None and not unlimited <= admitted:  # begin where it is known to serve
+        peak = max(map(abs, own.saturation)) / 2
+    saturation = trials.search(
+        "saturation",
+        lambda u: replace(base, saturation=(-u, u)),
+        (2 * peak, 1 / STEP, 1e-4 * peak),
+        admitted,
+    )
+    as_given = None if given is None else trials.worst("as in the file", base)
+    return Margins(admitted, origin, members, at, as_given, period, delay, saturation)
+
+
+class _Trials:
+    """Members under other implementations, compiled once."""
+
+    def __init__(
+        self, system: System, members: int, seed: int, progress: Callable[[str, int], None]
+    ) -> None:
+        self._members, self._progress, self._done, self.peak = members, progress, 0, 0.0
+        rows = system.plant.n + 2  # what bands would show; nobody asks for them
+        nothing, none = np.zeros((rows, system.varied.points + 1)), np.ones(rows)
+        plan = Plan(system, seed, TOLERANCE, None, nothing, none, METHODS[0])
+        self._engine = fastest(plan, workers.cores(), adjustable=True)
+
+    def worst(self, what: str, way: Implementation) -> float:
+        """Worst tail error of the members."""
+        found, self.peak = self._engine.extremes(self._members, way)
+        self._done += 1
+        self._progress(what, self._done)
+        return found
+
+    def search(
+        self,
+        what: str,
+        way: Callable[[float], Implementation],
+        span: tuple[float, float, float],
+        admitted: float,
+        exact: float | None = None,
+    ) -> Margin:
+        """Values from span[0] on by the factor span[1] until one fails or passes span[2]."""
+        tried: dict[float, float] = {}
+
+        def at(value: float) -> float:
+            if value not in tried:
+                tried[value] = self.worst(what, way(value))
+            return tried[value]
+
+        bounded, unlimited = _edge(at, span, BOUNDED * admitted)
+        within, _ = _edge(at, span, admitted)
+        order = tuple(sorted(tried))
+        errors = tuple(tried[value] for value in order)
+        return Margin(within, bounded, exact, unlimited, order, errors)
+
+
+def _edge(
+    at: Callable[[float], float], span: tuple[float, float, float], limit: float
+) -> tuple[float | None, bool]:
+    """Last value before the first failure, and whether there was none."""
+    value, step, end = span
+    good = None
+    for _ in range(MOST):
+        if not at(value) <= limit:
+            break
+        good = value
+        if (value * step > end) == (step > 1):
+            return good, True
+        value *= step
+    else:
+        return good, True
+    if good is None:
+        return None, False
+    bad = value
+    while max(good / bad, bad / good) > CLOSE:
+        middle = math.sqrt(good * bad)
+        good, bad = (middle, bad) if at(middle) <= limit else (good, middle)
+    return good, False
+
+
+def _exact(
+    linear: LinearLoop, way: Callable[[float], tuple[float, float]], start: float, end: float
+) -> float | None:
+    """First value at which the spectral radius reaches 1; None if it does not."""
+    values = np.geomspace(start, end, 400)
+    radii = [linear.radius(*way(value)) for value in values]
+    k = next((k for k, radius in enumerate(radii) if radius >= 1.0), None)
+    if k is None:
+        return None
+    if k == 0:
+        return 0.0
+    low, high = float(values[k - 1]), float(values[k])
+    return float(brentq(lambda v: linear.radius(*way(v)) - 1.0, low, high, rtol=1e-12))
+
+
+def _admitted(system: System, error: float | None, trials: _Trials) -> tuple[float, str]:
+    """The admitted tail error and where it comes from."""
+    assert system.implementation is not None
+    if error is not None:
+        return checks.real("error", error, above=0), "given"
+    limit, origin = limit_of(system.replace(implementation=None), None)
+    finest = trials.worst("error", system.implementation)
+    if not math.isfinite(finest):
+        raise InputError(
+            "margin",
+            "not every member of the population finishes even with the finest sampling",
+            remedy="Narrow [ensemble], or choose another law",
+        )
+    if limit is not None and finest <= limit:
+        return limit, origin
+    return 2 * finest, "twice the error of the finest sampling"

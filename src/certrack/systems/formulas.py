@@ -1,0 +1,95 @@
+"""The design as formulas: virtual controls, control law and update laws, as text or LaTeX."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import sympy
+from sympy.printing.latex import LatexPrinter
+
+from certrack.core.expressions import symbol
+from certrack.laws.base import Signals, dot
+from certrack.systems.system import System
+
+DIGITS = 6
+
+Lines = list[tuple[str, str]]
+
+
+def as_text(system: System) -> list[str]:
+    """One line per formula, plain text."""
+    return [f"{left} = {right}" for left, right in _lines(system, _text, "e_{}", "lambda_{}")]
+
+
+def as_latex(system: System) -> str:
+    """The whole design as a LaTeX ``align*`` environment."""
+    lines = _lines(system, _latex, "e_{{{}}}", r"\lambda_{{{}}}")
+    body = " \\\\\n".join(f"  {left} &= {right}" for left, right in lines)
+    return f"\\begin{{align*}}\n{body}\n\\end{{align*}}"
+
+
+def _lines(system: System, show: Callable[[sympy.Expr], str], e: str, virtual: str) -> Lines:
+    """Left and right sides, in the order in which the design is read."""
+    plant, design = system.plant, system.controller.coordinates
+    n, x = plant.n, plant.symbols
+    Y = [symbol(f"y_d_{i}") for i in range(design.q + 2)]
+    lines: Lines = [(e.format(1), show(x[0] - Y[0]))]
+    for m in range(1, n):
+        formula = _linear(design.eta[m - 1], x[:m]) + _linear(design.d[m - 1], Y[:-1])
+        lines.append((virtual.format(m), show(formula)))
+        lines.append((e.format(m + 1), f"{show(x[m])} - {virtual.format(m)}"))
+    nu = _linear(design.nu_x, x) + _linear(design.nu_Y, Y) - _rounded(plant.drift.expr)
+    lines.append((show(symbol("nu")), show(nu)))
+
+    short = Signals(plant, design.q, short=True)
+    equations = system.law.equations(short)
+    names = [s for group in short.all_parameters.values() for s in group]
+    values = system.law.values(plant, list(short.all_parameters))
+    known = {s: sympy.Float(v, DIGITS) for s, v in zip(names, values, strict=True)}
+    known[symbol("e_n")] = symbol(f"e_{n}")
+    lines.append(("u", show(_rounded(equations.u.xreplace(known)))))
+    for state, rate in equations.update:
+        lines.append((_dotted(show, state), show(_rounded(rate.xreplace(known)))))
+    return lines
+
+
+def _linear(weights: np.ndarray, terms: Sequence[sympy.Symbol]) -> sympy.Expr:
+    return dot(
+        [sympy.Float(weight, DIGITS) if weight else sympy.S.Zero for weight in weights], terms
+    )
+
+
+def _rounded(expr: sympy.Expr) -> sympy.Expr:
+    """Floats that are whole numbers printed as such."""
+    floats = expr.atoms(sympy.Float)
+    return expr.xreplace({f: sympy.Integer(int(f)) for f in floats if float(f).is_integer()})
+
+
+def _text(expr: sympy.Expr) -> str:
+    text = sympy.sstr(_rounded(expr), full_prec=False)
+    for i in range(20, 1, -1):
+        text = text.replace(f"y_d_{i}", f"y_d^({i})")
+    return text.replace("y_d_1", "y_d'").replace("y_d_0", "y_d")
+
+
+def _dotted(show: Callable[[sympy.Expr], str], state: sympy.Symbol) -> str:
+    return rf"\dot{{{show(state)}}}" if show is _latex else f"{state.name}'"
+
+
+class _Latex(LatexPrinter):
+    def _print_Symbol(self, expr: sympy.Symbol, style: str = "plain") -> str:
+        name = expr.name
+        if name.startswith("y_d_"):
+            order = int(name[4:])
+            plain = ["y_d", r"\dot y_d", r"\ddot y_d"]
+            return plain[order] if order < 3 else f"y_d^{{({order})}}"
+        if name == "delta_hat":
+            return r"\hat\delta"
+        if name.startswith("theta_hat_"):
+            return rf"\hat\theta_{{{name[10:]}}}"
+        return str(super()._print_Symbol(expr))
+
+
+def _latex(expr: sympy.Expr) -> str:
+    return str(_Latex({"full_prec": False}).doprint(_rounded(expr)))

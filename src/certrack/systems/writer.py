@@ -1,0 +1,194 @@
+"""Objects to TOML text, and text to files that appear only when they are complete."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from certrack.core.errors import InputError
+from certrack.core.expressions import Expression, parse
+from certrack.laws import Law
+from certrack.model.implementation import Implementation
+from certrack.model.plant import Plant
+from certrack.model.population import Distribution, Population
+from certrack.model.truth import Truth
+from certrack.references import Reference, SymbolicReference, piecewise
+from certrack.systems.system import System
+
+
+def to_text(system: System) -> str:
+    """The system as TOML text that :func:`loads` turns into an equal system."""
+    import tomlkit
+
+    document = tomlkit.document()
+    document["title"] = system.title
+    shelf: list[list[Any]] = []
+    tables = {
+        "plant": _plant_table(system.plant),
+        "truth": _truth_table(system.truth),
+        "reference": _reference_table(system.reference, system.plant),
+        "law": _law_table(system.law),
+        "simulation": _present(field_values(system.settings)),
+    }
+    if system.population is not None:
+        tables["ensemble"] = _population_table(system.population)
+    if system.implementation is not None:
+        tables["implementation"] = _implementation_table(system.implementation)
+    for name, table in tables.items():
+        document[name] = {
+            key: _shelve(value, shelf) if isinstance(value, list) else value
+            for key, value in _plain(table).items()
+        }
+    text = tomlkit.dumps(document)
+    for i, values in enumerate(shelf):
+        text = text.replace(f'"@{i}@"', f"[{', '.join(map(repr, values))}]", 1)
+    return text
+
+
+def _shelve(values: list[Any], shelf: list[list[Any]]) -> Any:
+    """Put a long list of numbers aside: tomlkit would take a minute for 50,000 samples."""
+    if len(values) < 200:
+        return values
+    shelf.append(values)
+    return f"@{len(shelf) - 1}@"
+
+
+def save(system: System, path: str | os.PathLike[str]) -> None:
+    """Write a system file; it appears only when it is complete."""
+    write_text(Path(path), to_text(system))
+
+
+def write_text(path: Path, text: str, *, overwrite: bool = True) -> None:
+    """Write a text file whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If it exists and must not be overwritten, or cannot be written.
+    """
+    if not overwrite and path.exists():
+        raise InputError(str(path), "exists already", remedy="Choose another name")
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    try:
+        write_whole(path, data)
+    except OSError as problem:
+        raise InputError(str(path), f"cannot be written ({problem.strerror})") from None
+
+
+def write_whole(path: Path, data: bytes | memoryview) -> None:
+    """Write a file that appears only when it is complete; raises OSError and leaves nothing."""
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _plain(value: Any) -> Any:
+    """Expressions as numbers or text, tuples as lists."""
+    if isinstance(value, Distribution):
+        if value.kind == "fixed":
+            return value.values[0]
+        return {value.kind: list(value.values)}
+    if isinstance(value, Expression):
+        return _number_or_text(value.text)
+    if isinstance(value, dict):
+        return {name: _plain(entry) for name, entry in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def _number_or_text(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            number = kind(text)
+        except ValueError:
+            continue
+        if repr(number) == text and math.isfinite(number):
+            return number
+    return text
+
+
+def _present(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _plant_table(plant: Plant) -> dict[str, Any]:
+    values = field_values(plant)
+    ranges = {"input_gain": values.pop("input_gain_range"), "theta": values.pop("theta_range")}
+    constants = dict(values.pop("constants"))
+    uncertainty = field_values(values.pop("uncertainty"))
+    table = _present(values) | {"constants": constants}
+    return table | {"ranges": _present(ranges), "uncertainty": uncertainty}
+
+
+def _truth_table(truth: Truth) -> dict[str, Any]:
+    values = _present(field_values(truth))
+    if truth.states is not None:
+        del values["theta"]
+    return values | {"constants": dict(truth.constants)}
+
+
+def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
+    if isinstance(reference, SymbolicReference):
+        signal: Any = reference.signal
+        own = {name: value.expr for name, value in reference.constants}
+        if any(plant.constant_values.get(name) != value for name, value in own.items()):
+            signal = parse(
+                "reference.signal", reference.numeric, ["t"]
+            )  # the file has no such name
+        values = {"signal": signal, "bounds": reference.declared}
+    else:
+        assert isinstance(reference, piecewise.PiecewiseReference)
+        values = dict(reference.fields)
+    return _present(values | {"bound": reference.declared_bound})
+
+
+def _law_table(law: Law) -> dict[str, Any]:
+    return {"kind": law.kind} | _present(field_values(law))
+
+
+def _population_table(population: Population) -> dict[str, Any]:
+    values = _present(field_values(population))
+    scales = {name: values.pop(name) for name in ("amplitude", "frequency") if name in values}
+    constants = dict(values.pop("constants"))
+    return (
+        values
+        | ({"constants": constants} if constants else {})
+        | ({"reference": scales} if scales else {})
+    )
+
+
+def field_values(instance: Any) -> dict[str, Any]:
+    """The fields of a dataclass, not copied."""
+    return {entry.name: getattr(instance, entry.name) for entry in fields(instance)}
+
+
+def _implementation_table(way: Implementation) -> dict[str, Any]:
+    """What differs from the defaults."""
+    return {
+        entry.name: value
+        for entry in fields(way)
+        if (value := getattr(way, entry.name)) != entry.default
+    }
