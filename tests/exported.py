@@ -19,21 +19,21 @@ EVERYTHING = {
 }
 
 
-def sampled(name, period=0.001, duration=1.0, **way):
+def sampled(name, period=0.001, duration=1.0, **implementation):
     """A shipped system with an implementation."""
     system = certrack.load(name).with_settings(duration=duration, tail=duration / 2)
-    return system.replace(implementation=certrack.Implementation(period=period, **way))
+    return system.replace(implementation=certrack.Implementation(period=period, **implementation))
 
 
 class PythonController:
     """The controller of a system, stepped by NumPy."""
 
     def __init__(self, system):
-        way = system.implementation
-        made = sampled_controller(system.plant, system.controller, way)
-        self.start = starting_state(made, system.estimates, way)
+        implementation = system.implementation
+        made = sampled_controller(system.plant, system.controller, implementation)
+        self.start = starting_state(made, system.estimates, implementation)
         self.state = self.start
-        self._numbers = controller_values(made, system.plant, system.law, way)
+        self._numbers = controller_values(made, system.plant, system.law, implementation)
         command, update = resolved(made)
         given = [made.states, made.measured, made.Y, made.parameters]
         self._evaluate = numpy_callable(given, [command, *update])
@@ -47,7 +47,9 @@ class PythonController:
 
 def along_a_run(system):
     """Measured states and reference with derivatives at the samples of a run, row by row."""
-    way, count = system.implementation, len(system.controller.signals.Y)
-    t = way.offset + way.period * np.arange(int(system.settings.duration / way.period))
+    implementation, count = system.implementation, len(system.controller.signals.Y)
+    t = implementation.offset + implementation.period * np.arange(
+        int(system.settings.duration / implementation.period)
+    )
     x = certrack.simulate(system).trajectory.interpolate(t)[: system.plant.n]
     return x.T, system.reference.values(t, count - 1).T

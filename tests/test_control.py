@@ -58,9 +58,9 @@ def test_continuous_loop_reproduces_the_run(name):
         ("dual-motor-lean", {"delay": 2.25, "offset": 0.0004}),
     ],
 )
-def test_discrete_loop_reproduces_the_run(name, way):
+def test_discrete_loop_reproduces_the_run(name, implementation):
     T, system = 0.001, short(name, 1.0)
-    system = system.replace(implementation=certrack.Implementation(period=T, **way))
+    system = system.replace(implementation=certrack.Implementation(period=T, **implementation))
     blocks = certrack.to_control(system)
     assert blocks.loop.dt == blocks.plant.dt == blocks.controller.dt == T
     times = blocks.start + T * np.arange(990)
@@ -68,7 +68,7 @@ def test_discrete_loop_reproduces_the_run(name, way):
     run = certrack.simulate(system)
     states, n = run.trajectory.interpolate(times), system.plant.n
     assert found.states[:n] == pytest.approx(states[:n], abs=1e-10)
-    acting = times + (way.get("delay", 0) + 1e-4) * T
+    acting = times + (implementation.get("delay", 0) + 1e-4) * T
     assert found.outputs[n] == pytest.approx(run.input_of(acting, None), rel=1e-10, abs=1e-10)
     estimates = [f"controller_{z.name}" for z in system.controller.states]
     rows = [found.state_labels.index(label) for label in estimates]
@@ -94,8 +94,10 @@ def test_a_jump_of_the_rates_is_crossed():
     """The first one is at t = 0."""
     T, system = 0.01, certrack.load("example1")
     truth = replace(system.truth, omega=("0", "5*sign(sin(2.1*t))"))
-    way = certrack.Implementation(period=T)
-    system = system.replace(truth=truth, implementation=way).with_settings(duration=4, tail=2)
+    implementation = certrack.Implementation(period=T)
+    system = system.replace(truth=truth, implementation=implementation).with_settings(
+        duration=4, tail=2
+    )
     found = respond(certrack.to_control(system), T * np.arange(390))
     run = certrack.simulate(system)
     assert found.states[:2] == pytest.approx(run.trajectory.interpolate(found.time)[:2], abs=1e-7)

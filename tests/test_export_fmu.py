@@ -100,9 +100,9 @@ def inputs(system, x, Y):
         ("dual-motor-lean", {"delay": 0.5, "saturation": (-10, 10)}),
     ],
 )
-def test_closed_loop_reproduces_the_run(name, way, version, tmp_path):
+def test_closed_loop_reproduces_the_run(name, implementation, version, tmp_path):
     """The plant of the python-control bridge and the FMU, step by step."""
-    system = sampled(name, **way).with_settings(tolerance=1e-12)
+    system = sampled(name, **implementation).with_settings(tolerance=1e-12)
     blocks, T = certrack.to_control(system), system.implementation.period
     controller = Imported(written(system, version, tmp_path, name), version, tmp_path)
     run = certrack.simulate(system)

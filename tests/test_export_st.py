@@ -149,8 +149,8 @@ def compare(system, name="example1"):
         ("dual-motor", {}),
     ],
 )
-def test_computes_what_python_does(name, way):
-    worst, _ = compare(sampled(name, **way))
+def test_computes_what_python_does(name, implementation):
+    worst, _ = compare(sampled(name, **implementation))
     assert worst < 1e-13
 
 

@@ -39,8 +39,8 @@ METHODS = [
 
 
 def sampled(name, **options):
-    way = certrack.Implementation(**options)
-    return certrack.load(name).replace(implementation=way)
+    implementation = certrack.Implementation(**options)
+    return certrack.load(name).replace(implementation=implementation)
 
 
 def with_omega(system, *omega):
@@ -111,8 +111,8 @@ def by_hand(T, duration, delay=0.0, limits=(-math.inf, math.inf)):
 )
 @pytest.mark.parametrize("integrator", ["auto", "scipy"])
 def test_example1_against_a_loop_by_hand(delay, limits, integrator):
-    way = {"period": 0.001, "delay": delay, "saturation": limits, "anti_windup": "hold"}
-    system = sampled("example1", **way)
+    implementation = {"period": 0.001, "delay": delay, "saturation": limits, "anti_windup": "hold"}
+    system = sampled("example1", **implementation)
     run = certrack.simulate(system, duration=3, tail=1, integrator=integrator)
     expected = by_hand(0.001, 3, delay, limits or (-math.inf, math.inf))
     assert np.abs(finals(run) - expected).max() < 1e-8
@@ -313,10 +313,10 @@ def test_converter_stays_within_the_saturation(method):
 def test_differenced_speed():
     """x_2 = (x_1' + 3 x_1)/2 from differences: converges with order one where w_1 = 0."""
 
-    def final(**way):
+    def final(**implementation):
         system = certrack.load("example1")
         quiet = replace(system.truth, omega=(0, system.truth.omega[1]))
-        made = certrack.Implementation(**way) if way else None
+        made = certrack.Implementation(**implementation) if implementation else None
         system = system.replace(truth=quiet, implementation=made)
         return certrack.simulate(system, duration=5, tail=2).final_state["x1"]
 
@@ -335,12 +335,12 @@ def test_exact_leak_is_exponential_euler():
     base = certrack.load("example1")
     plant_ = replace(base.plant, regressor=("1", "sin(x2)"), theta=(1.0, 2.0), theta_range=None)
     law_ = replace(base.law, Gamma=Gamma, theta0=(1.0, 2.0), leak_theta=3.0, leak_gain=5.0)
-    way = certrack.Implementation(period=0.1, update="exact_leak").bound_to(plant_, 3)
-    found = sampled_controller(plant_, law_.design(plant_), way)
+    implementation = certrack.Implementation(period=0.1, update="exact_leak").bound_to(plant_, 3)
+    found = sampled_controller(plant_, law_.design(plant_), implementation)
     values = dict(
         zip(
             (s.name for s in found.parameters),
-            controller_values(found, plant_, law_, way),
+            controller_values(found, plant_, law_, implementation),
             strict=True,
         )
     )
@@ -373,13 +373,19 @@ def test_noise_is_normal_and_reproducible():
 @pytest.mark.parametrize("speeds", [(), ("x2", "x4")])
 def test_period_map_is_what_one_period_does(name, delay, speeds):
     """Two runs under the same reference differ by a solution of the linear loop."""
-    way = {"period": 0.001, "velocity": speeds, "velocity_filter": 0.01 if speeds else 0.0}
-    system = sampled(name, **way)
+    implementation = {
+        "period": 0.001,
+        "velocity": speeds,
+        "velocity_filter": 0.01 if speeds else 0.0,
+    }
+    system = sampled(name, **implementation)
     system = system.replace(truth=replace(system.truth, omega=None))
     loop, T, n = linear_loop(system), 0.001, system.plant.n
     assert delay > 2 or loop.radius(T, delay) < 1
-    way = replace(system.implementation, delay=delay)
-    system = system.replace(implementation=way).with_settings(duration=300 * T, tail=None)
+    implementation = replace(system.implementation, delay=delay)
+    system = system.replace(implementation=implementation).with_settings(
+        duration=300 * T, tail=None
+    )
     moved = system.with_settings(x0=tuple(x + 0.1 for x in system.settings.x0))
     runs = [certrack.simulate(one).trajectory.interpolate for one in (system, moved)]
     times = T * np.arange(1, 300)
@@ -435,7 +441,7 @@ def test_motions_that_the_controller_neither_causes_nor_sees_do_not_hide_the_edg
         f"K_M/J_M*(1 - split)*effectiveness_2*u - K_L/J_M*({shafts[1]})",
     ]
     constants = {"split": 0.5, "effectiveness_2": 1}
-    way, found = certrack.Implementation(period=0.01, velocity=("x2", "x4")), []
+    implementation, found = certrack.Implementation(period=0.01, velocity=("x2", "x4")), []
     for truth in (
         certrack.load("dual-motor-lean").truth,
         replace(plain.truth, rates=rates, constants=constants),
@@ -445,7 +451,7 @@ def test_motions_that_the_controller_neither_causes_nor_sees_do_not_hide_the_edg
         system = plain.replace(
             truth=truth, settings=replace(plain.settings, x0=x0), population=None
         )
-        loop = linear_loop(system.replace(implementation=way))
+        loop = linear_loop(system.replace(implementation=implementation))
         found.append([loop.radius(T, 0.3) for T in (1e-3, 0.01, 0.05, 0.1)])
     assert found[0][0] < 1 < found[0][-1]
     assert found[1] == pytest.approx(found[0], rel=1e-9)

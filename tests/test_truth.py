@@ -521,15 +521,15 @@ def test_the_table_of_mismatches(names):
 
 def test_a_sampled_controller_measures_the_outputs():
     """Alone and together; the physical plant as shipped is the model here too."""
-    way = certrack.Implementation(period=0.005, delay=0.5)
+    implementation = certrack.Implementation(period=0.005, delay=0.5)
     model, plain = (
-        simulate(system.replace(implementation=way), tolerance=1e-10)
+        simulate(system.replace(implementation=implementation), tolerance=1e-10)
         for system in (certrack.load("dual-motor-lean"), PHYSICAL)
     )
     assert plain.metrics.tail_error == pytest.approx(model.metrics.tail_error, rel=1e-6)
     assert max(difference(plain, model)) < 1e-8
     assert list(plain.final_state)[:6] == list(PHYSICAL.truth.states)
-    system = PHYSICAL.replace(implementation=way).with_settings(duration=8, tail=4)
+    system = PHYSICAL.replace(implementation=implementation).with_settings(duration=8, tail=4)
     assert certrack.loads(certrack.to_text(system)) == system
     tails = [simulate(Members(system, 0).member(i)).metrics.tail_error for i in range(8)]
     for method in METHODS[1:]:

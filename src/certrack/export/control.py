@@ -93,9 +93,11 @@ def to_control(system: System) -> ControlBlocks:
     except ImportError:
         raise MissingExtra("python-control", "control", "to_control") from None
 
-    way, x = system.implementation, list(system.plant.states)
+    implementation, x = system.implementation, list(system.plant.states)
     Y = ["y_d", *(f"y_d_{i}" for i in range(1, len(system.controller.signals.Y)))]
-    start, dt = (0.0, 0.0) if way is None else (way.offset, way.period)
+    start, dt = (
+        (0.0, 0.0) if implementation is None else (implementation.offset, implementation.period)
+    )
 
     def block(name: str, parts: _Block, inputs: list[str], outputs: list[str]) -> Any:
         return control.nlsys(
@@ -108,7 +110,7 @@ def to_control(system: System) -> ControlBlocks:
             dt=dt,
         )
 
-    parts = _continuous(system) if way is None else _sampled(system, way)
+    parts = _continuous(system) if implementation is None else _sampled(system, implementation)
     plant = block("plant", parts[0], ["u"], x)
     controller = block("controller", parts[1], [*x, *Y], ["u"])
     reference = block("reference", _reference(system), [], Y)
@@ -180,20 +182,20 @@ def _continuous(system: System) -> tuple[_Block, _Block]:
     )
 
 
-def _sampled(system: System, way: Implementation) -> tuple[_Block, _Block]:
+def _sampled(system: System, implementation: Implementation) -> tuple[_Block, _Block]:
     """Plant and controller."""
-    made = sampled_controller(system.plant, system.controller, way)
-    numbers = controller_values(made, system.plant, system.law, way)
+    made = sampled_controller(system.plant, system.controller, implementation)
+    numbers = controller_values(made, system.plant, system.law, implementation)
     command, update = resolved(made)
     given = [made.states, [*made.measured, *made.Y], made.parameters]
     u, after = numpy_callable(given, [command]), numpy_callable(given, update)
     controller = _Block(
         [state.name for state in made.states],
-        starting_state(made, system.estimates, way),
+        starting_state(made, system.estimates, implementation),
         lambda _t, s, given, _: np.array(after(s, given, numbers), dtype=float),
         lambda _t, s, given, _: np.array(u(s, given, numbers), dtype=float),
     )
-    return _Period(system, way).block(), controller
+    return _Period(system, implementation).block(), controller
 
 
 class _Period:
@@ -203,39 +205,45 @@ class _Period:
     fraction are states: the latest commands, the last one first.
     """
 
-    def __init__(self, system: System, way: Implementation) -> None:
+    def __init__(self, system: System, implementation: Implementation) -> None:
         made = SampledSimulator(system)
-        self._system, self._way, self._maps = system, way, made.maps
+        self._system, self._implementation, self._maps = system, implementation, made.maps
         self._states = [state.name for state in made.loop.plant.states]
         self._course = Course(
             x=np.array(system.settings.x0)[:, None],
             states=np.empty((0, 1)),
             totals=np.zeros((len(made.loop.totals), 1)),
             parameters=loop_values(made.loop, system)[:, None],
-            way=way,
-            timeline=timeline(way, way.period, np.empty(0), np.empty(0)),  # python-control's own
+            implementation=implementation,
+            timeline=timeline(
+                implementation, implementation.period, np.empty(0), np.empty(0)
+            ),  # python-control's own
             outputs=made.outputs,
             pieces=system.reference.piece_values,  # of what is totalled, which is not used
-            keys=keys(way.seed, way.stream, 1),
+            keys=keys(implementation.seed, implementation.stream, 1),
             tolerance=system.settings.tolerance,
             max_state=system.settings.max_state,
         )
         self._p = SampledRun(made.maps, self._course).parameters
-        whole = math.floor(way.delay)
-        self._fraction = way.delay - whole
+        whole = math.floor(implementation.delay)
+        self._fraction = implementation.delay - whole
         self._kept = whole + (self._fraction > 0)
 
     def block(self) -> _Block:
-        first = self._way.initial_input
+        first = self._implementation.initial_input
         x = np.array(self._system.settings.x0)
-        x = self._cross(0.0, self._way.offset, x, first)
+        x = self._cross(0.0, self._implementation.offset, x, first)
         held = [f"u_before_{i + 1}" for i in range(self._kept)]
         start = np.concatenate([x, np.full(self._kept, first)])
         return _Block([*self._states, *held], start, self._after, self._shown)
 
     def _after(self, t: float, state: Array, given: Array, _: Any) -> Array:
         """States and kept commands one period later."""
-        n, T, u = len(self._states), self._way.period, self._way.converted(given)
+        n, T, u = (
+            len(self._states),
+            self._implementation.period,
+            self._implementation.converted(given),
+        )
         commands = np.concatenate([u, state[n:]])  # the last one acts first
         x, middle, end = state[:n], t + self._fraction * T, t + T
         if self._fraction:
@@ -247,9 +255,14 @@ class _Period:
 
     def _shown(self, t: float, state: Array, _u: Array, _: Any) -> Array:
         """What the sensors show."""
-        way, x = self._way, state[: len(self._states), None]
+        implementation, x = self._implementation, state[: len(self._states), None]
         true = x if self._course.outputs is None else self._course.outputs(x, self._p)
-        return sensed(true, way, self._course.keys, round((t - way.offset) / way.period))[:, 0]
+        return sensed(
+            true,
+            implementation,
+            self._course.keys,
+            round((t - implementation.offset) / implementation.period),
+        )[:, 0]
 
     def _cross(self, begin: float, end: float, x: Array, u: float) -> Array:
         """The states at the end of an interval of constant input.

@@ -105,8 +105,8 @@ class Program:
 
 def unread(system: System) -> dict[str, str]:
     """States whose measurement the controller does not read, and what to say of each."""
-    way, states = system.implementation, system.plant.states
-    velocity = () if way is None else way.velocity
+    implementation, states = system.implementation, system.plant.states
+    velocity = () if implementation is None else implementation.velocity
     return {
         name: f"not read; computed from {before}"
         for before, name in pairwise(states)
@@ -116,18 +116,22 @@ def unread(system: System) -> dict[str, str]:
 
 def program(system: System) -> Program:
     """The controller of a system that has an implementation."""
-    way, plant = system.implementation, system.plant
-    if way is None:
+    implementation, plant = system.implementation, system.plant
+    if implementation is None:
         raise InputError(
             "implementation", "is missing", remedy="Add a table [implementation], or give a period"
         )
-    full = sampled_controller(plant, system.controller, way)
-    numbers = controller_values(full, plant, system.law, way).tolist()
+    full = sampled_controller(plant, system.controller, implementation)
+    numbers = controller_values(full, plant, system.law, implementation).tolist()
     values = dict(zip(full.parameters, numbers, strict=True))
     known = _numbers(system, full, values)
     parts, equations = _named(system)
-    x = {name: differenced(name.name) for name in plant.symbols if name.name in way.velocity}
-    rates, update = _update(full, way, equations, x)
+    x = {
+        name: differenced(name.name)
+        for name in plant.symbols
+        if name.name in implementation.velocity
+    }
+    rates, update = _update(full, implementation, equations, x)
     rates = _printable(rates, known, "r")
     update = tuple(formula.xreplace(known) for formula in update)
     steps = _steps(full, [*parts, Step(ASKED, equations.u, NOTES[ASKED])], x, known)
@@ -144,7 +148,7 @@ def program(system: System) -> Program:
         update=update,
         constants={name: value for name, value in values.items() if name in used},
         labels={},
-        start=tuple(starting_state(full, system.estimates, way).tolist()),
+        start=tuple(starting_state(full, system.estimates, implementation).tolist()),
     )
     return replace(made, labels=_labels(system, made))
 
@@ -166,7 +170,7 @@ def _steps(full: SampledController, law: Sequence[Step], x: Known, known: Known)
 
 
 def _update(
-    full: SampledController, way: Implementation, equations: Equations, x: Known
+    full: SampledController, implementation: Implementation, equations: Equations, x: Known
 ) -> tuple[list[Step], tuple[sympy.Expr, ...]]:
     """The rates of the estimates, and the next states by them."""
     rates = [
@@ -176,7 +180,7 @@ def _update(
     known = {*full.parameters, *full.estimates}
     forgetting = forgetting_rates([rate for _, rate in equations.update], known)
     names = [step.name for step in rates]
-    after = next_estimates(full.estimates, names, forgetting, full.hold, way)
+    after = next_estimates(full.estimates, names, forgetting, full.hold, implementation)
     size = magnitude(ASKED - COMMAND)
     if any(formula.has(size) for formula in after):
         after = [formula.xreplace({size: CUT}) for formula in after]

@@ -84,28 +84,28 @@ class SampledController:
 
 
 def sampled_controller(
-    plant: Plant, controller: Controller, way: Implementation
+    plant: Plant, controller: Controller, implementation: Implementation
 ) -> SampledController:
     """The controller of a law in discrete time."""
     s = controller.signals
     steps: list[tuple[sympy.Symbol, sympy.Expr]] = []
     kept: list[tuple[sympy.Symbol, sympy.Expr]] = []
     numbers = [PERIOD]
-    x = _measured(plant, way, steps, kept, numbers)
+    x = _measured(plant, implementation, steps, kept, numbers)
     asked = controller.equations.u.xreplace(x)
     steps.append((ASKED, asked))
-    steps.append((COMMAND, _limited(way, numbers)))
-    if way.rate_limit is not None:
+    steps.append((COMMAND, _limited(implementation, numbers)))
+    if implementation.rate_limit is not None:
         kept.append((symbol("ctl_u_last"), COMMAND))
     estimates = controller.states
     rates = [rate.xreplace(x) for _, rate in controller.equations.update]
-    leak = _leak(controller, rates) if way.update == "exact_leak" else ()
+    leak = _leak(controller, rates) if implementation.update == "exact_leak" else ()
     hold = _pattern(leak, len(estimates))
     numbers += [symbol(f"ctl_hold_{i}_{j}") for i, j in hold]
-    if way.projection is not None:
+    if implementation.projection is not None:
         numbers += _boxes(len(estimates))
     forgetting = forgetting_rates(rates, {*controller.symbols, *estimates})
-    after = next_estimates(estimates, rates, forgetting, hold, way)
+    after = next_estimates(estimates, rates, forgetting, hold, implementation)
     constants = [symbol(name) for name in plant.constant_values]
     return SampledController(
         measured=s.x,
@@ -126,7 +126,7 @@ def next_estimates(
     rates: Sequence[sympy.Expr],
     forgetting: Sequence[sympy.Expr],
     hold: Sequence[tuple[int, int]],
-    way: Implementation,
+    implementation: Implementation,
 ) -> list[sympy.Expr]:
     """The estimates after one period.
 
@@ -138,18 +138,18 @@ def next_estimates(
         The rates' part that :func:`forgetting_rates` finds.
     hold : pairs (i, j)
         See :class:`SampledController`.
-    way : Implementation
+    implementation : Implementation
     """
     rises = _weighted(rates, hold)
-    limited = way.saturation is not None or way.rate_limit is not None
-    if limited and way.anti_windup != "none":
+    limited = implementation.saturation is not None or implementation.rate_limit is not None
+    if limited and implementation.anti_windup != "none":
         rest = [sympy.S.Zero] * len(rises)
-        if way.anti_windup == "leak":
+        if implementation.anti_windup == "leak":
             rest = _weighted(forgetting, hold)
         cut = magnitude(ASKED - COMMAND)
         rises = [Select(cut, 0, slow, rise) for slow, rise in zip(rest, rises, strict=True)]
     after = [z + rise for z, rise in zip(estimates, rises, strict=True)]
-    if way.projection is None:
+    if implementation.projection is None:
         return after
     boxes = _boxes(len(after))
     return [
@@ -174,19 +174,19 @@ def clamp(value: sympy.Expr, low: sympy.Expr, high: sympy.Expr) -> sympy.Expr:
 
 def _measured(
     plant: Plant,
-    way: Implementation,
+    implementation: Implementation,
     steps: list[tuple[sympy.Symbol, sympy.Expr]],
     kept: list[tuple[sympy.Symbol, sympy.Expr]],
     numbers: list[sympy.Symbol],
 ) -> dict[sympy.Symbol, sympy.Expr]:
     """What stands for each state in the law: itself, or its value by differences."""
     found: dict[sympy.Symbol, sympy.Expr] = {}
-    if not way.velocity:
+    if not implementation.velocity:
         return found
     x, pole = plant.symbols, symbol("ctl_filter")
     numbers.append(pole)
     for i in range(1, plant.n):
-        if plant.states[i] not in way.velocity:
+        if plant.states[i] not in implementation.velocity:
             continue
         name = plant.states[i]
         position = found.get(x[i - 1], x[i - 1])
@@ -203,14 +203,14 @@ def _measured(
     return found
 
 
-def _limited(way: Implementation, numbers: list[sympy.Symbol]) -> sympy.Expr:
+def _limited(implementation: Implementation, numbers: list[sympy.Symbol]) -> sympy.Expr:
     """The input that the law asks for, within the limits."""
     command: sympy.Expr = ASKED
-    if way.rate_limit is not None:
+    if implementation.rate_limit is not None:
         last, step = symbol("ctl_u_last"), symbol("ctl_u_step")
         numbers.append(step)
         command = clamp(command, last - step, last + step)
-    if way.saturation is not None:
+    if implementation.saturation is not None:
         low, high = symbol("ctl_u_low"), symbol("ctl_u_high")
         numbers += [low, high]
         command = clamp(command, low, high)
@@ -253,22 +253,26 @@ def _pattern(leak: tuple[sympy.Expr, ...], count: int) -> tuple[tuple[int, int],
 
 
 def controller_values(
-    found: SampledController, plant: Plant, law: Law, way: Implementation
+    found: SampledController, plant: Plant, law: Law, implementation: Implementation
 ) -> np.ndarray:
     """Values of :attr:`SampledController.parameters`."""
     gains = law.values(plant, found.gain_names)
-    T, known = way.period, {}
+    T, known = implementation.period, {}
     known[PERIOD] = T
-    smooth = 1.0 - math.exp(-T / way.velocity_filter) if way.velocity_filter else 1.0
+    smooth = (
+        1.0 - math.exp(-T / implementation.velocity_filter)
+        if implementation.velocity_filter
+        else 1.0
+    )
     known[symbol("ctl_filter")] = smooth
-    if way.rate_limit is not None:
-        known[symbol("ctl_u_step")] = way.rate_limit * T
-    if way.saturation is not None:
-        known[symbol("ctl_u_low")], known[symbol("ctl_u_high")] = way.saturation
+    if implementation.rate_limit is not None:
+        known[symbol("ctl_u_step")] = implementation.rate_limit * T
+    if implementation.saturation is not None:
+        known[symbol("ctl_u_low")], known[symbol("ctl_u_high")] = implementation.saturation
     if found.hold:
         weights = _weights(found, gains, T)
         known |= {symbol(f"ctl_hold_{i}_{j}"): weights[i, j] for i, j in found.hold}
-    for i, end in enumerate(end for box in way.projection or () for end in box):
+    for i, end in enumerate(end for box in implementation.projection or () for end in box):
         known[symbol(f"ctl_box_{i}")] = end
     constants = [float(value) for value in plant.constant_values.values()]
     rest = found.parameters[len(gains) + len(constants) :]
@@ -289,9 +293,9 @@ def _weights(found: SampledController, gains: np.ndarray, T: float) -> np.ndarra
 
 
 def starting_state(
-    found: SampledController, estimates: tuple[float, ...], way: Implementation
+    found: SampledController, estimates: tuple[float, ...], implementation: Implementation
 ) -> np.ndarray:
     """States before the first sample."""
-    others = {FIRST: 1.0, symbol("ctl_u_last"): way.initial_input}
+    others = {FIRST: 1.0, symbol("ctl_u_last"): implementation.initial_input}
     rest = [others.get(name, 0.0) for name in found.states[len(found.estimates) :]]
     return np.array([*estimates, *rest])

@@ -94,8 +94,8 @@ class LinearLoop:
     def _law(self, period: float) -> np.ndarray:
         system = self.system
         assert system.implementation is not None
-        way = replace(system.implementation, period=period)
-        values = controller_values(self.controller, system.plant, system.law, way)
+        implementation = replace(system.implementation, period=period)
+        values = controller_values(self.controller, system.plant, system.law, implementation)
         rows = 1 + len(self.controller.states)
         return np.array(self.slopes(*values), dtype=float).reshape(rows, -1)
 
@@ -116,14 +116,14 @@ def linear_loop(system: System) -> LinearLoop | None:
     if system.controller.states or system.implementation is None:
         return None
     given = system.implementation
-    way = Implementation(given.period, velocity=given.velocity)
-    way = replace(way, velocity_filter=given.velocity_filter)
-    system = system.replace(truth=replace(system.truth, omega=None), implementation=way)
+    implementation = Implementation(given.period, velocity=given.velocity)
+    implementation = replace(implementation, velocity_filter=given.velocity_filter)
+    system = system.replace(truth=replace(system.truth, omega=None), implementation=implementation)
 
     plant = simulated_plant(system)
     moving = (*plant.states, INPUT)
     table = [sympy.diff(f, v) for f in (*plant.rates, *plant.outputs) for v in moving]
-    found = sampled_controller(system.plant, system.controller, way)
+    found = sampled_controller(system.plant, system.controller, implementation)
     command, update = resolved(found)
     seen = (*found.measured, *found.states)
     slopes = [sympy.diff(_later(f), v) for f in (command, *update) for v in seen]

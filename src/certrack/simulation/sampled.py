@@ -64,21 +64,21 @@ class SampledSimulator:
 
     def run(self, system: System, progress: Callable[[float], None] = lambda _share: None) -> Run:
         """Simulate `system`; `progress` gets the share that is done."""
-        way, settings = system.implementation, system.settings
-        assert way is not None
+        implementation, settings = system.implementation, system.settings
+        assert implementation is not None
         breaks = system.reference.breaks(0.0, settings.duration)
-        line = timeline(way, settings.duration, breaks, np.empty(0))
+        line = timeline(implementation, settings.duration, breaks, np.empty(0))
         parameters = loop_values(self.loop, system)[:, None]
         course = Course(
             x=np.array(settings.x0)[:, None],
-            states=starting_state(self.loop.controller, system.estimates, way)[:, None],
+            states=starting_state(self.loop.controller, system.estimates, implementation)[:, None],
             totals=np.zeros((len(self.loop.totals), 1)),
             parameters=parameters,
-            way=way,
+            implementation=implementation,
             timeline=line,
             outputs=self.outputs,
             pieces=system.reference.piece_values,
-            keys=keys(way.seed, way.stream, 1),
+            keys=keys(implementation.seed, implementation.stream, 1),
             tolerance=settings.tolerance,
             max_state=settings.max_state,
         )

@@ -117,13 +117,15 @@ class Simulator:
             and system.reference == mine.reference
             and _same_form(system.truth, mine.truth)
         )
-        if (not same and close_loop(system) != self.loop) or not self._same_way(system, same):
+        if (not same and close_loop(system) != self.loop) or not self._same_implementation(
+            system, same
+        ):
             raise InputError(
                 "system", "has another structure than the compiled one", remedy="Make a Simulator"
             )
         return system
 
-    def _same_way(self, system: System, same: bool) -> bool:
+    def _same_implementation(self, system: System, same: bool) -> bool:
         """Whether the compiled loop serves the implementation of `system`."""
         if self._sampled is None or system.implementation is None:
             return self._sampled is None and system.implementation is None

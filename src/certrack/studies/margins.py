@@ -175,8 +175,10 @@ def margins(
     admitted, origin = _admitted(system, error, trials)
     linear = linear_loop(system)
 
-    def edge(way: Callable[[float], tuple[float, float]], start: float, end: float) -> float | None:
-        return None if linear is None else _exact(linear, way, start, end)
+    def edge(
+        implementation: Callable[[float], tuple[float, float]], start: float, end: float
+    ) -> float | None:
+        return None if linear is None else _exact(linear, implementation, start, end)
 
     longest = duration / 20
     period = trials.search(
@@ -222,9 +224,9 @@ class _Trials:
         plan = Plan(system, seed, TOLERANCE, None, nothing, none, METHODS[0])
         self._engine = fastest(plan, workers.cores(), adjustable=True)
 
-    def worst(self, what: str, way: Implementation) -> float:
+    def worst(self, what: str, implementation: Implementation) -> float:
         """Worst tail error of the members."""
-        found, self.peak = self._engine.extremes(self._members, way)
+        found, self.peak = self._engine.extremes(self._members, implementation)
         self._done += 1
         self._progress(what, self._done)
         return found
@@ -232,7 +234,7 @@ class _Trials:
     def search(
         self,
         what: str,
-        way: Callable[[float], Implementation],
+        implementation: Callable[[float], Implementation],
         span: tuple[float, float, float],
         admitted: float,
         exact: float | None = None,
@@ -242,7 +244,7 @@ class _Trials:
 
         def at(value: float) -> float:
             if value not in tried:
-                tried[value] = self.worst(what, way(value))
+                tried[value] = self.worst(what, implementation(value))
             return tried[value]
 
         bounded, unlimited = _edge(at, span, BOUNDED * admitted)
@@ -277,18 +279,21 @@ def _edge(
 
 
 def _exact(
-    linear: LinearLoop, way: Callable[[float], tuple[float, float]], start: float, end: float
+    linear: LinearLoop,
+    implementation: Callable[[float], tuple[float, float]],
+    start: float,
+    end: float,
 ) -> float | None:
     """First value at which the spectral radius reaches 1; None if it does not."""
     values = np.geomspace(start, end, 400)
-    radii = [linear.radius(*way(value)) for value in values]
+    radii = [linear.radius(*implementation(value)) for value in values]
     k = next((k for k, radius in enumerate(radii) if radius >= 1.0), None)
     if k is None:
         return None
     if k == 0:
         return 0.0
     low, high = float(values[k - 1]), float(values[k])
-    return float(brentq(lambda v: linear.radius(*way(v)) - 1.0, low, high, rtol=1e-12))
+    return float(brentq(lambda v: linear.radius(*implementation(v)) - 1.0, low, high, rtol=1e-12))
 
 
 def _admitted(system: System, error: float | None, trials: _Trials) -> tuple[float, str]:

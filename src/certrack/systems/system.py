@@ -138,9 +138,9 @@ class System:
         if self.implementation is not None:
             if not isinstance(self.implementation, Implementation):
                 raise InputError("implementation", "must be an Implementation", self.implementation)
-            way = self.implementation.bound_to(plant, len(controller.states))
-            way.samples(self.settings.duration)
-            object.__setattr__(self, "implementation", way)
+            implementation = self.implementation.bound_to(plant, len(controller.states))
+            implementation.samples(self.settings.duration)
+            object.__setattr__(self, "implementation", implementation)
         period = getattr(self.reference, "period", None)
         if period is not None and self.settings.duration > MAX_PERIODS * period:
             raise InputError(

@@ -185,10 +185,10 @@ def field_values(instance: Any) -> dict[str, Any]:
     return {entry.name: getattr(instance, entry.name) for entry in fields(instance)}
 
 
-def _implementation_table(way: Implementation) -> dict[str, Any]:
+def _implementation_table(implementation: Implementation) -> dict[str, Any]:
     """What differs from the defaults."""
     return {
         entry.name: value
-        for entry in fields(way)
-        if (value := getattr(way, entry.name)) != entry.default
+        for entry in fields(implementation)
+        if (value := getattr(implementation, entry.name)) != entry.default
     }

@@ -100,16 +100,18 @@ def _leak_share(code: CCode) -> float:
 
     from certrack.loops.controller import sampled_controller
 
-    system, way = code.system, code.system.implementation
-    assert way is not None
+    system, implementation = code.system, code.system.implementation
+    assert implementation is not None
     controller = system.controller
-    exact = sampled_controller(system.plant, controller, replace(way, update="exact_leak"))
+    exact = sampled_controller(
+        system.plant, controller, replace(implementation, update="exact_leak")
+    )
     count = len(exact.estimates)
     if not count or not exact.leak:
         return np.inf
     leak = numpy_callable(controller.symbols, exact.leak)(*controller.values)
     rates = np.abs(np.diag(np.array(leak, dtype=float).reshape(count, count)))
-    return float(rates[rates > 0].min(initial=np.inf) * way.period)
+    return float(rates[rates > 0].min(initial=np.inf) * implementation.period)
 
 
 def write_all(folder: Path, texts: dict[str, str]) -> tuple[Path, ...]:

@@ -138,14 +138,14 @@ def _inputs(
 
 def reference_answers(system: System, made: Program) -> Callable[[Array, Array, Array], Array]:
     """The controller as the simulation has it: u and the next states, for columns of inputs."""
-    controller, way = made.controller, system.implementation
-    assert way is not None
+    controller, implementation = made.controller, system.implementation
+    assert implementation is not None
     command, update = resolved(controller)
     function = numpy_callable(
         [controller.measured, controller.Y, controller.states, controller.parameters],
         [command, *update],
     )
-    p = controller_values(controller, system.plant, system.law, way)
+    p = controller_values(controller, system.plant, system.law, implementation)
 
     def answers(x: Array, Y: Array, states: Array) -> Array:
         with np.errstate(all="ignore"):
@@ -286,9 +286,11 @@ class _Recorder:
 
 def recorded(system: System, made: Program) -> tuple[Array, Array, Array]:
     """Measurements, reference and states at the samples of a closed-loop run."""
-    way = system.implementation
-    assert way is not None
-    duration = min(system.settings.duration, way.offset + LONGEST * way.period)
+    implementation = system.implementation
+    assert implementation is not None
+    duration = min(
+        system.settings.duration, implementation.offset + LONGEST * implementation.period
+    )
     settings = replace(system.settings, duration=duration, tail=None)
     short = system.replace(settings=settings)
     recorders: list[_Recorder] = []

@@ -11,8 +11,9 @@ KIND = "tracking controller in C99"
 
 def readme(code: CCode, notes: tuple[str, ...]) -> str:
     """Contents of README.md."""
-    way, name = code.system.implementation, code.name
-    assert way is not None
+    implementation, name = code.system.implementation, code.name
+    assert implementation is not None
+    period = implementation.period
     derivatives = ", ".join(["y_d", *(f"y_d^({i})" for i in range(1, len(code.program.Y)))])
     idle = unread(code.system)
     states = ", ".join(f"{s} ({idle[s]})" if s in idle else s for s in code.system.plant.states)
@@ -21,7 +22,7 @@ def readme(code: CCode, notes: tuple[str, ...]) -> str:
     return f"""# {name}: {KIND}
 
 `{name}.h` and `{name}.c` are the controller, with `{code.real}` numbers, sampled every
-{way.period!r} s. They need `<math.h>` only: no dynamic memory, no globals, no loops.
+{period!r} s. They need `<math.h>` only: no dynamic memory, no globals, no loops.
 
 {warning}## Accept it
 
@@ -61,7 +62,7 @@ void every_period(const {name}_real x[{name}_STATES], const {name}_real y_d[{nam
 
 ## Mind
 
-* Call it every {way.period!r} s. `{name}_PERIOD` is for reading: other numbers were computed from
+* Call it every {period!r} s. `{name}_PERIOD` is for reading: other numbers were computed from
   it, too. Export again for another period.
 * Quantisers, noise and delay of the simulated drive are not in the code: the real one has its own.
 * What is not a number stays so: check the measurements before you hand them over.

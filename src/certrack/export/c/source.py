@@ -86,14 +86,18 @@ class CCode:
 
 def sampled_system(system: System, period: float | None = None) -> System:
     """The system with an implementation: its own, or one made of the period alone."""
-    way = system.implementation
-    if way is None and period is None:
+    implementation = system.implementation
+    if implementation is None and period is None:
         raise InputError(
             "implementation", "is missing", remedy="Add a table [implementation] or give --period"
         )
     if period is None:
         return system
-    made = Implementation(period=period) if way is None else replace(way, period=period)
+    made = (
+        Implementation(period=period)
+        if implementation is None
+        else replace(implementation, period=period)
+    )
     return system.replace(implementation=made)
 
 
@@ -118,8 +122,8 @@ def c_code(
 
 def _header(code: CCode) -> str:
     made, name, real = code.program, code.name, code.type
-    way = code.system.implementation
-    assert way is not None
+    implementation = code.system.implementation
+    assert implementation is not None
     given = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
     members = [
         f"    {real} {member};{_about(made, symbol)}"
@@ -143,7 +147,7 @@ def _header(code: CCode) -> str:
 typedef {code.real} {real};
 
 /* Time between two samples, s. */
-#define {name}_PERIOD {literal(way.period, code.real)}
+#define {name}_PERIOD {literal(implementation.period, code.real)}
 
 {_about_inputs(code)}
 #define {name}_STATES {len(made.measured)}
@@ -164,15 +168,15 @@ typedef struct {{
 
 def _about_system(code: CCode) -> list[str]:
     """What the first comment says."""
-    system, way = code.system, code.system.implementation
-    assert way is not None
+    system, implementation = code.system, code.system.implementation
+    assert implementation is not None
     text = to_text(system).splitlines()
     if sum(map(len, text)) > MOST_TEXT:
         text = [f"({sum(map(len, text))} characters: too long to be repeated here)"]
     c = ", ".join(f"{value:g}" for value in system.law.c)
     order = system.controller.coordinates.q
     return [
-        f"{code.name}: tracking controller, sampled every {way.period!r} s.",
+        f"{code.name}: tracking controller, sampled every {implementation.period!r} s.",
         "",
         f"Written by certrack {version()}. Design: {system.law.kind} law, c = ({c}) 1/s,",
         f"feed-forward order {order}. This is no certificate: guarantees are proven in continuous",

@@ -13,9 +13,9 @@ def test_source(code: CCode, vectors: Golden) -> str:
     """Contents of NAME_test.c."""
     name, real = code.name, code.type
     zero = literal(0, code.real)
-    way = code.system.implementation
-    assert way is not None
-    period = literal(way.period, code.real)
+    implementation = code.system.implementation
+    assert implementation is not None
+    period = literal(implementation.period, code.real)
     started = "    compare_states(&worst, &s, &samples[0].before, &samples[0].scale);\n"
     started = started if vectors.carried else ""
     magnitude = "fabsf" if code.real == "float" else "fabs"

@@ -122,8 +122,8 @@ def _token(code: CCode, contents: Mapping[str, str], version: str) -> str:
 
 def _model(code: CCode, token: str) -> str:
     """The header that tells the wrapper the names."""
-    name, way = code.name, code.system.implementation
-    assert way is not None
+    name, implementation = code.name, code.system.implementation
+    assert implementation is not None
     return f"""/* {name}, as its wrapper knows it. */
 #ifndef MODEL_H
 #define MODEL_H
@@ -135,8 +135,8 @@ def _model(code: CCode, token: str) -> str:
 #define MODEL_REFERENCES {name}_REFERENCES
 #define MODEL_KEPT {len(code.members)}
 #define MODEL_PERIOD {name}_PERIOD
-#define MODEL_PERIOD_TEXT "{way.period!r}"
-#define MODEL_START {way.initial_input!r}
+#define MODEL_PERIOD_TEXT "{implementation.period!r}"
+#define MODEL_START {implementation.initial_input!r}
 
 #define model_state {name}_state
 #define model_init {name}_init

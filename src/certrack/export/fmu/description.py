@@ -38,8 +38,8 @@ class Variable:
 
 def variables(code: CCode) -> list[Variable]:
     """In the order of ``fmi/instance.h``: states, reference, input of the plant, what is kept."""
-    plant, way, made = code.system.plant, code.system.implementation, code.program
-    assert way is not None
+    plant, implementation, made = code.system.plant, code.system.implementation, code.program
+    assert implementation is not None
     idle = unread(code.system)
     units = plant.units or ("",) * (plant.n + 1)
     found = [
@@ -50,7 +50,7 @@ def variables(code: CCode) -> list[Variable]:
     for i in range(1, len(made.Y)):
         found.append(Variable(f"y_d_{i}", "input", 0.0, f"derivative no. {i} of the reference"))
     command = "command of the last sample"
-    found.append(Variable("u", "output", way.initial_input, command, units[-1]))
+    found.append(Variable("u", "output", implementation.initial_input, command, units[-1]))
     for symbol, start in zip(made.states, made.start, strict=True):
         found.append(
             Variable(f"kept.{made.labels[symbol]}", "local", start, "kept from sample to sample")
@@ -73,8 +73,8 @@ def _root(code: CCode, fmi: str, token: dict[str, str]) -> Tree.Element:
 
 def _frame(code: CCode, root: Tree.Element, found: Sequence[Variable]) -> None:
     """Units, log categories and the experiment: the same in both versions."""
-    way, settings = code.system.implementation, code.system.settings
-    assert way is not None
+    implementation, settings = code.system.implementation, code.system.settings
+    assert implementation is not None
     if units := sorted({variable.unit for variable in found} - {""}):
         defined = Tree.SubElement(root, "UnitDefinitions")
         for unit in units:
@@ -86,7 +86,7 @@ def _frame(code: CCode, root: Tree.Element, found: Sequence[Variable]) -> None:
         "DefaultExperiment",
         startTime="0",
         stopTime=repr(settings.duration),
-        stepSize=repr(way.period),
+        stepSize=repr(implementation.period),
     )
 
 
@@ -127,8 +127,8 @@ def fmi_2(code: CCode, token: str, sources: Sequence[str]) -> dict[str, str]:
 
 def fmi_3(code: CCode, token: str, sources: Sequence[str]) -> dict[str, str]:
     """Description files of FMI 3.0; `sources` are the files to be compiled."""
-    way, found = code.system.implementation, variables(code)
-    assert way is not None
+    implementation, found = code.system.implementation, variables(code)
+    assert implementation is not None
     root = _root(code, "3.0", {"instantiationToken": token})
     Tree.SubElement(
         root,
@@ -137,7 +137,7 @@ def fmi_3(code: CCode, token: str, sources: Sequence[str]) -> dict[str, str]:
         canHandleVariableCommunicationStepSize="false",
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
-        fixedInternalStepSize=repr(way.period),
+        fixedInternalStepSize=repr(implementation.period),
     )
     _frame(code, root, found)
     inside = Tree.SubElement(root, "ModelVariables")
@@ -166,8 +166,8 @@ def _outputs(found: Sequence[Variable]) -> Iterator[int]:
 
 def page(code: CCode) -> str:
     """A page for the reader, in HTML."""
-    way = code.system.implementation
-    assert way is not None
+    implementation = code.system.implementation
+    assert implementation is not None
     rows = "\n".join(
         f"<tr><td>{escape(v.name)}<td>{v.causality}<td>{escape(v.unit)}<td>{escape(v.description)}"
         for v in variables(code)
@@ -177,7 +177,7 @@ def page(code: CCode) -> str:
 <meta charset="utf-8">
 <title>{title}</title>
 <h1>{title}</h1>
-<p>Tracking controller, sampled every {way.period!r} s.</p>
+<p>Tracking controller, sampled every {implementation.period!r} s.</p>
 <p>Set the inputs to their values at t, then step from t to t + h: the controller takes its sample
 at t, and u is its command of t. h must be a multiple of the period; with more than one period all
 samples see the same inputs. A master that steps plant and controller side by side (Jacobi) gives

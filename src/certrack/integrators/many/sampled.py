@@ -60,11 +60,15 @@ class Timeline:
     marks: Array
 
 
-def timeline(way: Implementation, duration: float, breaks: Array, marks: Array) -> Timeline:
+def timeline(
+    implementation: Implementation, duration: float, breaks: Array, marks: Array
+) -> Timeline:
     """All events of a run, in order; those that rounding alone separates are one."""
-    taken = way.offset + way.period * np.arange(way.samples(duration))
+    taken = implementation.offset + implementation.period * np.arange(
+        implementation.samples(duration)
+    )
     taken = taken[taken < duration * (1 - 1e-12)]
-    begun = taken + way.delay * way.period
+    begun = taken + implementation.delay * implementation.period
     begun = begun[begun < duration * (1 - 1e-12)]
     kinds = [taken, begun, np.asarray(breaks), np.asarray(marks), np.array([0.0, duration])]
     times = np.concatenate(kinds)
@@ -72,7 +76,7 @@ def timeline(way: Implementation, duration: float, breaks: Array, marks: Array) 
     order = np.lexsort((kind, times))
     gaps = np.diff(times[order], prepend=-np.inf)
     event = np.empty(len(times), dtype=int)
-    close = max(CLOSE * min(way.period, duration), ROUNDING * duration)
+    close = max(CLOSE * min(implementation.period, duration), ROUNDING * duration)
     event[order] = np.cumsum(gaps > close) - 1
     merged = np.empty(event.max() + 1)
     for part in (3, 1, 0, 2, 4):  # the last one has the say: at a break the new piece holds
@@ -98,7 +102,7 @@ class Course:
     x, states, totals : (·, N) arrays
         Initial plant states, controller states and totals.
     parameters : (P, N) array
-    way : Implementation
+    implementation : Implementation
     timeline : Timeline
     outputs : callable, optional
         Measured values of the plant's states and all parameters, where they are not the states.
@@ -114,7 +118,7 @@ class Course:
     states: Array
     totals: Array
     parameters: Array
-    way: Implementation
+    implementation: Implementation
     timeline: Timeline
     outputs: Callable[[Array, Array], Array] | None
     pieces: Callable[[float], Array]
@@ -151,7 +155,7 @@ class SampledRun:
         self._allowed = SHARE * course.tolerance
         count = course.x.shape[1]
         self.x, self.states, self.totals = course.x, course.states, course.totals
-        self.u = np.full(count, course.way.initial_input)
+        self.u = np.full(count, course.implementation.initial_input)
         self.ends = np.zeros(count)
         self.outcomes = np.full(count, Outcome.finished, dtype=object)
         self._alive, self.stuck = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
@@ -200,13 +204,13 @@ class SampledRun:
 
     def _sample(self, t: float) -> None:
         """Measure, evaluate the law; its command waits for the actuator."""
-        way, x = self._course.way, self.x
+        implementation, x = self._course.implementation, self.x
         outputs = self._course.outputs
         true = x if outputs is None else outputs(x, self.parameters)
-        measured = sensed(true, way, self._course.keys, self._taken)
+        measured = sensed(true, implementation, self._course.keys, self._taken)
         self._taken += 1
         u, self.states = self._maps.control(t, measured, self.states, self.parameters)
-        self._waiting.append(way.converted(u))
+        self._waiting.append(implementation.converted(u))
 
     def cross(self, begin: float, end: float, record: Record | None = None) -> bool:
         """All members from one event to the next; whether any goes on."""
@@ -281,13 +285,13 @@ class SampledRun:
         return bool(self._alive.any())
 
 
-def sensed(true: Array, way: Implementation, keys: Array, sample: int) -> Array:
+def sensed(true: Array, implementation: Implementation, keys: Array, sample: int) -> Array:
     """What the sensors give for measured values (n, N) at a sample: with noise, and rounded."""
     found = true
-    if way.noise is not None:
-        found = found + np.array(way.noise)[:, None] * normal(keys, sample, len(true))
-    if way.measurement_quantum is not None:
-        quantum = np.array(way.measurement_quantum)[:, None]
+    if implementation.noise is not None:
+        found = found + np.array(implementation.noise)[:, None] * normal(keys, sample, len(true))
+    if implementation.measurement_quantum is not None:
+        quantum = np.array(implementation.measurement_quantum)[:, None]
         with np.errstate(all="ignore"):
             found = np.where(quantum, np.rint(found / quantum) * quantum, found)
     return found

@@ -96,13 +96,16 @@ class SampledNative:
         shared : (segments, H) array
             Values of the piece symbols from the begin of the run, and from every break on.
         """
-        way, line, count = course.way, course.timeline, course.x.shape[1]
+        implementation, line, count = course.implementation, course.timeline, course.x.shape[1]
         marks = int(line.marks.max()) + 1
         values = np.full((marks, self._shown, count), np.nan)
         found, ends = np.full((self._totals + 1, count), np.nan), np.zeros(count)
         outcomes = np.zeros(count, dtype=np.uint8)
         none = (0.0,) * self._sensors
-        sensors = [np.array(row or none) for row in (way.noise, way.measurement_quantum)]
+        sensors = [
+            np.array(row or none)
+            for row in (implementation.noise, implementation.measurement_quantum)
+        ]
         starts = (course.x, course.states, course.totals, course.parameters)
         arrays = [
             *(np.ascontiguousarray(a, dtype=float) for a in starts),
@@ -120,10 +123,10 @@ class SampledNative:
             *pointers[:5],
             len(line.times),
             *pointers[5:10],
-            int(way.delay) + 2,
+            int(implementation.delay) + 2,
             *pointers[10:],
-            *way.converter,
-            way.initial_input,
+            *implementation.converter,
+            implementation.initial_input,
             course.tolerance,
             course.max_state,
             *(array.ctypes.data for array in (values, found, ends, outcomes)),

@@ -179,7 +179,7 @@ class Engine:
         metrics = self._metrics({name: values[part] for name, values in totals.items()})
         return metrics, ends[part], alone[part]
 
-    def extremes(self, members: int, way: Implementation) -> tuple[float, float]:
+    def extremes(self, members: int, implementation: Implementation) -> tuple[float, float]:
         """Largest tail error and input of the first members under another implementation.
 
         The error is inf where a member does not finish.
@@ -187,11 +187,11 @@ class Engine:
         Parameters
         ----------
         members : int
-        way : Implementation
+        implementation : Implementation
             With the structure of the system's own.
         """
         system, controller = self.plan.system, self._controller
-        values = controller_values(controller, system.plant, system.law, way)
+        values = controller_values(controller, system.plant, system.law, implementation)
         numbers = dict(zip(controller.parameters, values, strict=True))
         numbers = {name: numbers[name] for name in controller.numbers}
         size = LANES * max(1, members // (LANES * self._threads))
@@ -200,7 +200,7 @@ class Engine:
             starts, table = self._varied(first, first + size)
             table |= {name: np.full(size, value) for name, value in numbers.items()}
             group = Group(first, starts, table)
-            totals, ends, alone = self._crowd.run(group, lambda *_: None, way)
+            totals, ends, alone = self._crowd.run(group, lambda *_: None, implementation)
             mine = slice(0, members - first)
             done = ~alone & (ends >= self._edges[-1])
             tails = np.where(done, totals["tail_error"], np.inf)[mine]

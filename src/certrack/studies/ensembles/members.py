@@ -116,10 +116,12 @@ class Members:
         """
         draws = self.draws(index, index + 1)
         found = self._system({name: float(v[0]) for name, v in draws.items()}, written=True)
-        way = found.implementation
+        implementation = found.implementation
         return found.replace(
             title=f"Member {index} (seed {self.seed}) of: {self.system.title}",
-            implementation=None if way is None else replace(way, seed=self.seed, stream=index),
+            implementation=None
+            if implementation is None
+            else replace(implementation, seed=self.seed, stream=index),
         )
 
     def table(self, begin: int, end: int) -> tuple[np.ndarray, dict[sympy.Symbol, np.ndarray]]:

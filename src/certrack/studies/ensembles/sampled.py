@@ -127,23 +127,25 @@ class SampledCrowd:
             names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
             self._shown = numpy_callable(names, shown)
 
-    def run(self, group: Group, show: Show, way: Implementation | None = None) -> Found:
+    def run(self, group: Group, show: Show, implementation: Implementation | None = None) -> Found:
         """Run members to their end.
 
         Parameters
         ----------
         group : Group
         show : Show
-        way : Implementation, optional
+        implementation : Implementation, optional
             Another one than the system's, with the same structure; the parameters that it
             changes must be among the varying ones.
         """
         system, count = self._system, group.starts.shape[1]
-        line = self._line if way is None else self._timeline(way)
-        way = way or system.implementation
-        assert way is not None
+        line = self._line if implementation is None else self._timeline(implementation)
+        implementation = implementation or system.implementation
+        assert implementation is not None
         n, settings = self._loop.plant.n, system.settings
-        kept = starting_state(self._loop.controller, (0.0,) * (len(group.starts) - n), way)
+        kept = starting_state(
+            self._loop.controller, (0.0,) * (len(group.starts) - n), implementation
+        )
         states = np.repeat(kept[:, None], count, axis=1)
         states[: len(group.starts) - n] = group.starts[n:]
         course = Course(
@@ -151,7 +153,7 @@ class SampledCrowd:
             states=states,
             totals=np.zeros((len(self._loop.totals), count)),
             parameters=np.array([group.table[name] for name in self._loop.parameters]),
-            way=way,
+            implementation=implementation,
             timeline=line,
             outputs=self._outputs,
             pieces=self._segments.at,
@@ -164,11 +166,11 @@ class SampledCrowd:
         assert self._maps is not None
         return self._by_maps(self._maps, course, show)
 
-    def _timeline(self, way: Implementation | None) -> Timeline:
+    def _timeline(self, implementation: Implementation | None) -> Timeline:
         """All events under an implementation: the same for all members."""
-        assert way is not None
+        assert implementation is not None
         duration = self._system.settings.duration
-        return timeline(way, duration, self._segments.edges[1:-1], self._grid)
+        return timeline(implementation, duration, self._segments.edges[1:-1], self._grid)
 
     def _by_native(self, native: SampledNative, course: Course, show: Show) -> Found:
         passed = native.integrate(course, self._segments.shared)
