@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import certrack
-from certrack.integrators import native
+from certrack.integrators.many import native
 from certrack.integrators.many.native import compiler
 from certrack.loops.stability import linear_loop
 from certrack.model.noise import keys, normal
