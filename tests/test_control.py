@@ -50,7 +50,7 @@ def test_continuous_loop_reproduces_the_run(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "way"),
+    ("name", "implementation"),
     [
         ("example1", {}),
         ("example1", EVERYTHING),

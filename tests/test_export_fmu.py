@@ -92,7 +92,7 @@ def inputs(system, x, Y):
 
 
 @pytest.mark.parametrize(
-    ("name", "way"),
+    ("name", "implementation"),
     [
         ("example1", {}),
         ("example1", EVERYTHING),

@@ -139,7 +139,7 @@ def compare(system, name="example1"):
 
 
 @pytest.mark.parametrize(
-    ("name", "way"),
+    ("name", "implementation"),
     [
         ("example1", {}),
         ("example1", EVERYTHING),
