@@ -15,104 +15,18 @@ import numpy as np
 import sympy
 
 from certrack.core.expressions import TIME, derivative, without_minmax
-
-#: Begin of a step or of a part of it, and its length: in formulas of what is kept of a run.
-BEGIN, STEP = sympy.symbols("kept_begin kept_step", real=True)
-
-
-class Select(sympy.Function):
-    """select(a, b, yes, no) is `yes` where a > b, else `no`.
-
-    For compiled maps only: SymPy neither simplifies nor evaluates it, as it would a Piecewise.
-    """
-
-    nargs = 4
-    is_real = True
-
-
-class Extremum(sympy.Function):
-    """Extremum on [0, 1] of the cubic with p = e, p' = d at both ends; p(0) if there is none.
-
-    Extremum(e0, e1, d0, d1) looks between slopes of different signs: where p' would vanish if it
-    changed evenly, then one correction with that even change as the slope of p'. Near an extremum
-    the value hardly depends on the place.
-    """
-
-    nargs = 4
-    is_real = True
-
-    def selections(self) -> sympy.Expr:
-        """By :class:`Select` alone."""
-        e0, e1, d0, d1 = self.args
-        b, a = _cubic(e0, e1, d0, d1)
-        per_change = 1 / _nonzero(d0 - d1)
-        even = d0 * per_change
-        s = _within(even + (d0 + even * (2 * b + 3 * even * a)) * per_change)
-        return Select(0, d0 * d1, e0 + s * (d0 + s * (b + s * a)), e0)
-
-
-class Entry(sympy.Function):
-    """Where |p| enters a band for good on [0, 1]: by the chord, with one correction along it.
-
-    Entry(e0, e1, d0, d1, band) of the same cubic; 1 if neither end is outside.
-    """
-
-    nargs = 5
-    is_real = True
-
-    def selections(self) -> sympy.Expr:
-        """By :class:`Select` alone."""
-        e0, e1, d0, d1, band = self.args
-        b, a = _cubic(e0, e1, d0, d1)
-        level, per_rise = Select(e0, 0, band, -band), 1 / _nonzero(e1 - e0)
-        s = _within((level - e0) * per_rise)
-        better = _within(s - (e0 + s * (d0 + s * (b + s * a)) - level) * per_rise)
-        return Select(larger(magnitude(e0), magnitude(e1)), band, better, 1)
-
-
-def _cubic(
-    e0: sympy.Expr, e1: sympy.Expr, d0: sympy.Expr, d1: sympy.Expr
-) -> tuple[sympy.Expr, sympy.Expr]:
-    """Coefficients of s^2 and s^3."""
-    rise = e1 - e0
-    return 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
-
-
-def _within(s: sympy.Expr) -> sympy.Expr:
-    return Select(s, 0, Select(1, s, s, 1), 0)
-
-
-def _nonzero(value: sympy.Expr) -> sympy.Expr:
-    """The value as a denominator whose quotient is not used where it vanishes."""
-    return Select(magnitude(value), 0, value, 1)
-
-
-def magnitude(value: sympy.Expr) -> sympy.Expr:
-    """|value| for compiled maps."""
-    return Select(value, 0, value, -value)
-
-
-def larger(a: sympy.Expr, b: sympy.Expr) -> sympy.Expr:
-    """max(a, b) for compiled maps."""
-    return Select(a, b, a, b)
+from certrack.core.select import Entry, Extremum, Select, by_selections, numpy_select
 
 
 def numpy_callable(
     arguments: Sequence[Any], formulas: Sequence[sympy.Expr]
 ) -> Callable[..., list[Any]]:
     """Vectorised NumPy function of the given (nested) arguments that returns all formulas."""
-    plain = [formula.replace(_is_cubic, lambda f: f.selections()) for formula in formulas]
-    modules = [{"Select": _select}, "numpy"]
-    found: Callable[..., list[Any]] = sympy.lambdify(arguments, plain, modules, cse=True)
-    return found
-
-
-def _is_cubic(expr: sympy.Basic) -> bool:
-    return isinstance(expr, (Extremum, Entry))
-
-
-def _select(a: Any, b: Any, yes: Any, no: Any) -> Any:
-    return np.where(np.greater(a, b), yes, no)
+    modules = [{"Select": numpy_select}, "numpy"]
+    function: Callable[..., list[Any]] = sympy.lambdify(
+        arguments, list(map(by_selections, formulas)), modules, cse=True
+    )
+    return function
 
 
 def jacobian(formulas: Sequence[sympy.Expr], by: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
@@ -149,8 +63,8 @@ def extract_switches(
             return switch(args[0])
         return expr.func(*args)
 
-    found = [smooth(without_minmax(formula)) for formula in formulas]
-    return found, [(symbol, inside) for inside, symbol in switches.items()]
+    smoothed = [smooth(without_minmax(formula)) for formula in formulas]
+    return smoothed, [(symbol, inside) for inside, symbol in switches.items()]
 
 
 def to_heyoka(
@@ -173,12 +87,12 @@ def to_heyoka(
         getattr(sympy, name): getattr(hy, name)
         for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp")
     } | {sympy.log: hy.log, sympy.atan2: hy.atan2}
-    done: dict[sympy.Basic, Any] = {TIME: hy.time, **known}
+    lowered: dict[sympy.Basic, Any] = {TIME: hy.time, **known}
 
     def build(expr: sympy.Basic) -> Any:
-        if expr not in done:
-            done[expr] = lower(expr)
-        return done[expr]
+        if expr not in lowered:
+            lowered[expr] = lower(expr)
+        return lowered[expr]
 
     def lower(expr: sympy.Basic) -> Any:
         if expr.is_number and not expr.free_symbols:
@@ -207,11 +121,11 @@ def to_heyoka(
     return [build(formula) for formula in formulas]
 
 
-def _extreme(hy: Any, first: Any, *rest: Any, largest: bool) -> Any:
-    for other in rest:
-        above = hy.gt(first, other)
-        first = hy.select(above, first, other) if largest else hy.select(above, other, first)
-    return first
+def _extreme(hy: Any, extreme: Any, *others: Any, largest: bool) -> Any:
+    for other in others:
+        above = hy.gt(extreme, other)
+        extreme = hy.select(above, extreme, other) if largest else hy.select(above, other, extreme)
+    return extreme
 
 
 #: Kinked functions by selection.
@@ -241,16 +155,16 @@ def hoisted(
     Returns
     -------
     formulas : list
-    found : dict
+    symbols : dict
         Symbol of each subexpression, in the order of their numbers.
     """
-    found: dict[sympy.Expr, sympy.Symbol] = {}
+    symbols: dict[sympy.Expr, sympy.Symbol] = {}
 
     def name(expr: sympy.Expr) -> sympy.Expr:
-        number, rest = expr.as_coeff_Mul()
-        if rest not in found:
-            found[rest] = sympy.Symbol(f"kept_shared_{len(found)}", real=True)
-        return number * found[rest]
+        number, factor = expr.as_coeff_Mul()
+        if factor not in symbols:
+            symbols[factor] = sympy.Symbol(f"kept_shared_{len(symbols)}", real=True)
+        return number * symbols[factor]
 
     def walk(expr: sympy.Expr) -> sympy.Expr:
         free = expr.free_symbols
@@ -259,17 +173,17 @@ def hoisted(
         if free <= common:
             return name(expr)
         if expr.is_Add or expr.is_Mul:
-            own = [arg for arg in expr.args if arg.free_symbols and arg.free_symbols <= common]
-            rest = [walk(arg) for arg in expr.args if arg not in own]
-            return expr.func(*rest, *([name(expr.func(*own))] if own else []))
+            shared = [arg for arg in expr.args if arg.free_symbols and arg.free_symbols <= common]
+            others = [walk(arg) for arg in expr.args if arg not in shared]
+            return expr.func(*others, *([name(expr.func(*shared))] if shared else []))
         return expr.func(*map(walk, expr.args))
 
-    return list(map(walk, formulas)), found
+    return list(map(walk, formulas)), symbols
 
 
 def rows(values: Sequence[Any], count: int) -> np.ndarray:
     """Results of a NumPy callable as an array (len(values), count); constants are spread out."""
-    found = np.empty((len(values), count))
-    for row, value in zip(found, values, strict=True):
+    table = np.empty((len(values), count))
+    for row, value in zip(table, values, strict=True):
         row[...] = value
-    return found
+    return table

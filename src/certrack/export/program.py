@@ -16,7 +16,7 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
-from certrack.core.lowering import Select, larger, magnitude
+from certrack.core.select import Select, larger, magnitude
 from certrack.laws.base import Equations, Signals
 from certrack.loops.controller import (
     ASKED,

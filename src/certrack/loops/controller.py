@@ -23,7 +23,8 @@ import numpy as np
 import sympy
 
 from certrack.core.expressions import symbol
-from certrack.core.lowering import Select, magnitude, numpy_callable
+from certrack.core.lowering import numpy_callable
+from certrack.core.select import Select, magnitude
 from certrack.laws.base import Controller, Law
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant

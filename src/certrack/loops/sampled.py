@@ -10,7 +10,7 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, derivative, symbol
-from certrack.core.lowering import STEP
+from certrack.core.select import STEP_LENGTH
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.controller import (
     COMMAND,
@@ -32,7 +32,7 @@ Totals = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
 
 def run_totals() -> Totals:
     """The integrals that a single run keeps, as in :data:`certrack.loops.continuous.INTEGRALS`."""
-    rises = (STEP * INPUT**2, SQUARE, AREA)
+    rises = (STEP_LENGTH * INPUT**2, SQUARE, AREA)
     names = map(symbol, INTEGRALS)
     return tuple(
         (name, name + rise / sympy.Integer(INTEGRAL_SCALE))

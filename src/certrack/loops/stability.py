@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 import sympy
 
-from certrack.core.lowering import Select, numpy_callable
+from certrack.core.lowering import numpy_callable
+from certrack.core.select import Select
 from certrack.loops.controller import (
     FIRST,
     SampledController,

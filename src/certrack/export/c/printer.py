@@ -10,7 +10,7 @@ import sympy
 from sympy.printing.c import C99CodePrinter
 
 from certrack.core.errors import InputError
-from certrack.core.lowering import Select
+from certrack.core.select import Select
 from certrack.export.program import MOST_FACTORS
 
 REALS = ("double", "float")

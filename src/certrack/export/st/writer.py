@@ -13,7 +13,7 @@ from typing import Any
 
 import sympy
 
-from certrack.core.lowering import Select, larger
+from certrack.core.select import Select, larger
 from certrack.export.program import MOST_FACTORS, Step
 
 INDENT, WIDTH = "    ", 84

@@ -29,8 +29,9 @@ class Flow:
     slopes : symbols
         Stand for the rates in the signals.
     memories : pairs (symbol, formula)
-        Updated at the end of every step. The formula may contain its own symbol, BEGIN, STEP,
-        ``sides[j][0]`` and ``sides[j][1]`` (signal j at begin and end), and shared symbols.
+        Updated at the end of every step. The formula may contain its own symbol, STEP_BEGIN,
+        STEP_LENGTH, ``sides[j][0]`` and ``sides[j][1]`` (signal j at begin and end), and shared
+        symbols.
     sides : pairs of symbols, one per signal
     watched : int
         The first states, which must stay within a limit.

@@ -12,7 +12,7 @@ from scipy.integrate import DOP853
 from sympy.printing.c import C99CodePrinter
 
 from certrack.core.expressions import TIME, without_minmax
-from certrack.core.lowering import BEGIN, STEP, Select
+from certrack.core.select import STEP_BEGIN, STEP_LENGTH, Select
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.many.dense import weights
 from certrack.integrators.many.flow import Flow
@@ -121,7 +121,7 @@ def _power(base: str, exponent: int) -> str:
 def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
     """The generated part of lanes.c."""
     timeless, found = flow.without_time()
-    names: dict[sympy.Symbol, str] = {TIME: "t", BEGIN: "begin", STEP: "h"}
+    names: dict[sympy.Symbol, str] = {TIME: "t", STEP_BEGIN: "begin", STEP_LENGTH: "h"}
     for letter, symbols in (
         ("c", list(found.values())),
         ("x", flow.states),

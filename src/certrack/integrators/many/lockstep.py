@@ -20,7 +20,8 @@ import sympy
 from scipy.integrate import DOP853, RK45
 
 from certrack.core.expressions import TIME
-from certrack.core.lowering import BEGIN, STEP, numpy_callable, rows, to_heyoka
+from certrack.core.lowering import numpy_callable, rows, to_heyoka
+from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.many.flow import Flow
 
@@ -316,7 +317,7 @@ def _formulas(
     x, rows = inputs[: len(flow.states)], flow.rows
     integrals, slopes = inputs[rows["integrals"]], inputs[rows["slopes"]]
     begin, h, tolerance = hy.par[0], hy.par[1], hy.par[2]
-    known |= {BEGIN: begin, STEP: h}
+    known |= {STEP_BEGIN: begin, STEP_LENGTH: h}
 
     def at(node: float, states: Sequence[Any]) -> dict[sympy.Symbol, Any]:
         """What formulas refer to at a node of the step."""

@@ -14,7 +14,8 @@ import sympy
 from scipy.integrate import RK45
 
 from certrack.core.expressions import TIME
-from certrack.core.lowering import BEGIN, STEP, larger, magnitude, numpy_callable, rows, to_heyoka
+from certrack.core.lowering import numpy_callable, rows, to_heyoka
+from certrack.core.select import STEP_BEGIN, STEP_LENGTH, larger, magnitude
 from certrack.loops.controller import COMMAND
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
@@ -58,7 +59,7 @@ class NumpyMaps:
         )
         names = [name for name, _ in loop.totals]
         self._totals = numpy_callable(
-            [BEGIN, STEP, SIDES, SQUARE, AREA, INPUT, names, p],
+            [STEP_BEGIN, STEP_LENGTH, SIDES, SQUARE, AREA, INPUT, names, p],
             [formula for _, formula in loop.totals],
         )
         self._n = plant.n
@@ -174,7 +175,7 @@ class HeyokaMaps:
         end = [v + weighted(RK45.B, [s[j] for s in stages]) for j, v in enumerate(x)]
         last = rates(1.0, end)
         e = [s[n] for s in stages]
-        place = known | {BEGIN: t, STEP: h, AREA: weighted(RK45.B, e)}
+        place = known | {STEP_BEGIN: t, STEP_LENGTH: h, AREA: weighted(RK45.B, e)}
         place |= {SQUARE: weighted(RK45.B, [value * value for value in e])}
         place |= zip(SIDES, (e[0], last[n], stages[0][n + 1], last[n + 1]), strict=True)
         totals = to_heyoka([formula for _, formula in loop.totals], place, kinks=True)

@@ -11,7 +11,8 @@ import sympy
 from scipy.integrate import RK45
 
 from certrack.core.expressions import TIME
-from certrack.core.lowering import BEGIN, STEP, hoisted
+from certrack.core.lowering import hoisted
+from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.many.lanes import braces, c_function, with_elementary
 from certrack.integrators.many.native import built
@@ -145,7 +146,7 @@ def _header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
     n, law_rows = len(plant.rates), len(update)
     moving, found = hoisted([*plant.rates, loop.e_1, loop.slope, *shown], common)
     law, law_found = hoisted([*update, command], common)
-    names: dict[sympy.Symbol, str] = {TIME: "t", BEGIN: "t", STEP: "h", INPUT: "u"}
+    names: dict[sympy.Symbol, str] = {TIME: "t", STEP_BEGIN: "t", STEP_LENGTH: "h", INPUT: "u"}
     names |= {SQUARE: "sums[0]", AREA: "sums[1]"}
     for letter, symbols in (
         ("c", [*found.values()]),

@@ -40,7 +40,7 @@ INLINE int any(I mask) {
 #endif
 }
 
-/* Cubics with p = e, p' = d at the ends of [0, 1]; see `Extremum` and `Entry` in lowering.py. The
+/* Cubics with p = e, p' = d at the ends of [0, 1]; see `Extremum` and `Entry` in core/select.py. The
  * value at an extremum hardly depends on the place: 14 bits of that are enough, and no branch, as
  * among eight members there is often one that turns. */
 INLINE V cubic(V s, V e0, V d0, V b, V a) { return e0 + s * (d0 + s * (b + s * a)); }

@@ -11,7 +11,15 @@ from collections.abc import Iterable
 import sympy
 
 from certrack.core.expressions import TIME, derivative, symbol
-from certrack.core.lowering import BEGIN, STEP, Entry, Extremum, Select, larger, magnitude
+from certrack.core.select import (
+    STEP_BEGIN,
+    STEP_LENGTH,
+    Entry,
+    Extremum,
+    Select,
+    larger,
+    magnitude,
+)
 from certrack.integrators.many.flow import Flow
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
 from certrack.loops.plant import INPUT
@@ -100,7 +108,7 @@ def _memories(sides: tuple[tuple[sympy.Symbol, sympy.Symbol], ...]) -> list[symp
     """Update of every memory at the end of a step."""
     (e0, e1), (r0, r1), (u0, u1), (v0, v1) = sides
     variation, peak = map(_memory, MEMORIES[:2])
-    u_peak = Extremum(u0, u1, STEP * v0, STEP * v1)
+    u_peak = Extremum(u0, u1, STEP_LENGTH * v0, STEP_LENGTH * v1)
     return [
         variation + magnitude(u_peak - u0) + magnitude(u1 - u_peak),
         larger(peak, larger(magnitude(u_peak), magnitude(u1))),
@@ -111,14 +119,14 @@ def _memories(sides: tuple[tuple[sympy.Symbol, sympy.Symbol], ...]) -> list[symp
 def _of_error(e0: sympy.Expr, e1: sympy.Expr, r0: sympy.Expr, r1: sympy.Expr) -> list[sympy.Expr]:
     """Tail error, last time outside the band, integral of |e_1|; from e_1 and its rate."""
     tail, outside, total = map(_memory, MEMORIES[2:])
-    peak = Extremum(e0, e1, STEP * r0, STEP * r1)
+    peak = Extremum(e0, e1, STEP_LENGTH * r0, STEP_LENGTH * r1)
     largest = larger(larger(magnitude(e0), magnitude(e1)), magnitude(peak))
-    crossing = BEGIN + STEP * Entry(e0, e1, STEP * r0, STEP * r1, BAND)
+    crossing = STEP_BEGIN + STEP_LENGTH * Entry(e0, e1, STEP_LENGTH * r0, STEP_LENGTH * r1, BAND)
     left = Select(largest, BAND, crossing, outside)
     return [
         larger(tail, IN_TAIL * largest),
-        Select(magnitude(e1), BAND, BEGIN + STEP, left),
-        total + STEP * _area(e0, e1, STEP * r0, STEP * r1),
+        Select(magnitude(e1), BAND, STEP_BEGIN + STEP_LENGTH, left),
+        total + STEP_LENGTH * _area(e0, e1, STEP_LENGTH * r0, STEP_LENGTH * r1),
     ]
 
 
@@ -130,7 +138,7 @@ def sampled_totals() -> Totals:
     square, energy, peak = (_memory(name) for name in (*SUMS, MEMORIES[1]))
     return (
         (square, square + SQUARE),
-        (energy, energy + STEP * INPUT**2),
+        (energy, energy + STEP_LENGTH * INPUT**2),
         (peak, larger(peak, magnitude(INPUT))),
         *zip(map(_memory, MEMORIES[2:]), _of_error(*SIDES), strict=True),
     )
