@@ -16,12 +16,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.integrate import DOP853
 
 import certrack
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
-from certrack.integrators.many.dense import weights
 from certrack.integrators.many.native import compiler
 from certrack.model.population import Distribution, Population
 from certrack.studies.ensembles.engine import CODES, Engine
@@ -113,28 +111,6 @@ def test_errors_stay_below_the_tolerance(tolerance):
     members = Members(system, 0)
     exact = [certrack.simulate(members.member(i), tolerance=1e-12).x[:, -1] for i in range(16)]
     assert np.abs(engine.final_states(0, 16) - np.transpose(exact)).max() < tolerance
-
-
-def test_dense_output_is_of_order_6_and_ends_as_the_step_does():
-    """The error at every part of a step falls by 2^7 where the step is halved."""
-
-    def error(h):
-        solver = DOP853(lambda t, y: [-y[0] * y[1], np.cos(t)], 0.3, [1.0, 0.2], 2, first_step=h)
-        solver.step()
-        assert solver.t == pytest.approx(0.3 + h)
-        theta = np.linspace(0.1, 0.9, 9)
-        found = solver.y_old[:, None] + h * solver.K.T @ powers(theta)
-        t = 0.3 + theta * h
-        y = 0.2 + np.sin(t) - np.sin(0.3)
-        rise = 0.2 * (t - 0.3) - np.cos(t) + np.cos(0.3) - np.sin(0.3) * (t - 0.3)
-        return np.abs(found - [np.exp(-rise), y]).max()
-
-    def powers(theta):
-        return weights().T @ theta ** np.arange(1, 8)[:, None]
-
-    np.testing.assert_allclose(powers(np.ones(1))[:, 0], [*DOP853.B, 0], atol=1e-9)
-    assert error(0.5) / error(0.25) == pytest.approx(2**7, rel=0.5)
-    assert error(0.5) < 1e-6
 
 
 def identical(first, second):

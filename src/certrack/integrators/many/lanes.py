@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import sympy
-from scipy.integrate import DOP853
 from sympy.printing.c import C99CodePrinter
 
 from certrack.core.expressions import TIME, without_minmax
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH, Select
 from certrack.integrators.base import ESCAPING
-from certrack.integrators.many.dense import weights
 from certrack.integrators.many.flow import Flow
+from certrack.integrators.pairs import DOP853
 
 #: Vector functions that lanes.c has anyway, and those of two arguments.
 OWN = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())
@@ -143,8 +142,8 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
         "SIGNALS": len(flow.signals),
         "MEMORIES": len(flow.memories),
         "SHOWN": len(shown),
-        "STAGES": len(DOP853.B),
-        "TERMS": len(weights()),
+        "STAGES": DOP853.stages,
+        "TERMS": len(_dense_rows()),
     }
     assert sizes["SHOWN"] and sizes["SIGNALS"] and sizes["MEMORIES"]
 
@@ -188,16 +187,29 @@ def with_elementary(parts: Sequence[str]) -> str:
 
 
 def _tables() -> list[str]:
-    """Coefficients of the method, as SciPy has them, and of its dense output."""
-    assert DOP853.E3[-1] == DOP853.E5[-1] == 0
-    C = np.append(DOP853.C, 1.0)
-    found = {"A": DOP853.A, "B": DOP853.B, "C": C, "E3": DOP853.E3, "E5": DOP853.E5}
-    found["DENSE"] = np.pad(weights(), ((0, 0), (0, -len(C) % 8)))  # whole vectors
-    lines = []
-    for name, table in found.items():
-        shape = "".join(f"[{size}]" for size in table.shape)
-        lines.append(f"static const double {name}{shape} = {braces(table.tolist())};")
-    return lines
+    """Coefficients of the method and of its dense output."""
+    fifth, third = DOP853.errors
+    assert fifth[-1] == third[-1] == 0  # the error estimate does not need the slope at the end
+    return [
+        c_table("A", DOP853.A),
+        c_table("B", DOP853.B),
+        c_table("C", np.append(DOP853.C, 1.0)),
+        c_table("E3", third),
+        c_table("E5", fifth),
+        c_table("DENSE", _dense_rows()),
+    ]
+
+
+def _dense_rows() -> np.ndarray:
+    """Coefficients of the dense output; rows are filled up to whole vectors."""
+    assert DOP853.dense is not None
+    return np.pad(DOP853.dense, ((0, 0), (0, -DOP853.dense.shape[1] % 8)))
+
+
+def c_table(name: str, table: np.ndarray) -> str:
+    """C constant array of a table's numbers."""
+    shape = "".join(f"[{size}]" for size in table.shape)
+    return f"static const double {name}{shape} = {braces(table.tolist())};"
 
 
 def braces(values: Any) -> str:

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 import sympy
-from scipy.integrate import DOP853, RK45
 
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows, to_heyoka
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.many.flow import Flow
+from certrack.integrators.pairs import DOP853, DORMAND_PRINCE, Pair, heyoka_step, heyoka_sum
 
 #: Vector lanes; the number of members at work is always a multiple, because heyoka evaluates a
 #: remainder by scalar functions, whose last bits differ.
@@ -55,7 +55,7 @@ class Lockstep:
         self.flow, self.rows = flow, flow.rows
         self.size = self.rows["memories"].stop
         self._tolerance, self._parallel = tolerance, parallel
-        self._pair = RK45 if tolerance >= COARSE else DOP853
+        self._pair = DORMAND_PRINCE if tolerance >= COARSE else DOP853
         self._nodes = np.unique([*self._pair.C, 1.0])
         common, found = flow.without_time()
         names = [TIME, *flow.shared]
@@ -141,8 +141,8 @@ class _Crowd:
         self._after = np.zeros_like(self._before)
         self._levels = np.zeros(blocks * lanes, dtype=int)
         self.stuck = np.zeros(blocks * lanes, dtype=bool)
-        self._down = 0.5 * 2.0 ** -(5.0 if step._pair is RK45 else 8.0)
-        self._root = 1.0 / (5.0 if step._pair is RK45 else 8.0)
+        self._down = 0.5 * 2.0**-step._pair.order
+        self._root = 1.0 / step._pair.order
         self._parameters: dict[tuple[int, int], np.ndarray] = {}
 
     def set(self, starts: np.ndarray, parameters: np.ndarray) -> None:
@@ -279,7 +279,7 @@ class _Map:
     """
 
     def __init__(
-        self, flow: Flow, pair: Any, nodes: np.ndarray, shared: Sequence[sympy.Symbol]
+        self, flow: Flow, pair: Pair | None, nodes: np.ndarray, shared: Sequence[sympy.Symbol]
     ) -> None:
         import heyoka as hy
 
@@ -294,7 +294,7 @@ class _Map:
 
 def _formulas(
     flow: Flow,
-    pair: Any,
+    pair: Pair | None,
     nodes: np.ndarray,
     shared: Sequence[sympy.Symbol],
     used: Sequence[tuple[int, int]],
@@ -325,30 +325,23 @@ def _formulas(
         times = {s: position.get((i, column), unused) for i, s in enumerate(shared)}
         return known | dict(zip(flow.states, states, strict=True)) | times
 
-    def rates(node: float, states: Sequence[Any]) -> tuple[list[Any], list[Any]]:
-        found = to_heyoka([*flow.rates, *flow.integrands], at(node, states), kinks=True)
-        return found[: len(flow.rates)], found[len(flow.rates) :]
+    def rates(node: float, states: Sequence[Any]) -> list[Any]:
+        return to_heyoka([*flow.rates, *flow.integrands], at(node, states), kinks=True)
 
-    def combined(weights: Sequence[float], stages: Sequence[Sequence[Any]], i: int) -> Any:
-        terms = [float(w) * stage[i] for w, stage in zip(weights, stages, strict=True) if w]
-        return h * hy.sum(terms) if terms else hy.expression(0.0)
-
+    size = len(flow.rates)
     if pair is None:
         ends, error = x, hy.expression(0.0)
         totals = integrals
-        last, _ = rates(0.0, x)
+        last = rates(0.0, x)[:size]
     else:
-        stages = [slopes]  # the last evaluation of the step before
-        along = [rates(0.0, x)[1]]
-        for node, row in zip(pair.C[1:], pair.A[1:], strict=True):
-            inner = [v + combined(row[: len(stages)], stages, i) for i, v in enumerate(x)]
-            found, integrand = rates(float(node), inner)
-            stages.append(found)
-            along.append(integrand)
-        ends = [v + combined(pair.B, stages, i) for i, v in enumerate(x)]
-        totals = [v + combined(pair.B, along, i) for i, v in enumerate(integrals)]
-        last, _ = rates(1.0, ends)
-        error = _estimate(hy, pair, x, ends, [*stages, last], tolerance, combined)
+        first = [*slopes, *rates(0.0, x)[size:]]  # the slopes are those at the last step's end
+        stages, ends = heyoka_step(pair, h, x, first, rates)
+        totals = [
+            v + heyoka_sum(h, pair.B, [k[size + i] for k in stages[:-1]])
+            for i, v in enumerate(integrals)
+        ]
+        last = list(stages[-1][:size])
+        error = _estimate(hy, pair, h, x, ends, stages, tolerance)
     end_node = 0.0 if pair is None else 1.0
     place = at(end_node, ends) | dict(zip(flow.slopes, last, strict=True))
     signals = to_heyoka(flow.signals, place, kinks=True)
@@ -360,12 +353,12 @@ def _formulas(
 
 def _estimate(
     hy: Any,
-    pair: Any,
+    pair: Pair,
+    h: Any,
     x: Sequence[Any],
     ends: Sequence[Any],
-    stages: Sequence[Sequence[Any]],
+    slopes: Sequence[Sequence[Any]],
     tolerance: Any,
-    combined: Callable[..., Any],
 ) -> Any:
     """Root mean square of the estimated errors over tolerance (1 + |x|); a step passes at 1."""
 
@@ -377,11 +370,12 @@ def _estimate(
         a, b = magnitude(begin), magnitude(end)
         scales.append(1.0 / (tolerance + tolerance * hy.select(hy.gt(a, b), a, b)))
 
-    def squares(weights: Sequence[float]) -> Any:
-        scaled = [combined(weights, stages, i) * s for i, s in enumerate(scales)]
+    def squares(weights: np.ndarray) -> Any:
+        errors = [heyoka_sum(h, weights, [k[i] for k in slopes]) for i in range(len(x))]
+        scaled = [error * scale for error, scale in zip(errors, scales, strict=True)]
         return hy.sum([value * value for value in scaled]) * (1.0 / len(scaled))
 
-    if pair is RK45:
-        return hy.sqrt(squares(pair.E))
-    fifth, third = squares(pair.E5), squares(pair.E3)
+    if len(pair.errors) == 1:
+        return hy.sqrt(squares(pair.errors[0]))
+    fifth, third = map(squares, pair.errors)
     return fifth / hy.sqrt(fifth + 0.01 * third + 1e-300)

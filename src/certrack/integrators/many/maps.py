@@ -6,16 +6,16 @@ the plant takes steps of the pair of Dormand and Prince (order 5, error control 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 import sympy
-from scipy.integrate import RK45
 
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows, to_heyoka
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH, larger, magnitude
+from certrack.integrators.pairs import DORMAND_PRINCE, heyoka_step, heyoka_sum, numpy_step
 from certrack.loops.controller import COMMAND
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
@@ -28,8 +28,8 @@ Number = float | np.ndarray
 #: Members per vector register.
 LANES = 8
 
-#: Order of the pair.
-ORDER = 5
+#: The pair of all maps.
+PAIR = DORMAND_PRINCE
 
 
 class Maps(Protocol):
@@ -74,20 +74,16 @@ class NumpyMaps:
     ) -> tuple[Array, Array, Array]:
         n, count = self._n, x.shape[1]
         with np.errstate(all="ignore"):
-            stages = np.empty((7, n + 2, count))
-            stages[0] = rows(self._rates(t, x, u, p), count)
-            for i in range(1, 6):
-                inner = x + h * np.einsum("s,sij->ij", RK45.A[i, :i], stages[:i, :n])
-                stages[i] = rows(self._rates(t + RK45.C[i] * h, inner, u, p), count)
-            end = x + h * np.einsum("s,sij->ij", RK45.B, stages[:6, :n])
-            stages[6] = rows(self._rates(t + h, end, u, p), count)
-            e = stages[:, n]
-            sides = np.array([e[0], e[6], stages[0, n + 1], stages[6, n + 1]])
-            square, area = h * (RK45.B @ e[:6] ** 2), h * (RK45.B @ e[:6])
+            slopes, end = numpy_step(
+                PAIR, h, x, lambda node, inner: rows(self._rates(t + node * h, inner, u, p), count)
+            )
+            e = slopes[:, n]
+            sides = np.array([e[0], e[-1], slopes[0, n + 1], slopes[-1, n + 1]])
+            square, area = h * (PAIR.B @ e[:-1] ** 2), h * (PAIR.B @ e[:-1])
             after = rows(self._totals(t, h, sides, square, area, u, totals, p), count)
             # of the states and of the integral of e_1: a reference may be faster than the plant
-            error = h * np.einsum("s,sij->ij", RK45.E, stages[:, : n + 1])
-            sizes = np.maximum(np.abs([*x, e[0]]), np.abs([*end, e[6]]))
+            error = h * np.einsum("s,sij->ij", PAIR.errors[0], slopes[:, : n + 1])
+            sizes = np.maximum(np.abs([*x, e[0]]), np.abs([*end, e[-1]]))
             scaled = error / (allowed * (1.0 + sizes))
             return end, after, np.sqrt((scaled**2).sum(axis=0) / n)
 
@@ -163,23 +159,14 @@ class HeyokaMaps:
             at = known | dict(zip(plant.states, states, strict=True)) | when
             return to_heyoka([*plant.rates, loop.e_1, loop.slope], at, kinks=True)
 
-        def weighted(weights: Sequence[float], values: Sequence[Any]) -> Any:
-            terms = [float(w) * v for w, v in zip(weights, values, strict=True) if w]
-            return h * hy.sum(terms)
-
-        stages = [rates(0.0, x)]
-        for i in range(1, 6):
-            row = RK45.A[i, :i]
-            inner = [v + weighted(row, [s[j] for s in stages]) for j, v in enumerate(x)]
-            stages.append(rates(RK45.C[i], inner))
-        end = [v + weighted(RK45.B, [s[j] for s in stages]) for j, v in enumerate(x)]
-        last = rates(1.0, end)
-        e = [s[n] for s in stages]
-        place = known | {STEP_BEGIN: t, STEP_LENGTH: h, AREA: weighted(RK45.B, e)}
-        place |= {SQUARE: weighted(RK45.B, [value * value for value in e])}
-        place |= zip(SIDES, (e[0], last[n], stages[0][n + 1], last[n + 1]), strict=True)
+        slopes, end = heyoka_step(PAIR, h, x, rates(0.0, x), rates)
+        first, last = slopes[0], slopes[-1]
+        e = [k[n] for k in slopes[:-1]]
+        place = known | {STEP_BEGIN: t, STEP_LENGTH: h, AREA: heyoka_sum(h, PAIR.B, e)}
+        place |= {SQUARE: heyoka_sum(h, PAIR.B, [value * value for value in e])}
+        place |= zip(SIDES, (e[0], last[n], first[n + 1], last[n + 1]), strict=True)
         totals = to_heyoka([formula for _, formula in loop.totals], place, kinks=True)
-        error = self._error(hy, [*x, e[0]], [*end, last[n]], [*stages, last], weighted, allowed)
+        error = self._error(hy, [*x, e[0]], [*end, last[n]], slopes, h, allowed)
         return [*end, *totals, error], inputs
 
     def _error(
@@ -187,8 +174,8 @@ class HeyokaMaps:
         hy: Any,
         x: Sequence[Any],
         end: Sequence[Any],
-        stages: Sequence[Sequence[Any]],
-        weighted: Callable[..., Any],
+        slopes: Sequence[Sequence[Any]],
+        h: Any,
         allowed: Any,
     ) -> Any:
         """Norm of the estimated errors over allowed (1 + |x|), per root of the number of states.
@@ -200,6 +187,7 @@ class HeyokaMaps:
         for j, (begin, after) in enumerate(zip(x, end, strict=True)):
             ends = {a: begin, b: after}
             (size,) = to_heyoka([larger(magnitude(a), magnitude(b))], ends, kinks=True)
-            scaled = weighted(RK45.E, [s[j] for s in stages]) / (allowed * (1.0 + size))
+            error = heyoka_sum(h, PAIR.errors[0], [k[j] for k in slopes])
+            scaled = error / (allowed * (1.0 + size))
             squares.append(scaled * scaled)
         return hy.sqrt(hy.sum(squares) * (1.0 / (len(squares) - 1)))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from certrack.integrators.base import ESCAPING, Outcome
-from certrack.integrators.many.maps import LANES, ORDER, Maps
+from certrack.integrators.many.maps import LANES, PAIR, Maps
 from certrack.model.implementation import Implementation
 from certrack.model.noise import normal
 
@@ -300,7 +300,7 @@ def sensed(true: Array, implementation: Implementation, keys: Array, sample: int
 def _factor(error: Array, most: float) -> Array:
     """By what the next step is longer."""
     with np.errstate(all="ignore"):
-        found = 0.9 * np.where(np.isfinite(error), error, 1e9) ** (-1.0 / ORDER)
+        found = 0.9 * np.where(np.isfinite(error), error, 1e9) ** (-1.0 / PAIR.order)
     return np.clip(found, 0.1, most)
 
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import sympy
-from scipy.integrate import RK45
 
 from certrack.core.expressions import TIME
 from certrack.core.lowering import hoisted
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
-from certrack.integrators.many.lanes import braces, c_function, with_elementary
+from certrack.integrators.many.lanes import c_function, c_table, with_elementary
+from certrack.integrators.many.maps import PAIR
 from certrack.integrators.many.native import built
 from certrack.integrators.many.sampled import MOST_STEPS, SHARE, SHORTEST, Course
 from certrack.loops.plant import INPUT
@@ -182,23 +182,16 @@ def _header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
         targets = [(f"{to}[{i}]", f) for to, formulas in results for i, f in enumerate(formulas)]
         return c_function(name, arguments, targets, known)
 
-    tables = {
-        "A": np.vstack([np.pad(RK45.A, ((0, 0), (0, 1))), RK45.B]),
-        "B": RK45.B,
-        "C": np.append(RK45.C, 1.0),
-        "E": RK45.E,
-    }
     plain = "V t, const double *s, V *out"
     return with_elementary(
         [
             "enum { " + ", ".join(f"{name} = {size}" for name, size in sizes.items()) + " };",
             f"static const double ESCAPING = {ESCAPING!r}, SHARE = {SHARE!r}, "
             f"SHORTEST = {SHORTEST!r};",
-            *(
-                f"static const double {name}{''.join(f'[{k}]' for k in table.shape)} = "
-                f"{braces(table.tolist())};"
-                for name, table in tables.items()
-            ),
+            c_table("A", np.vstack([PAIR.A, PAIR.B])),  # the end of the step as a last stage
+            c_table("B", PAIR.B),
+            c_table("C", np.append(PAIR.C, 1.0)),
+            c_table("E", PAIR.errors[0]),
             function("common", plain, ("out", list(found))),
             function("law_common", plain, ("out", list(law_found))),
             function(
