@@ -17,14 +17,14 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import _step, certify_cascade
 from certrack.certificates.centred import _enclose, centred_problem
 from certrack.certificates.exact import float_up, from_text, root_up, squared_bound
-from certrack.certificates.problem import error_problem
+from certrack.certificates.formulation import error_problem
 from certrack.certificates.published import certify_published
 from certrack.laws import Robust
 from certrack.model.plant import Plant, Uncertainty
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference, triangle
 from certrack.references.base import round_up, total_bound
-from certrack.references.supremum import interval
+from certrack.references.supremum import enclosure
 from certrack.systems.system import Settings, System
 
 DECIMALS = [f"{k / 997:.6f}" for k in range(1, 60)]
@@ -91,7 +91,7 @@ def test_bounds_of_a_triangle_are_not_below_its_decimals():
 @pytest.mark.parametrize("formula", ["tanh(1)", "tanh(-2)", "atan(1)", "atan(-3)", "pi", "E"])
 def test_enclosures_hold_the_number_they_enclose(formula):
     expr = sympy.sympify(formula, evaluate=False)
-    low, high = ends(interval(expr, {}))
+    low, high = ends(enclosure(expr, {}))
     value = Fraction(str(sympy.N(expr, 60)))
     assert low < value < high
 
@@ -102,10 +102,10 @@ def test_enclosures_of_rationals_hold_them():
         low, high = ends(_enclose(-exact, exact))
         assert low <= -Fraction(text)
         assert Fraction(text) <= high
-        low, high = ends(interval(sympy.Rational(text), {}))
+        low, high = ends(enclosure(sympy.Rational(text), {}))
         assert low <= Fraction(text) <= high
     x = sympy.Symbol("x")
-    low, high = ends(interval(sympy.exp(x) / 3, {x: iv.mpf([0, 1])}))
+    low, high = ends(enclosure(sympy.exp(x) / 3, {x: iv.mpf([0, 1])}))
     assert low <= Fraction(1, 3)
     assert high >= Fraction(str(sympy.N(sympy.E / 3, 60)))
 

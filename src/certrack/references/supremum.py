@@ -51,11 +51,15 @@ def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:
             pair = [sine - factor * sympy.sin(shift), cosine + factor * sympy.cos(shift)]
         amplitude[w] = pair
     total = sympy.Abs(offset) + sum(sympy.sqrt(a**2 + b**2) for a, b in amplitude.values())
-    return _upper(total), len(amplitude) <= 1
+    return _float_above(total), len(amplitude) <= 1
 
 
 #: Expanding powers of sums of sinusoids beyond this many terms takes too long.
 MAX_TERMS = 200
+
+#: mpmath has no outward rounding for atan, tanh and irrational constants: they are computed with 53
+#: bits, wrong by less than 2^-50 for values below 8, and widened by this.
+SLACK = mp.mpf(2) ** -45
 
 
 def _terms(expr: sympy.Expr) -> int:
@@ -78,15 +82,15 @@ def _terms(expr: sympy.Expr) -> int:
 def interval_supremum(expr: sympy.Expr) -> float | None:
     """Upper bound of |expr| over t in [0, inf) by interval arithmetic, or None."""
     try:
-        found = interval(expr, {TIME: iv.mpf([0, "inf"])})
-        bound = max(abs(mp.mpf(found.a)), abs(mp.mpf(found.b)))
+        values = enclosure(expr, {TIME: iv.mpf([0, "inf"])})
+        bound = max(abs(mp.mpf(values.a)), abs(mp.mpf(values.b)))
     except (ArithmeticError, ValueError, TypeError, NotImplementedError):
         return None
-    return None if not mp.isfinite(bound) else _upper(sympy.Float(bound, 30))
+    return None if not mp.isfinite(bound) else _float_above(sympy.Float(bound, 30))
 
 
-def _upper(value: sympy.Expr) -> float:
-    """The number as a float, rounded up."""
+def _float_above(value: sympy.Expr) -> float:
+    """Smallest float not below the number; the nearest one, which float() gives, may be."""
     exact = sympy.N(value, 80)
     as_float = float(exact)
     while sympy.Float(as_float, 80) < exact:
@@ -107,17 +111,15 @@ def _atan(x: Any) -> Any:
     if mp.isinf(mp.mpf(x)):
         return half_pi if mp.mpf(x) > 0 else -half_pi
     value = mp.atan(mp.mpf(x))
-    slack = mp.mpf(2) ** -45
-    return iv.mpf([value - slack, value + slack])
+    return iv.mpf([value - SLACK, value + SLACK])
 
 
 def _tanh(x: Any) -> Any:
     value = mp.tanh(mp.mpf(x)) if mp.isfinite(mp.mpf(x)) else mp.sign(mp.mpf(x))
-    slack = mp.mpf(2) ** -45
-    return iv.mpf([max(value - slack, -1), min(value + slack, 1)])
+    return iv.mpf([max(value - SLACK, -1), min(value + SLACK, 1)])
 
 
-def interval(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
+def enclosure(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
     """Interval of `expr` over a box of its symbols, rounded outward.
 
     Raises
@@ -131,23 +133,23 @@ def interval(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
         if expr.is_Rational:
             return iv.mpf(int(expr.p)) / iv.mpf(int(expr.q))
         value = mp.mpf(sympy.N(expr, 30))
-        return iv.mpf([value - mp.mpf(2) ** -45, value + mp.mpf(2) ** -45])
+        return iv.mpf([value - SLACK, value + SLACK])
     if isinstance(expr, (sympy.sin, sympy.cos)):
-        inner = interval(expr.args[0], box)
+        inner = enclosure(expr.args[0], box)
         if mp.isinf(mp.mpf(inner.a)) or mp.isinf(mp.mpf(inner.b)):
             return iv.mpf([-1, 1])
         return (iv.sin if isinstance(expr, sympy.sin) else iv.cos)(inner)
-    parts = [interval(arg, box) for arg in expr.args] if not isinstance(expr, sympy.Pow) else []
+    parts = [enclosure(arg, box) for arg in expr.args] if not isinstance(expr, sympy.Pow) else []
     if isinstance(expr, sympy.Add):
         total = parts[0]
         for part in parts[1:]:
             total = total + part
-        return _checked(total)
+        return _determined(total)
     if isinstance(expr, sympy.Mul):
         total = parts[0]
         for part in parts[1:]:
             total = total * part
-        return _checked(total)
+        return _determined(total)
     if isinstance(expr, sympy.Abs):
         return abs(parts[0])
     if isinstance(expr, (sympy.Min, sympy.Max)):
@@ -158,25 +160,25 @@ def interval(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
     if type(expr) in _MONOTONE:
         return _MONOTONE[type(expr)](parts[0])
     if isinstance(expr, sympy.Pow):
-        return _power(expr, box)
+        return _enclosed_power(expr, box)
     raise ValueError(f"no interval rule for {type(expr).__name__}")
 
 
-def _power(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
+def _enclosed_power(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
     base, exponent = expr.args
-    inside = interval(base, box)
+    inside = enclosure(base, box)
     if exponent.is_Integer and exponent > 0:
-        return _checked(inside ** int(exponent))
+        return _determined(inside ** int(exponent))
     if exponent.is_Rational and exponent.q == 2 and inside.a >= 0:
         inside, exponent = iv.sqrt(inside), exponent * 2
         if exponent > 0:
-            return _checked(inside ** int(exponent))
+            return _determined(inside ** int(exponent))
     if exponent.is_Integer and exponent < 0 and inside.a > 0:
-        return _checked(iv.mpf(1) / inside ** int(-exponent))
+        return _determined(iv.mpf(1) / inside ** int(-exponent))
     raise ValueError("no interval rule for this power")
 
 
-def _checked(found: Any) -> Any:
-    if mp.isnan(mp.mpf(found.a)) or mp.isnan(mp.mpf(found.b)):
+def _determined(values: Any) -> Any:
+    if mp.isnan(mp.mpf(values.a)) or mp.isnan(mp.mpf(values.b)):
         raise ArithmeticError("undetermined interval")
-    return found
+    return values
