@@ -104,6 +104,9 @@ def test_enclosures_of_rationals_hold_them():
         assert Fraction(text) <= high
         low, high = ends(enclosure(sympy.Rational(text), {}))
         assert low <= Fraction(text) <= high
+    long = "123456789012345678901.5"  # more digits than a float has
+    low, high = ends(enclosure(sympy.Float(long, 30), {}))
+    assert low <= Fraction(long) <= high
     x = sympy.Symbol("x")
     low, high = ends(enclosure(sympy.exp(x) / 3, {x: iv.mpf([0, 1])}))
     assert low <= Fraction(1, 3)

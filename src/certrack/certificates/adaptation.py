@@ -17,7 +17,7 @@ import numpy as np
 from certrack.certificates.arithmetic import positive_definite, solve
 from certrack.certificates.certificate import NoCertificate
 
-#: A full Gamma needs every corner of the box of theta, each with a linear system in exact rationals:
+#: A full Gamma needs every corner of the box of theta, each with a linear system in rationals:
 #: 0.2 s for 12 parameters, and every further one doubles it.
 MAX_PARAMETERS_WITH_FULL_GAMMA = 12
 

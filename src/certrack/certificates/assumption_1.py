@@ -24,7 +24,7 @@ POLISHING_STEPS = 400
 
 #: Powers of ten between which the random states lie; part of them that lies on an axis, where a
 #: term of one state is largest against the norm; part of the times at 0, where a transient starts.
-MAGNITUDES, AXIS_SHARE, START_SHARE = (-3, 4), 0.3, 0.05
+RANDOM_MAGNITUDES, AXIS_SHARE, START_SHARE = (-3, 4), 0.3, 0.05
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def _random_points(n: int, duration: float, seed: int) -> tuple[np.ndarray, np.n
     x = rng.normal(size=(n, RANDOM_POINTS))
     axes = rng.random(RANDOM_POINTS) < AXIS_SHARE
     x[:, axes] *= np.arange(n)[:, None] == rng.integers(0, n, RANDOM_POINTS)[axes]
-    x *= 10.0 ** rng.uniform(*MAGNITUDES, RANDOM_POINTS) / np.linalg.norm(x, axis=0)
+    x *= 10.0 ** rng.uniform(*RANDOM_MAGNITUDES, RANDOM_POINTS) / np.linalg.norm(x, axis=0)
     x[:, :1] = 0.0
     t = rng.uniform(0, duration, RANDOM_POINTS)
     t[: int(START_SHARE * RANDOM_POINTS)] = 0.0

@@ -25,7 +25,7 @@ def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:
     -------
     bound, exact : float, bool
     """
-    if not 0 < _terms(expr) <= MAX_TERMS:
+    if not 0 < _terms(expr) <= MAX_SINUSOIDS:
         return None
     offset = sympy.S.Zero
     amplitude: dict[sympy.Expr, list[sympy.Expr]] = defaultdict(lambda: [sympy.S.Zero] * 2)
@@ -54,12 +54,12 @@ def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:
     return _float_above(total), len(amplitude) <= 1
 
 
-#: Expanding powers of sums of sinusoids beyond this many terms takes too long.
-MAX_TERMS = 200
+#: Expanding sums of sinusoids beyond this power or number of terms takes too long.
+MAX_SINUSOID_POWER, MAX_SINUSOIDS = 16, 200
 
-#: mpmath has no outward rounding for atan, tanh and irrational constants: they are computed with 53
-#: bits, wrong by less than 2^-50 for values below 8, and widened by this.
-SLACK = mp.mpf(2) ** -45
+#: mpmath has no outward rounding for atan, tanh and irrational constants. All are below 4, so 53
+#: bits are wrong by less than 2^-51; they are widened by this.
+INTERVAL_SLACK = mp.mpf(2) ** -45
 
 
 def _terms(expr: sympy.Expr) -> int:
@@ -73,7 +73,7 @@ def _terms(expr: sympy.Expr) -> int:
         return sum(parts) if all(parts) else 0
     if isinstance(expr, sympy.Mul):
         return math.prod(_terms(arg) for arg in expr.args)
-    if isinstance(expr, sympy.Pow) and expr.exp.is_Integer and 0 < expr.exp <= 16:
+    if isinstance(expr, sympy.Pow) and expr.exp.is_Integer and 0 < expr.exp <= MAX_SINUSOID_POWER:
         inside = _terms(expr.base)
         return min(10**6, max(inside, 2) ** int(expr.exp)) if inside else 0
     return 0
@@ -97,6 +97,7 @@ def _float_above(value: sympy.Expr) -> float:
     return as_float
 
 
+#: Increasing functions: the ends of their values are the values at the ends.
 _MONOTONE = {
     sympy.exp: iv.exp,
     sympy.atan: lambda x: iv.mpf([_atan(x.a).a, _atan(x.b).b]),
@@ -110,12 +111,13 @@ def _atan(x: Any) -> Any:
     if mp.isinf(mp.mpf(x)):
         return half_pi if mp.mpf(x) > 0 else -half_pi
     value = mp.atan(mp.mpf(x))
-    return iv.mpf([value - SLACK, value + SLACK])
+    return iv.mpf([value - INTERVAL_SLACK, value + INTERVAL_SLACK])
 
 
 def _tanh(x: Any) -> Any:
+    """Enclosure of tanh at a point, which may be infinite."""
     value = mp.tanh(mp.mpf(x)) if mp.isfinite(mp.mpf(x)) else mp.sign(mp.mpf(x))
-    return iv.mpf([max(value - SLACK, -1), min(value + SLACK, 1)])
+    return iv.mpf([max(value - INTERVAL_SLACK, -1), min(value + INTERVAL_SLACK, 1)])
 
 
 def enclosure(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
@@ -128,11 +130,12 @@ def enclosure(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
     """
     if expr in box:
         return box[expr]
-    if expr.is_Number or expr.is_NumberSymbol:
-        if expr.is_Rational:
-            return iv.mpf(int(expr.p)) / iv.mpf(int(expr.q))
+    if expr.is_Number:
+        exact = sympy.Rational(expr)
+        return iv.mpf(int(exact.p)) / iv.mpf(int(exact.q))  # division of intervals rounds outward
+    if expr.is_NumberSymbol:
         value = mp.mpf(sympy.N(expr, 30))
-        return iv.mpf([value - SLACK, value + SLACK])
+        return iv.mpf([value - INTERVAL_SLACK, value + INTERVAL_SLACK])
     if isinstance(expr, (sympy.sin, sympy.cos)):
         inner = enclosure(expr.args[0], box)
         if mp.isinf(mp.mpf(inner.a)) or mp.isinf(mp.mpf(inner.b)):
@@ -164,6 +167,7 @@ def enclosure(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
 
 
 def _enclosed_power(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
+    """Enclosure of an integer or half-integer power."""
     base, exponent = expr.args
     inside = enclosure(base, box)
     if exponent.is_Integer and exponent > 0:
@@ -178,6 +182,7 @@ def _enclosed_power(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
 
 
 def _determined(values: Any) -> Any:
+    """The interval itself; inf - inf and 0 inf have no value and are refused."""
     if mp.isnan(mp.mpf(values.a)) or mp.isnan(mp.mpf(values.b)):
         raise ArithmeticError("undetermined interval")
     return values
