@@ -9,8 +9,8 @@ import pytest
 import certrack
 from certrack.certificates import certify_semidefinite
 from certrack.certificates.arithmetic import decimal
-from certrack.certificates.problem import error_problem
-from certrack.certificates.semidefinite import Program
+from certrack.certificates.formulation import error_problem
+from certrack.certificates.semidefinite import SemidefiniteProgram
 
 
 def tenth_order(n=10):
@@ -60,7 +60,7 @@ def modelled(problem):
 
 def test_modelling_layer_against_the_solver(interleaved, report):
     problem = error_problem(certrack.load("dual-motor"), decimal)
-    program = Program(problem)
+    program = SemidefiniteProgram(problem)
     model, alpha = modelled(problem)
 
     def layered():

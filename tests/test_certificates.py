@@ -25,9 +25,9 @@ from certrack.certificates.arithmetic import decimal, positive_definite, rationa
 from certrack.certificates.cascade import certify_cascade, check_cascade
 from certrack.certificates.document import _digest, verify
 from certrack.certificates.exact import Proof, check, prove
-from certrack.certificates.problem import error_problem
+from certrack.certificates.formulation import error_problem
 from certrack.certificates.published import certify_published, collect, critical_strength
-from certrack.certificates.semidefinite import Program, best_solution
+from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.core.errors import InputError
 from certrack.laws import Robust
 from certrack.model.plant import Plant, Uncertainty
@@ -125,7 +125,7 @@ def test_modelling_layer_finds_the_same_optimum():
     """The program written again in cvxpy, from the equations of the theory."""
     system = certrack.load("dual-motor")
     p = error_problem(system, decimal)
-    ours = Program(p).solve(3.5)
+    ours = SemidefiniteProgram(p).solve(3.5)
     n, (na, nb, ny) = p.n, p.counts
     P = cvxpy.Variable((n, n), symmetric=True)
     lam, nu, k = (cvxpy.Variable(c, nonneg=True) for c in (na, nb, ny))
@@ -233,11 +233,11 @@ def test_wrong_sign_in_the_inequality_is_caught_by_the_exact_check(monkeypatch):
     system = certrack.load("dual-motor-lean")
     exact = error_problem(system, rational)
     wrong = replace(exact.in_floats(), M=-exact.in_floats().M - 20 * np.eye(4))
-    found = best_solution(Program(wrong))
+    found = best_solution(SemidefiniteProgram(wrong))
     assert found is not None  # the wrong program has a solution ...
     assert prove(exact, found) is None  # ... that exact arithmetic refuses
     flipped = replace(exact.in_floats(), Uy=0 * exact.in_floats().Uy)
-    found = best_solution(Program(flipped))
+    found = best_solution(SemidefiniteProgram(flipped))
     assert (
         found is None or prove(exact, found) is None or (float(prove(exact, found).bound) >= 0.0015)
     )

@@ -4,7 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pytest
+from conftest import systems
+from hypothesis import given
 
 import certrack
 from certrack.core.errors import InputError
@@ -68,6 +71,73 @@ def test_kit_catches_a_wrong_law():
     kit.system = replace(kit.system, law=Foreign(c=(1, 1, 1, 1)))
     with pytest.raises(AssertionError, match="unknown symbols"):
         kit.test_uses_only_its_signals()
+
+
+def evaluated(formula, values):
+    return float(formula.subs(values))
+
+
+def at_random(system, estimates=()):
+    """Values of every symbol of the law at a random point, and nu, phi and e_n there."""
+    rng = np.random.default_rng(1)
+    controller, plant = system.controller, system.plant
+    s = controller.signals
+    values = dict(zip(controller.symbols, controller.values, strict=True))
+    values |= dict(zip(s.x, rng.normal(size=plant.n), strict=True))
+    values |= dict(zip(s.Y, rng.normal(size=len(s.Y)), strict=True))
+    if not estimates:
+        estimates = rng.normal(size=len(controller.states))
+    values |= dict(zip(controller.states, estimates, strict=True))
+    x, Y = [values[v] for v in s.x], [values[v] for v in s.Y]
+    found = controller.coordinates
+    nu = found.nu_x @ x + found.nu_Y @ Y - evaluated(plant.drift.expr, values)
+    phi = np.array([evaluated(v.expr, values) for v in plant.regressor])
+    e_n = (found.A @ x - found.B @ Y[: found.q + 1])[-1]
+    return values, nu, phi, e_n
+
+
+@given(systems(kinds=("robust",)))
+def test_robust_law_leaves_nothing_on_the_last_row(system):
+    """Corollary 1: g_n u + phi^T theta = nu, so e_n' is what the recursion says."""
+    values, nu, phi, _ = at_random(system)
+    g_n = float(system.truth.input_gain.expr)
+    theta = np.array([float(v.expr) for v in system.truth.theta])
+    u = evaluated(system.controller.equations.u, values)
+    assert g_n * u + phi @ theta == pytest.approx(nu, rel=1e-9, abs=1e-9)
+
+
+@given(systems(kinds=("adaptive", "classic")))
+def test_adaptive_laws_leave_nothing_where_the_estimates_are_true(system):
+    """[25] with delta_hat = 1/g_n and theta_hat = theta is the robust law."""
+    g_n = float(system.truth.input_gain.expr)
+    theta = np.array([float(v.expr) for v in system.truth.theta])
+    values, nu, phi, _ = at_random(system, [1 / g_n, *theta])
+    u = evaluated(system.controller.equations.u, values)
+    assert g_n * u + phi @ theta == pytest.approx(nu, rel=1e-9, abs=1e-9)
+
+
+@given(systems(kinds=("adaptive", "classic")))
+def test_update_laws_cancel_the_estimation_errors(system):
+    """[26]: in V' of [23] the mismatch on the last row goes, and only the leakage remains."""
+    law, plant = system.law, system.plant
+    values, nu, phi, e_n = at_random(system)
+    g_n = float(system.truth.input_gain.expr)
+    theta = np.array([float(v.expr) for v in system.truth.theta])
+    delta_hat, *theta_hat = (values[v] for v in system.controller.states)
+    delta_rate, *theta_rate = (
+        evaluated(rate, values) for _, rate in system.controller.equations.update
+    )
+    u = evaluated(system.controller.equations.u, values)
+    delta_error, theta_error = 1 / g_n - delta_hat, theta - np.array(theta_hat)
+    rate = e_n * (g_n * u + phi @ theta - nu)
+    rate -= abs(g_n) / law.gain_rate * delta_error * delta_rate
+    rate -= (theta_error / np.array(law.Gamma or [1.0] * plant.r)) @ np.array(theta_rate)
+    leakage = 0.0
+    if law.kind == "adaptive":
+        leakage += abs(g_n) * law.leak_gain * delta_error * (delta_hat - law.delta0)
+        leakage += law.leak_theta * theta_error @ (np.array(theta_hat) - np.array(law.theta0))
+    scale = abs(e_n * nu) + abs(e_n * g_n * u) + 1
+    assert rate == pytest.approx(leakage, rel=1e-9, abs=1e-9 * scale)
 
 
 def test_robust_law_must_know_its_parameters():

@@ -135,6 +135,22 @@ def test_formulas_equal_values_on_every_piece(piecewise):
             assert found == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.parametrize(("offset", "start"), [(0.0, 0.0), (0.1, -0.3), (-2.0, 1.7)])
+def test_triangle_is_the_arcsine_of_a_sine(offset, start):
+    """It rises for half a period from its lowest value at `start`, and falls for the other half."""
+    phase = 2 * np.pi * (DENSE[::13] - start) / 4.0
+    expected = offset + 0.2 * 2 / np.pi * np.arcsin(-np.cos(phase))
+    found = triangle(0.2, 4.0, offset, start).values(DENSE[::13], 0)[0]
+    assert np.abs(found - expected).max() < 1e-8  # the arcsine loses half the digits at its ends
+
+
+def test_trapezoid_rises_holds_falls_and_holds():
+    at = [3.0, 3.25, 3.5, 4.0, 4.5, 4.75, 5.0, 5.9]
+    value, slope = trapezoid(0.2, 3.0, 0.5, offset=1.0, start=3.0).values(np.array(at), 1)
+    assert value == pytest.approx([0.8, 1.0, 1.2, 1.2, 1.2, 1.0, 0.8, 0.8])
+    assert slope == pytest.approx([0.8, 0.8, 0.0, 0.0, -0.8, -0.8, 0.0, 0.0])
+
+
 def test_bounds_are_attained_and_never_passed(piecewise):
     bounds = np.array(piecewise.bounds(1).values)
     largest = np.abs(piecewise.values(np.linspace(-2, 20, 220_001), 1)).max(axis=1)

@@ -13,7 +13,7 @@ import sympy
 from certrack.core.expressions import Expression
 
 #: Turns a number or formula into the arithmetic at hand: :func:`rational` or :func:`decimal`.
-Number = Callable[[Any], Any]
+ToNumber = Callable[[Any], Any]
 
 
 def rational(value: Any) -> Any:
@@ -40,8 +40,8 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     a = flint.fmpq_mat([list(row) for row in matrix])
     columns = right if right.ndim == 2 else right[:, None]
     b = flint.fmpq_mat([[flint.fmpq(v) for v in row] for row in columns])
-    found = np.array(a.solve(b).tolist(), dtype=object).reshape(columns.shape)
-    return found if right.ndim == 2 else found[:, 0]
+    solution = np.array(a.solve(b).tolist(), dtype=object).reshape(columns.shape)
+    return solution if right.ndim == 2 else solution[:, 0]
 
 
 def positive_definite(matrix: np.ndarray) -> bool:
@@ -58,8 +58,12 @@ def positive_definite(matrix: np.ndarray) -> bool:
     return True
 
 
-def upper(bound: float, number: Number) -> Any:
-    """A bound as the exact value of its float, which was rounded up."""
+def exact_float(value: float, number: ToNumber) -> Any:
+    """The value of a float itself, not of its decimal text.
+
+    For bounds that were rounded up as floats: their shortest decimal text may be below the float,
+    and so below what was bounded.
+    """
     if number is rational:
-        return flint.fmpq(*float(bound).as_integer_ratio())
-    return bound
+        return flint.fmpq(*float(value).as_integer_ratio())
+    return value

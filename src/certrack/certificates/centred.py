@@ -13,6 +13,7 @@ the set that an earlier stage has proven to be reached, by interval arithmetic r
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -20,36 +21,52 @@ import numpy as np
 import sympy
 from mpmath import iv, mp
 
-from certrack.certificates.arithmetic import rational, solve, upper
+from certrack.certificates.arithmetic import exact_float, rational, solve
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, from_text, root_up
-from certrack.certificates.problem import ErrorProblem, coordinates
+from certrack.certificates.formulation import error_coordinates
+from certrack.certificates.problem import ErrorProblem
 from certrack.core.expressions import symbol
-from certrack.references.supremum import interval
+from certrack.references.supremum import enclosure
 from certrack.systems.system import System
 
 
 def centred_problem(
     system: System, problem: ErrorProblem, reached: Proof, kappa: Any
 ) -> ErrorProblem:
-    """The (exact) problem with V centred by `kappa`, on the set that `reached` proves."""
+    """The problem with V centred by `kappa`, on the set that `reached` proves.
+
+    Parameters
+    ----------
+    system : System
+    problem : ErrorProblem
+        Of `system`, in exact rationals, with the adaptive law.
+    reached : Proof
+        A proven bound on e_n, so that e^T P e <= bound^2 in the long run.
+    kappa : rational
+        Which part of delta and theta the centre is moved by.
+
+    Raises
+    ------
+    NoCertificate
+        If drift and regressor have no interval bound on that set.
+    """
     law = problem.adaptation
     assert law is not None
-    found = coordinates(system, rational, object)
-    n, q = problem.n, found.q
-    AB = problem.Xe @ found.B
-    Y = [upper(v, rational) for v in system.reference.bounds(q + 1).values]
-    last = found.nu_x @ problem.Xe
+    coordinates = error_coordinates(system, rational)
+    n, q = problem.n, coordinates.q
+    AB = problem.Xe @ coordinates.B
+    Y = [exact_float(v, rational) for v in system.reference.bounds(q + 1).values]
     M = problem.M.copy()
-    M[-1] = M[-1] - kappa * last
+    M[-1] = M[-1] - kappa * (coordinates.nu_x @ problem.Xe)
     Uy, Xy = np.zeros((2, n, q + 2), dtype=object) + 0 * kappa
     for i in range(q + 2):
-        seen = found.nu_x @ AB[:, i] if i <= q else 0 * kappa
-        Uy[-1, i] = -kappa * (seen + found.nu_Y[i]) * Y[i]
+        through_x = coordinates.nu_x @ AB[:, i] if i <= q else 0 * kappa
+        Uy[-1, i] = -kappa * (through_x + coordinates.nu_Y[i]) * Y[i]
         if i <= q:
             Xy[:, i] = AB[:, i] * Y[i]
-    Uy[:, -1] = Uy[:, -1] - found.R * Y[-1]
-    kept = [
+    Uy[:, -1] = Uy[:, -1] - coordinates.R * Y[-1]
+    acting = [
         i for i in range(q + 2) if any(Uy[:, i] != 0) or (problem.counts[0] and any(Xy[:, i] != 0))
     ]
     zeta = np.zeros((n, 1), dtype=object) + 0 * kappa
@@ -58,9 +75,9 @@ def centred_problem(
         problem,
         M=M,
         Ub=np.hstack([problem.Ub, zeta]) if zeta[-1, 0] != 0 else problem.Ub,
-        Uy=Uy[:, kept],
-        Xy=Xy[:, kept],
-        derivatives=tuple(kept),
+        Uy=Uy[:, acting],
+        Xy=Xy[:, acting],
+        derivatives=tuple(acting),
         adaptation=replace(law, shift=kappa),
     )
 
@@ -76,6 +93,8 @@ def _remainder(
     spread = problem.Xe @ solve(P, problem.Xe.T)
     box = {}
     for j, state in enumerate(plant.symbols):
+        # |x_j| <= max over the ellipsoid of |(A^-1 e)_j|, plus |(A^-1 B)_j| Y; a smaller box
+        # would leave out states that are reached, and the bound would be wrong
         radius = from_text(root_up(B2 * spread[j, j]))
         radius += sum((abs(AB[j, i]) * Y[i] for i in range(AB.shape[1])), 0 * B2)
         box[state] = _enclose(-radius, radius)
@@ -88,7 +107,7 @@ def _remainder(
 
 
 def _enclose(low: Any, high: Any) -> Any:
-    """mpmath interval around two rationals."""
+    """mpmath interval around two rationals: a division of intervals rounds outward."""
     ends = [iv.mpf(int(v.p)) / iv.mpf(int(v.q)) for v in (low, high)]
     return iv.mpf([ends[0].a, ends[1].b])
 
@@ -96,10 +115,10 @@ def _enclose(low: Any, high: Any) -> Any:
 def _magnitude(formula: sympy.Expr, box: Any) -> Any:
     """Rational not below |formula| on the box."""
     try:
-        found = interval(formula, box)
-        size = max(abs(mp.mpf(found.a)), abs(mp.mpf(found.b)))
+        size = mp.mpf(abs(enclosure(formula, box)).b)
     except (ArithmeticError, ValueError, TypeError):
         raise NoCertificate("no interval bound of the drift or regressor on the set") from None
-    if not mp.isfinite(size):
+    bound = float(size)  # exactly, for the ends of mpmath's intervals have 53 bits
+    if not math.isfinite(bound):
         raise NoCertificate("the drift or regressor is unbounded on the set")
-    return upper(float(size), rational)
+    return exact_float(bound, rational)

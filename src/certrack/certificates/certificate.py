@@ -19,11 +19,11 @@ class Certificate:
     Attributes
     ----------
     kind : str
-        ``published``, ``corrected``, ``rate``, ``semidefinite`` or ``bootstrap``.
+        ``published``, ``corrected``, ``rate``, ``semidefinite`` or ``cascade``.
     bound : float
         Rounded up; ``inf`` if there is no certificate. Unit of the output.
     alpha, delta : float
-        V' <= -alpha V + delta (1/s; NaN where the method does not give them).
+        V' <= -alpha V + delta, to a few roundings (1/s; NaN where the method does not give them).
     verified : bool
         Whether exact arithmetic has confirmed it.
     reason : str

@@ -10,17 +10,25 @@ import flint
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import certify_cascade
 from certrack.certificates.certificate import Certificate, NoCertificate, missing
-from certrack.certificates.exact import Proof, float_up, from_text, prove
-from certrack.certificates.problem import ErrorProblem, assumptions, error_problem
+from certrack.certificates.exact import Proof, prove, proven
+from certrack.certificates.formulation import error_problem
+from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.published import certify_published, critical_strength
-from certrack.certificates.semidefinite import Program, best_solution
+from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.certificates.tube import Tube, tube
 from certrack.systems.system import System
+
+#: Critical strengths beyond this are reported as infinite, below its inverse as zero.
+MAX_STRENGTH = 1e9
+
+#: Whether any certificate exists is asked at this part of the fastest alpha: a smaller alpha asks
+#: less of the loop, and the solver copes with three decades.
+SLOW_RATE = 1e-3
 
 
 @dataclass(frozen=True)
 class Certificates:
-    """What :func:`certify` found.
+    """Result of :func:`certify`.
 
     Attributes
     ----------
@@ -52,14 +60,14 @@ class Certificates:
 
     @property
     def stages(self) -> tuple[Proof, ...]:
-        """Proof of the tightest verified bound: one stage, or the two of the cascade."""
+        """Proof of the tightest verified bound: one stage, or the two or three of the cascade."""
         if self.cascade_proof is not None and self.cascade.bound < self.semidefinite.bound:
             return self.cascade_proof
         return () if self.proof is None else (self.proof,)
 
 
 def certify(system: System) -> Certificates:
-    """Certify `system`: published, corrected, rate form, and the verified semidefinite bound.
+    """Certify `system` by every method: published, corrected, rate, semidefinite and cascade.
 
     Parameters
     ----------
@@ -102,13 +110,13 @@ def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
     """The tight certificate of `system`, verified exactly, and the numbers that prove it."""
     try:
         exact = error_problem(system, rational)
-        found = best_solution(Program(exact.in_floats()))
-        if found is None:
+        solution = best_solution(SemidefiniteProgram(exact.in_floats()))
+        if solution is None:
             raise NoCertificate(
                 "no certificate found: the uncertainty is too strong for this design; lower tau, "
                 "raise c, or use fewer damping terms"
             )
-        proof = prove(exact, found)
+        proof = prove(exact, solution)
         if proof is None:
             raise NoCertificate(
                 "the solver's certificate did not survive exact verification; rescale the states "
@@ -116,11 +124,7 @@ def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
             )
     except NoCertificate as problem:
         return missing("semidefinite", str(problem)), None
-    bound = float_up(from_text(proof.bound))
-    alpha = float(from_text(proof.alpha))
-    rests = tuple(assumptions(system))
-    delta = bound**2 * alpha / 2
-    return Certificate("semidefinite", bound, alpha, delta, True, assumptions=rests), proof
+    return proven("semidefinite", system, proof), proof
 
 
 def critical_semidefinite(
@@ -149,9 +153,9 @@ def critical_semidefinite(
     low, high = (1.0, 4.0) if holds else (0.0, 1.0)
     while _provable(exact, high, slow):
         low, high = high, 4 * high
-        if high > 1e9:
+        if high > MAX_STRENGTH:
             return math.inf
-    while high - low > accuracy * high and high > 1e-9:
+    while high - low > accuracy * high and high > 1 / MAX_STRENGTH:
         middle = (low + high) / 2 if low else high / 4
         if _provable(exact, middle, slow):
             low = middle
@@ -163,8 +167,8 @@ def critical_semidefinite(
 def _provable(exact: ErrorProblem, strength: float, slow: float) -> bool:
     """Whether the problem with scaled tau has an exactly verified certificate."""
     scaled = exact.homogeneous(flint.fmpq(*float(strength).as_integer_ratio()))
-    program = Program(scaled.in_floats())
+    program = SemidefiniteProgram(scaled.in_floats())
     if not program.fastest > 0:
         return False
-    found = program.solve(min(1e-3 * program.fastest, slow))
-    return found is not None and prove(scaled, found) is not None
+    solution = program.solve(min(SLOW_RATE * program.fastest, slow))
+    return solution is not None and prove(scaled, solution) is not None

@@ -18,7 +18,8 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, check, from_text
-from certrack.certificates.problem import assumptions, error_problem
+from certrack.certificates.formulation import error_problem
+from certrack.certificates.premises import assumptions
 from certrack.core.errors import InputError
 from certrack.core.version import version
 from certrack.systems.reader import loads
@@ -26,13 +27,16 @@ from certrack.systems.system import System
 from certrack.systems.writer import to_text, write_text
 
 FORMAT = "certrack-certificate/1"
-MAX_BYTES = 20_000_000
+
+#: A certificate of order 100 has less than 1 MB; reading stops here, whatever a stranger sends.
+MAX_CERTIFICATE_BYTES = 20_000_000
+
 KEYS = ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256")
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What checking a certificate file found.
+    """Result of checking a certificate file.
 
     Attributes
     ----------
@@ -57,7 +61,7 @@ def to_document(system: System, *stages: Proof) -> dict[str, Any]:
     ----------
     system : System
     *stages : Proof
-        One for a semidefinite bound, two for a cascade.
+        One for a semidefinite bound, two or three for a cascade.
     """
     proof = stages[-1]
     body: dict[str, Any] = {
@@ -72,7 +76,7 @@ def to_document(system: System, *stages: Proof) -> dict[str, Any]:
 
 
 def save_certificate(system: System, stages: Sequence[Proof], path: str | os.PathLike[str]) -> None:
-    """Write the certificate whole or not at all."""
+    """Write the certificate to `path`; a failure leaves what was there."""
     write_text(Path(path), json.dumps(to_document(system, *stages), indent=1) + "\n")
 
 
@@ -86,33 +90,31 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     """
     name = "certificate" if isinstance(source, dict) else str(source)
     try:
-        body = source if isinstance(source, dict) else _read(Path(source))
+        body = source if isinstance(source, dict) else _read_document(Path(source))
         stages = _stages(body)
         proof = stages[-1]
         if body["sha256"] != _digest(body):
             return Verdict(False, proof.bound, "the file was changed after it was made", ())
         system = loads(body["system"], "system")
-        problem = error_problem(system, rational)
+        exact = error_problem(system, rational)
         if body["assumptions"] != assumptions(system):
             return Verdict(False, proof.bound, "the assumptions are not those of the system", ())
         if body["claim"] != f"limsup |e_1(t)| <= {proof.bound}":
             return Verdict(False, proof.bound, "the claim is not that of the proof", ())
-        reason = (
-            check(problem, proof) if len(stages) == 1 else check_cascade(system, problem, stages)
-        )
-    except NoCertificate as found:
-        return Verdict(False, "", str(found), ())
-    except InputError as found:
-        raise found.within(name) from None
+        reason = check(exact, proof) if len(stages) == 1 else check_cascade(system, exact, stages)
+    except NoCertificate as refusal:
+        return Verdict(False, "", str(refusal), ())
+    except InputError as problem:
+        raise problem.within(name) from None
     return Verdict(not reason, proof.bound, reason, tuple(body["assumptions"]))
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read_document(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
-        if len(data) > MAX_BYTES:
-            raise InputError("", f"is larger than {MAX_BYTES // 1_000_000} MB")
+            data = stream.read(MAX_CERTIFICATE_BYTES + 1)
+        if len(data) > MAX_CERTIFICATE_BYTES:
+            raise InputError("", f"is larger than {MAX_CERTIFICATE_BYTES // 1_000_000} MB")
         body = json.loads(data.decode("utf-8"))
     except OSError as problem:
         raise InputError("", f"cannot be read ({problem.strerror})") from None
@@ -141,15 +143,17 @@ def _proof(entries: Any) -> Proof:
     if not isinstance(entries, dict) or set(entries) != set(names):
         raise InputError("proof", "must have " + ", ".join(names))
     try:
-        vectors = {name: _texts(entries[name]) for name in ("lam", "nu", "k")}
-        rows = tuple(_texts(row) for row in entries["P"])
-        alpha, bound, shift = _texts([entries[name] for name in ("alpha", "bound", "shift")])
+        vectors = {name: _decimal_texts(entries[name]) for name in ("lam", "nu", "k")}
+        rows = tuple(_decimal_texts(row) for row in entries["P"])
+        alpha, bound, shift = _decimal_texts(
+            [entries[name] for name in ("alpha", "bound", "shift")]
+        )
         return Proof(alpha, rows, vectors["lam"], vectors["nu"], vectors["k"], bound, shift)
     except (TypeError, ValueError) as problem:
         raise InputError("proof", f"must hold decimal texts ({problem})") from None
 
 
-def _texts(values: Any) -> tuple[str, ...]:
+def _decimal_texts(values: Any) -> tuple[str, ...]:
     if not isinstance(values, (list, tuple)):
         raise TypeError("a list is missing")
     for value in values:

@@ -2,13 +2,13 @@
 
 The solver's floats are rounded to decimals, the problem is rebuilt from the decimal text of the
 system, and definiteness is decided by an exact LDL^T factorisation. If it fails, the certificate
-gives way a little (larger multipliers, smaller alpha) and is tried again.
+gives way a little (larger multipliers, smaller alpha) and is checked again.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -16,11 +16,28 @@ import flint
 import numpy as np
 
 from certrack.certificates.arithmetic import positive_definite
+from certrack.certificates.certificate import Certificate
+from certrack.certificates.premises import assumptions
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.semidefinite import Solution
+from certrack.systems.system import System
 
-DIGITS = 13
+#: Decimals kept of the solver's floats. Fewer than 9 loosen the bounds of the shipped systems; more
+#: than 13 only make the rationals longer, for the solver is accurate to about 1e-9.
+PROOF_DIGITS = 13
+
+#: How far a solution gives way, relatively, until the exact check confirms it. The first loosens a
+#: bound by less than 1e-6; where the last fails, the solution is not worth having.
 BACK_OFF = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
+
+#: Added to every lam, so that a multiplier the solver put at zero still leaves room in the matrix.
+MULTIPLIER_FLOOR = 1e-12
+
+#: Digits of a printed bound: it exceeds the exact one by a relative 1e-11 at most.
+BOUND_DIGITS = 12
+
+#: Limits of a decimal text in a certificate file; beyond them its rational would fill the memory.
+MAX_TEXT_LENGTH, MAX_EXPONENT = 60, 400
 
 
 @dataclass(frozen=True)
@@ -48,38 +65,45 @@ class Proof:
     shift: str = "0"
 
 
-def prove(problem: ErrorProblem, found: Solution, target: int = 0) -> Proof | None:
-    """Round `found` so that exact arithmetic confirms it; None if that does not succeed.
+def prove(problem: ErrorProblem, solution: Solution, target: int = 0) -> Proof | None:
+    """Round `solution` so that exact arithmetic confirms it; None if that does not succeed.
 
     Parameters
     ----------
     problem : ErrorProblem
         In exact rationals.
-    found : Solution
+    solution : Solution
         What the solver returned.
     target : int
         Which e_i is bounded (from 0).
     """
     for slack in BACK_OFF:
         scale = 1 + slack
-        P = scale * (found.P + found.P.T) / 2
-        texts = tuple(tuple(_text(v) for v in row) for row in P)
-        lam = tuple(_text(v * scale + 1e-12) for v in found.lam)
+        P = scale * (solution.P + solution.P.T) / 2
+        texts = tuple(tuple(_decimal_text(v) for v in row) for row in P)
+        lam = tuple(_decimal_text(v * scale + MULTIPLIER_FLOOR) for v in solution.lam)
         nu, k = (
-            tuple(_text(v * scale**2 + slack * found.delta) for v in values)
-            for values in (found.nu, found.k)
+            tuple(_decimal_text(v * scale**2 + slack * solution.delta) for v in values)
+            for values in (solution.nu, solution.k)
         )
-        alpha = _text(found.alpha * (1 - slack))
+        alpha = _decimal_text(solution.alpha * (1 - slack))
         proof = Proof(alpha, texts, lam, nu, k, "0")
         square = squared_bound(problem, proof, target)
         if square is not None:
-            return Proof(alpha, texts, lam, nu, k, root_up(square))
+            return replace(proof, bound=root_up(square))
     return None
+
+
+def proven(kind: str, system: System, proof: Proof) -> Certificate:
+    """The certificate that `proof` allows to print: its bound as a float, rounded up."""
+    alpha, bound = float(from_text(proof.alpha)), float_up(from_text(proof.bound))
+    premises = tuple(assumptions(system))
+    return Certificate(kind, bound, alpha, bound**2 * alpha / 2, True, assumptions=premises)
 
 
 def check(problem: ErrorProblem, proof: Proof, target: int = 0) -> str:
     """Empty if the proof holds for the (exact) problem, else the first condition that fails."""
-    P, lam, nu, k, alpha, bound = _numbers(proof)
+    P, lam, nu, k, alpha, bound = _exact_numbers(proof)
     n, counts = problem.n, problem.counts
     if P.shape != (n, n) or (len(lam), len(nu), len(k)) != counts:
         return "P or the multipliers do not have the shape of the system"
@@ -108,7 +132,7 @@ def check(problem: ErrorProblem, proof: Proof, target: int = 0) -> str:
 
 def squared_bound(problem: ErrorProblem, proof: Proof, target: int = 0) -> Any:
     """2 Delta/alpha as an exact rational, or None if a condition fails."""
-    P, lam, nu, k, alpha, _ = _numbers(proof)
+    P, lam, nu, k, alpha, _ = _exact_numbers(proof)
     leak = problem.leakage(alpha)
     floor = P.copy()
     floor[target, target] -= 1
@@ -124,7 +148,7 @@ def _delta(problem: ErrorProblem, P: np.ndarray, nu: np.ndarray, k: np.ndarray, 
     return total + P[-1, -1] * leak if problem.adaptation is not None else total
 
 
-def _numbers(proof: Proof) -> tuple[Any, ...]:
+def _exact_numbers(proof: Proof) -> tuple[Any, ...]:
     P = np.array([[from_text(v) for v in row] for row in proof.P], dtype=object)
     vectors = [
         np.array([from_text(v) for v in values], dtype=object)
@@ -135,32 +159,43 @@ def _numbers(proof: Proof) -> tuple[Any, ...]:
 
 def from_text(text: str) -> Any:
     """Exact rational of a decimal text of sane length."""
-    if not isinstance(text, str) or len(text) > 60 or not set(text) <= set("0123456789.eE+-"):
+    if (
+        not isinstance(text, str)
+        or len(text) > MAX_TEXT_LENGTH
+        or not set(text) <= set("0123456789.eE+-")
+    ):
         raise ValueError(f"not a decimal number: {text!r:.40}")
     exponent = text.lower().partition("e")[2]
-    if exponent and abs(int(exponent)) > 400:
+    if exponent and abs(int(exponent)) > MAX_EXPONENT:
         raise ValueError(f"not a decimal number: {text!r:.40}")
     exact = Fraction(text)
     return flint.fmpq(exact.numerator, exact.denominator)
 
 
-def _text(value: float) -> str:
-    return f"{value:.{DIGITS}g}"
+def _decimal_text(value: float) -> str:
+    return f"{value:.{PROOF_DIGITS}g}"
 
 
 def root_up(square: Any) -> str:
-    """Decimal of 12 digits that is not below the square root of a rational."""
+    """Decimal of 12 digits that is not below the square root of a rational.
+
+    An integer root rounds down, so one unit of the last digit is added; without it the printed
+    bound would be below the proven one.
+    """
     exact = Fraction(int(square.p), int(square.q))
     if exact == 0:
         return "0"
-    places = 12 - math.floor(math.log10(math.sqrt(float(exact)) or 1e-300))
+    places = BOUND_DIGITS - math.floor(math.log10(math.sqrt(float(exact)) or 1e-300))
     scaled = exact * 10 ** (2 * places)
     root = math.isqrt(scaled.numerator // scaled.denominator) + 1
     return f"{root}e-{places}"
 
 
 def float_up(value: Any) -> float:
-    """Smallest float not below a rational."""
+    """Smallest float not below a rational.
+
+    Conversion rounds to the nearest float, which may be below: then the next one is taken.
+    """
     near = float(value)
     while flint.fmpq(*near.as_integer_ratio()) < value:
         near = math.nextafter(near, math.inf)

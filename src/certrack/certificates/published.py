@@ -22,13 +22,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import decimal
 from certrack.certificates.certificate import Certificate, NoCertificate, missing
-from certrack.certificates.problem import Adaptation, assumptions, error_problem
+from certrack.certificates.formulation import error_problem
+from certrack.certificates.premises import assumptions
 from certrack.references.base import total_bound
 from certrack.systems.system import System
 
-ROUNDING = 1 + 1e-9
+#: Factor on these bounds, computed in some hundred float operations that may each round down.
+PUBLISHED_ROUNDING = 1 + 1e-9
+
+#: Where eps is looked for, as parts of the largest that leaves mu1 positive: six decades, in this
+#: many points, for the bound need not be unimodal; a bounded minimisation refines the best.
+EPS_RANGE, EPS_POINTS = (1e-6, 0.999999), 400
 
 
 @dataclass(frozen=True)
@@ -92,14 +99,14 @@ def certify_published(system: System) -> dict[str, Certificate]:
         terms = collect(system)
     except NoCertificate as problem:
         return {kind: missing(kind, str(problem)) for kind in ("published", "corrected", "rate")}
-    rests = (*assumptions(system), "D of Assumption 2 for the reference")
+    premises = (*assumptions(system), "D of Assumption 2 for the reference")
 
     def best(kind: str, square: Callable[[float], float]) -> Certificate:
         eps = _minimise(square, terms)
-        bound = math.sqrt(square(eps)) * ROUNDING
+        bound = math.sqrt(square(eps)) * PUBLISHED_ROUNDING
         rate = terms.alpha(eps) if kind == "rate" else math.nan
         delta = terms.dbar(eps) if kind == "rate" else math.nan
-        return Certificate(kind, bound, rate, delta, assumptions=rests)
+        return Certificate(kind, bound, rate, delta, assumptions=premises)
 
     return {
         "published": best("published", lambda eps: terms.dbar(eps) / terms.rho1(eps)),
@@ -125,8 +132,8 @@ def collect(system: System, *, critical: bool = False) -> Terms:
     With `critical`, mu1 may be negative.
     """
     problem = error_problem(system, decimal)
-    plant, found = system.plant, system.controller.coordinates
-    gains, u, n, q = system.law.gains(), plant.uncertainty, plant.n, found.q
+    plant, coordinates = system.plant, system.controller.coordinates
+    gains, u, n, q = system.law.gains(), plant.uncertainty, plant.n, coordinates.q
     assert gains.k is not None and gains.p is not None
     G = H = residual = 0.0
     for step in range(n):
@@ -144,13 +151,13 @@ def collect(system: System, *, critical: bool = False) -> Terms:
                 elif strength:
                     H += k * strength
     for step in range(n - 1):
-        if found.R[step] and math.isinf(gains.p[step]):
+        if coordinates.R[step] and math.isinf(gains.p[step]):
             raise NoCertificate(
                 f"the published proof needs a finite p[{step}], because y_d^({q + 1}) enters step "
                 f"{step + 1}; the semidefinite one does not"
             )
-        residual += gains.p[step] if found.R[step] else 0.0
-    reference, last = _reference(system, problem.Xe @ found.B)
+        residual += gains.p[step] if coordinates.R[step] else 0.0
+    reference, last = _reference_terms(system, problem.Xe @ coordinates.B)
     adapt = problem.adaptation
     leak, strengths = 0.0, (1.0,)
     if adapt is not None:
@@ -160,7 +167,7 @@ def collect(system: System, *, critical: bool = False) -> Terms:
             adapt.leak_theta / 2 * max((float(v @ v) for v in adapt.theta_offsets()), default=0.0)
         )
     terms = Terms(
-        c_min=float(found.c.min()),
+        c_min=float(coordinates.c.min()),
         A_norm2=float((problem.Xe**2).sum()),
         G=G,
         reference2=reference,
@@ -178,7 +185,7 @@ def collect(system: System, *, critical: bool = False) -> Terms:
     return terms
 
 
-def _reference(system: System, AB: np.ndarray) -> tuple[float, float]:
+def _reference_terms(system: System, AB: np.ndarray) -> tuple[float, float]:
     """||A^{-1} B Y||^2 and the bound on the last derivative, by D for the published law (q = 0)."""
     q = AB.shape[1] - 1
     if q == 0:
@@ -198,7 +205,8 @@ def _minimise(square: Callable[[float], float], terms: Terms) -> float:
         eps = math.exp(log_eps)
         return square(eps) if terms.mu1(eps) > 0 else math.inf
 
-    grid = np.log(np.geomspace(1e-6 * top, 0.999999 * top, 400))
+    low, high = EPS_RANGE
+    grid = np.log(np.geomspace(low * top, high * top, EPS_POINTS))
     i = int(np.argmin([at(v) for v in grid]))
     low, high = grid[max(0, i - 1)], grid[min(len(grid) - 1, i + 1)]
     refined = minimize_scalar(at, bounds=(low, high), method="bounded", options={"xatol": 1e-10})

@@ -28,10 +28,23 @@ from scipy.optimize import minimize_scalar
 
 from certrack.certificates.problem import ErrorProblem
 
-GRID = 14
+#: The alpha that are tried first, as parts of the fastest: 14 over three decades, a factor of 1.7
+#: apart, and one near the end. The bound is flat in alpha but not unimodal at the edges; half as
+#: many give the shipped systems the same bounds to seven digits.
+ALPHA_GRID = np.append(np.geomspace(1e-3, 0.9, 14), 0.98)
+
+#: log alpha is refined to this width: the bound is flat there, to about its square.
+ALPHA_ACCURACY = 2e-3
 
 #: What a search sees where there is no certificate: it cannot calculate with infinity.
-FAILED = 1e30
+NO_BOUND = 1e30
+
+#: Clarabel needs 10 to 30 iterations; one that needs more does not converge.
+MAX_ITERATIONS = 100
+
+#: Part of the inputs' size that is added in every direction when the coordinates are scaled, so
+#: that one which no input reaches gets a size, too; and the least square of a size.
+SCALING_FLOOR, LEAST_SQUARE = 1e-6, 1e-300
 
 
 @dataclass(frozen=True)
@@ -51,7 +64,7 @@ class Solution:
         return math.sqrt(max(0.0, 2 * self.delta / self.alpha))
 
 
-class Program:
+class SemidefiniteProgram:
     """The semidefinite program of one :class:`ErrorProblem`, built once and solved for many alpha.
 
     Parameters
@@ -77,7 +90,7 @@ class Program:
         unit = np.zeros((n, n))
         unit[target, target] = 1.0
         floor = np.zeros((n * (n + 1) // 2, len(identity)))
-        for column, matrix in enumerate(self._matrices()):
+        for column, matrix in enumerate(self._units()):
             floor[:, column] = -_svec(matrix)
         multipliers = -identity[len(self._entries) :]
         self._base = np.vstack([base, floor, multipliers])
@@ -96,13 +109,14 @@ class Program:
             return entries
         return [(i, j) for i, j in entries if j < n - 1 or i == j]
 
-    def _matrices(self) -> list[np.ndarray]:
-        n, found = self.problem.n, []
+    def _units(self) -> list[np.ndarray]:
+        """A symmetric matrix with ones in its place for each free entry of P."""
+        n, units = self.problem.n, []
         for i, j in self._entries:
             matrix = np.zeros((n, n))
             matrix[i, j] = matrix[j, i] = 1.0
-            found.append(matrix)
-        return found
+            units.append(matrix)
+        return units
 
     def _columns(self) -> tuple[np.ndarray, np.ndarray]:
         """svec of the inequality for each variable: the part without alpha and its slope."""
@@ -110,7 +124,7 @@ class Program:
         zero = np.zeros((self.problem.n, self.problem.n))
         lam, nu, k = (np.zeros(count) for count in (na, nb, ny))
         base, slope = [], []
-        for matrix in self._matrices():
+        for matrix in self._units():
             first = self._scaled.inequality(matrix, lam, nu, k, 0.0)
             second = self._scaled.inequality(matrix, lam, nu, k, 1.0)
             base.append(_svec(first))
@@ -126,7 +140,7 @@ class Program:
 
     @cached_property
     def fastest(self) -> float:
-        """Supremum of the alpha worth trying."""
+        """Supremum of the alpha for which there may be a certificate, 1/s."""
         rates = [-2.0 * float(np.linalg.eigvals(self.problem.M).real.max())]
         law = self.problem.adaptation
         if law is not None:
@@ -136,7 +150,7 @@ class Program:
         return min(rates)
 
     def solve(self, alpha: float) -> Solution | None:
-        """Best certificate with this decay rate, or None."""
+        """The solution of least bound with this decay rate (1/s); None if there is none."""
         leak = self.problem.leakage(alpha)
         if leak is None:
             return None
@@ -144,15 +158,14 @@ class Program:
         cost[len(self._entries) + self._na :] = 1.0  # nu and k; the lam cost nothing
         if self.problem.adaptation is not None:
             cost[len(self._entries) - 1] = leak / self._scale[-1] ** 2
-        found = self._call(cost, self._base + alpha * self._slope)
-        if found is None:
-            return None
-        return self._unscaled(found, alpha, leak)
+        variables = self._call(cost, self._base + alpha * self._slope)
+        return None if variables is None else self._unscaled(variables, alpha, leak)
 
     def _call(self, cost: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
+        """Clarabel's minimiser of cost . x with right - matrix x in the cones, or None."""
         settings = clarabel.DefaultSettings()
         settings.verbose = False
-        settings.max_iter = 100
+        settings.max_iter = MAX_ITERATIONS
         solver = clarabel.DefaultSolver(
             sparse.csc_matrix((len(cost), len(cost))),
             cost,
@@ -161,9 +174,9 @@ class Program:
             self._cones,
             settings,
         )
-        found = solver.solve()
+        result = solver.solve()
         usable = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
-        return np.array(found.x) if found.status in usable else None
+        return np.array(result.x) if result.status in usable else None
 
     def _unscaled(self, x: np.ndarray, alpha: float, leak: Any) -> Solution:
         n, count = self.problem.n, len(self._entries)
@@ -179,26 +192,29 @@ class Program:
         return Solution(alpha, P, lam, nu, k, delta)
 
 
-def best_solution(program: Program) -> Solution | None:
-    """Search alpha: a geometric grid (the bound is not unimodal at its edges), then refine."""
+def best_solution(program: SemidefiniteProgram) -> Solution | None:
+    """The solution of least bound over alpha, None if there is none: a grid, then a refinement."""
     if not program.fastest > 0:
         return None
-    tried: dict[float, Solution | None] = {}
+    solutions: dict[float, Solution] = {}
 
     def bound(log_alpha: float) -> float:
         alpha = math.exp(log_alpha)
-        tried[alpha] = program.solve(alpha)
-        found = tried[alpha]
-        return found.bound if found is not None else FAILED
+        solution = program.solve(alpha)
+        if solution is None:
+            return NO_BOUND
+        solutions[alpha] = solution
+        return solution.bound
 
-    grid = np.log(program.fastest * np.append(np.geomspace(1e-3, 0.9, GRID), 0.98))
+    grid = np.log(program.fastest * ALPHA_GRID)
     values = [bound(v) for v in grid]
     i = int(np.argmin(values))
-    if values[i] == FAILED:
+    if values[i] == NO_BOUND:
         return None
     low, high = grid[max(0, i - 1)], grid[min(len(grid) - 1, i + 1)]
-    minimize_scalar(bound, bounds=(low, high), method="bounded", options={"xatol": 2e-3})
-    return min((s for s in tried.values() if s is not None), key=lambda s: s.bound)
+    accuracy = {"xatol": ALPHA_ACCURACY}
+    minimize_scalar(bound, bounds=(low, high), method="bounded", options=accuracy)
+    return min(solutions.values(), key=lambda solution: solution.bound)
 
 
 def _natural_scale(problem: ErrorProblem) -> np.ndarray:
@@ -206,11 +222,11 @@ def _natural_scale(problem: ErrorProblem) -> np.ndarray:
     inputs = np.hstack([problem.Ua, problem.Ub, problem.Uy])
     drive = inputs @ inputs.T
     weight = float(np.trace(drive)) or 1.0
-    drive = drive + 1e-6 * weight * np.eye(problem.n)
+    drive = drive + SCALING_FLOOR * weight * np.eye(problem.n)
     if np.linalg.eigvals(problem.M).real.max() >= 0:
         return np.ones(problem.n)
     gramian = solve_continuous_lyapunov(problem.M, -drive)
-    size: np.ndarray = np.sqrt(np.maximum(np.diag(gramian), 1e-300))
+    size: np.ndarray = np.sqrt(np.maximum(np.diag(gramian), LEAST_SQUARE))
     return size
 
 

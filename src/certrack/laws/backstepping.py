@@ -2,7 +2,7 @@
 
 The stabilising functions are linear with constant coefficients,
 
-    lambda_m = sum_{j<=m} eta_mj x_j + sum_{i<=q} d_mi y_d^(i)                              [9]
+    lambda_m = sum_{j<=m} eta_mj x_j + sum_{i<=q} d_mi y_d^(i)                             [20]
 
 so the whole design is a few vector operations per step; nothing is differentiated. With
 Y = (y_d, y_d', ..., y_d^(q)), the error coordinates are e = A x - B Y [30, 31]. q = 0 is the
@@ -21,6 +21,10 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import DesignError, InputError
+
+#: A design with a larger coefficient is refused: the certificates square the coefficients, and the
+#: square must be a float.
+LARGEST_COEFFICIENT = 1e150
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ class Gains:
 
     @property
     def n(self) -> int:
-        """Order of the plant they are made for."""
+        """Order of the plant that the gains are for."""
         return len(self.c)
 
 
@@ -90,7 +94,8 @@ class ErrorCoordinates:
     g : (n-1,) array
         Virtual control coefficients.
     nu_x, nu_Y : (n,) and (q+2,) arrays
-        nu = nu_x . x + nu_Y . (y_d ... y_d^(q+1)) - h(x), the part all laws share [20].
+        nu = nu_x . x + nu_Y . (y_d ... y_d^(q+1)) - h(x), the part all laws share: ubar of [25]
+        without theta_hat.
     """
 
     A: np.ndarray
@@ -131,7 +136,10 @@ class ErrorCoordinates:
 
     @cached_property
     def error_matrix(self) -> np.ndarray:
-        """S - C - K of the error system e' = (S - C - K) e + ... [21]."""
+        """S - C - K of the error system e' = (S - C - K) e + ...
+
+        It is [7], [11], [16] and [21] with the virtual controls and the law in them.
+        """
         skew = np.diag(self.g, 1) - np.diag(self.g, -1)
         return skew - np.diag(self.c + self.kappa)
 
@@ -182,22 +190,26 @@ def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCo
     assert gains.k is not None and gains.p is not None
     weights = [(0.25 / np.array(row)).reshape(-1, 2).sum(axis=1) for row in gains.k]
     with np.errstate(over="ignore", invalid="ignore"):
-        found = carry_out(
+        design = carry_out(
             np.asarray(g, float), b, np.array(gains.c), weights, 0.25 / np.array(gains.p), q
         )
-    results = (found.kappa, found.nu_x, found.nu_Y, found.A, found.B)
-    if not all(np.isfinite(values).all() and np.abs(values).max() < 1e150 for values in results):
+    if not all(map(_is_moderate, (design.kappa, design.nu_x, design.nu_Y, design.A, design.B))):
         if gains.is_lean:
             raise DesignError(
                 "law.c", "the design overflows", remedy="Lower c, or scale the states (chain)"
             )
-        step = int(np.argmin(np.isfinite(found.kappa))) + 1
+        step = int(np.argmin(np.isfinite(design.kappa))) + 1
         raise DesignError(
             "law.k",
             f"the damping overflows at step {step} of {n}: each step squares it",
             remedy="Raise k and p, or leave them out (a lean design)",
         )
-    return found
+    return design
+
+
+def _is_moderate(coefficients: np.ndarray) -> bool:
+    finite = np.isfinite(coefficients).all()
+    return bool(finite and np.abs(coefficients).max() < LARGEST_COEFFICIENT)
 
 
 def carry_out(
@@ -236,11 +248,11 @@ def carry_out(
         if m:
             x_part -= g[m - 1] * A[m - 1]
             y_part += g[m - 1] * B[m - 1]
-        if m == n - 1:  # nu [20]: every derivative is fed forward
+        if m == n - 1:  # nu, of [25]: every derivative is fed forward
             nu_Y = np.append(y_part, 0) + np.append(0, B[m])
             break
         y_part[1:] += B[m, :q]  # the derivatives that lambda_m may use
-        lambda_x = (x_part - b[m]) / g[m]  # [9], [13]
+        lambda_x = (x_part - b[m]) / g[m]  # [9], [13], [18]
         A[m + 1, : m + 1] = -lambda_x[: m + 1]
         B[m + 1] = y_part / g[m]
     return ErrorCoordinates(A, B, F, c, kappa, g, x_part, nu_Y)

@@ -56,7 +56,7 @@ class Signals:
     e_n : expression
         Last error coordinate.
     nu : expression
-        The part of the control that all laws share [20].
+        The part of the control that all laws share: ubar of [25] without theta_hat.
     phi : tuple of expressions
         Regressor phi(x).
     sign_g : symbol
@@ -92,9 +92,9 @@ class Signals:
     def parameters(self, name: str, *shape: int) -> tuple[sympy.Symbol, ...]:
         """An array of gains as symbols, in row-major order."""
         count = int(np.prod(shape))
-        found = tuple(symbol(f"law_{name}_{i}") for i in range(count))
-        self._parameters[name] = found
-        return found
+        symbols = tuple(symbol(f"law_{name}_{i}") for i in range(count))
+        self._parameters[name] = symbols
+        return symbols
 
     @property
     def all_parameters(self) -> Mapping[str, tuple[sympy.Symbol, ...]]:
@@ -112,7 +112,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class Controller:
-    """A law made for one plant: formulas and the numbers in them.
+    """A law designed for one plant: formulas and the numbers in them.
 
     Attributes
     ----------
@@ -193,16 +193,16 @@ class Law(ABC):
 
     def values(self, plant: Plant, names: Sequence[str]) -> np.ndarray:
         """Numbers for the named gains, flattened; all a sweep over gains has to recompute."""
-        found = self.coordinates(plant)
-        known: dict[str, Any] = {
-            "A_n": found.A[-1],
-            "B_n": found.B[-1],
-            "nu_x": found.nu_x,
-            "nu_Y": found.nu_Y,
+        coordinates = self.coordinates(plant)
+        numbers: dict[str, Any] = {
+            "A_n": coordinates.A[-1],
+            "B_n": coordinates.B[-1],
+            "nu_x": coordinates.nu_x,
+            "nu_Y": coordinates.nu_Y,
             "sign_g": plant.gain_sign,
             **self.parameters(plant),
         }
-        return np.concatenate([np.ravel(np.asarray(known[name], float)) for name in names])
+        return np.concatenate([np.ravel(np.asarray(numbers[name], float)) for name in names])
 
     def design(self, plant: Plant) -> Controller:
         """Make the controller for `plant`.
@@ -236,27 +236,27 @@ def _checked(name: str, given: Any, limits: dict[str, Any]) -> Any:
     return checks.reals(key, rows, None, "one number per regressor", above=0)
 
 
-def metric(key: str, given: Any, r: int) -> np.ndarray:
+def metric(key: str, value: Any, r: int) -> np.ndarray:
     """A symmetric positive definite r x r matrix from a diagonal, a matrix, or None (identity)."""
-    if given is None:
+    if value is None:
         return np.eye(r)
-    rows = np.array(given, dtype=float)
+    rows = np.array(value, dtype=float)
     if rows.shape == (r,):
         rows = np.diag(rows)
     if rows.shape != (r, r):
-        raise InputError(key, f"must be {r} numbers or a {r} x {r} matrix", _listed(given))
+        raise InputError(key, f"must be {r} numbers or a {r} x {r} matrix", _listed(value))
     if not np.array_equal(rows, rows.T):
-        raise InputError(key, "must be symmetric", _listed(given))
+        raise InputError(key, "must be symmetric", _listed(value))
     if r and np.linalg.eigvalsh(rows).min() <= 0:
-        raise InputError(key, "must be positive definite", _listed(given))
+        raise InputError(key, "must be positive definite", _listed(value))
     return rows
 
 
-def vector(key: str, given: Any, r: int) -> np.ndarray:
+def vector(key: str, value: Any, r: int) -> np.ndarray:
     """r numbers, zero if None."""
-    if given is None:
+    if value is None:
         return np.zeros(r)
-    return np.array(checks.reals(key, given, r, "one number per regressor"))
+    return np.array(checks.reals(key, value, r, "one number per regressor"))
 
 
 def dot(a: Sequence[sympy.Expr], b: Sequence[sympy.Expr]) -> sympy.Expr:

@@ -26,11 +26,15 @@ class Robust(Law):
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
         if plant.input_gain is None:
-            raise DesignError("plant.input_gain", "the robust law must know g_n", remedy=_REMEDY)
+            raise DesignError(
+                "plant.input_gain", "the robust law must know g_n", remedy=_REMEDY_FOR_UNKNOWN
+            )
         if plant.theta is None and plant.r:
-            raise DesignError("plant.theta", "the robust law must know theta", remedy=_REMEDY)
+            raise DesignError(
+                "plant.theta", "the robust law must know theta", remedy=_REMEDY_FOR_UNKNOWN
+            )
         theta = [float(value.expr) for value in plant.theta or ()]
         return {"g_n": float(plant.input_gain.expr), "theta": theta}
 
 
-_REMEDY = 'State it, or use kind = "adaptive"'
+_REMEDY_FOR_UNKNOWN = 'State it, or use kind = "adaptive"'

@@ -53,7 +53,15 @@ class Claim:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Everything :func:`reproduce` found."""
+    """Result of :func:`reproduce`.
+
+    Attributes
+    ----------
+    claims : tuple of Claim
+    figures : figures by file name, without its extension
+    runs : runs by the name of the shipped system
+    bounds : by the name of the system, then by kind: certified, falsified and simulated sup |e_1|
+    """
 
     claims: tuple[Claim, ...]
     figures: dict[str, Figure]
@@ -99,29 +107,29 @@ def reproduce(progress: Callable[[str], None] = lambda _: None, budget: int = 30
     }
     certified = {"example1": improved, "dual-motor": weak, "dual-motor-strong": strong}
     certified["dual-motor-lean"] = simulate(load("dual-motor-lean"))
-    made = figures(runs) | {"certificates": _certificate_figure(certified, tubes)}
-    return Reproduction(claims, made, runs, bounds)
+    panels = figures(runs) | {"certificates": _certificate_figure(certified, tubes)}
+    return Reproduction(claims, panels, runs, bounds)
 
 
 def _bounds(system: System, budget: int) -> tuple[dict[str, float], Tube | None]:
     """Certified, simulated and falsified errors of one system."""
-    found = certify(system)
+    certificates = certify(system)
     return {
-        "published": found.published.bound,
-        "corrected": found.corrected.bound,
-        "semidefinite": found.semidefinite.bound,
-        "tightest": found.best.bound,
+        "published": certificates.published.bound,
+        "corrected": certificates.corrected.bound,
+        "semidefinite": certificates.semidefinite.bound,
+        "tightest": certificates.best.bound,
         "falsified": falsify(system, budget=budget).worst_error,
         "simulated": simulate(system).metrics.tail_error,
-    }, found.tube
+    }, certificates.tube
 
 
 def _certificate_figure(runs: dict[str, Run], tubes: dict[str, Tube | None]) -> Figure:
     """Certified tube over the response of every example, magnitudes on a logarithmic scale."""
     with style():
-        made = Figure(figsize=(7.0, 5.0), layout="constrained")
+        panels = Figure(figsize=(7.0, 5.0), layout="constrained")
         for ax, (name, run) in zip(
-            made.subplots(2, 2, sharex=True).flat, runs.items(), strict=True
+            panels.subplots(2, 2, sharex=True).flat, runs.items(), strict=True
         ):
             ax.semilogy(run.t, np.maximum(np.abs(run.e[0]), 1e-7), label="$|e_1|$")
             tube = tubes[name]
@@ -132,13 +140,13 @@ def _certificate_figure(runs: dict[str, Run], tubes: dict[str, Tube | None]) -> 
             ax.set_xlabel("time [s]")
             ax.set_ylabel("tracking error")
             ax.legend(loc="upper right")
-    return made
+    return panels
 
 
 def figures(runs: dict[str, Run]) -> dict[str, Figure]:
     """Figures 2 (a-d), 3 (a-c) and 4 (a-c)."""
     laws = {"improved": runs["example1"], "classic": runs["example1-classic"]}
-    made = {
+    panels = {
         "figure-2a": figure(plot_output, laws, "2(a) Example 1: output"),
         "figure-2b": figure(plot_error, laws, "2(b) Example 1: tracking error"),
         "figure-2c": figure(plot_estimates, laws, "2(c) Example 1: estimates"),
@@ -152,12 +160,12 @@ def figures(runs: dict[str, Run]) -> dict[str, Figure]:
             ("c", "input", plot_input),
         ):
             title = f"{number}({letter}) Example 2, $\\tau$ = {tau}: {what}"
-            made[f"figure-{number}{letter}"] = figure(panel, one, title)
-    return made
+            panels[f"figure-{number}{letter}"] = figure(panel, one, title)
+    return panels
 
 
 def _variant(system: System, x0: tuple[int, int], sign: int) -> System:
-    """Example 1 with the given start and sign of y_d = +-0.2 cos t.
+    """Example 1 from the start `x0`, with the sign of y_d = +-0.2 cos t.
 
     y_d -> -y_d is a shift by pi in cos, so the compiled loop would differ; each sign has its own.
     """
@@ -263,13 +271,13 @@ def _claims_example2(weak: Run, strong: Run, starts: dict[tuple[int, ...], Run])
         "amplitude: the published gains track poorly",
         HOLDS if a.tail_error < 0.1 * amplitude else DIFFERS,
     )
-    apart = np.abs(_sampled(weak) - _sampled(strong)).max(axis=1)
+    apart = np.abs(_states_on_grid(weak) - _states_on_grid(strong)).max(axis=1)
     yield Claim(
         "Example 2",
         "tau = 5 instead of 1 hardly changes output and states",
         f"tail error {a.tail_error:.4f} and {b.tail_error:.4f}; largest difference "
         + ", ".join(f"x{i + 1} {value:.2g}" for i, value in enumerate(apart)),
-        HOLDS if (apart < 0.05 * np.abs(_sampled(weak)).max(axis=1)).all() else DIFFERS,
+        HOLDS if (apart < 0.05 * np.abs(_states_on_grid(weak)).max(axis=1)).all() else DIFFERS,
     )
     inputs = [_supremum(run, 10.0, of="u") for run in (weak, strong)]
     yield Claim(
@@ -340,7 +348,7 @@ def _settled(run: Run, band: float) -> float:
     return float(run.t[outside[-1]])
 
 
-def _sampled(run: Run) -> np.ndarray:
+def _states_on_grid(run: Run) -> np.ndarray:
     return run.trajectory.interpolate(np.linspace(0, run.trajectory.end, 2001))[
         : run.system.plant.n
     ]

@@ -73,8 +73,8 @@ def pieces_at(reference: Reference, t: np.ndarray) -> np.ndarray:
         return np.empty((0, len(t)))
     edges = np.concatenate([[0.0], reference.breaks(0.0, float(t.max()))])
     table = np.array([reference.piece_values(edge) for edge in edges])
-    found: np.ndarray = table[np.searchsorted(edges, t, side="right") - 1].T
-    return found
+    values: np.ndarray = table[np.searchsorted(edges, t, side="right") - 1].T
+    return values
 
 
 def require_order(reference: Reference, order: int, who: str) -> None:
@@ -95,8 +95,16 @@ def total_bound(reference: Reference) -> float:
     return round_up(sum(reference.bounds(1).values))
 
 
-def round_up(value: float, ulps: int = 4) -> float:
-    """A float not below `value` although it was computed with a few roundings."""
-    for _ in range(ulps if value else 0):
+#: Roundings that :func:`round_up` makes good, each at most half a unit in the last place.
+ROUNDED_UNITS = 4
+
+
+def round_up(value: float) -> float:
+    """A float not below the exact result, where `value` was computed with a few roundings.
+
+    Every float operation may round down, and a bound must not: the next floats are taken. Zero
+    stays zero, for a sum of magnitudes that is zero is exact.
+    """
+    for _ in range(ROUNDED_UNITS if value else 0):
         value = math.nextafter(value, math.inf)
     return value

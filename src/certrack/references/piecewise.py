@@ -21,8 +21,21 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.references.base import Bounds, round_up
 
+#: Of every piece: enough for a cubic interpolant.
 DEGREE = 3
-MAX_SAMPLES = 1_000_000
+
+#: More samples than this fill the memory of a small machine while the coefficients are computed.
+MAX_REFERENCE_SAMPLES = 1_000_000
+
+#: Relative to the time or the length of the knots: times closer than this are the same, for the
+#: knots of a periodic reference are sums of floats.
+SAME_TIME = 1e-12
+
+#: Factor on the extremes of a piece, whose evaluation is some ten float operations.
+EXTREME_ROUNDING = 1 + 1e-13
+
+#: Relative excess over a declared bound that is not refused; points per piece where it is compared.
+BOUND_TOLERANCE, BOUND_POINTS = 1e-9, 33
 
 
 @dataclass(frozen=True)
@@ -58,10 +71,10 @@ class PiecewiseReference:
             return
         limit = checks.real("reference.bound", self.bound, above=0)
         object.__setattr__(self, "bound", limit)
-        inside = np.linspace(1e-9, 1 - 1e-9, 33)
+        inside = np.linspace(1e-9, 1 - 1e-9, BOUND_POINTS)
         points = self._knots[:-1, None] + np.diff(self._knots)[:, None] * inside
         total = np.abs(self.values(points.ravel(), 1)).sum(axis=0).max()
-        if total > limit * (1 + 1e-9):
+        if total > limit * (1 + BOUND_TOLERANCE):
             raise InputError("reference.bound", f"must bound |y_d| + |y_d'|, which is {total:.6g}")
 
     @property
@@ -116,7 +129,7 @@ class PiecewiseReference:
 
     def piece_values(self, t: float) -> np.ndarray:
         span = self.period or (self.knots[-1] - self.knots[0])
-        row, start = self._locate(np.array(t + 1e-12 * max(1.0, abs(t), span)))
+        row, start = self._locate(np.array(t + SAME_TIME * max(1.0, abs(t), span)))
         return np.concatenate([[float(start)], self._table[int(row)]])
 
     def breaks(self, start: float, end: float) -> np.ndarray:
@@ -126,7 +139,7 @@ class PiecewiseReference:
             last = math.ceil((end - times[0]) / self.period)
             turns = np.arange(first, last + 1) * self.period
             times = np.unique((turns[:, None] + times[None, :-1]).ravel())
-        tiny = 1e-12 * max(1.0, abs(end))
+        tiny = SAME_TIME * max(1.0, abs(end))
         return times[(times > start + tiny) & (times < end - tiny)]
 
     def formulas(self, order: int) -> tuple[sympy.Expr, ...]:
@@ -139,12 +152,12 @@ class PiecewiseReference:
         row, start = self._locate(t)
         since = np.asarray(t, dtype=float) - start
         a = self._table[row]
-        found = []
+        derivatives = []
         for i in range(order + 1):
             falling = [math.perm(k, i) for k in range(DEGREE + 1)]
             terms = (falling[k] * a[..., k] * since ** (k - i) for k in range(i, DEGREE + 1))
-            found.append(sum(terms, np.zeros_like(since)))
-        return np.array(found)
+            derivatives.append(sum(terms, np.zeros_like(since)))
+        return np.array(derivatives)
 
     def bounds(self, order: int) -> Bounds:
         """Exact up to rounding: extremes at the ends and stationary points of each piece."""
@@ -154,7 +167,7 @@ class PiecewiseReference:
         for i in range(order + 1):
             points = [np.zeros_like(width), width, *_stationary(_derived(a, i + 1), width)]
             best = max(float(np.abs(_evaluate(_derived(a, i), s)).max()) for s in points)
-            values.append(round_up(best * (1 + 1e-13)))
+            values.append(round_up(best * EXTREME_ROUNDING))
         return Bounds(tuple(values), ("exact",) * (order + 1))
 
 
@@ -228,7 +241,7 @@ def trapezoid(
     low, high, slope = offset - amplitude, offset + amplitude, 2 * amplitude / rise
     hold = period / 2 - rise
     pieces = [(rise, low, slope), (hold, high, 0.0), (rise, high, -slope), (hold, low, 0.0)]
-    pieces = [piece for piece in pieces if piece[0] > 1e-12 * period]
+    pieces = [piece for piece in pieces if piece[0] > SAME_TIME * period]
     knots = start + np.concatenate([[0.0], np.cumsum([width for width, _, _ in pieces])])
     knots[-1] = start + period
     rows = tuple((float(a0), float(a1), 0.0, 0.0) for _, a0, a1 in pieces)
@@ -320,8 +333,10 @@ def samples(
     checks.choice("reference.interpolation", interpolation, ("monotone", "cubic"))
     times = checks.reals("reference.times", times, None, "sample times, s")
     values = checks.reals("reference.values", values, len(times), "one value per time")
-    if not 2 <= len(times) <= MAX_SAMPLES:
-        raise InputError("reference.times", f"must be 2 to {MAX_SAMPLES} samples", len(times))
+    if not 2 <= len(times) <= MAX_REFERENCE_SAMPLES:
+        raise InputError(
+            "reference.times", f"must be 2 to {MAX_REFERENCE_SAMPLES} samples", len(times)
+        )
     t, y = np.array(times), np.array(values)
     late = np.flatnonzero(np.diff(t) <= 0)
     if late.size:

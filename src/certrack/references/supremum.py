@@ -25,7 +25,7 @@ def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:
     -------
     bound, exact : float, bool
     """
-    if not 0 < _terms(expr) <= MAX_TERMS:
+    if not 0 < _terms(expr) <= MAX_SINUSOIDS:
         return None
     offset = sympy.S.Zero
     amplitude: dict[sympy.Expr, list[sympy.Expr]] = defaultdict(lambda: [sympy.S.Zero] * 2)
@@ -51,11 +51,15 @@ def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:
             pair = [sine - factor * sympy.sin(shift), cosine + factor * sympy.cos(shift)]
         amplitude[w] = pair
     total = sympy.Abs(offset) + sum(sympy.sqrt(a**2 + b**2) for a, b in amplitude.values())
-    return _upper(total), len(amplitude) <= 1
+    return _float_above(total), len(amplitude) <= 1
 
 
-#: Expanding powers of sums of sinusoids beyond this many terms takes too long.
-MAX_TERMS = 200
+#: Expanding sums of sinusoids beyond this power or number of terms takes too long.
+MAX_SINUSOID_POWER, MAX_SINUSOIDS = 16, 200
+
+#: mpmath has no outward rounding for atan, tanh and irrational constants. All are below 4, so 53
+#: bits are wrong by less than 2^-51; they are widened by this.
+INTERVAL_SLACK = mp.mpf(2) ** -45
 
 
 def _terms(expr: sympy.Expr) -> int:
@@ -69,7 +73,7 @@ def _terms(expr: sympy.Expr) -> int:
         return sum(parts) if all(parts) else 0
     if isinstance(expr, sympy.Mul):
         return math.prod(_terms(arg) for arg in expr.args)
-    if isinstance(expr, sympy.Pow) and expr.exp.is_Integer and 0 < expr.exp <= 16:
+    if isinstance(expr, sympy.Pow) and expr.exp.is_Integer and 0 < expr.exp <= MAX_SINUSOID_POWER:
         inside = _terms(expr.base)
         return min(10**6, max(inside, 2) ** int(expr.exp)) if inside else 0
     return 0
@@ -78,15 +82,14 @@ def _terms(expr: sympy.Expr) -> int:
 def interval_supremum(expr: sympy.Expr) -> float | None:
     """Upper bound of |expr| over t in [0, inf) by interval arithmetic, or None."""
     try:
-        found = interval(expr, {TIME: iv.mpf([0, "inf"])})
-        bound = max(abs(mp.mpf(found.a)), abs(mp.mpf(found.b)))
+        bound = mp.mpf(abs(enclosure(expr, {TIME: iv.mpf([0, "inf"])})).b)
     except (ArithmeticError, ValueError, TypeError, NotImplementedError):
         return None
-    return None if not mp.isfinite(bound) else _upper(sympy.Float(bound, 30))
+    return None if not mp.isfinite(bound) else _float_above(sympy.Float(bound, 30))
 
 
-def _upper(value: sympy.Expr) -> float:
-    """The number as a float, rounded up."""
+def _float_above(value: sympy.Expr) -> float:
+    """Smallest float not below the number; the nearest one, which float() gives, may be."""
     exact = sympy.N(value, 80)
     as_float = float(exact)
     while sympy.Float(as_float, 80) < exact:
@@ -94,6 +97,7 @@ def _upper(value: sympy.Expr) -> float:
     return as_float
 
 
+#: Increasing functions: the ends of their values are the values at the ends.
 _MONOTONE = {
     sympy.exp: iv.exp,
     sympy.atan: lambda x: iv.mpf([_atan(x.a).a, _atan(x.b).b]),
@@ -107,17 +111,16 @@ def _atan(x: Any) -> Any:
     if mp.isinf(mp.mpf(x)):
         return half_pi if mp.mpf(x) > 0 else -half_pi
     value = mp.atan(mp.mpf(x))
-    slack = mp.mpf(2) ** -45
-    return iv.mpf([value - slack, value + slack])
+    return iv.mpf([value - INTERVAL_SLACK, value + INTERVAL_SLACK])
 
 
 def _tanh(x: Any) -> Any:
+    """Enclosure of tanh at a point, which may be infinite."""
     value = mp.tanh(mp.mpf(x)) if mp.isfinite(mp.mpf(x)) else mp.sign(mp.mpf(x))
-    slack = mp.mpf(2) ** -45
-    return iv.mpf([max(value - slack, -1), min(value + slack, 1)])
+    return iv.mpf([max(value - INTERVAL_SLACK, -1), min(value + INTERVAL_SLACK, 1)])
 
 
-def interval(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
+def enclosure(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
     """Interval of `expr` over a box of its symbols, rounded outward.
 
     Raises
@@ -127,27 +130,28 @@ def interval(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
     """
     if expr in box:
         return box[expr]
-    if expr.is_Number or expr.is_NumberSymbol:
-        if expr.is_Rational:
-            return iv.mpf(int(expr.p)) / iv.mpf(int(expr.q))
+    if expr.is_Number:
+        exact = sympy.Rational(expr)
+        return iv.mpf(int(exact.p)) / iv.mpf(int(exact.q))  # division of intervals rounds outward
+    if expr.is_NumberSymbol:
         value = mp.mpf(sympy.N(expr, 30))
-        return iv.mpf([value - mp.mpf(2) ** -45, value + mp.mpf(2) ** -45])
+        return iv.mpf([value - INTERVAL_SLACK, value + INTERVAL_SLACK])
     if isinstance(expr, (sympy.sin, sympy.cos)):
-        inner = interval(expr.args[0], box)
+        inner = enclosure(expr.args[0], box)
         if mp.isinf(mp.mpf(inner.a)) or mp.isinf(mp.mpf(inner.b)):
             return iv.mpf([-1, 1])
         return (iv.sin if isinstance(expr, sympy.sin) else iv.cos)(inner)
-    parts = [interval(arg, box) for arg in expr.args] if not isinstance(expr, sympy.Pow) else []
+    parts = [enclosure(arg, box) for arg in expr.args] if not isinstance(expr, sympy.Pow) else []
     if isinstance(expr, sympy.Add):
         total = parts[0]
         for part in parts[1:]:
             total = total + part
-        return _checked(total)
+        return _determined(total)
     if isinstance(expr, sympy.Mul):
         total = parts[0]
         for part in parts[1:]:
             total = total * part
-        return _checked(total)
+        return _determined(total)
     if isinstance(expr, sympy.Abs):
         return abs(parts[0])
     if isinstance(expr, (sympy.Min, sympy.Max)):
@@ -158,25 +162,27 @@ def interval(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
     if type(expr) in _MONOTONE:
         return _MONOTONE[type(expr)](parts[0])
     if isinstance(expr, sympy.Pow):
-        return _power(expr, box)
+        return _enclosed_power(expr, box)
     raise ValueError(f"no interval rule for {type(expr).__name__}")
 
 
-def _power(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
+def _enclosed_power(expr: sympy.Expr, box: Mapping[sympy.Symbol, Any]) -> Any:
+    """Enclosure of an integer or half-integer power."""
     base, exponent = expr.args
-    inside = interval(base, box)
+    inside = enclosure(base, box)
     if exponent.is_Integer and exponent > 0:
-        return _checked(inside ** int(exponent))
+        return _determined(inside ** int(exponent))
     if exponent.is_Rational and exponent.q == 2 and inside.a >= 0:
         inside, exponent = iv.sqrt(inside), exponent * 2
         if exponent > 0:
-            return _checked(inside ** int(exponent))
+            return _determined(inside ** int(exponent))
     if exponent.is_Integer and exponent < 0 and inside.a > 0:
-        return _checked(iv.mpf(1) / inside ** int(-exponent))
+        return _determined(iv.mpf(1) / inside ** int(-exponent))
     raise ValueError("no interval rule for this power")
 
 
-def _checked(found: Any) -> Any:
-    if mp.isnan(mp.mpf(found.a)) or mp.isnan(mp.mpf(found.b)):
+def _determined(values: Any) -> Any:
+    """The interval itself; inf - inf and 0 inf have no value and are refused."""
+    if mp.isnan(mp.mpf(values.a)) or mp.isnan(mp.mpf(values.b)):
         raise ArithmeticError("undetermined interval")
-    return found
+    return values

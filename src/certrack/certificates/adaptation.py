@@ -1,0 +1,138 @@
+"""What the update laws of the adaptive law contribute to V and to V'.
+
+V holds s |g_n| delta_tilde^2/(2 gbar) + s theta_tilde^T Gamma^{-1} theta_tilde/2 [23]. In V' the
+update laws [26] cancel the mismatch on the last row of the error system; what they leave is the
+leakage towards the prior guesses, whose cost is q(alpha) below, for s = 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from certrack.certificates.arithmetic import positive_definite, solve
+from certrack.certificates.certificate import NoCertificate
+
+#: A full Gamma needs every corner of the box of theta, each with a linear system in rationals:
+#: 0.2 s for 12 parameters, and every further one doubles it.
+MAX_PARAMETERS_WITH_FULL_GAMMA = 12
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """What the update laws contribute to V'.
+
+    Attributes
+    ----------
+    gain_rate, leak_gain, leak_theta : number
+        gbar, gbar1, gbar2.
+    Gamma : (r, r) array
+    gains : numbers
+        |g_n| at the ends of its range (one number if it is taken as known).
+    delta0 : number
+    gain_sign : int
+    theta0 : (r,) array
+    theta_box : r pairs
+        Ends of the range of each theta_i (equal if it is taken as known).
+    shift : number
+        kappa of :mod:`certrack.certificates.centred`; 0 elsewhere.
+    """
+
+    gain_rate: Any
+    leak_gain: Any
+    leak_theta: Any
+    Gamma: np.ndarray
+    gains: tuple[Any, ...]
+    delta0: Any
+    gain_sign: int
+    theta0: np.ndarray
+    theta_box: tuple[tuple[Any, Any], ...]
+    shift: Any = 0
+
+    def delta_offsets(self) -> list[tuple[Any, Any]]:
+        """Pairs |g_n|, (1 - shift) delta - delta_0."""
+        return [(g, (1 - self.shift) * self.gain_sign / g - self.delta0) for g in self.gains]
+
+    def theta_offsets(self, origin: np.ndarray | None = None) -> list[np.ndarray]:
+        """Values (1 + shift) theta - theta_0 at the corners of the box that can be worst.
+
+        Worst for a convex form of theta - origin (theta_0 if left out).
+
+        With diagonal Gamma the form is a sum of one term per coordinate, so each coordinate takes
+        its own worst end: one corner. Otherwise all corners are listed.
+        """
+        centre = self.theta0 if origin is None else origin
+        box = [((1 + self.shift) * low, (1 + self.shift) * high) for low, high in self.theta_box]
+        off_diagonal = self.Gamma - np.diag(np.diag(self.Gamma))
+        if not (off_diagonal != 0).any():
+            worst = [
+                max(pair, key=partial(_distance, c)) for pair, c in zip(box, centre, strict=True)
+            ]
+            return [np.array(worst, dtype=self.theta0.dtype) - self.theta0]
+        if len(self.theta_box) > MAX_PARAMETERS_WITH_FULL_GAMMA:
+            raise NoCertificate(
+                f"a full Gamma with {len(self.theta_box)} parameters has too many corners; use a "
+                "diagonal Gamma"
+            )
+        corners = product(*(dict.fromkeys(pair) for pair in box))
+        return [np.array(c, dtype=self.theta0.dtype) - self.theta0 for c in corners]
+
+    def leakage_cost(self, alpha: Any) -> Any:
+        """q(alpha): what the prior guesses cost, worst over the ranges; None if alpha is too large.
+
+        -|g| gbar1 (s1 d^2 - d (delta - delta_0)) and its theta counterpart, maximised over the
+        estimation errors; s1 = 1 - alpha/(2 gbar gbar1), and W = gbar2 I - alpha/2 Gamma^{-1}.
+        """
+        s1 = 1 - alpha / (2 * self.gain_rate * self.leak_gain)
+        if not s1 > 0:
+            return None
+        cost = max(g * self.leak_gain * d**2 / (4 * s1) for g, d in self.delta_offsets())
+        r = len(self.Gamma)
+        if r:
+            inverse = solve(self.Gamma, np.eye(r, dtype=self.Gamma.dtype))
+            W = self.leak_theta * np.eye(r, dtype=self.Gamma.dtype) - alpha / 2 * inverse
+            if not positive_definite(W):
+                return None
+            worst = max(v @ solve(W, v) for v in self.theta_offsets())
+            cost = cost + self.leak_theta**2 * worst / 4
+        return cost
+
+    def energy(self, estimates: np.ndarray) -> Any:
+        """The estimates' part of V for s = 1, worst over the ranges.
+
+        Parameters
+        ----------
+        estimates : (1 + r,) array
+            delta_hat, theta_hat.
+        """
+        total = max(
+            g * (offset + self.delta0 - estimates[0]) ** 2 / (2 * self.gain_rate)
+            for g, offset in self.delta_offsets()
+        )
+        if len(self.Gamma):
+            gaps = [v + self.theta0 - estimates[1:] for v in self.theta_offsets(estimates[1:])]
+            total = total + max(gap @ solve(self.Gamma, gap) for gap in gaps) / 2
+        return total
+
+    def in_floats(self) -> Adaptation:
+        """The same numbers in floating point."""
+        return Adaptation(
+            gain_rate=float(self.gain_rate),
+            leak_gain=float(self.leak_gain),
+            leak_theta=float(self.leak_theta),
+            Gamma=self.Gamma.astype(float),
+            gains=tuple(float(g) for g in self.gains),
+            delta0=float(self.delta0),
+            gain_sign=self.gain_sign,
+            theta0=self.theta0.astype(float),
+            theta_box=tuple((float(low), float(high)) for low, high in self.theta_box),
+            shift=float(self.shift),
+        )
+
+
+def _distance(origin: Any, end: Any) -> Any:
+    return abs(end - origin)

@@ -1,0 +1,90 @@
+"""What a certificate rests on, and the systems for which it would not hold."""
+
+from __future__ import annotations
+
+from certrack.certificates.certificate import NoCertificate
+from certrack.laws import Adaptive, Robust
+from certrack.systems.system import System
+
+
+def refuse(system: System) -> None:
+    """Raise NoCertificate, with the reason, where no certificate of this room can hold."""
+    law, plant = system.law, system.plant
+    if law.no_certificate:
+        raise NoCertificate(law.no_certificate)
+    if not isinstance(law, (Adaptive, Robust)):
+        raise NoCertificate(f"certificates know the adaptive and the robust law, not {law.kind}")
+    if system.truth.states:
+        _refuse_unknown_ranges(system)
+    elif system.truth.constants:
+        raise NoCertificate(
+            "truth.constants make the simulated plant differ from the certified one; remove them"
+        )
+    if isinstance(law, Robust):
+        assert plant.input_gain is not None
+        fixed = float(plant.input_gain.expr)
+        box = plant.input_gain_range or (fixed, fixed)
+        theta = [float(v.expr) for v in plant.theta or ()]
+        ranges = plant.theta_range or tuple((v, v) for v in theta)
+        exact = all(low == high == v for (low, high), v in zip(ranges, theta, strict=True))
+        if box != (fixed, fixed) or not exact:
+            raise NoCertificate(
+                "the robust law is proven for the exact input_gain and theta it uses, but "
+                "plant.ranges lets them vary; use the adaptive law"
+            )
+
+
+def _refuse_unknown_ranges(system: System) -> None:
+    """A truth with states of its own tells the adaptive law no true g_n and theta."""
+    plant = system.plant
+    ranged = plant.input_gain_range and (plant.theta_range or not plant.r)
+    if isinstance(system.law, Adaptive) and not ranged:
+        raise NoCertificate(
+            "a truth with states of its own has no g_n and theta to be certified for; state "
+            "plant.ranges"
+        )
+
+
+def assumptions(system: System) -> list[str]:
+    """What a certificate of `system` rests on, as texts; they are part of the saved certificate."""
+    plant, truth = system.plant, system.truth
+    q = system.law.order(plant)
+    bounds = system.reference.bounds(q + 1)
+    listed = ", ".join(
+        f"|y_d^({i})| <= {value:.6g} ({origin})"
+        for i, (value, origin) in enumerate(zip(bounds.values, bounds.origin, strict=True))
+    )
+    premises = [
+        "|w_k| <= gamma_k ||x|| + beta_k (Assumption 1) with the file's tau, gamma, beta",
+        f"every reference with {listed}",
+        "chain, linear, drift and regressor exactly as in the file",
+    ]
+    if truth.states:
+        premises.append(
+            "the simulated plant, which has states of its own, differing from the design's by no "
+            "more than w, that is within gamma and beta; nothing here checks this"
+        )
+    if isinstance(system.law, Robust):
+        premises.append("g_n and theta exactly as the law uses them")
+        return premises + _irrational(system)
+    if plant.input_gain_range:
+        low, high = plant.input_gain_range
+        premises.append(f"every g_n in [{low:g}, {high:g}]")
+    else:
+        premises.append(f"the true g_n = {truth.input_gain} (the file gives no range)")
+    if plant.r:
+        premises.append(
+            "every theta in its range"
+            if plant.theta_range
+            else "the true theta of the file (it gives no range)"
+        )
+    return premises + _irrational(system)
+
+
+def _irrational(system: System) -> list[str]:
+    """Numbers that exact arithmetic must take by their floats."""
+    plant, truth = system.plant, system.truth
+    numbers = [*plant.chain, *(v for row in plant.linear or () for v in row), *truth.theta]
+    numbers += [*(plant.theta or ()), *filter(None, [truth.input_gain, plant.input_gain])]
+    rounded = sorted({v.text for v in numbers if not v.expr.is_Rational})
+    return [f"irrational numbers rounded to 17 digits: {', '.join(rounded)}"] if rounded else []
