@@ -20,10 +20,11 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, check, from_text
 from certrack.certificates.problem import assumptions, error_problem
 from certrack.core.errors import InputError
+from certrack.core.files import write_text
 from certrack.core.version import version
 from certrack.systems.reader import loads
 from certrack.systems.system import System
-from certrack.systems.writer import to_text, write_text
+from certrack.systems.writer import to_text
 
 FORMAT = "certrack-certificate/1"
 MAX_BYTES = 20_000_000
