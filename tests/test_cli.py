@@ -202,7 +202,7 @@ BAD = {
     "bad integrator": (["simulate", "example1", "--integrator", "euler"], "is not one of"),
     "bad tolerance": (["simulate", "example1", "--tolerance", "-1"], "simulation.tolerance"),
     "unwritable plot": (["simulate", "example1", "--plot", "/proc/nowhere"], "cannot be written"),
-    "unwritable out": (["simulate", "example1", "--out", "/nowhere/run.nc"], "cannot write"),
+    "unwritable out": (["simulate", "example1", "--out", "/nowhere/run.nc"], "cannot be written"),
     "out is a folder": (["simulate", "example1", "--out", "/"], "is a directory"),
     "no certificate": (["verify", "nowhere.json"], "cannot be read"),
     "samples without out": (["simulate", "example1", "--samples", "9"], "--samples needs --out"),

@@ -9,7 +9,6 @@ import sys
 import time
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -353,14 +352,14 @@ def test_many_chunks_are_gathered(tmp_path):
 
 def test_a_full_disk(tmp_path, monkeypatch):
     """A clear error; earlier chunks are intact and the same call goes on."""
-    system, write = certrack.load("dual-motor-lean"), Path.write_bytes
+    system, replace_ = certrack.load("dual-motor-lean"), os.replace
 
-    def full(path, data):
+    def full(temporary, path):
         if "0000000600" in path.name:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return write(path, data)
+        return replace_(temporary, path)
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(os, "replace", full)
     with pytest.raises(InputError, match="No space left on device.*written before are intact"):
         certrack.ensemble(system, 800, chunk=200, out=tmp_path)
     monkeypatch.undo()

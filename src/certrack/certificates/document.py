@@ -21,10 +21,11 @@ from certrack.certificates.exact import Proof, check, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.premises import assumptions
 from certrack.core.errors import InputError
+from certrack.core.files import write_text
 from certrack.core.version import version
 from certrack.systems.reader import loads
 from certrack.systems.system import System
-from certrack.systems.writer import to_text, write_text
+from certrack.systems.writer import to_text
 
 FORMAT = "certrack-certificate/1"
 

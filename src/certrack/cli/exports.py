@@ -59,9 +59,9 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     \b
     Example: certrack export st dual-motor-lean --period 0.001 --out drive.st
     """
+    from certrack.core.files import write_text
     from certrack.export.st.block import structured_text
     from certrack.systems.reader import load
-    from certrack.systems.writer import write_text
 
     write_text(out, structured_text(load(file), out.name, period=period))
     _written(out, as_json)
@@ -79,9 +79,9 @@ def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> 
     \b
     Example: certrack export fmu dual-motor-lean --fmi 3 --period 0.001 --out drive.fmu
     """
+    from certrack.core.files import write_bytes
     from certrack.export.fmu.archive import fmu as make
     from certrack.systems.reader import load
-    from certrack.systems.writer import write_bytes
 
     write_bytes(out, make(load(file), out.name, version=fmi, period=period))
     _written(out, as_json)

@@ -37,8 +37,8 @@ def new(name: Path, as_json: bool) -> None:
     Example: certrack new drive.toml
     """
     from certrack.cli import report
+    from certrack.core.files import write_text
     from certrack.systems.reader import starter
-    from certrack.systems.writer import write_text
 
     if not name.name:
         raise click.UsageError("NAME must be a file name", click.get_current_context())

@@ -197,10 +197,9 @@ def _save(found: Ensemble, summary: dict[str, Any], out: Path, keep: tuple[int, 
     """Bands, summary, pictures and chosen members."""
     from certrack import plotting
     from certrack.cli import report
-    from certrack.simulation.run import write_netcdf
-    from certrack.systems.writer import write_text
+    from certrack.core.files import write_netcdf, write_text
 
-    write_netcdf(found.dataset(), out / "bands.nc")
+    write_netcdf(out / "bands.nc", found.dataset())
     write_text(out / "summary.json", report.to_json(summary) + "\n")
     for name, figure in plotting.ensemble_figures(found).items():
         plotting.save_figure(figure, out, name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -14,7 +15,7 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from certrack.core.errors import InputError
+from certrack.core.files import write_folder
 
 STYLE: dict[Any, Any] = {
     "font.size": 9,
@@ -76,19 +77,13 @@ def few_ticks(ax: Axes) -> None:
 
 def save_figure(made: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as PNG and SVG; returns the paths."""
-    paths = [folder / f"{name}.{kind}" for kind in ("png", "svg")]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with style():
-            for path in paths:
-                part = path.with_name(f"{path.name}.part")
-                kind = path.suffix[1:]
-                stamp = {"Date": None} if kind == "svg" else {"Software": None}
-                made.savefig(part, format=kind, dpi=200, metadata=stamp)
-                part.replace(path)
-    except OSError as problem:
-        raise InputError(str(folder), f"cannot be written ({problem.strerror})") from None
-    return paths
+    pictures: dict[str, bytes] = {}
+    with style():
+        for kind, stamp in (("png", "Software"), ("svg", "Date")):
+            buffer = io.BytesIO()  # no stamp: the same figure gives the same bytes
+            made.savefig(buffer, format=kind, dpi=200, metadata={stamp: None})
+            pictures[f"{name}.{kind}"] = buffer.getvalue()
+    return list(write_folder(folder, pictures))
 
 
 def math_name(name: str) -> str:

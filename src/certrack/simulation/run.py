@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from certrack.core.errors import InputError
+from certrack.core.files import write_netcdf
 from certrack.core.version import version
 from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.single.taylor import TaylorSeries
@@ -191,29 +191,8 @@ class Run:
         InputError
             If the file cannot be written.
         """
-        write_netcdf(self.dataset(samples), Path(path))
+        write_netcdf(Path(path), self.dataset(samples))
 
     def _errors(self, t: np.ndarray, x: np.ndarray) -> np.ndarray:
         found = self.system.controller.coordinates
         return found.A @ x - found.B @ self.system.reference.values(t, found.q)
-
-
-def write_netcdf(dataset: xarray.Dataset, target: Path) -> None:
-    """Write a dataset whole or not at all.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
-    part = target.with_name(target.name + ".part")
-    if not target.parent.is_dir():
-        raise InputError("--out", f"cannot write {target}: the folder does not exist")
-    try:
-        dataset.to_netcdf(part, engine="h5netcdf")
-        part.replace(target)
-    except (OSError, ValueError) as problem:
-        reason = getattr(problem, "strerror", None) or "the folder cannot be written"
-        raise InputError("--out", f"cannot write {target}: {reason}") from None
-    finally:
-        part.unlink(missing_ok=True)

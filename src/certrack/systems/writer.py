@@ -1,4 +1,4 @@
-"""Objects to TOML text, and text to files that appear only when they are complete."""
+"""Systems to TOML text."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, parse
+from certrack.core.files import write_text
 from certrack.laws import Law
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -62,44 +62,6 @@ def _shelve(values: list[Any], shelf: list[list[Any]]) -> Any:
 def save(system: System, path: str | os.PathLike[str]) -> None:
     """Write a system file; it appears only when it is complete."""
     write_text(Path(path), to_text(system))
-
-
-def write_text(path: Path, text: str, *, overwrite: bool = True) -> None:
-    """Write a text file whole or not at all.
-
-    Raises
-    ------
-    InputError
-        If it exists and must not be overwritten, or cannot be written.
-    """
-    if not overwrite and path.exists():
-        raise InputError(str(path), "exists already", remedy="Choose another name")
-    write_bytes(path, text.encode())
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
-    try:
-        write_whole(path, data)
-    except OSError as problem:
-        raise InputError(str(path), f"cannot be written ({problem.strerror})") from None
-
-
-def write_whole(path: Path, data: bytes | memoryview) -> None:
-    """Write a file that appears only when it is complete; raises OSError and leaves nothing."""
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        part.write_bytes(data)
-        part.replace(path)
-    except OSError:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def _plain(value: Any) -> Any:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import errno
 import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from certrack.core.errors import InputError
+from certrack.core.files import write_folder
 from certrack.core.lowering import numpy_callable
 from certrack.export.c.golden import golden
 from certrack.export.c.readme import KIND, readme
@@ -124,31 +123,11 @@ def write_all(folder: Path, texts: dict[str, str]) -> tuple[Path, ...]:
     """
     readme = folder / "README.md"
     try:
-        new = not folder.exists()
-        if readme.exists() and KIND not in readme.read_text("utf-8", "replace"):
-            raise InputError(
-                str(readme), "is not of an exported controller", remedy="Choose another folder"
-            )
-        folder.mkdir(parents=True, exist_ok=True)
-        try:
-            _write(folder, texts)
-        except OSError:
-            if new:
-                folder.rmdir()
-            raise
+        strange = readme.exists() and KIND not in readme.read_text("utf-8", "replace")
     except OSError as problem:
+        raise InputError(str(readme), f"cannot be read ({problem.strerror})") from None
+    if strange:
         raise InputError(
-            str(folder), f"cannot be written ({problem.strerror})", remedy="Choose another folder"
-        ) from None
-    return tuple(folder / name for name in texts)
-
-
-def _write(folder: Path, texts: dict[str, str]) -> None:
-    """Write all files beside their places, then move them there."""
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".certrack-") as place:
-        for name, text in texts.items():
-            if (folder / name).is_dir():
-                raise IsADirectoryError(errno.EISDIR, f"{name} is a folder")
-            (Path(place) / name).write_text(text, "utf-8")
-        for name in texts:
-            (Path(place) / name).replace(folder / name)
+            str(readme), "is not of an exported controller", remedy="Choose another folder"
+        )
+    return write_folder(folder, texts)

@@ -15,10 +15,11 @@ from zipfile import BadZipFile
 import numpy as np
 
 from certrack.core.errors import InputError
+from certrack.core.files import write_whole
 from certrack.core.version import version
 from certrack.studies.ensembles.plan import Plan, Range
 from certrack.studies.ensembles.statistics import Statistics
-from certrack.systems.writer import to_text, write_whole
+from certrack.systems.writer import to_text
 
 #: Chunk files that may gather.
 GATHER = 32
