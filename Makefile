@@ -14,7 +14,7 @@ test: .venv/tested
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 -m "not slow"
+	$(BIN)/pytest -n 2 -m "not slow" --cov --cov-report=term
 
 slow: .venv/tested
 	$(BIN)/pytest -n 2 -m slow
