@@ -1,11 +1,13 @@
 # make demo   reproduces the paper on a fresh machine
-# make test   checks style, types and behaviour
+# make test   checks style, types and behaviour, and measures coverage
+# make slow   runs the slow tail of the tests
+# make docs   builds the site, in build/site
 # make bench  measures speed, as ratios within one run
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test slow bench clean
+.PHONY: demo test slow docs bench clean
 
 demo: .venv/installed
 	$(BIN)/certrack reproduce --out reproduction
@@ -14,10 +16,13 @@ test: .venv/tested
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 -m "not slow"
+	$(BIN)/pytest -n 2 -m "not slow" --cov --cov-report=term
 
 slow: .venv/tested
 	$(BIN)/pytest -n 2 -m slow
+
+docs: .venv/documented
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -c docs -d build/doctrees . build/site
 
 bench: .venv/benched
 	$(BIN)/pytest bench
@@ -31,9 +36,13 @@ bench: .venv/benched
 	$(INSTALL) --editable '.[test]'
 	touch $@
 
+.venv/documented: .venv/installed
+	$(INSTALL) --editable '.[docs]'
+	touch $@
+
 .venv/benched: .venv/tested
 	$(INSTALL) --editable '.[test,bench]'
 	touch $@
 
 clean:
-	rm -rf .venv reproduction
+	rm -rf .venv build docs/api reproduction
