@@ -105,7 +105,7 @@ def _corners(system: System, box: Sequence[tuple[float, float]] | None) -> list[
         return [tuple(measured(system, np.array([system.settings.x0]).T)[:, 0].tolist())]
     n = system.plant.n
     pairs = [
-        checks.interval(f"box[{i}]", pair)
+        checks.ordered_pair(f"box[{i}]", pair)
         for i, pair in enumerate(checks.sequence("box", box, n, "[low, high] per state"))
     ]
     distinct = [tuple(dict.fromkeys(pair)) for pair in pairs]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import numbers
 from collections.abc import Iterable, Mapping
@@ -19,16 +20,16 @@ def sequence(key: str, value: Any, length: int | None, what: str) -> list[Any]:
     entries = list(value) if is_list else None
     if entries is None or (length is not None and len(entries) != length):
         count = "a list" if length is None else f"a list of {length}"
-        raise InputError(key, f"must be {count}: {what}", _plain(value))
+        raise InputError(key, f"must be {count}: {what}", as_written(value))
     return entries
 
 
-def _plain(value: Any) -> Any:
+def as_written(value: Any) -> Any:
     """The value as the user wrote it, for messages."""
     if isinstance(value, Expression):
         return value.text
     if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
+        return [as_written(entry) for entry in value]
     return value
 
 
@@ -39,6 +40,7 @@ def real(
     *,
     above: float | None = None,
     least: float | None = None,
+    most: float | None = None,
     nonzero: bool = False,
     infinite: bool = False,
 ) -> float:
@@ -48,6 +50,8 @@ def real(
     ----------
     above, least : float, optional
         Strict and non-strict lower limit.
+    most : float, optional
+        Upper limit.
     nonzero : bool
         Refuse zero.
     infinite : bool
@@ -56,16 +60,20 @@ def real(
     if infinite and (value == "inf" or (isinstance(value, float) and value == math.inf)):
         return math.inf
     plain = type(value) in (float, int) and abs(value) <= MAX_MAGNITUDE
-    found = float(value) if plain else float(number(key, value, names).expr)
-    if above is not None and not found > above:
+    result = float(value) if plain else float(number(key, value, names).expr)
+    if above is not None and not result > above:
         wanted = "positive" if above == 0 else f"greater than {above:g}"
-        raise InputError(key, f"must be {wanted}" + (" or inf" if infinite else ""), _plain(value))
-    if least is not None and not found >= least:
+        raise InputError(
+            key, f"must be {wanted}" + (" or inf" if infinite else ""), as_written(value)
+        )
+    if least is not None and not result >= least:
         wanted = "zero or positive" if least == 0 else f"at least {least:g}"
-        raise InputError(key, f"must be {wanted}", _plain(value))
-    if nonzero and found == 0:
-        raise InputError(key, "must not be zero", _plain(value))
-    return found
+        raise InputError(key, f"must be {wanted}", as_written(value))
+    if most is not None and not result <= most:
+        raise InputError(key, f"must be at most {most:g}", as_written(value))
+    if nonzero and result == 0:
+        raise InputError(key, "must not be zero", as_written(value))
+    return result
 
 
 def reals(
@@ -81,19 +89,23 @@ def reals(
     return tuple(real(f"{key}[{i}]", v, names, **limits) for i, v in enumerate(entries))
 
 
-def interval(key: str, value: Any, names: Constants | None = None) -> tuple[float, float]:
-    """A pair [low, high] with low <= high."""
+def ordered_pair(
+    key: str, value: Any, names: Constants | None = None, *, strict: bool = False
+) -> tuple[float, float]:
+    """A pair [low, high] with low <= high, or low < high."""
     low, high = reals(key, value, 2, "[low, high]", names)
+    if strict and low >= high:
+        raise InputError(key, "low must be less than high", [low, high])
     if low > high:
-        raise InputError(key, "low must not exceed high", _plain(value))
+        raise InputError(key, "low must not exceed high", as_written(value))
     return low, high
 
 
 def integer(key: str, value: Any, least: int, most: int) -> int:
     """A whole number within [least, most]."""
-    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    if not whole or not least <= value <= most:
-        raise InputError(key, f"must be a whole number from {least} to {most}", _plain(value))
+    is_whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not is_whole or not least <= value <= most:
+        raise InputError(key, f"must be a whole number from {least} to {most}", as_written(value))
     return int(value)
 
 
@@ -101,26 +113,28 @@ def choice(key: str, value: Any, options: Iterable[str]) -> str:
     """One of the listed words."""
     options = list(options)
     if not isinstance(value, str) or value not in options:
-        raise InputError(key, "must be one of " + ", ".join(options), _plain(value))
+        raise InputError(key, "must be one of " + ", ".join(options), as_written(value))
     return value
 
 
 def text(key: str, value: Any) -> str:
     """A string."""
     if not isinstance(value, str) or not value.isprintable():
-        raise InputError(key, "must be one line of printable text", _plain(value))
+        raise InputError(key, "must be one line of printable text", as_written(value))
     return value
 
 
 def known_keys(key: str, table: Any, allowed: Iterable[str], required: Iterable[str] = ()) -> None:
     """Refuse a table with unknown or missing keys."""
     if not isinstance(table, Mapping):
-        raise InputError(key, f"must be a table [{key}]", _plain(table))
+        raise InputError(key, f"must be a table [{key}]", as_written(table))
     allowed = list(allowed)
     for name in table:
         if name not in allowed:
             where = f"{key}.{name}" if key else str(name)
-            raise InputError(where, "unknown key", remedy="Known here: " + ", ".join(allowed))
+            close = difflib.get_close_matches(str(name), allowed, n=1)
+            hint = f"Did you mean {close[0]}? " if close else ""
+            raise InputError(where, "unknown key", remedy=f"{hint}Known here: {', '.join(allowed)}")
     for name in required:
         if name not in table:
             raise InputError(f"{key}.{name}" if key else name, "is missing")
