@@ -547,7 +547,7 @@ def test_neither_compiler_nor_heyoka(monkeypatch):
     def missing(*_):
         raise native.Unavailable
 
-    monkeypatch.setattr("certrack.integrators.many.sampled_lanes.built", missing)
+    monkeypatch.setattr("certrack.integrators.many.sampled_native.built", missing)
     monkeypatch.setattr("certrack.studies.ensembles.sampled.available", lambda: False)
     monkeypatch.setattr("certrack.studies.ensembles.engine.available", lambda: False)
     system = sampled("example1", **EVERYTHING).with_settings(duration=1, tail=0.5)

@@ -18,7 +18,8 @@ import numpy as np
 from certrack.core.errors import CertrackError, MissingExtra
 from certrack.core.expressions import TIME, symbol
 from certrack.core.lowering import numpy_callable
-from certrack.integrators.many.sampled import Course, SampledRun, sensed, timeline
+from certrack.integrators.many.sampled_events import event_timeline
+from certrack.integrators.many.sampled_run import SampledProblem, SampledRun, sensed
 from certrack.loops.controller import controller_values, sampled_controller, starting_state
 from certrack.loops.plant import INPUT, plant_values, simulated_plant
 from certrack.loops.sampled import loop_values, resolved
@@ -209,13 +210,13 @@ class _Period:
         made = SampledSimulator(system)
         self._system, self._implementation, self._maps = system, implementation, made.maps
         self._states = [state.name for state in made.loop.plant.states]
-        self._course = Course(
+        self._course = SampledProblem(
             x=np.array(system.settings.x0)[:, None],
             states=np.empty((0, 1)),
             totals=np.zeros((len(made.loop.totals), 1)),
             parameters=loop_values(made.loop, system)[:, None],
             implementation=implementation,
-            timeline=timeline(
+            timeline=event_timeline(
                 implementation, implementation.period, np.empty(0), np.empty(0)
             ),  # python-control's own
             outputs=made.outputs,
@@ -273,6 +274,6 @@ class _Period:
             return x
         run = SampledRun(self._maps, replace(self._course, x=x[:, None]))
         run.u = np.array([u])
-        if not run.cross(begin, end):
+        if not run.advance(begin, end):
             raise CertrackError(f"stopped at t = {begin:.6g} s: {run.outcomes[0].value}")
         return run.x[:, 0]

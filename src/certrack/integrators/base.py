@@ -1,4 +1,8 @@
-"""What every integrator takes and returns."""
+"""What an integrator of one run is: its duties, what it takes, what it returns.
+
+:class:`Integrator` is the extension point: a class with its one method can be used wherever
+:class:`~certrack.simulation.simulator.Simulator` uses the Taylor method or SciPy's.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 
@@ -13,6 +18,9 @@ from certrack.references import Reference
 
 #: A state larger than this where the solution ceases to exist is escaping, not leaving a domain.
 ESCAPING = 1e3
+
+#: Memory for the steps of a run, and the order of the Taylor method at usual tolerances.
+MAX_BYTES, USUAL_ORDER = 5e8, 15
 
 
 class Outcome(Enum):
@@ -70,7 +78,7 @@ class Problem:
     @property
     def max_steps(self) -> int:
         """As many steps as half a gigabyte of Taylor coefficients allows."""
-        return int(5e8 / (8 * 15 * len(self.start)))
+        return int(MAX_BYTES / (8 * USUAL_ORDER * len(self.start)))
 
     @property
     def segments(self) -> list[tuple[float, float]]:
@@ -108,6 +116,38 @@ class Trajectory:
         return float(self.times[-1])
 
 
+class Integrator(Protocol):
+    """An integrator of one run, compiled for a closed loop.
+
+    The constructor takes a :class:`~certrack.loops.continuous.ClosedLoop` (its states, rates and
+    parameters as SymPy formulas; the last `pieces` parameters belong to the reference) and whatever
+    options the method has, and does all that does not depend on numbers. The author's duties:
+
+    1. :meth:`integrate` solves x' = rates(t, x, parameters) from ``problem.start`` at t = 0 to
+       ``problem.duration``, for any numbers, without compiling again.
+    2. No step crosses an end of ``problem.segments``: there the reference's pieces change. On each
+       segment the parameters are those of the problem, followed by
+       ``problem.reference.piece_values(begin)``.
+    3. The local error is about ``problem.tolerance``, relative and absolute; the last
+       ``len(INTEGRALS)`` states are integrals, scaled by ``INTEGRAL_SCALE``.
+    4. Where the rates have kinks (abs, sign, min, max), the accuracy holds or the outcome says that
+       it does not: ``kink_missed`` or ``step_limit``. It is never lost silently.
+    5. It stops at the first of these, and says which in ``Trajectory.outcome``: the end of the run
+       (``finished``); one of the first ``problem.plant_order`` states beyond ``problem.max_state``,
+       or beyond :data:`ESCAPING` where the solution ceases to exist (``escaped``); rates that are
+       not finite (``undefined``); too many steps (``step_limit``). It neither raises nor prints.
+    6. ``Trajectory.times`` are the begin and the end of every step up to the last accepted one;
+       ``Trajectory.interpolate`` is as accurate as the steps are, at any of its times in any order,
+       and stays so when :meth:`integrate` is called again: it refers to no state of the integrator.
+    7. The same problem gives the same bits, whatever was integrated before.
+
+    ``tests/test_integrators.py`` holds the Taylor method and SciPy's to them.
+    """
+
+    def integrate(self, problem: Problem) -> Trajectory:
+        """Solve a problem."""
+
+
 #: Samples at the ends of a step lie this fraction of it inside: u may jump where a step ends.
 INSIDE = 1e-9
 
@@ -121,6 +161,6 @@ def subdivide(times: np.ndarray, parts: int) -> np.ndarray:
     """Every step sampled at its :func:`fractions`; begin and end of the run are hit exactly."""
     if len(times) < 2:
         return times.copy()
-    found = times[:-1, None] + np.diff(times)[:, None] * fractions(parts)
-    found[0, 0], found[-1, -1] = times[0], times[-1]
-    return found.ravel()
+    samples = times[:-1, None] + np.diff(times)[:, None] * fractions(parts)
+    samples[0, 0], samples[-1, -1] = times[0], times[-1]
+    return samples.ravel()

@@ -12,8 +12,9 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
 from certrack.integrators.base import Outcome, Trajectory
-from certrack.integrators.many.maps import HeyokaMaps, Maps, NumpyMaps
-from certrack.integrators.many.sampled import Course, SampledRun, timeline
+from certrack.integrators.many.sampled_events import event_timeline
+from certrack.integrators.many.sampled_maps import HeyokaMaps, Maps, NumpyMaps
+from certrack.integrators.many.sampled_run import SampledProblem, SampledRun
 from certrack.integrators.single.taylor import available
 from certrack.loops.continuous import INTEGRAL_SCALE
 from certrack.loops.controller import starting_state
@@ -67,9 +68,9 @@ class SampledSimulator:
         implementation, settings = system.implementation, system.settings
         assert implementation is not None
         breaks = system.reference.breaks(0.0, settings.duration)
-        line = timeline(implementation, settings.duration, breaks, np.empty(0))
+        line = event_timeline(implementation, settings.duration, breaks, np.empty(0))
         parameters = loop_values(self.loop, system)[:, None]
-        course = Course(
+        course = SampledProblem(
             x=np.array(settings.x0)[:, None],
             states=starting_state(self.loop.controller, system.estimates, implementation)[:, None],
             totals=np.zeros((len(self.loop.totals), 1)),
@@ -98,7 +99,7 @@ class SampledSimulator:
             if len(kept) % OFTEN == 0:
                 progress(t / settings.duration)
 
-        run.go(sampled=sampled, record=record)
+        run.run(on_sample=sampled, on_step=record)
         kept.append((float(line.times[-1]), run.states[:count, 0]))
         outcome: Outcome = run.outcomes[0]
         if outcome is not Outcome.finished:

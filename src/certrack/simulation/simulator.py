@@ -14,7 +14,7 @@ import sympy
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
-from certrack.integrators.base import Outcome, Problem
+from certrack.integrators.base import Integrator, Outcome, Problem
 from certrack.integrators.single.scipy import ScipyIntegrator
 from certrack.integrators.single.taylor import TaylorIntegrator, available
 from certrack.loops.continuous import INTEGRALS, ClosedLoop, close_loop, parameter_values
@@ -57,7 +57,7 @@ class Simulator:
         self.system = system
         self._sampled = None if system.implementation is None else SampledSimulator(system)
         self.loop: ClosedLoop = close_loop(system)
-        self._integrators: dict[tuple[str, float], TaylorIntegrator | ScipyIntegrator] = {}
+        self._integrators: dict[tuple[str, float], Integrator] = {}
         self._kinked = any(rate.has(*KINKS) for rate in self.loop.rates)
         self._parameters = parameter_values(self.loop, system)
         self._input = numpy_callable([TIME, self.loop.states, self.loop.parameters], [self.loop.u])
@@ -161,7 +161,7 @@ class Simulator:
             return "scipy", []
         return "taylor", []
 
-    def _integrator(self, method: str, tolerance: float) -> TaylorIntegrator | ScipyIntegrator:
+    def _integrator(self, method: str, tolerance: float) -> Integrator:
         key = (method, tolerance if method == "taylor" else 0.0)
         if key not in self._integrators:
             self._integrators[key] = (

@@ -23,7 +23,7 @@ from scipy.optimize import differential_evolution, minimize
 
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
-from certrack.integrators.many.batch import BatchIntegrator
+from certrack.integrators.many.taylor_batch import TaylorBatch
 from certrack.integrators.single.taylor import available
 from certrack.loops.continuous import close_loop, parameter_values
 from certrack.model.truth import Truth
@@ -171,7 +171,7 @@ class _Hunt:
         self.seeds = self._seeds()
         self.template = self._system({gene.name: (gene.low + gene.high) / 2 for gene in self.genes})
         self.loop = close_loop(self.template)
-        self.batch = BatchIntegrator(self.loop, 1e-7)
+        self.batch = TaylorBatch(self.loop, 1e-7)
         self.base = parameter_values(self.loop, self.template)
         self.index = {symbol.name: i for i, symbol in enumerate(self.loop.parameters)}
         self.times = np.concatenate([[0.0], np.linspace(self.transient, self.duration, GRID)])

@@ -19,7 +19,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable, rows
 from certrack.export.program import Program
-from certrack.integrators.many.maps import Maps, Number
+from certrack.integrators.many.sampled_maps import Maps, Scalar
 from certrack.loops.controller import COMMAND, controller_values
 from certrack.loops.sampled import SampledLoop, resolved
 from certrack.simulation.sampled import SampledSimulator
@@ -273,13 +273,13 @@ class _Recorder:
         self.times: list[float] = []
         self.given: list[tuple[Array, Array]] = []
 
-    def control(self, t: Number, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
+    def control(self, t: Scalar, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
         self.times.append(float(np.max(t)))
         self.given.append((measured[:, 0].copy(), states[:, 0].copy()))
         return self._maps.control(t, measured, states, p)
 
     def step(
-        self, t: Number, h: Number, allowed: Number, x: Array, u: Array, totals: Array, p: Array
+        self, t: Scalar, h: Scalar, allowed: Scalar, x: Array, u: Array, totals: Array, p: Array
     ) -> tuple[Array, Array, Array]:
         return self._maps.step(t, h, allowed, x, u, totals, p)
 

@@ -18,7 +18,7 @@ from certrack.core.errors import CertrackError, InputError
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
 from certrack.export.c.source import CCode, c_code
-from certrack.integrators.many.maps import Maps, Number
+from certrack.integrators.many.sampled_maps import Maps, Scalar
 from certrack.loops.sampled import SampledLoop
 from certrack.simulation.run import Run
 from certrack.simulation.sampled import SampledSimulator
@@ -83,7 +83,7 @@ class CMaps:
         self._reference = numpy_callable([TIME, [*loop.parameters, *loop.pieces]], formulas)
         self._count = len(formulas)
 
-    def control(self, t: Number, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
+    def control(self, t: Scalar, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
         with np.errstate(all="ignore"):
             Y = rows(self._reference(t, p), measured.shape[1])
         u, after = np.empty(measured.shape[1]), np.empty(states.shape[::-1])
@@ -95,7 +95,7 @@ class CMaps:
         return u, after.T
 
     def step(
-        self, t: Number, h: Number, allowed: Number, x: Array, u: Array, totals: Array, p: Array
+        self, t: Scalar, h: Scalar, allowed: Scalar, x: Array, u: Array, totals: Array, p: Array
     ) -> tuple[Array, Array, Array]:
         return self._maps.step(t, h, allowed, x, u, totals, p)
 

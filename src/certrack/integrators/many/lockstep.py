@@ -11,23 +11,17 @@ Kinks (abs, sign, min, max) are lowered to selections and followed by the error 
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
-import sympy
 
 from certrack.core.expressions import TIME
-from certrack.core.lowering import numpy_callable, rows, to_heyoka
-from certrack.core.select import STEP_BEGIN, STEP_LENGTH
+from certrack.core.lowering import numpy_callable, rows
 from certrack.integrators.base import ESCAPING
-from certrack.integrators.many.flow import Flow
-from certrack.integrators.pairs import DOP853, DORMAND_PRINCE, Pair, heyoka_step, heyoka_sum
-
-#: Vector lanes; the number of members at work is always a multiple, because heyoka evaluates a
-#: remainder by scalar functions, whose last bits differ.
-LANES = 8
+from certrack.integrators.many.augmented import AugmentedFlow
+from certrack.integrators.many.lockstep_map import STEP_ROWS, StepMap
+from certrack.integrators.many.registers import whole_registers
+from certrack.integrators.pairs import DOP853, DORMAND_PRINCE
 
 #: Members per call of the compiled step: their rows fit the second-level cache.
 BLOCK = 2048
@@ -35,33 +29,44 @@ BLOCK = 2048
 #: More halvings of an interval than this, and the member is given up.
 MAX_LEVEL = 11
 
+#: After a step that was not accurate enough, at most so many halvings more at once: an estimate
+#: far above the allowed error says little about how many are needed.
+MAX_HALVINGS = 4
+
+#: With half as many steps the error estimate may reach this part of the allowed one: were it all of
+#: it, a member would go to and fro between two levels.
+MARGIN = 0.5
+
+#: Steps after which a group is asked whether any member still has a passing estimate.
+CHECK_EVERY = 16
+
 #: From this tolerance on the fifth-order pair is faster than the eighth-order one.
 COARSE = 1e-7
 
 
 class Lockstep:
-    """A compiled :class:`Flow`.
+    """A compiled :class:`AugmentedFlow`.
 
     Parameters
     ----------
-    flow : Flow
+    flow : AugmentedFlow
     tolerance : float
         Relative and absolute, per step.
     parallel : bool
         Let heyoka share every step among the cores.
     """
 
-    def __init__(self, flow: Flow, tolerance: float, *, parallel: bool = False) -> None:
+    def __init__(self, flow: AugmentedFlow, tolerance: float, *, parallel: bool = False) -> None:
         self.flow, self.rows = flow, flow.rows
         self.size = self.rows["memories"].stop
         self._tolerance, self._parallel = tolerance, parallel
         self._pair = DORMAND_PRINCE if tolerance >= COARSE else DOP853
         self._nodes = np.unique([*self._pair.C, 1.0])
-        common, found = flow.without_time()
+        timeless, symbols = flow.without_time()
         names = [TIME, *flow.shared]
-        self._evaluate = numpy_callable(names, list(found)) if found else None
-        self._step = _Map(common, self._pair, self._nodes, list(found.values()))
-        self._restart = _Map(common, None, np.zeros(1), list(found.values()))
+        self._evaluate = numpy_callable(names, list(symbols)) if symbols else None
+        self._step = StepMap(timeless, self._pair, self._nodes, list(symbols.values()))
+        self._restart = StepMap(timeless, None, np.zeros(1), list(symbols.values()))
 
     def run(
         self,
@@ -69,7 +74,7 @@ class Lockstep:
         parameters: np.ndarray,
         times: np.ndarray,
         shared: Callable[[float], np.ndarray],
-        look: Callable[[int, Callable[[int], np.ndarray]], None],
+        on_grid_point: Callable[[int, Callable[[int], np.ndarray]], None],
         limit: float,
         restarts: frozenset[int] = frozenset(),
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -83,7 +88,7 @@ class Lockstep:
             Increasing.
         shared : callable
             Values of the shared symbols on the piece that begins at a time.
-        look : callable
+        on_grid_point : callable
             Gets the number of the grid time and a function that gives one row of all members,
             shape (N,); NaN for a member that has ended.
         limit : float
@@ -99,28 +104,28 @@ class Lockstep:
             Whether the step limit stopped it.
         """
         count = starts.shape[1]
-        whole = -(-count // LANES) * LANES
-        fill = np.minimum(np.arange(whole), count - 1)
-        lanes = min(whole, BLOCK)
-        members = np.minimum(np.arange(-(-whole // lanes) * lanes), whole - 1)
-        crowd = _Crowd(self, len(members) // lanes, lanes)
-        crowd.set(starts[:, fill[members]], parameters[:, fill[members]])
-        crowd.restart(times[0], shared(times[0]))
-        crowd.forget()
-        crowd.restart(times[0], shared(times[0]))
-        ends = np.full(len(members), times[0])
-        alive = crowd.inside(limit)
+        columns = whole_registers(count)  # which member each column computes
+        width = min(len(columns), BLOCK)
+        blocks = -(-len(columns) // width)
+        columns = columns[np.minimum(np.arange(blocks * width), len(columns) - 1)]
+        members = _MemberBlocks(self, blocks, width)
+        members.set(starts[:, columns], parameters[:, columns])
+        members.evaluate(times[0], shared(times[0]))
+        members.clear_memories()  # they have seen a jump from signals that were nothing yet
+        members.evaluate(times[0], shared(times[0]))
+        ends = np.full(len(columns), times[0])
+        alive = members.inside(limit)
         for k in range(len(times) - 1):
             values = shared(times[k])
             if k in restarts:
-                crowd.restart(times[k], values)
-            look(k, lambda row: crowd.row(row)[:count])
-            crowd.cross(times[k], times[k + 1], values, alive)
-            alive &= crowd.inside(limit)
-            crowd.bury(~alive)
+                members.evaluate(times[k], values)
+            on_grid_point(k, lambda row: members.row(row)[:count])
+            members.advance(times[k], times[k + 1], values, alive)
+            alive &= members.inside(limit)
+            members.remove(~alive)
             ends[alive] = times[k + 1]
-        look(len(times) - 1, lambda row: crowd.row(row)[:count])
-        return ends[:count], crowd.stuck[:count]
+        on_grid_point(len(times) - 1, lambda row: members.row(row)[:count])
+        return ends[:count], members.stuck[:count]
 
     def common(
         self, begin: float, step: float, nodes: np.ndarray, shared: np.ndarray
@@ -131,109 +136,110 @@ class Lockstep:
         return rows(self._evaluate(begin + nodes * step, *shared), len(nodes))
 
 
-class _Crowd:
-    """The members of one call: blocks of columns, before and after an interval."""
+class _MemberBlocks:
+    """The members of one call in blocks of columns, before and after an interval."""
 
-    def __init__(self, step: Lockstep, blocks: int, lanes: int) -> None:
-        self._of, self._lanes = step, lanes
-        size = step.size
-        self._before = np.zeros((blocks, size + 1, lanes))  # the last row is the error estimate
+    def __init__(self, lockstep: Lockstep, blocks: int, width: int) -> None:
+        self._lockstep, self._width = lockstep, width
+        size = lockstep.size
+        self._before = np.zeros((blocks, size + 1, width))  # the last row is the error estimate
         self._after = np.zeros_like(self._before)
-        self._levels = np.zeros(blocks * lanes, dtype=int)
-        self.stuck = np.zeros(blocks * lanes, dtype=bool)
-        self._down = 0.5 * 2.0**-step._pair.order
-        self._root = 1.0 / step._pair.order
+        self._levels = np.zeros(blocks * width, dtype=int)
+        self.stuck = np.zeros(blocks * width, dtype=bool)
+        self._coarsen_below = MARGIN * 2.0**-lockstep._pair.order
+        self._root = 1.0 / lockstep._pair.order
         self._parameters: dict[tuple[int, int], np.ndarray] = {}
 
     def set(self, starts: np.ndarray, parameters: np.ndarray) -> None:
-        rows, blocks = self._of.rows, len(self._before)
+        """Begin with these states and parameters, a column per member."""
+        rows, blocks = self._lockstep.rows, len(self._before)
         for name, table in (("states", starts), ("parameters", parameters)):
-            parts = table.reshape(len(table), blocks, self._lanes)
+            parts = table.reshape(len(table), blocks, self._width)
             self._before[:, rows[name]] = parts.transpose(1, 0, 2)
 
     def row(self, index: int) -> np.ndarray:
         """One row of all members."""
         return self._before[:, index].reshape(-1)
 
-    def forget(self) -> None:
-        self._before[:, self._of.rows["memories"]] = 0.0
+    def clear_memories(self) -> None:
+        self._before[:, self._lockstep.rows["memories"]] = 0.0
 
     def inside(self, limit: float) -> np.ndarray:
         """Members whose states are finite and within the limit."""
-        states = self._before[:, : self._of.flow.watched]
+        states = self._before[:, : self._lockstep.flow.watched]
         if states.max() <= limit and states.min() >= -limit:  # nearly always, and not for NaN
             return np.ones(len(self._levels), dtype=bool)
-        found: np.ndarray = (np.abs(states) <= limit).all(axis=1).ravel()
-        return found
+        inside: np.ndarray = (np.abs(states) <= limit).all(axis=1).ravel()
+        return inside
 
-    def bury(self, lost: np.ndarray) -> None:
-        if lost.any():
-            block, lane = np.divmod(np.flatnonzero(lost), self._lanes)
+    def remove(self, gone: np.ndarray) -> None:
+        """Make the columns of members that have ended NaN."""
+        if gone.any():
+            block, lane = np.divmod(np.flatnonzero(gone), self._width)
             self._before[block, :, lane] = np.nan
 
-    def restart(self, time: float, shared: np.ndarray) -> None:
+    def evaluate(self, time: float, shared: np.ndarray) -> None:
         """Evaluate rates and signals anew; memories see the jump of the signals."""
-        table = self._table(self._of._restart, self._lanes, time, 0.0, shared)
+        restart = self._lockstep._restart
+        table = self._table(restart, self._width, time, 0.0, shared)
         for before, after in zip(self._before, self._after, strict=True):
-            self._call(self._of._restart, before[:-1], table, after)
+            self._call(restart, before[:-1], table, after)
         self._before, self._after = self._after, self._before
 
-    def cross(self, begin: float, end: float, shared: np.ndarray, alive: np.ndarray) -> None:
+    def advance(self, begin: float, end: float, shared: np.ndarray, alive: np.ndarray) -> None:
         """All members that are alive from `begin` to `end`."""
-        step = self._of
-        table = self._table(step._step, self._lanes, begin, end - begin, shared)
+        step = self._lockstep._step
+        table = self._table(step, self._width, begin, end - begin, shared)
         levels = self._levels.reshape(len(self._before), -1)
         redo = np.ones(levels.shape, dtype=bool)
         for b in np.flatnonzero((levels == 0).any(axis=1)):
             after = self._after[b]
-            self._call(step._step, self._before[b, :-1], table, after)
+            self._call(step, self._before[b, :-1], table, after)
             np.greater(levels[b], 0, out=redo[b])
             redo[b] |= ~(after[-1] <= 1.0)
         members = np.flatnonzero(redo.ravel() & alive)
         if members.size:
-            self._halve(members, begin, end, shared)
+            self._refine(members, begin, end, shared)
         self._before, self._after = self._after, self._before
 
-    def _halve(self, members: np.ndarray, begin: float, end: float, shared: np.ndarray) -> None:
+    def _refine(self, members: np.ndarray, begin: float, end: float, shared: np.ndarray) -> None:
         """Members that need more than one step."""
         wanted = np.maximum(self._levels[members], 1)
         while members.size:
             level = int(wanted.min())
             now = wanted == level
-            worst = self._group(members[now], level, begin, end, shared)
+            worst = self._substeps(members[now], level, begin, end, shared)
             done, group = worst <= 1.0, members[now]
             # the next interval may do with half the steps
-            self._levels[group[done]] = level - (worst[done] < self._down)
+            self._levels[group[done]] = level - (worst[done] < self._coarsen_below)
             with np.errstate(over="ignore", invalid="ignore"):
                 more = np.ceil(np.log2(worst[~done]) * self._root)
-            more = np.clip(np.nan_to_num(more, nan=1.0, posinf=4.0), 1, 4).astype(int)
-            left, wanted = members[~now], wanted[~now]
-            again = level + more
-            hopeless = again > MAX_LEVEL
+            more = np.nan_to_num(more, nan=1.0, posinf=MAX_HALVINGS)
+            finer = level + np.clip(more, 1, MAX_HALVINGS).astype(int)
+            hopeless = finer > MAX_LEVEL
             self._give_up(group[~done][hopeless])
-            members = np.concatenate([left, group[~done][~hopeless]])
-            wanted = np.concatenate([wanted, again[~hopeless]])
+            members = np.concatenate([members[~now], group[~done][~hopeless]])
+            wanted = np.concatenate([wanted[~now], finer[~hopeless]])
 
-    def _group(
+    def _substeps(
         self, group: np.ndarray, level: int, begin: float, end: float, shared: np.ndarray
     ) -> np.ndarray:
         """Cross the interval in 2^level steps; returns the worst error estimate per member."""
-        step, size = self._of, 2**level
-        h = (end - begin) / size
+        step, steps = self._lockstep._step, 2**level
+        h = (end - begin) / steps
         worst = np.zeros(len(group))
         for first in range(0, len(group), BLOCK):
             part = group[first : first + BLOCK]
-            lanes = -(-len(part) // LANES) * LANES
-            padded = part[np.minimum(np.arange(lanes), len(part) - 1)]
-            block, lane = np.divmod(padded, self._lanes)
+            padded = part[whole_registers(len(part))]
+            block, lane = np.divmod(padded, self._width)
             now = np.ascontiguousarray(self._before[block, :, lane].T)
-            then, error = np.empty_like(now), np.zeros(lanes)
-            for i in range(size):
-                table = self._table(step._step, lanes, begin + i * h, h, shared)
-                self._call(step._step, now[:-1], table, then)
-                np.maximum(error, then[-1], out=error)  # a NaN stays
-                now, then = then, now
-                if i % 16 == 15 and not (error <= 1.0).any():
+            after, error = np.empty_like(now), np.zeros(len(padded))
+            for i in range(steps):
+                table = self._table(step, len(padded), begin + i * h, h, shared)
+                self._call(step, now[:-1], table, after)
+                np.maximum(error, after[-1], out=error)  # a NaN stays
+                now, after = after, now
+                if (i + 1) % CHECK_EVERY == 0 and not (error <= 1.0).any():
                     break
             worst[first : first + BLOCK] = error[: len(part)]
             self._after[block, :, lane] = now.T
@@ -241,141 +247,26 @@ class _Crowd:
 
     def _give_up(self, members: np.ndarray) -> None:
         if members.size:
-            block, lane = np.divmod(members, self._lanes)
-            states = self._before[block, : self._of.flow.watched, lane]
+            block, lane = np.divmod(members, self._width)
+            states = self._before[block, : self._lockstep.flow.watched, lane]
             self._after[block, :, lane] = np.nan
             self.stuck[members] = ~(np.abs(states) > ESCAPING).any(axis=1)
             self._levels[members] = 0
 
     def _table(
-        self, step: _Map, lanes: int, begin: float, h: float, shared: np.ndarray
+        self, step: StepMap, width: int, begin: float, h: float, shared: np.ndarray
     ) -> np.ndarray:
         """Runtime parameters: begin, length, tolerance, then what depends on time alone."""
-        key = (id(step), lanes)
+        key = (id(step), width)
         if key not in self._parameters:
-            self._parameters[key] = np.empty((3 + len(step.used), lanes))
+            self._parameters[key] = np.empty((STEP_ROWS + len(step.used), width))
         table = self._parameters[key]
-        table[0], table[1], table[2] = begin, h, self._of._tolerance
-        values = self._of.common(begin, h, step.nodes, shared)
-        for row, place in zip(table[3:], step.used, strict=True):
+        table[0], table[1], table[2] = begin, h, self._lockstep._tolerance
+        values = self._lockstep.common(begin, h, step.nodes, shared)
+        for row, place in zip(table[STEP_ROWS:], step.used, strict=True):
             row[:] = values[place]
         return table
 
-    def _call(self, step: _Map, inputs: np.ndarray, table: np.ndarray, out: np.ndarray) -> None:
+    def _call(self, step: StepMap, inputs: np.ndarray, table: np.ndarray, out: np.ndarray) -> None:
         f = step.function
-        f(inputs, pars=table[: f.nparams], outputs=out, batch_parallel=self._of._parallel)
-
-
-class _Map:
-    """The step of `pair` as one compiled map of all rows; without a pair, the restart.
-
-    Attributes
-    ----------
-    function : heyoka.cfunc
-    nodes : (K,) array
-        Where on the step the stages lie.
-    used : list of (i, k)
-        Which shared symbol at which node each further runtime parameter is.
-    """
-
-    def __init__(
-        self, flow: Flow, pair: Pair | None, nodes: np.ndarray, shared: Sequence[sympy.Symbol]
-    ) -> None:
-        import heyoka as hy
-
-        self.nodes = nodes
-        places = [(i, k) for i in range(len(shared)) for k in range(len(nodes))]
-        inputs, outputs = _formulas(flow, pair, nodes, shared, places)
-        present = {int(re.sub(r"\D", "", str(name))) for name in hy.get_params(outputs)}
-        self.used = [place for i, place in enumerate(places) if 3 + i in present]
-        inputs, outputs = _formulas(flow, pair, nodes, shared, self.used)
-        self.function = hy.cfunc(outputs, inputs, batch_size=LANES, force_avx512=True)
-
-
-def _formulas(
-    flow: Flow,
-    pair: Pair | None,
-    nodes: np.ndarray,
-    shared: Sequence[sympy.Symbol],
-    used: Sequence[tuple[int, int]],
-) -> tuple[list[Any], list[Any]]:
-    """Input and output rows of a map; `used` says which runtime parameters it may refer to."""
-    import heyoka as hy
-
-    unused = hy.expression(0.0)
-    position = {place: hy.par[3 + i] for i, place in enumerate(used)}
-    names = [
-        *flow.states,
-        *flow.parameters,
-        *(f"kept_integral_{i}" for i in range(len(flow.integrands))),
-        *(f"kept_slope_{i}" for i in range(len(flow.rates))),
-        *(begin for begin, _ in flow.sides),
-        *(symbol for symbol, _ in flow.memories),
-    ]
-    inputs = [hy.expression(str(name)) for name in names]
-    known: dict[sympy.Symbol, Any] = dict(zip(names, inputs, strict=True))
-    x, rows = inputs[: len(flow.states)], flow.rows
-    integrals, slopes = inputs[rows["integrals"]], inputs[rows["slopes"]]
-    begin, h, tolerance = hy.par[0], hy.par[1], hy.par[2]
-    known |= {STEP_BEGIN: begin, STEP_LENGTH: h}
-
-    def at(node: float, states: Sequence[Any]) -> dict[sympy.Symbol, Any]:
-        """What formulas refer to at a node of the step."""
-        column = int(np.searchsorted(nodes, node))
-        times = {s: position.get((i, column), unused) for i, s in enumerate(shared)}
-        return known | dict(zip(flow.states, states, strict=True)) | times
-
-    def rates(node: float, states: Sequence[Any]) -> list[Any]:
-        return to_heyoka([*flow.rates, *flow.integrands], at(node, states), kinks=True)
-
-    size = len(flow.rates)
-    if pair is None:
-        ends, error = x, hy.expression(0.0)
-        totals = integrals
-        last = rates(0.0, x)[:size]
-    else:
-        first = [*slopes, *rates(0.0, x)[size:]]  # the slopes are those at the last step's end
-        stages, ends = heyoka_step(pair, h, x, first, rates)
-        totals = [
-            v + heyoka_sum(h, pair.B, [k[size + i] for k in stages[:-1]])
-            for i, v in enumerate(integrals)
-        ]
-        last = list(stages[-1][:size])
-        error = _estimate(hy, pair, h, x, ends, stages, tolerance)
-    end_node = 0.0 if pair is None else 1.0
-    place = at(end_node, ends) | dict(zip(flow.slopes, last, strict=True))
-    signals = to_heyoka(flow.signals, place, kinks=True)
-    place |= {end: value for (_, end), value in zip(flow.sides, signals, strict=True)}
-    memories = to_heyoka([formula for _, formula in flow.memories], place, kinks=True)
-    outputs = [*ends, *inputs[rows["parameters"]], *totals, *last, *signals, *memories, error]
-    return inputs, outputs
-
-
-def _estimate(
-    hy: Any,
-    pair: Pair,
-    h: Any,
-    x: Sequence[Any],
-    ends: Sequence[Any],
-    slopes: Sequence[Sequence[Any]],
-    tolerance: Any,
-) -> Any:
-    """Root mean square of the estimated errors over tolerance (1 + |x|); a step passes at 1."""
-
-    def magnitude(value: Any) -> Any:
-        return hy.select(hy.gte(value, 0.0), value, -value)
-
-    scales = []
-    for begin, end in zip(x, ends, strict=True):
-        a, b = magnitude(begin), magnitude(end)
-        scales.append(1.0 / (tolerance + tolerance * hy.select(hy.gt(a, b), a, b)))
-
-    def squares(weights: np.ndarray) -> Any:
-        errors = [heyoka_sum(h, weights, [k[i] for k in slopes]) for i in range(len(x))]
-        scaled = [error * scale for error, scale in zip(errors, scales, strict=True)]
-        return hy.sum([value * value for value in scaled]) * (1.0 / len(scaled))
-
-    if len(pair.errors) == 1:
-        return hy.sqrt(squares(pair.errors[0]))
-    fifth, third = map(squares, pair.errors)
-    return fifth / hy.sqrt(fifth + 0.01 * third + 1e-300)
+        f(inputs, pars=table[: f.nparams], outputs=out, batch_parallel=self._lockstep._parallel)

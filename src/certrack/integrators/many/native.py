@@ -1,8 +1,8 @@
 """Members in the lanes of vector registers: C written for the system, compiled where it runs.
 
 The fastest way by far, where there is a C compiler with GCC's vector extensions (gcc, clang);
-``lanes.c`` beside this file holds the method, ``vector_math.h`` the arithmetic, ``lanes.py`` writes
-the system for them; this module compiles and calls them.
+``native.c`` beside this file holds the method, ``vector_math.h`` the arithmetic,
+``native_source.py`` writes the system for them; this module compiles and calls them.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 import sympy
 
-from certrack.integrators.many.flow import Flow
-from certrack.integrators.many.lanes import system_header
+from certrack.integrators.many.augmented import AugmentedFlow
+from certrack.integrators.many.native_source import system_header
 
 FLAGS = (
     "-std=gnu11 -O3 -march=native -fno-math-errno -fno-trapping-math -fno-signed-zeros "
@@ -33,10 +33,7 @@ WIDE = ["-mprefer-vector-width=512"]
 #: The error estimate of DOP853 exceeds its error by far: this many times the tolerance is allowed.
 #: At the end of a run the error of the states then stays below the tolerance (a test measures it);
 #: on the way it may be twice as large, as that of any integrator whose tolerance is one of steps.
-CAUTION = 10.0
-
-#: Members that share their steps, as in lanes.c.
-GROUP = 32
+ESTIMATE_EXCESS = 10.0
 
 #: Outcome of a member whose group took too many steps, or none that is long enough.
 STUCK = 2
@@ -104,8 +101,8 @@ def built(name: str, system: str) -> ctypes.CDLL:
     return made
 
 
-class _Task(ctypes.Structure):
-    """As in lanes.c."""
+class _NativeTask(ctypes.Structure):
+    """``Task`` of native.c."""
 
     _fields_ = [
         ("count", ctypes.c_int64),
@@ -117,33 +114,33 @@ class _Task(ctypes.Structure):
         ("points", ctypes.c_int64),
         ("grid", ctypes.c_void_p),
         ("centre", ctypes.c_void_p),
-        ("pace", ctypes.c_void_p),
+        ("per_unit", ctypes.c_void_p),
         ("tolerance", ctypes.c_double),
         ("limit", ctypes.c_double),
-        ("most", ctypes.c_int64),
+        ("max_steps", ctypes.c_int64),
         ("begin", ctypes.c_int64),
         ("end", ctypes.c_int64),
-        ("side", ctypes.c_int64),
+        ("bins_per_side", ctypes.c_int64),
         ("bits", ctypes.c_int64),
         ("counts", ctypes.c_void_p),
-        ("some", ctypes.c_void_p),
+        ("own_counts", ctypes.c_void_p),
         ("totals", ctypes.c_void_p),
         ("finals", ctypes.c_void_p),
         ("ends", ctypes.c_void_p),
         ("outcomes", ctypes.c_void_p),
-        ("next", ctypes.c_void_p),
+        ("next_member", ctypes.c_void_p),
         ("steps", ctypes.c_int64),
-        ("reach", ctypes.c_double),
-        ("marks", ctypes.c_void_p),
+        ("node_spacing", ctypes.c_double),
+        ("grid_common", ctypes.c_void_p),
         ("bins", ctypes.c_void_p),
         ("filled", ctypes.c_void_p),
-        ("counted", ctypes.c_int64),
+        ("members_counted", ctypes.c_int64),
     ]
 
 
 @dataclass(frozen=True)
-class Timeline:
-    """What all members share.
+class SharedGrid:
+    """The times that all members share, and what depends on them alone.
 
     Attributes
     ----------
@@ -152,7 +149,7 @@ class Timeline:
     shared : (K, H) array
         Values of the shared symbols on every segment.
     grid : (T,) array, s
-        Where the shown values are looked at; begins with the first edge.
+        Where the shown values are counted; begins with the first edge.
     centre, unit : (R, T) and (R,) arrays
         The shown values are reduced by them: (value - centre)/unit.
     """
@@ -165,46 +162,46 @@ class Timeline:
 
 
 @dataclass(frozen=True)
-class Control:
-    """When members are accurate enough, gone, or given up.
+class StepControl:
+    """When steps are accurate enough, and when a member has escaped or is given up.
 
     Attributes
     ----------
     tolerance : float
     limit : float
         A watched state beyond it has escaped.
-    most : int
-        Steps.
+    max_steps : int
+        A group that needs more is given up.
     """
 
     tolerance: float
     limit: float
-    most: int
+    max_steps: int
 
 
 @dataclass(frozen=True)
-class Counted:
+class BinCounts:
     """Which members are counted in which bins.
 
     Attributes
     ----------
     part : slice
         The members.
-    side, bits : int
+    bins_per_side, bits : int
         Bins of one side of zero, leading bits of a bin (see ``statistics.py``).
-    counts : (T, R, 2 side + 1) array of int32
+    counts : (T, R, 2 bins_per_side + 1) array of int32
         They are added to it; several threads may count in one array.
     """
 
     part: slice
-    side: int
+    bins_per_side: int
     bits: int
     counts: np.ndarray
 
 
 @dataclass(frozen=True)
-class Passed:
-    """What came of some members.
+class NativeResult:
+    """Integrals, memories and last states of members.
 
     Attributes
     ----------
@@ -225,11 +222,11 @@ class Passed:
 
 
 class Native:
-    """A compiled :class:`Flow`; may be used by several threads at once.
+    """A compiled :class:`AugmentedFlow`; may be used by several threads at once.
 
     Parameters
     ----------
-    flow : Flow
+    flow : AugmentedFlow
     shown : formulas
         Of the states and of the signals' symbols at the end of a step.
 
@@ -239,70 +236,83 @@ class Native:
         If no compiler can do it.
     """
 
-    def __init__(self, flow: Flow, shown: Sequence[sympy.Expr]) -> None:
-        self._kept = len(flow.integrands) + len(flow.memories)
-        self._library = built("lanes.c", system_header(flow, shown))
-        self._spare: list[np.ndarray] = []
+    def __init__(self, flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> None:
+        self._totals = len(flow.integrands) + len(flow.memories)
+        self._library = built("native.c", system_header(flow, shown))
+        self._spare_counts: list[np.ndarray] = []
 
     def integrate(
         self,
         starts: np.ndarray,
         parameters: np.ndarray,
-        timeline: Timeline,
-        control: Control,
-        tally: Counted,
+        grid: SharedGrid,
+        control: StepControl,
+        tally: BinCounts,
         threads: int = 1,
-    ) -> Passed:
-        """Integrate members; starts (S, N), parameters (P, N)."""
+    ) -> NativeResult:
+        """Integrate members; several threads take them in turns.
+
+        Parameters
+        ----------
+        starts : (S, N) array
+        parameters : (P, N) array
+        grid : SharedGrid
+        control : StepControl
+        tally : BinCounts
+        threads : int
+        """
         size, count = starts.shape
-        totals, ends = np.full((self._kept, count), np.nan), np.zeros(count)
+        totals, ends = np.full((self._totals, count), np.nan), np.zeros(count)
         finals, outcomes = np.full((size, count), np.nan), np.zeros(count, dtype=np.uint8)
         inputs = [np.ascontiguousarray(a, dtype=float) for a in (starts, parameters)]
         inputs += [
             np.ascontiguousarray(a, dtype=float)
-            for a in (timeline.edges, timeline.shared, timeline.grid, timeline.centre)
+            for a in (grid.edges, grid.shared, grid.grid, grid.centre)
         ]
-        inputs.append(1.0 / np.asarray(timeline.unit, dtype=float))
+        inputs.append(1.0 / np.asarray(grid.unit, dtype=float))
         pointers = [array.ctypes.data for array in inputs]
-        drawn = np.zeros(1, dtype=np.int64)
+        next_member = np.zeros(1, dtype=np.int64)
 
-        def integrate(some: np.ndarray) -> int:
+        def integrate(own_counts: np.ndarray) -> int:
             """One thread; releases the interpreter lock."""
-            task = _Task(
+            task = _NativeTask(
                 count,
                 *pointers[:2],
-                len(timeline.edges) - 1,
+                len(grid.edges) - 1,
                 *pointers[2:4],
-                len(timeline.grid),
+                len(grid.grid),
                 *pointers[4:],
-                CAUTION * control.tolerance,
+                ESTIMATE_EXCESS * control.tolerance,
                 control.limit,
-                control.most,
+                control.max_steps,
                 tally.part.start,
                 tally.part.stop,
-                tally.side,
+                tally.bins_per_side,
                 tally.bits,
-                *(a.ctypes.data for a in (tally.counts, some, totals, finals, ends, outcomes)),
-                drawn.ctypes.data,
+                *(
+                    a.ctypes.data
+                    for a in (tally.counts, own_counts, totals, finals, ends, outcomes)
+                ),
+                next_member.ctypes.data,
             )
             if self._library.integrate(ctypes.byref(task)):
                 raise MemoryError
-            self._spare.append(some)
+            self._spare_counts.append(own_counts)
             return int(task.steps)
 
         tables = [self._zeros(tally.counts.shape) for _ in range(threads)]
         with ThreadPoolExecutor(threads) as pool:
             steps = sum(pool.map(integrate, tables))
-        return Passed(totals, finals, ends, outcomes, steps)
+        return NativeResult(totals, finals, ends, outcomes, steps)
 
     def reserve(self, threads: int, shape: tuple[int, ...]) -> None:
         """Tables that threads count in: new memory costs as much as counting."""
-        self._spare += [np.full(shape, 0, dtype=np.uint16) for _ in range(threads)]
+        self._spare_counts += [np.full(shape, 0, dtype=np.uint16) for _ in range(threads)]
 
     def _zeros(self, shape: tuple[int, ...]) -> np.ndarray:
         """A table of zeros, used before if possible."""
-        while self._spare:
-            some = self._spare.pop()
-            if some.shape == shape:
-                return some
+        while self._spare_counts:
+            counts = self._spare_counts.pop()
+            if counts.shape == shape:
+                return counts
         return np.zeros(shape, dtype=np.uint16)

@@ -13,11 +13,15 @@ from certrack.core.lowering import jacobian, numpy_callable
 from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
 
+#: Of the rates in one segment of the reference; a run that needs more would take minutes.
 MAX_EVALUATIONS = 400_000
+
+#: SciPy refuses smaller relative tolerances (100 times the rounding of a double).
+MIN_RELATIVE_TOLERANCE = 3e-14
 
 
 class ScipyIntegrator:
-    """A closed loop as NumPy functions, solved by SciPy.
+    """A closed loop as NumPy functions; an :class:`~certrack.integrators.base.Integrator`.
 
     Parameters
     ----------
@@ -55,7 +59,8 @@ class ScipyIntegrator:
             if not np.isfinite(rates(begin, y)).all():
                 outcome = Outcome.undefined
                 break
-            options: dict[str, Any] = {"rtol": max(problem.tolerance, 3e-14), "atol": absolute}
+            relative = max(problem.tolerance, MIN_RELATIVE_TOLERANCE)
+            options: dict[str, Any] = {"rtol": relative, "atol": absolute}
             if not self.implicit:  # its interpolant is poor on steps that only stability limits
                 options["max_step"] = 1.0 / problem.fastest_pole
             if self.implicit:
@@ -102,12 +107,12 @@ class SteppedOutput:
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         t = np.asarray(t, dtype=float)
-        found = np.empty((len(self.last), len(t)))
+        states = np.empty((len(self.last), len(t)))
         if not self.pieces:
-            found[:] = self.last[:, None]
-            return found
+            states[:] = self.last[:, None]
+            return states
         inner = np.array(self.times[1:-1])
         owner = np.searchsorted(inner, t, side="left")
         for k in np.unique(owner):
-            found[:, owner == k] = self.pieces[k](t[owner == k])
-        return found
+            states[:, owner == k] = self.pieces[k](t[owner == k])
+        return states

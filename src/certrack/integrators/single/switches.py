@@ -16,6 +16,13 @@ import sympy
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
 
+#: How far ahead a switch looks for the sign of its function, s, and as a part of the time: beyond
+#: what rounding blurs; the nearer look is decisive.
+FAR_AHEAD, NEAR_AHEAD = 1e-6, 1e-10
+
+#: A function this small, relative to the states, has no sign: rounding.
+ZERO = 1e-9
+
 #: After an event, its function is not looked at for this long, s: rounding would fire it again,
 #: and from rest on a kink heyoka would deduce zero. What is missed by it is found by the check.
 COOLDOWN = 1e-9
@@ -56,11 +63,11 @@ class Switches:
         ]
 
     def begin(self) -> None:
-        """Forget the record of the run before."""
+        """Clear the record of the run before."""
         self._used = []
 
     def record(self, integrator: Any) -> None:
-        """Remember the parameters that the next step uses."""
+        """Record the parameters that the next step uses."""
         self._used.append(integrator.pars.copy())
 
     def set(self, integrator: Any, skip: int = -1) -> None:
@@ -72,7 +79,7 @@ class Switches:
         t, state, pars = integrator.time, integrator.state, integrator.pars
         for _ in range(self.count):  # later functions may contain earlier switches
             before = pars[self.first :].copy()
-            for moment in (1e-6, 1e-10 * max(1.0, abs(t))):  # the shorter one has the say
+            for moment in (FAR_AHEAD, NEAR_AHEAD * max(1.0, abs(t))):  # the later one decides
                 with np.errstate(all="ignore"):
                     ahead = state + moment * np.array(self._rates(t, state, pars), dtype=float)
                     values = self._functions(t + moment, ahead, pars)
@@ -90,7 +97,7 @@ class Switches:
                 [np.broadcast_to(f, t.shape) for f in self._functions(t, states, pars)]
             )
         wrong = values * pars[self.first :] < 0
-        return bool((wrong & (np.abs(values) > 1e-9 * (1 + np.abs(states).max()))).any())
+        return bool((wrong & (np.abs(values) > ZERO * (1 + np.abs(states).max()))).any())
 
 
 class _Flip:

@@ -23,18 +23,24 @@ def available() -> bool:
     return find_spec("heyoka") is not None
 
 
-#: With careful steps, which are many, a run is not followed beyond this.
-ESCAPED = 1e9
+#: With careful steps, which are many, a run is not followed beyond states of this size.
+MAX_CAREFUL_STATE = 1e9
 
-#: So many steps in a row that do not move time end a run; an event may cut a few that short.
-BRINK = 50
+#: More steps in a row that do not move time are the brink of a finite escape and end a run; an
+#: event may cut a few that short.
+MAX_STALLED_STEPS = 50
 
-#: Length of a step that leaves a kink on which the run rests, s.
-NUDGE = 1e-6
+#: More steps of no length in a row: the run rests on a kink, whose event fires for ever.
+MAX_EMPTY_STEPS = 3
+
+#: Length of the step by the Taylor series that leaves such a kink, s.
+LEAVING_STEP = 1e-6
 
 
 class TaylorIntegrator:
-    """A compiled closed loop. Not for two threads at once: make one per thread.
+    """A compiled closed loop; an :class:`~certrack.integrators.base.Integrator`.
+
+    Not for two threads at once: make one per thread.
 
     Parameters
     ----------
@@ -50,14 +56,14 @@ class TaylorIntegrator:
         rates, kinks = extract_switches(loop.rates)
         used = set().union(*(f.free_symbols for f in (*rates, *(f for _, f in kinks))))
         count = len(loop.parameters) - loop.pieces
-        own = [i for i, symbol in enumerate(loop.parameters[:count]) if symbol in used]
-        self._own = np.array(own, dtype=int)  # heyoka refuses parameters that nothing uses
+        indices = [i for i, symbol in enumerate(loop.parameters[:count]) if symbol in used]
+        self._used = np.array(indices, dtype=int)  # heyoka refuses parameters that nothing uses
         parameters = [
-            *(loop.parameters[i] for i in own),
+            *(loop.parameters[i] for i in indices),
             *loop.parameters[count:],
             *(symbol for symbol, _ in kinks),
         ]
-        self._piece = slice(len(own), len(own) + loop.pieces)
+        self._piece = slice(len(indices), len(indices) + loop.pieces)
         names = [state.name for state in loop.states]
         variables = [hy.expression(name) for name in names]
         known = {symbol: hy.par[i] for i, symbol in enumerate(parameters)}
@@ -79,25 +85,27 @@ class TaylorIntegrator:
 
     def integrate(self, problem: Problem) -> Trajectory:
         """Solve `problem`; stops early at an escape, an undefined rate or the step limit."""
-        found, steps = self._attempt(problem, careful=False)
-        taken = np.diff(found.times)
-        size = np.abs(steps.table[: len(taken), : problem.plant_order, 0]).max(axis=1, initial=0.0)
+        trajectory, steps = self._attempt(problem, careful=False)
+        lengths = np.diff(trajectory.times)
+        size = np.abs(steps.table[: len(lengths), : problem.plant_order, 0]).max(
+            axis=1, initial=0.0
+        )
         tame = int(np.argmax(np.append(size > ESCAPING, True)))  # an escape's last steps are wild
-        if tame and _excess(steps, self._moving, taken[:tame]) > 10 * SLACK:
-            found, steps = self._attempt(problem, careful=True)
+        if tame and _excess(steps, self._moving, lengths[:tame]) > RERUN * SLACK:
+            trajectory, steps = self._attempt(problem, careful=True)
         switches = self._switches
-        if switches is not None and len(found.times) > 1:
-            middle = (found.times[:-1] + found.times[1:]) / 2
-            if switches.missed(middle, found.interpolate(middle)):
-                return replace(found, outcome=Outcome.kink_missed)
-        return found
+        if switches is not None and len(trajectory.times) > 1:
+            middle = (trajectory.times[:-1] + trajectory.times[1:]) / 2
+            if switches.missed(middle, trajectory.interpolate(middle)):
+                return replace(trajectory, outcome=Outcome.kink_missed)
+        return trajectory
 
-    def _attempt(self, problem: Problem, *, careful: bool) -> tuple[Trajectory, _Steps]:
+    def _attempt(self, problem: Problem, *, careful: bool) -> tuple[Trajectory, _StepRecord]:
         """Integrate from the start; with `careful`, shorten steps that are too long."""
         ta, switches = self._integrator, self._switches
         ta.state[:] = problem.start
-        ta.pars[: self._piece.start] = problem.parameters[self._own]
-        steps = _Steps(ta.tc.shape)
+        ta.pars[: self._piece.start] = problem.parameters[self._used]
+        steps = _StepRecord(ta.tc.shape)
         end, outcome = 0.0, Outcome.finished
         if switches is not None:
             switches.begin()
@@ -109,47 +117,47 @@ class TaylorIntegrator:
             end, outcome = self._segment(begin, stop, problem.max_steps, steps, careful)
             if outcome is not Outcome.finished:
                 break
-        return _finish(steps, end, outcome, problem), steps
+        return _trajectory(steps, end, outcome, problem), steps
 
     def _segment(
-        self, begin: float, stop: float, max_steps: int, steps: _Steps, careful: bool
+        self, begin: float, stop: float, max_steps: int, steps: _StepRecord, careful: bool
     ) -> tuple[float, Outcome]:
-        """Step from `begin` to `stop`, keeping the Taylor coefficients of every step."""
+        """Step from `begin` to `stop`, recording the Taylor coefficients of every step."""
         ta, switches = self._integrator, self._switches
         step, tc, k, starts, table = ta.step, ta.tc, steps.count, steps.starts, steps.table
-        stuck = stalled = 0
+        empty = stalled = 0
         while True:  # the hot loop: heyoka's step takes about as long as two Python calls
             if switches is not None:
                 switches.record(ta)
-            room = stop - begin
-            outcome, taken = step(room, True)
-            if careful and not abs(tc[:, 0]).max() < ESCAPED:
+            left = stop - begin
+            outcome, length = step(left, True)
+            if careful and not abs(tc[:, 0]).max() < MAX_CAREFUL_STATE:
                 result = begin, Outcome.undefined
                 break
-            if careful and taken > (safe := _safe_step(tc[: self._moving], taken)):
+            if careful and length > (safe := _safe_step(tc[: self._moving], length)):
                 ta.state[:], ta.time = tc[:, 0], begin
-                outcome, taken = step(safe, True)
+                outcome, length = step(safe, True)
             if switches is not None:
-                stuck = stuck + 1 if taken == 0.0 else 0
-                if stuck > 3:  # at rest on a kink its event fires for ever: leave by the series
-                    stuck, taken = 0, min(NUDGE, room)
-                    ta.state[:] = tc @ taken ** np.arange(tc.shape[1])
-                    ta.time = begin + taken
-            if taken != taken:  # NaN: the rates are not finite
+                empty = empty + 1 if length == 0.0 else 0
+                if empty > MAX_EMPTY_STEPS:
+                    empty, length = 0, min(LEAVING_STEP, left)
+                    ta.state[:] = tc @ length ** np.arange(tc.shape[1])
+                    ta.time = begin + length
+            if length != length:  # NaN: the rates are not finite
                 result = begin, Outcome.undefined
                 break
             if k == len(starts):
                 starts, table = steps.grow()
             starts[k], table[k] = begin, tc
             k += 1
-            if taken == room:
+            if length == left:
                 result = stop, Outcome.finished
                 break
-            stalled = stalled + 1 if begin + taken == begin else 0
-            if stalled > BRINK:  # of a finite escape
+            stalled = stalled + 1 if begin + length == begin else 0
+            if stalled > MAX_STALLED_STEPS:
                 result = begin, Outcome.undefined
                 break
-            begin += taken
+            begin += length
             if k >= max_steps:
                 result = begin, Outcome.step_limit
                 break
@@ -164,7 +172,12 @@ class TaylorIntegrator:
 # whose series has only every third term, the step is far too long. So the few coefficients before
 # them are held to the same rule, with some slack because they usually exceed it a little.
 SLACK = 100.0
+
+#: Coefficients before the last two that are looked at.
 ORDERS_BEFORE = 5
+
+#: A run whose steps exceed the rule with slack by more than this is repeated with careful steps.
+RERUN = 10.0
 
 
 def _orders(count: int) -> range:
@@ -172,31 +185,31 @@ def _orders(count: int) -> range:
     return range(max(2, count - 1 - ORDERS_BEFORE), count - 1)
 
 
-def _excess(steps: _Steps, moving: int, taken: np.ndarray) -> float:
+def _excess(steps: _StepRecord, moving: int, lengths: np.ndarray) -> float:
     """Largest |c_j| h^j / (|x| exp(-2 j)) over all steps."""
-    table = steps.table[: len(taken), :moving]
+    table = steps.table[: len(lengths), :moving]
     orders = _orders(table.shape[2])
     begin, late = table[:, :, :2], table[:, :, orders.start : orders.stop]
     with np.errstate(all="ignore"):  # an escape overflows; an event may end a step at its begin
         squares = np.einsum("sij,sij->sj", begin, begin)  # Euclidean norms: several times faster
-        size = np.maximum(squares[:, 0], squares[:, 1] * taken**2) + 1e-300
-        reach = np.log(taken) + 2.0
+        size = np.maximum(squares[:, 0], squares[:, 1] * lengths**2) + 1e-300  # not 0/0
+        reach = np.log(lengths) + 2.0
         growth = np.exp(2.0 * reach[:, None] * np.arange(orders.start, orders.stop))
         terms = np.einsum("sij,sij->sj", late, late) * growth
         return float(np.sqrt((terms / size[:, None]).max()))
 
 
-def _safe_step(coefficients: np.ndarray, taken: float) -> float:
+def _safe_step(coefficients: np.ndarray, length: float) -> float:
     """Longest step by the rule above."""
     table = np.abs(coefficients)
-    size = max(table[:, 0].max(), table[:, 1].max() * taken)
+    size = max(table[:, 0].max(), table[:, 1].max() * length)
     j = np.array(_orders(table.shape[1]))
     with np.errstate(divide="ignore"):
         limits = (SLACK * size / table[:, j].max(axis=0)) ** (1.0 / j) * np.exp(-2.0)
     return float(limits.min())
 
 
-class _Steps:
+class _StepRecord:
     """Growing record of steps: begin and Taylor coefficients."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
@@ -211,7 +224,7 @@ class _Steps:
         return self.starts, self.table
 
 
-def _finish(steps: _Steps, end: float, outcome: Outcome, problem: Problem) -> Trajectory:
+def _trajectory(steps: _StepRecord, end: float, outcome: Outcome, problem: Problem) -> Trajectory:
     """Cut the record where a plant state first passes the limit."""
     count = steps.count
     starts, table = steps.starts[:count], steps.table[:count]
@@ -265,5 +278,5 @@ class TaylorSeries:
         values = values.reshape(steps, size, parts + 1)
         values[0, :, 0] = self.table[0, :, 0]
         values[-1, :, -1] = (self.table[-1] * powers[-1]).sum(axis=1)
-        found: np.ndarray = values.transpose(1, 0, 2).reshape(size, -1)
-        return found
+        states: np.ndarray = values.transpose(1, 0, 2).reshape(size, -1)
+        return states

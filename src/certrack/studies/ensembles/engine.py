@@ -15,17 +15,16 @@ import sympy
 
 from certrack.integrators.base import Outcome
 from certrack.integrators.many.lockstep import Lockstep
-from certrack.integrators.many.maps import LANES
 from certrack.integrators.many.native import (
-    GROUP,
     STUCK,
-    Control,
-    Counted,
+    BinCounts,
     Native,
-    Passed,
-    Timeline,
+    NativeResult,
+    SharedGrid,
+    StepControl,
     Unavailable,
 )
+from certrack.integrators.many.registers import GROUP_SIZE, LANES
 from certrack.integrators.single.taylor import available
 from certrack.loops.controller import (
     SampledController,
@@ -251,17 +250,17 @@ class Engine:
         totals = dict(zip((*SUMS, *MEMORIES), passed.totals[:, part], strict=True))
         return self._metrics(totals), passed.ends[part], passed.outcomes[part] == STUCK
 
-    def _pass(self, begin: int, end: int, bands: Bands) -> tuple[Passed, slice]:
+    def _pass(self, begin: int, end: int, bands: Bands) -> tuple[NativeResult, slice]:
         """Members share their steps in groups, always the same ones: whole groups are computed.
 
         Counts the members begin ... end-1, and says where they are among the computed.
         """
-        plan, first = self.plan, begin - begin % GROUP
-        starts, parameters = self._table(first, -(-end // GROUP) * GROUP)
-        timeline = Timeline(self._edges, self._shared, self._grid, plan.centre, plan.unit)
+        plan, first = self.plan, begin - begin % GROUP_SIZE
+        starts, parameters = self._table(first, -(-end // GROUP_SIZE) * GROUP_SIZE)
+        timeline = SharedGrid(self._edges, self._shared, self._grid, plan.centre, plan.unit)
         part = slice(begin - first, end - first)
-        control = Control(plan.tolerance, plan.system.settings.max_state, MOST_STEPS)
-        counted = Counted(part, SIDE, BAND_BITS, bands.counts)
+        control = StepControl(plan.tolerance, plan.system.settings.max_state, MOST_STEPS)
+        counted = BinCounts(part, SIDE, BAND_BITS, bands.counts)
         passed = self._native.integrate(
             starts, parameters, timeline, control, counted, self._threads
         )

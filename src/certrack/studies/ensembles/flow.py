@@ -20,7 +20,7 @@ from certrack.core.select import (
     larger,
     magnitude,
 )
-from certrack.integrators.many.flow import Flow
+from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SIDES, SQUARE, Totals
@@ -39,7 +39,7 @@ MEMORIES = ("input_variation", "peak_input", "tail_error", "last_outside", "inte
 IN_TAIL, BAND = symbol("kept_in_tail"), symbol("kept_band")
 
 
-def make_flow(members: Members, varying: Iterable[sympy.Symbol]) -> Flow:
+def make_flow(members: Members, varying: Iterable[sympy.Symbol]) -> AugmentedFlow:
     """Rates, metrics and signals of a system's closed loop.
 
     Parameters
@@ -70,7 +70,7 @@ def make_flow(members: Members, varying: Iterable[sympy.Symbol]) -> Flow:
     sides = tuple((symbol(f"kept_{name}_begin"), symbol(f"kept_{name}_end")) for name in names)
     used = set().union(*(f.free_symbols for f in (*rates, e, u, *outputs)))
     pieces = tuple(loop.parameters[len(loop.parameters) - loop.pieces :])
-    return Flow(
+    return AugmentedFlow(
         states=states,
         rates=tuple(rates),
         parameters=(*(name for name in loop.parameters if name in used & free), BAND),
@@ -90,7 +90,7 @@ def _along(formula: sympy.Expr, flow: dict[sympy.Symbol, sympy.Expr]) -> sympy.E
     return sympy.Add(*(derivative(formula, name) * flow[name] for name in present))
 
 
-def shown(flow: Flow, loop: ClosedLoop) -> tuple[sympy.Symbol, ...]:
+def shown(flow: AugmentedFlow, loop: ClosedLoop) -> tuple[sympy.Symbol, ...]:
     """What the bands show of a loop's flow: e_1, the states of the design, u."""
     ends = [end for _, end in flow.sides]
     computed = dict(zip(_computed_outputs(loop), ends[len(SIGNALS) :], strict=True))

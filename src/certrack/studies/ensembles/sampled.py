@@ -10,10 +10,11 @@ import sympy
 
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
-from certrack.integrators.many.maps import HeyokaMaps, Maps, NumpyMaps
 from certrack.integrators.many.native import STUCK
-from certrack.integrators.many.sampled import Course, SampledRun, Timeline, timeline
-from certrack.integrators.many.sampled_lanes import SampledNative
+from certrack.integrators.many.sampled_events import EventTimeline, event_timeline
+from certrack.integrators.many.sampled_maps import HeyokaMaps, Maps, NumpyMaps
+from certrack.integrators.many.sampled_native import SampledNative
+from certrack.integrators.many.sampled_run import SampledProblem, SampledRun
 from certrack.integrators.single.taylor import available
 from certrack.loops.controller import starting_state
 from certrack.loops.plant import INPUT
@@ -148,7 +149,7 @@ class SampledCrowd:
         )
         states = np.repeat(kept[:, None], count, axis=1)
         states[: len(group.starts) - n] = group.starts[n:]
-        course = Course(
+        course = SampledProblem(
             x=group.starts[:n],
             states=states,
             totals=np.zeros((len(self._loop.totals), count)),
@@ -166,13 +167,13 @@ class SampledCrowd:
         assert self._maps is not None
         return self._by_maps(self._maps, course, show)
 
-    def _timeline(self, implementation: Implementation | None) -> Timeline:
+    def _timeline(self, implementation: Implementation | None) -> EventTimeline:
         """All events under an implementation: the same for all members."""
         assert implementation is not None
         duration = self._system.settings.duration
-        return timeline(implementation, duration, self._segments.edges[1:-1], self._grid)
+        return event_timeline(implementation, duration, self._segments.edges[1:-1], self._grid)
 
-    def _by_native(self, native: SampledNative, course: Course, show: Show) -> Found:
+    def _by_native(self, native: SampledNative, course: SampledProblem, show: Show) -> Found:
         passed = native.integrate(course, self._segments.shared)
         stuck = passed.outcomes == STUCK
         for mark, values in enumerate(passed.values):
@@ -180,7 +181,7 @@ class SampledCrowd:
         totals = dict(zip(TOTALS, passed.totals, strict=True))
         return totals, passed.ends, stuck
 
-    def _by_maps(self, maps: Maps, course: Course, show: Show) -> Found:
+    def _by_maps(self, maps: Maps, course: SampledProblem, show: Show) -> Found:
         run, line, count = SampledRun(maps, course), course.timeline, course.x.shape[1]
         times = line.times[line.marks >= 0]
 
@@ -188,7 +189,7 @@ class SampledCrowd:
             values = self._shown(times[mark], run.x, run.u, run.parameters)
             show(mark, rows(values, count), ~run.stuck)
 
-        run.go(look=look)
+        run.run(on_mark=look)
         for mark in range(run.marks, len(times)):
             show(mark, np.full((len(self._loop.plant.outputs) + 2, count), np.nan), ~run.stuck)
         totals = dict(zip(TOTALS, [*run.totals, run.variation], strict=True))

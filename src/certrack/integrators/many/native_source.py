@@ -1,4 +1,4 @@
-"""The generated part of ``lanes.c``: a system's formulas as C of vectors."""
+"""The generated part of ``native.c``: a system's formulas as C of vectors."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from sympy.printing.c import C99CodePrinter
 from certrack.core.expressions import TIME, without_minmax
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH, Select
 from certrack.integrators.base import ESCAPING
-from certrack.integrators.many.flow import Flow
+from certrack.integrators.many.augmented import AugmentedFlow
+from certrack.integrators.many.registers import GROUP_SIZE, LANES
 from certrack.integrators.pairs import DOP853
 
-#: Vector functions that lanes.c has anyway, and those of two arguments.
-OWN = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())
+#: Vector functions that vector_math.h has anyway, and those of two arguments.
+IN_VECTOR_MATH = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())
 OF_TWO = {"pow", "atan2"}
 
 #: Functions up to so many letters are expanded where they are called: the rates at every stage.
@@ -117,12 +118,12 @@ def _power(base: str, exponent: int) -> str:
     return "(" + "*".join([base] * exponent) + ")"
 
 
-def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
-    """The generated part of lanes.c."""
-    timeless, found = flow.without_time()
+def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
+    """The generated part of native.c."""
+    timeless, common = flow.without_time()
     names: dict[sympy.Symbol, str] = {TIME: "t", STEP_BEGIN: "begin", STEP_LENGTH: "h"}
     for letter, symbols in (
-        ("c", list(found.values())),
+        ("c", list(common.values())),
         ("x", flow.states),
         ("p", flow.parameters),
         ("s", flow.shared),
@@ -133,11 +134,12 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
     ):
         names |= {symbol: f"{letter}[{i}]" for i, symbol in enumerate(symbols)}
     sizes = {
+        "BLOCKS": GROUP_SIZE // LANES,
         "STATES": len(flow.states),
         "WATCHED": flow.watched,
         "PARAMETERS": len(flow.parameters),
         "SHARED": len(flow.shared),
-        "COMMON": len(found),
+        "COMMON": len(common),
         "INTEGRALS": len(flow.integrands),
         "SIGNALS": len(flow.signals),
         "MEMORIES": len(flow.memories),
@@ -156,7 +158,7 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
         "enum { " + ", ".join(f"{name} = {size}" for name, size in sizes.items()) + " };",
         f"static const double ESCAPING = {ESCAPING!r};",
         *_tables(),
-        function("common", "V t, const double *s, V *out", ("out", list(found))),
+        function("common", "V t, const double *s, V *out", ("out", list(common))),
         function(
             "rates",
             "const double *c, const V *x, const V *p, V *k, V *q",
@@ -181,7 +183,7 @@ def system_header(flow: Flow, shown: Sequence[sympy.Expr]) -> str:
 def with_elementary(parts: Sequence[str]) -> str:
     """The parts, preceded by the vector forms of the elementary functions that they call."""
     text = "\n".join(parts) + "\n"
-    called = sorted(set(re.findall(r"\bv_(\w+)\(", text)) - OWN)
+    called = sorted(set(re.findall(r"\bv_(\w+)\(", text)) - IN_VECTOR_MATH)
     macros = {name: "ELEMENTARY_OF_TWO" if name in OF_TWO else "ELEMENTARY" for name in called}
     return "".join(f"{macro}({name})\n" for name, macro in macros.items()) + text
 

@@ -1,13 +1,15 @@
 /* Many members of one system in the lanes of vector registers.
  *
- * Explicit Runge-Kutta pair DOP853 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations
- * I, II.5 and II.6): order 8, error control of orders 5 and 3, dense output of order 6. A group of
- * members shares its steps, as short as the most difficult of them needs: then what depends on time
- * alone, the weights of the dense output among it, is computed once for all. The members of a group
- * fill several blocks of lanes, so that the work of one block hides the latency of another.
+ * Explicit Runge-Kutta pair DOP853 (Hairer, Norsett, Wanner, Solving Ordinary Differential
+ * Equations I, II.5 and II.10): order 8, error control of orders 5 and 3, dense output of order 6.
+ * A group of members shares its steps, as short as the most difficult of them needs: then what
+ * depends on time alone, the weights of the dense output among it, is computed once for all. The
+ * members of a group fill several blocks of lanes, so that the work of one block hides the latency
+ * of another.
  *
  * `system.h` is generated. It holds the sizes
- *   STATES WATCHED PARAMETERS SHARED COMMON INTEGRALS SIGNALS MEMORIES SHOWN,
+ *   BLOCKS (of lanes in a group) STATES WATCHED PARAMETERS SHARED COMMON INTEGRALS SIGNALS
+ *   MEMORIES SHOWN STAGES TERMS (of the dense output),
  * the coefficients A, B, C, E3, E5, DENSE of the method, ESCAPING (a state larger than this where
  * steps vanish is escaping), and
  *   common(t, s, c)              what depends on time t and the segment's numbers s alone
@@ -20,25 +22,35 @@
 #include "vector_math.h"
 #include "system.h"
 
-static const double SAFETY = 0.9, SHRINK = 0.2, GROW = 6.0;
+/* The next step is SAFETY of the one whose error would be the allowed one, lest it fail at once; it
+ * is no shorter than MIN_FACTOR of the last one and no longer than MAX_FACTOR of it, because an
+ * error estimate says little about much longer or shorter steps; after a failure it is SAFETY of it
+ * at most. The error grows with the 8th power of the step. */
+static const double SAFETY = 0.9, MIN_FACTOR = 0.2, MAX_FACTOR = 6.0, PER_ORDER = 0.125;
 
-/* The memories see nodes no further apart than this part of a step at this tolerance, and the same
- * distance at any other: times of the grid among them. Between nodes they see cubics, which must not
- * fall behind a method of order 8. */
-static const double REACH = 1.0 / 3, REACH_AT = 1e-5;
+/* A step that leaves less than this part of itself to the end of a segment goes there. */
+static const double END_ROUNDING = 1e-12;
+
+/* A step shorter than this part of the time does not move it. */
+static const double SHORTEST = 1e-15;
+
+/* The memories are updated at nodes no further apart than this part of a step at this tolerance,
+ * and the same distance at any other: times of the grid among them. Between nodes signals are taken for
+ * cubics, which must not fall behind a method of order 8. */
+static const double NODE_SPACING = 1.0 / 3, SPACING_TOLERANCE = 1e-5;
 
 /* How a member ended; known to the caller. */
 enum { FINISHED, ESCAPED, STUCK };
 
-/* Blocks of lanes in a group, and its members; known to the caller. */
-enum { BLOCKS = 4, GROUP = BLOCKS * LANES };
+/* Members of a group, which share their steps. */
+enum { GROUP_SIZE = BLOCKS * LANES };
 
 /* Nodes of a step: the stages and its end. */
 enum { NODES = (STAGES + LANES) / LANES * LANES };
 
 /* Members whose bins are gathered before they are counted: few enough for the cache, enough to find
  * the bins of a row in it. A row is not a power of two: rows must not share cache sets. */
-enum { SHELF = 8 * GROUP, PITCH = SHELF + GROUP };
+enum { BATCH = 8 * GROUP_SIZE, PITCH = BATCH + GROUP_SIZE };
 
 typedef float F __attribute__((vector_size(4 * LANES)));
 typedef int32_t J __attribute__((vector_size(4 * LANES)));
@@ -52,24 +64,24 @@ typedef struct {
   const double *shared; /* segments x SHARED */
   int64_t points;
   const double *grid; /* times; the first is the start */
-  const double *centre, *pace; /* SHOWN x points, SHOWN: (value - centre) pace is counted */
+  const double *centre, *per_unit; /* SHOWN x points, SHOWN: (value - centre) per_unit is counted */
   double tolerance, limit;
-  int64_t most; /* steps of a group */
+  int64_t max_steps; /* of a group */
   int64_t begin, end; /* the members that are counted */
-  int64_t side, bits; /* bins of one side, leading bits of one bin: see statistics.py */
-  int32_t *counts; /* points x SHOWN x (2 side + 1); other tasks may add to it, too */
-  uint16_t *some; /* of the same shape, zero before and after: half as much for the cache */
+  int64_t bins_per_side, bits; /* of one side of zero; leading bits of a bin: see statistics.py */
+  int32_t *counts; /* points x SHOWN x (2 bins_per_side + 1); other tasks may add to it, too */
+  uint16_t *own_counts; /* of the same shape, zero before and after: half as much for the cache */
   double *totals; /* (INTEGRALS + MEMORIES) x count */
   double *finals; /* STATES x count */
   double *ends; /* count */
   uint8_t *outcomes; /* count */
-  int64_t *next; /* first member that no thread has taken yet; shared by all */
+  int64_t *next_member; /* the first that no thread has begun; shared by all threads */
   int64_t steps; /* of all groups together */
-  double reach; /* the part of a step between nodes of the memories, at most */
-  double (*marks)[COMMON + 1]; /* what depends on time alone, on the grid */
+  double node_spacing; /* the part of a step between nodes of the memories, at most */
+  double (*grid_common)[COMMON + 1]; /* what depends on time alone, on the grid */
   uint16_t *bins; /* points x SHOWN x PITCH */
-  struct Filled { uint16_t low, high; } *filled; /* points x SHOWN: what is not zero of `some` */
-  int64_t counted; /* members in `some` */
+  struct Filled { uint16_t low, high; } *filled; /* points x SHOWN: what own_counts has besides 0 */
+  int64_t members_counted; /* in `own_counts` */
 } Task;
 
 /* Members side by side in the lanes. */
@@ -80,15 +92,15 @@ typedef struct {
   V y[SIGNALS], m[MEMORIES];
 } Block;
 
-/* A group on its way. */
+/* The state of a group at the begin of a step. */
 typedef struct {
-  double t, at; /* begin of the step; last node that the memories have seen */
-  int64_t next, steps; /* time of the grid; steps tried */
-  int64_t first; /* member */
+  double t, node; /* begin of the step; last node at which the memories were updated */
+  int64_t row, steps; /* next time of the grid; steps tried */
+  int64_t first; /* its first member */
   Block block[BLOCKS];
 } Group;
 
-/* A step of a group that is tried. */
+/* A step of a group, before it is accepted. */
 typedef struct {
   double h, c[NODES][COMMON + 1];
   V k[BLOCKS][STAGES + 1][STATES], ends[BLOCKS][STATES];
@@ -98,19 +110,19 @@ typedef struct {
 #define EACH_BLOCK(b) _Pragma("GCC unroll 1") for (int b = 0; b < BLOCKS; b++)
 
 static void common_at(double t, const double *s, double *c) {
-  V found[COMMON + 1];
-  common(SPLAT(t), s, found);
-  for (int j = 0; j < COMMON; j++) c[j] = found[j][0];
+  V values[COMMON + 1];
+  common(SPLAT(t), s, values);
+  for (int j = 0; j < COMMON; j++) c[j] = values[j][0];
 }
 
 /* What depends on time alone at the nodes of a step. */
 static void common_along(double t, double h, const double *s, double (*c)[COMMON + 1]) {
   for (int i = 0; i < NODES; i += LANES) {
-    V when, found[COMMON + 1];
+    V when, values[COMMON + 1];
     for (int l = 0; l < LANES; l++) when[l] = t + h * C[i + l <= STAGES ? i + l : 0];
-    common(when, s, found);
+    common(when, s, values);
     for (int j = 0; j < COMMON; j++)
-      for (int l = 0; l < LANES; l++) c[i + l][j] = found[j][l];
+      for (int l = 0; l < LANES; l++) c[i + l][j] = values[j][l];
   }
 }
 
@@ -124,7 +136,7 @@ INLINE void stage(const Block *g, double h, int i, V (*k)[STATES], V *x) {
 }
 
 /* The end of a block's step; returns the error estimate. */
-INLINE V finish(const Block *g, double h, double tolerance, V (*k)[STATES], V *ends) {
+INLINE V end_of_step(const Block *g, double h, double tolerance, V (*k)[STATES], V *ends) {
   V third = SPLAT(0.0), fifth = SPLAT(0.0);
   for (int j = 0; j < STATES; j++) {
     V sum = SPLAT(0.0), e3 = SPLAT(0.0), e5 = SPLAT(0.0);
@@ -146,7 +158,7 @@ INLINE V finish(const Block *g, double h, double tolerance, V (*k)[STATES], V *e
 
 /* One step: slopes of the stages, ends, rise of the integrals, integrands at the end; returns the
  * largest error estimate of members that are alive. */
-OUTLINE double advance(const Group *g, double tolerance, Step *s) {
+OUTLINE double try_step(const Group *g, double tolerance, Step *s) {
   double h = s->h, (*c)[COMMON + 1] = s->c;
   V x[STATES], r[INTEGRALS + 1], worst = SPLAT(0.0);
   EACH_BLOCK(b) {
@@ -163,7 +175,7 @@ OUTLINE double advance(const Group *g, double tolerance, Step *s) {
     }
   EACH_BLOCK(b) {
     const Block *block = &g->block[b];
-    V error = finish(block, h, tolerance, s->k[b], s->ends[b]);
+    V error = end_of_step(block, h, tolerance, s->k[b], s->ends[b]);
     error = choose(error == error, error, SPLAT(INFINITY));
     worst = v_max(worst, choose(block->alive, error, SPLAT(0.0)));
     for (int j = 0; j < INTEGRALS; j++) s->q[b][j] *= h;
@@ -174,8 +186,8 @@ OUTLINE double advance(const Group *g, double tolerance, Step *s) {
   return largest;
 }
 
-/* Weights of the slopes in the rise of the states until begin + theta h, and in their slope there. */
-static void weigh(double theta, double h, double *value, double *slope) {
+/* Weights of the slopes in the rise of the states until begin + theta h, and in their rate there. */
+static void dense_weights(double theta, double h, double *value, double *slope) {
   V v[NODES / LANES] = {0}, d[NODES / LANES] = {0}, row;
   double power = 1.0;
 #pragma GCC unroll 8
@@ -191,7 +203,7 @@ static void weigh(double theta, double h, double *value, double *slope) {
 
 /* Bins of 1 + |v| by its leading bits (see statistics.py); the last is for what is not a number. */
 INLINE H bins_of(F v, I alive, const Task *task) {
-  int side = (int)task->side;
+  int side = (int)task->bins_per_side;
   F y = 1.0f + (F)((J)v & INT32_MAX);
   J bin = ((J)y - (127 << 23)) >> (int)(23 - task->bits), beyond = bin >= side, negative = v < 0.0f;
   bin = (beyond & (side - 1)) | (~beyond & bin);
@@ -200,32 +212,32 @@ INLINE H bins_of(F v, I alive, const Task *task) {
   return __builtin_convertvector((real & bin) | (~real & (2 * side)), H);
 }
 
-INLINE H *place(const Task *task, const Group *g, int64_t row, int j, int b) {
-  return (H *)(task->bins + (row * SHOWN + j) * PITCH + g->first % SHELF + b * LANES);
+INLINE H *bin_place(const Task *task, const Group *g, int64_t row, int j, int b) {
+  return (H *)(task->bins + (row * SHOWN + j) * PITCH + g->first % BATCH + b * LANES);
 }
 
-/* The memories of a block see the time `now`; at a time of the grid the bins are kept. */
-INLINE void see(Group *g, const Task *task, int b, double now, const double *c, const V *x,
+/* Update the memories of a block at the time `now`; at a time of the grid store its bins. */
+INLINE void update(Group *g, const Task *task, int b, double now, const double *c, const V *x,
                 const V *slopes, int shows) {
   Block *block = &g->block[b];
   V y[SIGNALS], v[SHOWN];
   signals(c, x, block->p, slopes, y);
-  memories(g->at, now - g->at, c, block->p, block->y, y, block->m);
+  memories(g->node, now - g->node, c, block->p, block->y, y, block->m);
   for (int j = 0; j < SIGNALS; j++) block->y[j] = y[j];
   if (!shows) return;
   shown(x, y, v);
   for (int j = 0; j < SHOWN; j++) {
-    V reduced = (v[j] - task->centre[j * task->points + g->next]) * task->pace[j];
-    *place(task, g, g->next, j, b) =
+    V reduced = (v[j] - task->centre[j * task->points + g->row]) * task->per_unit[j];
+    *bin_place(task, g, g->row, j, b) =
         bins_of(__builtin_convertvector(reduced, F), block->alive, task);
   }
 }
 
-/* See a time inside a step. */
-OUTLINE void see_inside(Group *g, const Task *task, Step *s, double now, const double *c,
+/* The same at a time inside a step, by the dense output. */
+OUTLINE void update_inside(Group *g, const Task *task, Step *s, double now, const double *c,
                         int shows) {
   double value[NODES], slope[NODES];
-  weigh((now - g->t) / s->h, s->h, value, slope);
+  dense_weights((now - g->t) / s->h, s->h, value, slope);
   EACH_BLOCK(b) {
     V x[STATES], d[STATES];
     for (int j = 0; j < STATES; j++) x[j] = g->block[b].x[j], d[j] = SPLAT(0.0);
@@ -236,37 +248,37 @@ OUTLINE void see_inside(Group *g, const Task *task, Step *s, double now, const d
           x[j] += value[i] * s->k[b][i][j];
           d[j] += slope[i] * s->k[b][i][j];
         }
-    see(g, task, b, now, c, x, d, shows);
+    update(g, task, b, now, c, x, d, shows);
   }
-  g->at = now;
-  g->next += shows;
+  g->node = now;
+  g->row += shows;
 }
 
-/* See the begin of a segment or the end of the run, where the group is. */
-OUTLINE void see_edge(Group *g, const Task *task, const double *c, int ends) {
-  int shows = g->next < task->points && task->grid[g->next] == g->t && ends;
-  EACH_BLOCK(b) see(g, task, b, g->t, c, g->block[b].x, g->block[b].k, shows);
-  g->at = g->t;
-  g->next += shows;
+/* The same at the begin of a segment or the end of the run, where the group is. */
+OUTLINE void update_at_edge(Group *g, const Task *task, const double *c, int ends) {
+  int shows = g->row < task->points && task->grid[g->row] == g->t && ends;
+  EACH_BLOCK(b) update(g, task, b, g->t, c, g->block[b].x, g->block[b].k, shows);
+  g->node = g->t;
+  g->row += shows;
 }
 
-/* The memories follow a step. */
-static void follow(Group *g, const Task *task, Step *s, const double *shared, double end,
+/* Update the memories at all nodes inside a step. */
+static void update_along(Group *g, const Task *task, Step *s, const double *shared, double end,
                    double stop) {
   for (;;) {
-    double mark = g->next < task->points ? task->grid[g->next] : INFINITY;
+    double mark = g->row < task->points ? task->grid[g->row] : INFINITY;
     double until = mark < stop ? mark : stop;
-    double parts = ceil((until - g->at) / (task->reach * s->h) * 0.999), c[COMMON + 1];
-    double now = parts > 1 ? g->at + (until - g->at) / parts : until;
+    double parts = ceil((until - g->node) / (task->node_spacing * s->h) * 0.999), c[COMMON + 1];
+    double now = parts > 1 ? g->node + (until - g->node) / parts : until;
     now = now < g->t ? g->t : now;
     if (now > end || now >= stop) return;
     int shows = now >= mark;
     if (!shows) common_at(now, shared, c);
-    see_inside(g, task, s, now, shows ? task->marks[g->next] : c, shows);
+    update_inside(g, task, s, now, shows ? task->grid_common[g->row] : c, shows);
   }
 }
 
-static void bury(Group *g, const Task *task, int b, I which, int outcome) {
+static void remove_lanes(Group *g, const Task *task, int b, I which, int outcome) {
   which &= g->block[b].alive;
   g->block[b].alive &= ~which;
   int64_t first = g->first + b * LANES;
@@ -277,16 +289,17 @@ static void bury(Group *g, const Task *task, int b, I which, int outcome) {
     }
 }
 
-/* No step leads on: those that object are escaping or stuck; all are, after too many steps. */
+/* No step is short enough: lanes whose error is too large are escaping or stuck; after too many
+ * steps all are. */
 static void give_up(Group *g, const Task *task, const Step *s) {
   EACH_BLOCK(b) {
     V *x = g->block[b].x, ends[STATES], k[STAGES + 1][STATES];
     memcpy(k, s->k[b], sizeof k);
-    V error = finish(&g->block[b], s->h, task->tolerance, k, ends);
-    I bad = g->steps >= task->most ? ~(I){0} : ~(error <= SPLAT(1.0)), large = (I){0};
+    V error = end_of_step(&g->block[b], s->h, task->tolerance, k, ends);
+    I bad = g->steps >= task->max_steps ? ~(I){0} : ~(error <= SPLAT(1.0)), large = (I){0};
     for (int j = 0; j < WATCHED; j++) large |= v_abs(x[j]) > SPLAT(ESCAPING);
-    bury(g, task, b, bad & large, ESCAPED);
-    bury(g, task, b, bad, STUCK);
+    remove_lanes(g, task, b, bad & large, ESCAPED);
+    remove_lanes(g, task, b, bad, STUCK);
   }
 }
 
@@ -301,12 +314,13 @@ static void accept(Group *g, const Task *task, const Step *s, double end) {
       if (j < WATCHED) outside |= ~(v_abs(block->x[j]) <= SPLAT(task->limit));
     }
     for (int j = 0; j < INTEGRALS; j++) block->q[j] += s->q[b][j], block->r[j] = s->r[b][j];
-    if (any(outside & block->alive)) bury(g, task, b, outside, ESCAPED);
-    if (g->steps >= task->most) bury(g, task, b, ~(I){0}, STUCK);
+    if (any(outside & block->alive)) remove_lanes(g, task, b, outside, ESCAPED);
+    if (g->steps >= task->max_steps) remove_lanes(g, task, b, ~(I){0}, STUCK);
   }
 }
 
-/* Longest first step that none of the group objects to. */
+/* A first step that is short enough for the whole group: from the time in which the states move by
+ * their size (compare Hairer, Norsett, Wanner, II.4). */
 static double first_step(const Group *g, double tolerance) {
   double least = INFINITY;
   EACH_BLOCK(b) {
@@ -317,16 +331,16 @@ static double first_step(const Group *g, double tolerance) {
       size += block->x[j] * block->x[j] * scale * scale;
       speed += block->k[j] * block->k[j] * scale * scale;
     }
-    V h = 0.1 * v_sqrt((size + 1e-4) / (speed + 1e-4)) * pow(tolerance, 0.125);
+    V h = 0.1 * v_sqrt((size + 1e-4) / (speed + 1e-4)) * pow(tolerance, PER_ORDER);
     for (int l = 0; l < LANES; l++) least = h[l] < least ? h[l] : least;
   }
   return least < INFINITY ? least : 1e-6;
 }
 
-static void begin(Group *g, const Task *task, int64_t first) {
+static void load_group(Group *g, const Task *task, int64_t first) {
   memset(g, 0, sizeof *g);
   g->first = first;
-  g->t = g->at = task->edges[0];
+  g->t = g->node = task->edges[0];
   EACH_BLOCK(b) {
     Block *block = &g->block[b];
     block->alive = ~(I){0};
@@ -339,14 +353,14 @@ static void begin(Group *g, const Task *task, int64_t first) {
   }
 }
 
-static int living(const Group *g) {
-  I found = g->block[0].alive;
-  for (int b = 1; b < BLOCKS; b++) found |= g->block[b].alive;
-  return any(found);
+static int any_alive(const Group *g) {
+  I alive = g->block[0].alive;
+  for (int b = 1; b < BLOCKS; b++) alive |= g->block[b].alive;
+  return any(alive);
 }
 
-/* A group from begin to end. */
-static void travel(const Task *task, Group *g, Step *s) {
+/* Integrate a group from begin to end. */
+static void integrate_group(const Task *task, Group *g, Step *s) {
   double h = 0.0;
   for (int64_t segment = 0; segment < task->segments; segment++) {
     const double *shared = task->shared + segment * SHARED, stop = task->edges[segment + 1];
@@ -357,38 +371,38 @@ static void travel(const Task *task, Group *g, Step *s) {
       if (!segment) signals(s->c[0], block->x, block->p, block->k, block->y);
     }
     if (!segment) h = first_step(g, task->tolerance);
-    see_edge(g, task, s->c[0], 1);
-    while (g->t < stop && living(g)) {
-      int final = h >= (stop - g->t) * (1 - 1e-12);
+    update_at_edge(g, task, s->c[0], 1);
+    while (g->t < stop && any_alive(g)) {
+      int final = h >= (stop - g->t) * (1 - END_ROUNDING);
       double end = final ? stop : g->t + h;
       s->h = final ? stop - g->t : h;
       common_along(g->t, s->h, shared, s->c);
-      double worst = advance(g, task->tolerance, s);
-      double factor = SAFETY * pow(worst + 1e-30, -0.125);
-      factor = factor > GROW ? GROW : factor > SHRINK ? factor : SHRINK;
-      int hopeless = ++g->steps >= task->most || end <= g->t + 1e-15 * fabs(g->t);
+      double worst = try_step(g, task->tolerance, s);
+      double factor = SAFETY * pow(worst + 1e-30, -PER_ORDER);
+      factor = factor > MAX_FACTOR ? MAX_FACTOR : factor > MIN_FACTOR ? factor : MIN_FACTOR;
+      int hopeless = ++g->steps >= task->max_steps || end <= g->t + SHORTEST * fabs(g->t);
       if (!(worst <= 1.0)) {
         if (hopeless) give_up(g, task, s);
-        h = s->h * (factor < 0.9 ? factor : 0.9);
+        h = s->h * (factor < SAFETY ? factor : SAFETY);
         continue;
       }
-      follow(g, task, s, shared, end, stop);
+      update_along(g, task, s, shared, end, stop);
       accept(g, task, s, end);
       /* an inner edge is shown after its jump */
-      if (final) see_edge(g, task, s->c[STAGES], segment + 1 == task->segments);
+      if (final) update_at_edge(g, task, s->c[STAGES], segment + 1 == task->segments);
       double tried = s->h * factor;
       h = final && tried < h ? h : tried;
     }
   }
 }
 
-/* What is kept of a group that has ended. */
-static void keep(Group *g, Task *task) {
+/* Store totals and last states of a group that has ended. */
+static void store_group(Group *g, Task *task) {
   EACH_BLOCK(b) {
     const Block *block = &g->block[b];
-    for (int64_t row = g->next; row < task->points; row++)
+    for (int64_t row = g->row; row < task->points; row++)
       for (int j = 0; j < SHOWN; j++)
-        *place(task, g, row, j, b) = (H){0} + (uint16_t)(2 * task->side);
+        *bin_place(task, g, row, j, b) = (H){0} + (uint16_t)(2 * task->bins_per_side);
     for (int l = 0; l < LANES; l++) {
       int64_t i = g->first + b * LANES + l;
       if (i >= task->count) break;
@@ -397,35 +411,35 @@ static void keep(Group *g, Task *task) {
       for (int j = 0; j < MEMORIES; j++, total += task->count) *total = block->m[j][l];
       for (int j = 0; j < STATES; j++, final += task->count) *final = block->x[j][l];
     }
-    bury(g, task, b, ~(I){0}, FINISHED);
+    remove_lanes(g, task, b, ~(I){0}, FINISHED);
   }
   task->steps += g->steps;
 }
 
-/* Add `some` to the counts. */
-static void add_up(Task *task) {
-  int64_t size = 2 * task->side + 1;
+/* Add the counts of this thread to those of all. */
+static void add_own_counts(Task *task) {
+  int64_t size = 2 * task->bins_per_side + 1;
   for (int64_t row = 0; row < task->points * SHOWN; row++) {
     struct Filled *filled = &task->filled[row];
     for (int64_t i = row * size + filled->low; i <= row * size + filled->high; i++)
-      if (task->some[i]) {
-        __atomic_fetch_add(&task->counts[i], task->some[i], __ATOMIC_RELAXED);
-        task->some[i] = 0;
+      if (task->own_counts[i]) {
+        __atomic_fetch_add(&task->counts[i], task->own_counts[i], __ATOMIC_RELAXED);
+        task->own_counts[i] = 0;
       }
     *filled = (struct Filled){UINT16_MAX, 0};
   }
-  task->counted = 0;
+  task->members_counted = 0;
 }
 
-/* Count the bins of the members on the shelf. */
-static void count(Task *task, int64_t shelf) {
-  int64_t from = shelf > task->begin ? shelf : task->begin;
-  int64_t to = shelf + SHELF < task->end ? shelf + SHELF : task->end;
-  if (task->counted > UINT16_MAX - SHELF) add_up(task);
+/* Count the bins of a batch of members. */
+static void count_bins(Task *task, int64_t batch) {
+  int64_t from = batch > task->begin ? batch : task->begin;
+  int64_t to = batch + BATCH < task->end ? batch + BATCH : task->end;
+  if (task->members_counted > UINT16_MAX - BATCH) add_own_counts(task);
   for (int64_t row = 0; row < task->points * SHOWN; row += SHOWN) {
-    const uint16_t *bins = task->bins + row * PITCH - shelf;
-    int64_t size = 2 * task->side + 1;
-    uint16_t *some = task->some + row * size;
+    const uint16_t *bins = task->bins + row * PITCH - batch;
+    int64_t size = 2 * task->bins_per_side + 1;
+    uint16_t *counts = task->own_counts + row * size;
     for (int j = 0; j < SHOWN; j++) {
       struct Filled *filled = &task->filled[row + j];
       uint16_t low = filled->low, high = filled->high;
@@ -435,50 +449,50 @@ static void count(Task *task, int64_t shelf) {
       }
       *filled = (struct Filled){low, high};
       if (row + SHOWN < task->points * SHOWN) { /* what the next time will need */
-        const uint16_t *next = some + (SHOWN + j) * size;
+        const uint16_t *next = counts + (SHOWN + j) * size;
         for (int64_t i = filled[SHOWN].low; i <= filled[SHOWN].high; i += 32)
           __builtin_prefetch(next + i, 1);
       }
     }
     for (int64_t i = from; i < to; i++) /* in turns: the same bin twice running takes long */
-      for (int j = 0; j < SHOWN; j++) some[j * size + bins[j * PITCH + i]]++;
+      for (int j = 0; j < SHOWN; j++) counts[j * size + bins[j * PITCH + i]]++;
   }
-  task->counted += to - from;
+  task->members_counted += to - from;
 }
 
-/* Integrate members until none is left: one thread of several, which draw a shelf at a time. Returns
- * 0, or -1 without memory. */
+/* Integrate members until none is left: one thread of several, which take a batch at a time.
+ * Returns 0, or -1 without memory. */
 int integrate(Task *task) {
   void *group = NULL, *step = NULL, *marks = NULL, *bins = NULL, *filled = NULL;
   size_t points = (size_t)task->points;
   int failed = posix_memalign(&group, 64, sizeof(Group)) ||
                posix_memalign(&step, 64, sizeof(Step)) ||
-               posix_memalign(&marks, 64, points * sizeof *task->marks) ||
+               posix_memalign(&marks, 64, points * sizeof *task->grid_common) ||
                posix_memalign(&bins, 64, points * SHOWN * PITCH * sizeof *task->bins) ||
                posix_memalign(&filled, 64, points * SHOWN * sizeof *task->filled);
   if (!failed) {
-    task->marks = marks;
+    task->grid_common = marks;
     task->bins = bins;
     task->filled = filled;
     for (size_t row = 0; row < points * SHOWN; row++)
       task->filled[row] = (struct Filled){UINT16_MAX, 0};
-    task->reach = REACH * pow(REACH_AT / task->tolerance, 0.125);
+    task->node_spacing = NODE_SPACING * pow(SPACING_TOLERANCE / task->tolerance, PER_ORDER);
     int64_t segment = 0;
     for (int64_t k = 0; k < task->points; k++) {
       while (segment + 1 < task->segments && task->grid[k] > task->edges[segment + 1]) segment++;
-      common_at(task->grid[k], task->shared + segment * SHARED, task->marks[k]);
+      common_at(task->grid[k], task->shared + segment * SHARED, task->grid_common[k]);
     }
-    int64_t shelf;
-    while ((shelf = __atomic_fetch_add(task->next, SHELF, __ATOMIC_RELAXED)) < task->count) {
-      int64_t last = shelf + SHELF < task->count ? shelf + SHELF : task->count;
-      for (int64_t first = shelf; first < last; first += GROUP) {
-        begin(group, task, first);
-        travel(task, group, step);
-        keep(group, task);
+    int64_t batch;
+    while ((batch = __atomic_fetch_add(task->next_member, BATCH, __ATOMIC_RELAXED)) < task->count) {
+      int64_t last = batch + BATCH < task->count ? batch + BATCH : task->count;
+      for (int64_t first = batch; first < last; first += GROUP_SIZE) {
+        load_group(group, task, first);
+        integrate_group(task, group, step);
+        store_group(group, task);
       }
-      count(task, shelf);
+      count_bins(task, batch);
     }
-    add_up(task);
+    add_own_counts(task);
   }
   free(group);
   free(step);

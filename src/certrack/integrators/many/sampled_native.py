@@ -1,4 +1,4 @@
-"""Members under a sampled controller in the lanes of vector registers (``sampled.c``)."""
+"""Members under a sampled controller in the lanes of vector registers (``sampled_native.c``)."""
 
 from __future__ import annotations
 
@@ -13,22 +13,30 @@ from certrack.core.expressions import TIME
 from certrack.core.lowering import hoisted
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
-from certrack.integrators.many.lanes import c_function, c_table, with_elementary
-from certrack.integrators.many.maps import PAIR
 from certrack.integrators.many.native import built
-from certrack.integrators.many.sampled import MOST_STEPS, SHARE, SHORTEST, Course
+from certrack.integrators.many.native_source import c_function, c_table, with_elementary
+from certrack.integrators.many.sampled_maps import PAIR
+from certrack.integrators.many.sampled_run import (
+    MAX_INTERVAL_STEPS,
+    SHARE,
+    SHORTEST,
+    SampledProblem,
+)
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
 
 Array = np.ndarray
 
 
-class _Task(ctypes.Structure):
-    """As in sampled.c."""
+class _SampledTask(ctypes.Structure):
+    """``Task`` of sampled_native.c."""
 
     _fields_ = [
         ("count", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("starts", "kept", "totals", "parameters", "keys")),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("starts", "controllers", "totals", "parameters", "keys")
+        ),
         ("events", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in ("times", "kinds", "marks", "segments", "shared")),
         ("depth", ctypes.c_int64),
@@ -40,13 +48,13 @@ class _Task(ctypes.Structure):
                 *("initial_input", "tolerance", "limit"),
             )
         ),
-        *((name, ctypes.c_void_p) for name in ("values", "found", "ends", "outcomes")),
+        *((name, ctypes.c_void_p) for name in ("values", "end_totals", "ends", "outcomes")),
     ]
 
 
 @dataclass(frozen=True)
-class Passed:
-    """What came of some members.
+class SampledResult:
+    """Shown values and totals of members.
 
     Attributes
     ----------
@@ -85,32 +93,32 @@ class SampledNative:
     def __init__(self, loop: SampledLoop, shown: Sequence[sympy.Expr]) -> None:
         self._shown, self._totals = len(shown), len(loop.totals)
         self._sensors = len(loop.controller.measured)
-        self._library = built("sampled.c", _header(loop, shown))
+        self._library = built("sampled_native.c", sampled_header(loop, shown))
 
-    def integrate(self, course: Course, shared: Array) -> Passed:
-        """Carry out a course; releases the interpreter lock.
+    def integrate(self, problem: SampledProblem, shared: Array) -> SampledResult:
+        """Integrate to the end; releases the interpreter lock.
 
         Parameters
         ----------
-        course : Course
-            Its outputs and pieces are not asked.
+        problem : SampledProblem
+            Its outputs and pieces are not used.
         shared : (segments, H) array
             Values of the piece symbols from the begin of the run, and from every break on.
         """
-        implementation, line, count = course.implementation, course.timeline, course.x.shape[1]
+        implementation, line, count = problem.implementation, problem.timeline, problem.x.shape[1]
         marks = int(line.marks.max()) + 1
         values = np.full((marks, self._shown, count), np.nan)
-        found, ends = np.full((self._totals + 1, count), np.nan), np.zeros(count)
+        totals, ends = np.full((self._totals + 1, count), np.nan), np.zeros(count)
         outcomes = np.zeros(count, dtype=np.uint8)
-        none = (0.0,) * self._sensors
+        nothing = (0.0,) * self._sensors
         sensors = [
-            np.array(row or none)
+            np.array(row or nothing)
             for row in (implementation.noise, implementation.measurement_quantum)
         ]
-        starts = (course.x, course.states, course.totals, course.parameters)
+        starts = (problem.x, problem.states, problem.totals, problem.parameters)
         arrays = [
             *(np.ascontiguousarray(a, dtype=float) for a in starts),
-            np.ascontiguousarray(course.keys),
+            np.ascontiguousarray(problem.keys),
             np.ascontiguousarray(line.times),
             (line.samples + 2 * line.acts).astype(np.uint8),
             line.marks.astype(np.int32),
@@ -119,7 +127,7 @@ class SampledNative:
             *sensors,
         ]
         pointers = [array.ctypes.data for array in arrays]
-        task = _Task(
+        task = _SampledTask(
             count,
             *pointers[:5],
             len(line.times),
@@ -128,29 +136,29 @@ class SampledNative:
             *pointers[10:],
             *implementation.converter,
             implementation.initial_input,
-            course.tolerance,
-            course.max_state,
-            *(array.ctypes.data for array in (values, found, ends, outcomes)),
+            problem.tolerance,
+            problem.max_state,
+            *(array.ctypes.data for array in (values, totals, ends, outcomes)),
         )
         if self._library.integrate(ctypes.byref(task)):
             raise MemoryError
-        return Passed(values, found, ends, outcomes)
+        return SampledResult(values, totals, ends, outcomes)
 
 
-def _header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
-    """The generated part of sampled.c."""
+def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
+    """The generated part of sampled_native.c."""
     plant, controller = loop.plant, loop.controller
     parameters, shared = loop.parameters, loop.pieces
     command, update = resolved(controller)
     common = {TIME, *shared}
     n, law_rows = len(plant.rates), len(update)
-    moving, found = hoisted([*plant.rates, loop.e_1, loop.slope, *shown], common)
-    law, law_found = hoisted([*update, command], common)
+    moving, moving_common = hoisted([*plant.rates, loop.e_1, loop.slope, *shown], common)
+    law, law_common = hoisted([*update, command], common)
     names: dict[sympy.Symbol, str] = {TIME: "t", STEP_BEGIN: "t", STEP_LENGTH: "h", INPUT: "u"}
     names |= {SQUARE: "sums[0]", AREA: "sums[1]"}
     for letter, symbols in (
-        ("c", [*found.values()]),
-        ("c", [*law_found.values()]),
+        ("c", [*moving_common.values()]),
+        ("c", [*law_common.values()]),
         ("p", parameters),
         ("s", shared),
         ("x", plant.states),
@@ -162,15 +170,15 @@ def _header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
     sensed |= {symbol: f"k[{i}]" for i, symbol in enumerate(controller.states)}
     sizes = {
         "STATES": n,
-        "KEPT": len(controller.states),
+        "CONTROLLER": len(controller.states),
         "MEASURED": len(controller.measured),
         "PARAMETERS": len(parameters),
         "SHARED": len(shared),
-        "COMMON": len(found),
-        "LAW_COMMON": len(law_found),
+        "COMMON": len(moving_common),
+        "LAW_COMMON": len(law_common),
         "TOTALS": len(loop.totals),
         "SHOWN": len(shown),
-        "MOST_STEPS": MOST_STEPS,
+        "MAX_INTERVAL_STEPS": MAX_INTERVAL_STEPS,
     }
 
     def function(
@@ -182,7 +190,7 @@ def _header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
         targets = [(f"{to}[{i}]", f) for to, formulas in results for i, f in enumerate(formulas)]
         return c_function(name, arguments, targets, known)
 
-    plain = "V t, const double *s, V *out"
+    of_time = "V t, const double *s, V *out"
     return with_elementary(
         [
             "enum { " + ", ".join(f"{name} = {size}" for name, size in sizes.items()) + " };",
@@ -192,8 +200,8 @@ def _header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
             c_table("B", PAIR.B),
             c_table("C", np.append(PAIR.C, 1.0)),
             c_table("E", PAIR.errors[0]),
-            function("common", plain, ("out", list(found))),
-            function("law_common", plain, ("out", list(law_found))),
+            function("common", of_time, ("out", list(moving_common))),
+            function("law_common", of_time, ("out", list(law_common))),
             function(
                 "rates",
                 "const V *c, const V *x, V u, const V *p, V *k, V *e_out",

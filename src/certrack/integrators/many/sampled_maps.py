@@ -1,4 +1,4 @@
-"""What happens at a sample and between two, compiled for many members at once.
+"""The two maps of a sampled loop, at a sample and between two events, for many members at once.
 
 heyoka compiles both to vector code; without it NumPy evaluates the same formulas. Between samples
 the plant takes steps of the pair of Dormand and Prince (order 5, error control of order 4).
@@ -15,6 +15,7 @@ import sympy
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows, to_heyoka
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH, larger, magnitude
+from certrack.integrators.many.registers import LANES
 from certrack.integrators.pairs import DORMAND_PRINCE, heyoka_step, heyoka_sum, numpy_step
 from certrack.loops.controller import COMMAND
 from certrack.loops.plant import INPUT
@@ -23,10 +24,7 @@ from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
 Array = np.ndarray
 
 #: A number for all members, or one for each.
-Number = float | np.ndarray
-
-#: Members per vector register.
-LANES = 8
+Scalar = float | np.ndarray
 
 #: The pair of all maps.
 PAIR = DORMAND_PRINCE
@@ -35,11 +33,11 @@ PAIR = DORMAND_PRINCE
 class Maps(Protocol):
     """Both maps; arrays have a column per member, p a row per parameter, then per piece symbol."""
 
-    def control(self, t: Number, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
+    def control(self, t: Scalar, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
         """Commanded inputs (N,) and the controller's next states."""
 
     def step(
-        self, t: Number, h: Number, allowed: Number, x: Array, u: Array, totals: Array, p: Array
+        self, t: Scalar, h: Scalar, allowed: Scalar, x: Array, u: Array, totals: Array, p: Array
     ) -> tuple[Array, Array, Array]:
         """Plant states and totals after a step, and its error over the allowed one."""
 
@@ -64,13 +62,13 @@ class NumpyMaps:
         )
         self._n = plant.n
 
-    def control(self, t: Number, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
+    def control(self, t: Scalar, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
         with np.errstate(all="ignore"):
-            found = rows(self._control(t, measured, states, p), measured.shape[1])
-        return found[0], found[1:]
+            values = rows(self._control(t, measured, states, p), measured.shape[1])
+        return values[0], values[1:]
 
     def step(
-        self, t: Number, h: Number, allowed: Number, x: Array, u: Array, totals: Array, p: Array
+        self, t: Scalar, h: Scalar, allowed: Scalar, x: Array, u: Array, totals: Array, p: Array
     ) -> tuple[Array, Array, Array]:
         n, count = self._n, x.shape[1]
         with np.errstate(all="ignore"):
@@ -99,7 +97,7 @@ class HeyokaMaps:
     """
 
     #: Rows of the runtime parameters before those of the loop: time, step, allowed error.
-    OWN = 3
+    STEP_ROWS = 3
 
     def __init__(self, loop: SampledLoop, *, vector: bool) -> None:
         import heyoka as hy
@@ -107,34 +105,35 @@ class HeyokaMaps:
         hy.set_logger_level_critical()
         self._loop = loop
         self._known = {
-            name: hy.par[self.OWN + i] for i, name in enumerate((*loop.parameters, *loop.pieces))
+            name: hy.par[self.STEP_ROWS + i]
+            for i, name in enumerate((*loop.parameters, *loop.pieces))
         }
         options = {"batch_size": LANES, "force_avx512": True} if vector else {}
         self._control = hy.cfunc(*self._control_formulas(hy), **options)
         self._step = hy.cfunc(*self._step_formulas(hy), **options)
         self._buffers: dict[tuple[int, int], Array] = {}
 
-    def control(self, t: Number, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
-        found = self._call(self._control, (t, 0.0, 0.0), (measured, states), p)
-        return found[0], found[1:]
+    def control(self, t: Scalar, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
+        values = self._call(self._control, (t, 0.0, 0.0), (measured, states), p)
+        return values[0], values[1:]
 
     def step(
-        self, t: Number, h: Number, allowed: Number, x: Array, u: Array, totals: Array, p: Array
+        self, t: Scalar, h: Scalar, allowed: Scalar, x: Array, u: Array, totals: Array, p: Array
     ) -> tuple[Array, Array, Array]:
-        found = self._call(self._step, (t, h, allowed), (x, u[None], totals), p)
-        return found[: len(x)], found[len(x) : -1], found[-1]
+        values = self._call(self._step, (t, h, allowed), (x, u[None], totals), p)
+        return values[: len(x)], values[len(x) : -1], values[-1]
 
-    def _call(self, function: Any, own: Sequence[Any], inputs: Sequence[Array], p: Array) -> Array:
+    def _call(self, function: Any, step: Sequence[Any], inputs: Sequence[Array], p: Array) -> Array:
         count = inputs[0].shape[1]
         key = (function.nparams, count)
         if key not in self._buffers:
             self._buffers[key] = np.empty(key)
         table = self._buffers[key]
-        for row, value in zip(table, own, strict=False):
+        for row, value in zip(table, step, strict=False):
             row[:] = value
-        table[self.OWN :] = p[: max(0, function.nparams - self.OWN)]
-        found: Array = function(np.ascontiguousarray(np.concatenate(inputs)), pars=table)
-        return found
+        table[self.STEP_ROWS :] = p[: max(0, function.nparams - self.STEP_ROWS)]
+        values: Array = function(np.ascontiguousarray(np.concatenate(inputs)), pars=table)
+        return values
 
     def _control_formulas(self, hy: Any) -> tuple[list[Any], list[Any]]:
         controller = self._loop.controller

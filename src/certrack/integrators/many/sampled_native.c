@@ -2,11 +2,11 @@
  *
  * Eight members make a group that shares its steps. Between two events the input is constant and a
  * group takes one step of the pair of Dormand and Prince; lanes whose error estimate demands it
- * take several, as short as the most difficult of them needs (see sampled.py, which does the same).
+ * take several, as short as the most difficult of them needs (sampled_run.py does the same).
  *
  * `system.h` is generated. It holds the sizes
- *   STATES KEPT MEASURED PARAMETERS SHARED COMMON LAW_COMMON TOTALS SHOWN,
- * the coefficients A, B, C, E of the method, ESCAPING, SHARE, SHORTEST, MOST_STEPS, and
+ *   STATES CONTROLLER MEASURED PARAMETERS SHARED COMMON LAW_COMMON TOTALS SHOWN,
+ * the coefficients A, B, C, E of the method, ESCAPING, SHARE, SHORTEST, MAX_INTERVAL_STEPS, and
  *   common(t, s, c), law_common(t, s, c)  what depends on time t and the segment's numbers s alone
  *   rates(c, x, u, p, k, e)               k = x', e = (e_1, e_1')
  *   measure(x, p, m)                      what the sensors would give
@@ -19,6 +19,10 @@
 
 enum { NODES = 7, SAMPLE = 1, ACT = 2 };
 
+/* As in sampled_run.py, but errors are squared here. */
+static const double SAFETY = 0.9, MIN_FACTOR = 0.1, MAX_FACTOR = 5.0, FIRST_MAX_FACTOR = 0.5;
+static const double PER_ORDER = 0.2, SMALLEST = 1e-30, NOT_A_NUMBER = 1e18, END_ROUNDING = 1e-15;
+
 /* How a member ended; known to the caller. */
 enum { FINISHED, ESCAPED, STUCK };
 
@@ -26,7 +30,7 @@ typedef uint64_t U __attribute__((vector_size(8 * LANES)));
 
 typedef struct {
   int64_t count;
-  const double *starts, *kept, *totals, *parameters; /* rows of `count` */
+  const double *starts, *controllers, *totals, *parameters; /* rows of `count` */
   const uint64_t *keys; /* of the noise of each member */
   int64_t events;
   const double *times;
@@ -39,17 +43,17 @@ typedef struct {
   double input_quantum, input_low, input_high; /* of the converter */
   double initial_input, tolerance, limit;
   double *values; /* times of interest x SHOWN x count */
-  double *found; /* (TOTALS + 1) x count; the last row is the variation of the input */
+  double *end_totals; /* (TOTALS + 1) x count; the last row is the variation of the input */
   double *ends; /* count */
   uint8_t *outcomes; /* count */
 } Task;
 
-/* A group on its way. */
+/* The state of a group at an event. */
 typedef struct {
-  V x[STATES], k[KEPT + 1], y[TOTALS], p[PARAMETERS + 1], u, variation;
+  V x[STATES], k[CONTROLLER + 1], y[TOTALS], p[PARAMETERS + 1], u, variation;
   I alive;
   U key;
-  int64_t taken, begun; /* samples; commands that began to act */
+  int64_t samples, commands; /* so far; those that began to act */
 } Group;
 
 /* A step and what depends on time alone at its nodes. */
@@ -59,16 +63,16 @@ typedef struct {
   V c[NODES][COMMON + 1];
 } Step;
 
-static void lay(Step *step, double t, double h, const double *s) {
+static void prepare(Step *step, double t, double h, const double *s) {
   step->t = t;
   step->h = h;
   step->s = s;
   if (!COMMON) return;
-  V when, found[COMMON + 1];
+  V when, values[COMMON + 1];
   for (int i = 0; i < LANES; i++) when[i] = t + h * C[i < NODES ? i : 0];
-  common(when, s, found);
+  common(when, s, values);
   for (int i = 0; i < NODES; i++)
-    for (int j = 0; j < COMMON; j++) step->c[i][j] = SPLAT(found[j][i]);
+    for (int j = 0; j < COMMON; j++) step->c[i][j] = SPLAT(values[j][i]);
 }
 
 /* The square of an error over the allowed one, at a step from a to b. */
@@ -79,7 +83,7 @@ INLINE V squared(V error, double allowed, V a, V b) {
 
 /* One step: states and totals after it; returns the squared error over the allowed one, that of the
  * integral of e_1 among them: a reference may be faster than the plant. */
-OUTLINE V attempt(const Group *g, const Step *step, double allowed, V *ends, V *y) {
+OUTLINE V try_step(const Group *g, const Step *step, double allowed, V *ends, V *y) {
   V k[NODES][STATES], e[NODES][2], x[STATES];
   double h = step->h;
   rates(step->c[0], g->x, g->u, g->p, k[0], e[0]);
@@ -121,7 +125,8 @@ OUTLINE V attempt(const Group *g, const Step *step, double allowed, V *ends, V *
   return worst * (1.0 / STATES);
 }
 
-static void bury(Group *g, const Task *task, int64_t first, I which, int outcome, double t) {
+static void remove_lanes(Group *g, const Task *task, int64_t first, I which, int outcome,
+                         double t) {
   which &= g->alive;
   g->alive &= ~which;
   for (int l = 0; l < LANES; l++)
@@ -132,9 +137,10 @@ static void bury(Group *g, const Task *task, int64_t first, I which, int outcome
 }
 
 /* By what the next step is longer, from the squared error. */
-static double factor(double error, double most) {
-  double found = 0.9 * pow(error > 1e-30 ? error : error == error ? 1e-30 : 1e18, -0.1);
-  return found < 0.1 ? 0.1 : found > most ? most : found;
+static double next_factor(double error, double max_factor) {
+  double finite = error > SMALLEST ? error : error == error ? SMALLEST : NOT_A_NUMBER;
+  double factor = SAFETY * pow(finite, -0.5 * PER_ORDER);
+  return factor < MIN_FACTOR ? MIN_FACTOR : factor > max_factor ? max_factor : factor;
 }
 
 static double largest(V error, I which) {
@@ -148,34 +154,34 @@ static double largest(V error, I which) {
 static void give_up(Group *g, const Group *now, const Task *task, int64_t first, I lost, double t) {
   I large = (I){0};
   for (int j = 0; j < STATES; j++) large |= v_abs(now->x[j]) > SPLAT(ESCAPING);
-  bury(g, task, first, lost & large, ESCAPED, t);
-  bury(g, task, first, lost, STUCK, t);
+  remove_lanes(g, task, first, lost & large, ESCAPED, t);
+  remove_lanes(g, task, first, lost, STUCK, t);
 }
 
-/* Lanes that need several steps for an interval; the others keep what they have. */
-OUTLINE void creep(Group *g, const Task *task, int64_t first, double begin, double end,
+/* Lanes that need several steps for an interval; the others store_shown what they have. */
+OUTLINE void substep(Group *g, const Task *task, int64_t first, double begin, double end,
                    const double *s, I late, V error, V *ends, V *y) {
   Group own = *g;
   Step step;
   V x[STATES], after[TOTALS];
-  double t = begin, h = (end - begin) * factor(largest(error, late), 0.5);
+  double t = begin, h = (end - begin) * next_factor(largest(error, late), FIRST_MAX_FACTOR);
   double shortest = SHORTEST * end;
-  for (int64_t i = 0; i < MOST_STEPS && t < end && any(late); i++) {
-    int last = t + h >= end * (1 - 1e-15);
+  for (int64_t i = 0; i < MAX_INTERVAL_STEPS && t < end && any(late); i++) {
+    int last = t + h >= end * (1 - END_ROUNDING);
     h = last ? end - t : h > shortest ? h : shortest;
     int least = h <= shortest;
-    lay(&step, t, h, s);
+    prepare(&step, t, h, s);
     double allowed = (least ? 1.0 : SHARE) * task->tolerance;
-    V found = attempt(&own, &step, allowed, x, after);
-    double worst = largest(found, late);
+    V error = try_step(&own, &step, allowed, x, after);
+    double worst = largest(error, late);
     if (worst <= 1.0) {
       memcpy(own.x, x, sizeof x);
       memcpy(own.y, after, sizeof after);
       t = last ? end : t + h;
     }
-    h *= factor(worst, 5.0);
+    h *= next_factor(worst, MAX_FACTOR);
     if (least && !(worst <= 1.0)) { /* nothing is short enough for these */
-      I lost = late & ~(found <= SPLAT(1.0));
+      I lost = late & ~(error <= SPLAT(1.0));
       give_up(g, &own, task, first, lost, begin);
       late &= ~lost;
       h = (end - begin) * 1e-6;
@@ -192,7 +198,8 @@ INLINE V normal(U key, uint64_t counter) {
   z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
   z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
   z = z ^ (z >> 31);
-  V high = __builtin_convertvector((I)(z >> 32), V), low = __builtin_convertvector((I)(z & 0xffffffffu), V);
+  V high = __builtin_convertvector((I)(z >> 32), V);
+  V low = __builtin_convertvector((I)(z & 0xffffffffu), V);
   return v_sqrt(-2.0 * v_log((high + 0.5) * 0x1p-32)) * v_cos(low * (0x1p-32 * 6.283185307179586));
 }
 
@@ -202,12 +209,12 @@ INLINE V rounded(V a, double quantum) {
 }
 
 /* Measure, evaluate the law; the command waits for the actuator. */
-static void sample(Group *g, const Task *task, double t, const double *s, V *waiting) {
+static void take_sample(Group *g, const Task *task, double t, const double *s, V *waiting) {
   V m[MEASURED], c[LAW_COMMON + 1], u;
   measure(g->x, g->p, m);
   for (int j = 0; j < MEASURED; j++) {
     if (task->noise[j] > 0.0)
-      m[j] += task->noise[j] * normal(g->key, (uint64_t)(g->taken * MEASURED + j + 1));
+      m[j] += task->noise[j] * normal(g->key, (uint64_t)(g->samples * MEASURED + j + 1));
     if (task->quantum[j] > 0.0) m[j] = rounded(m[j], task->quantum[j]);
   }
   law_common(SPLAT(t), s, c);
@@ -217,10 +224,10 @@ static void sample(Group *g, const Task *task, double t, const double *s, V *wai
     u = rounded(u, task->input_quantum);
     u = choose(u < low, low, choose(u > high, high, u)); /* what is not a number stays so */
   }
-  waiting[g->taken++ % task->depth] = u;
+  waiting[g->samples++ % task->depth] = u;
 }
 
-static void keep(const Group *g, const Task *task, int64_t first, double t, const double *s,
+static void store_shown(const Group *g, const Task *task, int64_t first, double t, const double *s,
                  int64_t mark) {
   V c[COMMON + 1], v[SHOWN];
   common(SPLAT(t), s, c);
@@ -233,12 +240,12 @@ static void keep(const Group *g, const Task *task, int64_t first, double t, cons
 }
 
 /* Members first ... first + 7 through all events. */
-static void travel(const Task *task, int64_t first, Group *g, V *waiting) {
+static void integrate_group(const Task *task, int64_t first, Group *g, V *waiting) {
   memset(g, 0, sizeof *g);
   for (int l = 0; l < LANES; l++) {
     int64_t i = first + l < task->count ? first + l : task->count - 1;
     for (int j = 0; j < STATES; j++) g->x[j][l] = task->starts[j * task->count + i];
-    for (int j = 0; j < KEPT; j++) g->k[j][l] = task->kept[j * task->count + i];
+    for (int j = 0; j < CONTROLLER; j++) g->k[j][l] = task->controllers[j * task->count + i];
     for (int j = 0; j < TOTALS; j++) g->y[j][l] = task->totals[j * task->count + i];
     for (int j = 0; j < PARAMETERS; j++) g->p[j][l] = task->parameters[j * task->count + i];
     g->key[l] = task->keys[i];
@@ -250,37 +257,37 @@ static void travel(const Task *task, int64_t first, Group *g, V *waiting) {
   for (int64_t k = 0; k < task->events; k++) {
     double t = task->times[k];
     const double *s = task->shared + task->segments[k] * SHARED;
-    if (task->kinds[k] & SAMPLE) sample(g, task, t, s, waiting);
+    if (task->kinds[k] & SAMPLE) take_sample(g, task, t, s, waiting);
     if (task->kinds[k] & ACT) {
-      V u = waiting[g->begun++ % task->depth];
+      V u = waiting[g->commands++ % task->depth];
       if (k) g->variation += v_abs(u - g->u);
       g->u = u;
     }
-    if (task->marks[k] >= 0) keep(g, task, first, t, s, task->marks[k]);
+    if (task->marks[k] >= 0) store_shown(g, task, first, t, s, task->marks[k]);
     if (k + 1 == task->events) break;
     double end = task->times[k + 1], h = end - t;
-    lay(&step, t, h, s);
-    V error = attempt(g, &step, SHARE * task->tolerance, ends, y);
+    prepare(&step, t, h, s);
+    V error = try_step(g, &step, SHARE * task->tolerance, ends, y);
     I late = ~(error <= SPLAT(1.0)) & g->alive;
-    if (any(late)) creep(g, task, first, t, end, s, late, error, ends, y);
+    if (any(late)) substep(g, task, first, t, end, s, late, error, ends, y);
     memcpy(g->y, y, sizeof y);
     I outside = (I){0};
     for (int j = 0; j < STATES; j++) {
       g->x[j] = ends[j];
       outside |= ~(v_abs(ends[j]) <= SPLAT(task->limit));
     }
-    if (any(outside & g->alive)) bury(g, task, first, outside, ESCAPED, t);
+    if (any(outside & g->alive)) remove_lanes(g, task, first, outside, ESCAPED, t);
     if (!any(g->alive)) {
       for (k++; k < task->events; k++)
-        if (task->marks[k] >= 0) keep(g, task, first, 0.0, s, task->marks[k]);
+        if (task->marks[k] >= 0) store_shown(g, task, first, 0.0, s, task->marks[k]);
       break;
     }
   }
-  bury(g, task, first, ~(I){0}, FINISHED, task->times[task->events - 1]);
+  remove_lanes(g, task, first, ~(I){0}, FINISHED, task->times[task->events - 1]);
   for (int l = 0; l < LANES && first + l < task->count; l++) {
-    double *found = task->found + first + l;
-    for (int j = 0; j < TOTALS; j++, found += task->count) *found = g->y[j][l];
-    *found = g->variation[l];
+    double *total = task->end_totals + first + l;
+    for (int j = 0; j < TOTALS; j++, total += task->count) *total = g->y[j][l];
+    *total = g->variation[l];
   }
 }
 
@@ -293,7 +300,8 @@ int integrate(const Task *task) {
     free(waiting);
     return -1;
   }
-  for (int64_t first = 0; first < task->count; first += LANES) travel(task, first, g, waiting);
+  for (int64_t first = 0; first < task->count; first += LANES)
+    integrate_group(task, first, g, waiting);
   free(waiting);
   free(g);
   return 0;

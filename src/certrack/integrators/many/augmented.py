@@ -1,4 +1,4 @@
-"""What the integrators of many members are given: rates, and what is kept of every member."""
+"""What the integrators of many members integrate: the rates, and what is recorded of a member."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from certrack.core.lowering import hoisted
 
 
 @dataclass(frozen=True)
-class Flow:
-    """What is integrated and what is kept of it.
+class AugmentedFlow:
+    """A system together with the integrals, signals and memories that are recorded of it.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Flow:
 
     @property
     def rows(self) -> dict[str, slice]:
-        """Where each kind lies in a member's column; all of it is handed from step to step."""
+        """Which rows of a member's column each kind has; a step maps a column to the next one."""
         sizes = {
             "states": len(self.states),
             "parameters": len(self.parameters),
@@ -64,15 +64,17 @@ class Flow:
         begins = [0, *ends[:-1]]
         return {name: slice(a, b) for name, a, b in zip(sizes, begins, ends, strict=True)}
 
-    def without_time(self) -> tuple[Flow, dict[sympy.Expr, sympy.Symbol]]:
+    def without_time(self) -> tuple[AugmentedFlow, dict[sympy.Expr, sympy.Symbol]]:
         """The flow with every largest subexpression that all members share as one symbol."""
         kinds = (self.rates, self.integrands, self.signals, [f for _, f in self.memories])
-        formulas, found = hoisted([f for kind in kinds for f in kind], {TIME, *self.shared})
-        left = iter(formulas)
-        rates, integrands, signals, memories = (tuple(islice(left, len(kind))) for kind in kinds)
+        hoisted_formulas, symbols = hoisted(
+            [f for kind in kinds for f in kind], {TIME, *self.shared}
+        )
+        formulas = iter(hoisted_formulas)
+        rates, integrands, signals, updates = (tuple(islice(formulas, len(kind))) for kind in kinds)
         names = (name for name, _ in self.memories)
-        kept = tuple(zip(names, memories, strict=True))
+        memories = tuple(zip(names, updates, strict=True))
         return (
-            replace(self, rates=rates, integrands=integrands, signals=signals, memories=kept),
-            found,
+            replace(self, rates=rates, integrands=integrands, signals=signals, memories=memories),
+            symbols,
         )

@@ -16,7 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from certrack.integrators.base import ESCAPING, Outcome
-from certrack.integrators.many.maps import LANES, PAIR, Maps
+from certrack.integrators.many.registers import whole_registers
+from certrack.integrators.many.sampled_events import EventTimeline
+from certrack.integrators.many.sampled_maps import PAIR, Maps
 from certrack.model.implementation import Implementation
 from certrack.model.noise import normal
 
@@ -31,71 +33,24 @@ SHARE = 0.1
 SHORTEST = 1e-15
 
 #: A member that needs more steps for one interval is given up.
-MOST_STEPS = 5_000
+MAX_INTERVAL_STEPS = 5_000
 
-#: Times closer than this part of a period are one, and those that rounding may have separated.
-CLOSE, ROUNDING = 1e-9, 1e-15
+#: A step that reaches within this part of the time of the interval's end ends there.
+END_ROUNDING = 1e-15
 
+#: The next step is SAFETY of the one whose error would be the allowed one, lest it fail at once; it
+#: is no shorter than MIN_FACTOR of the last one and no longer than MAX_FACTOR of it, because an
+#: error estimate says little about much longer or shorter steps. When the first step of an interval
+#: fails, FIRST_MAX_FACTOR instead: the interval needs two at least.
+SAFETY, MIN_FACTOR, MAX_FACTOR, FIRST_MAX_FACTOR = 0.9, 0.1, 5.0, 0.5
 
-@dataclass(frozen=True)
-class Timeline:
-    """When something happens.
-
-    Attributes
-    ----------
-    times : (K+1,) array, s
-        From the begin to the end of the run.
-    samples, acts : (K+1,) arrays of bool
-        Where a sample is taken; where the next command begins to act.
-    breaks : (K+1,) array of int
-        How many new pieces of the reference, or of what is totalled, begin there.
-    marks : (K+1,) array of int
-        Number of the time of interest there, or -1.
-    """
-
-    times: Array
-    samples: Array
-    acts: Array
-    breaks: Array
-    marks: Array
-
-
-def timeline(
-    implementation: Implementation, duration: float, breaks: Array, marks: Array
-) -> Timeline:
-    """All events of a run, in order; those that rounding alone separates are one."""
-    taken = implementation.offset + implementation.period * np.arange(
-        implementation.samples(duration)
-    )
-    taken = taken[taken < duration * (1 - 1e-12)]
-    begun = taken + implementation.delay * implementation.period
-    begun = begun[begun < duration * (1 - 1e-12)]
-    kinds = [taken, begun, np.asarray(breaks), np.asarray(marks), np.array([0.0, duration])]
-    times = np.concatenate(kinds)
-    kind = np.repeat(np.arange(len(kinds)), [len(part) for part in kinds])
-    order = np.lexsort((kind, times))
-    gaps = np.diff(times[order], prepend=-np.inf)
-    event = np.empty(len(times), dtype=int)
-    close = max(CLOSE * min(implementation.period, duration), ROUNDING * duration)
-    event[order] = np.cumsum(gaps > close) - 1
-    merged = np.empty(event.max() + 1)
-    for part in (3, 1, 0, 2, 4):  # the last one has the say: at a break the new piece holds
-        merged[event[kind == part]] = times[kind == part]
-
-    def where(part: int) -> Array:
-        found = np.zeros(len(merged), dtype=bool)
-        found[event[kind == part]] = True
-        return found
-
-    shown = np.full(len(merged), -1)
-    shown[event[kind == 3]] = np.arange(len(marks))
-    begun_there = np.bincount(event[kind == 2], minlength=len(merged))
-    return Timeline(merged, where(0), where(1), begun_there, shown)
+#: An error that is not a number counts as this many times the allowed one: the shortest next step.
+NOT_A_NUMBER = 1e9
 
 
 @dataclass(frozen=True)
-class Course:
-    """What some members are to do.
+class SampledProblem:
+    """Initial value problem of members under a sampled controller.
 
     Attributes
     ----------
@@ -103,7 +58,7 @@ class Course:
         Initial plant states, controller states and totals.
     parameters : (P, N) array
     implementation : Implementation
-    timeline : Timeline
+    timeline : EventTimeline
     outputs : callable, optional
         Measured values of the plant's states and all parameters, where they are not the states.
     pieces : callable
@@ -111,7 +66,9 @@ class Course:
     keys : (N,) array of unsigned integers
         Of the members' noise.
     tolerance : float
+        Of the plant's states and of the integral of e_1, relative and absolute.
     max_state : float
+        A plant state beyond it has escaped.
     """
 
     x: Array
@@ -119,7 +76,7 @@ class Course:
     totals: Array
     parameters: Array
     implementation: Implementation
-    timeline: Timeline
+    timeline: EventTimeline
     outputs: Callable[[Array, Array], Array] | None
     pieces: Callable[[float], Array]
     keys: Array
@@ -128,17 +85,17 @@ class Course:
 
 
 #: Gets time, plant states, totals and input at the end of every step of a lone member.
-Record = Callable[[float, Array, Array, Array], None]
+OnStep = Callable[[float, Array, Array, Array], None]
 
 
 class SampledRun:
-    """Members on their way.
+    """The state of all members at the last event, and how it goes on.
 
     Attributes
     ----------
     x, states, totals : (·, N) arrays
     u, variation : (N,) arrays
-        The input that acts, and by how much in all it has changed.
+        The input that acts, and the sum of its changes' magnitudes.
     parameters : (P, N) array
         Of the loop and its current piece.
     marks : int
@@ -150,88 +107,91 @@ class SampledRun:
         Who was given up for another reason than an escape.
     """
 
-    def __init__(self, maps: Maps, course: Course) -> None:
-        self._maps, self._course = maps, course
-        self._allowed = SHARE * course.tolerance
-        count = course.x.shape[1]
-        self.x, self.states, self.totals = course.x, course.states, course.totals
-        self.u = np.full(count, course.implementation.initial_input)
+    def __init__(self, maps: Maps, problem: SampledProblem) -> None:
+        self._maps, self._problem = maps, problem
+        self._allowed = SHARE * problem.tolerance
+        count = problem.x.shape[1]
+        self.x, self.states, self.totals = problem.x, problem.states, problem.totals
+        self.u = np.full(count, problem.implementation.initial_input)
         self.ends = np.zeros(count)
         self.outcomes = np.full(count, Outcome.finished, dtype=object)
         self._alive, self.stuck = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
         self._waiting: deque[Array] = deque()
-        self._taken = self.marks = 0
+        self._samples = self.marks = 0
         self.variation = np.zeros(count)
-        pieces = course.pieces(0.0)
-        self.parameters = np.vstack([course.parameters, np.repeat(pieces[:, None], count, axis=1)])
-        self._pieces = slice(len(course.parameters), len(self.parameters))
+        pieces = problem.pieces(0.0)
+        self.parameters = np.vstack([problem.parameters, np.repeat(pieces[:, None], count, axis=1)])
+        self._pieces = slice(len(problem.parameters), len(self.parameters))
 
-    def go(
+    def run(
         self,
         *,
-        sampled: Callable[[float, Array], None] = lambda _t, _states: None,
-        record: Record | None = None,
-        look: Callable[[int], None] = lambda _mark: None,
+        on_sample: Callable[[float, Array], None] = lambda _t, _states: None,
+        on_step: OnStep | None = None,
+        on_mark: Callable[[int], None] = lambda _mark: None,
     ) -> None:
-        """Carry out the course.
+        """Integrate to the end of the problem, or until no member is left.
 
         Parameters
         ----------
-        sampled : callable
+        on_sample : callable
             Gets the time and the controller's states before each sample.
-        record : Record, optional
-        look : callable
+        on_step : callable, optional
+            Gets time, plant states, totals and input after each step of the first member.
+        on_mark : callable
             Gets the number of every time of interest when it is reached.
         """
-        line = self._course.timeline
+        line = self._problem.timeline
         times, marks = line.times.tolist(), line.marks.tolist()
         samples, acts, breaks = line.samples.tolist(), line.acts.tolist(), line.breaks.tolist()
         for k, t in enumerate(times):
             if breaks[k] and self._pieces.start < len(self.parameters):
-                self.parameters[self._pieces] = self._course.pieces(t)[:, None]
+                self.parameters[self._pieces] = self._problem.pieces(t)[:, None]
             if samples[k]:
-                sampled(t, self.states)
+                on_sample(t, self.states)
                 self._sample(t)
             if acts[k]:
                 before, self.u = self.u, self._waiting.popleft()
                 if k:
                     self.variation += np.abs(self.u - before)
             if marks[k] >= 0:
-                look(marks[k])
+                on_mark(marks[k])
                 self.marks += 1
-            if k + 1 < len(times) and not self.cross(t, times[k + 1], record):
+            if k + 1 < len(times) and not self.advance(t, times[k + 1], on_step):
                 return
 
     def _sample(self, t: float) -> None:
         """Measure, evaluate the law; its command waits for the actuator."""
-        implementation, x = self._course.implementation, self.x
-        outputs = self._course.outputs
+        implementation, x = self._problem.implementation, self.x
+        outputs = self._problem.outputs
         true = x if outputs is None else outputs(x, self.parameters)
-        measured = sensed(true, implementation, self._course.keys, self._taken)
-        self._taken += 1
+        measured = sensed(true, implementation, self._problem.keys, self._samples)
+        self._samples += 1
         u, self.states = self._maps.control(t, measured, self.states, self.parameters)
         self._waiting.append(implementation.converted(u))
 
-    def cross(self, begin: float, end: float, record: Record | None = None) -> bool:
-        """All members from one event to the next; whether any goes on."""
+    def advance(self, begin: float, end: float, on_step: OnStep | None = None) -> bool:
+        """Integrate all members from one event to the next; returns whether any goes on."""
         h = end - begin
         x, totals, error = self._maps.step(
             begin, h, self._allowed, self.x, self.u, self.totals, self.parameters
         )
         late = ~(error <= 1.0)
-        if late.any():
-            late &= self._alive
-            for group in _padded(np.flatnonzero(late), len(late)):
-                self._creep(group, begin, end, h * _factor(error[group], 0.5), x, totals, record)
-        if record is not None and not late[0]:
-            record(end, x, totals, self.u)
+        if late.any() and (late := late & self._alive).any():
+            group = np.flatnonzero(late)
+            if len(late) > 1:  # maps of many members want whole registers
+                group = group[whole_registers(len(group))]
+            first = h * _factor(error[group], FIRST_MAX_FACTOR)
+            self._substep(group, begin, end, first, x, totals, on_step)
+        if on_step is not None and not late[0]:
+            on_step(end, x, totals, self.u)
         self.x, self.totals = x, totals
         if not self._inside():
             return False
         self.ends[self._alive] = end
         return True
 
-    def _creep(
+    def _substep(
         self,
         group: Array,
         begin: float,
@@ -239,25 +199,26 @@ class SampledRun:
         h: Array,
         x_end: Array,
         totals_end: Array,
-        record: Record | None,
+        on_step: OnStep | None,
     ) -> None:
         """Members that need several steps for the interval, each with its own step size."""
         t = np.full(len(group), begin)
         x, totals = self.x[:, group], self.totals[:, group]
         u, p = self.u[group], np.ascontiguousarray(self.parameters[:, group])
         lost, shortest = np.zeros(len(group), dtype=bool), SHORTEST * end
-        for _ in range(MOST_STEPS):
-            last = t + h >= end * (1 - 1e-15)
+        for _ in range(MAX_INTERVAL_STEPS):
+            last = t + h >= end * (1 - END_ROUNDING)
             h = np.where(last, end - t, np.maximum(h, shortest))
             least = h <= shortest
-            allowed = np.where(least, self._course.tolerance, self._allowed)
-            after, sums, error = self._maps.step(t, h, allowed, x, u, totals, p)
+            allowed = np.where(least, self._problem.tolerance, self._allowed)
+            x_after, totals_after, error = self._maps.step(t, h, allowed, x, u, totals, p)
             passed = (error <= 1.0) & (t < end)
-            x, totals = np.where(passed, after, x), np.where(passed, sums, totals)
+            x = np.where(passed, x_after, x)
+            totals = np.where(passed, totals_after, totals)
             t = np.where(passed, np.where(last, end, t + h), t)
-            if record is not None and passed[0]:
-                record(float(t[0]), x, totals, u)
-            h = h * _factor(error, 5.0)
+            if on_step is not None and passed[0]:
+                on_step(float(t[0]), x, totals, u)
+            h = h * _factor(error, MAX_FACTOR)
             lost |= (t < end) & least & ~passed
             if (lost | (t >= end)).all():
                 break
@@ -273,7 +234,7 @@ class SampledRun:
 
     def _inside(self) -> bool:
         """End the members that left the admitted states; whether any goes on."""
-        limit = self._course.max_state
+        limit = self._problem.max_state
         if self.x.max() <= limit and self.x.min() >= -limit:  # nearly always, and not for NaN
             return True
         gone = ~(np.abs(self.x) <= limit).all(axis=0) & self._alive
@@ -287,28 +248,20 @@ class SampledRun:
 
 def sensed(true: Array, implementation: Implementation, keys: Array, sample: int) -> Array:
     """What the sensors give for measured values (n, N) at a sample: with noise, and rounded."""
-    found = true
+    measured = true
     if implementation.noise is not None:
-        found = found + np.array(implementation.noise)[:, None] * normal(keys, sample, len(true))
+        noise = np.array(implementation.noise)[:, None] * normal(keys, sample, len(true))
+        measured = measured + noise
     if implementation.measurement_quantum is not None:
         quantum = np.array(implementation.measurement_quantum)[:, None]
         with np.errstate(all="ignore"):
-            found = np.where(quantum, np.rint(found / quantum) * quantum, found)
-    return found
+            measured = np.where(quantum, np.rint(measured / quantum) * quantum, measured)
+    return measured
 
 
-def _factor(error: Array, most: float) -> Array:
-    """By what the next step is longer."""
+def _factor(error: Array, largest: float) -> Array:
+    """By what the next step is longer, at most `largest`."""
+    error = np.where(np.isfinite(error), error, NOT_A_NUMBER)
     with np.errstate(all="ignore"):
-        found = 0.9 * np.where(np.isfinite(error), error, 1e9) ** (-1.0 / PAIR.order)
-    return np.clip(found, 0.1, most)
-
-
-def _padded(members: Array, count: int) -> list[Array]:
-    """All of them as one group, with the last one repeated: whole vector registers."""
-    if not members.size:
-        return []
-    if count == 1:
-        return [members]
-    whole = -(-len(members) // LANES) * LANES
-    return [members[np.minimum(np.arange(whole), len(members) - 1)]]
+        factor = SAFETY * error ** (-1.0 / PAIR.order)
+    return np.clip(factor, MIN_FACTOR, largest)
