@@ -3,7 +3,7 @@
 import copy
 import json
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cvxpy
 import flint
@@ -321,6 +321,21 @@ def test_robust_law_with_ranges_is_refused_with_the_reason():
     system = base.replace(plant=replace(base.plant, input_gain_range=(10, 30)))
     found, _ = certify_semidefinite(system)
     assert "use the adaptive law" in found.reason
+
+
+def test_a_law_with_other_equations_is_refused():
+    """The certificate is of the robust law's equations, not of what is derived from the class."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Halved(Robust):
+        def equations(self, s):
+            equations = super().equations(s)
+            return replace(equations, u=equations.u / 2)
+
+    system = certrack.load("dual-motor-lean").replace(law=Halved(c=(6, 6, 6, 6), feedforward=1))
+    found = certify(system)
+    assert not found.best.exists
+    assert "not Halved" in found.semidefinite.reason
 
 
 @pytest.mark.slow

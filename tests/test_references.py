@@ -1,14 +1,21 @@
 """References: derivatives, proven bounds, break points."""
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
+import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
+import certrack
+from certrack.certificates import certify_semidefinite
 from certrack.core.errors import InputError
+from certrack.core.expressions import TIME
 from certrack.references import SymbolicReference, samples, steps, trapezoid, triangle
-from certrack.references.base import total_bound
+from certrack.references.base import Bounds, round_up, total_bound
 
 DENSE = np.linspace(0, 60, 60_001)
 PIECEWISE = {
@@ -247,3 +254,50 @@ def test_expanding_huge_sums_is_not_tried():
 
 def test_contiguous_moves_are_accepted():
     assert steps((0.1, 0.3), (0, 0.2, 0.4), 1.0).bounds(0).values[0] == pytest.approx(0.4)
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A newcomer's reference, with the duties of Reference and nothing else: h sin(0.75 t)."""
+
+    height: float
+    declared_bound: float | None = None
+    order = math.inf
+    parameter_symbols = (sympy.Symbol("ref_height", real=True),)
+    piece_symbols = ()
+
+    @property
+    def parameter_values(self):
+        return (self.height,)
+
+    def bounds(self, order):
+        sizes = tuple(round_up(abs(self.height) * 0.75**i) for i in range(order + 1))
+        return Bounds(sizes, ("exact",) * (order + 1))
+
+    def breaks(self, start, end):
+        return np.empty(0)
+
+    def piece_values(self, t):
+        return np.empty(0)
+
+    def values(self, t, order):
+        phase = 0.75 * np.asarray(t)[None, :] + np.pi / 2 * np.arange(order + 1)[:, None]
+        return self.height * 0.75 ** np.arange(order + 1)[:, None] * np.sin(phase)
+
+    def formulas(self, order):
+        signal = self.parameter_symbols[0] * sympy.sin(sympy.Rational(3, 4) * TIME)
+        return tuple(sympy.diff(signal, TIME, i) for i in range(order + 1))
+
+
+@pytest.mark.parametrize("name", ["dual-motor-lean", "dual-motor-drive"])
+def test_the_stated_duties_of_a_reference_suffice(name):
+    """It is simulated, swept without recompiling, sampled and certified like a formula."""
+    system = certrack.load(name).with_settings(duration=5.0, tail=None)
+    systems = [system.replace(reference=Wave(height)) for height in (0.1, 0.05)]
+    simulator = certrack.Simulator(systems[0])
+    for ours, height in zip(systems, (0.1, 0.05), strict=True):
+        formula = system.replace(reference=SymbolicReference(f"{height}*sin(0.75*t)"))
+        expected = certrack.simulate(formula)
+        assert simulator.run(ours).final_state == pytest.approx(expected.final_state, abs=1e-7)
+        bounds = [certify_semidefinite(entry)[0].bound for entry in (ours, formula)]
+        assert bounds[0] == pytest.approx(bounds[1], rel=1e-6)

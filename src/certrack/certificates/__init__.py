@@ -1,4 +1,34 @@
-"""Certificates: bounds on limsup |e_1(t)| that hold for everything the assumptions admit."""
+"""Certificates: bounds on limsup |e_1(t)| that hold for everything the assumptions admit.
+
+Each method is a file: `published` (the paper's, and two sound forms of it), `semidefinite`,
+`cascade` with its `centred` stage. They share `problem` (the error system as a matrix inequality)
+and `adaptation` (the update laws' part), which `formulation` fills from a system, `exact`
+(verification), `document` (the saved certificate and its checker) and `tube` (the bound for every
+t). A bound is a claim that others build on, so the author of a new method must:
+
+1. take a :class:`~certrack.systems.system.System` and nothing else, and build its data by
+   ``error_problem(system, rational)`` (`decimal` where it claims no exactness), which refuses the
+   systems for which V' <= -alpha V + Delta is not proven. Where there is no certificate, raise
+   NoCertificate with the reason and the remedy, and return ``missing(kind, reason)``; never a
+   number that is "probably" a bound;
+2. optimise as it likes, in floats (``problem.in_floats()``), and treat what a solver returns as a
+   guess. Round it to decimals and check **every** condition of the theorem in exact rationals:
+   signs, P >= e_1 e_1^T, the inequality, the leakage, and that bound^2 is not below what they give.
+   Only then is ``verified`` true (``exact.prove`` and ``exact.proven``). A method whose bound is
+   only computed in floats says ``verified = False``, like those of `published`;
+3. round outward wherever a float stands for a real number: bounds of the reference, intervals and
+   the printed bound up, a rate down. tests/test_rounding.py shows for every such step what would be
+   claimed without it; a new step joins it;
+4. list in ``premises.assumptions`` what the claim rests on beyond what is there already;
+5. write into the document all that a third party needs, and check there what was proven, from the
+   text of the system alone and with no solver: ``to_document`` and ``verify``. Another layout of
+   the proof is another FORMAT, described in docs/certificate-file.md, and files of the old one stay
+   readable;
+6. enter :class:`Certificates`, its `best` and :func:`best_sound_bound`, and the report of the
+   command line. A tube follows from one proof with P >= e_1 e_1^T; a cascade has none;
+7. prove by tests that a document with any of its numbers changed for the better is refused (the
+   MUTANTS of tests/test_certificates.py), and that no run and no search exceeds the bound.
+"""
 
 from certrack.certificates.certificate import Certificate, NoCertificate
 from certrack.certificates.certify import (

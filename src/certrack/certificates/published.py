@@ -37,12 +37,16 @@ PUBLISHED_ROUNDING = 1 + 1e-9
 #: many points, for the bound need not be unimodal; a bounded minimisation refines the best.
 EPS_RANGE, EPS_POINTS = (1e-6, 0.999999), 400
 
+#: mu1 must be positive at this eps already: as eps goes to 0, the bound grows without limit.
+SMALL_EPS = 1e-9
+
 
 @dataclass(frozen=True)
 class Terms:
     """The numbers in the formulas above, before eps is chosen.
 
-    `adapt` is None for the robust law; `leak` is the cost of the prior guesses.
+    `adaptation` is None for the robust law. `leak` is the cost of the prior guesses, `reference2`
+    is ||A^{-1} B Y||^2, and `residual` what the derivative of y_d that is not fed forward costs.
     """
 
     c_min: float
@@ -53,7 +57,7 @@ class Terms:
     H: float
     leak: float
     gains: tuple[float, ...]
-    adapt: Adaptation | None
+    adaptation: Adaptation | None
 
     def mu1(self, eps: float) -> float:
         """Decay left after the gamma-parts."""
@@ -66,17 +70,17 @@ class Terms:
 
     def rho1(self, eps: float) -> float:
         """Decay of ||Xi||^2."""
-        if self.adapt is None:
+        if self.adaptation is None:
             return self.mu1(eps)
-        a = self.adapt
+        a = self.adaptation
         rates = [self.mu1(eps), min(self.gains) * a.leak_gain / 2]
         return min(rates + ([a.leak_theta / 2] if len(a.Gamma) else []))
 
     def rho2(self) -> float:
         """Largest weight in V."""
-        if self.adapt is None:
+        if self.adaptation is None:
             return 0.5
-        a = self.adapt
+        a = self.adaptation
         weights = [0.5, max(self.gains) / (2 * a.gain_rate)]
         if len(a.Gamma):
             weights.append(0.5 / float(np.linalg.eigvalsh(a.Gamma).min()))
@@ -84,9 +88,9 @@ class Terms:
 
     def alpha(self, eps: float) -> float:
         """Decay rate of V."""
-        if self.adapt is None:
+        if self.adaptation is None:
             return 2 * self.mu1(eps)
-        a = self.adapt
+        a = self.adaptation
         rates = [2 * self.mu1(eps), a.gain_rate * a.leak_gain]
         if len(a.Gamma):
             rates.append(a.leak_theta * float(np.linalg.eigvalsh(a.Gamma).min()))
@@ -127,16 +131,50 @@ def critical_strength(system: System) -> float:
 
 
 def collect(system: System, *, critical: bool = False) -> Terms:
-    """The terms of the formulas; refuses where a needed damping term is missing.
+    """The terms of the formulas.
 
     With `critical`, mu1 may be negative.
+
+    Raises
+    ------
+    NoCertificate
+        Where a needed damping term is missing or, unless `critical`, mu1 is not positive.
     """
     problem = error_problem(system, decimal)
-    plant, coordinates = system.plant, system.controller.coordinates
-    gains, u, n, q = system.law.gains(), plant.uncertainty, plant.n, coordinates.q
-    assert gains.k is not None and gains.p is not None
-    G = H = residual = 0.0
-    for step in range(n):
+    coordinates, adaptation = system.controller.coordinates, problem.adaptation
+    G, H = _uncertainty_terms(system)
+    reference2, last = _reference_terms(system, problem.Xe @ coordinates.B)
+    leak, gains = 0.0, (1.0,)
+    if adaptation is not None:
+        gains = adaptation.gains
+        delta2 = max(g * d**2 for g, d in adaptation.delta_offsets())
+        theta2 = max((float(v @ v) for v in adaptation.theta_offsets()), default=0.0)
+        leak = delta2 * adaptation.leak_gain / 2 + adaptation.leak_theta / 2 * theta2
+    terms = Terms(
+        c_min=float(coordinates.c.min()),
+        A_norm2=float((problem.Xe**2).sum()),
+        G=G,
+        reference2=reference2,
+        residual=_residual_damping(system) * last**2,
+        H=H,
+        leak=leak,
+        gains=gains,
+        adaptation=adaptation,
+    )
+    if not critical and not terms.mu1(SMALL_EPS) > 0:
+        raise NoCertificate(
+            f"the uncertainty is too strong for the published proof: mu1 = {terms.mu1(0):.3g}; "
+            "lower tau, raise c, or use fewer damping terms"
+        )
+    return terms
+
+
+def _uncertainty_terms(system: System) -> tuple[float, float]:
+    """G and H: the damping times the squared gamma-parts and beta-parts [28], [29]."""
+    gains, u = system.law.gains(), system.plant.uncertainty
+    assert gains.k is not None
+    G = H = 0.0
+    for step in range(system.plant.n):
         for j in range(step + 1):
             for part, bound, index in (("gamma", u.gamma, 2 * j), ("beta", u.beta, 2 * j + 1)):
                 strength = (u.tau[j] * bound[j]) ** 2
@@ -150,39 +188,22 @@ def collect(system: System, *, critical: bool = False) -> Terms:
                     G += k * strength
                 elif strength:
                     H += k * strength
-    for step in range(n - 1):
+    return G, H
+
+
+def _residual_damping(system: System) -> float:
+    """Sum of the p_m of the steps that the derivative not fed forward enters [29]."""
+    gains, coordinates = system.law.gains(), system.controller.coordinates
+    assert gains.p is not None
+    total = 0.0
+    for step in range(system.plant.n - 1):
         if coordinates.R[step] and math.isinf(gains.p[step]):
             raise NoCertificate(
-                f"the published proof needs a finite p[{step}], because y_d^({q + 1}) enters step "
-                f"{step + 1}; the semidefinite one does not"
+                f"the published proof needs a finite p[{step}], because "
+                f"y_d^({coordinates.q + 1}) enters step {step + 1}; the semidefinite one does not"
             )
-        residual += gains.p[step] if coordinates.R[step] else 0.0
-    reference, last = _reference_terms(system, problem.Xe @ coordinates.B)
-    adapt = problem.adaptation
-    leak, strengths = 0.0, (1.0,)
-    if adapt is not None:
-        strengths = adapt.gains
-        leak = max(g * d**2 for g, d in adapt.delta_offsets()) * adapt.leak_gain / 2
-        leak += (
-            adapt.leak_theta / 2 * max((float(v @ v) for v in adapt.theta_offsets()), default=0.0)
-        )
-    terms = Terms(
-        c_min=float(coordinates.c.min()),
-        A_norm2=float((problem.Xe**2).sum()),
-        G=G,
-        reference2=reference,
-        residual=residual * last**2,
-        H=H,
-        leak=leak,
-        gains=strengths,
-        adapt=adapt,
-    )
-    if not critical and not terms.mu1(1e-9) > 0:
-        raise NoCertificate(
-            f"the uncertainty is too strong for the published proof: mu1 = {terms.mu1(0):.3g}; "
-            "lower tau, raise c, or use fewer damping terms"
-        )
-    return terms
+        total += gains.p[step] if coordinates.R[step] else 0.0
+    return total
 
 
 def _reference_terms(system: System, AB: np.ndarray) -> tuple[float, float]:
@@ -201,13 +222,15 @@ def _minimise(square: Callable[[float], float], terms: Terms) -> float:
         return 1.0
     top = terms.c_min / (terms.A_norm2 * terms.G) - 1
 
-    def at(log_eps: float) -> float:
+    def objective(log_eps: float) -> float:
         eps = math.exp(log_eps)
         return square(eps) if terms.mu1(eps) > 0 else math.inf
 
     low, high = EPS_RANGE
     grid = np.log(np.geomspace(low * top, high * top, EPS_POINTS))
-    i = int(np.argmin([at(v) for v in grid]))
+    i = int(np.argmin([objective(v) for v in grid]))
     low, high = grid[max(0, i - 1)], grid[min(len(grid) - 1, i + 1)]
-    refined = minimize_scalar(at, bounds=(low, high), method="bounded", options={"xatol": 1e-10})
-    return math.exp(min((float(refined.x), float(grid[i])), key=at))
+    refined = minimize_scalar(
+        objective, bounds=(low, high), method="bounded", options={"xatol": 1e-10}
+    )
+    return math.exp(min((float(refined.x), float(grid[i])), key=objective))

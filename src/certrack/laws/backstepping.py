@@ -240,7 +240,7 @@ def carry_out(
     B[0, 0] = 1
     for m in range(n):  # step m + 1 of the paper
         eta = -A[m, :m]
-        kappa[m] = weights[m][m] + (weights[m][:m] * eta**2).sum()  # [18]
+        kappa[m] = weights[m][m] + (weights[m][:m] * eta**2).sum()  # [18], [25]
         if m < n - 1:
             kappa[m] += B[m, q] ** 2 * residual_weights[m]
         x_part = -(c[m] + kappa[m]) * A[m] + eta @ F[:m]

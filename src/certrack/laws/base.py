@@ -1,14 +1,8 @@
-"""What a control law is.
+"""What a control law is: :class:`Law`, the :class:`Signals` it may use, the :class:`Controller`.
 
-A law is a frozen dataclass of its gains. It states two things:
-
-* :meth:`Law.equations` - the control and update laws as formulas of the :class:`Signals`. They use
-  symbols for every gain, so one formula serves all gains and is compiled once.
-* :meth:`Law.parameters` - the numbers those symbols stand for.
-
-To write a new law, subclass :class:`Law` in one file, fill in both methods, and let
-``certrack.testing.LawConformance`` test it. Fields declared with :func:`gain` and friends are read
-from the ``[law]`` table of a system file and checked by their declared shape.
+A law is a frozen dataclass of its gains. Its equations are formulas with symbols for every gain, so
+one formula serves all gains and is compiled once; beside them it states the numbers that the
+symbols stand for.
 """
 
 from __future__ import annotations
@@ -141,7 +135,34 @@ class Controller:
 
 @dataclass(frozen=True, kw_only=True)
 class Law(ABC):
-    """Base of all laws: the gains of the recursion.
+    """Base of all laws: the gains of the recursion, and what the author of a law owes.
+
+    A new law is a subclass in one file, with the paper's equation beside each line. It must:
+
+    1. be a dataclass with ``frozen=True, kw_only=True`` and a class attribute `kind`, the word that
+       names it in a system file;
+    2. declare each gain of its own as a field, with :func:`gain`, :func:`theta_vector` or
+       :func:`theta_metric`. Every field is a key of the ``[law]`` table; c, k, p and feedforward
+       are inherited;
+    3. return from :meth:`equations` the input u and the rates of the law's own states (per second),
+       as formulas of `s` alone: ``s.x``, ``s.Y``, ``s.e_n``, ``s.nu``, ``s.phi``, ``s.sign_g``, the
+       gains by ``s.parameter(name)`` and ``s.parameters(name, *shape)``, and its own states, which
+       are symbols that name no state of the plant. Gains must not stand there as numbers, or a
+       compiled loop would keep the old ones. ``s.e_n`` and ``s.nu`` may be plain symbols, as when a
+       law is printed, so a law must not look into them;
+    4. return from :meth:`parameters` a number, or an array of the shape asked for, for each of
+       these names, and raise DesignError where the plant does not tell what the law must know. The
+       names A_n, B_n, nu_x, nu_Y and sign_g are taken;
+    5. pass ``certrack.testing.LawConformance``.
+
+    Optional: another feed-forward order (:meth:`order`); a reason in `no_certificate`; an entry
+    point ``kind = "package:Class"`` of the group ``certrack.laws``, so that system files can name
+    the law. The law's own states start at zero or at ``simulation.estimates``. Where the input is
+    saturated, a sampled controller keeps of their rates only the terms of gains and own states
+    alone, the forgetting.
+
+    A certificate is a theorem about the equations of one law. A new law has none, and says so,
+    until a certificate is written for it (:mod:`certrack.certificates`).
 
     Parameters
     ----------
@@ -152,7 +173,7 @@ class Law(ABC):
     """
 
     kind: ClassVar[str]
-    #: Whether the law's V' <= -alpha V + Delta is provable; otherwise why not.
+    #: Why V' <= -alpha V + Delta is not provable for the law; empty where it may be.
     no_certificate: ClassVar[str] = ""
 
     c: tuple[float, ...]
@@ -173,14 +194,25 @@ class Law(ABC):
 
     @abstractmethod
     def equations(self, s: Signals) -> Equations:
-        """Control and update laws as formulas of `s`."""
+        """Control and update laws as formulas of `s`.
+
+        Equal laws must return equal formulas: compiled loops are compared by them.
+        """
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
-        """Numbers for the gains that :meth:`equations` asked for, by name."""
+        """Numbers for the gains that :meth:`equations` asked for, by name.
+
+        Raises
+        ------
+        InputError
+            If a gain does not fit the plant (as many numbers as regressors, for example).
+        DesignError
+            If the plant does not state what the law must know.
+        """
         return {}
 
     def order(self, plant: Plant) -> int:
-        """Feed-forward order q on this plant."""
+        """Feed-forward order q on this plant, 0 <= q <= n - 1; y_d needs q + 1 derivatives."""
         return self.feedforward
 
     def gains(self) -> Gains:
@@ -205,7 +237,7 @@ class Law(ABC):
         return np.concatenate([np.ravel(np.asarray(numbers[name], float)) for name in names])
 
     def design(self, plant: Plant) -> Controller:
-        """Make the controller for `plant`.
+        """The controller for `plant`.
 
         Raises
         ------

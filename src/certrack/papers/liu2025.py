@@ -75,7 +75,7 @@ def reproduce(progress: Callable[[str], None] = lambda _: None, budget: int = 30
     Parameters
     ----------
     progress : callable
-        Told what is being done.
+        Called with a text that says what is being done.
     budget : int
         Runs that the falsifier spends on each system.
     """
@@ -86,7 +86,7 @@ def reproduce(progress: Callable[[str], None] = lambda _: None, budget: int = 30
     motor = Simulator(load("dual-motor"))
     weak, strong = motor.run(), motor.run(load("dual-motor-strong"))
     signs: list[tuple[int, ...]] = [(1, 1, 1, 0), (-1, 1, 1, 0), (1, -1, -1, 0)]
-    starts = {x0: _from(motor, x0) for x0 in signs}
+    starts = {x0: _run_from(motor, x0) for x0 in signs}
     progress("Theorem 1, last step")
     theorem = _theorem_1()
     claims = (
@@ -182,7 +182,7 @@ def _example1_variants() -> Iterator[tuple[tuple[tuple[int, int], int], tuple[Ru
             yield (x0, sign), (runs[0], runs[1])
 
 
-def _from(simulator: Simulator, x0: tuple[int, ...]) -> Run:
+def _run_from(simulator: Simulator, x0: tuple[int, ...]) -> Run:
     return simulator.run(simulator.system.with_settings(x0=x0))
 
 

@@ -1,4 +1,4 @@
-"""The interface every reference keeps."""
+"""What every reference must offer, and what follows from that alone."""
 
 from __future__ import annotations
 
@@ -29,7 +29,35 @@ class Bounds:
 
 
 class Reference(Protocol):
-    """What a closed loop, a simulation and a certificate ask of a reference."""
+    """What a closed loop, a simulation and a certificate ask of a reference y_d(t), t >= 0.
+
+    A reference that consists of cubic pieces is a function that returns a
+    :class:`~certrack.references.piecewise.PiecewiseReference`, and a formula in t is a
+    :class:`~certrack.references.symbolic.SymbolicReference`; both keep these duties already. Any
+    other kind must:
+
+    1. be a frozen value with ``==``: equal references may share a compiled loop, and a run must not
+       change them;
+    2. be continuous, and say in `order` how many derivatives exist piecewise and are bounded;
+       derivatives below `order` must be continuous. A law with feed-forward order q is refused
+       unless ``order >= q + 1``, and asks for derivatives 0 ... q + 1 only;
+    3. state y_d and its derivatives twice, as numbers (`values`) and as formulas (`formulas`), and
+       the two must agree between the breaks: the loop is compiled from the formulas, errors are
+       computed from the values;
+    4. list in `breaks` every time at which one of these derivatives jumps, unless the formula shows
+       the kink itself by abs, min or max: integrators stop and restart there, and lose their
+       accuracy without notice where a break is missing;
+    5. bound every derivative for all t >= 0, rounded up, and refuse where it cannot: the
+       certificates take the bounds as proven, and what they claim holds for every reference within
+       them.
+
+    Optional: `declared_bound` is None where nobody has declared D; the symbols are empty tuples,
+    and their values empty, where the formulas have none. A system file, and so a saved certificate,
+    can hold another kind only after :mod:`certrack.systems.reader` and
+    :mod:`certrack.systems.writer` have been taught its keys.
+
+    Times are in s, y_d in the unit of the output, y_d^(i) in that unit per s^i.
+    """
 
     @property
     def order(self) -> float:
@@ -37,34 +65,50 @@ class Reference(Protocol):
 
     @property
     def declared_bound(self) -> float | None:
-        """The user's D of Assumption 2, |y_d| + |y_d'| <= D."""
+        """The user's D of Assumption 2, |y_d| + |y_d'| <= D; None if not declared."""
 
     def bounds(self, order: int) -> Bounds:
-        """Bounds Y_0 ... Y_order; raises InputError where they cannot be proven."""
+        """Bounds Y_0 ... Y_order, each >= sup |y_d^(i)| over t >= 0.
+
+        Raises
+        ------
+        InputError
+            Where a bound can neither be proven nor is declared.
+        """
 
     def breaks(self, start: float, end: float) -> np.ndarray:
-        """Times strictly inside (start, end) where a derivative jumps."""
+        """Increasing times strictly inside (start, end) where a derivative jumps, s."""
 
     def values(self, t: np.ndarray, order: int) -> np.ndarray:
-        """y_d ... y_d^(order) at the times `t`, shape (order + 1, len(t))."""
+        """y_d ... y_d^(order) at the times `t`, shape (order + 1, len(t)).
+
+        At a break, a derivative that jumps takes the value after it.
+        """
 
     def formulas(self, order: int) -> tuple[sympy.Expr, ...]:
-        """y_d ... y_d^(order) as formulas of t, the parameters and the piece symbols."""
+        """y_d ... y_d^(order) as order + 1 formulas of t, the parameters and the piece symbols.
+
+        Of functions that :mod:`certrack.core.lowering` can compile, and without numbers that a
+        sweep may vary: those are parameters.
+        """
 
     @property
     def parameter_symbols(self) -> tuple[sympy.Symbol, ...]:
-        """Symbols in the formulas that a sweep may vary."""
+        """Symbols in the formulas that a sweep may vary; no state or gain may have their names."""
 
     @property
     def parameter_values(self) -> tuple[float, ...]:
-        """Values of :attr:`parameter_symbols`."""
+        """Values of :attr:`parameter_symbols`, as many."""
 
     @property
     def piece_symbols(self) -> tuple[sympy.Symbol, ...]:
-        """Symbols that take new values at every break point."""
+        """Symbols in the formulas that take new values at every break point."""
 
     def piece_values(self, t: float) -> np.ndarray:
-        """Values of :attr:`piece_symbols` on the piece that begins at or contains `t`."""
+        """Values of :attr:`piece_symbols`, as many, on the piece that begins at or contains `t`.
+
+        A `t` that is a break but for rounding is the break, so the piece after it counts.
+        """
 
 
 def pieces_at(reference: Reference, t: np.ndarray) -> np.ndarray:
