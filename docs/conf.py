@@ -31,7 +31,10 @@ include_patterns = ["*.md", "docs/**"]
 html_theme = "furo"
 html_title = f"certrack {release}"
 html_extra_path = ["site"]  # its index.html leads to docs/index.html
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 html_copy_source = False
+highlight_language = "none"  # indented blocks are formulas
 
 myst_heading_anchors = 3
 
