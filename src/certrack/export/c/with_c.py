@@ -7,14 +7,11 @@ Called by ``ctypes``, as the compiled ensembles are: no further dependency, and 
 from __future__ import annotations
 
 import ctypes
-import shutil
-import subprocess
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
-from certrack.core.errors import CertrackError, InputError
+from certrack.core.compilers import load_library
+from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
 from certrack.export.c.source import CCode, c_code
@@ -27,38 +24,9 @@ from certrack.systems.system import System
 Array = np.ndarray
 
 #: As strict as the language allows.
-FLAGS = "-std=c99 -O2 -Wall -Wextra -Wpedantic -Werror -ffp-contract=off -shared -fPIC".split()
-
-#: A compilation that takes longer has failed, s.
-PATIENCE = 300
-
-
-class NoCompiler(CertrackError):
-    """There is no C compiler, or it failed."""
-
-
-def compiler() -> str:
-    """Path of a C compiler."""
-    path = next((found for name in ("gcc", "clang", "cc") if (found := shutil.which(name))), None)
-    if path is None:
-        raise NoCompiler("no C compiler was found: install gcc or clang")
-    return path
-
-
-def library(code: CCode) -> ctypes.CDLL:
-    """The code as a shared library; it stays loaded when its file is gone."""
-    path = compiler()
-    with tempfile.TemporaryDirectory(prefix="certrack-") as place:
-        folder = Path(place)
-        (folder / f"{code.name}.h").write_text(code.header, "ascii")
-        (folder / f"{code.name}.c").write_text(code.source, "ascii")
-        command = [path, *FLAGS, f"{code.name}.c", "-o", "controller.so", "-lm"]
-        done = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, check=False, timeout=PATIENCE
-        )
-        if done.returncode:
-            raise NoCompiler(f"the C compiler {path} failed: {done.stderr.strip()}")
-        return ctypes.CDLL(str(folder / "controller.so"))
+STRICT_FLAGS = (
+    "-std=c99 -O2 -Wall -Wextra -Wpedantic -Werror -ffp-contract=off -shared -fPIC".split()
+)
 
 
 class CMaps:
@@ -75,7 +43,8 @@ class CMaps:
 
     def __init__(self, maps: Maps, loop: SampledLoop, code: CCode) -> None:
         self._maps = maps
-        self._library = library(code)
+        sources = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
+        self._library = load_library(sources, STRICT_FLAGS)
         self._step = getattr(self._library, f"{code.name}_step")
         self._step.argtypes = [ctypes.c_void_p] * 3
         self._step.restype = ctypes.c_double
@@ -112,8 +81,8 @@ def simulate(system: System) -> Run:
     ------
     InputError
         If it has none.
-    NoCompiler
-        If there is no C compiler.
+    CompilerError
+        If there is no C compiler, or it failed.
     """
     if system.implementation is None:
         raise InputError(

@@ -10,10 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import platform
-import shutil
-import subprocess
 import sys
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Mapping
@@ -21,7 +18,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from certrack.core import checks
-from certrack.core.errors import CertrackError, InputError, one_line, shorten
+from certrack.core.compilers import shared_library
+from certrack.core.errors import InputError
 from certrack.export.c.source import CCode, c_code
 from certrack.export.fmu.description import DESCRIPTIONS, page
 from certrack.systems.system import System
@@ -46,10 +44,7 @@ FOLDERS = {
 }
 ENDINGS = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
 
-FLAGS = "-std=c99 -O2 -fPIC -shared -fvisibility=hidden".split()
-
-#: A compilation that takes longer has failed, s.
-PATIENCE = 120
+FMU_FLAGS = "-std=c99 -O2 -fPIC -shared -fvisibility=hidden".split()
 
 #: Of all files in the archive, so that the bytes do not depend on when it is written.
 DATE = (1980, 1, 1, 0, 0, 0)
@@ -79,7 +74,7 @@ def fmu(
     ------
     InputError
         If there is no period, or FMI has no name for this machine.
-    CertrackError
+    CompilerError
         If there is no C compiler, or it failed.
     """
     checks.choice("--fmi", version, VERSIONS)
@@ -90,7 +85,7 @@ def fmu(
     contents = _sources(code, version)
     token = _token(code, contents, version)
     contents["model.h"] = _model(code, token)
-    binary = _compiled(code.name, contents, WRAPPERS[version][0])
+    binary = shared_library(contents, FMU_FLAGS)
     compiled = [f"{code.name}.c", WRAPPERS[version][0]]
     described = DESCRIPTIONS[version](code, token, compiled)
     licence = _shipped("LICENSE")
@@ -151,31 +146,6 @@ def _machine() -> tuple[str, str]:
     if found not in FOLDERS:
         raise InputError("export fmu", "FMI has no name for this machine", " ".join(found))
     return found
-
-
-def compiler() -> str | None:
-    """Path of a C compiler, if there is one."""
-    return next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-
-
-def _compiled(name: str, contents: Mapping[str, str], wrapper: str) -> bytes:
-    """The shared library."""
-    path = compiler()
-    if path is None:
-        raise CertrackError("export fmu needs a C compiler: install gcc or clang")
-    with tempfile.TemporaryDirectory(prefix="certrack-") as folder:
-        for file, text in contents.items():
-            (Path(folder) / file).write_text(text, "utf-8")
-        command = [path, *FLAGS, f"{name}.c", wrapper, "-o", "model", "-lm"]
-        try:
-            subprocess.run(
-                command, cwd=folder, capture_output=True, check=True, text=True, timeout=PATIENCE
-            )
-        except subprocess.SubprocessError as problem:
-            said = getattr(problem, "stderr", None) or "it took too long"
-            reason = shorten(one_line(said.strip()), 200)
-            raise CertrackError(f"export fmu: {path} failed: {reason}") from None
-        return (Path(folder) / "model").read_bytes()
 
 
 def _zipped(contents: Mapping[str, bytes]) -> bytes:

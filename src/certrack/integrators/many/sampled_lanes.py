@@ -14,7 +14,7 @@ from certrack.core.expressions import TIME
 from certrack.core.lowering import BEGIN, STEP, hoisted
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.many.lanes import braces, c_function, with_elementary
-from certrack.integrators.many.native import built
+from certrack.integrators.many.native import compiled_library
 from certrack.integrators.many.sampled import MOST_STEPS, SHARE, SHORTEST, Course
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
@@ -84,7 +84,7 @@ class SampledNative:
     def __init__(self, loop: SampledLoop, shown: Sequence[sympy.Expr]) -> None:
         self._shown, self._totals = len(shown), len(loop.totals)
         self._sensors = len(loop.controller.measured)
-        self._library = built("sampled.c", _header(loop, shown))
+        self._library = compiled_library("sampled.c", _header(loop, shown))
 
     def integrate(self, course: Course, shared: Array) -> Passed:
         """Carry out a course; releases the interpreter lock.
