@@ -24,7 +24,7 @@ from certrack.core.compilers import CompilerError, find_c_compiler
 from certrack.export.c import files as export_c
 from certrack.export.c import with_c
 from certrack.export.c.golden import TOLERANCE, golden
-from certrack.export.c.printer import comment, literal, wrapped
+from certrack.export.c.printer import c_literal, comment, wrapped
 from certrack.export.c.readme import readme
 from certrack.export.c.source import c_code, sampled_system
 from certrack.export.names import RESERVED, free_name, stem
@@ -359,11 +359,11 @@ class TestText:
         [(0.1, "float", "0.1F"), (0.1, "double", "0.1"), (1e-7, "float", "1e-07F")],
     )
     def test_literals_round_trip(self, value, real, text):
-        assert literal(value, real) == text
+        assert c_literal(value, real) == text
 
     def test_numbers_beyond_float_are_refused(self):
         with pytest.raises(InputError, match="float cannot hold the number 1e\\+40"):
-            literal(1e40, "float")
+            c_literal(1e40, "float")
 
     def test_long_statements_are_wrapped(self, exported):
         code, _ = exported

@@ -59,7 +59,7 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     \b
     Example: certrack export st dual-motor-lean --period 0.001 --out drive.st
     """
-    from certrack.export.st.block import structured_text
+    from certrack.export.st.function_block import structured_text
     from certrack.systems.reader import load
     from certrack.systems.writer import write_text
 

@@ -97,6 +97,11 @@ def larger(a: sympy.Expr, b: sympy.Expr) -> sympy.Expr:
     return Select(a, b, a, b)
 
 
+def smaller(a: sympy.Expr, b: sympy.Expr) -> sympy.Expr:
+    """min(a, b) for compiled maps."""
+    return Select(b, a, a, b)
+
+
 def numpy_callable(
     arguments: Sequence[Any], formulas: Sequence[sympy.Expr]
 ) -> Callable[..., list[Any]]:

@@ -15,8 +15,9 @@ from itertools import pairwise
 import sympy
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import symbol
-from certrack.core.lowering import Select, larger, magnitude
+from certrack.core.expressions import fold_minmax, symbol
+from certrack.core.lowering import larger, magnitude, smaller
+from certrack.core.printing import MAX_FACTORS
 from certrack.laws.base import Equations, Signals
 from certrack.loops.controller import (
     ASKED,
@@ -37,9 +38,6 @@ E_N, NU, UBAR, DRIFT, CUT = (symbol(f"ctl_{name}") for name in ("e_n", "nu", "ub
 
 #: Gains that are printed as numbers in the linear forms e_n and nu; all others are named.
 LINEAR = ("A_n", "B_n", "nu_x", "nu_Y", "sign_g")
-
-#: Powers up to this one are products.
-MOST_FACTORS = 8
 
 NOTES = {
     E_N: "last error coordinate: e_n = A_n x - B_n (y_d, y_d', ...)",
@@ -253,7 +251,9 @@ def _number(value: float) -> sympy.Expr:
 
 def _printable(steps: Iterable[Step], known: Known, letter: str) -> list[Step]:
     """Steps with numbers; what is costly and occurs twice is computed once."""
-    steps = [replace(s, formula=_selections(s.formula.xreplace(known))) for s in steps]
+    steps = [
+        replace(s, formula=fold_minmax(s.formula.xreplace(known), larger, smaller)) for s in steps
+    ]
     names = (symbol(f"ctl_{letter}_{i}") for i in range(1, 1_000_000))
     found: list[Step] = []
     common, reduced = sympy.cse([step.formula for step in steps], names)
@@ -299,24 +299,10 @@ def _bases(formula: sympy.Expr) -> Sequence[sympy.Expr]:
             power.base
             for power in powers
             if power.exp.is_Integer
-            and 2 <= abs(power.exp) <= MOST_FACTORS
+            and 2 <= abs(power.exp) <= MAX_FACTORS
             and power.base.free_symbols
             and not power.base.is_Symbol
         )
-    )
-
-
-def _selections(formula: sympy.Expr) -> sympy.Expr:
-    """Without min and max."""
-
-    def fold(*args: sympy.Expr, sense: int) -> sympy.Expr:
-        result = args[0]
-        for other in args[1:]:
-            result = larger(result, other) if sense > 0 else Select(other, result, result, other)
-        return result
-
-    return formula.replace(sympy.Max, lambda *args: fold(*args, sense=1)).replace(
-        sympy.Min, lambda *args: fold(*args, sense=-1)
     )
 
 

@@ -16,7 +16,7 @@ import sympy
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.version import version
-from certrack.export.c.printer import REALS, CPrinter, comment, helper, literal, wrapped
+from certrack.export.c.printer import REALS, CPrinter, c_literal, comment, helper, wrapped
 from certrack.export.names import free_name, stem
 from certrack.export.program import Program, Step, program, unread
 from certrack.loops.controller import COMMAND, PERIOD
@@ -147,7 +147,7 @@ def _header(code: CCode) -> str:
 typedef {code.real} {real};
 
 /* Time between two samples, s. */
-#define {name}_PERIOD {literal(implementation.period, code.real)}
+#define {name}_PERIOD {c_literal(implementation.period, code.real)}
 
 {_about_inputs(code)}
 #define {name}_STATES {len(made.measured)}
@@ -273,7 +273,7 @@ def _interface(code: CCode, advance: str) -> str:
     made, name, real = code.program, code.name, code.type
     given = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
     start = [
-        f"    s->{member} = {literal(value, code.real)};"
+        f"    s->{member} = {c_literal(value, code.real)};"
         for member, value in zip(code.members, made.start or (0.0,), strict=True)
     ]
     evaluate = [f"    {name}_signals v;", "", "    evaluate(s, x, y_d, &v);"]
@@ -325,7 +325,7 @@ def _locals(code: CCode, used: set[sympy.Symbol]) -> list[str]:
 
 def _constant(code: CCode, symbol: sympy.Symbol) -> str:
     """Its definition, with a note where the number is not the user's own."""
-    number = literal(code.program.constants[symbol], code.real)
+    number = c_literal(code.program.constants[symbol], code.real)
     notes = {
         "ctl_filter": "1 - exp(-period/velocity_filter)",
         "ctl_u_step": "rate_limit * period",

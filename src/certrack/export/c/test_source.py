@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from certrack.export.c.golden import TOLERANCE, Golden
-from certrack.export.c.printer import literal
+from certrack.export.c.printer import c_literal
 from certrack.export.c.source import CCode
 
 
 def test_source(code: CCode, vectors: Golden) -> str:
     """Contents of NAME_test.c."""
     name, real = code.name, code.type
-    zero = literal(0, code.real)
+    zero = c_literal(0, code.real)
     implementation = code.system.implementation
     assert implementation is not None
-    period = literal(implementation.period, code.real)
+    period = c_literal(implementation.period, code.real)
     started = "    compare_states(&worst, &s, &samples[0].before, &samples[0].scale);\n"
     started = started if vectors.carried else ""
     magnitude = "fabsf" if code.real == "float" else "fabs"
@@ -41,7 +41,7 @@ def test_source(code: CCode, vectors: Golden) -> str:
 
 #define CARRIED {vectors.carried}
 #define SAMPLES {vectors.x.shape[1]}
-#define TOLERANCE {literal(TOLERANCE[code.real], code.real)}
+#define TOLERANCE {c_literal(TOLERANCE[code.real], code.real)}
 
 typedef struct {{
     {name}_state before;
@@ -62,7 +62,7 @@ static void compare({real} *worst, {real} got, {real} want, {real} scale)
     const {real} deviation = {magnitude}(got - want) / scale;
 
     if (!(deviation <= *worst)) {{ /* also where it is not a number */
-        *worst = (deviation >= {zero}) ? deviation : {literal(1, code.real)};
+        *worst = (deviation >= {zero}) ? deviation : {c_literal(1, code.real)};
     }}
 }}
 
@@ -108,7 +108,7 @@ def _table(code: CCode, vectors: Golden) -> str:
     """One initialiser per sample."""
 
     def numbers(values: Iterable[float]) -> str:
-        return "{" + ", ".join(literal(float(value), code.real) for value in values) + "}"
+        return "{" + ", ".join(c_literal(float(value), code.real) for value in values) + "}"
 
     def state(values: Iterable[float], unused: float = 0.0) -> str:
         return numbers(values if code.program.states else [unused])
@@ -120,9 +120,9 @@ def _table(code: CCode, vectors: Golden) -> str:
             state(vectors.states[:, k]),
             numbers(vectors.x[:, k]),
             numbers(vectors.Y[:, k]),
-            literal(float(answers[0]), code.real),
+            c_literal(float(answers[0]), code.real),
             state(answers[1:]),
-            literal(float(f"{scales[0]:.3g}"), code.real),
+            c_literal(float(f"{scales[0]:.3g}"), code.real),
             state((float(f"{scale:.3g}") for scale in scales[1:]), 1.0),
         ]
         lines.append("    {" + ",\n     ".join(parts) + "}")

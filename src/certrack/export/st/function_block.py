@@ -14,12 +14,19 @@ from certrack.core.version import version
 from certrack.export.c.source import sampled_system
 from certrack.export.names import stem
 from certrack.export.program import Program, program, unread
-from certrack.export.st.writer import INDENT, Writer, free, literal, plain
+from certrack.export.st.statements import (
+    INDENT,
+    Statements,
+    Variables,
+    comment_text,
+    st_literal,
+    unused_name,
+)
 from certrack.loops.controller import COMMAND
 from certrack.systems.system import System
 
 #: Names that a standard or a dialect reserves; capitals and small letters are the same.
-RESERVED = frozenset(
+ST_RESERVED = frozenset(
     """
     abs acos action add and any array asin at atan bool by byte cal case class configuration
     constant continue cos ct ctd ctu ctud d date del delete dint div do dt dword else elsif eq exit
@@ -59,12 +66,13 @@ def structured_text(
         If there is no period.
     """
     system = sampled_system(system, period)
-    made, taken = program(system), set(RESERVED)
-    block = free(stem(name), taken)
+    made, taken = program(system), set(ST_RESERVED)
+    block = unused_name(stem(name), taken)
     names = _names(made, taken)
     start = {names[state]: value for state, value in zip(made.states, made.start, strict=True)}
     computed = [names[step.name] for step in (*made.steps, *made.rates) if step.name != COMMAND]
-    writer = _statements(made, names)
+    variables = Variables(names)
+    statements = _statements(made, variables)
     lines = [
         *_introduction(system, start),
         f"FUNCTION_BLOCK {block}",
@@ -72,9 +80,9 @@ def structured_text(
         *_section("VAR_OUTPUT", [_declared(names[COMMAND], note=_with_unit("input", system, -1))]),
         *_section("VAR", _kept(made, names)),
         *_section("VAR CONSTANT", (_declared(names[s], v) for s, v in made.constants.items())),
-        *_section("VAR_TEMP", map(_declared, (*computed, *writer.temporary))),
+        *_section("VAR_TEMP", map(_declared, (*computed, *variables.temporary))),
         *_restart(start),
-        *writer.lines,
+        *statements.lines,
         "END_FUNCTION_BLOCK",
     ]
     return "\n".join(lines) + "\n"
@@ -85,23 +93,23 @@ def _names(made: Program, taken: set[str]) -> dict[sympy.Symbol, str]:
     Y = {name: f"y_d_{i}" if i else "y_d" for i, name in enumerate(made.Y)}
     steps = (step.name for step in (*made.steps, *made.rates))
     ordered = dict.fromkeys([*made.measured, *Y, COMMAND, *made.states, *steps, *made.constants])
-    return {name: free(Y.get(name) or made.labels[name], taken) for name in ordered}
+    return {name: unused_name(Y.get(name) or made.labels[name], taken) for name in ordered}
 
 
-def _statements(made: Program, names: Mapping[sympy.Symbol, str]) -> Writer:
+def _statements(made: Program, variables: Variables) -> Statements:
     """All that a call computes."""
-    writer = Writer(names)
+    names, statements = variables.names, Statements(variables)
     for step in made.steps:
-        writer.step(step)
+        statements.step(step)
     rated = {names[step.name] for step in made.rates} & {f"{names[z]}_rate" for z in made.states}
     for step in made.rates:
         note = "rate of an estimate" if names[step.name] in rated else step.note
-        writer.step(replace(step, note=note))
+        statements.step(replace(step, note=note))
     if made.states:
-        writer.note("what the next call needs")
+        statements.note("what the next call needs")
     for state, formula in zip(made.states, made.update, strict=True):
-        writer.assign(names[state], formula, writer)
-    return writer
+        statements.assign(names[state], formula)
+    return statements
 
 
 def _introduction(system: System, states: Mapping[str, float]) -> list[str]:
@@ -115,7 +123,7 @@ def _introduction(system: System, states: Mapping[str, float]) -> list[str]:
         "this moment and the reference y_d and its derivatives; u acts until the next call.",
         "RESET = TRUE starts again." if states else "It keeps nothing: RESET has no effect.",
     ]
-    return ["(*", *((INDENT + plain(line)).rstrip() for line in lines), "*)"]
+    return ["(*", *((INDENT + comment_text(line)).rstrip() for line in lines), "*)"]
 
 
 def _section(title: str, declarations: Iterable[str]) -> list[str]:
@@ -125,8 +133,8 @@ def _section(title: str, declarations: Iterable[str]) -> list[str]:
 
 
 def _declared(name: str, value: float | None = None, note: str = "", kind: str = "LREAL") -> str:
-    start = "" if value is None else f" := {literal(value)}"
-    return f"{name} : {kind}{start};" + (f" (* {plain(note)} *)" if note else "")
+    start = "" if value is None else f" := {st_literal(value)}"
+    return f"{name} : {kind}{start};" + (f" (* {comment_text(note)} *)" if note else "")
 
 
 def _inputs(system: System, made: Program, names: Mapping[sympy.Symbol, str]) -> list[str]:
@@ -156,5 +164,5 @@ def _kept(made: Program, names: Mapping[sympy.Symbol, str]) -> list[str]:
 
 def _restart(start: Mapping[str, float]) -> list[str]:
     """Initial values, on demand."""
-    again = (f"{INDENT}{name} := {literal(value)};" for name, value in start.items())
+    again = (f"{INDENT}{name} := {st_literal(value)};" for name, value in start.items())
     return ["", "IF RESET THEN", *again, "END_IF;"] if start else []
