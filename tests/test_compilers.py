@@ -19,7 +19,7 @@ from certrack.core.compilers import (
     run_compiler,
     shared_library,
 )
-from certrack.export.c import with_c
+from certrack.export.c import simulate_with_c
 from certrack.export.fmu import fmu
 from certrack.integrators.many.native import Unavailable, compiled_library
 
@@ -160,7 +160,7 @@ def uses():
     """All that is compiled."""
     system = sampled("example1", duration=0.1)
     return {
-        "the loop": lambda: with_c.simulate(system),
+        "the loop": lambda: simulate_with_c(system),
         "fmu": lambda: fmu(system),
         "ensembles": lambda: certrack.ensemble(system, 1, method="native"),
         "lanes": lambda: compiled_library("lanes.c", ""),

@@ -62,10 +62,10 @@ def simulate(
     system = system.with_settings(**{name: v for name, v in changes.items() if v is not None})
     if with_c:
         from certrack.core.compilers import find_c_compiler
-        from certrack.export.c import with_c as in_the_loop
+        from certrack.export.c import difference_from_python, simulate_with_c
 
-        run = in_the_loop.simulate(system)
-        difference = in_the_loop.difference_from_python(run)
+        run = simulate_with_c(system)
+        difference = difference_from_python(run)
         controller = {"controller": "c", "difference_from_python": difference}
     else:
         with report.share_progress("Simulating") as advance:

@@ -93,7 +93,7 @@ def run_compiler(
     path = find_c_compiler() if compiler is None else compiler
     target = folder / LIBRARY
     try:
-        code, said = _run([path, *arguments, "-o", LIBRARY], folder, timeout)
+        code, said = _run_command([path, *arguments, "-o", LIBRARY], folder, timeout)
     except OSError as problem:
         raise CompilerError(
             f"the C compiler {path} cannot be run ({problem.strerror}): install gcc or clang"
@@ -190,7 +190,7 @@ def _library_file(
         yield run_compiler(arguments, folder, compiler=compiler, timeout=timeout)
 
 
-def _run(command: Sequence[str], folder: Path, timeout: float) -> tuple[int, str]:
+def _run_command(command: Sequence[str], folder: Path, timeout: float) -> tuple[int, str]:
     """Exit code and standard error of a command, which starts a group of processes of its own.
 
     A compiler starts others, which would go on if it alone were ended.

@@ -13,7 +13,8 @@ from certrack.core.printing import ATOM, PRODUCT, SUM, FormulaPrinter, Part
 
 REALS = ("double", "float")
 
-WIDTH = 96
+#: Characters of a line of C, at most.
+C_LINE_WIDTH = 96
 
 #: SymPy's name -> that of <math.h>.
 MATH_FUNCTIONS = {"Abs": "fabs"} | {
@@ -134,25 +135,27 @@ class CPrinter(FormulaPrinter):
         return self._helper("sign", *expr.args)
 
 
-def helper(name: str, type_name: str, real: str) -> str:
+def helper_definition(name: str, type_name: str, real: str) -> str:
     """The definition of one of :data:`HELPERS`."""
     arguments, body, note = HELPERS[name]
-    given = ", ".join(f"{type_name} {argument}" for argument in arguments)
+    typed = ", ".join(f"{type_name} {argument}" for argument in arguments)
     body = body.format(zero=c_literal(0, real), one=c_literal(1, real))
-    signature = wrapped(f"static {type_name} {name}({given})", "")
+    signature = wrapped(f"static {type_name} {name}({typed})", "")
     return f"/* {note} */\n{signature}\n{{\n    return {body};\n}}\n"
 
 
 def wrapped(text: str, indent: str = "    ") -> str:
     """A statement on as many lines as it needs, broken where the fewest parentheses are open."""
     lines, start = [], indent
-    while len(start + text) > WIDTH:
+    while len(start + text) > C_LINE_WIDTH:
         depth, best = 0, None
-        for place in re.finditer(r"[()]| (?=[-+*/?:] )|(?<=,) ", text[: WIDTH - len(start) + 1]):
-            depth += {"(": 1, ")": -1}.get(place[0], 0)
-            late = place.start() > WIDTH // 4
-            if place[0] == " " and late and (best is None or depth <= best[0]):
-                best = depth, place.start()
+        for mark in re.finditer(
+            r"[()]| (?=[-+*/?:] )|(?<=,) ", text[: C_LINE_WIDTH - len(start) + 1]
+        ):
+            depth += {"(": 1, ")": -1}.get(mark[0], 0)
+            late = mark.start() > C_LINE_WIDTH // 4
+            if mark[0] == " " and late and (best is None or depth <= best[0]):
+                best = depth, mark.start()
         if best is None:
             break
         lines.append(start + text[: best[1]])
@@ -163,7 +166,7 @@ def wrapped(text: str, indent: str = "    ") -> str:
 def comment(lines: list[str]) -> str:
     """A block comment that nothing in it can end or disturb; ASCII, no nesting, no trigraphs."""
     safe = [line.encode("ascii", "backslashreplace").decode() for line in lines]
-    for pattern, put in ((r"\*(?=/)", "* "), (r"/(?=[/*])", "/ "), (r"\?(?=\?)", "? ")):
-        safe = [re.sub(pattern, put, line) for line in safe]
+    for pattern, spaced in ((r"\*(?=/)", "* "), (r"/(?=[/*])", "/ "), (r"\?(?=\?)", "? ")):
+        safe = [re.sub(pattern, spaced, line) for line in safe]
     body = "".join(f" * {line}".rstrip() + "\n" for line in safe)
     return f"/*\n{body} */\n"

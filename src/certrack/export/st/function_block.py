@@ -12,8 +12,8 @@ import sympy
 
 from certrack.core.version import version
 from certrack.export.c.source import sampled_system
-from certrack.export.names import stem
-from certrack.export.program import Program, program, unread
+from certrack.export.identifiers import stem
+from certrack.export.program import ControllerProgram, controller_program, unread_states
 from certrack.export.st.statements import (
     INDENT,
     Statements,
@@ -66,48 +66,60 @@ def structured_text(
         If there is no period.
     """
     system = sampled_system(system, period)
-    made, taken = program(system), set(ST_RESERVED)
+    program, taken = controller_program(system), set(ST_RESERVED)
     block = unused_name(stem(name), taken)
-    names = _names(made, taken)
-    start = {names[state]: value for state, value in zip(made.states, made.start, strict=True)}
-    computed = [names[step.name] for step in (*made.steps, *made.rates) if step.name != COMMAND]
+    names = _identifiers(program, taken)
+    start = {
+        names[state]: value for state, value in zip(program.states, program.start, strict=True)
+    }
+    computed = [
+        names[step.name] for step in (*program.steps, *program.rates) if step.name != COMMAND
+    ]
     variables = Variables(names)
-    statements = _statements(made, variables)
+    statements = _statements(program, variables)
     lines = [
         *_introduction(system, start),
         f"FUNCTION_BLOCK {block}",
-        *_section("VAR_INPUT", _inputs(system, made, names)),
-        *_section("VAR_OUTPUT", [_declared(names[COMMAND], note=_with_unit("input", system, -1))]),
-        *_section("VAR", _kept(made, names)),
-        *_section("VAR CONSTANT", (_declared(names[s], v) for s, v in made.constants.items())),
-        *_section("VAR_TEMP", map(_declared, (*computed, *variables.temporary))),
-        *_restart(start),
+        *_variable_section("VAR_INPUT", _input_declarations(system, program, names)),
+        *_variable_section(
+            "VAR_OUTPUT", [_declaration(names[COMMAND], note=_with_unit("input", system, -1))]
+        ),
+        *_variable_section("VAR", _state_declarations(program, names)),
+        *_variable_section(
+            "VAR CONSTANT", (_declaration(names[s], v) for s, v in program.constants.items())
+        ),
+        *_variable_section("VAR_TEMP", map(_declaration, (*computed, *variables.temporary))),
+        *_reset_statements(start),
         *statements.lines,
         "END_FUNCTION_BLOCK",
     ]
     return "\n".join(lines) + "\n"
 
 
-def _names(made: Program, taken: set[str]) -> dict[sympy.Symbol, str]:
+def _identifiers(program: ControllerProgram, taken: set[str]) -> dict[sympy.Symbol, str]:
     """Identifiers of all symbols: natural where they may be, and all different."""
-    Y = {name: f"y_d_{i}" if i else "y_d" for i, name in enumerate(made.Y)}
-    steps = (step.name for step in (*made.steps, *made.rates))
-    ordered = dict.fromkeys([*made.measured, *Y, COMMAND, *made.states, *steps, *made.constants])
-    return {name: unused_name(Y.get(name) or made.labels[name], taken) for name in ordered}
+    Y = {name: f"y_d_{i}" if i else "y_d" for i, name in enumerate(program.Y)}
+    steps = (step.name for step in (*program.steps, *program.rates))
+    ordered = dict.fromkeys(
+        [*program.measured, *Y, COMMAND, *program.states, *steps, *program.constants]
+    )
+    return {name: unused_name(Y.get(name) or program.labels[name], taken) for name in ordered}
 
 
-def _statements(made: Program, variables: Variables) -> Statements:
+def _statements(program: ControllerProgram, variables: Variables) -> Statements:
     """All that a call computes."""
     names, statements = variables.names, Statements(variables)
-    for step in made.steps:
+    for step in program.steps:
         statements.step(step)
-    rated = {names[step.name] for step in made.rates} & {f"{names[z]}_rate" for z in made.states}
-    for step in made.rates:
+    rated = {names[step.name] for step in program.rates} & {
+        f"{names[z]}_rate" for z in program.states
+    }
+    for step in program.rates:
         note = "rate of an estimate" if names[step.name] in rated else step.note
         statements.step(replace(step, note=note))
-    if made.states:
+    if program.states:
         statements.note("what the next call needs")
-    for state, formula in zip(made.states, made.update, strict=True):
+    for state, formula in zip(program.states, program.update, strict=True):
         statements.assign(names[state], formula)
     return statements
 
@@ -126,27 +138,29 @@ def _introduction(system: System, states: Mapping[str, float]) -> list[str]:
     return ["(*", *((INDENT + comment_text(line)).rstrip() for line in lines), "*)"]
 
 
-def _section(title: str, declarations: Iterable[str]) -> list[str]:
+def _variable_section(title: str, declarations: Iterable[str]) -> list[str]:
     """A block of variables, if there are any."""
-    found = [INDENT + line for line in declarations]
-    return [title, *found, "END_VAR"] if found else []
+    lines = [INDENT + line for line in declarations]
+    return [title, *lines, "END_VAR"] if lines else []
 
 
-def _declared(name: str, value: float | None = None, note: str = "", kind: str = "LREAL") -> str:
+def _declaration(name: str, value: float | None = None, note: str = "", kind: str = "LREAL") -> str:
     start = "" if value is None else f" := {st_literal(value)}"
     return f"{name} : {kind}{start};" + (f" (* {comment_text(note)} *)" if note else "")
 
 
-def _inputs(system: System, made: Program, names: Mapping[sympy.Symbol, str]) -> list[str]:
-    idle = unread(system)
+def _input_declarations(
+    system: System, program: ControllerProgram, names: Mapping[sympy.Symbol, str]
+) -> list[str]:
+    unread = unread_states(system)
     notes = [
-        idle.get(state, _with_unit("measured", system, i))
+        unread.get(state, _with_unit("measured", system, i))
         for i, state in enumerate(system.plant.states)
     ]
-    notes += ["reference", *(f"its derivative no. {i}" for i in range(1, len(made.Y)))]
-    given = zip((*made.measured, *made.Y), notes, strict=True)
-    declared = [_declared(names[name], note=note) for name, note in given]
-    return [*declared, _declared("RESET", note="start again", kind="BOOL")]
+    notes += ["reference", *(f"its derivative no. {i}" for i in range(1, len(program.Y)))]
+    inputs = zip((*program.measured, *program.Y), notes, strict=True)
+    declarations = [_declaration(names[name], note=note) for name, note in inputs]
+    return [*declarations, _declaration("RESET", note="start again", kind="BOOL")]
 
 
 def _with_unit(what: str, system: System, index: int) -> str:
@@ -154,15 +168,15 @@ def _with_unit(what: str, system: System, index: int) -> str:
     return f"{what}, {units[index]}" if units else what
 
 
-def _kept(made: Program, names: Mapping[sympy.Symbol, str]) -> list[str]:
-    estimates = set(made.controller.estimates)
+def _state_declarations(program: ControllerProgram, names: Mapping[sympy.Symbol, str]) -> list[str]:
+    estimates = set(program.controller.estimates)
     return [
-        _declared(names[state], start, "estimate" if state in estimates else "of the last call")
-        for state, start in zip(made.states, made.start, strict=True)
+        _declaration(names[state], start, "estimate" if state in estimates else "of the last call")
+        for state, start in zip(program.states, program.start, strict=True)
     ]
 
 
-def _restart(start: Mapping[str, float]) -> list[str]:
+def _reset_statements(start: Mapping[str, float]) -> list[str]:
     """Initial values, on demand."""
     again = (f"{INDENT}{name} := {st_literal(value)};" for name, value in start.items())
     return ["", "IF RESET THEN", *again, "END_IF;"] if start else []

@@ -17,7 +17,10 @@ from certrack.core.lowering import Select, larger, smaller
 from certrack.core.printing import ATOM, PRODUCT, SUM, FormulaPrinter, Part, recognise_selection
 from certrack.export.program import Step
 
-INDENT, LINE_WIDTH = "    ", 84
+INDENT = "    "
+
+#: Characters of a line of Structured Text, at most.
+ST_LINE_WIDTH = 84
 
 #: SymPy's name -> that of the standard.
 STANDARD_FUNCTIONS = {
@@ -38,7 +41,7 @@ STANDARD_FUNCTIONS = {
 SELECTION_FUNCTIONS = {"max": "MAX", "min": "MIN", "abs": "ABS", "clamp": "LIMIT"}
 
 #: tanh is 1 from here on in double precision; limiting its argument keeps EXP from overflowing.
-FLAT = 20
+TANH_LIMIT = 20
 
 
 def _angle(y: sympy.Expr, x: sympy.Expr) -> sympy.Expr:
@@ -50,10 +53,10 @@ def _angle(y: sympy.Expr, x: sympy.Expr) -> sympy.Expr:
 
 
 #: Functions that the standard lacks, of variables.
-LACKING: dict[Any, Callable[..., sympy.Expr]] = {
+MISSING_FUNCTIONS: dict[Any, Callable[..., sympy.Expr]] = {
     sympy.sinh: lambda a: (sympy.exp(a) - sympy.exp(-a)) / 2,
     sympy.cosh: lambda a: (sympy.exp(a) + sympy.exp(-a)) / 2,
-    sympy.tanh: lambda a: 1 - 2 / (sympy.exp(2 * larger(smaller(FLAT, a), -FLAT)) + 1),
+    sympy.tanh: lambda a: 1 - 2 / (sympy.exp(2 * larger(smaller(TANH_LIMIT, a), -TANH_LIMIT)) + 1),
     sympy.sign: lambda a: Select(a, 0, 1, Select(0, a, -1, 0)),
     sympy.atan2: _angle,
 }
@@ -169,7 +172,7 @@ class Statements(FormulaPrinter):
         """One statement, on several lines if it is long."""
         self.lines += textwrap.wrap(
             text,
-            LINE_WIDTH,
+            ST_LINE_WIDTH,
             subsequent_indent=INDENT,
             break_long_words=False,
             break_on_hyphens=False,
@@ -200,8 +203,8 @@ class Statements(FormulaPrinter):
         return super()._print(self._known.get(expr, expr))
 
     def _print_Function(self, expr: sympy.Expr) -> Part:
-        if type(expr) in LACKING:
-            return self._print(LACKING[type(expr)](*map(self._part, expr.args)))
+        if type(expr) in MISSING_FUNCTIONS:
+            return self._print(MISSING_FUNCTIONS[type(expr)](*map(self._part, expr.args)))
         return super()._print_Function(expr)
 
     def _part(self, formula: sympy.Expr) -> sympy.Symbol:

@@ -50,7 +50,6 @@ class CMaps:
         self._step.restype = ctypes.c_double
         formulas = code.system.reference.formulas(len(code.program.Y) - 1)
         self._reference = numpy_callable([TIME, [*loop.parameters, *loop.pieces]], formulas)
-        self._count = len(formulas)
 
     def control(self, t: Number, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
         with np.errstate(all="ignore"):
@@ -58,9 +57,9 @@ class CMaps:
         u, after = np.empty(measured.shape[1]), np.empty(states.shape[::-1])
         for i in range(len(u)):
             x, y_d = np.ascontiguousarray(measured[:, i]), np.ascontiguousarray(Y[:, i])
-            kept = np.append(states[:, i], 0.0)  # the member of a structure without states
-            u[i] = self._step(kept.ctypes.data, x.ctypes.data, y_d.ctypes.data)
-            after[i] = kept[:-1]
+            state = np.append(states[:, i], 0.0)  # the member of a structure without states
+            u[i] = self._step(state.ctypes.data, x.ctypes.data, y_d.ctypes.data)
+            after[i] = state[:-1]
         return u, after.T
 
     def step(
@@ -69,7 +68,7 @@ class CMaps:
         return self._maps.step(t, h, allowed, x, u, totals, p)
 
 
-def simulate(system: System) -> Run:
+def simulate_with_c(system: System) -> Run:
     """Run a system with its controller in C.
 
     Parameters
@@ -91,10 +90,15 @@ def simulate(system: System) -> Run:
             remedy="Add a table [implementation] with a period",
         )
     code = c_code(system)
-    return SampledSimulator(system, around=lambda maps, loop: CMaps(maps, loop, code)).run(system)
+
+    def with_c(maps: Maps, loop: SampledLoop) -> Maps:
+        return CMaps(maps, loop, code)
+
+    controller = code.program.controller
+    return SampledSimulator(system, around=with_c, controller=controller).run(system)
 
 
 def difference_from_python(run: Run) -> float:
     """Largest |u - u of the same run with its controller in Python|, at the times of both."""
-    ours = SampledSimulator(run.system).run(run.system)
-    return float(abs(ours.dataset().u - run.dataset().u).max())
+    in_python = SampledSimulator(run.system).run(run.system)
+    return float(abs(in_python.dataset().u - run.dataset().u).max())
