@@ -19,7 +19,7 @@ from hypothesis.extra.numpy import arrays
 import certrack
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
-from certrack.integrators.many.native import compiler
+from certrack.integrators.many.native import vector_compiler
 from certrack.model.population import Distribution, Population
 from certrack.studies.ensembles.engine import CODES, Engine
 from certrack.studies.ensembles.members import Members
@@ -34,7 +34,7 @@ from certrack.studies.ensembles.statistics import (
     binomial_interval,
 )
 
-METHODS = ["lockstep"] + ["native"] * (compiler() is not None)
+METHODS = ["lockstep"] + ["native"] * (vector_compiler() is not None)
 
 
 def uniform(low, high):
@@ -101,7 +101,7 @@ def test_metrics_are_those_of_single_runs(name, method):
         np.testing.assert_allclose(x, np.transpose(alone), atol=1e-7 * (1 + np.abs(x).max()))
 
 
-@pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+@pytest.mark.skipif(vector_compiler() is None, reason="needs a C compiler")
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
 def test_errors_stay_below_the_tolerance(tolerance):
     """The error estimate of the method may be relaxed: it exceeds the error by far."""

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import replace
 from itertools import product
 
@@ -20,14 +21,20 @@ from hypothesis import strategies as st
 import certrack
 from certrack import Implementation, InputError
 from certrack.cli import main
-from certrack.export.c import files as export_c
-from certrack.export.c import with_c
-from certrack.export.c.golden import TOLERANCE, golden
-from certrack.export.c.printer import comment, literal, wrapped
+from certrack.core.compilers import CompilerError, find_c_compiler
+from certrack.export import program as program_module
+from certrack.export.c import export as export_module
+from certrack.export.c import export_c, simulate_with_c
+from certrack.export.c.export import c_files
+from certrack.export.c.golden_vectors import GOLDEN_TOLERANCE, golden_vectors
+from certrack.export.c.printer import c_literal, comment, wrapped
 from certrack.export.c.readme import readme
 from certrack.export.c.source import c_code, sampled_system
-from certrack.export.names import RESERVED, free_name, stem
+from certrack.export.identifiers import C_RESERVED, free_name, stem
+from certrack.export.templates import fill_template
 from certrack.laws import Adaptive
+from certrack.loops import controller as loops_controller
+from certrack.loops import sampled as loops_sampled
 from certrack.systems.writer import field_values
 
 STRICT = (
@@ -76,7 +83,7 @@ def run(*command, cwd, code=0):
 
 
 def write(folder, code):
-    for name, text in export_c.files(code).items():
+    for name, text in c_files(code).items():
         (folder / name).write_text(text)
     return code.name
 
@@ -220,7 +227,7 @@ def controllers(draw):
 def worst(library, code):
     """Largest deviation of compiled code over its scale, at thousands of points."""
     kind = np.dtype("float32" if code.real == "float" else "float64")
-    vectors = golden(code.system, code.program, code.real, thin=False)
+    vectors = golden_vectors(code.system, code.program, code.real, thin=False)
     step = getattr(library, f"{code.name}_step")
     step.argtypes = [ctypes.c_void_p] * 3
     step.restype = ctypes.c_float if code.real == "float" else ctypes.c_double
@@ -259,7 +266,7 @@ def agree(folder, drawn):
     run("gcc", *flags, *sources, "-o", "all.so", "-lm", cwd=folder)
     library = ctypes.CDLL(str(folder / "all.so"))
     for code in codes:
-        assert worst(library, code) <= TOLERANCE[code.real], (
+        assert worst(library, code) <= GOLDEN_TOLERANCE[code.real], (
             code.system.implementation,
             code.source,
         )
@@ -288,6 +295,15 @@ HOSTILE = 'ends here */ int x; /* ??/ // \\\\ "quoted"'
 
 
 class TestText:
+    def test_a_template_and_its_values_fit(self):
+        values = dict.fromkeys(("name", "token", "kept", "period", "start"), "v")
+        assert "#define model_step v_step" in fill_template("fmu/templates/model.h", **values)
+        with pytest.raises(KeyError, match="no place for other"):
+            fill_template("fmu/templates/model.h", **values, other=1)
+        del values["token"]
+        with pytest.raises(KeyError, match="token"):
+            fill_template("fmu/templates/model.h", **values)
+
     def test_the_system_text_cannot_leave_its_comment(self, tmp_path):
         system = sampled_system(certrack.load("example1"), 0.01).replace(title=HOSTILE)
         code = c_code(system, "hostile")
@@ -319,7 +335,7 @@ class TestText:
     def test_reserved_names_get_another(self):
         assert free_name("double", ()) == "double_"
         assert free_name("s", {"s", "s_"}) == "s__"
-        assert all(free_name(name, ()) not in RESERVED for name in RESERVED)
+        assert all(free_name(name, ()) not in C_RESERVED for name in C_RESERVED)
 
     def test_states_may_be_called_anything(self, tmp_path):
         names = ("x", "s", "y1", "double", "h", "advance")
@@ -358,11 +374,11 @@ class TestText:
         [(0.1, "float", "0.1F"), (0.1, "double", "0.1"), (1e-7, "float", "1e-07F")],
     )
     def test_literals_round_trip(self, value, real, text):
-        assert literal(value, real) == text
+        assert c_literal(value, real) == text
 
     def test_numbers_beyond_float_are_refused(self):
         with pytest.raises(InputError, match="float cannot hold the number 1e\\+40"):
-            literal(1e40, "float")
+            c_literal(1e40, "float")
 
     def test_long_statements_are_wrapped(self, exported):
         code, _ = exported
@@ -441,6 +457,37 @@ class TestCommand:
         assert code == 2 and "is not of an exported controller" in errors
         assert (tmp_path / "README.md").read_text() == "mine"
 
+    @pytest.mark.parametrize("real", ["double", "float"])
+    def test_everything_is_built_once(self, tmp_path, monkeypatch, real):
+        built = Counter()
+
+        def counted(module, name):
+            original = getattr(module, name)
+
+            def function(*arguments, **more):
+                built[name] += 1
+                return original(*arguments, **more)
+
+            for other in list(sys.modules.values()):
+                if vars(other).get(name) is original:
+                    monkeypatch.setattr(other, name, function)
+
+        counted(loops_controller, "sampled_controller")
+        counted(loops_controller, "leak_jacobian")
+        counted(loops_sampled, "sample_loop")
+        counted(program_module, "controller_program")
+        counted(export_module, "golden_vectors")
+        counted(export_module, "readme")
+        export_c(certrack.load("example1"), tmp_path, period=0.01, real=real)
+        once = {
+            "sampled_controller",
+            "sample_loop",
+            "controller_program",
+            "golden_vectors",
+            "readme",
+        }
+        assert built == Counter(once | ({"leak_jacobian"} if real == "float" else set()))
+
     def test_period_of_the_command_wins(self, tmp_path):
         system = certrack.load("example1").replace(implementation=FULL)
         assert c_code(system, period=0.5).system.implementation == replace(FULL, period=0.5)
@@ -459,7 +506,7 @@ class TestInTheLoop:
         system = certrack.load(name).with_settings(duration=3.0, tail=None)
         system = fully_implemented(system) if full else sampled_system(system, 0.002)
         system = system.replace(implementation=replace(system.implementation, delay=0.5))
-        ours, theirs = certrack.simulate(system).dataset(), with_c.simulate(system).dataset()
+        ours, theirs = certrack.simulate(system).dataset(), simulate_with_c(system).dataset()
         for variable in ours.data_vars:
             a, b = ours[variable].values, theirs[variable].values
             assert np.abs(a - b).max() <= 1e-12 * (1 + np.abs(a).max()), variable
@@ -485,7 +532,7 @@ class TestInTheLoop:
 
     def test_needs_an_implementation_and_a_compiler(self, capsys, monkeypatch):
         with pytest.raises(InputError, match="only a sampled controller runs as C. Add a table"):
-            with_c.simulate(certrack.load("example1"))
+            simulate_with_c(certrack.load("example1"))
         monkeypatch.setenv("PATH", "")
-        with pytest.raises(with_c.NoCompiler, match="no C compiler was found: install gcc"):
-            with_c.compiler()
+        with pytest.raises(CompilerError, match="no C compiler was found: install gcc"):
+            find_c_compiler()

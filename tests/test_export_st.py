@@ -10,7 +10,7 @@ from exported import EVERYTHING, PythonController, along_a_run, sampled
 from test_cli import invoke, result
 
 import certrack
-from certrack.export.st.block import structured_text
+from certrack.export.st.function_block import structured_text
 
 LANGUAGE = tree_sitter.Language(grammar.language())
 

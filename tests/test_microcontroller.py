@@ -9,7 +9,7 @@ import pytest
 from test_export_c import fully_implemented
 
 import certrack
-from certrack.export.c import files as export_c
+from certrack.export.c.export import c_files
 from certrack.export.c.source import c_code, sampled_system
 
 FIRMWARE = Path(__file__).parent / "firmware"
@@ -58,7 +58,7 @@ def firmware(request, tmp_path):
     plain = certrack.load(name.split()[0])
     system = fully_implemented(plain) if "(" in name else sampled_system(plain, 0.001)
     code = c_code(system, "controller", real=real)
-    for file, text in export_c.files(code).items():
+    for file, text in c_files(code).items():
         (tmp_path / file).write_text(text)
     return name, code, tmp_path
 

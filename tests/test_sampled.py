@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 import certrack
 from certrack.integrators.many import native
-from certrack.integrators.many.native import compiler
+from certrack.integrators.many.native import vector_compiler
 from certrack.loops.stability import linear_loop
 from certrack.model.noise import keys, normal
 from certrack.studies.ensembles.engine import fastest
@@ -33,7 +33,7 @@ EVERYTHING = {
 }
 
 METHODS = [
-    pytest.param("native", marks=pytest.mark.skipif(not compiler(), reason="no C compiler")),
+    pytest.param("native", marks=pytest.mark.skipif(not vector_compiler(), reason="no C compiler")),
     "lockstep",
 ]
 
@@ -547,7 +547,7 @@ def test_neither_compiler_nor_heyoka(monkeypatch):
     def missing(*_):
         raise native.Unavailable
 
-    monkeypatch.setattr("certrack.integrators.many.sampled_native.built", missing)
+    monkeypatch.setattr("certrack.integrators.many.sampled_native.compiled_library", missing)
     monkeypatch.setattr("certrack.studies.ensembles.sampled.available", lambda: False)
     monkeypatch.setattr("certrack.studies.ensembles.engine.available", lambda: False)
     system = sampled("example1", **EVERYTHING).with_settings(duration=1, tail=0.5)
@@ -647,6 +647,6 @@ period = 0.5
     found = run.metrics
     assert found.integral_squared_error == pytest.approx(np.trapezoid(e**2, t), rel=1e-7)
     assert found.integral_abs_error == pytest.approx(np.trapezoid(np.abs(e), t), rel=1e-5)
-    crowd = certrack.ensemble(system, 1, method="native" if compiler() else "lockstep")
+    crowd = certrack.ensemble(system, 1, method="native" if vector_compiler() else "lockstep")
     square = crowd.statistics.metrics["integral_squared_error"].most
     assert square == pytest.approx(found.integral_squared_error, rel=1e-4)

@@ -18,7 +18,7 @@ import certrack
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.integrators.base import Outcome
-from certrack.integrators.many.native import compiler
+from certrack.integrators.many.native import vector_compiler
 from certrack.loops.plant import measured, plant_values, simulated_plant
 from certrack.model.population import Distribution, Population
 from certrack.model.truth import Truth
@@ -29,7 +29,7 @@ from certrack.studies.ensembles.plan import METRICS, make_plan
 from certrack.studies.ensembles.statistics import LEVELS, Bands
 from certrack.systems.reader import starter
 
-METHODS = ["alone", "lockstep"] + ["native"] * (compiler() is not None)
+METHODS = ["alone", "lockstep"] + ["native"] * (vector_compiler() is not None)
 PHYSICAL = certrack.load("dual-motor-physical")
 MISMATCH = {"split": 0.6, "effectiveness_2": 0.7, "backlash": 0.01}
 

@@ -15,7 +15,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "laws.backstepping": ["ErrorCoordinates", "Gains", "recursion"],
         "certificates": ["Certificates", "NoCertificate", "certify", "tube", "verify"],
         "studies.ensembles.ensemble": ["Ensemble", "ensemble"],
-        "export.control": ["to_control"],
+        "export.python_control": ["to_control"],
         "core.errors": ["CertrackError", "DesignError", "InputError", "MissingExtra"],
         "certificates.assumption_1": ["check_assumption_1"],
         "model.implementation": ["Implementation"],

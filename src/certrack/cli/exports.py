@@ -33,19 +33,19 @@ def c(file: str, out: Path, real: str, period: float | None, as_json: bool) -> N
     Example: certrack export c example1 --period 0.001 --real float --out firmware
     """
     from certrack.cli import report
-    from certrack.export.c.files import export as export_c
+    from certrack.export.c import export_c
     from certrack.systems.reader import load
 
-    made = export_c(load(file), out, file, real=real, period=period)
-    for note in made.notes:
+    exported = export_c(load(file), out, file, real=real, period=period)
+    for note in exported.notes:
         click.echo(f"certrack: note: {note}", err=True)
     if as_json:
-        values = {"name": made.name, "files": [str(path) for path in made.files]}
-        click.echo(report.to_json(values | {"notes": made.notes}))
+        values = {"name": exported.name, "files": [str(path) for path in exported.files]}
+        click.echo(report.to_json(values | {"notes": exported.notes}))
         return
-    for path in made.files:
+    for path in exported.files:
         click.echo(f"{path} written")
-    click.echo(f"Next: cd {out} && gcc {made.name}.c {made.name}_test.c -lm && ./a.out")
+    click.echo(f"Next: cd {out} && gcc {exported.name}.c {exported.name}_test.c -lm && ./a.out")
 
 
 @export.command()
@@ -60,7 +60,7 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     Example: certrack export st dual-motor-lean --period 0.001 --out drive.st
     """
     from certrack.core.files import write_text
-    from certrack.export.st.block import structured_text
+    from certrack.export.st import structured_text
     from certrack.systems.reader import load
 
     write_text(out, structured_text(load(file), out.name, period=period))
@@ -80,10 +80,10 @@ def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> 
     Example: certrack export fmu dual-motor-lean --fmi 3 --period 0.001 --out drive.fmu
     """
     from certrack.core.files import write_bytes
-    from certrack.export.fmu.archive import fmu as make
+    from certrack.export.fmu import fmu as controller_fmu
     from certrack.systems.reader import load
 
-    write_bytes(out, make(load(file), out.name, version=fmi, period=period))
+    write_bytes(out, controller_fmu(load(file), out.name, version=fmi, period=period))
     _written(out, as_json)
 
 

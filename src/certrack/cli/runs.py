@@ -61,10 +61,11 @@ def simulate(
     changes = {"integrator": integrator, "tolerance": tolerance}
     system = system.with_settings(**{name: v for name, v in changes.items() if v is not None})
     if with_c:
-        from certrack.export.c import with_c as in_the_loop
+        from certrack.core.compilers import find_c_compiler
+        from certrack.export.c import difference_from_python, simulate_with_c
 
-        run = in_the_loop.simulate(system)
-        difference = in_the_loop.difference_from_python(run)
+        run = simulate_with_c(system)
+        difference = difference_from_python(run)
         controller = {"controller": "c", "difference_from_python": difference}
     else:
         with report.share_progress("Simulating") as advance:
@@ -81,7 +82,7 @@ def simulate(
         report.console().print(report.metrics_table({Path(file).stem: summary}))
         if with_c:
             click.echo(
-                f"controller: the exported C, compiled by {Path(in_the_loop.compiler()).name}; "
+                f"controller: the exported C, compiled by {Path(find_c_compiler()).name}; "
                 f"largest difference of u from Python: {difference:.2g}"
             )
     diagnose(run)

@@ -18,6 +18,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import reduce
 from typing import Any
 
 import sympy
@@ -34,6 +35,7 @@ MAX_MAGNITUDE = 1e300  # of any constant
 TIME = sympy.Symbol("t", real=True)
 
 _Unary = Callable[[float], float]
+_OfTwo = Callable[[sympy.Expr, sympy.Expr], sympy.Expr]
 
 
 def _sign(value: float) -> float:
@@ -160,19 +162,22 @@ def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
     return slope
 
 
+def fold_minmax(expr: sympy.Expr, larger: _OfTwo, smaller: _OfTwo) -> sympy.Expr:
+    """Write max and min of any number of arguments by functions of two, from left to right."""
+
+    def fold(of_two: _OfTwo) -> Callable[..., sympy.Expr]:
+        return lambda *args: reduce(of_two, args)
+
+    return expr.replace(sympy.Max, fold(larger)).replace(sympy.Min, fold(smaller))
+
+
 def without_minmax(expr: sympy.Expr) -> sympy.Expr:
     """Write min and max by abs: max(a, b) = (a + b + |a - b|)/2."""
-
-    def fold(sense: int) -> Callable[..., sympy.Expr]:
-        def combine(*args: sympy.Expr) -> sympy.Expr:
-            result = args[0]
-            for other in args[1:]:
-                result = (result + other + sense * sympy.Abs(result - other)) / 2
-            return result
-
-        return combine
-
-    return expr.replace(sympy.Max, fold(+1)).replace(sympy.Min, fold(-1))
+    return fold_minmax(
+        expr,
+        lambda a, b: (a + b + sympy.Abs(a - b)) / 2,
+        lambda a, b: (a + b - sympy.Abs(a - b)) / 2,
+    )
 
 
 def _number_text(key: str, value: float) -> str:

@@ -96,6 +96,11 @@ def larger(a: sympy.Expr, b: sympy.Expr) -> sympy.Expr:
     return Select(a, b, a, b)
 
 
+def smaller(a: sympy.Expr, b: sympy.Expr) -> sympy.Expr:
+    """min(a, b) for compiled maps."""
+    return Select(b, a, a, b)
+
+
 def by_selections(formula: sympy.Expr) -> sympy.Expr:
     """The formula with every :class:`Extremum` and :class:`Entry` written by :class:`Select`."""
     return formula.replace(_of_cubic, lambda function: function.selections())

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import count, pairwise
 
 import sympy
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import symbol
-from certrack.core.select import Select, larger, magnitude
+from certrack.core.expressions import fold_minmax, symbol
+from certrack.core.printing import MAX_FACTORS
+from certrack.core.select import larger, magnitude, smaller
 from certrack.laws.base import Equations, Signals
 from certrack.loops.controller import (
     ASKED,
@@ -37,9 +38,6 @@ E_N, NU, UBAR, DRIFT, CUT = (symbol(f"ctl_{name}") for name in ("e_n", "nu", "ub
 
 #: Gains that are printed as numbers in the linear forms e_n and nu; all others are named.
 LINEAR = ("A_n", "B_n", "nu_x", "nu_Y", "sign_g")
-
-#: Powers up to this one are products.
-MOST_FACTORS = 8
 
 NOTES = {
     E_N: "last error coordinate: e_n = A_n x - B_n (y_d, y_d', ...)",
@@ -62,7 +60,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Program:
+class ControllerProgram:
     """What is computed at a sample.
 
     Attributes
@@ -103,7 +101,7 @@ class Program:
         yield from self.update
 
 
-def unread(system: System) -> dict[str, str]:
+def unread_states(system: System) -> dict[str, str]:
     """States whose measurement the controller does not read, and what to say of each."""
     implementation, states = system.implementation, system.plant.states
     velocity = () if implementation is None else implementation.velocity
@@ -114,81 +112,92 @@ def unread(system: System) -> dict[str, str]:
     }
 
 
-def program(system: System) -> Program:
-    """The controller of a system that has an implementation."""
+def controller_program(system: System) -> ControllerProgram:
+    """The controller of a system that has an implementation.
+
+    Raises
+    ------
+    InputError
+        If it has none.
+    """
     implementation, plant = system.implementation, system.plant
     if implementation is None:
         raise InputError(
             "implementation", "is missing", remedy="Add a table [implementation], or give a period"
         )
-    full = sampled_controller(plant, system.controller, implementation)
-    numbers = controller_values(full, plant, system.law, implementation).tolist()
-    values = dict(zip(full.parameters, numbers, strict=True))
-    known = _numbers(system, full, values)
-    parts, equations = _named(system)
+    controller = sampled_controller(plant, system.controller, implementation)
+    numbers = controller_values(controller, plant, system.law, implementation).tolist()
+    values = dict(zip(controller.parameters, numbers, strict=True))
+    unnamed = _unnamed_numbers(system, controller, values)
+    parts, equations = _named_parts(system)
     x = {
         name: differenced(name.name)
         for name in plant.symbols
         if name.name in implementation.velocity
     }
-    rates, update = _update(full, implementation, equations, x)
-    rates = _printable(rates, known, "r")
-    update = tuple(formula.xreplace(known) for formula in update)
-    steps = _steps(full, [*parts, Step(ASKED, equations.u, NOTES[ASKED])], x, known)
+    rates, update = _update(controller, implementation, equations, x)
+    rates = _printable(rates, unnamed, "r")
+    update = tuple(formula.xreplace(unnamed) for formula in update)
+    steps = _steps(controller, [*parts, Step(ASKED, equations.u, NOTES[ASKED])], x, unnamed)
     needed = {COMMAND}.union(*(f.free_symbols for f in (*update, *(r.formula for r in rates))))
-    steps = _without_idle(steps, needed)
+    steps = _without_unused(steps, needed)
     used = needed.union(*(step.formula.free_symbols for step in steps))
-    made = Program(
-        controller=full,
-        measured=full.measured,
-        Y=full.Y,
-        states=full.states,
+    program = ControllerProgram(
+        controller=controller,
+        measured=controller.measured,
+        Y=controller.Y,
+        states=controller.states,
         steps=tuple(steps),
         rates=tuple(rates),
         update=update,
         constants={name: value for name, value in values.items() if name in used},
         labels={},
-        start=tuple(starting_state(full, system.estimates, implementation).tolist()),
+        start=tuple(starting_state(controller, system.estimates, implementation).tolist()),
     )
-    return replace(made, labels=_labels(system, made))
+    return replace(program, labels=_labels(system, program))
 
 
-#: What stands for the states that are not measured, and for numbers.
-Known = Mapping[sympy.Symbol, sympy.Expr]
+#: Formulas that are written in place of symbols: numbers, or values of states not measured.
+Replacements = Mapping[sympy.Symbol, sympy.Expr]
 
 
-def _steps(full: SampledController, law: Sequence[Step], x: Known, known: Known) -> list[Step]:
+def _steps(
+    controller: SampledController, law: Sequence[Step], x: Replacements, unnamed: Replacements
+) -> list[Step]:
     """From the inputs to the command, by the law's own steps."""
-    before = [Step(*step, _velocity_note(step[0])) for step in full.steps[:-2]]
+    before = [Step(*step, _velocity_note(step[0])) for step in controller.steps[:-2]]
     within = [replace(step, formula=step.formula.xreplace(x)) for step in law]
-    command = full.steps[-1][1]
+    command = controller.steps[-1][1]
     if command == ASKED:  # without limits
         within[-1] = replace(within[-1], name=COMMAND)
-        return _printable([*before, *within], known, "t")
+        return _printable([*before, *within], unnamed, "t")
     limited = Step(COMMAND, command, NOTES[COMMAND])
-    return [*_printable([*before, *within], known, "t"), limited]
+    return [*_printable([*before, *within], unnamed, "t"), limited]
 
 
 def _update(
-    full: SampledController, implementation: Implementation, equations: Equations, x: Known
+    controller: SampledController,
+    implementation: Implementation,
+    equations: Equations,
+    x: Replacements,
 ) -> tuple[list[Step], tuple[sympy.Expr, ...]]:
     """The rates of the estimates, and the next states by them."""
     rates = [
         Step(symbol(f"ctl_rate_{z.name}"), rate.xreplace(x), "" if i else "rates of the estimates")
         for i, (z, rate) in enumerate(equations.update)
     ]
-    known = {*full.parameters, *full.estimates}
-    forgetting = forgetting_rates([rate for _, rate in equations.update], known)
+    gains_and_estimates = {*controller.parameters, *controller.estimates}
+    forgetting = forgetting_rates([rate for _, rate in equations.update], gains_and_estimates)
     names = [step.name for step in rates]
-    after = next_estimates(full.estimates, names, forgetting, full.hold, implementation)
+    after = next_estimates(controller.estimates, names, forgetting, controller.hold, implementation)
     size = magnitude(ASKED - COMMAND)
     if any(formula.has(size) for formula in after):
         after = [formula.xreplace({size: CUT}) for formula in after]
         rates.append(Step(CUT, size, NOTES[CUT]))
-    return rates, (*after, *full.update[len(after) :])
+    return rates, (*after, *controller.update[len(after) :])
 
 
-def _named(system: System) -> tuple[list[Step], Equations]:
+def _named_parts(system: System) -> tuple[list[Step], Equations]:
     """Parts of the law by their names, and the law in these names."""
     plant, controller = system.plant, system.controller
     exact = controller.signals
@@ -197,12 +206,9 @@ def _named(system: System) -> tuple[list[Step], Equations]:
     short.phi = tuple(symbol(f"ctl_phi_{i + 1}") for i in range(plant.r))
     equations = system.law.equations(short)
     phi = dict(zip(short.phi, exact.phi, strict=True))
-    back = phi | {E_N: exact.e_n, NU: exact.nu}
-    same = [
-        left.xreplace(back) == right
-        for left, right in zip(_all(equations), _all(controller.equations), strict=True)
-    ]
-    if not all(same):
+    meaning = phi | {E_N: exact.e_n, NU: exact.nu}
+    pairs = zip(_all_parts(equations), _all_parts(controller.equations), strict=True)
+    if any(named.xreplace(meaning) != original for named, original in pairs):
         return [], controller.equations
     drift = plant.drift.expr
     parts = [Step(DRIFT, drift, NOTES[DRIFT])] if drift != 0 else []
@@ -213,21 +219,21 @@ def _named(system: System) -> tuple[list[Step], Equations]:
     for factor in sympy.Mul.make_args(equations.u):
         if isinstance(factor, sympy.Add) and any(rate.has(factor) for rate in rates):
             parts.append(Step(UBAR, factor, NOTES[UBAR]))
-            put = {factor: UBAR}
-            update = tuple((z, rate.xreplace(put)) for z, rate in equations.update)
-            equations = Equations(equations.u.xreplace(put), update)
+            by_name = {factor: UBAR}
+            update = tuple((z, rate.xreplace(by_name)) for z, rate in equations.update)
+            equations = Equations(equations.u.xreplace(by_name), update)
             break
     return parts, equations
 
 
-def _without_idle(steps: Sequence[Step], needed: set[sympy.Symbol]) -> list[Step]:
+def _without_unused(steps: Sequence[Step], needed: set[sympy.Symbol]) -> list[Step]:
     """Without the steps that nothing depends on: a gain may be zero."""
     for step in reversed(steps):
         needed = needed | step.formula.free_symbols if step.name in needed else needed
     return [step for step in steps if step.name in needed]
 
 
-def _all(equations: Equations) -> list[sympy.Expr]:
+def _all_parts(equations: Equations) -> list[sympy.Expr]:
     return [equations.u, *(part for pair in equations.update for part in pair)]
 
 
@@ -237,25 +243,31 @@ def _velocity_note(name: sympy.Symbol) -> str:
     return "not measured: (difference - sum_j b_ij x_j)/g_i"
 
 
-def _numbers(
-    system: System, full: SampledController, values: dict[sympy.Symbol, float]
+def _unnamed_numbers(
+    system: System, controller: SampledController, values: dict[sympy.Symbol, float]
 ) -> dict[sympy.Symbol, sympy.Expr]:
     """Parameters that do not get a name: of linear forms, and gains that are zero."""
     groups = system.controller.signals.all_parameters
     linear = {name for group in LINEAR for name in groups.get(group, ())}
-    gains = full.parameters[: len(system.controller.symbols)]
-    return {name: _number(values[name]) for name in gains if name in linear or values[name] == 0}
+    gains = controller.parameters[: len(system.controller.symbols)]
+    return {
+        name: _exact_number(values[name]) for name in gains if name in linear or values[name] == 0
+    }
 
 
-def _number(value: float) -> sympy.Expr:
+def _exact_number(value: float) -> sympy.Expr:
+    """The number; signs and zeros as integers, which SymPy simplifies."""
     return sympy.Integer(int(value)) if value in (-1, 0, 1) else sympy.Float(value)
 
 
-def _printable(steps: Iterable[Step], known: Known, letter: str) -> list[Step]:
+def _printable(steps: Iterable[Step], unnamed: Replacements, letter: str) -> list[Step]:
     """Steps with numbers; what is costly and occurs twice is computed once."""
-    steps = [replace(s, formula=_selections(s.formula.xreplace(known))) for s in steps]
-    names = (symbol(f"ctl_{letter}_{i}") for i in range(1, 1_000_000))
-    found: list[Step] = []
+    steps = [
+        replace(step, formula=fold_minmax(step.formula.xreplace(unnamed), larger, smaller))
+        for step in steps
+    ]
+    names = (symbol(f"ctl_{letter}_{i}") for i in count(1))
+    printable: list[Step] = []
     common, reduced = sympy.cse([step.formula for step in steps], names)
     inline: dict[sympy.Symbol, sympy.Expr] = {}
     costly: dict[sympy.Symbol, sympy.Expr] = {}
@@ -267,21 +279,21 @@ def _printable(steps: Iterable[Step], known: Known, letter: str) -> list[Step]:
             inline[name] = plain
     for step, formula in zip(steps, reduced, strict=True):
         formula = formula.xreplace(inline)
-        found += _needed(formula, costly)
+        printable += _shared_steps(formula, costly)
         bases = {base: next(names) for base in _bases(formula)}
-        found += [Step(name, base) for base, name in bases.items()]
-        found.append(replace(step, formula=formula.xreplace(bases)))
-    return found
+        printable += [Step(name, base) for base, name in bases.items()]
+        printable.append(replace(step, formula=formula.xreplace(bases)))
+    return printable
 
 
-def _needed(formula: sympy.Expr, costly: dict[sympy.Symbol, sympy.Expr]) -> list[Step]:
-    """Shared parts that `formula` needs and nobody needed before, in order."""
-    found: list[Step] = []
+def _shared_steps(formula: sympy.Expr, costly: dict[sympy.Symbol, sympy.Expr]) -> list[Step]:
+    """Steps for the shared parts that `formula` needs, in order; they leave `costly`."""
+    steps: list[Step] = []
     for name in sorted(formula.free_symbols & costly.keys(), key=list(costly).index):
         if name in costly:
             part = costly.pop(name)
-            found += [*_needed(part, costly), Step(name, part)]
-    return found
+            steps += [*_shared_steps(part, costly), Step(name, part)]
+    return steps
 
 
 def _is_costly(formula: sympy.Expr) -> bool:
@@ -299,45 +311,31 @@ def _bases(formula: sympy.Expr) -> Sequence[sympy.Expr]:
             power.base
             for power in powers
             if power.exp.is_Integer
-            and 2 <= abs(power.exp) <= MOST_FACTORS
+            and 2 <= abs(power.exp) <= MAX_FACTORS
             and power.base.free_symbols
             and not power.base.is_Symbol
         )
     )
 
 
-def _selections(formula: sympy.Expr) -> sympy.Expr:
-    """Without min and max."""
-
-    def fold(*args: sympy.Expr, sense: int) -> sympy.Expr:
-        result = args[0]
-        for other in args[1:]:
-            result = larger(result, other) if sense > 0 else Select(other, result, result, other)
-        return result
-
-    return formula.replace(sympy.Max, lambda *args: fold(*args, sense=1)).replace(
-        sympy.Min, lambda *args: fold(*args, sense=-1)
-    )
-
-
-def _labels(system: System, made: Program) -> dict[sympy.Symbol, str]:
+def _labels(system: System, program: ControllerProgram) -> dict[sympy.Symbol, str]:
     """Natural names."""
-    found = dict(zip(made.measured, system.plant.states, strict=True))
+    labels = dict(zip(program.measured, system.plant.states, strict=True))
     r = system.plant.r
     for group, names in system.controller.signals.all_parameters.items():
         square = len(names) == r * r and r > 1
         for i, name in enumerate(names):
             index = f"_{i // r + 1}_{i % r + 1}" if square else f"_{i + 1}"
-            found[name] = group + (index if len(names) > 1 else "")
-    found |= {symbol(name): name for name in system.plant.constant_values}
-    estimates = [z.name for z in made.controller.estimates]
-    for i, z in enumerate(estimates):
-        found[symbol(f"ctl_box_{2 * i}")] = f"{z}_low"
-        found[symbol(f"ctl_box_{2 * i + 1}")] = f"{z}_high"
-        found[symbol(f"ctl_rate_{z}")] = f"{z}_rate"
-    found |= {symbol(f"ctl_hold_{i}_{j}"): f"hold_{i + 1}_{j + 1}" for i, j in made.controller.hold}
-    own = {step.name for step in (*made.steps, *made.rates)} | set(made.states)
-    for name in own | set(made.controller.parameters):
-        found.setdefault(name, name.name.removeprefix("ctl_").removeprefix("value_"))
-    found[PERIOD] = "period"
-    return found
+            labels[name] = group + (index if len(names) > 1 else "")
+    labels |= {symbol(name): name for name in system.plant.constant_values}
+    controller = program.controller
+    for i, z in enumerate(estimate.name for estimate in controller.estimates):
+        labels[symbol(f"ctl_box_{2 * i}")] = f"{z}_low"
+        labels[symbol(f"ctl_box_{2 * i + 1}")] = f"{z}_high"
+        labels[symbol(f"ctl_rate_{z}")] = f"{z}_rate"
+    labels |= {symbol(f"ctl_hold_{i}_{j}"): f"hold_{i + 1}_{j + 1}" for i, j in controller.hold}
+    computed = {step.name for step in (*program.steps, *program.rates)} | set(program.states)
+    for name in computed | set(controller.parameters):
+        labels.setdefault(name, name.name.removeprefix("ctl_").removeprefix("value_"))
+    labels[PERIOD] = "period"
+    return labels

@@ -91,12 +91,17 @@ class SampledLoop:
         )
 
 
-def sample_loop(system: System, totals: Totals | None = None) -> SampledLoop:
-    """Join the parts of a system that has an implementation."""
+def sample_loop(
+    system: System, totals: Totals | None = None, controller: SampledController | None = None
+) -> SampledLoop:
+    """Join the parts of a system that has an implementation.
+
+    `controller` is that of the system, where it has been made before.
+    """
     if system.implementation is None:
         raise InputError("implementation", "is missing", remedy="Add a table [implementation]")
     plant, reference = simulated_plant(system), system.reference
-    made = sampled_controller(system.plant, system.controller, system.implementation)
+    made = controller or sampled_controller(system.plant, system.controller, system.implementation)
     Y = dict(zip(made.Y, reference.formulas(len(made.Y) - 1), strict=True))
     controller = replace(
         made,

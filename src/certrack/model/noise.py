@@ -2,7 +2,7 @@
 
 A member's key and a counter are hashed (SplitMix64) and turned into a normal number (Box, Muller).
 No state is kept, so any sample of any member can be had alone, in any order, and by the compiled
-integrator (``sampled.c``) as well.
+integrator (``sampled_native.c``) as well.
 """
 
 from __future__ import annotations

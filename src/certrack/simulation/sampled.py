@@ -17,7 +17,7 @@ from certrack.integrators.many.sampled_maps import HeyokaMaps, Maps, NumpyMaps
 from certrack.integrators.many.sampled_run import SampledProblem, SampledRun
 from certrack.integrators.single.taylor import available
 from certrack.loops.continuous import INTEGRAL_SCALE
-from certrack.loops.controller import starting_state
+from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop, loop_values, sample_loop
 from certrack.model.noise import keys
@@ -42,12 +42,17 @@ class SampledSimulator:
     system : System
     around : callable, optional
         Gets the compiled maps and the loop; the run uses the maps that it returns.
+    controller : SampledController, optional
+        That of the system, where it has been made before.
     """
 
     def __init__(
-        self, system: System, around: Callable[[Maps, SampledLoop], Maps] | None = None
+        self,
+        system: System,
+        around: Callable[[Maps, SampledLoop], Maps] | None = None,
+        controller: SampledController | None = None,
     ) -> None:
-        self.loop: SampledLoop = sample_loop(system)
+        self.loop: SampledLoop = sample_loop(system, controller=controller)
         wanted = system.settings.integrator
         if wanted == "implicit":
             raise InputError(

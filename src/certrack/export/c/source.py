@@ -16,19 +16,28 @@ import sympy
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.version import version
-from certrack.export.c.printer import REALS, CPrinter, comment, helper, literal, wrapped
-from certrack.export.names import free_name, stem
-from certrack.export.program import Program, Step, program, unread
+from certrack.export.c.notes import notes_for
+from certrack.export.c.printer import (
+    REALS,
+    CPrinter,
+    c_literal,
+    comment,
+    helper_definition,
+    wrapped,
+)
+from certrack.export.identifiers import free_name, stem
+from certrack.export.program import ControllerProgram, Step, controller_program, unread_states
+from certrack.export.templates import fill_template
 from certrack.loops.controller import COMMAND, PERIOD
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
-#: A longer text of the system is not repeated in the header.
-MOST_TEXT = 20_000
+#: Characters; a longer text of the system is not repeated in the header.
+MAX_SYSTEM_TEXT = 20_000
 
 #: Names that the functions use themselves.
-OWN = ("s", "x", "y_d", "v", "clamp", "larger", "smaller", "sign", "evaluate", "advance")
+LOCAL_NAMES = ("s", "x", "y_d", "v", "clamp", "larger", "smaller", "sign", "evaluate", "advance")
 
 
 @dataclass(frozen=True)
@@ -42,14 +51,14 @@ class CCode:
     real : {"double", "float"}
     system : System
         With the implementation that is exported.
-    program : Program
+    program : ControllerProgram
         What the code computes; ``program.start`` are the numbers that NAME_init sets.
     """
 
     name: str
     real: str
     system: System
-    program: Program
+    program: ControllerProgram
 
     @cached_property
     def members(self) -> tuple[str, ...]:
@@ -60,12 +69,17 @@ class CCode:
     @cached_property
     def header(self) -> str:
         """Contents of NAME.h."""
-        return _header(self)
+        return _header_text(self)
 
     @cached_property
     def source(self) -> str:
         """Contents of NAME.c."""
-        return _source(self)
+        return _source_text(self)
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know."""
+        return notes_for(self.system, self.real)
 
     @property
     def type(self) -> str:
@@ -75,13 +89,13 @@ class CCode:
     @cached_property
     def names(self) -> dict[sympy.Symbol, str]:
         """Of everything that is a variable within a function."""
-        made, found = self.program, dict[sympy.Symbol, str]()
-        taken = {*OWN, *(f"{self.name}_{end}" for end in ("real", "state", "signals"))}
-        steps = [step.name for step in (*made.steps, *made.rates)]
-        for symbol in (*steps, *made.constants, *made.measured):
-            found[symbol] = free_name(made.labels[symbol], taken)
-            taken.add(found[symbol])
-        return found
+        program, names = self.program, dict[sympy.Symbol, str]()
+        taken = {*LOCAL_NAMES, *(f"{self.name}_{end}" for end in ("real", "state", "signals"))}
+        steps = [step.name for step in (*program.steps, *program.rates)]
+        for symbol in (*steps, *program.constants, *program.measured):
+            names[symbol] = free_name(program.labels[symbol], taken)
+            taken.add(names[symbol])
+        return names
 
 
 def sampled_system(system: System, period: float | None = None) -> System:
@@ -93,12 +107,9 @@ def sampled_system(system: System, period: float | None = None) -> System:
         )
     if period is None:
         return system
-    made = (
-        Implementation(period=period)
-        if implementation is None
-        else replace(implementation, period=period)
-    )
-    return system.replace(implementation=made)
+    if implementation is None:
+        return system.replace(implementation=Implementation(period=period))
+    return system.replace(implementation=replace(implementation, period=period))
 
 
 def c_code(
@@ -117,61 +128,50 @@ def c_code(
     """
     checks.choice("real", real, REALS)
     system = sampled_system(system, period)
-    return CCode(stem(name), real, system, program(system))
+    return CCode(stem(name), real, system, controller_program(system))
 
 
-def _header(code: CCode) -> str:
-    made, name, real = code.program, code.name, code.type
+def _header_text(code: CCode) -> str:
+    program, name, real = code.program, code.name, code.type
     implementation = code.system.implementation
     assert implementation is not None
-    given = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
+    inputs = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
     members = [
-        f"    {real} {member};{_about(made, symbol)}"
-        for symbol, member in zip(made.states, code.members, strict=False)
+        f"    {real} {member};{_member_note(program, symbol)}"
+        for symbol, member in zip(program.states, code.members, strict=False)
     ] or [f"    {real} unused; /* this controller keeps nothing */"]
     state = f"{name}_state *s"
     declared = {
         "Sets the state before the first sample.": f"void {name}_init({state})",
-        "The input u; changes nothing.": f"{real} {name}_output(const {state}, {given})",
-        "From this sample to the next one.": f"void {name}_update({state}, {given})",
-        "Both: the input u, then on to the next sample.": f"{real} {name}_step({state}, {given})",
+        "The input u; changes nothing.": f"{real} {name}_output(const {state}, {inputs})",
+        "From this sample to the next one.": f"void {name}_update({state}, {inputs})",
+        "Both: the input u, then on to the next sample.": f"{real} {name}_step({state}, {inputs})",
     }
-    functions = "\n\n".join(
-        f"/* {note} */\n{wrapped(f'{text};', '')}" for note, text in declared.items()
+    functions = [
+        f"/* {note} */\n{wrapped(f'{signature};', '')}" for note, signature in declared.items()
+    ]
+    return fill_template(
+        "c/templates/controller.h",
+        name=name,
+        guard=f"{name.upper()}_H",
+        introduction=comment(_introduction_lines(code)),
+        number=code.real,
+        period=c_literal(implementation.period, code.real),
+        inputs=_inputs_comment(code),
+        states=len(program.measured),
+        order=len(program.Y) - 1,
+        references=len(program.Y),
+        members="\n".join(members),
+        functions="\n\n".join(functions),
     )
-    guard = f"{name.upper()}_H"
-    return f"""{comment(_about_system(code))}
-#ifndef {guard}
-#define {guard}
-
-typedef {code.real} {real};
-
-/* Time between two samples, s. */
-#define {name}_PERIOD {literal(implementation.period, code.real)}
-
-{_about_inputs(code)}
-#define {name}_STATES {len(made.measured)}
-
-/* The reference y_d and its derivatives up to order {len(made.Y) - 1}, when the sample is taken. */
-#define {name}_REFERENCES {len(made.Y)}
-
-/* What is kept from sample to sample. */
-typedef struct {{
-{_lines(members)}
-}} {name}_state;
-
-{functions}
-
-#endif
-"""
 
 
-def _about_system(code: CCode) -> list[str]:
+def _introduction_lines(code: CCode) -> list[str]:
     """What the first comment says."""
     system, implementation = code.system, code.system.implementation
     assert implementation is not None
     text = to_text(system).splitlines()
-    if sum(map(len, text)) > MOST_TEXT:
+    if sum(map(len, text)) > MAX_SYSTEM_TEXT:
         text = [f"({sum(map(len, text))} characters: too long to be repeated here)"]
     c = ", ".join(f"{value:g}" for value in system.law.c)
     order = system.controller.coordinates.q
@@ -188,19 +188,19 @@ def _about_system(code: CCode) -> list[str]:
     ]
 
 
-def _about_inputs(code: CCode) -> str:
+def _inputs_comment(code: CCode) -> str:
     """The comment on the entries of x."""
-    states, idle = ", ".join(code.system.plant.states), unread(code.system)
-    if not idle:
+    states, unread = ", ".join(code.system.plant.states), unread_states(code.system)
+    if not unread:
         return f"/* Measured plant states x: {states}. */"
-    notes = (f" * {name}: {note}." for name, note in idle.items())
-    return _lines([f"/* Plant states x, measured: {states};", *notes, " */"])
+    notes = (f" * {name}: {note}." for name, note in unread.items())
+    return "\n".join([f"/* Plant states x, measured: {states};", *notes, " */"])
 
 
-def _about(made: Program, symbol: sympy.Symbol) -> str:
+def _member_note(program: ControllerProgram, symbol: sympy.Symbol) -> str:
     """A comment on a member of the state."""
-    kind, _, which = made.labels[symbol].partition("_")
-    if symbol in made.controller.estimates:
+    kind, _, which = program.labels[symbol].partition("_")
+    if symbol in program.controller.estimates:
         notes = {"delta": "estimate of 1/g_n", "theta": "estimate of an unknown parameter"}
         return f" /* {notes[kind]} */" if kind in notes and which.startswith("hat") else ""
     notes = {
@@ -214,67 +214,73 @@ def _about(made: Program, symbol: sympy.Symbol) -> str:
     )
 
 
-def _source(code: CCode) -> str:
-    made, name, real = code.program, code.name, code.type
-    early = set().union(*(step.formula.free_symbols for step in made.steps))
-    late = set().union(*(s.formula.free_symbols for s in made.rates), *_free(made.update))
-    kept = [s.name for s in made.steps if s.name in late | {COMMAND}]
-    both = [c for c in made.constants if c in early & late and c is not PERIOD]
-    here = CPrinter(_texts(code, {}), code.real, made.constants)
-    there = CPrinter(
-        _texts(code, {s: f"v->{code.names[s]}" for s in kept}), code.real, made.constants
+def _source_text(code: CCode) -> str:
+    """One function computes a sample, another goes on to the next; the interface calls them."""
+    program, name, real = code.program, code.name, code.type
+    early = set().union(*(step.formula.free_symbols for step in program.steps))
+    late = set().union(
+        *(step.formula.free_symbols for step in program.rates),
+        *(formula.free_symbols for formula in program.update),
     )
+    shared = [step.name for step in program.steps if step.name in late | {COMMAND}]
+    both = [c for c in program.constants if c in early & late and c is not PERIOD]
+    evaluating = CPrinter(_symbol_texts(code, {}), code.real, program.constants)
+    signals = {symbol: f"v->{code.names[symbol]}" for symbol in shared}
+    advancing = CPrinter(_symbol_texts(code, signals), code.real, program.constants)
     evaluate = [
-        *_locals(code, early.difference(both)),
-        *_formulas(code, here, made.steps),
+        *_local_definitions(code, early.difference(both)),
+        *_step_statements(code, evaluating, program.steps),
         "",
-        *(f"    v->{code.names[s]} = {code.names[s]};" for s in kept),
-        *(f"    (void){argument};" for argument in _unused(made, early)),
+        *(f"    v->{code.names[symbol]} = {code.names[symbol]};" for symbol in shared),
+        *(f"    (void){argument};" for argument in _unused_arguments(program, early)),
     ]
     changes = [
-        wrapped(f"s->{member} = {there.text(formula)};")
-        for member, formula in zip(code.members, made.update, strict=False)
+        wrapped(f"s->{member} = {advancing.text(formula)};")
+        for member, formula in zip(code.members, program.update, strict=False)
     ]
     advance = [
-        *_locals(code, late.difference(both)),
-        *_formulas(code, there, made.rates),
+        *_local_definitions(code, late.difference(both)),
+        *_step_statements(code, advancing, program.rates),
         "",
         *changes,
-        *([] if late.intersection(kept) else ["    (void)v;"]),
+        *([] if late.intersection(shared) else ["    (void)v;"]),
     ]
-    needed = [argument for argument in ("x", "y_d") if argument not in _unused(made, late)]
+    unused = _unused_arguments(program, late)
+    needed = [argument for argument in ("x", "y_d") if argument not in unused]
     inputs = "".join(f"const {real} {argument}[], " for argument in needed)
-    given = f"const {name}_state *s, const {real} x[], const {real} y_d[], {name}_signals *v"
+    arguments = f"const {name}_state *s, const {real} x[], const {real} y_d[], {name}_signals *v"
+    constants = [f"static const {real} {_constant_definition(code, c)}" for c in both]
+    helpers = sorted(evaluating.helpers | advancing.helpers)
     parts = [
         f'#include "{name}.h"\n',
-        "#include <math.h>\n" if here.calls or there.calls else "",
-        _lines([*(f"static const {real} {_constant(code, c)}" for c in both), ""]) if both else "",
-        *(helper(used, real, code.real) for used in sorted(here.helpers | there.helpers)),
+        "#include <math.h>\n" if evaluating.calls or advancing.calls else "",
+        "\n".join([*constants, ""]) if constants else "",
+        *(helper_definition(helper, real, code.real) for helper in helpers),
         "/* What is known of a sample once it is evaluated. */\ntypedef struct {\n"
-        + "".join(f"    {real} {code.names[symbol]};\n" for symbol in kept)
+        + "".join(f"    {real} {code.names[symbol]};\n" for symbol in shared)
         + f"}} {name}_signals;\n",
-        _function(
-            "From the measurements to the input.", f"static void evaluate({given})", evaluate
+        _function_text(
+            "From the measurements to the input.", f"static void evaluate({arguments})", evaluate
         ),
-        _function(
+        _function_text(
             "From this sample to the next one.",
             f"static void advance({name}_state *s, {inputs}const {name}_signals *v)",
             advance,
         )
         if changes
         else "",
-        _interface(code, f"advance({', '.join(['s', *needed, '&v'])});" if changes else ""),
+        _interface_text(code, f"advance({', '.join(['s', *needed, '&v'])});" if changes else ""),
     ]
-    return _lines(part for part in parts if part)
+    return "\n".join(part for part in parts if part)
 
 
-def _interface(code: CCode, advance: str) -> str:
+def _interface_text(code: CCode, advance: str) -> str:
     """The functions of the header; `advance` is the call for the next state, if there is one."""
-    made, name, real = code.program, code.name, code.type
-    given = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
+    program, name, real = code.program, code.name, code.type
+    inputs = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
     start = [
-        f"    s->{member} = {literal(value, code.real)};"
-        for member, value in zip(code.members, made.start or (0.0,), strict=True)
+        f"    s->{member} = {c_literal(value, code.real)};"
+        for member, value in zip(code.members, program.start or (0.0,), strict=True)
     ]
     evaluate = [f"    {name}_signals v;", "", "    evaluate(s, x, y_d, &v);"]
     forward = [f"    {advance}"] if advance else []
@@ -282,22 +288,22 @@ def _interface(code: CCode, advance: str) -> str:
     result, state = f"    return v.{code.names[COMMAND]};", f"{name}_state *s"
     functions = {
         f"void {name}_init({state})": start,
-        f"{real} {name}_output(const {state}, {given})": [*evaluate, result],
-        f"void {name}_update({state}, {given})": update,
-        f"{real} {name}_step({state}, {given})": [*evaluate, *forward, result],
+        f"{real} {name}_output(const {state}, {inputs})": [*evaluate, result],
+        f"void {name}_update({state}, {inputs})": update,
+        f"{real} {name}_step({state}, {inputs})": [*evaluate, *forward, result],
     }
-    return _lines(_function("", signature, body) for signature, body in functions.items())
+    return "\n".join(_function_text("", signature, body) for signature, body in functions.items())
 
 
-def _function(note: str, signature: str, body: Sequence[str]) -> str:
+def _function_text(note: str, signature: str, body: Sequence[str]) -> str:
     lines = list(body)
     while lines and not lines[0].strip():
         del lines[0]
-    about = f"/* {note} */\n" if note else ""
-    return f"{about}{wrapped(signature, '')}\n{{\n{_lines(lines)}\n}}\n"
+    above = f"/* {note} */\n" if note else ""
+    return "\n".join([f"{above}{wrapped(signature, '')}", "{", *lines, "}\n"])
 
 
-def _formulas(code: CCode, printer: CPrinter, steps: Iterable[Step]) -> list[str]:
+def _step_statements(code: CCode, printer: CPrinter, steps: Iterable[Step]) -> list[str]:
     """One statement per step, its meaning above it."""
     lines: list[str] = []
     for step in steps:
@@ -307,25 +313,25 @@ def _formulas(code: CCode, printer: CPrinter, steps: Iterable[Step]) -> list[str
     return lines
 
 
-def _locals(code: CCode, used: set[sympy.Symbol]) -> list[str]:
+def _local_definitions(code: CCode, used: set[sympy.Symbol]) -> list[str]:
     """Named constants and measured states of a function."""
-    made, real = code.program, code.type
+    program, real = code.program, code.type
     lines = [
-        f"    const {real} {_constant(code, symbol)}"
-        for symbol in made.constants
+        f"    const {real} {_constant_definition(code, symbol)}"
+        for symbol in program.constants
         if symbol in used and symbol is not PERIOD
     ]
     lines += [
         f"    const {real} {code.names[symbol]} = x[{i}];"
-        for i, symbol in enumerate(made.measured)
+        for i, symbol in enumerate(program.measured)
         if symbol in used
     ]
     return lines
 
 
-def _constant(code: CCode, symbol: sympy.Symbol) -> str:
-    """Its definition, with a note where the number is not the user's own."""
-    number = literal(code.program.constants[symbol], code.real)
+def _constant_definition(code: CCode, symbol: sympy.Symbol) -> str:
+    """Its name and number, with a note where the number is not the user's own."""
+    number = c_literal(code.program.constants[symbol], code.real)
     notes = {
         "ctl_filter": "1 - exp(-period/velocity_filter)",
         "ctl_u_step": "rate_limit * period",
@@ -335,29 +341,24 @@ def _constant(code: CCode, symbol: sympy.Symbol) -> str:
     return f"{code.names[symbol]} = {number};{note}"
 
 
-def _texts(code: CCode, others: dict[sympy.Symbol, str]) -> dict[sympy.Symbol, str]:
-    """Text of every symbol, in the order in which the terms of a sum are wanted."""
-    made, names = code.program, code.names
+def _symbol_texts(code: CCode, signals: dict[sympy.Symbol, str]) -> dict[sympy.Symbol, str]:
+    """Text of every symbol, in the order in which the terms of a sum are wanted.
+
+    `signals` are the texts of those that are handed from one function to the other.
+    """
+    program, names = code.program, code.names
     return {
-        **{symbol: names[symbol] for symbol in made.measured},
-        **{symbol: f"y_d[{i}]" for i, symbol in enumerate(made.Y)},
-        **{s: f"s->{member}" for s, member in zip(made.states, code.members, strict=False)},
-        **{step.name: names[step.name] for step in (*made.steps, *made.rates)},
-        **{symbol: names[symbol] for symbol in made.constants},
-        **others,
+        **{symbol: names[symbol] for symbol in program.measured},
+        **{symbol: f"y_d[{i}]" for i, symbol in enumerate(program.Y)},
+        **{s: f"s->{member}" for s, member in zip(program.states, code.members, strict=False)},
+        **{step.name: names[step.name] for step in (*program.steps, *program.rates)},
+        **{symbol: names[symbol] for symbol in program.constants},
+        **signals,
         PERIOD: f"{code.name}_PERIOD",
     }
 
 
-def _unused(made: Program, used: set[sympy.Symbol]) -> list[str]:
+def _unused_arguments(program: ControllerProgram, used: set[sympy.Symbol]) -> list[str]:
     """Arguments of a function that it does not need."""
-    arguments = {"s": made.states, "x": made.measured, "y_d": made.Y}
+    arguments = {"s": program.states, "x": program.measured, "y_d": program.Y}
     return [name for name, symbols in arguments.items() if not used & set(symbols)]
-
-
-def _free(formulas: Iterable[sympy.Expr]) -> list[set[sympy.Symbol]]:
-    return [formula.free_symbols for formula in formulas]
-
-
-def _lines(lines: Iterable[str]) -> str:
-    return "\n".join(lines)

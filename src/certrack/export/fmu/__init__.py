@@ -1,5 +1,5 @@
 """The controller as a co-simulation FMU (FMI 2.0 and 3.0)."""
 
-from certrack.export.fmu.archive import compiler, fmu
+from certrack.export.fmu.archive import fmu
 
-__all__ = ["compiler", "fmu"]
+__all__ = ["fmu"]

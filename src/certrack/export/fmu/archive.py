@@ -10,20 +10,18 @@ from __future__ import annotations
 import hashlib
 import io
 import platform
-import shutil
-import subprocess
 import sys
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 
 from certrack.core import checks
-from certrack.core.errors import CertrackError, InputError, one_line, shorten
+from certrack.core.compilers import shared_library
+from certrack.core.errors import InputError
 from certrack.export.c.source import CCode, c_code
-from certrack.export.fmu.description import DESCRIPTIONS, page
+from certrack.export.fmu.description import DESCRIPTIONS, documentation_page
+from certrack.export.templates import fill_template, packaged_text
 from certrack.systems.system import System
 
 VERSIONS = ("2", "3")
@@ -46,10 +44,7 @@ FOLDERS = {
 }
 ENDINGS = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
 
-FLAGS = "-std=c99 -O2 -fPIC -shared -fvisibility=hidden".split()
-
-#: A compilation that takes longer has failed, s.
-PATIENCE = 120
+FMU_FLAGS = "-std=c99 -O2 -fPIC -shared -fvisibility=hidden".split()
 
 #: Of all files in the archive, so that the bytes do not depend on when it is written.
 DATE = (1980, 1, 1, 0, 0, 0)
@@ -79,7 +74,7 @@ def fmu(
     ------
     InputError
         If there is no period, or FMI has no name for this machine.
-    CertrackError
+    CompilerError
         If there is no C compiler, or it failed.
     """
     checks.choice("--fmi", version, VERSIONS)
@@ -89,93 +84,53 @@ def fmu(
     folder, ending = FOLDERS[_machine()][VERSIONS.index(version)], ENDINGS[sys.platform]
     contents = _sources(code, version)
     token = _token(code, contents, version)
-    contents["model.h"] = _model(code, token)
-    binary = _compiled(code.name, contents, WRAPPERS[version][0])
+    contents["model.h"] = _model_header(code, token)
+    binary = shared_library(contents, FMU_FLAGS)
     compiled = [f"{code.name}.c", WRAPPERS[version][0]]
     described = DESCRIPTIONS[version](code, token, compiled)
-    licence = _shipped("LICENSE")
+    licence = packaged_text("fmu/fmi/LICENSE")
     return _zipped(
         {name: text.encode() for name, text in described.items()}
         | {f"sources/{name}": text.encode() for name, text in contents.items()}
-        | {"documentation/index.html": page(code).encode()}
+        | {"documentation/index.html": documentation_page(code).encode()}
         | {"documentation/licenses/fmi-headers.txt": licence.encode()}
         | {f"binaries/{folder}/{code.name}{ending}": binary}
     )
 
 
-def _shipped(name: str) -> str:
-    return (files("certrack.export.fmu") / "fmi" / name).read_text("utf-8")
-
-
 def _sources(code: CCode, version: str) -> dict[str, str]:
-    own = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
-    return own | {name: _shipped(name) for name in (*SHARED, *WRAPPERS[version])}
+    controller = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
+    interface = (*SHARED, *WRAPPERS[version])
+    return controller | {name: packaged_text(f"fmu/fmi/{name}") for name in interface}
 
 
 def _token(code: CCode, contents: Mapping[str, str], version: str) -> str:
     """What ties the binary to its description: a hash of both."""
-    known = hashlib.sha256()
+    digest = hashlib.sha256()
     for text in (*contents.values(), *DESCRIPTIONS[version](code, "", []).values()):
-        known.update(text.encode())
-    return f"{{{uuid.UUID(bytes=known.digest()[:16], version=5)}}}"
+        digest.update(text.encode())
+    return f"{{{uuid.UUID(bytes=digest.digest()[:16], version=5)}}}"
 
 
-def _model(code: CCode, token: str) -> str:
+def _model_header(code: CCode, token: str) -> str:
     """The header that tells the wrapper the names."""
-    name, implementation = code.name, code.system.implementation
+    implementation = code.system.implementation
     assert implementation is not None
-    return f"""/* {name}, as its wrapper knows it. */
-#ifndef MODEL_H
-#define MODEL_H
-
-#include "{name}.h"
-
-#define MODEL_TOKEN "{token}"
-#define MODEL_STATES {name}_STATES
-#define MODEL_REFERENCES {name}_REFERENCES
-#define MODEL_KEPT {len(code.members)}
-#define MODEL_PERIOD {name}_PERIOD
-#define MODEL_PERIOD_TEXT "{implementation.period!r}"
-#define MODEL_START {implementation.initial_input!r}
-
-#define model_state {name}_state
-#define model_init {name}_init
-#define model_step {name}_step
-
-#endif
-"""
+    return fill_template(
+        "fmu/templates/model.h",
+        name=code.name,
+        token=token,
+        kept=len(code.members),
+        period=repr(implementation.period),
+        start=repr(implementation.initial_input),
+    )
 
 
 def _machine() -> tuple[str, str]:
-    found = sys.platform, platform.machine()
-    if found not in FOLDERS:
-        raise InputError("export fmu", "FMI has no name for this machine", " ".join(found))
-    return found
-
-
-def compiler() -> str | None:
-    """Path of a C compiler, if there is one."""
-    return next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-
-
-def _compiled(name: str, contents: Mapping[str, str], wrapper: str) -> bytes:
-    """The shared library."""
-    path = compiler()
-    if path is None:
-        raise CertrackError("export fmu needs a C compiler: install gcc or clang")
-    with tempfile.TemporaryDirectory(prefix="certrack-") as folder:
-        for file, text in contents.items():
-            (Path(folder) / file).write_text(text, "utf-8")
-        command = [path, *FLAGS, f"{name}.c", wrapper, "-o", "model", "-lm"]
-        try:
-            subprocess.run(
-                command, cwd=folder, capture_output=True, check=True, text=True, timeout=PATIENCE
-            )
-        except subprocess.SubprocessError as problem:
-            said = getattr(problem, "stderr", None) or "it took too long"
-            reason = shorten(one_line(said.strip()), 200)
-            raise CertrackError(f"export fmu: {path} failed: {reason}") from None
-        return (Path(folder) / "model").read_bytes()
+    machine = sys.platform, platform.machine()
+    if machine not in FOLDERS:
+        raise InputError("export fmu", "FMI has no name for this machine", " ".join(machine))
+    return machine
 
 
 def _zipped(contents: Mapping[str, bytes]) -> bytes:

@@ -9,7 +9,8 @@ from xml.etree import ElementTree as Tree
 
 from certrack.core.version import version
 from certrack.export.c.source import CCode
-from certrack.export.program import unread
+from certrack.export.program import unread_states
+from certrack.export.templates import fill_template
 
 
 @dataclass(frozen=True)
@@ -25,10 +26,10 @@ class Variable:
     @property
     def attributes(self) -> dict[str, str]:
         """What both versions call the same."""
-        found = {"name": self.name, "causality": self.causality, "description": self.description}
+        common = {"name": self.name, "causality": self.causality, "description": self.description}
         if self.causality == "input":
-            return found | {"variability": "continuous"}
-        return found | {"variability": "discrete", "initial": "exact"}
+            return common | {"variability": "continuous"}
+        return common | {"variability": "discrete", "initial": "exact"}
 
     @property
     def value(self) -> dict[str, str]:
@@ -38,27 +39,27 @@ class Variable:
 
 def variables(code: CCode) -> list[Variable]:
     """In the order of ``fmi/instance.h``: states, reference, input of the plant, what is kept."""
-    plant, implementation, made = code.system.plant, code.system.implementation, code.program
+    plant, implementation, program = code.system.plant, code.system.implementation, code.program
     assert implementation is not None
-    idle = unread(code.system)
+    unread = unread_states(code.system)
     units = plant.units or ("",) * (plant.n + 1)
-    found = [
-        Variable(name, "input", 0.0, idle.get(name, "measured state"), unit)
+    declared = [
+        Variable(name, "input", 0.0, unread.get(name, "measured state"), unit)
         for name, unit in zip(plant.states, units, strict=False)
     ]
-    found.append(Variable("y_d", "input", 0.0, "reference", units[0]))
-    for i in range(1, len(made.Y)):
-        found.append(Variable(f"y_d_{i}", "input", 0.0, f"derivative no. {i} of the reference"))
+    declared.append(Variable("y_d", "input", 0.0, "reference", units[0]))
+    for i in range(1, len(program.Y)):
+        declared.append(Variable(f"y_d_{i}", "input", 0.0, f"derivative no. {i} of the reference"))
     command = "command of the last sample"
-    found.append(Variable("u", "output", implementation.initial_input, command, units[-1]))
-    for symbol, start in zip(made.states, made.start, strict=True):
-        found.append(
-            Variable(f"kept.{made.labels[symbol]}", "local", start, "kept from sample to sample")
+    declared.append(Variable("u", "output", implementation.initial_input, command, units[-1]))
+    for symbol, start in zip(program.states, program.start, strict=True):
+        declared.append(
+            Variable(f"kept.{program.labels[symbol]}", "local", start, "kept from sample to sample")
         )
-    return found
+    return declared
 
 
-def _root(code: CCode, fmi: str, token: dict[str, str]) -> Tree.Element:
+def _root_element(code: CCode, fmi: str, token: dict[str, str]) -> Tree.Element:
     system = code.system
     return Tree.Element(
         "fmiModelDescription",
@@ -71,11 +72,11 @@ def _root(code: CCode, fmi: str, token: dict[str, str]) -> Tree.Element:
     )
 
 
-def _frame(code: CCode, root: Tree.Element, found: Sequence[Variable]) -> None:
+def _add_common_elements(code: CCode, root: Tree.Element, declared: Sequence[Variable]) -> None:
     """Units, log categories and the experiment: the same in both versions."""
     implementation, settings = code.system.implementation, code.system.settings
     assert implementation is not None
-    if units := sorted({variable.unit for variable in found} - {""}):
+    if units := sorted({variable.unit for variable in declared} - {""}):
         defined = Tree.SubElement(root, "UnitDefinitions")
         for unit in units:
             Tree.SubElement(defined, "Unit", name=unit)
@@ -90,7 +91,7 @@ def _frame(code: CCode, root: Tree.Element, found: Sequence[Variable]) -> None:
     )
 
 
-def _text(root: Tree.Element) -> str:
+def _xml_text(root: Tree.Element) -> str:
     Tree.indent(root)
     body = Tree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{body}\n'
@@ -98,8 +99,8 @@ def _text(root: Tree.Element) -> str:
 
 def fmi_2(code: CCode, token: str, sources: Sequence[str]) -> dict[str, str]:
     """Description files of FMI 2.0; `sources` are the files to be compiled."""
-    found = variables(code)
-    root = _root(code, "2.0", {"guid": token})
+    declared = variables(code)
+    root = _root_element(code, "2.0", {"guid": token})
     kind = Tree.SubElement(
         root,
         "CoSimulation",
@@ -109,27 +110,27 @@ def fmi_2(code: CCode, token: str, sources: Sequence[str]) -> dict[str, str]:
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
     )
-    listed = Tree.SubElement(kind, "SourceFiles")
+    source_files = Tree.SubElement(kind, "SourceFiles")
     for name in sources:
-        Tree.SubElement(listed, "File", name=name)
-    _frame(code, root, found)
+        Tree.SubElement(source_files, "File", name=name)
+    _add_common_elements(code, root, declared)
     inside = Tree.SubElement(root, "ModelVariables")
-    for i, variable in enumerate(found):
+    for i, variable in enumerate(declared):
         attributes = variable.attributes | {"valueReference": str(i)}
         scalar = Tree.SubElement(inside, "ScalarVariable", attributes)
         Tree.SubElement(scalar, "Real", variable.value)
     outputs = Tree.SubElement(Tree.SubElement(root, "ModelStructure"), "Outputs")
-    for i in _outputs(found):
+    for i in _output_indices(declared):
         # nothing that is set between two steps shows before the next one
         Tree.SubElement(outputs, "Unknown", index=str(i + 1), dependencies="")
-    return {"modelDescription.xml": _text(root)}
+    return {"modelDescription.xml": _xml_text(root)}
 
 
 def fmi_3(code: CCode, token: str, sources: Sequence[str]) -> dict[str, str]:
     """Description files of FMI 3.0; `sources` are the files to be compiled."""
-    implementation, found = code.system.implementation, variables(code)
+    implementation, declared = code.system.implementation, variables(code)
     assert implementation is not None
-    root = _root(code, "3.0", {"instantiationToken": token})
+    root = _root_element(code, "3.0", {"instantiationToken": token})
     Tree.SubElement(
         root,
         "CoSimulation",
@@ -139,52 +140,45 @@ def fmi_3(code: CCode, token: str, sources: Sequence[str]) -> dict[str, str]:
         canSerializeFMUState="true",
         fixedInternalStepSize=repr(implementation.period),
     )
-    _frame(code, root, found)
+    _add_common_elements(code, root, declared)
     inside = Tree.SubElement(root, "ModelVariables")
-    for i, variable in enumerate(found):
+    for i, variable in enumerate(declared):
         attributes = variable.attributes | variable.value | {"valueReference": str(i)}
         Tree.SubElement(inside, "Float64", attributes)
     time = {"name": "time", "causality": "independent", "variability": "continuous"}
-    Tree.SubElement(inside, "Float64", time | {"valueReference": str(len(found))})
+    Tree.SubElement(inside, "Float64", time | {"valueReference": str(len(declared))})
     structure = Tree.SubElement(root, "ModelStructure")
-    for i in _outputs(found):
+    for i in _output_indices(declared):
         Tree.SubElement(structure, "Output", valueReference=str(i), dependencies="")
     build = Tree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = Tree.SubElement(build, "BuildConfiguration", modelIdentifier=code.name)
-    listed = Tree.SubElement(configuration, "SourceFileSet", language="C99")
+    source_files = Tree.SubElement(configuration, "SourceFileSet", language="C99")
     for name in sources:
-        Tree.SubElement(listed, "SourceFile", name=name)
-    return {"modelDescription.xml": _text(root), "sources/buildDescription.xml": _text(build)}
+        Tree.SubElement(source_files, "SourceFile", name=name)
+    return {
+        "modelDescription.xml": _xml_text(root),
+        "sources/buildDescription.xml": _xml_text(build),
+    }
 
 
 DESCRIPTIONS = {"2": fmi_2, "3": fmi_3}
 
 
-def _outputs(found: Sequence[Variable]) -> Iterator[int]:
-    return (i for i, variable in enumerate(found) if variable.causality == "output")
+def _output_indices(declared: Sequence[Variable]) -> Iterator[int]:
+    return (i for i, variable in enumerate(declared) if variable.causality == "output")
 
 
-def page(code: CCode) -> str:
+def documentation_page(code: CCode) -> str:
     """A page for the reader, in HTML."""
     implementation = code.system.implementation
     assert implementation is not None
-    rows = "\n".join(
+    rows = [
         f"<tr><td>{escape(v.name)}<td>{v.causality}<td>{escape(v.unit)}<td>{escape(v.description)}"
         for v in variables(code)
+    ]
+    return fill_template(
+        "fmu/templates/index.html",
+        title=escape(code.system.title or code.name),
+        period=repr(implementation.period),
+        rows="\n".join(rows),
     )
-    title = escape(code.system.title or code.name)
-    return f"""<!DOCTYPE html>
-<meta charset="utf-8">
-<title>{title}</title>
-<h1>{title}</h1>
-<p>Tracking controller, sampled every {implementation.period!r} s.</p>
-<p>Set the inputs to their values at t, then step from t to t + h: the controller takes its sample
-at t, and u is its command of t. h must be a multiple of the period; with more than one period all
-samples see the same inputs. A master that steps plant and controller side by side (Jacobi) gives
-the plant this command one step late; one that steps the controller first (Gauss-Seidel) does
-not.</p>
-<table>
-<tr><th>variable<th>kind<th>unit<th>meaning
-{rows}
-</table>
-"""

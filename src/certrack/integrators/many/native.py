@@ -8,23 +8,20 @@ The fastest way by far, where there is a C compiler with GCC's vector extensions
 from __future__ import annotations
 
 import ctypes
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
-from pathlib import Path
 
 import numpy as np
 import sympy
 
+from certrack.core.compilers import CompilerError, c_compilers, find_c_compiler, load_library
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.integrators.many.native_source import system_header
 
-FLAGS = (
+VECTOR_FLAGS = (
     "-std=gnu11 -O3 -march=native -fno-math-errno -fno-trapping-math -fno-signed-zeros "
     "-fschedule-insns -shared -fPIC"
 ).split()
@@ -38,9 +35,6 @@ ESTIMATE_EXCESS = 10.0
 #: Outcome of a member whose group took too many steps, or none that is long enough.
 STUCK = 2
 
-#: A compilation that takes longer has failed, s.
-PATIENCE = 300
-
 #: Vector functions of the C library, from the most to none: older ones lack some or all.
 VECTOR_MATH = (
     ["-DVECTOR_MATH", "-DMORE_VECTOR_MATH", "-lmvec", "-lm"],
@@ -49,56 +43,54 @@ VECTOR_MATH = (
 )
 
 
-@lru_cache(maxsize=1)
-def compiler() -> str | None:
-    """Path of a C compiler that can do it, or None."""
-    for name in ("gcc", "cc", "clang"):
-        path = shutil.which(name)
-        if path is not None and _attempt(path, "int main(void) { return 0; }\n", []) is not None:
-            return path
-    return None
-
-
 class Unavailable(Exception):
     """Compiled C cannot be had on this machine."""
 
 
-def _attempt(path: str, source: str, flags: Sequence[str]) -> ctypes.CDLL | None:
-    """The shared library compiled from `source`, or None."""
+def vector_compiler() -> str | None:
+    """Path of the first C compiler that knows the flags, or None."""
+    return next(filter(_knows_flags, c_compilers()), None)
+
+
+@lru_cache
+def _knows_flags(path: str) -> bool:
     try:
-        with tempfile.TemporaryDirectory(prefix="certrack-") as folder:
-            text, made = Path(folder) / "lanes.c", Path(folder) / "lanes.so"
-            text.write_text(source, "utf-8")
-            command = [path, *FLAGS, str(text), "-o", str(made), *flags]
-            subprocess.run(command, capture_output=True, check=True, timeout=PATIENCE)
-            return ctypes.CDLL(str(made))  # stays loaded when the file is gone
-    except (OSError, subprocess.SubprocessError):
-        return None
+        _compile(path, "int main(void) { return 0; }\n", [])
+    except CompilerError:
+        return False
+    return True
 
 
-def _shipped(name: str) -> str:
+def _compile(path: str, source: str, more: Sequence[str]) -> ctypes.CDLL:
+    return load_library({"native.c": source}, VECTOR_FLAGS, libraries=more, compiler=path)
+
+
+def _packaged(name: str) -> str:
     return (files("certrack.integrators.many") / name).read_text("utf-8")
 
 
-def built(name: str, system: str) -> ctypes.CDLL:
-    """A shipped C file, compiled with the generated header of a system.
+def compiled_library(name: str, system: str) -> ctypes.CDLL:
+    """A C file of this folder, compiled with the generated header of a system.
 
     Raises
     ------
     Unavailable
         If no compiler can do it.
     """
-    text = _shipped(name)
-    text = text.replace('#include "vector_math.h"\n', _shipped("vector_math.h"))
+    text = _packaged(name)
+    text = text.replace('#include "vector_math.h"\n', _packaged("vector_math.h"))
     text = text.replace('#include "system.h"\n', system)
-    path = compiler()
-    if path is None:
-        raise Unavailable("no C compiler (gcc or clang) was found")
-    flags = ([*w, *m] for w in (WIDE, []) for m in VECTOR_MATH)
-    made = next((m for f in flags if (m := _attempt(path, text, f)) is not None), None)
-    if made is None:
-        raise Unavailable(f"the C compiler {path} failed")
-    return made
+    reason: CompilerError | None = None
+    try:
+        path = vector_compiler() or find_c_compiler()
+    except CompilerError as problem:
+        raise Unavailable(str(problem)) from None
+    for more in ([*wide, *math] for wide in (WIDE, []) for math in VECTOR_MATH):
+        try:
+            return _compile(path, text, more)
+        except CompilerError as problem:
+            reason = problem  # of the fewest flags in the end
+    raise Unavailable(str(reason))
 
 
 class _NativeTask(ctypes.Structure):
@@ -238,7 +230,7 @@ class Native:
 
     def __init__(self, flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> None:
         self._totals = len(flow.integrands) + len(flow.memories)
-        self._library = built("native.c", system_header(flow, shown))
+        self._library = compiled_library("native.c", system_header(flow, shown))
         self._spare_counts: list[np.ndarray] = []
 
     def integrate(

@@ -8,9 +8,17 @@ from typing import Any
 
 import numpy as np
 import sympy
-from sympy.printing.c import C99CodePrinter
 
 from certrack.core.expressions import TIME, without_minmax
+from certrack.core.printing import (
+    ATOM,
+    MAX_FACTORS,
+    PRODUCT,
+    SUM,
+    FormulaPrinter,
+    Part,
+    recognise_selection,
+)
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH, Select
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.many.augmented import AugmentedFlow
@@ -42,78 +50,66 @@ class Larger(sympy.Function):
     is_real = True
 
 
-def _shorter(select: Select) -> sympy.Expr:
+def _short_form(select: Select) -> sympy.Expr:
     """A selection that is a single instruction as such."""
-    a, b, yes, no = select.args
-    if (yes, no) == (a, b):
-        return Larger(a, b)
-    return Magnitude(a) if b == 0 and (yes, no) == (a, -a) else select
+    name, arguments = recognise_selection(select) or ("", ())
+    if name == "max":
+        return Larger(*arguments)
+    return Magnitude(*arguments) if name == "abs" else select
 
 
-class _Printer(C99CodePrinter):
-    """Formulas of vectors: known names, products for small powers, selections for kinks."""
+#: SymPy's name, or one of ours -> the function of vectors.
+VECTOR_FUNCTIONS = {
+    name: f"v_{name}"
+    for name in "sign sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt pow "
+    "Extremum Entry".split()
+} | {"Abs": "v_abs", "Magnitude": "v_abs", "Larger": "v_max"}
 
-    def __init__(self, names: dict[sympy.Symbol, str]) -> None:
-        super().__init__()
-        self._names = names
 
-    def _print_Symbol(self, expr: sympy.Symbol) -> str:
-        return self._names[expr]
+class VectorPrinter(FormulaPrinter):
+    """Formulas of vectors, every part in parentheses; sums and products as SymPy has them."""
 
-    def _print_number(self, expr: sympy.Expr) -> str:
-        value = repr(float(expr))
-        return f"({value})" if value.startswith("-") else value
+    language = "vector"
+    functions = VECTOR_FUNCTIONS
 
-    _print_Rational = _print_Integer = _print_Float = _print_number
+    def literal(self, value: float) -> str:
+        return repr(value)
 
     def vector(self, expr: sympy.Expr) -> str:
         """The formula as a vector even where it is a number."""
         if not expr.free_symbols:
             return f"SPLAT({float(expr)!r})"
-        text = self._print(expr)
+        text = self.text(expr, ATOM)
         scalar = all(SCALAR.match(self._names[name]) for name in expr.free_symbols)
         return f"SPLAT({text})" if scalar else text
 
-    def _print_Mul(self, expr: sympy.Mul) -> str:
-        return "(" + "*".join(self._print(arg) for arg in expr.args) + ")"
+    def argument(self, formula: sympy.Expr) -> str:
+        return self.vector(formula)
 
-    def _print_Add(self, expr: sympy.Add) -> str:
-        return "(" + " + ".join(self._print(arg) for arg in expr.args) + ")"
+    def choice(self, expr: sympy.Expr) -> Part:
+        return self.call("greater", *expr.args)
 
-    def _print_Pow(self, expr: sympy.Pow) -> str:
+    _print_Select = choice
+
+    def _print_Add(self, expr: sympy.Add) -> Part:
+        return " + ".join(self.text(arg, ATOM) for arg in expr.args), SUM
+
+    def _print_Mul(self, expr: sympy.Mul) -> Part:
+        return "*".join(self.text(arg, ATOM) for arg in expr.args), PRODUCT
+
+    def _print_Pow(self, expr: sympy.Pow) -> Part:
         base, exponent = expr.args
-        if exponent.is_Rational and exponent.q in (1, 2):
-            root = f"v_sqrt({self.vector(base)})" if exponent.q == 2 else self.vector(base)
-            power = _power(root, abs(int(exponent.p)))
-            return power if exponent.p > 0 else f"(1.0/{power})"
-        return f"v_pow({self.vector(base)}, {self.vector(exponent)})"
-
-    def _print_Function(self, expr: sympy.Function) -> str:
-        arguments = [self.vector(arg) for arg in expr.args]
-        if isinstance(expr, Select):
-            a, b, yes, no = arguments
-            return f"greater({a}, {b}, {yes}, {no})"
-        if expr.is_number:
-            return self._print_number(expr)
-        names = {sympy.Abs: "v_abs", sympy.sign: "v_sign", sympy.atan2: "v_atan2"}
-        names |= {Magnitude: "v_abs", Larger: "v_max"}
-        name = names.get(type(expr)) or f"v_{type(expr).__name__}"
-        return f"{name}({', '.join(arguments)})"
-
-    _print_Abs = _print_sign = _print_sin = _print_cos = _print_tan = _print_Function
-    _print_asin = _print_acos = _print_atan = _print_atan2 = _print_Function
-    _print_sinh = _print_cosh = _print_tanh = _print_exp = _print_log = _print_Function
-    _print_Select = _print_Extremum = _print_Entry = _print_Function
-    _print_Magnitude = _print_Larger = _print_Function
-
-    def _print_NumberSymbol(self, expr: sympy.Expr) -> str:
-        return self._print_number(expr)
+        if not (exponent.is_Rational and exponent.q in (1, 2)):
+            return self.call("v_pow", base, exponent)
+        root = self.vector(base) if exponent.q == 1 else self.call("v_sqrt", base)[0]
+        power = _power(root, abs(int(exponent.p)))
+        return (power if exponent.p > 0 else f"(1.0/{power})"), ATOM
 
 
 def _power(base: str, exponent: int) -> str:
     if exponent == 1:
         return base
-    if exponent > 8:
+    if exponent > MAX_FACTORS:
         return f"v_pow({base}, SPLAT({float(exponent)!r}))"
     return "(" + "*".join([base] * exponent) + ")"
 
@@ -230,12 +226,12 @@ def c_function(
     """A C function that assigns the results; common subexpressions are computed once."""
     temporaries = sympy.numbered_symbols("c", real=True)
     formulas = [
-        without_minmax(formula).replace(Select, lambda *args: _shorter(Select(*args)))
+        without_minmax(formula).replace(Select, lambda *args: _short_form(Select(*args)))
         for _, formula in results
     ]
     common, reduced = sympy.cse(formulas, temporaries)
     known = names | {symbol: f"{symbol.name}_" for symbol, _ in common}
-    printer = _Printer(known)
+    printer = VectorPrinter(known)
     unused = "".join(
         f"  (void){argument.split('*')[-1].split()[-1]};\n" for argument in arguments.split(", ")
     )

@@ -13,7 +13,7 @@ from certrack.core.expressions import TIME
 from certrack.core.lowering import hoisted
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
-from certrack.integrators.many.native import built
+from certrack.integrators.many.native import compiled_library
 from certrack.integrators.many.native_source import c_function, c_table, with_elementary
 from certrack.integrators.many.sampled_maps import PAIR
 from certrack.integrators.many.sampled_run import (
@@ -93,7 +93,7 @@ class SampledNative:
     def __init__(self, loop: SampledLoop, shown: Sequence[sympy.Expr]) -> None:
         self._shown, self._totals = len(shown), len(loop.totals)
         self._sensors = len(loop.controller.measured)
-        self._library = built("sampled_native.c", sampled_header(loop, shown))
+        self._library = compiled_library("sampled_native.c", sampled_header(loop, shown))
 
     def integrate(self, problem: SampledProblem, shared: Array) -> SampledResult:
         """Integrate to the end; releases the interpreter lock.

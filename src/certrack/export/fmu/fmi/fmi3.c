@@ -2,12 +2,13 @@
 
    doStep(t, h) takes the sample at t with the inputs set before; then u is the command of t. */
 #include "fmi3Functions.h"
+
+#define FMI(NAME) fmi3##NAME
+#define COMPONENT fmi3Instance
 #include "instance.h"
 
-enum { TIME = VARIABLES }; /* value reference of the independent variable */
-
 typedef struct {
-    memory now;
+    memory now; /* the first: see instance.h */
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
 } instance;
@@ -22,56 +23,32 @@ static fmi3Status refuse(fmi3Instance c, const char *text)
     return fmi3Error;
 }
 
-const char *fmi3GetVersion(void) { return fmi3Version; }
-
-fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n,
-                               const fmi3String categories[])
-{
-    return fmi3OK; /* only errors are logged, and always */
-}
-
 fmi3Instance fmi3InstantiateCoSimulation(
     fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
     fmi3Boolean logging, fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed,
     const fmi3ValueReference intermediate[], size_t n, fmi3InstanceEnvironment environment,
     fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update)
 {
-    instance unborn = {.environment = environment, .log = log}, *self;
+    const char *problem = eventModeUsed ? ONLY_STEPS : check_token(token);
+    instance fresh = {.environment = environment, .log = log}, *self = NULL;
 
-    if (eventModeUsed) {
-        refuse(&unborn, ONLY_STEPS);
+    if (problem == NULL && (self = malloc(sizeof *self)) == NULL) {
+        problem = NO_MEMORY;
+    }
+    if (problem != NULL) {
+        refuse(&fresh, problem);
         return NULL;
     }
-    if (token == NULL || strcmp(token, MODEL_TOKEN) != 0) {
-        refuse(&unborn, BAD_TOKEN);
-        return NULL;
-    }
-    if ((self = malloc(sizeof *self)) == NULL) {
-        refuse(&unborn, NO_MEMORY);
-        return NULL;
-    }
-    *self = unborn;
-    begin(&self->now);
+    *self = fresh;
+    start(&self->now);
     return self;
 }
 
-void fmi3FreeInstance(fmi3Instance c) { free(c); }
-
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefined,
-                                       fmi3Float64 tolerance, fmi3Float64 start,
+                                       fmi3Float64 tolerance, fmi3Float64 begin,
                                        fmi3Boolean stopDefined, fmi3Float64 stop)
 {
-    ((instance *)c)->now.time = start;
-    return fmi3OK;
-}
-
-fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return fmi3OK; }
-
-fmi3Status fmi3Terminate(fmi3Instance c) { return fmi3OK; }
-
-fmi3Status fmi3Reset(fmi3Instance c)
-{
-    begin(&((instance *)c)->now);
+    ((instance *)c)->now.time = begin;
     return fmi3OK;
 }
 
@@ -80,30 +57,35 @@ fmi3Status fmi3Reset(fmi3Instance c)
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
                           fmi3Float64 value[], size_t values)
 {
-    memory *now = &((instance *)c)->now;
-
-    for (size_t k = 0; k < n && k < values; k++) {
-        const double *found = vr[k] == TIME ? &now->time : place(now, vr[k]);
-        if (found == NULL) {
-            return refuse(c, BAD_VARIABLE);
-        }
-        value[k] = *found;
-    }
-    return fmi3OK;
+    return answer(c, get_values(c, vr, (n < values) ? n : values, value, true));
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n,
                           const fmi3Float64 value[], size_t values)
 {
-    for (size_t k = 0; k < n && k < values; k++) {
-        double *found = place(&((instance *)c)->now, vr[k]);
-        if (found == NULL) {
-            return refuse(c, BAD_VARIABLE);
-        }
-        *found = value[k];
-    }
-    return fmi3OK;
+    return answer(c, set_values(c, vr, (n < values) ? n : values, value));
 }
+
+#define NO_VARIABLES_OF_TYPE(TYPE) \
+    NO_VARIABLES(Get##TYPE, VALUE_REFERENCES, fmi3##TYPE value[], size_t values) \
+    NO_VARIABLES(Set##TYPE, VALUE_REFERENCES, const fmi3##TYPE value[], size_t values)
+
+NO_VARIABLES_OF_TYPE(Float32)
+NO_VARIABLES_OF_TYPE(Int8)
+NO_VARIABLES_OF_TYPE(UInt8)
+NO_VARIABLES_OF_TYPE(Int16)
+NO_VARIABLES_OF_TYPE(UInt16)
+NO_VARIABLES_OF_TYPE(Int32)
+NO_VARIABLES_OF_TYPE(UInt32)
+NO_VARIABLES_OF_TYPE(Int64)
+NO_VARIABLES_OF_TYPE(UInt64)
+NO_VARIABLES_OF_TYPE(Boolean)
+NO_VARIABLES_OF_TYPE(String)
+NO_VARIABLES(GetBinary, VALUE_REFERENCES, size_t size[], fmi3Binary value[], size_t values)
+NO_VARIABLES(SetBinary, VALUE_REFERENCES, const size_t size[], const fmi3Binary value[],
+             size_t values)
+NO_VARIABLES(GetClock, VALUE_REFERENCES, fmi3Clock value[])
+NO_VARIABLES(SetClock, VALUE_REFERENCES, const fmi3Clock value[])
 
 /* Steps. */
 
@@ -111,27 +93,23 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
                       fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminateSimulation,
                       fmi3Boolean *earlyReturn, fmi3Float64 *lastSuccessfulTime)
 {
-    const bool done = advance(&((instance *)c)->now, t, h);
+    const char *problem = advance(c, t, h);
 
     *eventHandlingNeeded = *terminateSimulation = *earlyReturn = false;
-    *lastSuccessfulTime = done ? t + h : t;
-    return done ? fmi3OK : refuse(c, BAD_STEP);
+    *lastSuccessfulTime = (problem == NULL) ? t + h : t;
+    return answer(c, problem);
 }
 
 /* The state of the FMU: a copy. */
 
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state)
 {
-    if (*state == NULL && (*state = malloc(sizeof(memory))) == NULL) {
-        return refuse(c, NO_MEMORY);
-    }
-    memcpy(*state, &((instance *)c)->now, sizeof(memory));
-    return fmi3OK;
+    return answer(c, copy_to_state(c, state));
 }
 
 fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state)
 {
-    memcpy(&((instance *)c)->now, state, sizeof(memory));
+    memcpy(c, state, sizeof(memory));
     return fmi3OK;
 }
 
@@ -150,33 +128,25 @@ fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t
 
 fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size)
 {
-    if (size < sizeof(memory)) {
-        return refuse(c, NO_MEMORY);
-    }
-    memcpy(bytes, state, sizeof(memory));
-    return fmi3OK;
+    return answer(c, serialize(state, bytes, size));
 }
 
 fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size,
                                    fmi3FMUState *state)
 {
-    if (size != sizeof(memory) || (*state == NULL && (*state = malloc(size)) == NULL)) {
-        return refuse(c, NO_MEMORY);
-    }
-    memcpy(*state, bytes, size);
-    return fmi3OK;
+    return answer(c, deserialize(bytes, size, state));
 }
 
-/* What this FMU does not have. Some importers want the functions all the same. */
+/* What this FMU does not have. */
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
                                           fmi3Boolean visible, fmi3Boolean logging,
                                           fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback log)
 {
-    instance unborn = {.environment = environment, .log = log};
+    instance fresh = {.environment = environment, .log = log};
 
-    refuse(&unborn, ONLY_STEPS);
+    refuse(&fresh, ONLY_STEPS);
     return NULL;
 }
 
@@ -192,73 +162,43 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
     return fmi3InstantiateModelExchange(name, token, resources, visible, logging, environment, log);
 }
 
-#define REFUSED(NAME, ...) \
-    fmi3Status NAME(fmi3Instance c, __VA_ARGS__) { return refuse(c, ONLY_STEPS); }
-#define BARE(NAME) \
-    fmi3Status NAME(fmi3Instance c) { return refuse(c, ONLY_STEPS); }
-#define VARIABLE const fmi3ValueReference vr[], size_t n
-#define ABSENT(TYPE) \
-    NONE(fmi3Get##TYPE, VARIABLE, fmi3##TYPE value[], size_t values) \
-    NONE(fmi3Set##TYPE, VARIABLE, const fmi3##TYPE value[], size_t values)
-#define NONE(NAME, ...) \
-    fmi3Status NAME(fmi3Instance c, __VA_ARGS__) \
-    { \
-        return n == 0 ? fmi3OK : refuse(c, BAD_VARIABLE); \
-    }
-
-ABSENT(Float32)
-ABSENT(Int8)
-ABSENT(UInt8)
-ABSENT(Int16)
-ABSENT(UInt16)
-ABSENT(Int32)
-ABSENT(UInt32)
-ABSENT(Int64)
-ABSENT(UInt64)
-ABSENT(Boolean)
-ABSENT(String)
-NONE(fmi3GetBinary, VARIABLE, size_t size[], fmi3Binary value[], size_t values)
-NONE(fmi3SetBinary, VARIABLE, const size_t size[], const fmi3Binary value[], size_t values)
-NONE(fmi3GetClock, VARIABLE, fmi3Clock value[])
-NONE(fmi3SetClock, VARIABLE, const fmi3Clock value[])
-REFUSED(fmi3GetIntervalDecimal, VARIABLE, fmi3Float64 interval[],
+REFUSED(GetIntervalDecimal, VALUE_REFERENCES, fmi3Float64 interval[],
         fmi3IntervalQualifier qualifier[])
-REFUSED(fmi3GetIntervalFraction, VARIABLE, fmi3UInt64 counter[], fmi3UInt64 resolution[],
+REFUSED(GetIntervalFraction, VALUE_REFERENCES, fmi3UInt64 counter[], fmi3UInt64 resolution[],
         fmi3IntervalQualifier qualifier[])
-REFUSED(fmi3GetShiftDecimal, VARIABLE, fmi3Float64 shift[])
-REFUSED(fmi3GetShiftFraction, VARIABLE, fmi3UInt64 counter[], fmi3UInt64 resolution[])
-REFUSED(fmi3SetIntervalDecimal, VARIABLE, const fmi3Float64 interval[])
-REFUSED(fmi3SetIntervalFraction, VARIABLE, const fmi3UInt64 counter[], const fmi3UInt64 resolution[])
-REFUSED(fmi3SetShiftDecimal, VARIABLE, const fmi3Float64 shift[])
-REFUSED(fmi3SetShiftFraction, VARIABLE, const fmi3UInt64 counter[], const fmi3UInt64 resolution[])
-REFUSED(fmi3ActivateModelPartition, fmi3ValueReference clock, fmi3Float64 time)
+REFUSED(GetShiftDecimal, VALUE_REFERENCES, fmi3Float64 shift[])
+REFUSED(GetShiftFraction, VALUE_REFERENCES, fmi3UInt64 counter[], fmi3UInt64 resolution[])
+REFUSED(SetIntervalDecimal, VALUE_REFERENCES, const fmi3Float64 interval[])
+REFUSED(SetIntervalFraction, VALUE_REFERENCES, const fmi3UInt64 counter[],
+        const fmi3UInt64 resolution[])
+REFUSED(SetShiftDecimal, VALUE_REFERENCES, const fmi3Float64 shift[])
+REFUSED(SetShiftFraction, VALUE_REFERENCES, const fmi3UInt64 counter[],
+        const fmi3UInt64 resolution[])
+REFUSED(ActivateModelPartition, fmi3ValueReference clock, fmi3Float64 time)
 
-REFUSED(fmi3GetNumberOfVariableDependencies, fmi3ValueReference vr, size_t *n)
-REFUSED(fmi3GetVariableDependencies, fmi3ValueReference dependent, size_t element[],
+REFUSED(GetNumberOfVariableDependencies, fmi3ValueReference vr, size_t *n)
+REFUSED(GetVariableDependencies, fmi3ValueReference dependent, size_t element[],
         fmi3ValueReference independent[], size_t elements[], fmi3DependencyKind kind[], size_t n)
-REFUSED(fmi3GetDirectionalDerivative, const fmi3ValueReference unknown[], size_t m,
+REFUSED(GetDirectionalDerivative, const fmi3ValueReference unknown[], size_t m,
         const fmi3ValueReference known[], size_t n, const fmi3Float64 seed[], size_t seeds,
         fmi3Float64 result[], size_t results)
-REFUSED(fmi3GetAdjointDerivative, const fmi3ValueReference unknown[], size_t m,
+REFUSED(GetAdjointDerivative, const fmi3ValueReference unknown[], size_t m,
         const fmi3ValueReference known[], size_t n, const fmi3Float64 seed[], size_t seeds,
         fmi3Float64 result[], size_t results)
-REFUSED(fmi3GetOutputDerivatives, VARIABLE, const fmi3Int32 order[], fmi3Float64 value[],
+REFUSED(GetOutputDerivatives, VALUE_REFERENCES, const fmi3Int32 order[], fmi3Float64 value[],
         size_t values)
 
-BARE(fmi3EnterConfigurationMode)
-BARE(fmi3ExitConfigurationMode)
-BARE(fmi3EnterEventMode)
-BARE(fmi3EnterStepMode)
-BARE(fmi3EnterContinuousTimeMode)
-BARE(fmi3EvaluateDiscreteStates)
-REFUSED(fmi3UpdateDiscreteStates, fmi3Boolean *needed, fmi3Boolean *terminate,
+REFUSED_ALONE(EnterConfigurationMode)
+REFUSED_ALONE(ExitConfigurationMode)
+REFUSED_ALONE(EnterStepMode)
+REFUSED_ALONE(EvaluateDiscreteStates)
+REFUSED(UpdateDiscreteStates, fmi3Boolean *needed, fmi3Boolean *terminate,
         fmi3Boolean *nominals, fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *next)
-REFUSED(fmi3CompletedIntegratorStep, fmi3Boolean final, fmi3Boolean *event, fmi3Boolean *terminate)
-REFUSED(fmi3SetTime, fmi3Float64 time)
-REFUSED(fmi3SetContinuousStates, const fmi3Float64 x[], size_t n)
-REFUSED(fmi3GetContinuousStates, fmi3Float64 x[], size_t n)
-REFUSED(fmi3GetContinuousStateDerivatives, fmi3Float64 derivatives[], size_t n)
-REFUSED(fmi3GetNominalsOfContinuousStates, fmi3Float64 nominal[], size_t n)
-REFUSED(fmi3GetEventIndicators, fmi3Float64 indicators[], size_t n)
-REFUSED(fmi3GetNumberOfEventIndicators, size_t *n)
-REFUSED(fmi3GetNumberOfContinuousStates, size_t *n)
+REFUSED(SetTime, fmi3Float64 time)
+REFUSED(SetContinuousStates, const fmi3Float64 x[], size_t n)
+REFUSED(GetContinuousStates, fmi3Float64 x[], size_t n)
+REFUSED(GetContinuousStateDerivatives, fmi3Float64 derivatives[], size_t n)
+REFUSED(GetNominalsOfContinuousStates, fmi3Float64 nominal[], size_t n)
+REFUSED(GetEventIndicators, fmi3Float64 indicators[], size_t n)
+REFUSED(GetNumberOfEventIndicators, size_t *n)
+REFUSED(GetNumberOfContinuousStates, size_t *n)

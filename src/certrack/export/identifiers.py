@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-#: Longest stem; NAME_update and the like then differ within the 31 characters of C99.
-LONGEST = 24
+#: Characters of a stem, at most; NAME_update and the like then differ within the 31 of C99.
+MAX_STEM = 24
 
 KEYWORDS = frozenset(
     """auto break case char const continue default do double else enum extern float for goto if
@@ -30,7 +30,7 @@ MATH = """acos asin atan atan2 cos sin tan acosh asinh atanh cosh sinh tanh exp 
 MACROS = """HUGE HUGE_VAL HUGE_VALF HUGE_VALL INFINITY NAN DOMAIN SING OVERFLOW UNDERFLOW PLOSS
     TLOSS MAXFLOAT MATH_ERRNO MATH_ERREXCEPT math_errhandling I linux unix i386 arm avr""".split()
 
-RESERVED = KEYWORDS | {name + end for name in MATH for end in ("", "f", "l")} | set(MACROS)
+C_RESERVED = KEYWORDS | {name + end for name in MATH for end in ("", "f", "l")} | set(MACROS)
 
 #: Headers that a file NAME.h must not hide.
 HEADERS = frozenset(
@@ -45,14 +45,14 @@ def stem(source: str) -> str:
     >>> stem("plants/dual-motor.toml")
     'dual_motor'
     """
-    found = re.sub(r"[^A-Za-z0-9]+", "_", Path(source).stem)[:LONGEST].strip("_")
-    if not found or not found[0].isalpha():
-        found = f"c_{found}"[:LONGEST].strip("_")
-    return f"{found}_c" if found.lower() in HEADERS else found
+    name = re.sub(r"[^A-Za-z0-9]+", "_", Path(source).stem)[:MAX_STEM].strip("_")
+    if not name or not name[0].isalpha():
+        name = f"c_{name}"[:MAX_STEM].strip("_")
+    return f"{name}_c" if name.lower() in HEADERS else name
 
 
-def free_name(wanted: str, taken: Iterable[str]) -> str:
-    """`wanted`, or with as many underscores after it as make it a free identifier."""
-    while wanted in RESERVED or wanted in taken or re.match(r"(FP|M|FLT|DBL)_[A-Z]", wanted):
-        wanted += "_"
-    return wanted
+def free_name(name: str, taken: Iterable[str]) -> str:
+    """`name`, or with as many underscores after it as make it a free identifier."""
+    while name in C_RESERVED or name in taken or re.match(r"(FP|M|FLT|DBL)_[A-Z]", name):
+        name += "_"
+    return name

@@ -18,7 +18,7 @@ import sympy
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable, rows
-from certrack.export.program import Program
+from certrack.export.program import ControllerProgram
 from certrack.integrators.many.sampled_maps import Maps, Scalar
 from certrack.loops.controller import COMMAND, controller_values
 from certrack.loops.sampled import SampledLoop, resolved
@@ -28,24 +28,41 @@ from certrack.systems.system import System
 Array = np.ndarray
 
 #: Largest deviation over its scale.
-TOLERANCE = {"double": 1e-12, "float": 5e-6}
+GOLDEN_TOLERANCE = {"double": 1e-12, "float": 5e-6}
 
-#: The error that must be caught, relative; a number shows well where it passes the tolerance by
-#: this factor.
-MUTATION, CLEARLY = 3e-3, 10.0
+#: The error of a number in the code that must be caught, relative.
+MUTATION = 3e-3
 
-#: Samples of the carried run, of the run that they come from, random candidates, points of the run.
-CARRIED, LONGEST, CANDIDATES, EXCERPTS = 40, 2000, 4000, 20
+#: A number shows clearly where that error passes the tolerance by this factor.
+CLEAR_FACTOR = 10.0
+
+#: Samples whose state is carried along.
+MAX_CARRIED = 40
+
+#: Samples of the closed-loop run that they come from: enough to see it settle.
+MAX_RUN_SAMPLES = 2000
+
+#: Points of that run that stand alone.
+EXCERPTS = 20
+
+#: Random points, of which those are taken where numbers show.
+CANDIDATES = 4000
+
+#: A larger answer is no test: the law is far from where it works.
+MAX_ANSWER = 1e12
 
 #: Smaller answers may be lost to underflow.
-SMALLEST = {"double": 1e-280, "float": 1e-20}
+MIN_SCALE = {"double": 1e-280, "float": 1e-20}
 
 #: Relative changes that sensitivities are taken by: somewhat more than rounding.
-SMALL = {"double": 1e-9, "float": 3e-6}
+PROBE_CHANGE = {"double": 1e-9, "float": 3e-6}
 
-#: Part of a state's own size that its scale contains: the rounding of state + rise.
-OWN_SHARE = 0.05
+#: Part of a state's size that its scale contains: the rounding of state + rise.
+STATE_SHARE = 0.05
 
+
+#: Equal within the rounding of a quotient.
+QUOTIENT_ROUNDING = 1e-9
 
 #: A number of the code, and what it is multiplied by.
 Change = tuple[int, float] | None
@@ -55,7 +72,7 @@ Evaluate = Callable[..., Array]
 
 
 @dataclass(frozen=True)
-class Golden:
+class GoldenVectors:
     """Inputs and answers, one column per sample.
 
     Attributes
@@ -81,9 +98,14 @@ class Golden:
     blind: tuple[str, ...]
 
 
-def golden(
-    system: System, made: Program, real: str = "double", *, seed: int = 0, thin: bool = True
-) -> Golden:
+def golden_vectors(
+    system: System,
+    program: ControllerProgram,
+    real: str = "double",
+    *,
+    seed: int = 0,
+    thin: bool = True,
+) -> GoldenVectors:
     """Golden vectors of a program, for code with numbers of type `real`.
 
     With `thin`, only as many of the random points as it takes to see every number.
@@ -93,41 +115,46 @@ def golden(
     InputError
         If the law has no finite value anywhere.
     """
-    evaluate, numbers = _probe(system, made)
+    evaluate, numbers = _perturbed_controller(system, program)
     kind = np.dtype("float32" if real == "float" else "float64")
-    inputs, count, given = _inputs(evaluate, system, made, kind, np.random.default_rng(seed))
-    effects, answers, scales = _judge(evaluate, len(numbers), inputs, count, real)
+    random = np.random.default_rng(seed)
+    inputs, carried, of_run = _candidate_inputs(evaluate, system, program, kind, random)
+    effects, answers, scales = _sensitivities(evaluate, len(numbers), inputs, carried, real)
     usable = np.isfinite(answers).all(axis=0) & np.isfinite(scales).all(axis=0)
-    usable &= (np.abs(answers) < 1e12).all(axis=0)
-    usable[:count] &= np.logical_and.accumulate(usable[:count])
-    effects = np.where(usable, effects / TOLERANCE[real], 0.0)
-    rest = _cover(effects, given) if thin else given + np.flatnonzero(usable[given:])
-    keep = [*np.flatnonzero(usable[:given]), *rest]
-    if not keep:
+    usable &= (np.abs(answers) < MAX_ANSWER).all(axis=0)
+    usable[:carried] &= np.logical_and.accumulate(usable[:carried])
+    effects = np.where(usable, effects / GOLDEN_TOLERANCE[real], 0.0)
+    random_points = _cover(effects, of_run) if thin else of_run + np.flatnonzero(usable[of_run:])
+    chosen = [*np.flatnonzero(usable[:of_run]), *random_points]
+    if not chosen:
         raise InputError("law", "has no finite value at any of the points that were tried")
-    best = effects[:, keep].max(axis=1, initial=0.0)
+    best = effects[:, chosen].max(axis=1, initial=0.0)
     blind = tuple(name for name, value in zip(numbers, best, strict=True) if value < 1.0)
-    x, Y, states = (part[:, keep] for part in inputs)
-    carried = int(usable[:count].sum())
-    return Golden(carried, x, Y, states, answers[:, keep], scales[:, keep], blind)
+    x, Y, states = (part[:, chosen] for part in inputs)
+    count = int(usable[:carried].sum())
+    return GoldenVectors(count, x, Y, states, answers[:, chosen], scales[:, chosen], blind)
 
 
-def _inputs(
-    evaluate: Evaluate, system: System, made: Program, kind: np.dtype, random: np.random.Generator
+def _candidate_inputs(
+    evaluate: Evaluate,
+    system: System,
+    program: ControllerProgram,
+    kind: np.dtype,
+    random: np.random.Generator,
 ) -> tuple[list[Array], int, int]:
-    """x, Y and states of all candidates; how many are carried, and how many are given.
+    """x, Y and states of all candidates; how many are carried, and how many are of the run.
 
     All are numbers of the type `kind`, but for the states that are carried.
     """
-    x, Y, states = (part.astype(kind).astype(float) for part in recorded(system, made))
-    count = min(CARRIED, x.shape[1])
+    x, Y, states = (part.astype(kind).astype(float) for part in recorded_run(system, program))
+    count = min(MAX_CARRIED, x.shape[1])
     carried = np.empty((len(states), count))
-    carried[:, 0] = made.start
+    carried[:, 0] = program.start
     for k in range(count - 1):
         column = (part[:, k : k + 1] for part in (x, Y, carried))
         carried[:, k + 1] = evaluate(*column)[1:, 0]
     chosen = np.unique(np.linspace(0, x.shape[1] - 1, EXCERPTS).astype(int))
-    points = _candidates(random, x, Y, states, made)
+    points = _random_points(random, x, Y, states, program)
     parts = zip((x, Y, states), (x[:, :count], Y[:, :count], carried), points, strict=True)
     inputs = [
         np.concatenate([first, part[:, chosen], point.astype(kind).astype(float)], axis=1)
@@ -136,9 +163,11 @@ def _inputs(
     return inputs, count, count + len(chosen)
 
 
-def reference_answers(system: System, made: Program) -> Callable[[Array, Array, Array], Array]:
+def reference_answers(
+    system: System, program: ControllerProgram
+) -> Callable[[Array, Array, Array], Array]:
     """The controller as the simulation has it: u and the next states, for columns of inputs."""
-    controller, implementation = made.controller, system.implementation
+    controller, implementation = program.controller, system.implementation
     assert implementation is not None
     command, update = resolved(controller)
     function = numpy_callable(
@@ -154,14 +183,14 @@ def reference_answers(system: System, made: Program) -> Callable[[Array, Array, 
     return answers
 
 
-def _probe(system: System, made: Program) -> tuple[Evaluate, list[str]]:
+def _perturbed_controller(system: System, program: ControllerProgram) -> tuple[Evaluate, list[str]]:
     """The controller, and the names of the numbers in its code.
 
     It answers for changed numbers, too; without, as the simulation's own description does.
     """
-    names: list[sympy.Symbol] = list(made.constants)
-    values = list(made.constants.values())
-    labels = [made.labels[name] for name in names]
+    names: list[sympy.Symbol] = list(program.constants)
+    values = list(program.constants.values())
+    labels = [program.labels[name] for name in names]
 
     def marked(expr: sympy.Expr) -> sympy.Expr:
         if not expr.args or expr.is_number:
@@ -177,12 +206,12 @@ def _probe(system: System, made: Program) -> tuple[Evaluate, list[str]]:
                 args.append(marked(arg))
         return expr.func(*args)
 
-    known: dict[sympy.Symbol, sympy.Expr] = {}
-    for step in (*made.steps, *made.rates):
-        known[step.name] = marked(step.formula).xreplace(known)
-    formulas = [known[COMMAND], *(marked(f).xreplace(known) for f in made.update)]
-    function = numpy_callable([made.measured, made.Y, made.states, names], formulas)
-    exact = reference_answers(system, made)
+    values_of: dict[sympy.Symbol, sympy.Expr] = {}
+    for step in (*program.steps, *program.rates):
+        values_of[step.name] = marked(step.formula).xreplace(values_of)
+    formulas = [values_of[COMMAND], *(marked(f).xreplace(values_of) for f in program.update)]
+    function = numpy_callable([program.measured, program.Y, program.states, names], formulas)
+    exact = reference_answers(system, program)
 
     def evaluate(x: Array, Y: Array, states: Array, change: Change = None) -> Array:
         if change is None:
@@ -195,7 +224,7 @@ def _probe(system: System, made: Program) -> tuple[Evaluate, list[str]]:
     return evaluate, labels
 
 
-def _judge(
+def _sensitivities(
     evaluate: Evaluate, numbers: int, inputs: Sequence[Array], carried: int, real: str
 ) -> tuple[Array, Array, Array]:
     """Effect of each number (P, N) over the scale, the answers and their scales.
@@ -203,7 +232,7 @@ def _judge(
     The scale of an answer is what it would change by if all that it depends on changed by 100 %,
     each to its disadvantage; so rounding is a few units of the last place of the scale.
     """
-    small = SMALL[real]
+    small = PROBE_CHANGE[real]
     answers = evaluate(*inputs)
     states = inputs[2]
     scales, changes = np.zeros_like(answers), []
@@ -218,24 +247,24 @@ def _judge(
             if which == 2:
                 change[1 + row] -= moved[2][row] - states[row]
             scales += np.abs(change) / small
-    own = np.full(answers.shape[1], OWN_SHARE)
-    own[:carried] = 1.0
-    scales[1:] += own * np.maximum(np.abs(states), np.abs(answers[1:]))
-    scales = np.maximum(scales, np.abs(answers) * OWN_SHARE)
-    scales[scales < SMALLEST[real]] = 1.0
+    share = np.full(answers.shape[1], STATE_SHARE)
+    share[:carried] = 1.0
+    scales[1:] += share * np.maximum(np.abs(states), np.abs(answers[1:]))
+    scales = np.maximum(scales, np.abs(answers) * STATE_SHARE)
+    scales[scales < MIN_SCALE[real]] = 1.0
     with np.errstate(all="ignore"):
         effects = np.array([(change / scales).max(axis=0) for change in changes])
     return np.nan_to_num(effects.reshape(len(changes), answers.shape[1])), answers, scales
 
 
-def _cover(effects: Array, given: int) -> list[int]:
-    """Samples from number `given` on, such that every number shows clearly where it can."""
+def _cover(effects: Array, of_run: int) -> list[int]:
+    """Samples from number `of_run` on, such that every number shows clearly where it can."""
     best = effects.max(axis=1, initial=0.0)
-    wanted = np.minimum(CLEARLY, best) * (1 - 1e-9)
-    seen = effects[:, :given].max(axis=1, initial=0.0) >= wanted
+    least = np.minimum(CLEAR_FACTOR, best) * (1 - QUOTIENT_ROUNDING)
+    seen = effects[:, :of_run].max(axis=1, initial=0.0) >= least
     chosen: list[int] = []
     while not seen.all():
-        shows = effects >= wanted[:, None]
+        shows = effects >= least[:, None]
         shows[seen] = False
         take = int(np.argmax(shows.sum(axis=0)))
         chosen.append(take)
@@ -243,14 +272,14 @@ def _cover(effects: Array, given: int) -> list[int]:
     return chosen
 
 
-def _candidates(
-    random: np.random.Generator, x: Array, Y: Array, states: Array, made: Program
+def _random_points(
+    random: np.random.Generator, x: Array, Y: Array, states: Array, program: ControllerProgram
 ) -> list[Array]:
     """Points of all magnitudes around the run, with many zeros."""
-    some = random.integers(0, x.shape[1], CANDIDATES)
+    columns = random.integers(0, x.shape[1], CANDIDATES)
 
     def spread(part: Array) -> Array:
-        base = part[:, some]
+        base = part[:, columns]
         typical = np.abs(part).max(axis=1, initial=0.0) + 1.0 * (len(part) > 0)
         size = typical[:, None] * 10.0 ** random.uniform(-2, 1, (1, CANDIDATES))
         moved = base * random.integers(0, 2, (1, CANDIDATES)) + size * random.normal(
@@ -258,24 +287,24 @@ def _candidates(
         )
         return np.where(random.random(base.shape) < 0.35, 0.0, moved)
 
-    found = [spread(part) for part in (x, Y, states)]
-    for row, name in enumerate(made.states):
+    points = [spread(part) for part in (x, Y, states)]
+    for row, name in enumerate(program.states):
         if name.name == "ctl_first":
-            found[2][row] = (random.random(CANDIDATES) < 0.1) * 1.0
-    return found
+            points[2][row] = (random.random(CANDIDATES) < 0.1) * 1.0
+    return points
 
 
-class _Recorder:
+class _RecordingMaps:
     """Maps that remember what the controller was given."""
 
     def __init__(self, maps: Maps) -> None:
         self._maps = maps
         self.times: list[float] = []
-        self.given: list[tuple[Array, Array]] = []
+        self.inputs: list[tuple[Array, Array]] = []
 
     def control(self, t: Scalar, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
         self.times.append(float(np.max(t)))
-        self.given.append((measured[:, 0].copy(), states[:, 0].copy()))
+        self.inputs.append((measured[:, 0].copy(), states[:, 0].copy()))
         return self._maps.control(t, measured, states, p)
 
     def step(
@@ -284,25 +313,25 @@ class _Recorder:
         return self._maps.step(t, h, allowed, x, u, totals, p)
 
 
-def recorded(system: System, made: Program) -> tuple[Array, Array, Array]:
+def recorded_run(system: System, program: ControllerProgram) -> tuple[Array, Array, Array]:
     """Measurements, reference and states at the samples of a closed-loop run."""
     implementation = system.implementation
     assert implementation is not None
     duration = min(
-        system.settings.duration, implementation.offset + LONGEST * implementation.period
+        system.settings.duration, implementation.offset + MAX_RUN_SAMPLES * implementation.period
     )
     settings = replace(system.settings, duration=duration, tail=None)
     short = system.replace(settings=settings)
-    recorders: list[_Recorder] = []
+    recorders: list[_RecordingMaps] = []
 
     def listen(maps: Maps, _: SampledLoop) -> Maps:
-        recorders.append(_Recorder(maps))
+        recorders.append(_RecordingMaps(maps))
         return recorders[0]
 
-    SampledSimulator(short, around=listen).run(short)
+    SampledSimulator(short, around=listen, controller=program.controller).run(short)
     (recorder,) = recorders
-    x = np.array([measured for measured, _ in recorder.given]).T
-    states = np.array([kept for _, kept in recorder.given]).reshape(len(recorder.given), -1).T
+    x = np.array([measured for measured, _ in recorder.inputs]).T
+    states = np.array([states for _, states in recorder.inputs]).reshape(len(recorder.inputs), -1).T
     inside = np.isfinite(x).all(axis=0) & np.isfinite(states).all(axis=0)
-    Y = system.reference.values(np.array(recorder.times), len(made.Y) - 1)
+    Y = system.reference.values(np.array(recorder.times), len(program.Y) - 1)
     return x[:, inside], Y[:, inside], states[:, inside]

@@ -7,14 +7,11 @@ Called by ``ctypes``, as the compiled ensembles are: no further dependency, and 
 from __future__ import annotations
 
 import ctypes
-import shutil
-import subprocess
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
-from certrack.core.errors import CertrackError, InputError
+from certrack.core.compilers import load_library
+from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
 from certrack.export.c.source import CCode, c_code
@@ -27,38 +24,9 @@ from certrack.systems.system import System
 Array = np.ndarray
 
 #: As strict as the language allows.
-FLAGS = "-std=c99 -O2 -Wall -Wextra -Wpedantic -Werror -ffp-contract=off -shared -fPIC".split()
-
-#: A compilation that takes longer has failed, s.
-PATIENCE = 300
-
-
-class NoCompiler(CertrackError):
-    """There is no C compiler, or it failed."""
-
-
-def compiler() -> str:
-    """Path of a C compiler."""
-    path = next((found for name in ("gcc", "clang", "cc") if (found := shutil.which(name))), None)
-    if path is None:
-        raise NoCompiler("no C compiler was found: install gcc or clang")
-    return path
-
-
-def library(code: CCode) -> ctypes.CDLL:
-    """The code as a shared library; it stays loaded when its file is gone."""
-    path = compiler()
-    with tempfile.TemporaryDirectory(prefix="certrack-") as place:
-        folder = Path(place)
-        (folder / f"{code.name}.h").write_text(code.header, "ascii")
-        (folder / f"{code.name}.c").write_text(code.source, "ascii")
-        command = [path, *FLAGS, f"{code.name}.c", "-o", "controller.so", "-lm"]
-        done = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, check=False, timeout=PATIENCE
-        )
-        if done.returncode:
-            raise NoCompiler(f"the C compiler {path} failed: {done.stderr.strip()}")
-        return ctypes.CDLL(str(folder / "controller.so"))
+STRICT_FLAGS = (
+    "-std=c99 -O2 -Wall -Wextra -Wpedantic -Werror -ffp-contract=off -shared -fPIC".split()
+)
 
 
 class CMaps:
@@ -75,13 +43,13 @@ class CMaps:
 
     def __init__(self, maps: Maps, loop: SampledLoop, code: CCode) -> None:
         self._maps = maps
-        self._library = library(code)
+        sources = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
+        self._library = load_library(sources, STRICT_FLAGS)
         self._step = getattr(self._library, f"{code.name}_step")
         self._step.argtypes = [ctypes.c_void_p] * 3
         self._step.restype = ctypes.c_double
         formulas = code.system.reference.formulas(len(code.program.Y) - 1)
         self._reference = numpy_callable([TIME, [*loop.parameters, *loop.pieces]], formulas)
-        self._count = len(formulas)
 
     def control(self, t: Scalar, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
         with np.errstate(all="ignore"):
@@ -89,9 +57,9 @@ class CMaps:
         u, after = np.empty(measured.shape[1]), np.empty(states.shape[::-1])
         for i in range(len(u)):
             x, y_d = np.ascontiguousarray(measured[:, i]), np.ascontiguousarray(Y[:, i])
-            kept = np.append(states[:, i], 0.0)  # the member of a structure without states
-            u[i] = self._step(kept.ctypes.data, x.ctypes.data, y_d.ctypes.data)
-            after[i] = kept[:-1]
+            state = np.append(states[:, i], 0.0)  # the member of a structure without states
+            u[i] = self._step(state.ctypes.data, x.ctypes.data, y_d.ctypes.data)
+            after[i] = state[:-1]
         return u, after.T
 
     def step(
@@ -100,7 +68,7 @@ class CMaps:
         return self._maps.step(t, h, allowed, x, u, totals, p)
 
 
-def simulate(system: System) -> Run:
+def simulate_with_c(system: System) -> Run:
     """Run a system with its controller in C.
 
     Parameters
@@ -112,8 +80,8 @@ def simulate(system: System) -> Run:
     ------
     InputError
         If it has none.
-    NoCompiler
-        If there is no C compiler.
+    CompilerError
+        If there is no C compiler, or it failed.
     """
     if system.implementation is None:
         raise InputError(
@@ -122,10 +90,15 @@ def simulate(system: System) -> Run:
             remedy="Add a table [implementation] with a period",
         )
     code = c_code(system)
-    return SampledSimulator(system, around=lambda maps, loop: CMaps(maps, loop, code)).run(system)
+
+    def with_c(maps: Maps, loop: SampledLoop) -> Maps:
+        return CMaps(maps, loop, code)
+
+    controller = code.program.controller
+    return SampledSimulator(system, around=with_c, controller=controller).run(system)
 
 
 def difference_from_python(run: Run) -> float:
     """Largest |u - u of the same run with its controller in Python|, at the times of both."""
-    ours = SampledSimulator(run.system).run(run.system)
-    return float(abs(ours.dataset().u - run.dataset().u).max())
+    in_python = SampledSimulator(run.system).run(run.system)
+    return float(abs(in_python.dataset().u - run.dataset().u).max())

@@ -20,7 +20,12 @@ from certrack.core.expressions import TIME, symbol
 from certrack.core.lowering import numpy_callable
 from certrack.integrators.many.sampled_events import event_timeline
 from certrack.integrators.many.sampled_run import SampledProblem, SampledRun, sensed
-from certrack.loops.controller import controller_values, sampled_controller, starting_state
+from certrack.loops.controller import (
+    SampledController,
+    controller_values,
+    sampled_controller,
+    starting_state,
+)
 from certrack.loops.plant import INPUT, plant_values, simulated_plant
 from certrack.loops.sampled import loop_values, resolved
 from certrack.model.implementation import Implementation
@@ -30,8 +35,9 @@ from certrack.systems.system import System
 
 Array = np.ndarray
 
-#: A time this close before a break of the reference, relatively, is the break.
-CLOSE = 1e-12
+#: A time this close before a break of the reference, relatively, is the break: what rounding does
+#: to a multiple of the period.
+BREAK_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -100,10 +106,10 @@ def to_control(system: System) -> ControlBlocks:
         (0.0, 0.0) if implementation is None else (implementation.offset, implementation.period)
     )
 
-    def block(name: str, parts: _Block, inputs: list[str], outputs: list[str]) -> Any:
+    def block(name: str, parts: _BlockFunctions, inputs: list[str], outputs: list[str]) -> Any:
         return control.nlsys(
-            parts.after if parts.states else None,
-            parts.shown,
+            parts.update if parts.states else None,
+            parts.output,
             name=name,
             inputs=inputs or 0,
             states=parts.states or None,
@@ -111,10 +117,13 @@ def to_control(system: System) -> ControlBlocks:
             dt=dt,
         )
 
-    parts = _continuous(system) if implementation is None else _sampled(system, implementation)
-    plant = block("plant", parts[0], ["u"], x)
-    controller = block("controller", parts[1], [*x, *Y], ["u"])
-    reference = block("reference", _reference(system), [], Y)
+    if implementation is None:
+        plant_parts, controller_parts = _continuous_blocks(system)
+    else:
+        plant_parts, controller_parts = _discrete_blocks(system, implementation)
+    plant = block("plant", plant_parts, ["u"], x)
+    controller = block("controller", controller_parts, [*x, *Y], ["u"])
+    reference = block("reference", _reference_block(system), [], Y)
     loop = control.interconnect(
         [plant, controller, reference],
         name="loop",
@@ -127,33 +136,34 @@ def to_control(system: System) -> ControlBlocks:
         outlist=[*(f"plant.{name}" for name in x), "controller.u", "reference.y_d"],
         outputs=[*x, "u", "y_d"],
     )
-    X0 = np.concatenate([parts[0].start, parts[1].start])
+    X0 = np.concatenate([plant_parts.start, controller_parts.start])
     return ControlBlocks(plant, controller, reference, loop, X0, start)
 
 
 @dataclass(frozen=True)
-class _Block:
+class _BlockFunctions:
     """Rates or next states, and outputs: functions of time, state, input and unused parameters."""
 
     states: list[str]
     start: Array
-    after: Callable[[float, Array, Array, Any], Array]
-    shown: Callable[[float, Array, Array, Any], Array]
+    update: Callable[[float, Array, Array, Any], Array]
+    output: Callable[[float, Array, Array, Any], Array]
 
 
-def _reference(system: System) -> _Block:
+def _reference_block(system: System) -> _BlockFunctions:
     reference = system.reference
     formulas = reference.formulas(len(system.controller.signals.Y) - 1)
     names = [TIME, reference.parameter_symbols, reference.piece_symbols]
-    evaluate, own = numpy_callable(names, formulas), reference.parameter_values
+    evaluate, numbers = numpy_callable(names, formulas), reference.parameter_values
 
-    def shown(t: float, _x: Array, _u: Array, _: Any) -> Array:
-        return np.array(evaluate(t, own, reference.piece_values(t * (1 + CLOSE))), dtype=float)
+    def output(t: float, _x: Array, _u: Array, _: Any) -> Array:
+        pieces = reference.piece_values(t * (1 + BREAK_TOLERANCE))
+        return np.array(evaluate(t, numbers, pieces), dtype=float)
 
-    return _Block([], np.empty(0), lambda *_: np.empty(0), shown)
+    return _BlockFunctions([], np.empty(0), lambda *_: np.empty(0), output)
 
 
-def _continuous(system: System) -> tuple[_Block, _Block]:
+def _continuous_blocks(system: System) -> tuple[_BlockFunctions, _BlockFunctions]:
     """Plant and controller."""
     plant, law = simulated_plant(system), system.controller
     true = plant_values(plant, system)
@@ -164,87 +174,90 @@ def _continuous(system: System) -> tuple[_Block, _Block]:
     for name, value in system.plant.constant_values.items():
         names.append(symbol(name))
         numbers.append(float(value))
-    given = [law.states, [*law.signals.x, *law.signals.Y], names]
-    update = numpy_callable(given, [rate for _, rate in law.equations.update])
-    u = numpy_callable(given, [law.equations.u])
+    arguments = [law.states, [*law.signals.x, *law.signals.Y], names]
+    update = numpy_callable(arguments, [rate for _, rate in law.equations.update])
+    u = numpy_callable(arguments, [law.equations.u])
     return (
-        _Block(
+        _BlockFunctions(
             [state.name for state in plant.states],
             np.array(system.settings.x0),
             lambda t, x, u, _: np.array(rates(t, x, u, true), dtype=float),
             lambda _t, x, _u, _: np.array(outputs(x, true), dtype=float),
         ),
-        _Block(
+        _BlockFunctions(
             [state.name for state in law.states],
             np.array(system.estimates),
-            lambda _t, z, given, _: np.array(update(z, given, numbers), dtype=float),
-            lambda _t, z, given, _: np.array(u(z, given, numbers), dtype=float),
+            lambda _t, z, inputs, _: np.array(update(z, inputs, numbers), dtype=float),
+            lambda _t, z, inputs, _: np.array(u(z, inputs, numbers), dtype=float),
         ),
     )
 
 
-def _sampled(system: System, implementation: Implementation) -> tuple[_Block, _Block]:
+def _discrete_blocks(
+    system: System, implementation: Implementation
+) -> tuple[_BlockFunctions, _BlockFunctions]:
     """Plant and controller."""
-    made = sampled_controller(system.plant, system.controller, implementation)
-    numbers = controller_values(made, system.plant, system.law, implementation)
-    command, update = resolved(made)
-    given = [made.states, [*made.measured, *made.Y], made.parameters]
-    u, after = numpy_callable(given, [command]), numpy_callable(given, update)
-    controller = _Block(
-        [state.name for state in made.states],
-        starting_state(made, system.estimates, implementation),
-        lambda _t, s, given, _: np.array(after(s, given, numbers), dtype=float),
-        lambda _t, s, given, _: np.array(u(s, given, numbers), dtype=float),
+    controller = sampled_controller(system.plant, system.controller, implementation)
+    numbers = controller_values(controller, system.plant, system.law, implementation)
+    command, update = resolved(controller)
+    inputs = [*controller.measured, *controller.Y]
+    arguments = [controller.states, inputs, controller.parameters]
+    u, after = numpy_callable(arguments, [command]), numpy_callable(arguments, update)
+    block = _BlockFunctions(
+        [state.name for state in controller.states],
+        starting_state(controller, system.estimates, implementation),
+        lambda _t, s, inputs, _: np.array(after(s, inputs, numbers), dtype=float),
+        lambda _t, s, inputs, _: np.array(u(s, inputs, numbers), dtype=float),
     )
-    return _Period(system, implementation).block(), controller
+    return _SampledPlant(system, implementation, controller).block(), block
 
 
-class _Period:
+class _SampledPlant:
     """The plant from sample to sample.
 
     A command acts from `delay` periods after its sample. Its whole periods and one more for its
     fraction are states: the latest commands, the last one first.
     """
 
-    def __init__(self, system: System, implementation: Implementation) -> None:
-        made = SampledSimulator(system)
-        self._system, self._implementation, self._maps = system, implementation, made.maps
-        self._states = [state.name for state in made.loop.plant.states]
+    def __init__(
+        self, system: System, implementation: Implementation, controller: SampledController
+    ) -> None:
+        simulator = SampledSimulator(system, controller=controller)
+        self._system, self._implementation, self._maps = system, implementation, simulator.maps
+        self._states = [state.name for state in simulator.loop.plant.states]
         self._course = SampledProblem(
             x=np.array(system.settings.x0)[:, None],
             states=np.empty((0, 1)),
-            totals=np.zeros((len(made.loop.totals), 1)),
-            parameters=loop_values(made.loop, system)[:, None],
+            totals=np.zeros((len(simulator.loop.totals), 1)),
+            parameters=loop_values(simulator.loop, system)[:, None],
             implementation=implementation,
             timeline=event_timeline(
                 implementation, implementation.period, np.empty(0), np.empty(0)
             ),  # python-control's own
-            outputs=made.outputs,
+            outputs=simulator.outputs,
             pieces=system.reference.piece_values,  # of what is totalled, which is not used
             keys=keys(implementation.seed, implementation.stream, 1),
             tolerance=system.settings.tolerance,
             max_state=system.settings.max_state,
         )
-        self._p = SampledRun(made.maps, self._course).parameters
-        whole = math.floor(implementation.delay)
-        self._fraction = implementation.delay - whole
-        self._kept = whole + (self._fraction > 0)
+        self._p = SampledRun(simulator.maps, self._course).parameters
+        whole_periods = math.floor(implementation.delay)
+        self._fraction = implementation.delay - whole_periods
+        self._commands = whole_periods + (self._fraction > 0)
 
-    def block(self) -> _Block:
+    def block(self) -> _BlockFunctions:
+        """Its states and functions."""
         first = self._implementation.initial_input
         x = np.array(self._system.settings.x0)
         x = self._cross(0.0, self._implementation.offset, x, first)
-        held = [f"u_before_{i + 1}" for i in range(self._kept)]
-        start = np.concatenate([x, np.full(self._kept, first)])
-        return _Block([*self._states, *held], start, self._after, self._shown)
+        held = [f"u_before_{i + 1}" for i in range(self._commands)]
+        start = np.concatenate([x, np.full(self._commands, first)])
+        return _BlockFunctions([*self._states, *held], start, self._update, self._output)
 
-    def _after(self, t: float, state: Array, given: Array, _: Any) -> Array:
-        """States and kept commands one period later."""
-        n, T, u = (
-            len(self._states),
-            self._implementation.period,
-            self._implementation.converted(given),
-        )
+    def _update(self, t: float, state: Array, command: Array, _: Any) -> Array:
+        """States and latest commands one period later."""
+        n, T = len(self._states), self._implementation.period
+        u = self._implementation.converted(command)
         commands = np.concatenate([u, state[n:]])  # the last one acts first
         x, middle, end = state[:n], t + self._fraction * T, t + T
         if self._fraction:
@@ -252,9 +265,9 @@ class _Period:
             x = self._cross(middle, end, x, commands[-2])
         else:
             x = self._cross(t, end, x, commands[-1])
-        return np.concatenate([x, commands[: self._kept]])
+        return np.concatenate([x, commands[: self._commands]])
 
-    def _shown(self, t: float, state: Array, _u: Array, _: Any) -> Array:
+    def _output(self, t: float, state: Array, _u: Array, _: Any) -> Array:
         """What the sensors show."""
         implementation, x = self._implementation, state[: len(self._states), None]
         true = x if self._course.outputs is None else self._course.outputs(x, self._p)

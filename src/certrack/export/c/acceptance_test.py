@@ -1,0 +1,60 @@
+"""The acceptance test that goes with the C code: golden vectors and a program that compares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from certrack.export.c.golden_vectors import GOLDEN_TOLERANCE, GoldenVectors
+from certrack.export.c.printer import c_literal
+from certrack.export.c.source import CCode
+from certrack.export.templates import fill_template
+
+
+def acceptance_test(code: CCode, vectors: GoldenVectors) -> str:
+    """Contents of NAME_test.c."""
+    implementation = code.system.implementation
+    assert implementation is not None
+    started = "    compare_states(&worst, &s, &samples[0].before, &samples[0].scale);\n"
+    compared = [
+        f"    compare(worst, got->{member}, want->{member}, scale->{member});"
+        for member in code.members
+    ]
+    return fill_template(
+        "c/templates/controller_test.c",
+        name=code.name,
+        carried=vectors.carried,
+        samples=vectors.x.shape[1],
+        tolerance=c_literal(GOLDEN_TOLERANCE[code.real], code.real),
+        table=_table(code, vectors),
+        magnitude="fabsf" if code.real == "float" else "fabs",
+        zero=c_literal(0, code.real),
+        one=c_literal(1, code.real),
+        compared="\n".join(compared),
+        period=c_literal(implementation.period, code.real),
+        started=started if vectors.carried else "",
+    )
+
+
+def _table(code: CCode, vectors: GoldenVectors) -> str:
+    """One initialiser per sample."""
+
+    def numbers(values: Iterable[float]) -> str:
+        return "{" + ", ".join(c_literal(float(value), code.real) for value in values) + "}"
+
+    def state(values: Iterable[float], unused: float = 0.0) -> str:
+        return numbers(values if code.program.states else [unused])
+
+    lines = []
+    for k in range(vectors.x.shape[1]):
+        answers, scales = vectors.answers[:, k], vectors.scales[:, k]
+        parts = [
+            state(vectors.states[:, k]),
+            numbers(vectors.x[:, k]),
+            numbers(vectors.Y[:, k]),
+            c_literal(float(answers[0]), code.real),
+            state(answers[1:]),
+            c_literal(float(f"{scales[0]:.3g}"), code.real),
+            state((float(f"{scale:.3g}") for scale in scales[1:]), 1.0),
+        ]
+        lines.append("    {" + ",\n     ".join(parts) + "}")
+    return ",\n".join(lines)

@@ -1,0 +1,98 @@
+"""Export of the controller as C99 with its acceptance test."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from certrack.core.errors import InputError
+from certrack.core.files import write_folder
+from certrack.export.c.acceptance_test import acceptance_test
+from certrack.export.c.golden_vectors import golden_vectors
+from certrack.export.c.readme import README_KIND, readme
+from certrack.export.c.source import CCode, c_code
+from certrack.systems.system import System
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written.
+
+    Attributes
+    ----------
+    name : str
+        Prefix of files and functions.
+    files : paths
+    notes : texts
+        What the user should know.
+    """
+
+    name: str
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+
+
+def c_files(code: CCode) -> dict[str, str]:
+    """Contents of all files of an export, by name."""
+    vectors = golden_vectors(code.system, code.program, code.real)
+    return {
+        f"{code.name}.h": code.header,
+        f"{code.name}.c": code.source,
+        f"{code.name}_test.c": acceptance_test(code, vectors),
+        "README.md": readme(code, code.notes),
+    }
+
+
+def export_c(
+    system: System,
+    folder: str | os.PathLike[str],
+    name: str = "controller",
+    *,
+    real: str = "double",
+    period: float | None = None,
+) -> Exported:
+    """Write the controller as C to a folder: header, source, test and README, or nothing.
+
+    Parameters
+    ----------
+    system : System
+    folder : path
+        Made if it does not exist.
+    name : str
+        Of the system or its file.
+    real : {"double", "float"}
+    period : float > 0, s, optional
+        Instead of that of the system's implementation; needed if it has none.
+
+    Raises
+    ------
+    InputError
+        If something does not fit, or the folder cannot be written to.
+    """
+    code = c_code(system, name, real=real, period=period)
+    return Exported(code.name, write_all(Path(folder), c_files(code)), code.notes)
+
+
+def write_all(folder: Path, texts: dict[str, str]) -> tuple[Path, ...]:
+    """Write files to a folder, all or none.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be made or written to, or has a README.md of another kind.
+    """
+    readme_file = folder / "README.md"
+    try:
+        foreign = README_KIND not in readme_file.read_text("utf-8", "replace")
+    except FileNotFoundError:
+        foreign = False
+    except OSError as problem:
+        raise InputError(
+            str(folder), f"cannot be written ({problem.strerror})", remedy="Choose another folder"
+        ) from None
+    if foreign:
+        raise InputError(
+            str(readme_file), "is not of an exported controller", remedy="Choose another folder"
+        )
+    return write_folder(folder, texts)

@@ -1,0 +1,40 @@
+"""What the user of exported C should know of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from certrack.core.lowering import numpy_callable
+from certrack.loops.controller import leak_jacobian
+from certrack.systems.system import System
+
+#: Below this part of itself per sample, leakage is lost in the rounding of float.
+STALLING_SHARE = 1e-4
+
+
+def notes_for(system: System, real: str) -> tuple[str, ...]:
+    """Notes on the code of a system with numbers of type `real`; usually none."""
+    if real == "double":
+        return ()
+    share = _leak_share(system)
+    if not share < STALLING_SHARE:
+        return ()
+    stall = float(np.finfo(np.float32).eps) / 2 / share
+    return (
+        f"in float, estimates stall up to {stall:.1g} (relative) short of where leakage takes "
+        f"them: it changes them by only {share:.1g} of themselves per sample. Use --real double "
+        "or a longer period if that matters.",
+    )
+
+
+def _leak_share(system: System) -> float:
+    """Part of itself by which leakage changes the slowest estimate per sample; inf without."""
+    controller, implementation = system.controller, system.implementation
+    assert implementation is not None
+    leak = leak_jacobian(controller)
+    if not leak:
+        return np.inf
+    count = len(controller.states)
+    values = numpy_callable(controller.symbols, leak)(*controller.values)
+    rates = np.abs(np.diag(np.array(values, dtype=float).reshape(count, count)))
+    return float(rates[rates > 0].min(initial=np.inf) * implementation.period)

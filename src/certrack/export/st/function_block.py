@@ -1,0 +1,182 @@
+"""The controller as an IEC 61131-3 function block in Structured Text.
+
+Only what every controller understands: IF, arithmetic and the standard's functions of LREAL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import sympy
+
+from certrack.core.version import version
+from certrack.export.c.source import sampled_system
+from certrack.export.identifiers import stem
+from certrack.export.program import ControllerProgram, controller_program, unread_states
+from certrack.export.st.statements import (
+    INDENT,
+    Statements,
+    Variables,
+    comment_text,
+    st_literal,
+    unused_name,
+)
+from certrack.loops.controller import COMMAND
+from certrack.systems.system import System
+
+#: Names that a standard or a dialect reserves; capitals and small letters are the same.
+ST_RESERVED = frozenset(
+    """
+    abs acos action add and any array asin at atan bool by byte cal case class configuration
+    constant continue cos ct ctd ctu ctud d date del delete dint div do dt dword else elsif eq exit
+    exp expt extends false final find for from function function_block ge gt if implements in
+    initial_step ini insert int interface internal interval jmp jmpc jmpcn ld ldn le left len limit
+    lint ln log lreal lt lword max method mid min mod move mul mux namespace ne non_retain not null
+    of on or overlap override persistent pointer priority private program property protected public
+    r r1 r_edge read_only read_write real ref ref_to repeat replace reset resource ret retain return
+    right rol ror rs s s1 sel shl shr sin single sint sizeof sqrt sr st step stn string struct sub
+    super t tan task then this time tod to tof ton tp transition true trunc type udint uint ulint
+    union until using usint var with while word wstring xor
+    """.split()
+)
+
+
+def structured_text(
+    system: System, name: str = "controller", *, period: float | None = None
+) -> str:
+    """A function block that computes what the sampled controller computes.
+
+    Parameters
+    ----------
+    system : System
+    name : str
+        Of the system or its file; the block's name is derived from it.
+    period : float > 0, s, optional
+        Instead of that of the implementation; needed if the system has none.
+
+    Returns
+    -------
+    str
+        Contents of NAME.st, ASCII.
+
+    Raises
+    ------
+    InputError
+        If there is no period.
+    """
+    system = sampled_system(system, period)
+    program, taken = controller_program(system), set(ST_RESERVED)
+    block = unused_name(stem(name), taken)
+    names = _identifiers(program, taken)
+    start = {
+        names[state]: value for state, value in zip(program.states, program.start, strict=True)
+    }
+    computed = [
+        names[step.name] for step in (*program.steps, *program.rates) if step.name != COMMAND
+    ]
+    variables = Variables(names)
+    statements = _statements(program, variables)
+    lines = [
+        *_introduction(system, start),
+        f"FUNCTION_BLOCK {block}",
+        *_variable_section("VAR_INPUT", _input_declarations(system, program, names)),
+        *_variable_section(
+            "VAR_OUTPUT", [_declaration(names[COMMAND], note=_with_unit("input", system, -1))]
+        ),
+        *_variable_section("VAR", _state_declarations(program, names)),
+        *_variable_section(
+            "VAR CONSTANT", (_declaration(names[s], v) for s, v in program.constants.items())
+        ),
+        *_variable_section("VAR_TEMP", map(_declaration, (*computed, *variables.temporary))),
+        *_reset_statements(start),
+        *statements.lines,
+        "END_FUNCTION_BLOCK",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _identifiers(program: ControllerProgram, taken: set[str]) -> dict[sympy.Symbol, str]:
+    """Identifiers of all symbols: natural where they may be, and all different."""
+    Y = {name: f"y_d_{i}" if i else "y_d" for i, name in enumerate(program.Y)}
+    steps = (step.name for step in (*program.steps, *program.rates))
+    ordered = dict.fromkeys(
+        [*program.measured, *Y, COMMAND, *program.states, *steps, *program.constants]
+    )
+    return {name: unused_name(Y.get(name) or program.labels[name], taken) for name in ordered}
+
+
+def _statements(program: ControllerProgram, variables: Variables) -> Statements:
+    """All that a call computes."""
+    names, statements = variables.names, Statements(variables)
+    for step in program.steps:
+        statements.step(step)
+    rated = {names[step.name] for step in program.rates} & {
+        f"{names[z]}_rate" for z in program.states
+    }
+    for step in program.rates:
+        note = "rate of an estimate" if names[step.name] in rated else step.note
+        statements.step(replace(step, note=note))
+    if program.states:
+        statements.note("what the next call needs")
+    for state, formula in zip(program.states, program.update, strict=True):
+        statements.assign(names[state], formula)
+    return statements
+
+
+def _introduction(system: System, states: Mapping[str, float]) -> list[str]:
+    """The first comment."""
+    assert system.implementation is not None
+    lines = [
+        system.title or "A tracking controller",
+        "",
+        f"The {system.law.kind} law in discrete time, written by certrack {version()}.",
+        f"Call the block once every {system.implementation.period!r} s with the states measured at",
+        "this moment and the reference y_d and its derivatives; u acts until the next call.",
+        "RESET = TRUE starts again." if states else "It keeps nothing: RESET has no effect.",
+    ]
+    return ["(*", *((INDENT + comment_text(line)).rstrip() for line in lines), "*)"]
+
+
+def _variable_section(title: str, declarations: Iterable[str]) -> list[str]:
+    """A block of variables, if there are any."""
+    lines = [INDENT + line for line in declarations]
+    return [title, *lines, "END_VAR"] if lines else []
+
+
+def _declaration(name: str, value: float | None = None, note: str = "", kind: str = "LREAL") -> str:
+    start = "" if value is None else f" := {st_literal(value)}"
+    return f"{name} : {kind}{start};" + (f" (* {comment_text(note)} *)" if note else "")
+
+
+def _input_declarations(
+    system: System, program: ControllerProgram, names: Mapping[sympy.Symbol, str]
+) -> list[str]:
+    unread = unread_states(system)
+    notes = [
+        unread.get(state, _with_unit("measured", system, i))
+        for i, state in enumerate(system.plant.states)
+    ]
+    notes += ["reference", *(f"its derivative no. {i}" for i in range(1, len(program.Y)))]
+    inputs = zip((*program.measured, *program.Y), notes, strict=True)
+    declarations = [_declaration(names[name], note=note) for name, note in inputs]
+    return [*declarations, _declaration("RESET", note="start again", kind="BOOL")]
+
+
+def _with_unit(what: str, system: System, index: int) -> str:
+    units = system.plant.units
+    return f"{what}, {units[index]}" if units else what
+
+
+def _state_declarations(program: ControllerProgram, names: Mapping[sympy.Symbol, str]) -> list[str]:
+    estimates = set(program.controller.estimates)
+    return [
+        _declaration(names[state], start, "estimate" if state in estimates else "of the last call")
+        for state, start in zip(program.states, program.start, strict=True)
+    ]
+
+
+def _reset_statements(start: Mapping[str, float]) -> list[str]:
+    """Initial values, on demand."""
+    again = (f"{INDENT}{name} := {st_literal(value)};" for name, value in start.items())
+    return ["", "IF RESET THEN", *again, "END_IF;"] if start else []
