@@ -19,8 +19,8 @@ from certrack.core.expressions import symbol
 from certrack.core.lowering import Select, larger, magnitude
 from certrack.laws.base import Equations, Signals
 from certrack.loops.controller import (
-    ASKED,
     COMMAND,
+    LAW_INPUT,
     PERIOD,
     SampledController,
     controller_values,
@@ -46,7 +46,7 @@ NOTES = {
     NU: "what all laws share: nu = nu_x x + nu_Y (y_d, y_d', ...) - h(x)",
     UBAR: "ubar = nu - phi(x)^T theta_hat",
     DRIFT: "drift h(x)",
-    ASKED: "the input that the law asks for",
+    LAW_INPUT: "the input that the law asks for",
     COMMAND: "the input within its limits",
     CUT: "what the limits cut off; the estimates stand still meanwhile",
 }
@@ -134,7 +134,7 @@ def program(system: System) -> Program:
     rates, update = _update(full, implementation, equations, x)
     rates = _printable(rates, known, "r")
     update = tuple(formula.xreplace(known) for formula in update)
-    steps = _steps(full, [*parts, Step(ASKED, equations.u, NOTES[ASKED])], x, known)
+    steps = _steps(full, [*parts, Step(LAW_INPUT, equations.u, NOTES[LAW_INPUT])], x, known)
     needed = {COMMAND}.union(*(f.free_symbols for f in (*update, *(r.formula for r in rates))))
     steps = _without_idle(steps, needed)
     used = needed.union(*(step.formula.free_symbols for step in steps))
@@ -162,7 +162,7 @@ def _steps(full: SampledController, law: Sequence[Step], x: Known, known: Known)
     before = [Step(*step, _velocity_note(step[0])) for step in full.steps[:-2]]
     within = [replace(step, formula=step.formula.xreplace(x)) for step in law]
     command = full.steps[-1][1]
-    if command == ASKED:  # without limits
+    if command == LAW_INPUT:  # without limits
         within[-1] = replace(within[-1], name=COMMAND)
         return _printable([*before, *within], known, "t")
     limited = Step(COMMAND, command, NOTES[COMMAND])
@@ -181,7 +181,7 @@ def _update(
     forgetting = forgetting_rates([rate for _, rate in equations.update], known)
     names = [step.name for step in rates]
     after = next_estimates(full.estimates, names, forgetting, full.hold, implementation)
-    size = magnitude(ASKED - COMMAND)
+    size = magnitude(LAW_INPUT - COMMAND)
     if any(formula.has(size) for formula in after):
         after = [formula.xreplace({size: CUT}) for formula in after]
         rates.append(Step(CUT, size, NOTES[CUT]))
