@@ -14,6 +14,9 @@ import certrack
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.laws import Adaptive, Robust
+from certrack.loops import continuous as continuous_loops
+from certrack.loops import sampled as sampled_loops
+from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant, Uncertainty
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference, samples, steps, trapezoid, triangle
@@ -253,7 +256,7 @@ def test_dataset_has_labels_units_and_provenance(tmp_path):
 
 
 def test_missing_heyoka_falls_back_to_scipy_with_one_warning(monkeypatch):
-    monkeypatch.setattr("certrack.simulation.simulator.available", lambda: False)
+    monkeypatch.setattr("certrack.simulation.continuous.available", lambda: False)
     system = certrack.load("example1").with_settings(duration=1, tail=None)
     with pytest.warns(UserWarning, match="heyoka is not installed") as caught:
         run = simulate(system)
@@ -346,3 +349,24 @@ def test_other_formulas_of_a_law_are_not_run_on_the_compiled_loop():
     simulator = Simulator(system)
     with pytest.raises(InputError, match="another structure"):
         simulator.run(system.replace(law=Boosted(c=(4, 4, 4, 4), boost=True)))
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_only_the_loop_that_runs_is_built(monkeypatch, sampled):
+    """Once, and not again for other numbers; checks of the structure build none either."""
+    built = []
+
+    def count(module, name):
+        original = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda **k: built.append(name) or original(**k))
+
+    count(continuous_loops, "ClosedLoop")
+    count(sampled_loops, "SampledLoop")
+    system = certrack.load("example1").with_settings(duration=0.1, tail=None)
+    if sampled:
+        system = system.replace(implementation=Implementation(0.01))
+    simulator = Simulator(system)
+    simulator.run()
+    simulator.run(system.replace(law=replace(system.law, c=(3, 2))))
+    simulator.run(system.with_settings(x0=(0.3, 0.1)))
+    assert built == (["SampledLoop"] if sampled else ["ClosedLoop"])

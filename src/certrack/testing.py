@@ -73,7 +73,7 @@ class LawConformance:
     def test_obeys_the_error_system(self) -> None:
         """e' = (S - C - K) e + T w - R y_d^(q+1) + (0 ... 0, g_n u + phi^T theta - nu)."""
         system, loop = self.system, close_loop(self.system)
-        plant, truth, found = system.plant, system.truth, system.controller.coordinates
+        plant, truth, coordinates = system.plant, system.truth, system.controller.coordinates
         if truth.input_gain is None:  # it has states of its own
             return
         rates = numpy_callable([TIME, loop.states, loop.parameters], [*loop.rates, loop.u])
@@ -85,17 +85,19 @@ class LawConformance:
         )
         drift = numpy_callable(names, [plant.drift.expr.subs(exact)])
         theta = np.array([float(value.expr) for value in truth.theta])
+        A, B = coordinates.A, coordinates.B
         for t, y, p in self._points():
-            x, Y = y[: plant.n], system.reference.values(np.array([t]), found.q + 1)[:, 0]
+            x, Y = y[: plant.n], system.reference.values(np.array([t]), coordinates.q + 1)[:, 0]
             *rate, u = rates(t, y, p)
-            e = found.A @ x - found.B @ Y[:-1]
-            left = found.A @ np.array(rate[: plant.n]) - found.B @ Y[1:]
+            e = A @ x - B @ Y[:-1]
+            left = A @ np.array(rate[: plant.n]) - B @ Y[1:]
             values = np.array(unknown(t, *x), dtype=float)
             w, phi = values[: plant.n], values[plant.n :]
-            nu = found.nu_x @ x + found.nu_Y @ Y - drift(t, *x)[0]
-            right = found.error_matrix @ e + found.A @ (np.array(truth.tau) * w) - found.R * Y[-1]
+            nu = coordinates.nu_x @ x + coordinates.nu_Y @ Y - drift(t, *x)[0]
+            right = coordinates.error_matrix @ e + A @ (np.array(truth.tau) * w)
+            right -= coordinates.R * Y[-1]
             right[-1] += float(truth.input_gain.expr) * u + phi @ theta - nu
-            scale = np.abs(found.A) @ np.abs(rate[: plant.n]) + np.abs(found.nu_x) @ np.abs(x) + 1
+            scale = np.abs(A) @ np.abs(rate[: plant.n]) + np.abs(coordinates.nu_x) @ np.abs(x) + 1
             assert np.all(np.abs(left - right) <= 1e-11 * scale.max())
 
     def test_numpy_and_taylor_forms_agree(self) -> None:
@@ -112,13 +114,13 @@ class LawConformance:
         variables = [hy.expression(state.name) for state in loop.states]
         known = dict(zip(loop.states, variables, strict=True))
         used = set().union(*(rate.free_symbols for rate in smooth))
-        own = [i for i, symbol in enumerate(loop.parameters) if symbol in used]
-        known |= {loop.parameters[i]: hy.par[k] for k, i in enumerate(own)}
+        needed = [i for i, symbol in enumerate(loop.parameters) if symbol in used]
+        known |= {loop.parameters[i]: hy.par[k] for k, i in enumerate(needed)}
         compiled = hy.cfunc(to_heyoka(smooth, known), variables)
         for t, y, p in self._points():
             expected = np.array(rates(t, y, p), dtype=float)
-            found = compiled(y, pars=p[own], time=t)
-            np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-11)
+            rate = compiled(y, pars=p[needed], time=t)
+            np.testing.assert_allclose(rate, expected, rtol=1e-11, atol=1e-11)
 
     def test_integrators_agree(self) -> None:
         """Taylor and SciPy give the same run."""
@@ -147,6 +149,7 @@ class LawConformance:
 
 
 def _constants(system: System) -> set[Any]:
+    """The symbols of the plant's constants that its formulas contain."""
     names = set(system.plant.constant_values)
     formulas = (system.plant.drift, *system.plant.regressor, *(system.truth.omega or ()))
     symbols = {symbol for formula in formulas for symbol in formula.expr.free_symbols}

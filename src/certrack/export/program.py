@@ -20,8 +20,8 @@ from certrack.core.printing import MAX_FACTORS
 from certrack.core.select import larger, magnitude, smaller
 from certrack.laws.base import Equations, Signals
 from certrack.loops.controller import (
-    ASKED,
     COMMAND,
+    LAW_INPUT,
     PERIOD,
     SampledController,
     controller_values,
@@ -44,7 +44,7 @@ NOTES = {
     NU: "what all laws share: nu = nu_x x + nu_Y (y_d, y_d', ...) - h(x)",
     UBAR: "ubar = nu - phi(x)^T theta_hat",
     DRIFT: "drift h(x)",
-    ASKED: "the input that the law asks for",
+    LAW_INPUT: "the input that the law asks for",
     COMMAND: "the input within its limits",
     CUT: "what the limits cut off; the estimates stand still meanwhile",
 }
@@ -138,7 +138,7 @@ def controller_program(system: System) -> ControllerProgram:
     rates, update = _update(controller, implementation, equations, x)
     rates = _printable(rates, unnamed, "r")
     update = tuple(formula.xreplace(unnamed) for formula in update)
-    steps = _steps(controller, [*parts, Step(ASKED, equations.u, NOTES[ASKED])], x, unnamed)
+    steps = _steps(controller, [*parts, Step(LAW_INPUT, equations.u, NOTES[LAW_INPUT])], x, unnamed)
     needed = {COMMAND}.union(*(f.free_symbols for f in (*update, *(r.formula for r in rates))))
     steps = _without_unused(steps, needed)
     used = needed.union(*(step.formula.free_symbols for step in steps))
@@ -168,7 +168,7 @@ def _steps(
     before = [Step(*step, _velocity_note(step[0])) for step in controller.steps[:-2]]
     within = [replace(step, formula=step.formula.xreplace(x)) for step in law]
     command = controller.steps[-1][1]
-    if command == ASKED:  # without limits
+    if command == LAW_INPUT:  # without limits
         within[-1] = replace(within[-1], name=COMMAND)
         return _printable([*before, *within], unnamed, "t")
     limited = Step(COMMAND, command, NOTES[COMMAND])
@@ -190,7 +190,7 @@ def _update(
     forgetting = forgetting_rates([rate for _, rate in equations.update], gains_and_estimates)
     names = [step.name for step in rates]
     after = next_estimates(controller.estimates, names, forgetting, controller.hold, implementation)
-    size = magnitude(ASKED - COMMAND)
+    size = magnitude(LAW_INPUT - COMMAND)
     if any(formula.has(size) for formula in after):
         after = [formula.xreplace({size: CUT}) for formula in after]
         rates.append(Step(CUT, size, NOTES[CUT]))

@@ -1,4 +1,4 @@
-"""Simulated plant + law + reference -> one ordinary differential equation.
+"""The closed loop in continuous time: plant, law and reference as one differential equation.
 
 State vector: plant x, controller z, then the integrals of u^2, e_1^2 and e_1 (metrics are
 integrated, not summed on a grid). Every number that a sweep may vary - gains, truth, constants,
@@ -60,7 +60,7 @@ class ClosedLoop:
 
 
 def close_loop(system: System) -> ClosedLoop:
-    """Join the parts of `system` into one ODE."""
+    """The closed loop of `system` as one ODE."""
     plant, controller = simulated_plant(system), system.controller
     s = controller.signals
     measured = dict(zip(s.x, plant.outputs, strict=True))
@@ -73,12 +73,12 @@ def close_loop(system: System) -> ClosedLoop:
     rates += [rate / sympy.Integer(INTEGRAL_SCALE) for rate in (u**2, e_1**2, e_1)]
 
     designed = [symbol(name) for name in system.plant.constant_values]
-    own = system.reference.parameter_symbols
+    reference = system.reference.parameter_symbols
     pieces = system.reference.piece_symbols
     return ClosedLoop(
         plant=plant,
         states=(*plant.states, *controller.states, *map(symbol, INTEGRALS)),
-        parameters=(*plant.parameters, *controller.symbols, *designed, *own, *pieces),
+        parameters=(*plant.parameters, *controller.symbols, *designed, *reference, *pieces),
         rates=tuple(rates),
         u=u,
         e_1=e_1,

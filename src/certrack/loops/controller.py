@@ -1,4 +1,4 @@
-"""The controller as it runs every period: from measurements to the input, and its next state.
+"""The controller in discrete time, as it runs every period: from measurements to the input.
 
 One description serves the simulation, the exported code and the block-diagram tools. With the
 measured states m, the reference Y = (y_d ... y_d^(q+1)) and the controller's own states s, all at
@@ -29,10 +29,11 @@ from certrack.laws.base import Controller, Law
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 
-Steps = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
+#: Pairs (symbol, formula), to be computed in this order.
+Assignments = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
 
-#: The commanded input, and the one that the law asks for.
-COMMAND, ASKED = symbol("ctl_u"), symbol("ctl_u_law")
+#: The commanded input, and the one that the law asks for before any limit.
+COMMAND, LAW_INPUT = symbol("ctl_u"), symbol("ctl_u_law")
 
 PERIOD = symbol("ctl_period")
 
@@ -53,7 +54,7 @@ class SampledController:
     estimates : symbols
         The law's own states; they come first among `states`.
     states : symbols
-        All that is kept from sample to sample.
+        All that is remembered from sample to sample.
     steps : pairs (symbol, formula)
         To be computed in this order; the last one is :data:`COMMAND`.
     update : formulas, one per state
@@ -71,7 +72,7 @@ class SampledController:
     Y: tuple[sympy.Symbol, ...]
     estimates: tuple[sympy.Symbol, ...]
     states: tuple[sympy.Symbol, ...]
-    steps: Steps
+    steps: Assignments
     update: tuple[sympy.Expr, ...]
     parameters: tuple[sympy.Symbol, ...]
     gain_names: tuple[str, ...]
@@ -90,21 +91,20 @@ def sampled_controller(
     """The controller of a law in discrete time."""
     s = controller.signals
     steps: list[tuple[sympy.Symbol, sympy.Expr]] = []
-    kept: list[tuple[sympy.Symbol, sympy.Expr]] = []
+    memories: list[tuple[sympy.Symbol, sympy.Expr]] = []
     numbers = [PERIOD]
-    x = _measured(plant, implementation, steps, kept, numbers)
-    asked = controller.equations.u.xreplace(x)
-    steps.append((ASKED, asked))
+    x = _state_values(plant, implementation, steps, memories, numbers)
+    steps.append((LAW_INPUT, controller.equations.u.xreplace(x)))
     steps.append((COMMAND, _limited(implementation, numbers)))
     if implementation.rate_limit is not None:
-        kept.append((symbol("ctl_u_last"), COMMAND))
+        memories.append((symbol("ctl_u_last"), COMMAND))
     estimates = controller.states
     rates = [rate.xreplace(x) for _, rate in controller.equations.update]
     leak = leak_jacobian(controller) if implementation.update == "exact_leak" else ()
-    hold = _pattern(leak, len(estimates))
+    hold = _hold_entries(leak, len(estimates))
     numbers += [symbol(f"ctl_hold_{i}_{j}") for i, j in hold]
     if implementation.projection is not None:
-        numbers += _boxes(len(estimates))
+        numbers += _projection_limits(len(estimates))
     forgetting = forgetting_rates(rates, {*controller.symbols, *estimates})
     after = next_estimates(estimates, rates, forgetting, hold, implementation)
     constants = [symbol(name) for name in plant.constant_values]
@@ -112,9 +112,9 @@ def sampled_controller(
         measured=s.x,
         Y=s.Y,
         estimates=estimates,
-        states=(*estimates, *(name for name, _ in kept)),
+        states=(*estimates, *(name for name, _ in memories)),
         steps=tuple(steps),
-        update=(*after, *(formula for _, formula in kept)),
+        update=(*after, *(formula for _, formula in memories)),
         parameters=(*controller.symbols, *constants, *numbers),
         gain_names=tuple(s.all_parameters),
         hold=hold,
@@ -144,21 +144,23 @@ def next_estimates(
     rises = _weighted(rates, hold)
     limited = implementation.saturation is not None or implementation.rate_limit is not None
     if limited and implementation.anti_windup != "none":
-        rest = [sympy.S.Zero] * len(rises)
+        limited_rises = [sympy.S.Zero] * len(rises)
         if implementation.anti_windup == "leak":
-            rest = _weighted(forgetting, hold)
-        cut = magnitude(ASKED - COMMAND)
-        rises = [Select(cut, 0, slow, rise) for slow, rise in zip(rest, rises, strict=True)]
+            limited_rises = _weighted(forgetting, hold)
+        excess = magnitude(LAW_INPUT - COMMAND)
+        rises = [
+            Select(excess, 0, slow, rise) for slow, rise in zip(limited_rises, rises, strict=True)
+        ]
     after = [z + rise for z, rise in zip(estimates, rises, strict=True)]
     if implementation.projection is None:
         return after
-    boxes = _boxes(len(after))
+    limits = _projection_limits(len(after))
     return [
-        clamp(z, low, high) for z, low, high in zip(after, boxes[::2], boxes[1::2], strict=True)
+        clamp(z, low, high) for z, low, high in zip(after, limits[::2], limits[1::2], strict=True)
     ]
 
 
-def _boxes(estimates: int) -> list[sympy.Symbol]:
+def _projection_limits(estimates: int) -> list[sympy.Symbol]:
     """Limits of the projection: low, high, low ..."""
     return [symbol(f"ctl_box_{i}") for i in range(2 * estimates)]
 
@@ -173,40 +175,44 @@ def clamp(value: sympy.Expr, low: sympy.Expr, high: sympy.Expr) -> sympy.Expr:
     return Select(low, value, low, Select(value, high, high, value))
 
 
-def _measured(
+def _state_values(
     plant: Plant,
     implementation: Implementation,
     steps: list[tuple[sympy.Symbol, sympy.Expr]],
-    kept: list[tuple[sympy.Symbol, sympy.Expr]],
+    memories: list[tuple[sympy.Symbol, sympy.Expr]],
     numbers: list[sympy.Symbol],
 ) -> dict[sympy.Symbol, sympy.Expr]:
-    """What stands for each state in the law: itself, or its value by differences."""
-    found: dict[sympy.Symbol, sympy.Expr] = {}
+    """What stands for a state that is not measured: its value by differences.
+
+    Adds to `steps` what is computed for it, to `memories` pairs of what is remembered and its next
+    value, to `numbers` the parameters.
+    """
+    values: dict[sympy.Symbol, sympy.Expr] = {}
     if not implementation.velocity:
-        return found
+        return values
     x, pole = plant.symbols, symbol("ctl_filter")
     numbers.append(pole)
     for i in range(1, plant.n):
         if plant.states[i] not in implementation.velocity:
             continue
         name = plant.states[i]
-        position = found.get(x[i - 1], x[i - 1])
+        position = values.get(x[i - 1], x[i - 1])
         before, speed = symbol(f"ctl_before_{name}"), symbol(f"ctl_speed_{name}")
         difference = Select(FIRST, 0, 0, (position - before) / PERIOD)
         filtered, value = symbol(f"ctl_filtered_{name}"), differenced(name)
         assert plant.linear is not None
-        row = [b.expr * found.get(x[j], x[j]) for j, b in enumerate(plant.linear[i - 1])]
+        row = [b.expr * values.get(x[j], x[j]) for j, b in enumerate(plant.linear[i - 1])]
         steps.append((filtered, speed + pole * (difference - speed)))
         steps.append((value, (filtered - sympy.Add(*row)) / plant.chain[i - 1].expr))
-        kept += [(before, position), (speed, filtered)]
-        found[x[i]] = value
-    kept.append((FIRST, sympy.Integer(0)))
-    return found
+        memories += [(before, position), (speed, filtered)]
+        values[x[i]] = value
+    memories.append((FIRST, sympy.Integer(0)))
+    return values
 
 
 def _limited(implementation: Implementation, numbers: list[sympy.Symbol]) -> sympy.Expr:
     """The input that the law asks for, within the limits."""
-    command: sympy.Expr = ASKED
+    command: sympy.Expr = LAW_INPUT
     if implementation.rate_limit is not None:
         last, step = symbol("ctl_u_last"), symbol("ctl_u_step")
         numbers.append(step)
@@ -218,10 +224,10 @@ def _limited(implementation: Implementation, numbers: list[sympy.Symbol]) -> sym
     return command
 
 
-def forgetting_rates(rates: Sequence[sympy.Expr], known: Set[sympy.Symbol]) -> list[sympy.Expr]:
-    """The terms of the rates in gains and estimates alone: the leakage towards the priors."""
+def forgetting_rates(rates: Sequence[sympy.Expr], names: Set[sympy.Symbol]) -> list[sympy.Expr]:
+    """The terms of the rates in `names` (gains and estimates) alone: leakage towards the priors."""
     terms = (sympy.Add.make_args(sympy.expand(rate)) for rate in rates)
-    return [sympy.Add(*(term for term in part if term.free_symbols <= known)) for part in terms]
+    return [sympy.Add(*(term for term in part if term.free_symbols <= names)) for part in terms]
 
 
 def _weighted(rates: Sequence[sympy.Expr], hold: Sequence[tuple[int, int]]) -> list[sympy.Expr]:
@@ -243,7 +249,7 @@ def leak_jacobian(controller: Controller) -> tuple[sympy.Expr, ...]:
     return tuple(entry if entry.free_symbols <= gains else sympy.S.Zero for entry in table)
 
 
-def _pattern(leak: tuple[sympy.Expr, ...], count: int) -> tuple[tuple[int, int], ...]:
+def _hold_entries(leak: tuple[sympy.Expr, ...], count: int) -> tuple[tuple[int, int], ...]:
     """Entries of W that are not structurally zero: those of I + |L| + |L|^2 + ..."""
     if not any(leak):
         return ()
@@ -255,39 +261,34 @@ def _pattern(leak: tuple[sympy.Expr, ...], count: int) -> tuple[tuple[int, int],
 
 
 def controller_values(
-    found: SampledController, plant: Plant, law: Law, implementation: Implementation
+    controller: SampledController, plant: Plant, law: Law, implementation: Implementation
 ) -> np.ndarray:
     """Values of :attr:`SampledController.parameters`."""
-    gains = law.values(plant, found.gain_names)
-    T, known = implementation.period, {}
-    known[PERIOD] = T
-    smooth = (
-        1.0 - math.exp(-T / implementation.velocity_filter)
-        if implementation.velocity_filter
-        else 1.0
-    )
-    known[symbol("ctl_filter")] = smooth
+    gains = law.values(plant, controller.gain_names)
+    T, filter_time = implementation.period, implementation.velocity_filter
+    known = {PERIOD: T}
+    known[symbol("ctl_filter")] = 1.0 - math.exp(-T / filter_time) if filter_time else 1.0
     if implementation.rate_limit is not None:
         known[symbol("ctl_u_step")] = implementation.rate_limit * T
     if implementation.saturation is not None:
         known[symbol("ctl_u_low")], known[symbol("ctl_u_high")] = implementation.saturation
-    if found.hold:
-        weights = _weights(found, gains, T)
-        known |= {symbol(f"ctl_hold_{i}_{j}"): weights[i, j] for i, j in found.hold}
+    if controller.hold:
+        weights = _hold_weights(controller, gains, T)
+        known |= {symbol(f"ctl_hold_{i}_{j}"): weights[i, j] for i, j in controller.hold}
     for i, end in enumerate(end for box in implementation.projection or () for end in box):
         known[symbol(f"ctl_box_{i}")] = end
     constants = [float(value) for value in plant.constant_values.values()]
-    rest = found.parameters[len(gains) + len(constants) :]
-    return np.concatenate([gains, constants, [known[name] for name in rest]])
+    numbers = controller.parameters[len(gains) + len(constants) :]
+    return np.concatenate([gains, constants, [known[name] for name in numbers]])
 
 
-def _weights(found: SampledController, gains: np.ndarray, T: float) -> np.ndarray:
+def _hold_weights(controller: SampledController, gains: np.ndarray, T: float) -> np.ndarray:
     """W = L^-1 (exp(L T) - I), without dividing by L."""
     from scipy.linalg import expm
 
-    count = len(found.estimates)
-    names = found.parameters[: len(gains)]
-    L = np.array(numpy_callable(names, found.leak)(*gains), dtype=float).reshape(count, count)
+    count = len(controller.estimates)
+    names = controller.parameters[: len(gains)]
+    L = np.array(numpy_callable(names, controller.leak)(*gains), dtype=float).reshape(count, count)
     block = np.zeros((2 * count, 2 * count))
     block[:count, :count], block[:count, count:] = L * T, np.eye(count) * T
     weights: np.ndarray = expm(block)[:count, count:]
@@ -295,9 +296,9 @@ def _weights(found: SampledController, gains: np.ndarray, T: float) -> np.ndarra
 
 
 def starting_state(
-    found: SampledController, estimates: tuple[float, ...], implementation: Implementation
+    controller: SampledController, estimates: tuple[float, ...], implementation: Implementation
 ) -> np.ndarray:
     """States before the first sample."""
-    others = {FIRST: 1.0, symbol("ctl_u_last"): implementation.initial_input}
-    rest = [others.get(name, 0.0) for name in found.states[len(found.estimates) :]]
-    return np.array([*estimates, *rest])
+    initial = {FIRST: 1.0, symbol("ctl_u_last"): implementation.initial_input}
+    memories = [initial.get(name, 0.0) for name in controller.states[len(controller.estimates) :]]
+    return np.array([*estimates, *memories])

@@ -1,4 +1,4 @@
-"""Plant + truth -> x' = f(t, x, u): what is simulated, before any controller is joined to it.
+"""The simulated plant as formulas: design and truth -> x' = f(t, x, u), before any controller.
 
 Every number that a sweep may vary is a symbol with a value in a parameter vector, so whatever is
 compiled from the formulas serves all of them.
@@ -59,10 +59,10 @@ class SimulatedPlant:
 def simulated_plant(system: System) -> SimulatedPlant:
     """The truth of `system` as formulas."""
     if system.truth.states:
-        return _with_own_states(system)
+        return _truth_with_states(system)
     plant, truth = system.plant, system.truth
     n, x = plant.n, plant.symbols
-    present = np.argwhere((plant.b != 0) | (_built(system).b != 0))
+    present = np.argwhere((plant.b != 0) | (_plant_as_built(system).b != 0))
     couplings = tuple((int(i), int(j)) for i, j in present)
     designed = [symbol(name) for name in plant.constant_values]
     true = {
@@ -90,8 +90,8 @@ def simulated_plant(system: System) -> SimulatedPlant:
     return SimulatedPlant(x, tuple(rates), x, tuple(true.items()), couplings)
 
 
-def _with_own_states(system: System) -> SimulatedPlant:
-    """The truth with states of its own."""
+def _truth_with_states(system: System) -> SimulatedPlant:
+    """A truth that has states and rates of its own, as the simulated plant."""
     truth, names = system.truth, list(true_constants(system))
     constants = tuple(symbol(f"true_constants_{i}") for i in range(len(names)))
     as_built = dict(zip(map(symbol, names), constants, strict=True))
@@ -105,7 +105,7 @@ def _with_own_states(system: System) -> SimulatedPlant:
 
 def plant_values(plant: SimulatedPlant, system: System) -> np.ndarray:
     """Values of :attr:`SimulatedPlant.parameters`."""
-    truth, built = system.truth, _built(system)
+    truth, built = system.truth, _plant_as_built(system)
     if truth.states:
         return np.array(list(true_constants(system).values()))
     assert truth.tau is not None and truth.input_gain is not None
@@ -123,9 +123,9 @@ def plant_values(plant: SimulatedPlant, system: System) -> np.ndarray:
 
 def true_constants(system: System) -> dict[str, float]:
     """The plant's constants as they really are, then the truth's own."""
-    found = {name: float(value) for name, value in _built(system).constant_values.items()}
-    own = {name: float(value.expr) for name, value in system.truth.constants if name not in found}
-    return found | own
+    built = {name: float(value) for name, value in _plant_as_built(system).constant_values.items()}
+    added = {name: float(value.expr) for name, value in system.truth.constants if name not in built}
+    return built | added
 
 
 def measured(system: System, states: np.ndarray) -> np.ndarray:
@@ -141,19 +141,19 @@ def measured(system: System, states: np.ndarray) -> np.ndarray:
     if not truth.states:
         return states[:count]
     constants = true_constants(system)
-    values = _outputs(truth.states, truth.outputs, tuple(constants))
+    values = _compiled_outputs(truth.states, truth.outputs, tuple(constants))
     return rows(values(states[:count], list(constants.values())), states.shape[1])
 
 
 @lru_cache(maxsize=16)
-def _outputs(states: Any, outputs: Any, constants: Any) -> Callable[..., list[Any]]:
+def _compiled_outputs(states: Any, outputs: Any, constants: Any) -> Callable[..., list[Any]]:
     """The outputs, compiled for every value of the constants."""
     arguments = [tuple(map(symbol, states)), tuple(map(symbol, constants))]
     return numpy_callable(arguments, [formula.expr for formula in outputs])
 
 
-def _built(system: System) -> Plant:
+def _plant_as_built(system: System) -> Plant:
     """The plant with the constants it really has."""
-    known = system.plant.constant_values
-    others = {n: float(value.expr) for n, value in system.truth.constants if n in known}
-    return system.plant.with_constants(**others)
+    designed = system.plant.constant_values
+    real = {n: float(value.expr) for n, value in system.truth.constants if n in designed}
+    return system.plant.with_constants(**real)

@@ -1,4 +1,8 @@
-"""Simulated plant + sampled controller + reference: what happens at and between the samples."""
+"""The closed loop with a sampled controller: what happens at and between the samples.
+
+At a sample the controller of :mod:`certrack.loops.controller`, with the reference put in, gives the
+command; between two samples the plant moves under constant input, while totals are kept.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +56,8 @@ class SampledLoop:
     e_1 : formula of the plant's states, time and parameters
     slope : formula
         Rate of e_1; it may contain :data:`INPUT`.
-    own : symbols of the reference that a sweep may vary
+    reference_parameters : symbols
+        Of the reference, that a sweep may vary.
     parameters : symbols
         All that have a value: of plant, controller and reference.
     pieces : symbols
@@ -64,25 +69,25 @@ class SampledLoop:
     controller: SampledController
     e_1: sympy.Expr
     slope: sympy.Expr
-    own: tuple[sympy.Symbol, ...]
+    reference_parameters: tuple[sympy.Symbol, ...]
     parameters: tuple[sympy.Symbol, ...]
     pieces: tuple[sympy.Symbol, ...]
     totals: Totals
 
     def with_numbers(self, known: Mapping[sympy.Symbol, sympy.Expr]) -> SampledLoop:
-        """The loop with numbers for some parameters, which are none any more."""
+        """The loop with numbers put in for parameters, which it then no longer has."""
         plant, c = self.plant, self.controller
 
-        def put(formulas: Sequence[sympy.Expr]) -> tuple[sympy.Expr, ...]:
+        def substitute(formulas: Sequence[sympy.Expr]) -> tuple[sympy.Expr, ...]:
             return tuple(formula.xreplace(known) for formula in formulas)
 
         return replace(
             self,
-            plant=replace(plant, rates=put(plant.rates), outputs=put(plant.outputs)),
+            plant=replace(plant, rates=substitute(plant.rates), outputs=substitute(plant.outputs)),
             controller=replace(
                 c,
                 steps=tuple((name, formula.xreplace(known)) for name, formula in c.steps),
-                update=put(c.update),
+                update=substitute(c.update),
             ),
             e_1=self.e_1.xreplace(known),
             slope=self.slope.xreplace(known),
@@ -94,33 +99,45 @@ class SampledLoop:
 def sample_loop(
     system: System, totals: Totals | None = None, controller: SampledController | None = None
 ) -> SampledLoop:
-    """Join the parts of a system that has an implementation.
+    """The closed loop of a system that has an implementation.
 
-    `controller` is that of the system, where it has been made before.
+    Parameters
+    ----------
+    system : System
+    totals : formulas, optional
+        What is totalled along a run.
+    controller : SampledController, optional
+        That of the system, where it has been made before.
+
+    Raises
+    ------
+    InputError
+        If it has no implementation.
     """
     if system.implementation is None:
         raise InputError("implementation", "is missing", remedy="Add a table [implementation]")
     plant, reference = simulated_plant(system), system.reference
-    made = controller or sampled_controller(system.plant, system.controller, system.implementation)
-    Y = dict(zip(made.Y, reference.formulas(len(made.Y) - 1), strict=True))
+    if controller is None:
+        controller = sampled_controller(system.plant, system.controller, system.implementation)
+    Y = dict(zip(controller.Y, reference.formulas(len(controller.Y) - 1), strict=True))
     controller = replace(
-        made,
-        steps=tuple((name, formula.xreplace(Y)) for name, formula in made.steps),
-        update=tuple(formula.xreplace(Y) for formula in made.update),
+        controller,
+        steps=tuple((name, formula.xreplace(Y)) for name, formula in controller.steps),
+        update=tuple(formula.xreplace(Y) for formula in controller.update),
     )
     e_1 = plant.outputs[0] - reference.formulas(0)[0]
     rates = dict(zip(plant.states, plant.rates, strict=True)) | {TIME: sympy.Integer(1)}
     present = [name for name in rates if name in e_1.free_symbols]
     slope = sympy.Add(*(derivative(e_1, name) * rates[name] for name in present))
-    own = tuple(reference.parameter_symbols)
-    every = dict.fromkeys((*plant.parameters, *controller.parameters, *own))
+    reference_parameters = tuple(reference.parameter_symbols)
+    parameters = (*plant.parameters, *controller.parameters, *reference_parameters)
     return SampledLoop(
         plant=plant,
         controller=controller,
         e_1=e_1,
         slope=slope,
-        own=own,
-        parameters=tuple(every),
+        reference_parameters=reference_parameters,
+        parameters=tuple(dict.fromkeys(parameters)),
         pieces=tuple(reference.piece_symbols),
         totals=totals or run_totals(),
     )
@@ -134,7 +151,7 @@ def loop_values(loop: SampledLoop, system: System) -> np.ndarray:
     for names, values in (
         (loop.plant.parameters, plant_values(loop.plant, system)),
         (loop.controller.parameters, law),
-        (loop.own, system.reference.parameter_values),
+        (loop.reference_parameters, system.reference.parameter_values),
     ):
         known |= dict(zip(names, values, strict=True))
     return np.array([known[name] for name in loop.parameters])

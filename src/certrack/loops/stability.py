@@ -1,4 +1,4 @@
-"""Exact stability of a linear sampled loop: the spectral radius of what one period does.
+"""The exact edge of stability of a linear sampled loop: the spectral radius of one period.
 
 For a plant with linear rates (drift and regressor linear, no disturbance) and a law that is linear
 in the measured states, everything between two samples is a matrix. With the waiting commands as
@@ -35,8 +35,9 @@ from certrack.loops.sampled import resolved
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 
-#: A direction counts as new if more than this part of it is.
-NOTHING = 1e-10
+#: A direction counts as new if more than this part of it is: well above the rounding of the
+#: orthogonalisation, well below what a sensor or an input of any use contributes.
+NEW_DIRECTION = 1e-10
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class LinearLoop:
         Measured states of the plant's.
     controller : SampledController
     slopes : callable
-        Of the controller's parameters: derivatives of the command and the next kept states, a row
-        each, by the measured and the kept states.
+        Of the controller's parameters: derivatives of the command and the next memories, a row
+        each, by the measured states and the memories.
     """
 
     system: System
@@ -72,27 +73,28 @@ class LinearLoop:
         period : float, s
         delay : float, periods
         """
-        law = self._law(period)
-        N, n, kept = len(self.b), len(self.C), len(law) - 1
-        whole = math.floor(delay)
-        size = N + kept + whole + 1
-        seen = np.zeros((n + kept, size))  # measured and kept states over xi
-        seen[:n, :N], seen[n:, N : N + kept] = self.C, np.eye(kept)
-        after = law @ seen
-        inputs = np.vstack([after[:1], np.eye(size)[N + kept :]])  # u_k, u_{k-1} ... u_{k-d-1}
+        law = self._law_matrix(period)
+        N, n, memories = len(self.b), len(self.C), len(law) - 1
+        d = math.floor(delay)
+        size = N + memories + d + 1
+        signals = np.zeros((n + memories, size))  # measured states and memories over xi
+        signals[:n, :N], signals[n:, N : N + memories] = self.C, np.eye(memories)
+        after = law @ signals
+        inputs = np.vstack([after[:1], np.eye(size)[N + memories :]])  # u_k, u_{k-1} ... u_{k-d-1}
         x = np.eye(size)[:N]
-        for u, h in ((inputs[whole + 1], delay - whole), (inputs[whole], 1 - delay + whole)):
-            A, b = self._across(h * period)
+        for u, h in ((inputs[d + 1], delay - d), (inputs[d], 1 - delay + d)):
+            A, b = self._plant_over(h * period)
             x = A @ x + np.outer(b, u)
-        found: np.ndarray = np.vstack([x, after[1:], inputs[: whole + 1]])
-        return found
+        M: np.ndarray = np.vstack([x, after[1:], inputs[: d + 1]])
+        return M
 
     def radius(self, period: float, delay: float) -> float:
         """Spectral radius of the period map; the loop is stable where it is below 1."""
         M = self.period_map(period, delay)
         return float(np.abs(np.linalg.eigvals(M)).max()) if np.isfinite(M).all() else math.inf
 
-    def _law(self, period: float) -> np.ndarray:
+    def _law_matrix(self, period: float) -> np.ndarray:
+        """The command and the next memories, a row each, over measured states and memories."""
         system = self.system
         assert system.implementation is not None
         implementation = replace(system.implementation, period=period)
@@ -100,7 +102,7 @@ class LinearLoop:
         rows = 1 + len(self.controller.states)
         return np.array(self.slopes(*values), dtype=float).reshape(rows, -1)
 
-    def _across(self, h: float) -> tuple[np.ndarray, np.ndarray]:
+    def _plant_over(self, h: float) -> tuple[np.ndarray, np.ndarray]:
         """The plant over a time h with constant input."""
         from scipy.linalg import expm
 
@@ -108,62 +110,64 @@ class LinearLoop:
         block = np.zeros((N + 1, N + 1))
         block[:N, :N], block[:N, N] = self.A * h, self.b * h
         with np.errstate(all="ignore"):
-            found = expm(block)
-        return found[:N, :N], found[:N, N]
+            transition = expm(block)
+        return transition[:N, :N], transition[:N, N]
 
 
 def linear_loop(system: System) -> LinearLoop | None:
     """The loop as matrices, or None where it is not linear."""
     if system.controller.states or system.implementation is None:
         return None
-    given = system.implementation
-    implementation = Implementation(given.period, velocity=given.velocity)
-    implementation = replace(implementation, velocity_filter=given.velocity_filter)
+    implementation = Implementation(
+        system.implementation.period,
+        velocity=system.implementation.velocity,
+        velocity_filter=system.implementation.velocity_filter,
+    )
     system = system.replace(truth=replace(system.truth, omega=None), implementation=implementation)
 
     plant = simulated_plant(system)
     moving = (*plant.states, INPUT)
     table = [sympy.diff(f, v) for f in (*plant.rates, *plant.outputs) for v in moving]
-    found = sampled_controller(system.plant, system.controller, implementation)
-    command, update = resolved(found)
-    seen = (*found.measured, *found.states)
-    slopes = [sympy.diff(_later(f), v) for f in (command, *update) for v in seen]
-    if not _constant(table, plant.parameters) or not _constant(slopes, found.parameters):
+    controller = sampled_controller(system.plant, system.controller, implementation)
+    command, update = resolved(controller)
+    signals = (*controller.measured, *controller.states)
+    slopes = [sympy.diff(_after_first_sample(f), v) for f in (command, *update) for v in signals]
+    if not (_only_of(table, plant.parameters) and _only_of(slopes, controller.parameters)):
         return None
     values = numpy_callable(plant.parameters, table)(*plant_values(plant, system))
     numbers = np.array(values, dtype=float).reshape(-1, len(moving))
     n = plant.n
     A, b, C = numbers[:n, :-1], numbers[:n, -1], numbers[n:, :-1]
     if system.truth.states:
-        V = _reached(A, b[:, None])
+        V = _reachable_subspace(A, b[:, None])
         A, b, C = V.T @ A @ V, V.T @ b, C @ V
-        V = _reached(A.T, C.T)
+        V = _reachable_subspace(A.T, C.T)
         A, b, C = V.T @ A @ V, V.T @ b, C @ V
-    return LinearLoop(system, A, b, C, found, numpy_callable(found.parameters, slopes))
+    return LinearLoop(system, A, b, C, controller, numpy_callable(controller.parameters, slopes))
 
 
-def _reached(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+def _reachable_subspace(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Orthonormal basis, in columns, of the space spanned by B, A B, A^2 B ..."""
-    found: list[np.ndarray] = []
+    basis: list[np.ndarray] = []
     waiting = list(B.T)
-    while waiting and len(found) < len(A):
-        new = waiting.pop(0)
-        rest, size = new, np.linalg.norm(new)
+    while waiting and len(basis) < len(A):
+        direction = waiting.pop(0)
+        size = np.linalg.norm(direction)
         for _ in range(2):  # the second time for rounding
-            for old in found:
-                rest = rest - (old @ rest) * old
-        if np.linalg.norm(rest) > NOTHING * size:
-            found.append(rest / np.linalg.norm(rest))
-            waiting.append(A @ found[-1])
-    return np.array(found).reshape(-1, len(A)).T
+            for vector in basis:
+                direction = direction - (vector @ direction) * vector
+        if np.linalg.norm(direction) > NEW_DIRECTION * size:
+            basis.append(direction / np.linalg.norm(direction))
+            waiting.append(A @ basis[-1])
+    return np.array(basis).reshape(-1, len(A)).T
 
 
-def _later(formula: sympy.Expr) -> sympy.Expr:
+def _after_first_sample(formula: sympy.Expr) -> sympy.Expr:
     """The formula from the second sample on."""
     formula = formula.xreplace({FIRST: sympy.S.Zero})
     return formula.replace(lambda f: isinstance(f, Select) and f.args[0] == 0, lambda f: f.args[3])
 
 
-def _constant(table: list[sympy.Expr], parameters: tuple[sympy.Symbol, ...]) -> bool:
-    """Whether derivatives are numbers and parameters alone."""
+def _only_of(table: list[sympy.Expr], parameters: tuple[sympy.Symbol, ...]) -> bool:
+    """Whether the formulas contain no symbol but the parameters."""
     return all(entry.free_symbols <= set(parameters) for entry in table)

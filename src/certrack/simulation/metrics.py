@@ -1,4 +1,4 @@
-"""What a run is judged by.
+"""The metrics of a run: settling time, errors, effort of the input.
 
 Integrals come from the integrator's own states. Extremes and crossings are found on every
 integration step cut into equal parts and refined by a parabola or a cubic, so their error does not
@@ -11,6 +11,9 @@ import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
+
+#: Larger samples are of a run that escapes: their squares overflow, and no peak is refined there.
+MAX_REFINED = 1e100
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ def _vertex(t: np.ndarray, f: np.ndarray, i: int) -> float:
     """Top of the parabola through samples i-1, i, i+1, if it lies between them; else -inf."""
     f0, f1, f2 = map(float, f[i - 1 : i + 2])
     h0, h1 = float(t[i] - t[i - 1]), float(t[i + 1] - t[i])
-    if not (h0 > 0 and h1 > 0 and f0 + f1 + f2 < 1e100):
+    if not (h0 > 0 and h1 > 0 and f0 + f1 + f2 < MAX_REFINED):
         return -math.inf
     left, right = (f1 - f0) / h0, (f2 - f1) / h1
     bend = (right - left) / (h0 + h1)
@@ -134,14 +137,17 @@ def _vertex(t: np.ndarray, f: np.ndarray, i: int) -> float:
 
 
 def _tail_supremum(t: np.ndarray, e: np.ndarray, start: float, per_step: int | None) -> float:
+    """Largest |e| from `start` on, which may lie between two samples."""
     first = int(np.searchsorted(t, start))
     if first == len(t):
         return math.nan
     offset = first % per_step if per_step else 0
-    return max(supremum(t[first:], e[first:], per_step, offset), abs(_value(t, e, start, first)))
+    return max(
+        supremum(t[first:], e[first:], per_step, offset), abs(_interpolate(t, e, start, first))
+    )
 
 
-def _value(t: np.ndarray, f: np.ndarray, at: float, i: int) -> float:
+def _interpolate(t: np.ndarray, f: np.ndarray, at: float, i: int) -> float:
     """f at a time just before sample i, by the cubic through four neighbours."""
     lo = max(0, min(i - 2, len(t) - 4))
     ts, fs = t[lo : lo + 4].tolist(), f[lo : lo + 4].tolist()
@@ -154,6 +160,7 @@ def _value(t: np.ndarray, f: np.ndarray, at: float, i: int) -> float:
 
 
 def _settling_time(t: np.ndarray, size: np.ndarray, band: float) -> float:
+    """Last time at which the size exceeds the band; 0 if never, NaN if it does at the end."""
     outside = np.flatnonzero(size > band)
     if not outside.size:
         return 0.0

@@ -24,6 +24,11 @@ if TYPE_CHECKING:
     import xarray
 
 
+#: Settling band, as usual in step responses: this part of the largest reference, or itself where
+#: the reference is zero.
+DEFAULT_BAND = 0.05
+
+
 @dataclass(frozen=True)
 class Run:
     """One simulated run.
@@ -95,7 +100,7 @@ class Run:
         settings = self.system.settings
         band = settings.band
         if band is None:
-            band = 0.05 * float(np.abs(self.y_d).max()) or 0.05
+            band = DEFAULT_BAND * float(np.abs(self.y_d).max()) or DEFAULT_BAND
         integrals = self._states[-len(INTEGRALS) :] * INTEGRAL_SCALE
         error = self.x[0] - self.y_d
         return measure(
@@ -148,7 +153,7 @@ class Run:
         system, n = self.system, self.system.plant.n
         t = self.t if samples is None else np.linspace(0.0, self.trajectory.end, samples)
         states = self._states if samples is None else self.trajectory.interpolate(t)
-        own, x = system.simulated_states, measured(system, states)
+        simulated, x = system.simulated_states, measured(system, states)
         units = system.plant.units or ("1",) * (n + 1)
         y_d = system.reference.values(t, 0)[0]
         data: dict[str, Any] = {
@@ -163,12 +168,12 @@ class Run:
             "state_units": ("state", list(units[:n])),
         }
         if system.truth.states:
-            table = states[: len(own)].T
+            table = states[: len(simulated)].T
             data["truth"] = (("time", "truth_state"), table, {"long_name": "state of the truth"})
-            coords["truth_state"] = list(own)
+            coords["truth_state"] = list(simulated)
         estimates = [state.name for state in system.controller.states]
         if estimates:
-            z = states[len(own) : len(own) + len(estimates)].T
+            z = states[len(simulated) : len(simulated) + len(estimates)].T
             data["estimate"] = (("time", "parameter"), z, {"long_name": "estimate"})
             coords["parameter"] = estimates
         summary = {k: v for k, v in self.metrics.as_dict().items() if v is not None}
@@ -194,5 +199,6 @@ class Run:
         write_netcdf(Path(path), self.dataset(samples))
 
     def _errors(self, t: np.ndarray, x: np.ndarray) -> np.ndarray:
-        found = self.system.controller.coordinates
-        return found.A @ x - found.B @ self.system.reference.values(t, found.q)
+        coordinates = self.system.controller.coordinates
+        Y = self.system.reference.values(t, coordinates.q)
+        return coordinates.A @ x - coordinates.B @ Y

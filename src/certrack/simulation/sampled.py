@@ -1,4 +1,4 @@
-"""One run of a sampled loop."""
+"""One run of the sampled loop: the compiled maps, the run, and its solution between the steps."""
 
 from __future__ import annotations
 
@@ -27,11 +27,17 @@ from certrack.systems.system import System
 
 Array = np.ndarray
 
-#: Beyond so many steps a run is sampled at their ends and middles only.
-MANY = 20_000
+#: Parts of a step between which a run is sampled: enough for the metrics to refine a peak.
+PARTS = 8
 
-#: Samples after which the progress is told.
-OFTEN = 500
+#: A run of more steps is sampled at their ends and middles only, so that it fits into memory.
+MAX_FINE_STEPS, COARSE_PARTS = 20_000, 2
+
+#: Samples after which the progress is reported: often enough to be seen, too rarely to cost time.
+SAMPLES_PER_REPORT = 500
+
+#: Takes a time at a break of the reference to the piece that begins there, whatever its rounding.
+JUST_AFTER = 1 + 1e-12
 
 
 class SampledSimulator:
@@ -53,15 +59,15 @@ class SampledSimulator:
         controller: SampledController | None = None,
     ) -> None:
         self.loop: SampledLoop = sample_loop(system, controller=controller)
-        wanted = system.settings.integrator
-        if wanted == "implicit":
+        integrator = system.settings.integrator
+        if integrator == "implicit":
             raise InputError(
                 "simulation.integrator",
                 "a sampled loop has no implicit method",
-                wanted,
+                integrator,
                 "Use auto or scipy",
             )
-        by_numpy = wanted == "scipy" or not available()
+        by_numpy = integrator == "scipy" or not available()
         self.maps: Maps = NumpyMaps(self.loop) if by_numpy else HeyokaMaps(self.loop, vector=False)
         self.maps = self.maps if around is None else around(self.maps, self.loop)
         self.outputs = outputs_of(self.loop)
@@ -88,53 +94,35 @@ class SampledSimulator:
             tolerance=settings.tolerance,
             max_state=settings.max_state,
         )
-        ends, columns, inputs = [0.0], [np.vstack([course.x, course.totals])[:, 0]], []
-        kept: list[tuple[float, Array]] = []
-
-        def record(t: float, x: Array, totals: Array, u: Array) -> None:
-            ends.append(t)
-            columns.append(np.concatenate([x[:, 0], totals[:, 0]]))
-            inputs.append(u[0])
-
-        count = len(system.controller.states)
-        run = SampledRun(self.maps, course)
+        record = RunRecord(course.x, course.totals, len(system.controller.states))
 
         def sampled(t: float, states: Array) -> None:
-            kept.append((t, states[:count, 0]))
-            if len(kept) % OFTEN == 0:
+            record.add_sample(t, states)
+            if len(record.samples) % SAMPLES_PER_REPORT == 0:
                 progress(t / settings.duration)
 
-        run.run(on_sample=sampled, on_step=record)
-        kept.append((float(line.times[-1]), run.states[:count, 0]))
+        run = SampledRun(self.maps, course)
+        run.run(on_sample=sampled, on_step=record.add_step)
+        record.add_sample(float(line.times[-1]), run.states)
         outcome: Outcome = run.outcomes[0]
         if outcome is not Outcome.finished:
-            inside = np.abs(np.array(columns)[:, : len(course.x)]).max(axis=1)
-            last = int(np.argmax(np.append(~(inside <= settings.max_state), True)))
-            ends, columns, inputs = ends[:last], columns[:last], inputs[: last - 1]
-        times = np.array(ends)
-        if len(ends) == 1:  # not one step: a start alone, as a step of no length
-            ends, columns, inputs = ends * 2, columns * 2, [run.u[0]]
-        dense = Steps(
-            np.array(ends),
-            np.array(columns).T,
-            np.array(inputs),
-            np.array([t for t, _ in kept]),
-            np.array([z for _, z in kept]).reshape(len(kept), count).T,
-            partial(self._slopes, system, parameters[:, 0]),
-            len(course.x),
-        )
-        trajectory = Trajectory(times, dense, outcome, "sampled", 2 if len(ends) > MANY else 8)
-        return Run(system, trajectory, lambda t, _: dense.input(t))
+            record.drop_from(settings.max_state)
+        times = np.array(record.ends)
+        slopes = partial(self._slopes, system, parameters[:, 0])
+        solution = record.solution(slopes, run.u[0])
+        parts = PARTS if len(solution.ends) <= MAX_FINE_STEPS else COARSE_PARTS
+        trajectory = Trajectory(times, solution, outcome, "sampled", parts)
+        return Run(system, trajectory, lambda t, _: solution.input(t))
 
     def _slopes(
         self, system: System, parameters: Array, t: Array, x: Array, u: Array, begins: Array
     ) -> Array:
         """Rates of the plant's states and of the integrals, for steps that begin at `begins`."""
-        pieces = pieces_at(system.reference, begins * (1 + 1e-12))
+        pieces = pieces_at(system.reference, begins * JUST_AFTER)
         with np.errstate(all="ignore"):
-            found = rows(self._rates(t, x, u, [*parameters, *pieces]), len(t))
-        e = found[-1]
-        return np.vstack([found[:-1], np.array([u**2, e**2, e]) / INTEGRAL_SCALE])
+            rates = rows(self._rates(t, x, u, [*parameters, *pieces]), len(t))
+        e = rates[-1]
+        return np.vstack([rates[:-1], np.array([u**2, e**2, e]) / INTEGRAL_SCALE])
 
 
 def outputs_of(loop: SampledLoop) -> Callable[[Array, Array], Array] | None:
@@ -147,8 +135,63 @@ def outputs_of(loop: SampledLoop) -> Callable[[Array, Array], Array] | None:
     return lambda x, p: rows(evaluate(x, p), x.shape[1])
 
 
+class RunRecord:
+    """What one sampled run leaves, step after step and sample after sample.
+
+    Parameters
+    ----------
+    x, totals : (n, 1) and (3, 1) arrays
+        Plant states and integrals at the start.
+    estimates : int
+        Number of estimates; they come first among the controller's states.
+    """
+
+    def __init__(self, x: Array, totals: Array, estimates: int) -> None:
+        self.ends = [0.0]
+        self.samples: list[float] = []
+        self._order, self._count = len(x), estimates
+        self._columns = [np.vstack([x, totals])[:, 0]]
+        self._inputs: list[float] = []
+        self._estimates: list[Array] = []
+
+    def add_step(self, t: float, x: Array, totals: Array, u: Array) -> None:
+        """A step that ends at t, with the input that acted on it."""
+        self.ends.append(t)
+        self._columns.append(np.concatenate([x[:, 0], totals[:, 0]]))
+        self._inputs.append(u[0])
+
+    def add_sample(self, t: float, states: Array) -> None:
+        """The controller's states that the sample at t used."""
+        self.samples.append(t)
+        self._estimates.append(states[: self._count, 0])
+
+    def drop_from(self, max_state: float) -> None:
+        """Forget all steps from the first one on that ends beyond the largest state."""
+        largest = np.abs(np.array(self._columns)[:, : self._order]).max(axis=1)
+        last = int(np.argmax(np.append(~(largest <= max_state), True)))
+        self.ends, self._columns = self.ends[:last], self._columns[:last]
+        self._inputs = self._inputs[: last - 1]
+
+    def solution(
+        self, slopes: Callable[[Array, Array, Array, Array], Array], first_input: float
+    ) -> SampledSolution:
+        """Dense output; where there is not one step, of a step of no length with that input."""
+        ends, columns, inputs = self.ends, self._columns, self._inputs
+        if len(ends) == 1:
+            ends, columns, inputs = ends * 2, columns * 2, [first_input]
+        return SampledSolution(
+            np.array(ends),
+            np.array(columns).T,
+            np.array(inputs),
+            np.array(self.samples),
+            np.array(self._estimates).reshape(len(self.samples), self._count).T,
+            slopes,
+            self._order,
+        )
+
+
 @dataclass(frozen=True)
-class Steps:
+class SampledSolution:
     """Dense output of a sampled run: cubic Hermite polynomials between the steps' ends.
 
     Attributes
@@ -176,24 +219,25 @@ class Steps:
     slopes: Callable[[Array, Array, Array, Array], Array]
     n: int
 
-    def _owner(self, t: Array) -> Array:
+    def _step_at(self, t: Array) -> Array:
+        """Number of the step that t lies in."""
         return np.searchsorted(self.ends[1:-1], t, side="right")
 
     def input(self, t: Array) -> Array:
         """The input that acts at the times t."""
-        return self.inputs[self._owner(np.asarray(t, dtype=float))]
+        return self.inputs[self._step_at(np.asarray(t, dtype=float))]
 
     def __call__(self, t: Array) -> Array:
         """Plant states, estimates and integrals at the times t."""
         t = np.asarray(t, dtype=float)
-        k = self._owner(t)
+        k = self._step_at(t)
         begin, h = self.ends[k], np.diff(self.ends)[k]
         s = (t - begin) / np.where(h > 0, h, 1.0)
         a, b, u = self.columns[:, k], self.columns[:, k + 1], self.inputs[k]
         da = h * self.slopes(begin, a[: self.n], u, begin)
         db = h * self.slopes(begin + h, b[: self.n], u, begin)
         rise = b - a
-        found = a + s * (da + s * (3 * rise - 2 * da - db + s * (da + db - 2 * rise)))
-        held = np.searchsorted(self.samples, t, side="right") - 1
-        z = self.estimates[:, np.clip(held, 0, None)]
-        return np.vstack([found[: self.n], z, found[self.n :]])
+        x = a + s * (da + s * (3 * rise - 2 * da - db + s * (da + db - 2 * rise)))
+        sample = np.searchsorted(self.samples, t, side="right") - 1
+        z = self.estimates[:, np.clip(sample, 0, None)]
+        return np.vstack([x[: self.n], z, x[self.n :]])

@@ -1,0 +1,152 @@
+"""One run of the continuous closed loop: the choice of the method, and a second try with another.
+
+The Taylor method is the usual one. It needs right-hand sides with a Taylor series wherever the
+solution goes, and like every explicit method it follows each time constant of the loop: functions
+with branch points go to a Runge-Kutta method, stiff designs to an implicit one. What cannot be
+seen in advance shows in the outcome, and then the run is made again.
+"""
+
+from __future__ import annotations
+
+import warnings
+from functools import partial
+
+import numpy as np
+import sympy
+
+from certrack.core.errors import InputError
+from certrack.core.expressions import TIME
+from certrack.core.lowering import numpy_callable, rows
+from certrack.integrators.base import Integrator, Outcome, Problem
+from certrack.integrators.single.scipy import ScipyIntegrator
+from certrack.integrators.single.taylor import TaylorIntegrator, available
+from certrack.loops.continuous import INTEGRALS, ClosedLoop, close_loop, parameter_values
+from certrack.references import pieces_at
+from certrack.simulation.run import Run
+from certrack.systems.system import System
+
+#: A design is stiff if its fastest pole has more time constants than this in a run: an explicit
+#: method would have to follow them all.
+STIFF_TIME_CONSTANTS = 2e5
+
+#: ... and if its fastest pole is so many times its slowest; else every method needs short steps.
+STIFF_POLE_RATIO = 1e3
+
+#: Functions with kinks that show as switches.
+KINKED_FUNCTIONS = (
+    sympy.Abs,
+    sympy.sign,
+    sympy.Min,
+    sympy.Max,
+    sympy.asin,
+    sympy.acos,
+    sympy.atan2,
+)
+
+#: Functions with jumps or branch points that do not show as switches.
+BRANCHING_FUNCTIONS = (sympy.asin, sympy.acos, sympy.atan2, sympy.tan)
+
+#: Where the automatic choice failed: what to try next, and what to say.
+RETRIES = {
+    ("taylor", Outcome.undefined): (
+        "scipy",
+        "The solution has no Taylor series (for example sqrt at zero)",
+    ),
+    ("taylor", Outcome.kink_missed): ("scipy", "A kink of abs, sign, min or max was missed"),
+    ("taylor", Outcome.step_limit): ("implicit", "The explicit method reached its step limit"),
+}
+
+
+class ContinuousSimulator:
+    """A system's continuous loop; every method is compiled when it is first used.
+
+    Parameters
+    ----------
+    system : System
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.loop: ClosedLoop = close_loop(system)
+        self._integrators: dict[tuple[str, float], Integrator] = {}
+        self._has_kinks = any(rate.has(*KINKED_FUNCTIONS) for rate in self.loop.rates)
+        self._parameters = parameter_values(self.loop, system)
+        self._input = numpy_callable([TIME, self.loop.states, self.loop.parameters], [self.loop.u])
+
+    def run(self, system: System) -> Run:
+        """Simulate a system whose loop is the compiled one in other numbers."""
+        settings = system.settings
+        parameters = (
+            self._parameters if system is self.system else parameter_values(self.loop, system)
+        )
+        problem = Problem(
+            start=np.concatenate([system.start, np.zeros(len(INTEGRALS))]),
+            parameters=parameters,
+            reference=system.reference,
+            duration=settings.duration,
+            tolerance=settings.tolerance,
+            plant_order=self.loop.n,
+            fastest_pole=system.controller.coordinates.fastest_pole,
+            max_state=settings.max_state,
+        )
+        method, notes = self._choose_method(system)
+        trajectory = self._integrator(method, settings.tolerance).integrate(problem)
+        retry = RETRIES.get((method, trajectory.outcome)) if settings.integrator == "auto" else None
+        if retry:
+            method, reason = retry
+            notes.append(f"{reason} at t = {trajectory.end:g} s; run again with {method}.")
+            again = self._integrator(method, settings.tolerance).integrate(problem)
+            missed = trajectory.outcome is Outcome.kink_missed
+            trajectory = again if missed or again.end >= trajectory.end else trajectory
+        inputs = partial(self._inputs, system, parameters)
+        smooth = method == "taylor" or not self._has_kinks
+        return Run(system, trajectory, inputs, tuple(notes), smooth)
+
+    def _choose_method(self, system: System) -> tuple[str, list[str]]:
+        """Method for `system`, and why if it is not the usual one."""
+        wanted = system.settings.integrator
+        if wanted != "auto":
+            if wanted == "taylor" and not available():
+                raise InputError(
+                    "simulation.integrator",
+                    "the Taylor method needs heyoka, which is not installed",
+                    remedy="Use scipy, or install heyoka (conda-forge has it for all systems)",
+                )
+            return wanted, []
+        fastest = system.controller.coordinates.fastest_pole
+        slowest = system.controller.coordinates.slowest_pole
+        time_constants = fastest * system.settings.duration
+        if time_constants > STIFF_TIME_CONSTANTS and fastest > STIFF_POLE_RATIO * slowest:
+            return "implicit", [
+                f"The design is stiff (fastest error pole {fastest:.3g} /s): implicit method used."
+            ]
+        if any(rate.has(*BRANCHING_FUNCTIONS) for rate in self.loop.rates):
+            return "scipy", [
+                "asin, acos, atan2, tan have branch points unseen by Taylor steps: SciPy."
+            ]
+        if not available():
+            warnings.warn(
+                "heyoka is not installed: using SciPy, which is about 60 times slower",
+                stacklevel=4,  # whoever called Simulator.run
+            )
+            return "scipy", []
+        return "taylor", []
+
+    def _integrator(self, method: str, tolerance: float) -> Integrator:
+        """The compiled method; only the Taylor method is compiled for one tolerance."""
+        key = (method, tolerance if method == "taylor" else 0.0)
+        if key not in self._integrators:
+            self._integrators[key] = (
+                TaylorIntegrator(self.loop, tolerance)
+                if method == "taylor"
+                else ScipyIntegrator(self.loop, implicit=method == "implicit")
+            )
+        return self._integrators[key]
+
+    def _inputs(
+        self, system: System, parameters: np.ndarray, t: np.ndarray, states: np.ndarray
+    ) -> np.ndarray:
+        """Control input u at times t, shape (N,)."""
+        with np.errstate(all="ignore"):
+            values = self._input(t, states, [*parameters.tolist(), *pieces_at(system.reference, t)])
+        return rows(values, len(t))[0]
