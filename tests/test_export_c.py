@@ -26,11 +26,12 @@ from certrack.export import program as program_module
 from certrack.export.c import export as export_module
 from certrack.export.c import export_c, simulate_with_c
 from certrack.export.c.export import c_files
-from certrack.export.c.golden_vectors import GOLDEN_TOLERANCE, golden_vectors
 from certrack.export.c.printer import c_literal, comment, wrapped
 from certrack.export.c.readme import readme
-from certrack.export.c.source import c_code, sampled_system
+from certrack.export.c.source import c_code
+from certrack.export.golden_vectors import GOLDEN_TOLERANCE, golden_vectors
 from certrack.export.identifiers import C_RESERVED, free_name, stem
+from certrack.export.program import sampled_system
 from certrack.export.templates import fill_template
 from certrack.laws import Adaptive
 from certrack.loops import controller as loops_controller

@@ -3,6 +3,7 @@
 import math
 import re
 
+import numpy as np
 import pytest
 import tree_sitter
 import tree_sitter_iec61131_3_st as grammar
@@ -10,6 +11,8 @@ from exported import EVERYTHING, PythonController, along_a_run, sampled
 from test_cli import invoke, result
 
 import certrack
+from certrack.export.golden_vectors import GOLDEN_TOLERANCE, golden_vectors
+from certrack.export.program import controller_program
 from certrack.export.st.function_block import structured_text
 
 LANGUAGE = tree_sitter.Language(grammar.language())
@@ -152,6 +155,42 @@ def compare(system, name="example1"):
 def test_computes_what_python_does(name, implementation):
     worst, _ = compare(sampled(name, **implementation))
     assert worst < 1e-13
+
+
+def passes(text, vectors):
+    """Whether a block gives the golden answers."""
+    block = FunctionBlock(text)
+    states = block.sections.get("VAR", [])
+    for k in range(vectors.x.shape[1]):
+        block.values |= dict(zip(states, map(float, vectors.states[:, k]), strict=True))
+        u = block.call(*vectors.x[:, k], *vectors.Y[:, k])
+        got = np.array([u, *(block.values[state] for state in states)])
+        deviation = np.abs(got - vectors.answers[:, k]) / vectors.scales[:, k]
+        if not deviation.max() <= GOLDEN_TOLERANCE["double"]:
+            return False
+    return True
+
+
+@pytest.mark.parametrize("implementation", [{}, EVERYTHING], ids=["plain", "everything"])
+def test_every_wrong_number_is_noticed(implementation):
+    system = sampled("example1", **implementation)
+    text, vectors = (
+        structured_text(system),
+        golden_vectors(system, controller_program(system), "double"),
+    )
+    assert vectors.blind == ()
+    assert passes(text, vectors)
+    begins = [text.index("VAR CONSTANT"), text.index("END_IF;", text.index("IF RESET"))]
+    ends = [text.index("END_VAR", begins[0]), len(text)]
+    count = 0
+    for begin, end in zip(begins, ends, strict=True):
+        for match in re.finditer(r"\b\d+\.\d+(E-?\d+)?", text[begin:end]):
+            if float(match[0]) == 0:
+                continue
+            head, tail = text[: begin + match.start()], text[begin + match.end() :]
+            assert not passes(f"{head}{float(match[0]) * 1.003!r}{tail}", vectors), match[0]
+            count += 1
+    assert count >= 9
 
 
 def with_drift(drift):

@@ -10,7 +10,8 @@ from test_export_c import fully_implemented
 
 import certrack
 from certrack.export.c.export import c_files
-from certrack.export.c.source import c_code, sampled_system
+from certrack.export.c.source import c_code
+from certrack.export.program import sampled_system
 
 FIRMWARE = Path(__file__).parent / "firmware"
 PAGE = Path(__file__).parents[1] / "docs" / "deployment.md"

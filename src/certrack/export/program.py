@@ -101,6 +101,32 @@ class ControllerProgram:
         yield from self.update
 
 
+def sampled_system(system: System, period: float | None = None) -> System:
+    """The system with an implementation: its own, or one of the period alone.
+
+    Parameters
+    ----------
+    system : System
+    period : float > 0, s, optional
+        Instead of that of the implementation.
+
+    Raises
+    ------
+    InputError
+        If there is no period.
+    """
+    implementation = system.implementation
+    if implementation is None and period is None:
+        raise InputError(
+            "implementation", "is missing", remedy="Add a table [implementation] or give --period"
+        )
+    if period is None:
+        return system
+    if implementation is None:
+        return system.replace(implementation=Implementation(period=period))
+    return system.replace(implementation=replace(implementation, period=period))
+
+
 def unread_states(system: System) -> dict[str, str]:
     """States whose measurement the controller does not read, and what to say of each."""
     implementation, states = system.implementation, system.plant.states

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from certrack.export.c.golden_vectors import GOLDEN_TOLERANCE, GoldenVectors
 from certrack.export.c.printer import c_literal
 from certrack.export.c.source import CCode
+from certrack.export.golden_vectors import GOLDEN_TOLERANCE, GoldenVectors
 from certrack.export.templates import fill_template
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from certrack.core.errors import InputError
 from certrack.core.files import write_folder
 from certrack.export.c.acceptance_test import acceptance_test
-from certrack.export.c.golden_vectors import golden_vectors
 from certrack.export.c.readme import README_KIND, readme
 from certrack.export.c.source import CCode, c_code
+from certrack.export.golden_vectors import golden_vectors
 from certrack.systems.system import System
 
 

@@ -8,13 +8,12 @@ it may be read as an array of them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import sympy
 
 from certrack.core import checks
-from certrack.core.errors import InputError
 from certrack.core.version import version
 from certrack.export.c.notes import notes_for
 from certrack.export.c.printer import (
@@ -26,10 +25,15 @@ from certrack.export.c.printer import (
     wrapped,
 )
 from certrack.export.identifiers import free_name, stem
-from certrack.export.program import ControllerProgram, Step, controller_program, unread_states
+from certrack.export.program import (
+    ControllerProgram,
+    Step,
+    controller_program,
+    sampled_system,
+    unread_states,
+)
 from certrack.export.templates import fill_template
 from certrack.loops.controller import COMMAND, PERIOD
-from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
@@ -96,20 +100,6 @@ class CCode:
             names[symbol] = free_name(program.labels[symbol], taken)
             taken.add(names[symbol])
         return names
-
-
-def sampled_system(system: System, period: float | None = None) -> System:
-    """The system with an implementation: its own, or one made of the period alone."""
-    implementation = system.implementation
-    if implementation is None and period is None:
-        raise InputError(
-            "implementation", "is missing", remedy="Add a table [implementation] or give --period"
-        )
-    if period is None:
-        return system
-    if implementation is None:
-        return system.replace(implementation=Implementation(period=period))
-    return system.replace(implementation=replace(implementation, period=period))
 
 
 def c_code(

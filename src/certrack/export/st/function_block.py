@@ -11,9 +11,13 @@ from dataclasses import replace
 import sympy
 
 from certrack.core.version import version
-from certrack.export.c.source import sampled_system
 from certrack.export.identifiers import stem
-from certrack.export.program import ControllerProgram, controller_program, unread_states
+from certrack.export.program import (
+    ControllerProgram,
+    controller_program,
+    sampled_system,
+    unread_states,
+)
 from certrack.export.st.statements import (
     INDENT,
     Statements,
