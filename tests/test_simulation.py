@@ -14,8 +14,9 @@ import certrack
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.laws import Adaptive, Robust
-from certrack.model.plant import Plant, Uncertainty
+from certrack.model.plant import Plant
 from certrack.model.truth import Truth
+from certrack.model.uncertainty import Uncertainty
 from certrack.references import SymbolicReference, samples, steps, trapezoid, triangle
 from certrack.simulation.simulator import Simulator, simulate
 from certrack.systems.system import Settings, System
