@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 import certrack
 from certrack.laws import Adaptive, Classic, Robust
-from certrack.model.plant import Plant, Uncertainty
+from certrack.model.plant import Plant
 from certrack.model.truth import Truth
+from certrack.model.uncertainty import Uncertainty
 from certrack.references import SymbolicReference
 from certrack.systems.system import Settings, System
 

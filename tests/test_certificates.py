@@ -30,8 +30,9 @@ from certrack.certificates.published import certify_published, collect, critical
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.core.errors import InputError
 from certrack.laws import Robust
-from certrack.model.plant import Plant, Uncertainty
+from certrack.model.plant import Plant
 from certrack.model.truth import Truth
+from certrack.model.uncertainty import Uncertainty
 from certrack.references import SymbolicReference
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsify import falsify

@@ -20,7 +20,8 @@ import certrack
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.integrators.many.native import vector_compiler
-from certrack.model.population import Distribution, Population
+from certrack.model.distribution import Distribution
+from certrack.model.population import Population
 from certrack.studies.ensembles.engine import CODES, Engine
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METRICS, make_plan

@@ -12,7 +12,9 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
 from certrack.loops.continuous import close_loop, parameter_values
-from certrack.model.population import GROUP, SAMPLINGS, Distribution, Population, probabilities
+from certrack.model.distribution import Distribution
+from certrack.model.population import Population
+from certrack.model.sampling import MEMBERS_PER_DRAW, SAMPLINGS, probabilities
 from certrack.studies.ensembles.members import Members
 
 
@@ -51,10 +53,10 @@ def test_members_depend_on_seed_and_index_alone(sampling, begin, count, seed):
 
 def test_latin_groups_and_sobol_fill_every_stratum():
     for sampling in ("latin", "sobol"):
-        table = probabilities(sampling, 7, 0, 2 * GROUP, 4)
-        for group in (table[:, :GROUP], table[:, GROUP:]):
-            strata = np.sort((group * GROUP).astype(int), axis=1)
-            np.testing.assert_array_equal(strata, np.tile(np.arange(GROUP), (4, 1)))
+        table = probabilities(sampling, 7, 0, 2 * MEMBERS_PER_DRAW, 4)
+        for group in (table[:, :MEMBERS_PER_DRAW], table[:, MEMBERS_PER_DRAW:]):
+            strata = np.sort((group * MEMBERS_PER_DRAW).astype(int), axis=1)
+            np.testing.assert_array_equal(strata, np.tile(np.arange(MEMBERS_PER_DRAW), (4, 1)))
 
 
 VARIED = {

@@ -17,8 +17,9 @@ from certrack.laws import Adaptive, Robust
 from certrack.loops import continuous as continuous_loops
 from certrack.loops import sampled as sampled_loops
 from certrack.model.implementation import Implementation
-from certrack.model.plant import Plant, Uncertainty
+from certrack.model.plant import Plant
 from certrack.model.truth import Truth
+from certrack.model.uncertainty import Uncertainty
 from certrack.references import SymbolicReference, samples, steps, trapezoid, triangle
 from certrack.simulation.simulator import Simulator, simulate
 from certrack.systems.system import Settings, System

@@ -1,5 +1,6 @@
 """System files: round trip, exact messages, hostile and random input."""
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
 GOOD = starter()
+LINE = re.compile(r"(?<=^drive\.toml):\d+")
 
 
 def edited(old, new):
@@ -215,7 +217,7 @@ def test_bad_files_are_named_in_one_line(text, expected):
     with pytest.raises(InputError) as caught:
         loads(text, "drive.toml")
     message = str(caught.value)
-    assert message.startswith(f"drive.toml: {expected}"), message
+    assert LINE.sub("", message, count=1).startswith(f"drive.toml: {expected}"), message
     assert "\n" not in message
     assert len(message) < 700
 
@@ -280,7 +282,7 @@ def test_unreadable_sources_are_our_error(name):
 
 
 def test_too_large_file_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("certrack.systems.reader.MAX_BYTES", 100)
+    monkeypatch.setattr("certrack.systems.reader.MAX_FILE_BYTES", 100)
     (tmp_path / "big.toml").write_text("#" * 200)
     with pytest.raises(InputError, match="larger than"):
         certrack.load(tmp_path / "big.toml")

@@ -23,8 +23,10 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "laws": ["Adaptive", "Classic", "Law", "Robust"],
         "studies.margins": ["margins"],
         "simulation.metrics": ["Metrics"],
-        "model.plant": ["Plant", "Uncertainty"],
-        "model.population": ["Distribution", "Population"],
+        "model.plant": ["Plant"],
+        "model.uncertainty": ["Uncertainty"],
+        "model.distribution": ["Distribution"],
+        "model.population": ["Population"],
         "references": [
             "SymbolicReference",
             "samples",

@@ -22,20 +22,34 @@ class InputError(CertrackError, ValueError):
         What came instead; shown shortened.
     remedy : str, optional
         What the user can do about it.
+
+    Attributes
+    ----------
+    file : str
+        The file in which the key stands; empty if it does not come from a file.
+    line : int or None
+        Its line there, counted from 1; that of its table if the key is missing; None if unknown.
     """
 
     def __init__(self, key: str, expected: str, got: Any = None, remedy: str = "") -> None:
         self.key, self.expected, self.got, self.remedy = key, expected, got, remedy
         self.file = ""
+        self.line: int | None = None
         super().__init__(key, expected)
 
-    def within(self, file: str) -> InputError:
-        """Name the file the offending key stands in."""
-        self.file = file
+    def within(self, file: str, line: int | None = None) -> InputError:
+        """Name the file, and the line if it is known, in which the offending key stands."""
+        self.file, self.line = file, line
+        return self
+
+    def under(self, key: str) -> InputError:
+        """Say that the offending key stands under another one."""
+        self.key = f"{key}.{self.key}"
         return self
 
     def __str__(self) -> str:
-        where = ": ".join(part for part in (self.file, self.key) if part)
+        file = self.file if self.line is None else f"{self.file}:{self.line}"
+        where = ": ".join(part for part in (file, self.key) if part)
         text = f"{where}: {self.expected}"
         if self.got is not None:
             text += f"; got {shorten(self.got)}"

@@ -87,8 +87,8 @@ def symbol(name: str) -> sympy.Symbol:
     return sympy.Symbol(name, real=True)
 
 
-def check_name(key: str, name: Any, taken: Iterable[str] = ()) -> str:
-    """Refuse a name that is not an identifier, is reserved, or is taken."""
+def check_name(key: str, name: Any, used: Iterable[str] = ()) -> str:
+    """Refuse a name that is not an identifier, is reserved, or is used already."""
     if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or keyword.iskeyword(name):
         raise InputError(
             key, "names must be identifiers: a letter, then letters, digits and _", name
@@ -97,12 +97,12 @@ def check_name(key: str, name: Any, taken: Iterable[str] = ()) -> str:
         raise InputError(
             key, "this name is reserved (function, time or number)", name, "Choose another name"
         )
-    if name in taken:
+    if name in used:
         raise InputError(key, "names must be different from each other", name)
     return name
 
 
-def parse(key: str, text: Any, names: Iterable[str] | Mapping[str, Any] = ()) -> Expression:
+def parse(key: str, text: Any, names: Iterable[str] | Mapping[str, Any] | None = ()) -> Expression:
     """Parse `text`, a formula in the given names.
 
     Parameters
@@ -111,8 +111,9 @@ def parse(key: str, text: Any, names: Iterable[str] | Mapping[str, Any] = ()) ->
         Where the text stands, for messages.
     text : str, int, float, sympy.Expr or Expression
         The formula. A SymPy expression is taken by its own text, so the same rules hold.
-    names : iterable of str, or mapping to numbers
-        Symbols that may occur; with a mapping, each name is replaced by its number.
+    names : iterable of str, or mapping to numbers, or None
+        Symbols that may occur; with a mapping, each name is replaced by its number. With None any
+        name may occur: for a formula whose names are checked later.
 
     Returns
     -------
@@ -138,11 +139,10 @@ def parse(key: str, text: Any, names: Iterable[str] | Mapping[str, Any] = ()) ->
 
 def number(key: str, text: Any, names: Mapping[str, Any] | None = None) -> Expression:
     """Parse a formula that must be a finite number once the constants are put in."""
-    known = names or {}
-    found = parse(key, text, known)
-    if found.expr.free_symbols:  # pragma: no cover - the builder knows no other names
-        raise InputError(key, "must be a number", found.text)
-    return found
+    expression = parse(key, text, names or {})
+    if expression.expr.free_symbols:  # pragma: no cover - the builder knows no other names
+        raise InputError(key, "must be a number", expression.text)
+    return expression
 
 
 def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
@@ -195,8 +195,12 @@ def _sympy_text(expr: sympy.Basic) -> str:
 class _Builder:
     """One pass over the syntax tree; every node yields (SymPy expression, float or None)."""
 
-    def __init__(self, key: str, text: str, names: Iterable[str] | Mapping[str, Any]) -> None:
+    def __init__(
+        self, key: str, text: str, names: Iterable[str] | Mapping[str, Any] | None
+    ) -> None:
         self.key, self.text = key, text
+        self.any_name = names is None
+        names = names or ()
         values = names if isinstance(names, Mapping) else {}
         self.names: dict[str, tuple[sympy.Expr, float | None]] = {
             name: (symbol(name), None) for name in names
@@ -248,6 +252,8 @@ class _Builder:
                 return self.constant(value)
             case ast.Name(id=name):
                 if name not in self.names:
+                    if self.any_name:
+                        return symbol(name), None
                     known = ", ".join(sorted(self.names))
                     raise self.fail(f"unknown name {name!r}", remedy=f"Known here: {known}")
                 return self.names[name]
@@ -304,6 +310,8 @@ class _Builder:
         self, a: sympy.Expr, va: float | None, b: sympy.Expr, vb: float | None
     ) -> tuple[sympy.Expr, float | None]:
         va, vb = self.constant_value(a, va), self.constant_value(b, vb)
+        if vb is None and self.any_name:  # it may be a constant
+            return a**b, None
         if vb is None:
             raise self.fail("an exponent must be a number", remedy="Write exp(y*log(x))")
         if abs(vb) > MAX_POWER:

@@ -9,6 +9,7 @@ dataclasses, laws of a user's own among them, so that ``dataclasses.replace`` wo
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Any
@@ -19,6 +20,7 @@ from certrack.core.expressions import parse
 
 #: kind of a key -> what a reader of the page is told.
 KIND_WORDS = {
+    "any": "numbers",
     "choice": "one of",
     "constants": "a number per name",
     "distribution": "number or distribution",
@@ -40,7 +42,7 @@ KIND_WORDS = {
 
 #: Kinds whose texts are formulas of the plant's constants that give a number.
 NUMERIC = frozenset(
-    "distribution distributions interval intervals metric number numbers rows".split()
+    "any distribution distributions interval intervals metric number numbers rows".split()
 ) | {"distributions by name"}
 
 
@@ -197,7 +199,10 @@ class Key:
                 entries = checks.sequence(key, value, count, self.shape)
                 return tuple(checks.text(key, entry) for entry in entries)
             case "names":
-                return tuple(checks.sequence(key, value, count, self.shape))
+                entries = checks.sequence(key, value, count, self.shape)
+                return tuple(checks.text(f"{key}[{i}]", v) for i, v in enumerate(entries))
+            case "any":
+                return value
             case "formula":
                 return parse(key, value, constants)
             case "formulas":
@@ -236,7 +241,7 @@ class Key:
         return checks.reals(key, rows, None, "one number per regressor", constants, above=0)
 
     def _whole_choice(self, key: str, value: Any) -> int:
-        whole = isinstance(value, (int, float)) and not isinstance(value, bool)
+        whole = isinstance(value, numbers.Real) and not isinstance(value, bool)
         if not whole or value not in self.choices:
             raise InputError(key, "must be " + " or ".join(map(str, self.choices)), value)
         return int(value)
@@ -283,7 +288,7 @@ def check_fields(instance: Any, table: str, *names: str) -> None:
         value, key = getattr(instance, name), keys[name]
         if value is None and defaults[name] is None:
             continue
-        where = f"{table}.{key.path or name}"
+        where = ".".join(filter(None, (table, key.path or name)))
         set_fields(instance, **{name: key.checked(where, value)})
 
 

@@ -47,12 +47,12 @@ class Adaptive(Law):
 
     kind = "adaptive"
 
-    gain_rate: float = gain(above=0, default=1.0)
-    leak_gain: float = gain(above=0, default=0.1)
-    leak_theta: float = gain(above=0, default=0.1)
-    delta0: float = gain(default=0.0)
-    theta0: tuple[float, ...] | None = theta_vector()
-    Gamma: Any = theta_metric()
+    gain_rate: float = gain(above=0, default=1.0, help="adaptation gain of delta_hat")
+    leak_gain: float = gain(above=0, default=0.1, help="leakage of delta_hat towards delta0")
+    leak_theta: float = gain(above=0, default=0.1, help="leakage of theta_hat towards theta0")
+    delta0: float = gain(default=0.0, help="prior guess of 1/g_n: set it near 1/g_n")
+    theta0: tuple[float, ...] | None = theta_vector(help="prior guess of theta")
+    Gamma: Any = theta_metric(help="adaptation gain of theta_hat: a diagonal or a full matrix")
 
     def equations(self, s: Signals) -> Equations:
         gbar, gbar1, gbar2 = map(s.parameter, ("gain_rate", "leak_gain", "leak_theta"))

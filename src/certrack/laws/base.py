@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,24 +18,26 @@ import sympy
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
+from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.laws.backstepping import ErrorCoordinates, Gains, recursion
-from certrack.model.plant import Plant
+from certrack.model.plant import MAX_ORDER, Plant
 
 
-def gain(**limits: Any) -> Any:
-    """Dataclass field: one number within the limits of :func:`certrack.core.checks.real`."""
-    default = {"default": limits.pop("default")} if "default" in limits else {}
-    return field(**default, metadata={"shape": "number", **limits})
+def gain(**description: Any) -> Any:
+    """Dataclass field: one number; limits, unit and help as in :class:`certrack.core.keys.Key`."""
+    return keyed("number", **description)
 
 
-def theta_vector() -> Any:
+def theta_vector(**description: Any) -> Any:
     """Dataclass field: r numbers; zero if left out."""
-    return field(default=None, metadata={"shape": "vector"})
+    shape = "one number per regressor"
+    return keyed("numbers", None, shape=shape, otherwise="zero", **description)
 
 
-def theta_metric() -> Any:
+def theta_metric(**description: Any) -> Any:
     """Dataclass field: r positive numbers (a diagonal), or a positive definite r x r matrix."""
-    return field(default=None, metadata={"shape": "metric"})
+    shape = "one number per regressor, or a square matrix"
+    return keyed("metric", None, shape=shape, above=0, otherwise="identity", **description)
 
 
 class Signals:
@@ -176,21 +178,46 @@ class Law(ABC):
     #: Why V' <= -alpha V + Delta is not provable for the law; empty where it may be.
     no_certificate: ClassVar[str] = ""
 
-    c: tuple[float, ...]
-    k: tuple[tuple[float, ...], ...] | None = None
-    p: tuple[float, ...] | None = None
-    feedforward: int = 0
+    c: tuple[float, ...] = keyed(
+        "numbers",
+        help="decay rates of the error coordinates",
+        shape="c_1 ... c_n",
+        unit="1/s",
+        above=0,
+    )
+    k: tuple[tuple[float, ...], ...] | None = keyed(
+        "rows",
+        None,
+        help="damping; inf omits a term",
+        shape="row m holds k_m1 ... k_m,2m, m = 1 ... n",
+        above=0,
+        infinite=True,
+        otherwise="all inf",
+    )
+    p: tuple[float, ...] | None = keyed(
+        "numbers",
+        None,
+        help="damping of the reference derivative that is not fed forward; inf omits a term",
+        shape="p_1 ... p_{n-1}",
+        above=0,
+        infinite=True,
+        otherwise="all inf",
+    )
+    feedforward: int = keyed(
+        "integer",
+        0,
+        help="q, derivatives of y_d in the virtual controls: 0 ... n-1; the reference needs q+1",
+        least=0,
+        most=MAX_ORDER - 1,
+    )
 
     def __post_init__(self) -> None:
         gains = Gains(self.c, self.k, self.p)
         values: dict[str, Any] = {"c": gains.c}
         values |= {"k": gains.k} if self.k is not None else {}
         values |= {"p": gains.p} if self.p is not None else {}
-        for entry in fields(self):
-            if entry.metadata and (given := getattr(self, entry.name)) is not None:
-                values[entry.name] = _checked(entry.name, given, dict(entry.metadata))
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        set_fields(self, **values)
+        check_fields(self, "law", *(name for name in keys_of(self) if name not in ("c", "k", "p")))
 
     @abstractmethod
     def equations(self, s: Signals) -> Equations:
@@ -225,7 +252,11 @@ class Law(ABC):
 
     def values(self, plant: Plant, names: Sequence[str]) -> np.ndarray:
         """Numbers for the named gains, flattened; all a sweep over gains has to recompute."""
-        coordinates = self.coordinates(plant)
+        return self._values(self.coordinates(plant), plant, names)
+
+    def _values(
+        self, coordinates: ErrorCoordinates, plant: Plant, names: Sequence[str]
+    ) -> np.ndarray:
         numbers: dict[str, Any] = {
             "A_n": coordinates.A[-1],
             "B_n": coordinates.B[-1],
@@ -249,23 +280,8 @@ class Law(ABC):
         coordinates = self.coordinates(plant)
         signals = Signals(plant, coordinates.q)
         equations = self.equations(signals)
-        values = self.values(plant, list(signals.all_parameters))
+        values = self._values(coordinates, plant, list(signals.all_parameters))
         return Controller(equations, signals, coordinates, values)
-
-
-def _checked(name: str, given: Any, limits: dict[str, Any]) -> Any:
-    """A gain as its declared shape demands; what needs the plant is checked at design."""
-    key, shape = f"law.{name}", limits.pop("shape")
-    if shape == "number":
-        return checks.real(key, given, **limits)
-    if shape == "vector":
-        return checks.reals(key, given, None, "one number per regressor")
-    rows = checks.sequence(key, given, None, "one number per regressor, or a square matrix")
-    if any(isinstance(row, (list, tuple, np.ndarray)) for row in rows):
-        return tuple(
-            checks.reals(f"{key}[{i}]", row, len(rows), "row") for i, row in enumerate(rows)
-        )
-    return checks.reals(key, rows, None, "one number per regressor", above=0)
 
 
 def metric(key: str, value: Any, r: int) -> np.ndarray:

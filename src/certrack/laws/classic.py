@@ -36,8 +36,8 @@ class Classic(Law):
         "does not follow; use the adaptive law"
     )
 
-    gain_rate: float = gain(above=0, default=1.0)
-    Gamma: Any = theta_metric()
+    gain_rate: float = gain(above=0, default=1.0, help="adaptation gain of delta_hat")
+    Gamma: Any = theta_metric(help="adaptation gain of theta_hat: a diagonal or a full matrix")
 
     def __post_init__(self) -> None:
         super().__post_init__()

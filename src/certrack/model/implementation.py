@@ -7,14 +7,14 @@ The input is limited, and acts from t_k + delay T until the next one does (zero-
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
+from certrack.core.keys import check_fields, keyed, keys_of
 from certrack.model.plant import Plant
 
 UPDATES = ("euler", "exact_leak")
@@ -24,7 +24,19 @@ ANTI_WINDUPS = ("leak", "hold", "none")
 MAX_DELAY = 100.0
 
 #: More samples than this in a run are refused: a period in the wrong unit.
-MAX_SAMPLES = 20_000_000
+MAX_RUN_SAMPLES = 20_000_000
+
+#: Largest seed and stream of the noise: what an unsigned 64-bit generator takes, with room.
+MAX_SEED = 2**63
+
+#: Fields with one number per state; None means zero for all of them.
+PER_STATE = ("measurement_quantum", "noise")
+
+#: Rounding of (duration - offset)/period that must not cost the last sample, relative.
+COUNT_ROUNDING = 1e-12
+
+#: Rounding of a limit that must not cost the converter its last step, steps.
+STEP_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -68,113 +80,134 @@ class Implementation:
     Raises
     ------
     InputError
-        If a number does not fit.
+        If a number is out of its limits. What needs the plant (how many sensors, which states) is
+        checked when a system is made of both.
     """
 
-    period: float
-    offset: float = 0.0
-    delay: float = 0.0
-    saturation: tuple[float, float] | None = None
-    rate_limit: float | None = None
-    input_quantum: float = 0.0
-    measurement_quantum: tuple[float, ...] | None = None
-    noise: tuple[float, ...] | None = None
-    seed: int = 0
-    stream: int = 0
-    velocity: tuple[str, ...] = ()
-    velocity_filter: float = 0.0
-    update: str = "euler"
-    anti_windup: str = "leak"
-    projection: tuple[tuple[float, float], ...] | None = None
-    initial_input: float = 0.0
+    period: float = keyed("number", help="sampling period", unit="s", above=0)
+    offset: float = keyed(
+        "number", 0.0, help="time of the first sample, below the period", unit="s", least=0
+    )
+    delay: float = keyed(
+        "number",
+        0.0,
+        help="from a sample until its input acts",
+        unit="periods",
+        least=0,
+        most=MAX_DELAY,
+    )
+    saturation: tuple[float, float] | None = keyed(
+        "interval",
+        None,
+        help="limits of the input",
+        strict=True,
+        otherwise="no limits",
+    )
+    rate_limit: float | None = keyed(
+        "number", None, help="largest slope of the input", above=0, otherwise="no limit"
+    )
+    input_quantum: float = keyed(
+        "number", 0.0, help="step of the actuator's converter; 0 for none", least=0
+    )
+    measurement_quantum: tuple[float, ...] | None = keyed(
+        "numbers",
+        None,
+        help="step of each sensor, e.g. of an encoder",
+        shape="one number per state",
+        least=0,
+        otherwise="zero",
+    )
+    noise: tuple[float, ...] | None = keyed(
+        "numbers",
+        None,
+        help="standard deviation of the noise of each sensor",
+        shape="one number per state",
+        least=0,
+        otherwise="zero",
+    )
+    seed: int = keyed("integer", 0, help="seed of the noise", least=0, most=MAX_SEED)
+    stream: int = keyed(
+        "integer",
+        0,
+        help="stream of the noise; a member of an ensemble has its own",
+        least=0,
+        most=MAX_SEED,
+    )
+    velocity: tuple[str, ...] = keyed(
+        "names",
+        (),
+        help="states that are not measured but had from filtered differences of the one before",
+        shape="names of states",
+    )
+    velocity_filter: float = keyed(
+        "number", 0.0, help="time constant of that filter; 0 for none", unit="s", least=0
+    )
+    update: str = keyed(
+        "choice",
+        "euler",
+        help="step of the estimates: forward Euler, or exact for their constant leak",
+        choices=UPDATES,
+    )
+    anti_windup: str = keyed(
+        "choice",
+        "leak",
+        help="while the input is limited the estimates only leak, stand still, or go on adapting",
+        choices=ANTI_WINDUPS,
+    )
+    projection: tuple[tuple[float, float], ...] | None = keyed(
+        "intervals",
+        None,
+        help="limits of the estimates",
+        shape="[low, high] per estimate",
+        otherwise="no limits",
+    )
+    initial_input: float = keyed("number", 0.0, help="input before the first sample acts")
 
-    def bound_to(self, plant: Plant, estimates: int) -> Implementation:
-        """This implementation checked against `plant` and the number of estimates."""
-        known = plant.constant_values
-
-        def real(name: str, **limits: Any) -> float:
-            return checks.real(f"implementation.{name}", getattr(self, name), known, **limits)
-
-        def per_state(name: str) -> tuple[float, ...] | None:
-            given, key = getattr(self, name), f"implementation.{name}"
-            if given is None:
-                return None
-            found = checks.reals(key, given, plant.n, "one number per state", known, least=0)
-            return found if any(found) else None
-
-        period, offset, delay = real("period", above=0), real("offset", least=0), real("delay")
-        if offset >= period:
-            raise InputError("implementation.offset", "must be less than the period", offset)
-        if not 0 <= delay <= MAX_DELAY:
-            what = f"must be 0 to {MAX_DELAY:g} periods"
-            raise InputError("implementation.delay", what, delay)
-        initial = real("initial_input")
-        saturation = self._saturation(known)
-        if saturation is not None and not saturation[0] <= initial <= saturation[1]:
-            raise InputError(
-                "implementation.initial_input", "must be within the saturation", initial
-            )
-        quantum = real("input_quantum", least=0)
-        if saturation is not None and quantum:
-            low, high = _steps_within(saturation, quantum)
-            if low > high:
-                raise InputError(
-                    "implementation.input_quantum", "has no step within the saturation", quantum
-                )
-        limit = None if self.rate_limit is None else real("rate_limit", above=0)
+    def __post_init__(self) -> None:
+        check_fields(self, "implementation")
+        if self.offset >= self.period:
+            raise InputError("implementation.offset", "must be less than the period", self.offset)
+        if self.saturation is not None:
+            self._check_saturation(self.saturation)
         if self.velocity_filter and not self.velocity:
             raise InputError(
                 "implementation.velocity_filter",
                 "filters nothing",
                 remedy="Name the states in implementation.velocity",
             )
-        return Implementation(
-            period=period,
-            offset=offset,
-            delay=delay,
-            saturation=saturation,
-            rate_limit=limit,
-            input_quantum=quantum,
-            measurement_quantum=per_state("measurement_quantum"),
-            noise=per_state("noise"),
-            seed=checks.integer("implementation.seed", self.seed, 0, 2**63),
-            stream=checks.integer("implementation.stream", self.stream, 0, 2**63),
-            velocity=self._velocity(plant),
-            velocity_filter=real("velocity_filter", least=0),
-            update=checks.choice("implementation.update", self.update, UPDATES),
-            anti_windup=checks.choice("implementation.anti_windup", self.anti_windup, ANTI_WINDUPS),
-            projection=self._projection(estimates, known),
-            initial_input=initial,
-        )
 
-    def _saturation(self, known: Mapping[str, Any]) -> tuple[float, float] | None:
-        if self.saturation is None:
-            return None
-        key = "implementation.saturation"
-        low, high = checks.reals(key, self.saturation, 2, "[low, high]", known)
-        if low >= high:
-            raise InputError(key, "low must be less than high", [low, high])
-        return low, high
-
-    def _velocity(self, plant: Plant) -> tuple[str, ...]:
-        key = "implementation.velocity"
-        names = checks.sequence(key, self.velocity, None, "names of states")
-        for i, name in enumerate(names):
-            checks.choice(f"{key}[{i}]", name, plant.states)
-            if name == plant.states[0]:
+    def _check_saturation(self, saturation: tuple[float, float]) -> None:
+        initial, quantum = self.initial_input, self.input_quantum
+        if not saturation[0] <= initial <= saturation[1]:
+            raise InputError(
+                "implementation.initial_input", "must be within the saturation", initial
+            )
+        if quantum:
+            low, high = _steps_within(saturation, quantum)
+            if low > high:
                 raise InputError(
-                    f"{key}[{i}]", "the first state has none before it to be differenced", name
+                    "implementation.input_quantum", "has no step within the saturation", quantum
                 )
-        return tuple(name for name in plant.states if name in names)
 
-    def _projection(
-        self, estimates: int, known: Mapping[str, Any]
-    ) -> tuple[tuple[float, float], ...] | None:
-        if self.projection is None:
-            return None
-        key = "implementation.projection"
-        boxes = checks.sequence(key, self.projection, estimates, "[low, high] per estimate")
-        return tuple(checks.interval(f"{key}[{i}]", box, known) for i, box in enumerate(boxes))
+    def bound_to(self, plant: Plant, estimates: int) -> Implementation:
+        """This implementation checked against `plant` and the number of estimates."""
+        keys = keys_of(self)
+        for name, count in (*((name, plant.n) for name in PER_STATE), ("projection", estimates)):
+            if getattr(self, name) is not None:
+                values = getattr(self, name)
+                checks.sequence(f"implementation.{name}", values, count, keys[name].shape)
+        for i, name in enumerate(self.velocity):
+            key = f"implementation.velocity[{i}]"
+            checks.choice(key, name, plant.states)
+            if name == plant.states[0]:
+                raise InputError(key, "the first state has none before it to be differenced", name)
+        changes: dict[str, Any] = {
+            name: None for name in PER_STATE if not any(getattr(self, name) or (True,))
+        }
+        in_order = tuple(name for name in plant.states if name in self.velocity)
+        if in_order != self.velocity:
+            changes["velocity"] = in_order
+        return replace(self, **changes) if changes else self
 
     @property
     def converter(self) -> tuple[float, float, float]:
@@ -189,8 +222,8 @@ class Implementation:
         quantum, low, high = self.converter
         if not quantum:
             return command
-        found: np.ndarray = np.clip(np.rint(command / quantum) * quantum, low, high)
-        return found
+        inputs: np.ndarray = np.clip(np.rint(command / quantum) * quantum, low, high)
+        return inputs
 
     def samples(self, duration: float) -> int:
         """Number of samples in a run.
@@ -201,17 +234,17 @@ class Implementation:
             If there are too many to be meant.
         """
         count = (duration - self.offset) / self.period
-        if count > MAX_SAMPLES:
+        if count > MAX_RUN_SAMPLES:
             raise InputError(
                 "implementation.period",
-                f"makes more than {MAX_SAMPLES} samples in simulation.duration",
+                f"makes more than {MAX_RUN_SAMPLES} samples in simulation.duration",
                 self.period,
                 "State the period in seconds",
             )
-        return max(0, int(count * (1 + 1e-12))) + 1
+        return max(0, int(count * (1 + COUNT_ROUNDING))) + 1
 
 
 def _steps_within(saturation: tuple[float, float], quantum: float) -> tuple[float, float]:
     """Numbers of the lowest and highest step of a converter; rounding of a limit does no harm."""
     low, high = (end / quantum for end in saturation)
-    return float(np.ceil(low - 1e-9)), float(np.floor(high + 1e-9))
+    return float(np.ceil(low - STEP_ROUNDING)), float(np.floor(high + STEP_ROUNDING))

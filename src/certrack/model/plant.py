@@ -1,4 +1,4 @@
-"""The plant as the designer knows it, and its uncertainty.
+"""The plant as the designer knows it.
 
 x_i' = g_i x_{i+1} + sum_{j<=i} b_ij x_j + tau_i w_i(t, x)               i = 1 ... n-1
 x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n(t, x)                             [5]
@@ -6,9 +6,8 @@ x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n(t, x)                          
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,12 +17,14 @@ import sympy
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, check_name, number, parse, symbol
+from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.model.uncertainty import Uncertainty
 
 MAX_ORDER = 50
 
 #: Names and prefixes that a closed loop gives to its own signals.
-SIGNALS = ("u", "e", "nu", "time", "state", "parameter", "member")
-PREFIXES = (
+LOOP_SIGNALS = ("u", "e", "nu", "time", "state", "parameter", "member")
+LOOP_PREFIXES = (
     "e_",
     "lambda_",
     "y_d",
@@ -38,39 +39,6 @@ PREFIXES = (
     "ref_",
     "ctl_",
 )
-
-
-def set_fields(instance: object, **values: Any) -> None:
-    """Normalise fields of a frozen dataclass while it is being made."""
-    for name, value in values.items():
-        object.__setattr__(instance, name, value)
-
-
-@dataclass(frozen=True)
-class Uncertainty:
-    """Bounds of the uncertain terms: |w_k(t, x)| <= gamma_k ||x|| + beta_k (Assumption 1).
-
-    Parameters
-    ----------
-    tau, gamma, beta : n numbers >= 0
-        Strength of w_k in the plant, and its growth and offset bounds.
-    """
-
-    tau: tuple[float, ...]
-    gamma: tuple[float, ...]
-    beta: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        for name in ("tau", "gamma", "beta"):
-            key = f"plant.uncertainty.{name}"
-            values = checks.reals(key, getattr(self, name), None, "n numbers", least=0)
-            set_fields(self, **{name: values})
-
-    @staticmethod
-    def none(n: int) -> Uncertainty:
-        """No uncertain terms at all."""
-        zeros = (0.0,) * n
-        return Uncertainty(zeros, zeros, zeros)
 
 
 @dataclass(frozen=True)
@@ -97,7 +65,7 @@ class Plant:
         g_n, where it is known (robust law).
     theta : r numbers, optional
         theta, where it is known (robust law).
-    uncertainty : Uncertainty, optional
+    uncertainty : Uncertainty, or a mapping {tau, gamma, beta}, optional
         Bounds on w; none if left out.
     constants : mapping of names to numbers, optional
         Names usable in every formula; later ones may use earlier ones.
@@ -112,109 +80,174 @@ class Plant:
         If a shape, a sign or a name does not fit.
     """
 
-    states: tuple[str, ...]
-    chain: tuple[Expression, ...] = ()
-    linear: tuple[tuple[Expression, ...], ...] | None = None
-    drift: Expression = field(default=0)  # type: ignore[assignment]
-    regressor: tuple[Expression, ...] = ()
-    gain_sign: int = 1
-    input_gain: Expression | None = None
-    theta: tuple[Expression, ...] | None = None
-    uncertainty: Uncertainty = None  # type: ignore[assignment]
-    constants: tuple[tuple[str, Expression], ...] = ()
-    input_gain_range: tuple[float, float] | None = None
-    theta_range: tuple[tuple[float, float], ...] | None = None
-    units: tuple[str, ...] | None = None
+    states: tuple[str, ...] = keyed(
+        "names",
+        help="names of x_1 ... x_n, 1 to 50; the output is x_1",
+        shape="names of x_1 ... x_n",
+    )
+    chain: tuple[Expression, ...] = keyed(
+        "formulas",
+        (),
+        help="virtual control coefficients; [] for n = 1",
+        shape="g_1 ... g_{n-1}",
+        nonzero=True,
+    )
+    linear: tuple[tuple[Expression, ...], ...] = keyed(
+        "rows",
+        None,
+        help="couplings b_ij: row i has i entries",
+        shape="rows b_i1 ... b_ii, i = 1 ... n-1",
+        otherwise="zero",
+    )
+    drift: Expression = keyed("formula", 0, help="h(x), a formula of the states")
+    regressor: tuple[Expression, ...] = keyed(
+        "formulas",
+        (),
+        help="phi(x), formulas of the states; [] when there is no unknown theta",
+        shape="phi_1(x) ... phi_r(x)",
+    )
+    gain_sign: int = keyed("choice", 1, help="sign of g_n", choices=(1, -1), required=True)
+    input_gain: Expression | None = keyed(
+        "formula",
+        None,
+        help="g_n, only where it is known; the robust law needs it",
+        nonzero=True,
+        otherwise="unknown",
+    )
+    theta: tuple[Expression, ...] | None = keyed(
+        "formulas",
+        None,
+        help="theta, only where it is known; the robust law needs it",
+        shape="one number per regressor",
+        otherwise="unknown",
+    )
+    uncertainty: Uncertainty = Uncertainty((), (), ())  # of no states: none at all
+    constants: tuple[tuple[str, Expression], ...] = keyed(
+        "constants",
+        (),
+        help="names usable in every formula; later ones may use earlier ones",
+        otherwise="none",
+    )
+    input_gain_range: tuple[float, float] | None = keyed(
+        "interval",
+        None,
+        help="range of g_n, for certificates and ensembles",
+        path="ranges.input_gain",
+        otherwise="none",
+    )
+    theta_range: tuple[tuple[float, float], ...] | None = keyed(
+        "intervals",
+        None,
+        help="range of each entry of theta, for certificates and ensembles",
+        shape="one pair per regressor",
+        path="ranges.theta",
+        otherwise="none",
+    )
+    units: tuple[str, ...] | None = keyed(
+        "texts",
+        None,
+        help="units of the states, then of the input; for labels only",
+        shape="states, then input",
+        otherwise="none",
+    )
 
     def __post_init__(self) -> None:
         states = self._check_states()
         n = len(states)
         set_fields(self, states=states, constants=self._check_constants(states))
-        known = self.constant_values
-        g = checks.sequence("plant.chain", self.chain, n - 1, "g_1 ... g_{n-1}")
-        for i, value in enumerate(g):
-            checks.real(f"plant.chain[{i}]", value, known, nonzero=True)
-        names = [*states, *known]
-        phi = checks.sequence("plant.regressor", self.regressor, None, "phi_1(x) ... phi_r(x)")
+        values = self.constant_values
+        keys = keys_of(self)
+        coefficients = checks.sequence("plant.chain", self.chain, n - 1, keys["chain"].shape)
+        for i, value in enumerate(coefficients):
+            checks.real(f"plant.chain[{i}]", value, values, nonzero=True)
+        names = [*states, *values]
+        phi = checks.sequence("plant.regressor", self.regressor, None, keys["regressor"].shape)
         set_fields(
             self,
-            chain=tuple(parse(f"plant.chain[{i}]", v, known) for i, v in enumerate(g)),
-            linear=self._check_linear(n, known),
+            chain=tuple(parse(f"plant.chain[{i}]", v, values) for i, v in enumerate(coefficients)),
+            linear=self._check_linear(n, values),
             drift=parse("plant.drift", self.drift, names),
             regressor=tuple(parse(f"plant.regressor[{i}]", v, names) for i, v in enumerate(phi)),
-            uncertainty=Uncertainty.none(n) if self.uncertainty is None else self.uncertainty,
+            uncertainty=self._check_uncertainty(n),
         )
-        if not isinstance(self.uncertainty, Uncertainty):
-            raise InputError("plant.uncertainty", "must be an Uncertainty", self.uncertainty)
-        for name in ("tau", "gamma", "beta"):
-            values = getattr(self.uncertainty, name)
-            checks.sequence(f"plant.uncertainty.{name}", values, n, "one number per state")
-        self._check_parameters(known)
+        self._check_parameters(values)
         if self.units is not None:
-            units = checks.sequence("plant.units", self.units, n + 1, "states, then input")
-            set_fields(self, units=tuple(checks.text("plant.units", unit) for unit in units))
+            set_fields(self, units=keys["units"].checked("plant.units", self.units, count=n + 1))
+
+    def _check_uncertainty(self, n: int) -> Uncertainty:
+        bounds: Any = self.uncertainty
+        if bounds is None or bounds == Uncertainty((), (), ()):
+            return Uncertainty.none(n)
+        if isinstance(bounds, Mapping):
+            return Uncertainty.from_table(bounds, n, self.constant_values)
+        if not isinstance(bounds, Uncertainty):
+            raise InputError("plant.uncertainty", "must be an Uncertainty", bounds)
+        for name in ("tau", "gamma", "beta"):
+            values = getattr(bounds, name)
+            checks.sequence(f"plant.uncertainty.{name}", values, n, "one number per state")
+        return bounds
 
     def _check_states(self) -> tuple[str, ...]:
-        given = checks.sequence("plant.states", self.states, None, "names of x_1 ... x_n")
-        if not 1 <= len(given) <= MAX_ORDER:
-            raise InputError("plant.states", f"must be 1 to {MAX_ORDER} names", given)
+        names = checks.sequence("plant.states", self.states, None, "names of x_1 ... x_n")
+        if not 1 <= len(names) <= MAX_ORDER:
+            raise InputError("plant.states", f"must be 1 to {MAX_ORDER} names", names)
         states: list[str] = []
-        for i, name in enumerate(given):
-            states.append(own_name(f"plant.states[{i}]", name, states))
+        for i, name in enumerate(names):
+            states.append(free_name(f"plant.states[{i}]", name, states))
         return tuple(states)
 
     def _check_constants(self, states: tuple[str, ...]) -> tuple[tuple[str, Expression], ...]:
-        pairs = name_value_pairs("plant.constants", self.constants)
-        found: dict[str, Expression] = {}
-        for name, value in pairs:
+        constants: dict[str, Expression] = {}
+        for name, value in name_value_pairs("plant.constants", self.constants):
             key = f"plant.constants.{name}"
-            own_name(key, name, [*states, *found])
-            found[name] = number(key, value, {k: v.expr for k, v in found.items()})
-        return tuple(found.items())
+            free_name(key, name, [*states, *constants])
+            constants[name] = number(key, value, {k: v.expr for k, v in constants.items()})
+        return tuple(constants.items())
 
-    def _check_linear(self, n: int, known: Mapping[str, Any]) -> tuple[tuple[Expression, ...], ...]:
-        given = self.linear
-        if given is None:
-            given = tuple((0,) * i for i in range(1, n))  # type: ignore[misc]
-        rows = checks.sequence("plant.linear", given, n - 1, "rows b_i1 ... b_ii, i = 1 ... n-1")
+    def _check_linear(
+        self, n: int, constants: Mapping[str, Any]
+    ) -> tuple[tuple[Expression, ...], ...]:
+        key = "plant.linear"
+        couplings: Any = self.linear
+        if couplings is None:
+            couplings = [[0] * i for i in range(1, n)]
+        rows = checks.sequence(key, couplings, n - 1, "rows b_i1 ... b_ii, i = 1 ... n-1")
         return tuple(
             tuple(
-                number(f"plant.linear[{i}][{j}]", v, known)
-                for j, v in enumerate(
-                    checks.sequence(f"plant.linear[{i}]", row, i + 1, "b_i1 ... b_ii")
-                )
+                number(f"{key}[{i}][{j}]", v, constants)
+                for j, v in enumerate(checks.sequence(f"{key}[{i}]", row, i + 1, "b_i1 ... b_ii"))
             )
             for i, row in enumerate(rows)
         )
 
-    def _check_parameters(self, known: Mapping[str, Any]) -> None:
-        sign = self.gain_sign
-        whole = isinstance(sign, numbers.Real) and not isinstance(sign, bool)
-        if not whole or sign not in (1, -1):
-            raise InputError("plant.gain_sign", "must be 1 or -1", self.gain_sign)
+    def _check_parameters(self, constants: Mapping[str, Any]) -> None:
+        check_fields(self, "plant", "gain_sign")
         if self.input_gain is not None:
-            check_gain("plant.input_gain", self.input_gain, self.gain_sign, known)
-            set_fields(self, input_gain=number("plant.input_gain", self.input_gain, known))
+            check_gain("plant.input_gain", self.input_gain, self.gain_sign, constants)
+            set_fields(self, input_gain=number("plant.input_gain", self.input_gain, constants))
         if self.theta is not None:
             what = "one number per regressor"
             theta = checks.sequence("plant.theta", self.theta, self.r, what)
-            values = (number(f"plant.theta[{i}]", v, known) for i, v in enumerate(theta))
+            values = (number(f"plant.theta[{i}]", v, constants) for i, v in enumerate(theta))
             set_fields(self, theta=tuple(values))
         if self.input_gain_range is not None:
-            low, high = checks.interval("plant.ranges.input_gain", self.input_gain_range, known)
+            key = "plant.ranges.input_gain"
+            low, high = checks.ordered_pair(key, self.input_gain_range, constants)
             for end in (low, high):
-                check_gain("plant.ranges.input_gain", end, self.gain_sign)
+                check_gain(key, end, self.gain_sign)
             set_fields(self, input_gain_range=(low, high))
         if self.theta_range is not None:
-            box = checks.sequence("plant.ranges.theta", self.theta_range, None, "[low, high] pairs")
-            if len(box) != self.r:
-                many = f"{self.r} pair{'' if self.r == 1 else 's'}"
-                what = f"needs {many} [low, high], one per regressor"
-                raise InputError("plant.ranges.theta", what, f"{len(box)}: {box}")
-            pairs = (
-                checks.interval(f"plant.ranges.theta[{i}]", v, known) for i, v in enumerate(box)
-            )
-            set_fields(self, theta_range=tuple(pairs))
+            self._check_theta_range(constants)
+
+    def _check_theta_range(self, constants: Mapping[str, Any]) -> None:
+        key = "plant.ranges.theta"
+        box = checks.sequence(key, self.theta_range, None, "[low, high] pairs")
+        if len(box) != self.r:
+            many = f"{self.r} pair{'' if self.r == 1 else 's'}"
+            what = f"needs {many} [low, high], one per regressor"
+            raise InputError(key, what, f"{len(box)}: {box}")
+        pairs = (checks.ordered_pair(f"{key}[{i}]", v, constants) for i, v in enumerate(box))
+        set_fields(self, theta_range=tuple(pairs))
 
     @property
     def n(self) -> int:
@@ -244,13 +277,12 @@ class Plant:
     @cached_property
     def b(self) -> np.ndarray:
         """b_ij, lower triangular, shape (n-1, n)."""
-        assert self.linear is not None
         matrix = np.zeros((self.n - 1, self.n))
         for i, row in enumerate(self.linear):
             matrix[i, : i + 1] = [float(value.expr) for value in row]
         return matrix
 
-    def with_constants(self, **values: float) -> Plant:
+    def with_constants(self, **values: float | Expression) -> Plant:
         """The same plant with other values of some constants; derived numbers follow."""
         if not values:
             return self
@@ -261,33 +293,29 @@ class Plant:
         return replace(self, constants=sources)  # type: ignore[arg-type]
 
 
-def name_value_pairs(key: str, given: Any) -> list[tuple[str, Any]]:
+def name_value_pairs(key: str, constants: Any) -> list[tuple[str, Any]]:
     """Constants as pairs, from a mapping or from pairs."""
-    if isinstance(given, Mapping):
-        return list(given.items())
-    pairs = [
-        tuple(pair)
-        for pair in checks.sequence(key, given, None, "pairs of name and number")
-        if isinstance(pair, (tuple, list)) and len(pair) == 2
-    ]
-    if len(pairs) != len(given):
-        raise InputError(key, "must be a mapping of names to numbers", given)
-    return pairs  # type: ignore[return-value]
+    if isinstance(constants, Mapping):
+        return list(constants.items())
+    pairs = checks.sequence(key, constants, None, "pairs of name and number")
+    if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs):
+        raise InputError(key, "must be a mapping of names to numbers", constants)
+    return [(name, value) for name, value in pairs]
 
 
-def own_name(key: str, name: Any, taken: Sequence[str]) -> str:
-    """A name that neither the language nor the closed loop uses."""
-    check_name(key, name, taken)
-    if name in SIGNALS or name.startswith(PREFIXES):
+def free_name(key: str, name: Any, used: Sequence[str]) -> str:
+    """A name that is not used yet, neither here nor by the language nor by the closed loop."""
+    check_name(key, name, used)
+    if name in LOOP_SIGNALS or name.startswith(LOOP_PREFIXES):
         raise InputError(key, "this name is reserved for a signal", name, "Rename it")
     return str(name)
 
 
 def check_gain(
-    key: str, value: Any, gain_sign: int, known: Mapping[str, Any] | None = None
+    key: str, value: Any, gain_sign: int, constants: Mapping[str, Any] | None = None
 ) -> float:
     """A nonzero input gain of the stated sign."""
-    gain = checks.real(key, value, known, nonzero=True)
+    gain = checks.real(key, value, constants, nonzero=True)
     if gain * gain_sign < 0:
         raise InputError(key, f"must have the sign of plant.gain_sign = {gain_sign}", gain)
     return gain

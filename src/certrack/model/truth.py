@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
+
+import sympy
 
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, number, parse, symbol
+from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.model.plant import (
     MAX_ORDER,
     Plant,
     check_gain,
     check_within,
+    free_name,
     name_value_pairs,
-    own_name,
 )
+
+#: What a truth with states of its own has no place for.
+PLANT_FORM = ("input_gain", "theta", "omega", "tau")
 
 
 @dataclass(frozen=True)
@@ -45,92 +51,177 @@ class Truth:
         One per state.
     outputs : n formulas in these states and the constants
         What the controller measures: x_1 ... x_n of the design.
+
+    Raises
+    ------
+    InputError
+        If it has neither form, or something in it is not what it must be. What needs the plant
+        (how many numbers, which names) is checked when a system is made of both.
     """
 
-    input_gain: Expression | None = None
-    theta: tuple[Expression, ...] = ()
-    omega: tuple[Expression, ...] | None = None
-    tau: tuple[float, ...] | None = None
-    constants: tuple[tuple[str, Expression], ...] = ()
-    states: tuple[str, ...] | None = None
-    rates: tuple[Expression, ...] | None = None
-    outputs: tuple[Expression, ...] | None = None
+    input_gain: Expression | None = keyed(
+        "formula", None, help="true g_n", nonzero=True, otherwise="required"
+    )
+    theta: tuple[Expression, ...] = keyed(
+        "formulas", (), help="true theta", shape="one number per regressor"
+    )
+    omega: tuple[Expression, ...] | None = keyed(
+        "formulas",
+        None,
+        help="the uncertain terms, formulas of t and the states",
+        shape="w_1 ... w_n, one per state",
+        otherwise="zero",
+    )
+    tau: tuple[float, ...] | None = keyed(
+        "numbers",
+        None,
+        help="true strengths of the uncertain terms",
+        shape="one number per state",
+        least=0,
+        otherwise="those of the uncertainty",
+    )
+    constants: tuple[tuple[str, Expression], ...] = keyed(
+        "constants",
+        (),
+        help="true value of a constant of the plant; with own states also constants of its own",
+        otherwise="those of the plant",
+    )
+    states: tuple[str, ...] | None = keyed(
+        "names",
+        None,
+        help="names of own states, where the truth is not of the plant's form",
+        shape="names",
+        otherwise="those of the plant",
+    )
+    rates: tuple[Expression, ...] | None = keyed(
+        "formulas",
+        None,
+        help="derivatives of the own states: formulas of t, these states, the input u, constants",
+        shape="one per state",
+        otherwise="required with states",
+    )
+    outputs: tuple[Expression, ...] | None = keyed(
+        "formulas",
+        None,
+        help="x_1 ... x_n of the design, as formulas of the own states and the constants",
+        shape="one per state of the plant",
+        otherwise="required with states",
+    )
 
-    def bound_to(self, plant: Plant) -> Truth:
-        """This truth checked against `plant`, with its defaults filled in."""
-        if self.states is not None:
-            return self._with_own_states(plant)
+    def __post_init__(self) -> None:
+        if self.states is None:
+            self._check_plant_form()
+        else:
+            self._check_own_states()
+        pairs = name_value_pairs("truth.constants", self.constants)
+        constants = {name: number(f"truth.constants.{name}", value) for name, value in pairs}
+        set_fields(self, constants=tuple(constants.items()))
+
+    def _check_plant_form(self) -> None:
         for name in ("rates", "outputs"):
             if getattr(self, name) is not None:
                 raise InputError(f"truth.{name}", "needs truth.states", remedy="Name the states")
         if self.input_gain is None:
             raise InputError("truth.input_gain", "is missing")
-        pairs = dict(name_value_pairs("truth.constants", self.constants))
-        for name in pairs:
-            if name not in plant.constant_values:
-                raise InputError(f"truth.constants.{name}", "is not a constant of the plant")
-        others = tuple((name, number(f"truth.constants.{name}", v)) for name, v in pairs.items())
-        known = plant.with_constants(**dict(others)).constant_values  # type: ignore[arg-type]
-        gain = check_gain("truth.input_gain", self.input_gain, plant.gain_sign, known)
+        set_fields(self, input_gain=_formula("truth.input_gain", self.input_gain))
+        self._read_formulas("theta", "omega")
+        check_fields(self, "truth", "tau")
+
+    def _check_own_states(self) -> None:
+        for name in PLANT_FORM:
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, tuple) and not value):
+                message = "must be left out where the truth has states of its own"
+                value = checks.as_written(value)
+                raise InputError(f"truth.{name}", message, value, "Write it into truth.rates")
+        states: list[str] = []
+        names = checks.sequence("truth.states", self.states, None, "names")
+        if not 1 <= len(names) <= MAX_ORDER:
+            raise InputError("truth.states", f"must be 1 to {MAX_ORDER} names", names)
+        for i, name in enumerate(names):
+            states.append(free_name(f"truth.states[{i}]", name, states))
+        set_fields(self, states=tuple(states))
+        for name in ("rates", "outputs"):
+            if getattr(self, name) is None:
+                raise InputError(f"truth.{name}", "is missing")
+        self._read_formulas("rates", count=len(states))
+        self._read_formulas("outputs")
+
+    def _read_formulas(self, *names: str, count: int | None = None) -> None:
+        """Parse the fields of this name; which names they may contain is known with the plant."""
+        for name in names:
+            value, key = getattr(self, name), f"truth.{name}"
+            if value is not None:
+                entries = checks.sequence(key, value, count, keys_of(self)[name].shape)
+                formulas = (_formula(f"{key}[{i}]", entry) for i, entry in enumerate(entries))
+                set_fields(self, **{name: tuple(formulas)})
+
+    def bound_to(self, plant: Plant) -> Truth:
+        """This truth checked against `plant`, with its defaults filled in."""
+        if self.states is not None:
+            return self._own_states_bound_to(plant)
+        assert self.input_gain is not None
+        constants = constants_of_truth(plant, self.constants)
+        gain = check_gain("truth.input_gain", self.input_gain, plant.gain_sign, constants)
         check_within("truth.input_gain", gain, plant.input_gain_range, "input_gain")
-        theta = checks.sequence("truth.theta", self.theta, plant.r, "one number per regressor")
+        theta = _formulas("truth.theta", self.theta, plant.r, "one number per regressor", constants)
         for i, box in enumerate(plant.theta_range or ()):
-            value = checks.real(f"truth.theta[{i}]", theta[i], known)
-            check_within(f"truth.theta[{i}]", value, box, "theta")
-        given_omega = (0,) * plant.n if self.omega is None else self.omega
-        omega = checks.sequence("truth.omega", given_omega, plant.n, "w_1 ... w_n, one per state")
-        names = ["t", *plant.states, *known]
+            check_within(f"truth.theta[{i}]", float(theta[i].expr), box, "theta")
+        omega = ("0",) * plant.n if self.omega is None else self.omega
+        names = ["t", *plant.states, *constants]
         tau = plant.uncertainty.tau if self.tau is None else self.tau
-        return Truth(
-            input_gain=number("truth.input_gain", self.input_gain, known),
-            theta=tuple(number(f"truth.theta[{i}]", v, known) for i, v in enumerate(theta)),
-            omega=tuple(parse(f"truth.omega[{i}]", v, names) for i, v in enumerate(omega)),
-            tau=checks.reals("truth.tau", tau, plant.n, "one number per state", known, least=0),
-            constants=others,
+        return replace(
+            self,
+            input_gain=number("truth.input_gain", self.input_gain, constants),
+            theta=theta,
+            omega=_formulas("truth.omega", omega, plant.n, "w_1 ... w_n, one per state", names),
+            tau=tuple(checks.sequence("truth.tau", tau, plant.n, "one number per state")),
         )
 
-    def _with_own_states(self, plant: Plant) -> Truth:
+    def _own_states_bound_to(self, plant: Plant) -> Truth:
         """The same for a truth with states of its own."""
-        for name in ("input_gain", "theta", "omega", "tau"):
-            given = getattr(self, name)
-            if given is not None and not (isinstance(given, tuple) and not given):
-                message = "must be left out where the truth has states of its own"
-                raise InputError(f"truth.{name}", message, given, "Write it into truth.rates")
-        states: list[str] = []
-        entries = checks.sequence("truth.states", self.states, None, "names")
-        if not 1 <= len(entries) <= MAX_ORDER:
-            raise InputError("truth.states", f"must be 1 to {MAX_ORDER} names", entries)
-        for i, name in enumerate(entries):
-            key = f"truth.states[{i}]"
+        states, constants = self.states or (), dict(self.constants)
+        for i, name in enumerate(states):
             if name in (*plant.states, *plant.constant_values):
+                key = f"truth.states[{i}]"
                 raise InputError(key, "is a name of the plant already", name, "Rename it")
-            states.append(own_name(key, name, states))
-        constants: dict[str, Expression] = {}
-        for name, value in name_value_pairs("truth.constants", self.constants):
-            key = f"truth.constants.{name}"
+        for i, name in enumerate(constants):
             if name not in plant.constant_values:
-                own_name(key, name, [*plant.states, *states, *constants])
-            constants[name] = number(key, value)
-        known = [*states, *dict.fromkeys([*plant.constant_values, *constants])]
+                used = [*plant.states, *states, *list(constants)[:i]]
+                free_name(f"truth.constants.{name}", name, used)
+        names = [*states, *dict.fromkeys([*plant.constant_values, *constants])]
         rates = _formulas(
-            "truth.rates", self.rates, len(states), "one per state", ["t", "u", *known]
+            "truth.rates", self.rates or (), len(states), "one per state", ["t", "u", *names]
         )
         if not any(symbol("u") in rate.expr.free_symbols for rate in rates):
             raise InputError("truth.rates", "must contain the input u")
         what = "one per state of the plant"
-        return Truth(
-            constants=tuple(constants.items()),
-            states=tuple(states),
-            rates=rates,
-            outputs=_formulas("truth.outputs", self.outputs, plant.n, what, known),
-        )
+        outputs = _formulas("truth.outputs", self.outputs or (), plant.n, what, names)
+        return replace(self, rates=rates, outputs=outputs)
+
+
+def constants_of_truth(plant: Plant, constants: Any) -> dict[str, sympy.Expr]:
+    """Exact values of the plant's constants, the true ones where they differ."""
+    pairs = dict(name_value_pairs("truth.constants", constants))
+    for name in pairs:
+        if name not in plant.constant_values:
+            raise InputError(f"truth.constants.{name}", "is not a constant of the plant")
+    values = {name: number(f"truth.constants.{name}", value) for name, value in pairs.items()}
+    return plant.with_constants(**values).constant_values
+
+
+def _formula(key: str, text: Any) -> Expression:
+    """A formula whose names are checked when the plant is known."""
+    return text if isinstance(text, Expression) else parse(key, text, None)
 
 
 def _formulas(
-    key: str, given: Any, count: int, what: str, names: Sequence[str]
+    key: str,
+    texts: Iterable[Any],
+    count: int,
+    what: str,
+    names: Iterable[str] | Mapping[str, Any],
 ) -> tuple[Expression, ...]:
     """So many formulas in the names."""
-    if given is None:
-        raise InputError(key, "is missing")
-    entries = checks.sequence(key, given, count, what)
+    entries = checks.sequence(key, texts, count, what)
     return tuple(parse(f"{key}[{i}]", entry, names) for i, entry in enumerate(entries))

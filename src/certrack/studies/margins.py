@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.loops.stability import LinearLoop, linear_loop
-from certrack.model.implementation import MAX_DELAY, MAX_SAMPLES, Implementation
+from certrack.model.implementation import MAX_DELAY, MAX_RUN_SAMPLES, Implementation
 from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.engine import fastest
 from certrack.studies.ensembles.limit import limit_of
@@ -159,12 +159,12 @@ def margins(
     checks.integer("seed", seed, 0, 2**63)
     given, duration = system.implementation, system.settings.duration
     first = min(FINE / system.controller.coordinates.fastest_pole, duration / 100)
-    if duration / first > MAX_SAMPLES:
+    if duration / first > MAX_RUN_SAMPLES:
         pole = system.controller.coordinates.fastest_pole
         raise InputError(
             "margin",
             f"a run sampled finely for the fastest error pole, {pole:.3g} /s, has more than "
-            f"{MAX_SAMPLES} samples",
+            f"{MAX_RUN_SAMPLES} samples",
             remedy="Lower c, or shorten simulation.duration",
         )
     own = given or Implementation(first)

@@ -1,7 +1,8 @@
 """System files: TOML to objects and back.
 
-Every error names the file, the key, what is expected and what came. Numbers may be formulas of the
-plant's constants; a loaded system keeps their text, so a saved file reads like the loaded one.
+Every error names the file, the line, the key, what is expected and what came. Numbers may be
+formulas of the plant's constants; those of plant and truth keep their text, so that a saved file
+reads like the loaded one.
 """
 
 from __future__ import annotations
@@ -10,8 +11,7 @@ import io
 import os
 import tomllib
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, fields
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -20,17 +20,22 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
+from certrack.core.keys import Key, evaluate
 from certrack.laws import Law, known_laws
 from certrack.model.implementation import Implementation
-from certrack.model.plant import Plant, Uncertainty
+from certrack.model.plant import Plant
 from certrack.model.population import Population
-from certrack.model.truth import Truth
-from certrack.references import Reference, SymbolicReference, piecewise
+from certrack.model.truth import Truth, constants_of_truth
+from certrack.references import Reference, SymbolicReference
+from certrack.references.keys import REFERENCE_KINDS
+from certrack.systems.keys import TABLES, law_keys, reference_keys
+from certrack.systems.lines import line_of
 from certrack.systems.system import Settings, System
-from certrack.systems.writer import field_values
 
-MAX_BYTES = 20_000_000
+#: Largest file that is read: a million samples of a reference fit.
+MAX_FILE_BYTES = 20_000_000
 
+#: Tables of the file, and those that it must have.
 SECTIONS = (
     "title",
     "plant",
@@ -41,29 +46,7 @@ SECTIONS = (
     "ensemble",
     "implementation",
 )
-PLANT_KEYS = (
-    "states chain linear drift regressor gain_sign input_gain theta units constants ranges "
-    "uncertainty"
-).split()
-TRUTH_KEYS = "input_gain theta omega tau constants states rates outputs".split()
-POPULATION_KEYS = [
-    *(entry.name for entry in fields(Population) if entry.name not in ("amplitude", "frequency")),
-    "reference",
-]
-IMPLEMENTATION_KEYS = [entry.name for entry in fields(Implementation)]
-SETTING_KEYS = [entry.name for entry in fields(Settings)]
-
-#: kind -> (maker, required keys, optional keys)
-SIGNALS: dict[str, tuple[Callable[..., Reference], tuple[str, ...], tuple[str, ...]]] = {
-    "triangle": (piecewise.triangle, ("amplitude", "period"), ("offset", "start", "bound")),
-    "trapezoid": (
-        piecewise.trapezoid,
-        ("amplitude", "period", "rise"),
-        ("offset", "start", "bound"),
-    ),
-    "steps": (piecewise.steps, ("times", "levels", "slope"), ("bound",)),
-    "samples": (piecewise.samples, ("times", "values"), ("interpolation", "bound")),
-}
+REQUIRED_SECTIONS = SECTIONS[1:6]
 
 
 def catalog() -> dict[str, str]:
@@ -106,8 +89,8 @@ def load(source: str | os.PathLike[str]) -> System:
         if path.suffix == "" and (
             not path.exists() or (path.is_dir() and str(source) in catalog())
         ):
-            return loads(_shipped(str(source)), f"{source}.toml")
-        data = _read(path)
+            return loads(_shipped_text(str(source)), f"{source}.toml")
+        data = _read_bytes(path)
     except OSError as problem:
         raise InputError(str(source), f"cannot be read ({problem.strerror or problem})") from None
     except InputError:
@@ -117,21 +100,21 @@ def load(source: str | os.PathLike[str]) -> System:
     return loads(data, str(source), path.parent)
 
 
-def _read(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     with path.open("rb") as stream:
-        data = stream.read(MAX_BYTES + 1)
-    if len(data) > MAX_BYTES:
-        raise InputError(str(path), f"is larger than {MAX_BYTES // 1_000_000} MB")
+        data = stream.read(MAX_FILE_BYTES + 1)
+    if len(data) > MAX_FILE_BYTES:
+        raise InputError(str(path), f"is larger than {MAX_FILE_BYTES // 1_000_000} MB")
     return data
 
 
-def _shipped(name: str) -> str:
-    known = catalog()
-    if name not in known:
+def _shipped_text(name: str) -> str:
+    names = catalog()
+    if name not in names:
         raise InputError(
             name,
             "is neither a file nor a shipped system",
-            remedy="Shipped: " + ", ".join(known),
+            remedy="Shipped: " + ", ".join(names),
         )
     return (files("certrack.systems") / "catalog" / f"{name}.toml").read_text("utf-8")
 
@@ -149,20 +132,29 @@ def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -
         Where sample files lie; without it they are refused.
     """
     try:
-        return _system(_parse(text), folder)
+        decoded = _decoded(text)
     except InputError as problem:
         raise problem.within(name) from None
+    try:
+        return _system(_parsed(decoded), folder)
+    except InputError as problem:
+        line = problem.line or (line_of(decoded, problem.key) if problem.key else None)
+        raise problem.within(name, line) from None
 
 
-def _parse(text: str | bytes) -> dict[str, Any]:
+def _decoded(text: str | bytes) -> str:
     try:
         decoded = text.decode("utf-8") if isinstance(text, bytes) else text
     except UnicodeDecodeError:
         raise InputError("", "is not a text file (UTF-8)") from None
     if not decoded.strip():
         raise InputError("", "is empty", remedy="certrack new NAME.toml writes a starter file")
+    return decoded
+
+
+def _parsed(text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(decoded)
+        return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
         raise InputError("", f"is not TOML: {problem}") from None
     except RecursionError:
@@ -170,130 +162,114 @@ def _parse(text: str | bytes) -> dict[str, Any]:
 
 
 def _system(tables: dict[str, Any], folder: Path | None) -> System:
-    checks.known_keys("", tables, SECTIONS, required=SECTIONS[1:6])
+    checks.known_keys("", tables, SECTIONS, required=REQUIRED_SECTIONS)
     plant = _plant(tables["plant"])
-    known = plant.constant_values
-    law = _law(tables["law"], known)
+    constants = plant.constant_values
     return System(
         plant=plant,
-        law=law,
-        reference=_reference(tables["reference"], plant, folder),
+        law=_law(tables["law"], constants),
+        reference=_reference(tables["reference"], constants, folder),
         truth=_truth(tables["truth"], plant),
-        settings=_settings(tables["simulation"], known),
+        settings=Settings(**_values("simulation", tables["simulation"], constants)),
         title=checks.text("title", tables.get("title", "")),
-        population=_population(tables["ensemble"]) if "ensemble" in tables else None,
-        implementation=_implementation(tables.get("implementation")),
+        population=_population(tables.get("ensemble"), constants),
+        implementation=_implementation(tables.get("implementation"), constants),
     )
+
+
+def _values(
+    table: str,
+    entries: Any,
+    constants: Mapping[str, Any],
+    keys: Mapping[str, Key] | None = None,
+) -> dict[str, Any]:
+    """Entries of a table, all known and none missing, with numbers instead of their formulas."""
+    keys = TABLES[table] if keys is None else keys
+    required = [name for name, key in keys.items() if key.required]
+    checks.known_keys(table, entries, keys, required)
+    return {
+        name: evaluate(f"{table}.{name}", value, constants) if keys[name].numeric else value
+        for name, value in entries.items()
+    }
+
+
+def _any_names(table: str, entries: Any) -> dict[str, Any]:
+    """A table whose names the user chooses."""
+    checks.known_keys(table, entries, entries)
+    return dict(entries)
 
 
 def _plant(table: Any) -> Plant:
-    checks.known_keys("plant", table, PLANT_KEYS, required=("states",))
+    tables = ("constants", "ranges", "uncertainty")
+    names = list(dict.fromkeys([*TABLES["plant"], *tables]))
+    checks.known_keys("plant", table, names, required=("states",))
     values = dict(table)
-    constants = values.pop("constants", {})
-    checks.known_keys("plant.constants", constants, constants)
     ranges = values.pop("ranges", {})
-    checks.known_keys("plant.ranges", ranges, ("input_gain", "theta"))
-    uncertainty = values.pop("uncertainty", None)
+    checks.known_keys("plant.ranges", ranges, TABLES["plant.ranges"])
+    if "uncertainty" in values:
+        keys = TABLES["plant.uncertainty"]
+        checks.known_keys("plant.uncertainty", values["uncertainty"], keys, required=keys)
     if "gain_sign" not in values:
         raise InputError("plant.gain_sign", "is missing", remedy="State 1 or -1")
-    plain = Plant(
-        **values,
-        constants=constants,
+    return Plant(
+        **values | {"constants": _any_names("plant.constants", values.get("constants", {}))},
         input_gain_range=ranges.get("input_gain"),
         theta_range=ranges.get("theta"),
     )
-    if uncertainty is None:
-        return plain
-    names = ("tau", "gamma", "beta")
-    checks.known_keys("plant.uncertainty", uncertainty, names, required=names)
-    known = plain.constant_values
-    bounds = {
-        name: checks.reals(
-            f"plant.uncertainty.{name}",
-            uncertainty[name],
-            plain.n,
-            "one number per state",
-            known,
-            least=0,
-        )
-        for name in names
-    }
-    return Plant(**{**field_values(plain), "uncertainty": Uncertainty(**bounds)})
 
 
 def _truth(table: Any, plant: Plant) -> Truth:
-    checks.known_keys("truth", table, TRUTH_KEYS)
-    values = dict(table)
-    constants = values.pop("constants", {})
-    checks.known_keys("truth.constants", constants, constants)
-    return Truth(**values, constants=constants).bound_to(plant)
+    checks.known_keys("truth", table, TABLES["truth"])
+    constants = _any_names("truth.constants", table.get("constants", {}))
+    values = table | {"constants": constants}
+    if "tau" in values and "states" not in values:
+        numbers = constants_of_truth(plant, constants) if constants else plant.constant_values
+        values["tau"] = evaluate("truth.tau", values["tau"], numbers)
+    return Truth(**values)
 
 
-def _law(table: Any, known: Mapping[str, Any]) -> Law:
+def _law(table: Any, constants: Mapping[str, Any]) -> Law:
     if not isinstance(table, dict):
         raise InputError("law", "must be a table [law]", table)
-    if "kind" not in table:
-        raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(known_laws()))
     laws = known_laws()
+    if "kind" not in table:
+        raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(laws))
     law = laws[checks.choice("law.kind", table["kind"], laws)]
-    entries = {entry.name: entry for entry in fields(law)}
-    required = [name for name, entry in entries.items() if entry.default is MISSING]
-    checks.known_keys("law", table, ["kind", *entries], required)
-    values = {
-        name: _numbers(f"law.{name}", value, known)
-        for name, value in table.items()
-        if name != "kind"
-    }
+    values = _values("law", table, constants, law_keys(law))
+    del values["kind"]
     return law(**values)
 
 
-def _numbers(key: str, value: Any, known: Mapping[str, Any]) -> Any:
-    """Evaluate formulas of the constants in (nested) lists; the law checks shapes and limits."""
-    if isinstance(value, list):
-        return [_numbers(f"{key}[{i}]", entry, known) for i, entry in enumerate(value)]
-    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
-        raise InputError(key, "must be a number, a formula, or a list of them", value)
-    if isinstance(value, int):
-        return value
-    return checks.real(key, value, known, infinite=True)
-
-
-def _reference(table: Any, plant: Plant, folder: Path | None) -> Reference:
+def _reference(table: Any, constants: Mapping[str, Any], folder: Path | None) -> Reference:
     if not isinstance(table, dict):
         raise InputError("reference", "must be a table [reference]", table)
-    known = plant.constant_values
     if "signal" in table:
-        checks.known_keys("reference", table, ("signal", "bound", "bounds"))
-        bound = table.get("bound")
+        values = _values("reference", table, constants)
         return SymbolicReference(
-            signal=table["signal"],
-            bound=None if bound is None else checks.real("reference.bound", bound, known, above=0),
-            declared=table.get("bounds"),
-            constants=tuple(known.items()),
+            signal=values["signal"],
+            bound=values.get("bound"),
+            declared=values.get("bounds"),
+            constants=tuple(constants.items()),
         )
     if "kind" not in table:
         raise InputError("reference", "must have a signal or a kind", sorted(table))
-    kind = checks.choice("reference.kind", table["kind"], SIGNALS)
-    make, required, optional = SIGNALS[kind]
-    values = {name: value for name, value in table.items() if name != "kind"}
-    if kind == "samples" and "file" in values:
-        values |= _samples(values.pop("file"), folder)
-    checks.known_keys("reference", values, (*required, *optional), required)
-    for name, value in values.items():
-        values[name] = (
-            value if name == "interpolation" else _numbers(f"reference.{name}", value, known)
-        )
-    return make(**values)
+    kind = checks.choice("reference.kind", table["kind"], REFERENCE_KINDS)
+    entries = dict(table)
+    if kind == "samples" and "file" in entries:
+        entries |= _samples_of_file(entries.pop("file"), folder)
+    values = _values("reference", entries, constants, reference_keys(kind))
+    del values["kind"]
+    return REFERENCE_KINDS[kind].make(**values)
 
 
-def _samples(name: Any, folder: Path | None) -> dict[str, list[float]]:
+def _samples_of_file(name: Any, folder: Path | None) -> dict[str, list[float]]:
     """Times and values from a CSV file beside the system file."""
     key = "reference.file"
     relative = PurePosixPath(checks.text(key, name))
     if folder is None or relative.is_absolute() or ".." in relative.parts or "\\" in str(name):
         raise InputError(key, "must lie beside the system file or below it", name)
     try:
-        data = _read(folder / relative)
+        data = _read_bytes(folder / relative)
     except OSError as problem:
         raise InputError(key, f"cannot be read ({problem.strerror})", name) from None
     try:
@@ -309,29 +285,19 @@ def _samples(name: Any, folder: Path | None) -> dict[str, list[float]]:
     return {"times": table[:, 0].tolist(), "values": table[:, 1].tolist()}
 
 
-def _settings(table: Any, known: Mapping[str, Any]) -> Settings:
-    checks.known_keys("simulation", table, SETTING_KEYS, required=("x0", "duration"))
-    values = {
-        name: value if name == "integrator" else _numbers(f"simulation.{name}", value, known)
-        for name, value in table.items()
-    }
-    return Settings(**values)
-
-
-def _population(table: Any) -> Population:
-    """The [ensemble] table as it stands; the system checks it against the plant."""
-    checks.known_keys("ensemble", table, POPULATION_KEYS)
-    values = dict(table)
-    scales = values.pop("reference", {})
-    checks.known_keys("ensemble.reference", scales, ("amplitude", "frequency"))
-    constants = values.get("constants", {})
-    checks.known_keys("ensemble.constants", constants, constants)
-    return Population(**values, **scales)
-
-
-def _implementation(table: Any) -> Implementation | None:
-    """The [implementation] table as it stands; the system checks it against the plant."""
+def _population(table: Any, constants: Mapping[str, Any]) -> Population | None:
     if table is None:
         return None
-    checks.known_keys("implementation", table, IMPLEMENTATION_KEYS, required=("period",))
-    return Implementation(**table)
+    names = [*TABLES["ensemble"], "reference"]
+    checks.known_keys("ensemble", table, names)
+    entries = dict(table)
+    factors = _values("ensemble.reference", entries.pop("reference", {}), constants)
+    if "constants" in entries:
+        entries["constants"] = _any_names("ensemble.constants", entries["constants"])
+    return Population(**_values("ensemble", entries, constants), **factors)
+
+
+def _implementation(table: Any, constants: Mapping[str, Any]) -> Implementation | None:
+    if table is None:
+        return None
+    return Implementation(**_values("implementation", table, constants))

@@ -8,6 +8,7 @@ from typing import Any
 
 from certrack.core import checks
 from certrack.core.errors import InputError
+from certrack.core.keys import check_fields, keyed, set_fields
 from certrack.laws.base import Controller, Law
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -15,7 +16,8 @@ from certrack.model.population import Population
 from certrack.model.truth import Truth
 from certrack.references import Reference, require_order
 
-MAX_PERIODS = 20_000
+#: More periods of the reference than this in a run are refused: each is several pieces to stop at.
+MAX_REPEATS = 20_000
 
 INTEGRATORS = ("auto", "taylor", "scipy", "implicit")
 
@@ -44,41 +46,55 @@ class Settings:
         The run has escaped when a plant state passes this magnitude.
     """
 
-    x0: tuple[float, ...]
-    duration: float
-    estimates: tuple[float, ...] | None = None
-    tolerance: float = 1e-9
-    integrator: str = "auto"
-    band: float | None = None
-    tail: float | None = None
-    max_state: float = 1e9
+    x0: tuple[float, ...] = keyed(
+        "numbers",
+        help="initial state; that of the truth's own states if it has some",
+        shape="one number per state",
+    )
+    duration: float = keyed("number", help="length of the run", unit="s", above=0)
+    estimates: tuple[float, ...] | None = keyed(
+        "numbers",
+        None,
+        help="initial controller states, not the prior guesses",
+        shape="one number per controller state",
+        otherwise="zero",
+    )
+    tolerance: float = keyed(
+        "number",
+        1e-9,
+        help="relative and absolute tolerance of the integrator",
+        least=1e-14,
+        most=1e-2,
+    )
+    integrator: str = keyed("choice", "auto", help="how the run is integrated", choices=INTEGRATORS)
+    band: float | None = keyed(
+        "number",
+        None,
+        help="settled when |e_1| stays within",
+        above=0,
+        otherwise="5 % of max |y_d|",
+    )
+    tail: float | None = keyed(
+        "number",
+        None,
+        help="the tail error is taken from here",
+        unit="s",
+        least=0,
+        otherwise="duration/2",
+    )
+    max_state: float = keyed(
+        "number", 1e9, help="the run has escaped when a state passes this", above=0
+    )
 
     def __post_init__(self) -> None:
-        values: dict[str, Any] = {
-            "x0": checks.reals("simulation.x0", self.x0, None, "one number per state"),
-            "duration": checks.real("simulation.duration", self.duration, above=0),
-            "max_state": checks.real("simulation.max_state", self.max_state, above=0),
-            "tolerance": checks.real("simulation.tolerance", self.tolerance, least=1e-14),
-        }
-        for i, start in enumerate(values["x0"]):
-            if abs(start) > values["max_state"]:
+        check_fields(self, "simulation")
+        for i, start in enumerate(self.x0):
+            if abs(start) > self.max_state:
                 raise InputError(
                     f"simulation.x0[{i}]", "must be within simulation.max_state", start
                 )
-        if values["tolerance"] > 1e-2:
-            raise InputError("simulation.tolerance", "must be at most 0.01", self.tolerance)
-        checks.choice("simulation.integrator", self.integrator, INTEGRATORS)
-        if self.estimates is not None:
-            what = "one number per controller state"
-            values["estimates"] = checks.reals("simulation.estimates", self.estimates, None, what)
-        if self.band is not None:
-            values["band"] = checks.real("simulation.band", self.band, above=0)
-        if self.tail is not None:
-            values["tail"] = checks.real("simulation.tail", self.tail, least=0)
-            if values["tail"] >= values["duration"]:
-                raise InputError("simulation.tail", "must be before the end of the run", self.tail)
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        if self.tail is not None and self.tail >= self.duration:
+            raise InputError("simulation.tail", "must be before the end of the run", self.tail)
 
     @property
     def tail_start(self) -> float:
@@ -104,60 +120,69 @@ class System:
     reference: Reference
     truth: Truth
     settings: Settings
-    title: str = ""
+    title: str = keyed("text", "", help="shown in tables and pictures", otherwise="none")
     population: Population | None = None
     implementation: Implementation | None = None
 
     def __post_init__(self) -> None:
-        for name, kind in (
-            ("plant", Plant),
-            ("law", Law),
-            ("truth", Truth),
-            ("settings", Settings),
-        ):
-            if not isinstance(getattr(self, name), kind):
-                raise InputError(name, f"must be a {kind.__name__}", getattr(self, name))
-        plant = self.plant
-        object.__setattr__(self, "truth", self.truth.bound_to(plant))
+        self._check_parts()
+        set_fields(self, truth=self.truth.bound_to(self.plant))
         what = "one number per state"
         if self.truth.states:
             what += f" of the truth ({', '.join(self.truth.states)})"
         checks.sequence("simulation.x0", self.settings.x0, len(self.simulated_states), what)
-        controller = self.controller
-        for state in controller.states:
-            if state.name in (*plant.states, *self.simulated_states):
+        for state in self.controller.states:
+            if state.name in (*self.plant.states, *self.simulated_states):
                 raise InputError("law", "has a state of this name already", state.name, "Rename it")
-        if self.population is not None:
-            if not isinstance(self.population, Population):
-                raise InputError("population", "must be a Population", self.population)
-            bound = self.population.bound_to(plant, self.truth, len(controller.states))
-            object.__setattr__(self, "population", bound)
-            for i, entry in enumerate(bound.x0 or ()):
-                if max(abs(entry.low), abs(entry.high)) > self.settings.max_state:
-                    raise InputError(f"ensemble.x0[{i}]", "must be within simulation.max_state")
-        if self.implementation is not None:
-            if not isinstance(self.implementation, Implementation):
-                raise InputError("implementation", "must be an Implementation", self.implementation)
-            implementation = self.implementation.bound_to(plant, len(controller.states))
-            implementation.samples(self.settings.duration)
-            object.__setattr__(self, "implementation", implementation)
-        period = getattr(self.reference, "period", None)
-        if period is not None and self.settings.duration > MAX_PERIODS * period:
-            raise InputError(
-                "reference.period",
-                f"must not repeat more than {MAX_PERIODS} times in simulation.duration",
-                period,
-            )
-        q = controller.coordinates.q
-        require_order(self.reference, q + 1, f"this design (law.feedforward = {q})")
+        self._bind_population()
+        self._bind_implementation()
+        self._check_reference()
         if self.settings.estimates is not None:
-            names = ", ".join(state.name for state in controller.states) or "none"
+            names = ", ".join(state.name for state in self.controller.states) or "none"
             checks.sequence(
                 "simulation.estimates",
                 self.settings.estimates,
-                len(controller.states),
+                len(self.controller.states),
                 f"the controller states ({names})",
             )
+
+    def _check_parts(self) -> None:
+        required = {"plant": Plant, "law": Law, "truth": Truth, "settings": Settings}
+        optional = {"population": Population, "implementation": Implementation}
+        for name, kind in (required | optional).items():
+            part = getattr(self, name)
+            if not isinstance(part, kind) and not (part is None and name in optional):
+                article = "an" if kind is Implementation else "a"
+                raise InputError(name, f"must be {article} {kind.__name__}", part)
+        check_fields(self, "", "title")
+
+    def _bind_population(self) -> None:
+        if self.population is None:
+            return
+        states = len(self.controller.states)
+        population = self.population.bound_to(self.plant, self.truth, states)
+        set_fields(self, population=population)
+        for i, entry in enumerate(population.x0 or ()):
+            if max(abs(entry.low), abs(entry.high)) > self.settings.max_state:
+                raise InputError(f"ensemble.x0[{i}]", "must be within simulation.max_state")
+
+    def _bind_implementation(self) -> None:
+        if self.implementation is None:
+            return
+        implementation = self.implementation.bound_to(self.plant, len(self.controller.states))
+        implementation.samples(self.settings.duration)
+        set_fields(self, implementation=implementation)
+
+    def _check_reference(self) -> None:
+        period = getattr(self.reference, "period", None)
+        if period is not None and self.settings.duration > MAX_REPEATS * period:
+            raise InputError(
+                "reference.period",
+                f"must not repeat more than {MAX_REPEATS} times in simulation.duration",
+                period,
+            )
+        q = self.controller.coordinates.q
+        require_order(self.reference, q + 1, f"this design (law.feedforward = {q})")
 
     @cached_property
     def controller(self) -> Controller:

@@ -14,9 +14,10 @@ import numpy as np
 from certrack.core.expressions import Expression, parse
 from certrack.core.files import write_text
 from certrack.laws import Law
+from certrack.model.distribution import Distribution
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
-from certrack.model.population import Distribution, Population
+from certrack.model.population import Population
 from certrack.model.truth import Truth
 from certrack.references import Reference, SymbolicReference, piecewise
 from certrack.systems.system import System

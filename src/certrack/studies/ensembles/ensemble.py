@@ -13,7 +13,7 @@ import numpy as np
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.integrators.many.native import Unavailable
-from certrack.model.population import MOST
+from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.ensembles import workers as hands
@@ -198,7 +198,7 @@ def ensemble(
     InputError
         If an argument does not fit or the folder cannot be written.
     """
-    checks.integer("members", members, 1, MOST)
+    checks.integer("members", members, 1, MAX_MEMBERS)
     checks.integer("seed", seed, 0, 2**63)
     checks.integer("chunk", chunk, 1, 2**24)
     if threads is not None:

@@ -7,7 +7,8 @@ import math
 from certrack.certificates import best_sound_bound
 from certrack.certificates.assumption_1 import check_assumption_1
 from certrack.core import checks
-from certrack.model.population import Distribution, Population
+from certrack.model.distribution import Distribution
+from certrack.model.population import Population
 from certrack.systems.system import System
 
 

@@ -20,8 +20,9 @@ from certrack.core.expressions import parse, symbol
 from certrack.core.lowering import numpy_callable, rows
 from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
 from certrack.loops.plant import true_constants
+from certrack.model.distribution import Distribution
 from certrack.model.plant import Plant
-from certrack.model.population import Distribution, probabilities
+from certrack.model.sampling import probabilities
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
 from certrack.systems.system import System

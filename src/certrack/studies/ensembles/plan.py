@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from certrack.loops.plant import measured
-from certrack.model.population import Distribution
+from certrack.model.distribution import Distribution
 from certrack.simulation.metrics import Metrics
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate

@@ -1,0 +1,72 @@
+"""Bounds of what the plant's equations leave out (Assumption 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.core.keys import check_fields, keyed, keys_of
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Bounds of the uncertain terms: |w_k(t, x)| <= gamma_k ||x|| + beta_k (Assumption 1).
+
+    Parameters
+    ----------
+    tau, gamma, beta : n numbers >= 0
+        Strength of w_k in the plant, and its growth and offset bounds.
+
+    Raises
+    ------
+    InputError
+        If a number is negative, or the lists differ in length.
+    """
+
+    tau: tuple[float, ...] = keyed(
+        "numbers",
+        help="strengths of w_1 ... w_n in the plant",
+        shape="one number per state",
+        least=0,
+    )
+    gamma: tuple[float, ...] = keyed(
+        "numbers",
+        help="growth in |w_k(t, x)| <= gamma_k ||x|| + beta_k",
+        shape="one number per state",
+        least=0,
+    )
+    beta: tuple[float, ...] = keyed(
+        "numbers",
+        help="offset in |w_k(t, x)| <= gamma_k ||x|| + beta_k",
+        shape="one number per state",
+        least=0,
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self, "plant.uncertainty")
+        for name in ("gamma", "beta"):
+            values = getattr(self, name)
+            if len(values) != len(self.tau):
+                wanted = f"must be a list of {len(self.tau)}, as many as tau"
+                raise InputError(f"plant.uncertainty.{name}", wanted, list(values))
+
+    @classmethod
+    def from_table(cls, table: Any, n: int, constants: Mapping[str, Any]) -> Uncertainty:
+        """The bounds of a table ``{tau, gamma, beta}`` whose numbers may be formulas."""
+        keys = keys_of(cls)
+        checks.known_keys("plant.uncertainty", table, keys, required=keys)
+        return cls(
+            **{
+                name: key.checked(f"plant.uncertainty.{name}", table[name], constants, count=n)
+                for name, key in keys.items()
+            }
+        )
+
+    @staticmethod
+    def none(n: int) -> Uncertainty:
+        """No uncertain terms at all."""
+        zeros = (0.0,) * n
+        return Uncertainty(zeros, zeros, zeros)

@@ -1,0 +1,177 @@
+"""Every key of the system file, and what is written from them.
+
+The keys are those of the dataclass fields and reference kinds that they fill; here they are put in
+the order of the file. ``python -m certrack.systems.keys PAGE STARTER`` writes the tables of the
+page docs/system-file.md and the comments of starter.toml anew; ``make keys`` calls it.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any
+
+from certrack.core.keys import KIND_WORDS, Key, keys_of
+from certrack.laws import LAWS, Law
+from certrack.model.implementation import Implementation
+from certrack.model.plant import Plant
+from certrack.model.population import Population
+from certrack.model.truth import Truth
+from certrack.model.uncertainty import Uncertainty
+from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS
+from certrack.systems.system import Settings, System
+
+
+def _table(owner: Any, below: str = "") -> dict[str, Key]:
+    """Keys of a class that stand in its table, or in the named table below that."""
+    keys: dict[str, Key] = {}
+    for field, key in keys_of(owner).items():
+        table, _, name = (key.path or field).rpartition(".")
+        if table == below:
+            keys[name] = key
+    return keys
+
+
+def law_keys(law: type[Law]) -> dict[str, Key]:
+    """Keys of ``[law]`` for one law, a user's own among them."""
+    kind = Key("choice", help="which law", choices=tuple(LAWS), required=True)
+    undescribed = {
+        entry.name: Key("any", required=entry.default is MISSING) for entry in fields(law)
+    }
+    return {"kind": kind, **undescribed, **keys_of(law)}
+
+
+def reference_keys(kind: str) -> dict[str, Key]:
+    """Keys of ``[reference]`` for one kind of reference."""
+    choice = Key("choice", help="shape of y_d", choices=tuple(REFERENCE_KINDS), required=True)
+    return {"kind": choice, **REFERENCE_KINDS[kind].keys}
+
+
+#: Tables of the file and their keys. Where the keys depend on the kind, it stands in brackets.
+TABLES: dict[str, dict[str, Key]] = {
+    "": keys_of(System),
+    "plant": _table(Plant),
+    "plant.ranges": _table(Plant, "ranges"),
+    "plant.uncertainty": _table(Uncertainty),
+    "truth": _table(Truth),
+    "reference": dict(FORMULA_KEYS),
+    **{f"reference[{kind}]": reference_keys(kind) for kind in REFERENCE_KINDS},
+    **{f"law[{kind}]": law_keys(law) for kind, law in LAWS.items()},
+    "simulation": _table(Settings),
+    "implementation": _table(Implementation),
+    "ensemble": _table(Population),
+    "ensemble.reference": _table(Population, "reference"),
+}
+
+#: Path -> key, e.g. ``"plant.chain"``, ``"law[adaptive].Gamma"``.
+KEYS: dict[str, Key] = {
+    f"{table}.{name}" if table else name: key
+    for table, keys in TABLES.items()
+    for name, key in keys.items()
+}
+
+
+def as_dicts() -> dict[str, dict[str, Any]]:
+    """All keys in a form that JSON holds, for the forms of a designer."""
+    return {path: key.as_dict() for path, key in KEYS.items()}
+
+
+BEGIN, END = "<!-- keys: written by make keys -->", "<!-- end of keys -->"
+HEADINGS = ("key", "what it is", "unit", "limits", "if left out", "meaning")
+
+
+def page_section() -> str:
+    """The tables of the page on the system file, as Markdown."""
+    return "\n\n".join(_page_tables())
+
+
+def _page_tables() -> Iterator[str]:
+    for table, rows in _merged_tables().items():
+        title = f"### `[{table}]`" if table else "### Before the first table"
+        yield "\n".join([title, "", _row(HEADINGS), _row(["---"] * len(HEADINGS)), *rows])
+
+
+def _merged_tables() -> dict[str, list[str]]:
+    """Rows of each table; keys that several kinds share are one row."""
+    kinds: dict[tuple[str, str, Key], list[str]] = {}
+    for path, keys in TABLES.items():
+        table, _, kind = path.rstrip("]").partition("[")
+        for name, key in keys.items():
+            kinds.setdefault((table, name, key), []).append(kind)
+    tables: dict[str, list[str]] = {}
+    for (table, name, key), names in kinds.items():
+        total = sum(path.partition("[")[0] == table for path in TABLES)
+        every = len(names) == total or name == "kind"
+        only = "" if every else ", ".join(name or "formula" for name in names)
+        tables.setdefault(table, []).append(_key_row(name, key, only))
+    return tables
+
+
+def _key_row(name: str, key: Key, only: str) -> str:
+    words = ", ".join(filter(None, (KIND_WORDS[key.kind], key.shape)))
+    left_out = "**required**" if key.required else key.otherwise or _default(key.default)
+    meaning = f"{key.help} ({only})" if only else key.help
+    return _row([f"`{name}`", words, key.unit, key.limits, left_out, meaning])
+
+
+def _default(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"`[{', '.join(map(str, value))}]`"
+    return f"`{value:g}`" if isinstance(value, (int, float)) else f"`{value}`"
+
+
+def _row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+def with_section(page: str) -> str:
+    """The page with its tables written anew."""
+    before, _, rest = page.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return f"{before}{BEGIN}\n\n{page_section()}\n\n{END}{after}"
+
+
+_STARTER_LINE = re.compile(r"(?P<code>(?:# )?(?P<name>\w+) = .*?)(?P<gap> *)(?:# (?P<comment>.*))?")
+
+#: Column of the comments of the starter file.
+COLUMN = 37
+
+
+def with_comments(starter: str) -> str:
+    """The starter file with the comments of its keys written anew."""
+    lines, table = [], ""
+    for line in starter.splitlines():
+        header = re.match(r"\[([\w.]+)\]", line)
+        match = _STARTER_LINE.fullmatch(line)
+        table = header[1] if header else table
+        comment = _starter_comment(table, match["name"], match["code"]) if match else None
+        if match and comment:
+            line = f"{match['code']:<{COLUMN - 2}}  # {comment}"
+        lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def _starter_comment(table: str, name: str, code: str) -> str | None:
+    """Comment of a key; None where the file has words of its own."""
+    if table == "law":
+        table = "law[adaptive]"
+    if table == "reference" and name == "kind":
+        kind = code.split('"')[1]
+        return ", ".join(REFERENCE_KINDS[kind].keys)
+    key = TABLES.get(table, {}).get(name)
+    if key is None:
+        return None
+    return f"{key.comment}: {key.limits}" if key.kind == "choice" else key.comment
+
+
+def main(page: str, starter: str) -> None:
+    """Write the tables of the page and the comments of the starter file."""
+    for path, write in ((Path(page), with_section), (Path(starter), with_comments)):
+        path.write_text(write(path.read_text("utf-8")), "utf-8")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
