@@ -79,7 +79,7 @@ def test_metrics_are_those_of_single_runs(name, method):
     system = VARIANTS[name]
     engine = Engine(make_plan(system, 5, 1e-7, None, method))
     bands = Bands(engine.plan.centre, engine.plan.scale)
-    found, outcomes = engine._piece(3, 9, bands)
+    found, outcomes = engine.metrics_and_outcomes(3, 9, bands)
     assert set(outcomes) == {CODES[Outcome.finished]}
     close = {
         "settling_time": {"atol": 5e-3},
@@ -96,7 +96,7 @@ def test_metrics_are_those_of_single_runs(name, method):
             limits = {"rtol": 1e-4, "atol": 1e-9} | close.get(name_, {})
             np.testing.assert_allclose(value, expected, err_msg=name_, **limits)
     if method == "native":
-        x = engine.final_states(3, 9)
+        x = engine.method.final_states(3, 9, bands)
         alone = [
             certrack.simulate(Members(system, 5).member(3 + k), tolerance=1e-11).x[:, -1]
             for k in range(6)
@@ -110,9 +110,10 @@ def test_errors_stay_below_the_tolerance(tolerance):
     """The error estimate of the method may be relaxed: it exceeds the error by far."""
     system = example1()
     engine = Engine(make_plan(system, 0, tolerance, None, "native"))
+    bands = engine.plan.empty().bands
     members = Members(system, 0)
     exact = [certrack.simulate(members.member(i), tolerance=1e-12).x[:, -1] for i in range(16)]
-    assert np.abs(engine.final_states(0, 16) - np.transpose(exact)).max() < tolerance
+    assert np.abs(engine.method.final_states(0, 16, bands) - np.transpose(exact)).max() < tolerance
 
 
 def test_dense_output_is_of_order_6_and_ends_as_the_step_does():

@@ -22,9 +22,9 @@ from certrack.core.errors import InputError
 from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import MAX_DELAY, MAX_SAMPLES, Implementation
 from certrack.studies.ensembles import workers
-from certrack.studies.ensembles.engine import fastest
 from certrack.studies.ensembles.limit import limit_of
-from certrack.studies.ensembles.plan import METHODS, Plan
+from certrack.studies.ensembles.methods.choice import fastest_adjustable
+from certrack.studies.ensembles.problem import EnsembleProblem
 from certrack.systems.system import System
 
 #: Of the first period tried: this part of the fastest error pole's time constant.
@@ -219,17 +219,15 @@ class _Trials:
         self, system: System, members: int, seed: int, progress: Callable[[str, int], None]
     ) -> None:
         self._members, self._progress, self._done, self.peak = members, progress, 0, 0.0
-        rows = system.plant.n + 2  # what bands would show; nobody asks for them
-        nothing, none = np.zeros((rows, system.varied.points + 1)), np.ones(rows)
-        plan = Plan(system, seed, TOLERANCE, None, nothing, none, METHODS[0])
-        self._engine = fastest(plan, workers.cores(), adjustable=True)
+        problem = EnsembleProblem(system, seed, TOLERANCE)
+        self._method = fastest_adjustable(problem, workers.cores())
 
     def worst(self, what: str, implementation: Implementation) -> float:
         """Worst tail error of the members."""
-        found, self.peak = self._engine.extremes(self._members, implementation)
+        error, self.peak = self._method.extremes(self._members, implementation)
         self._done += 1
         self._progress(what, self._done)
-        return found
+        return error
 
     def search(
         self,

@@ -20,7 +20,7 @@ from certrack.studies.ensembles import workers as hands
 from certrack.studies.ensembles.engine import Engine, fastest
 from certrack.studies.ensembles.limit import limit_of
 from certrack.studies.ensembles.members import Members
-from certrack.studies.ensembles.plan import METHODS, Plan, Range, grid, make_plan
+from certrack.studies.ensembles.plan import METHODS, Plan, Range, band_times, make_plan
 from certrack.studies.ensembles.statistics import LEVELS, Statistics, binomial_interval
 from certrack.studies.ensembles.store import Store
 from certrack.systems.system import System
@@ -71,7 +71,7 @@ class Ensemble:
     @property
     def t(self) -> np.ndarray:
         """Times of the bands, s."""
-        return grid(self.system)
+        return band_times(self.system)
 
     @property
     def signals(self) -> tuple[str, ...]:

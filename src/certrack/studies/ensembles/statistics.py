@@ -44,6 +44,11 @@ def centres() -> np.ndarray:
     return np.concatenate([-values[::-1], values])
 
 
+def counts_shape(signals: int, times: int) -> tuple[int, int, int]:
+    """Shape of the table that counts so many signals at so many times."""
+    return times, signals, BINS
+
+
 class Bands:
     """Counts of several signals at every time of a grid.
 
@@ -58,7 +63,12 @@ class Bands:
     def __init__(self, centre: np.ndarray, scale: np.ndarray) -> None:
         self.centre, self.scale = centre, scale
         # (T, R, bins); written to now, so that memory is had before anything is timed
-        self.counts = np.full((*centre.shape[::-1], BINS), 0, dtype=np.int32)
+        self.counts = np.full(counts_shape(*centre.shape), 0, dtype=np.int32)
+
+    @property
+    def unit(self) -> np.ndarray:
+        """Smallest distance that the bands tell apart from zero, for each signal."""
+        return self.scale * 2.0**-FINEST
 
     def observe(self, signal: int, k: int, values: np.ndarray) -> None:
         """Count `values` of a signal at grid time k; NaN counts as missing."""
