@@ -34,7 +34,7 @@ from certrack.model.plant import Plant, Uncertainty
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
 from certrack.simulation.simulator import simulate
-from certrack.studies.falsify import falsify
+from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.reader import loads, starter
 from certrack.systems.system import Settings, System
 
