@@ -24,12 +24,14 @@ from certrack.integrators.base import Outcome
 from certrack.integrators.many.dense import weights
 from certrack.integrators.many.native import compiler
 from certrack.model.population import Distribution, Population
-from certrack.studies.ensembles.engine import CODES, Engine
+from certrack.studies.ensembles.engine import OUTCOME_CODES, Engine
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METRICS, make_plan
 from certrack.studies.ensembles.statistics import (
+    BAND_BINS,
     BAND_BITS,
-    FINEST,
+    BINS_PER_SIDE,
+    FINEST_OCTAVE,
     LEVELS,
     METRIC_BITS,
     Bands,
@@ -80,7 +82,7 @@ def test_metrics_are_those_of_single_runs(name, method):
     engine = Engine(make_plan(system, 5, 1e-7, None, method))
     bands = Bands(engine.plan.centre, engine.plan.scale)
     found, outcomes = engine.metrics_and_outcomes(3, 9, bands)
-    assert set(outcomes) == {CODES[Outcome.finished]}
+    assert set(outcomes) == {OUTCOME_CODES[Outcome.finished]}
     close = {
         "settling_time": {"atol": 5e-3},
         "tail_error": {"rtol": 1e-3},
@@ -178,7 +180,7 @@ def test_quantiles_and_violations_are_those_of_brute_force(method):
     exact = np.quantile(signals, LEVELS, axis=0, method="inverted_cdf")
     bands = found.statistics.bands
     away = np.abs(exact - bands.centre)
-    half = (away + bands.scale[:, None] * 2.0**-FINEST) / 2 ** (BAND_BITS + 1)
+    half = (away + bands.scale[:, None] * 2.0**-FINEST_OCTAVE) / 2 ** (BAND_BITS + 1)
     assert np.all(np.abs(found.bands - exact) <= 1.01 * half + 2e-6)
     tails = np.array([run.metrics.tail_error for run in runs])
     for level in LEVELS:
@@ -222,7 +224,7 @@ def test_counts_merge_exactly_and_stay_within_their_bins(values, cut):
     inside = np.clip(values, -1000, 1000)
     median = np.quantile(inside, 0.5, method="inverted_cdf")
     found = np.clip(whole.quantiles((0.5,))[0, 0, 0], -1000, 1000)
-    assert abs(found - median) <= (abs(median) + 2.0**-FINEST) / 2 ** (BAND_BITS + 1) * 1.001
+    assert abs(found - median) <= (abs(median) + 2.0**-FINEST_OCTAVE) / 2 ** (BAND_BITS + 1) * 1.001
     first, second = Tally(), Tally()
     first.observe(np.abs(values))
     second.observe(np.abs(values[:cut]))
@@ -230,6 +232,37 @@ def test_counts_merge_exactly_and_stay_within_their_bins(values, cut):
     rest.observe(np.abs(values[cut:]))
     second.merge(rest)
     assert first.summary() == second.summary()
+
+
+@given(
+    values=arrays(np.float32, st.integers(1, 60), elements=st.floats(-(2.0**40), 2.0**40, width=32))
+)
+def test_bins_are_octaves_cut_evenly(values):
+    """By logarithms instead of bits: bin k of y = 1 + |v|/unit, mirrored where v is negative."""
+    bands = Bands(np.zeros((1, 1)), np.array([4.0]))
+    bands.observe(0, 0, values)
+    y = np.float32(1) + np.abs(values) / np.float32(bands.unit[0])
+    mantissa, exponent = np.frexp(y)  # y = mantissa 2^exponent, 1/2 <= mantissa < 1
+    part = np.floor((2 * mantissa - 1) * 2**BAND_BITS).astype(int)
+    k = np.minimum((exponent - 1) * 2**BAND_BITS + part, BINS_PER_SIDE - 1)
+    expected = BINS_PER_SIDE + np.where(np.signbit(values), -k - 1, k)
+    np.testing.assert_array_equal(bands.counts[0, 0], np.bincount(expected, minlength=BAND_BINS))
+
+
+def test_missing_and_infinite_values_have_bins_of_their_own():
+    bands = Bands(np.zeros((1, 1)), np.ones(1))
+    bands.observe(0, 0, np.array([np.nan, np.nan, np.inf, -np.inf, -np.inf, -np.inf]))
+    filled = {int(i): int(bands.counts[0, 0, i]) for i in np.flatnonzero(bands.counts[0, 0])}
+    assert filled == {0: 3, 2 * BINS_PER_SIDE - 1: 1, BAND_BINS - 1: 2}
+
+
+@given(value=st.floats(1e-300, 1e300))
+def test_bins_of_metrics_have_a_fixed_relative_width(value):
+    tally = Tally()
+    tally.observe(np.array([value, value * (1 + 2.0 ** -(METRIC_BITS - 1))]))
+    assert len(tally.keys) == 2  # more than a bin apart
+    tally.least, tally.most = 0.0, np.inf
+    assert tally.values[0] == pytest.approx(value, rel=2.0 ** -(METRIC_BITS + 1))
 
 
 @pytest.mark.parametrize("method", METHODS)

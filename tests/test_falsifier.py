@@ -1,4 +1,4 @@
-"""The adversary's parts: what they write into a system is what they write into the compiled loop."""
+"""The adversary's parts write the same into a system as into the compiled loop."""
 
 from dataclasses import replace
 

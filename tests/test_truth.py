@@ -23,7 +23,7 @@ from certrack.loops.plant import measured, plant_values, simulated_plant
 from certrack.model.population import Distribution, Population
 from certrack.model.truth import Truth
 from certrack.simulation.simulator import Simulator, simulate
-from certrack.studies.ensembles.engine import CODES, Engine
+from certrack.studies.ensembles.engine import OUTCOME_CODES, Engine
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METRICS, make_plan
 from certrack.studies.ensembles.statistics import LEVELS
@@ -391,7 +391,7 @@ def test_an_ensemble_is_its_members(method):
 def test_every_member_is_replayed(method):
     engine = Engine(make_plan(PHYSICAL, 7, 1e-8, None, method))
     found, outcomes = engine.metrics_and_outcomes(3, 9, engine.plan.empty().bands)
-    assert set(outcomes) == {CODES[Outcome.finished]}
+    assert set(outcomes) == {OUTCOME_CODES[Outcome.finished]}
     for k in range(6):
         member = Members(PHYSICAL, 7).member(3 + k)
         assert certrack.loads(certrack.to_text(member)) == member

@@ -18,7 +18,7 @@ from certrack.studies.ensembles.problem import EnsembleProblem, is_clearly_after
 from certrack.studies.ensembles.statistics import Bands, Statistics
 
 #: Numbers of the outcomes.
-CODES = {outcome: code for code, outcome in enumerate(Outcome)}
+OUTCOME_CODES = {outcome: code for code, outcome in enumerate(Outcome)}
 
 
 class Engine:
@@ -49,7 +49,7 @@ class Engine:
         statistics = self.plan.empty() if total is None else total
         metrics, outcomes = self.metrics_and_outcomes(begin, end, statistics.bands)
         statistics.members += end - begin
-        for outcome, count in zip(CODES, np.bincount(outcomes).tolist(), strict=False):
+        for outcome, count in zip(OUTCOME_CODES, np.bincount(outcomes).tolist(), strict=False):
             if count:
                 statistics.outcomes[outcome.name] += count
         for name, values in zip(METRICS, metrics, strict=True):
@@ -75,13 +75,13 @@ class Engine:
         """
         results = self.method.compute(begin, end, bands)
         metrics = results.metrics
-        outcomes = np.full(end - begin, CODES[Outcome.finished])
+        outcomes = np.full(end - begin, OUTCOME_CODES[Outcome.finished])
         early = results.ends < self._problem.end
         metrics[:, early] = np.nan
-        outcomes[early & ~results.run_alone] = CODES[Outcome.escaped]
+        outcomes[early & ~results.run_alone] = OUTCOME_CODES[Outcome.escaped]
         for i in np.flatnonzero(results.run_alone).tolist():
             run = simulate(self._problem.members.member(begin + i))
-            outcomes[i] = CODES[run.outcome]
+            outcomes[i] = OUTCOME_CODES[run.outcome]
             if run.outcome is Outcome.finished:
                 metrics[:, i] = [getattr(run.metrics, name) for name in METRICS]
             self._count_single_run(run, float(results.ends[i]), bands)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import sympy
 
-from certrack.studies.ensembles.flow import BAND
 from certrack.studies.ensembles.members import AMPLITUDE, Members
+from certrack.studies.ensembles.metric_formulas import SETTLING_BAND
 from certrack.studies.ensembles.plan import METRICS, band_times
 from certrack.systems.system import System
 
@@ -99,7 +99,7 @@ class EnsembleProblem:
         amplitude = table.get(AMPLITUDE)
         if self.system.settings.band is None and amplitude is not None:
             band *= np.abs(amplitude)
-        table[BAND] = band
+        table[SETTLING_BAND] = band
         return starts, table
 
     def metrics(self, totals: dict[str, np.ndarray]) -> np.ndarray:

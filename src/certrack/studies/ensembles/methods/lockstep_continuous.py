@@ -10,8 +10,9 @@ import numpy as np
 from certrack.integrators.many.lockstep import Lockstep
 from certrack.integrators.many.native import Unavailable
 from certrack.integrators.single.taylor import available
-from certrack.studies.ensembles.flow import MEMORIES, SUMS, make_flow, shown
+from certrack.studies.ensembles.build_flow import build_flow, shown_signals
 from certrack.studies.ensembles.methods.base import MemberResults, Method
+from certrack.studies.ensembles.metric_formulas import INTEGRAL_METRICS, MEMORY_METRICS
 from certrack.studies.ensembles.problem import EnsembleProblem
 from certrack.studies.ensembles.statistics import Bands
 
@@ -34,7 +35,7 @@ class LockstepContinuous(Method):
         if not available():
             raise Unavailable("heyoka is not installed")
         self._problem = problem
-        self._flow = make_flow(problem.members, problem.varying)
+        self._flow = build_flow(problem.members, problem.varying)
         self._lockstep = Lockstep(self._flow, problem.tolerance, parallel=threads > 1)
         self._times = np.union1d(problem.times, problem.segments.edges)
         jumps = np.searchsorted(self._times, problem.segments.edges[1:-1])
@@ -47,7 +48,7 @@ class LockstepContinuous(Method):
         row_of = dict(zip(flow.states, itertools.count()))
         signals = (end for _, end in flow.sides)
         row_of |= zip(signals, itertools.count(flow.rows["signals"].start))
-        return [row_of[name] for name in shown(flow, self._problem.members.loop)]
+        return [row_of[name] for name in shown_signals(flow, self._problem.members.loop)]
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         problem, rows = self._problem, self._flow.rows
@@ -61,7 +62,7 @@ class LockstepContinuous(Method):
                 for signal, index in enumerate(self._shown_rows):
                     bands.observe(signal, band_index[k], row(index))
             if k == len(self._times) - 1:
-                for kind, names in (("integrals", SUMS), ("memories", MEMORIES)):
+                for kind, names in (("integrals", INTEGRAL_METRICS), ("memories", MEMORY_METRICS)):
                     first = rows[kind].start
                     totals.update((name, row(first + i)) for i, name in enumerate(names))
 

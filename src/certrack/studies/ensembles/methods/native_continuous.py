@@ -13,10 +13,11 @@ from certrack.integrators.many.native import (
     Passed,
     Timeline,
 )
-from certrack.studies.ensembles.flow import MEMORIES, SUMS, make_flow, shown
+from certrack.studies.ensembles.build_flow import build_flow, shown_signals
 from certrack.studies.ensembles.methods.base import MemberResults, Method
+from certrack.studies.ensembles.metric_formulas import INTEGRAL_METRICS, MEMORY_METRICS
 from certrack.studies.ensembles.problem import EnsembleProblem
-from certrack.studies.ensembles.statistics import BAND_BITS, SIDE, Bands, counts_shape
+from certrack.studies.ensembles.statistics import BAND_BITS, BINS_PER_SIDE, Bands, counts_shape
 
 #: A group of members that needs more steps is given up.
 MAX_GROUP_STEPS = 1_000_000
@@ -40,14 +41,15 @@ class NativeContinuous(Method):
 
     def __init__(self, problem: EnsembleProblem, threads: int) -> None:
         self._problem, self._threads = problem, threads
-        self._flow = make_flow(problem.members, problem.varying)
-        signals = shown(self._flow, problem.members.loop)
+        self._flow = build_flow(problem.members, problem.varying)
+        signals = shown_signals(self._flow, problem.members.loop)
         self._native = Native(self._flow, signals)
         self._native.reserve(threads, counts_shape(len(signals), len(problem.times)))
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         passed, part = self._integrate(begin, end, bands)
-        totals = dict(zip((*SUMS, *MEMORIES), passed.totals[:, part], strict=True))
+        names = (*INTEGRAL_METRICS, *MEMORY_METRICS)
+        totals = dict(zip(names, passed.totals[:, part], strict=True))
         metrics = self._problem.metrics(totals)
         return MemberResults(metrics, passed.ends[part], passed.outcomes[part] == STUCK)
 
@@ -69,7 +71,7 @@ class NativeContinuous(Method):
             parameters,
             Timeline(segments.edges, segments.shared, problem.times, bands.centre, bands.unit),
             Control(problem.tolerance, problem.system.settings.max_state, MAX_GROUP_STEPS),
-            Counted(part, SIDE, BAND_BITS, bands.counts),
+            Counted(part, BINS_PER_SIDE, BAND_BITS, bands.counts),
             self._threads,
         )
         return passed, part

@@ -19,13 +19,19 @@ from certrack.loops.sampled import loop_values, sample_loop
 from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.sampled import outputs_of
-from certrack.studies.ensembles.flow import BAND, IN_TAIL, MEMORIES, SUMS, sampled_totals
 from certrack.studies.ensembles.methods.base import MemberResults, SampledMethod
+from certrack.studies.ensembles.metric_formulas import (
+    IN_TAIL,
+    INTEGRAL_METRICS,
+    MEMORY_METRICS,
+    SETTLING_BAND,
+    sampled_totals,
+)
 from certrack.studies.ensembles.problem import EnsembleProblem
 from certrack.studies.ensembles.statistics import Bands
 
 #: Names of what is totalled; the last one is kept by the integrators themselves.
-TOTALS = (*SUMS, *MEMORIES[1:], MEMORIES[0])
+TOTALS = (*INTEGRAL_METRICS, *MEMORY_METRICS[1:], MEMORY_METRICS[0])
 
 #: Gets the number of a time of the grid, the shown values of all members there, and which of them
 #: count: those that have to be run alone show what comes after their last time themselves.
@@ -75,7 +81,7 @@ class SampledLoopMethod(SampledMethod):
         fixed = {name: sympy.Float(value) for name, value in base if name not in free}
         loop = general.with_numbers(fixed)
         pieces = (IN_TAIL, *loop.pieces)
-        self.loop = replace(loop, parameters=(*loop.parameters, BAND), pieces=pieces)
+        self.loop = replace(loop, parameters=(*loop.parameters, SETTLING_BAND), pieces=pieces)
         self.shown = (loop.e_1, *loop.plant.outputs, INPUT)
         self._timeline = self._timeline_under(self._implementation)
         self._outputs = outputs_of(self.loop)

@@ -24,7 +24,7 @@ from certrack.systems.writer import to_text, write_whole
 GATHER = 32
 
 
-class Store:
+class Checkpoints:
     """A folder that belongs to one plan.
 
     Raises
