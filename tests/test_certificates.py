@@ -35,7 +35,7 @@ from certrack.model.truth import Truth
 from certrack.model.uncertainty import Uncertainty
 from certrack.references import SymbolicReference
 from certrack.simulation.simulator import simulate
-from certrack.studies.falsify import falsify
+from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.reader import loads, starter
 from certrack.systems.system import Settings, System
 

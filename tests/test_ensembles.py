@@ -22,12 +22,14 @@ from certrack.integrators.base import Outcome
 from certrack.integrators.many.native import vector_compiler
 from certrack.model.distribution import Distribution
 from certrack.model.population import Population
-from certrack.studies.ensembles.engine import CODES, Engine
+from certrack.studies.ensembles.engine import OUTCOME_CODES, Engine
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METRICS, make_plan
 from certrack.studies.ensembles.statistics import (
+    BAND_BINS,
     BAND_BITS,
-    FINEST,
+    BINS_PER_SIDE,
+    FINEST_OCTAVE,
     LEVELS,
     METRIC_BITS,
     Bands,
@@ -77,8 +79,8 @@ def test_metrics_are_those_of_single_runs(name, method):
     system = VARIANTS[name]
     engine = Engine(make_plan(system, 5, 1e-7, None, method))
     bands = Bands(engine.plan.centre, engine.plan.scale)
-    found, outcomes = engine._piece(3, 9, bands)
-    assert set(outcomes) == {CODES[Outcome.finished]}
+    found, outcomes = engine.metrics_and_outcomes(3, 9, bands)
+    assert set(outcomes) == {OUTCOME_CODES[Outcome.finished]}
     close = {
         "settling_time": {"atol": 5e-3},
         "tail_error": {"rtol": 1e-3},
@@ -94,7 +96,7 @@ def test_metrics_are_those_of_single_runs(name, method):
             limits = {"rtol": 1e-4, "atol": 1e-9} | close.get(name_, {})
             np.testing.assert_allclose(value, expected, err_msg=name_, **limits)
     if method == "native":
-        x = engine.final_states(3, 9)
+        x = engine.method.final_states(3, 9, bands)
         alone = [
             certrack.simulate(Members(system, 5).member(3 + k), tolerance=1e-11).x[:, -1]
             for k in range(6)
@@ -108,9 +110,10 @@ def test_errors_stay_below_the_tolerance(tolerance):
     """The error estimate of the method may be relaxed: it exceeds the error by far."""
     system = example1()
     engine = Engine(make_plan(system, 0, tolerance, None, "native"))
+    bands = engine.plan.empty().bands
     members = Members(system, 0)
     exact = [certrack.simulate(members.member(i), tolerance=1e-12).x[:, -1] for i in range(16)]
-    assert np.abs(engine.final_states(0, 16) - np.transpose(exact)).max() < tolerance
+    assert np.abs(engine.method.final_states(0, 16, bands) - np.transpose(exact)).max() < tolerance
 
 
 def identical(first, second):
@@ -153,7 +156,7 @@ def test_quantiles_and_violations_are_those_of_brute_force(method):
     exact = np.quantile(signals, LEVELS, axis=0, method="inverted_cdf")
     bands = found.statistics.bands
     away = np.abs(exact - bands.centre)
-    half = (away + bands.scale[:, None] * 2.0**-FINEST) / 2 ** (BAND_BITS + 1)
+    half = (away + bands.scale[:, None] * 2.0**-FINEST_OCTAVE) / 2 ** (BAND_BITS + 1)
     assert np.all(np.abs(found.bands - exact) <= 1.01 * half + 2e-6)
     tails = np.array([run.metrics.tail_error for run in runs])
     for level in LEVELS:
@@ -197,7 +200,7 @@ def test_counts_merge_exactly_and_stay_within_their_bins(values, cut):
     inside = np.clip(values, -1000, 1000)
     median = np.quantile(inside, 0.5, method="inverted_cdf")
     found = np.clip(whole.quantiles((0.5,))[0, 0, 0], -1000, 1000)
-    assert abs(found - median) <= (abs(median) + 2.0**-FINEST) / 2 ** (BAND_BITS + 1) * 1.001
+    assert abs(found - median) <= (abs(median) + 2.0**-FINEST_OCTAVE) / 2 ** (BAND_BITS + 1) * 1.001
     first, second = Tally(), Tally()
     first.observe(np.abs(values))
     second.observe(np.abs(values[:cut]))
@@ -205,6 +208,37 @@ def test_counts_merge_exactly_and_stay_within_their_bins(values, cut):
     rest.observe(np.abs(values[cut:]))
     second.merge(rest)
     assert first.summary() == second.summary()
+
+
+@given(
+    values=arrays(np.float32, st.integers(1, 60), elements=st.floats(-(2.0**40), 2.0**40, width=32))
+)
+def test_bins_are_octaves_cut_evenly(values):
+    """By logarithms instead of bits: bin k of y = 1 + |v|/unit, mirrored where v is negative."""
+    bands = Bands(np.zeros((1, 1)), np.array([4.0]))
+    bands.observe(0, 0, values)
+    y = np.float32(1) + np.abs(values) / np.float32(bands.unit[0])
+    mantissa, exponent = np.frexp(y)  # y = mantissa 2^exponent, 1/2 <= mantissa < 1
+    part = np.floor((2 * mantissa - 1) * 2**BAND_BITS).astype(int)
+    k = np.minimum((exponent - 1) * 2**BAND_BITS + part, BINS_PER_SIDE - 1)
+    expected = BINS_PER_SIDE + np.where(np.signbit(values), -k - 1, k)
+    np.testing.assert_array_equal(bands.counts[0, 0], np.bincount(expected, minlength=BAND_BINS))
+
+
+def test_missing_and_infinite_values_have_bins_of_their_own():
+    bands = Bands(np.zeros((1, 1)), np.ones(1))
+    bands.observe(0, 0, np.array([np.nan, np.nan, np.inf, -np.inf, -np.inf, -np.inf]))
+    filled = {int(i): int(bands.counts[0, 0, i]) for i in np.flatnonzero(bands.counts[0, 0])}
+    assert filled == {0: 3, 2 * BINS_PER_SIDE - 1: 1, BAND_BINS - 1: 2}
+
+
+@given(value=st.floats(1e-300, 1e300))
+def test_bins_of_metrics_have_a_fixed_relative_width(value):
+    tally = Tally()
+    tally.observe(np.array([value, value * (1 + 2.0 ** -(METRIC_BITS - 1))]))
+    assert len(tally.keys) == 2  # more than a bin apart
+    tally.least, tally.most = 0.0, np.inf
+    assert tally.values[0] == pytest.approx(value, rel=2.0 ** -(METRIC_BITS + 1))
 
 
 @pytest.mark.parametrize("method", METHODS)

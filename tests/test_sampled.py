@@ -14,8 +14,9 @@ from certrack.integrators.many import native
 from certrack.integrators.many.native import vector_compiler
 from certrack.loops.stability import linear_loop
 from certrack.model.noise import keys, normal
-from certrack.studies.ensembles.engine import fastest
-from certrack.studies.ensembles.plan import make_plan
+from certrack.studies.ensembles.methods.choice import fastest_adjustable
+from certrack.studies.ensembles.methods.maps_sampled import MapsSampled
+from certrack.studies.ensembles.problem import EnsembleProblem
 
 EVERYTHING = {
     "period": 0.01,
@@ -548,12 +549,13 @@ def test_neither_compiler_nor_heyoka(monkeypatch):
         raise native.Unavailable
 
     monkeypatch.setattr("certrack.integrators.many.sampled_native.compiled_library", missing)
-    monkeypatch.setattr("certrack.studies.ensembles.sampled.available", lambda: False)
-    monkeypatch.setattr("certrack.studies.ensembles.engine.available", lambda: False)
+    methods = "certrack.studies.ensembles.methods"
+    monkeypatch.setattr(f"{methods}.maps_sampled.available", lambda: False)
+    monkeypatch.setattr(f"{methods}.lockstep_continuous.available", lambda: False)
     system = sampled("example1", **EVERYTHING).with_settings(duration=1, tail=0.5)
-    ready = fastest(make_plan(system, 3, 1e-9, None, "native"), 1, adjustable=True)
-    assert ready.plan.method == "lockstep"
-    worst, _ = ready.extremes(3, system.implementation)
+    method = fastest_adjustable(EnsembleProblem(system, 3, 1e-9), 1)
+    assert type(method) is MapsSampled
+    worst, _ = method.extremes(3, system.implementation)
     every = [certrack.ensemble(system, 3, seed=3).run(i).metrics.tail_error for i in range(3)]
     assert worst == pytest.approx(max(every), rel=1e-7)
 

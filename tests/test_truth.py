@@ -25,10 +25,10 @@ from certrack.model.distribution import Distribution
 from certrack.model.population import Population
 from certrack.model.truth import Truth
 from certrack.simulation.simulator import Simulator, simulate
-from certrack.studies.ensembles.engine import CODES, Engine
+from certrack.studies.ensembles.engine import OUTCOME_CODES, Engine
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METRICS, make_plan
-from certrack.studies.ensembles.statistics import LEVELS, Bands
+from certrack.studies.ensembles.statistics import LEVELS
 from certrack.systems.reader import starter
 
 METHODS = ["alone", "lockstep"] + ["native"] * (vector_compiler() is not None)
@@ -393,8 +393,8 @@ def test_an_ensemble_is_its_members(method):
 @pytest.mark.parametrize("method", METHODS)
 def test_every_member_is_replayed(method):
     engine = Engine(make_plan(PHYSICAL, 7, 1e-8, None, method))
-    found, outcomes = engine._piece(3, 9, Bands(engine.plan.centre, engine.plan.scale))
-    assert set(outcomes) == {CODES[Outcome.finished]}
+    found, outcomes = engine.metrics_and_outcomes(3, 9, engine.plan.empty().bands)
+    assert set(outcomes) == {OUTCOME_CODES[Outcome.finished]}
     for k in range(6):
         member = Members(PHYSICAL, 7).member(3 + k)
         assert certrack.loads(certrack.to_text(member)) == member

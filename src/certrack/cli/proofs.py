@@ -93,7 +93,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     """
     from certrack.certificates import best_sound_bound
     from certrack.cli import report
-    from certrack.studies import falsify as falsifier
+    from certrack.studies.falsifier import falsify as falsifier
     from certrack.systems.reader import load
     from certrack.systems.writer import save
 

@@ -153,7 +153,7 @@ def ensemble(
     from contextlib import nullcontext
 
     from certrack.cli import report
-    from certrack.studies.ensembles import workers as hands
+    from certrack.studies.ensembles import workers
     from certrack.studies.ensembles.ensemble import ensemble as run_ensemble
     from certrack.systems.reader import load
 
@@ -164,7 +164,7 @@ def ensemble(
         raise click.UsageError("--keep must be below --members", click.get_current_context())
     try:
         with (
-            hands.connect(cluster) if cluster is not None else nullcontext() as client,
+            workers.connect(cluster) if cluster is not None else nullcontext() as client,
             report.rate_progress("Members") as advance,
         ):
             found = run_ensemble(

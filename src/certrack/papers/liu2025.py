@@ -28,7 +28,7 @@ from certrack.plotting import (
 from certrack.references import SymbolicReference
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import Simulator, simulate
-from certrack.studies.falsify import falsify
+from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.reader import load
 from certrack.systems.system import System
 

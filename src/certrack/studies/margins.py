@@ -22,28 +22,28 @@ from certrack.core.errors import InputError
 from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import MAX_DELAY, MAX_RUN_SAMPLES, Implementation
 from certrack.studies.ensembles import workers
-from certrack.studies.ensembles.engine import fastest
-from certrack.studies.ensembles.limit import limit_of
-from certrack.studies.ensembles.plan import METHODS, Plan
+from certrack.studies.ensembles.error_limit import tail_error_limit
+from certrack.studies.ensembles.methods.choice import fastest_adjustable
+from certrack.studies.ensembles.problem import EnsembleProblem
 from certrack.systems.system import System
 
 #: Of the first period tried: this part of the fastest error pole's time constant.
-FINE = 0.05
+FIRST_PERIOD_SHARE = 0.05
 
 #: Ratio of one value tried to the next, and how closely an edge is found.
-STEP, CLOSE = 1.25, 1.01
+VALUE_RATIO, EDGE_RATIO = 1.25, 1.01
 
 #: Values tried at most before the search ends without an edge.
-MOST = 60
+MAX_VALUES = 60
 
 #: A loop counts as bounded while its error is below so many times the admitted one.
-BOUNDED = 100.0
+BOUNDED_FACTOR = 100.0
 
 #: Of the integrator.
-TOLERANCE = 1e-6
+MARGIN_TOLERANCE = 1e-6
 
 #: Stands for no saturation.
-FREE = 1e12
+UNLIMITED_INPUT = 1e12
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def margins(
     checks.integer("members", members, 1, 100_000)
     checks.integer("seed", seed, 0, 2**63)
     given, duration = system.implementation, system.settings.duration
-    first = min(FINE / system.controller.coordinates.fastest_pole, duration / 100)
+    first = min(FIRST_PERIOD_SHARE / system.controller.coordinates.fastest_pole, duration / 100)
     if duration / first > MAX_RUN_SAMPLES:
         pole = system.controller.coordinates.fastest_pole
         raise InputError(
@@ -168,7 +168,9 @@ def margins(
             remedy="Lower c, or shorten simulation.duration",
         )
     own = given or Implementation(first)
-    base = replace(own, offset=0.0, saturation=own.saturation or (-FREE, FREE))
+    base = replace(
+        own, offset=0.0, saturation=own.saturation or (-UNLIMITED_INPUT, UNLIMITED_INPUT)
+    )
     finest = replace(base, period=min(first, base.period))
     system = system.replace(implementation=finest)
     trials = _Trials(system, members, seed, progress)
@@ -184,7 +186,7 @@ def margins(
     period = trials.search(
         "period",
         lambda T: replace(base, period=T),
-        (finest.period, STEP, longest),
+        (finest.period, VALUE_RATIO, longest),
         admitted,
         edge(lambda T: (T, base.delay), finest.period, longest),
     )
@@ -194,18 +196,20 @@ def margins(
     delay = trials.search(
         "delay",
         lambda D: replace(base, delay=D / at),
-        (shortest, STEP, latest),
+        (shortest, VALUE_RATIO, latest),
         admitted,
         edge(lambda D: (at, D / at), shortest, latest),
     )
-    unlimited = trials.worst("saturation", replace(base, saturation=(-FREE, FREE)))
+    unlimited = trials.worst(
+        "saturation", replace(base, saturation=(-UNLIMITED_INPUT, UNLIMITED_INPUT))
+    )
     peak = trials.peak
     if own.saturation is not None and not unlimited <= admitted:  # begin where it is known to serve
         peak = max(map(abs, own.saturation)) / 2
     saturation = trials.search(
         "saturation",
         lambda u: replace(base, saturation=(-u, u)),
-        (2 * peak, 1 / STEP, 1e-4 * peak),
+        (2 * peak, 1 / VALUE_RATIO, 1e-4 * peak),
         admitted,
     )
     as_given = None if given is None else trials.worst("as in the file", base)
@@ -219,17 +223,15 @@ class _Trials:
         self, system: System, members: int, seed: int, progress: Callable[[str, int], None]
     ) -> None:
         self._members, self._progress, self._done, self.peak = members, progress, 0, 0.0
-        rows = system.plant.n + 2  # what bands would show; nobody asks for them
-        nothing, none = np.zeros((rows, system.varied.points + 1)), np.ones(rows)
-        plan = Plan(system, seed, TOLERANCE, None, nothing, none, METHODS[0])
-        self._engine = fastest(plan, workers.cores(), adjustable=True)
+        problem = EnsembleProblem(system, seed, MARGIN_TOLERANCE)
+        self._method = fastest_adjustable(problem, workers.cores())
 
     def worst(self, what: str, implementation: Implementation) -> float:
         """Worst tail error of the members."""
-        found, self.peak = self._engine.extremes(self._members, implementation)
+        error, self.peak = self._method.extremes(self._members, implementation)
         self._done += 1
         self._progress(what, self._done)
-        return found
+        return error
 
     def search(
         self,
@@ -247,7 +249,7 @@ class _Trials:
                 tried[value] = self.worst(what, implementation(value))
             return tried[value]
 
-        bounded, unlimited = _edge(at, span, BOUNDED * admitted)
+        bounded, unlimited = _edge(at, span, BOUNDED_FACTOR * admitted)
         within, _ = _edge(at, span, admitted)
         order = tuple(sorted(tried))
         errors = tuple(tried[value] for value in order)
@@ -260,7 +262,7 @@ def _edge(
     """Last value before the first failure, and whether there was none."""
     value, step, end = span
     good = None
-    for _ in range(MOST):
+    for _ in range(MAX_VALUES):
         if not at(value) <= limit:
             break
         good = value
@@ -272,7 +274,7 @@ def _edge(
     if good is None:
         return None, False
     bad = value
-    while max(good / bad, bad / good) > CLOSE:
+    while max(good / bad, bad / good) > EDGE_RATIO:
         middle = math.sqrt(good * bad)
         good, bad = (middle, bad) if at(middle) <= limit else (good, middle)
     return good, False
@@ -301,7 +303,7 @@ def _admitted(system: System, error: float | None, trials: _Trials) -> tuple[flo
     assert system.implementation is not None
     if error is not None:
         return checks.real("error", error, above=0), "given"
-    limit, origin = limit_of(system.replace(implementation=None), None)
+    limit, origin = tail_error_limit(system.replace(implementation=None), None)
     finest = trials.worst("error", system.implementation)
     if not math.isfinite(finest):
         raise InputError(

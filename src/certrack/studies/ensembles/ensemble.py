@@ -16,13 +16,13 @@ from certrack.integrators.many.native import Unavailable
 from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
-from certrack.studies.ensembles import workers as hands
+from certrack.studies.ensembles import workers
+from certrack.studies.ensembles.checkpoints import Checkpoints
 from certrack.studies.ensembles.engine import Engine, fastest
-from certrack.studies.ensembles.limit import limit_of
+from certrack.studies.ensembles.error_limit import tail_error_limit
 from certrack.studies.ensembles.members import Members
-from certrack.studies.ensembles.plan import METHODS, Plan, Range, grid, make_plan
+from certrack.studies.ensembles.plan import METHODS, Plan, Range, band_times, make_plan
 from certrack.studies.ensembles.statistics import LEVELS, Statistics, binomial_interval
-from certrack.studies.ensembles.store import Store
 from certrack.systems.system import System
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class Ensemble:
     @property
     def t(self) -> np.ndarray:
         """Times of the bands, s."""
-        return grid(self.system)
+        return band_times(self.system)
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -208,19 +208,19 @@ def ensemble(
     checks.real("tolerance", tolerance, least=1e-13)
     if tolerance > 1e-2:
         raise InputError("tolerance", "must be at most 0.01", tolerance)
-    limit, origin = limit_of(system, limit)
+    limit, origin = tail_error_limit(system, limit)
     plan, engine = _prepared(system, seed, tolerance, limit, method, threads, client)
     total = plan.empty()
-    store = None if out is None else Store(Path(out), plan)
+    store = None if out is None else Checkpoints(Path(out), plan)
     covered = [] if store is None else store.load(total, members)
     missing = list(_missing(covered, members, chunk))
     wanted = sum(end - begin for begin, end in missing)
     progress(members - wanted, members)
     seconds = 0.0
     if engine is None:
-        done = hands.cluster(plan, missing, client)
+        done = workers.on_cluster(plan, missing, client)
     else:
-        done = hands.here(engine, missing, total if store is None else None)
+        done = workers.in_this_process(engine, missing, total if store is None else None)
     for span, found, spent in done if missing else ():
         if found is not total:
             total.merge(found)
@@ -244,7 +244,7 @@ def _prepared(
 ) -> tuple[Plan, Engine | None]:
     """The plan, and its engine unless a cluster computes; the first method that works."""
     plan = make_plan(system, seed, tolerance, limit, method or METHODS[0])
-    cores = threads or hands.cores()
+    cores = threads or workers.cores()
     try:
         engine = Engine(plan, cores) if method else fastest(plan, cores)
     except Unavailable as reason:

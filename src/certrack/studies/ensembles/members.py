@@ -28,10 +28,10 @@ from certrack.references import SymbolicReference
 from certrack.systems.system import System
 
 #: The sum of the magnitudes of a member's sines: just below 1, so that rounding never passes it.
-FULL = 1 - 1e-12
+SINE_WEIGHT_SUM = 1 - 1e-12
 
 #: ||x|| in the disturbances is sqrt(x.x + ROUNDING^2) - ROUNDING: smooth at zero, never above.
-ROUNDING = 1e-6
+NORM_OFFSET = 1e-6
 
 #: Parameter that scales the reference of a member.
 AMPLITUDE = symbol("ref_member_amplitude")
@@ -104,7 +104,7 @@ class Members:
         ]:
             own = [f"{name[:-1]}{j}" for j in range(self.population.sines)]
             total = sum(found[other] for other in own) + 1e-300
-            found |= {other: FULL * found[other] / total for other in own}
+            found |= {other: SINE_WEIGHT_SUM * found[other] / total for other in own}
         return found
 
     def member(self, index: int) -> System:
@@ -232,7 +232,7 @@ class Members:
         """w_k = (sum_j a_kj sin(w_kj t + p_kj)) (gamma_k ||x|| + beta_k)."""
         plant, u = self.system.plant, self.system.plant.uncertainty
         square = " + ".join(f"{x}**2" for x in plant.states)
-        norm = f"(sqrt({square} + {ROUNDING**2!r}) - {ROUNDING!r})"
+        norm = f"(sqrt({square} + {NORM_OFFSET**2!r}) - {NORM_OFFSET!r})"
 
         def number(name: str) -> str:
             return f"({point[name]!r})" if written else name

@@ -12,7 +12,7 @@ from certrack.model.distribution import Distribution
 from certrack.simulation.metrics import Metrics
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
-from certrack.studies.ensembles.statistics import FINEST, Bands, Statistics, Tally
+from certrack.studies.ensembles.statistics import Bands, Statistics, Tally
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
@@ -51,11 +51,6 @@ class Plan:
     scale: np.ndarray
     method: str
 
-    @property
-    def unit(self) -> np.ndarray:
-        """What the bands count in."""
-        return self.scale * 2.0**-FINEST
-
     @cached_property
     def key(self) -> bytes:
         """Equal for equal plans."""
@@ -68,10 +63,10 @@ class Plan:
     def __hash__(self) -> int:
         return hash(self.key)
 
-    def empty(self, bands: Bands | None = None) -> Statistics:
-        """Statistics of no members, or with the given bands."""
+    def empty(self) -> Statistics:
+        """Statistics of no members."""
         metrics = {name: Tally() for name in METRICS}
-        return Statistics(bands or Bands(self.centre, self.scale), metrics)
+        return Statistics(Bands(self.centre, self.scale), metrics)
 
 
 def make_plan(
@@ -79,7 +74,7 @@ def make_plan(
 ) -> Plan:
     """A plan around the nominal run, the one of the system itself."""
     run = simulate(system)
-    centre = signals_of(run, grid(system))
+    centre = signals_of(run, band_times(system))
     centre[0] = 0.0  # the error has a natural zero
     with np.errstate(invalid="ignore"):
         largest = np.nanmax(np.abs(signals_of(run, run.t)), axis=1)
@@ -99,7 +94,7 @@ def _ends(entries: tuple[Distribution, ...]) -> np.ndarray:
     return np.concatenate([np.where(one, low, high), np.where(one, high, low)]).T
 
 
-def grid(system: System) -> np.ndarray:
+def band_times(system: System) -> np.ndarray:
     """Times of the bands, s."""
     return np.linspace(0.0, system.settings.duration, system.varied.points + 1)
 

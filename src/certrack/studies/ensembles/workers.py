@@ -17,10 +17,10 @@ from certrack.studies.ensembles.plan import Plan, Range
 from certrack.studies.ensembles.statistics import Statistics
 
 #: Members, their statistics, and the seconds spent on them divided by the number of workers.
-Done = tuple[Range, Statistics, float]
+ChunkResult = tuple[Range, Statistics, float]
 
 #: Chunks in flight per worker: enough that none waits, few enough that memory stays flat.
-AHEAD = 2
+CHUNKS_PER_WORKER = 2
 
 
 def cores() -> int:
@@ -29,16 +29,18 @@ def cores() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def here(engine: Engine, chunks: Iterable[Range], total: Statistics | None) -> Iterator[Done]:
-    """In this process; the statistics are added to `total`, or each chunk's are its own."""
+def in_this_process(
+    engine: Engine, chunks: Iterable[Range], total: Statistics | None
+) -> Iterator[ChunkResult]:
+    """Compute here; the statistics are added to `total`, or each chunk's are its own."""
     for begin, end in chunks:
         clock = time.perf_counter()
-        found = engine.compute(begin, end, total)
-        yield (begin, end), found, time.perf_counter() - clock
+        statistics = engine.compute(begin, end, total)
+        yield (begin, end), statistics, time.perf_counter() - clock
 
 
-def cluster(plan: Plan, chunks: Iterable[Range], client: Any) -> Iterator[Done]:
-    """On a Dask cluster; a chunk whose worker dies is computed by another."""
+def on_cluster(plan: Plan, chunks: Iterable[Range], client: Any) -> Iterator[ChunkResult]:
+    """Compute on a Dask cluster; a chunk whose worker dies is computed by another."""
     from distributed import as_completed
 
     everywhere = client.scatter(plan, broadcast=True)
@@ -53,13 +55,13 @@ def cluster(plan: Plan, chunks: Iterable[Range], client: Any) -> Iterator[Done]:
             return future
         return None
 
-    first = [future for _ in range(AHEAD * workers) if (future := submit()) is not None]
+    first = [future for _ in range(CHUNKS_PER_WORKER * workers) if (future := submit()) is not None]
     queue = as_completed(first)
     for future in queue:
         arrays, spent = future.result()
-        found = plan.empty()
-        found.add_packed(arrays)
-        yield spans.pop(future.key), found, spent / workers
+        statistics = plan.empty()
+        statistics.add_packed(arrays)
+        yield spans.pop(future.key), statistics, spent / workers
         if (following := submit()) is not None:
             queue.add(following)
 

@@ -12,7 +12,7 @@ from certrack.model.population import Population
 from certrack.systems.system import System
 
 
-def limit_of(system: System, given: float | None) -> tuple[float | None, str]:
+def tail_error_limit(system: System, given: float | None) -> tuple[float | None, str]:
     """Limit of the tail error, and where it comes from.
 
     Returns

@@ -25,7 +25,7 @@ from certrack.systems.writer import to_text
 GATHER = 32
 
 
-class Store:
+class Checkpoints:
     """A folder that belongs to one plan.
 
     Raises

@@ -1,0 +1,87 @@
+"""Build the flow of a closed loop: rates, metrics and signals, for the integrators of many members.
+
+Numbers that all members share are put into the formulas, so that the compiled step computes with
+them and not about them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import sympy
+
+from certrack.core.expressions import TIME, derivative, symbol
+from certrack.integrators.many.augmented import AugmentedFlow
+from certrack.loops.continuous import INTEGRALS, ClosedLoop
+from certrack.studies.ensembles.members import Members
+from certrack.studies.ensembles.metric_formulas import (
+    IN_TAIL,
+    METRIC_SIGNALS,
+    SETTLING_BAND,
+    memory_updates,
+)
+
+
+def build_flow(members: Members, varying: Iterable[sympy.Symbol]) -> AugmentedFlow:
+    """Rates, metrics and signals of a system's closed loop.
+
+    Parameters
+    ----------
+    members : Members
+    varying : symbols
+        Parameters that differ between members; the others get their values.
+    """
+    loop = members.loop
+    free = set(varying)
+    fixed = {
+        name: sympy.Float(float(value))
+        for name, value in zip(loop.parameters, members.base, strict=False)
+        if name not in free
+    }
+    states = loop.states[: -len(INTEGRALS)]
+    rates = [rate.xreplace(fixed) for rate in loop.rates[: len(states)]]
+    e, u = loop.e_1.xreplace(fixed), loop.u.xreplace(fixed)
+    slopes = tuple(symbol(f"kept_rate_of_{state.name}") for state in states)
+    rate_of = dict(zip(states, slopes, strict=True)) | {TIME: sympy.Integer(1)}
+    outputs = [formula.xreplace(fixed) for formula in _computed_outputs(loop)]
+    signals = tuple(
+        f
+        for formula in (e, u)
+        for f in (formula, _along(formula, rate_of))  # and its rate
+    )
+    names = (*METRIC_SIGNALS, *(f"x{i}" for i in range(len(outputs))))
+    sides = tuple((symbol(f"kept_{name}_begin"), symbol(f"kept_{name}_end")) for name in names)
+    used = set().union(*(f.free_symbols for f in (*rates, e, u, *outputs)))
+    pieces = tuple(loop.parameters[len(loop.parameters) - loop.pieces :])
+    return AugmentedFlow(
+        states=states,
+        rates=tuple(rates),
+        parameters=(*(name for name in loop.parameters if name in used & free), SETTLING_BAND),
+        integrands=(e**2, u**2),
+        signals=(*signals, *outputs),
+        slopes=slopes,
+        memories=memory_updates(sides[: len(METRIC_SIGNALS)]),
+        sides=sides,
+        watched=loop.n,
+        shared=(IN_TAIL, *pieces),
+    )
+
+
+def _along(formula: sympy.Expr, rate_of: dict[sympy.Symbol, sympy.Expr]) -> sympy.Expr:
+    """Time derivative of a formula of state and time, by the chain rule."""
+    present = [name for name in rate_of if name in formula.free_symbols]
+    return sympy.Add(*(derivative(formula, name) * rate_of[name] for name in present))
+
+
+def shown_signals(flow: AugmentedFlow, loop: ClosedLoop) -> tuple[sympy.Symbol, ...]:
+    """What the bands show of a loop's flow: e_1, the states of the design, u."""
+    ends = [end for _, end in flow.sides]
+    computed = dict(zip(_computed_outputs(loop), ends[len(METRIC_SIGNALS) :], strict=True))
+    states = (computed.get(output, output) for output in loop.plant.outputs)
+    return (ends[METRIC_SIGNALS.index("e")], *states, ends[METRIC_SIGNALS.index("u")])
+
+
+def _computed_outputs(loop: ClosedLoop) -> list[sympy.Expr]:
+    """Outputs of the simulated plant that are not states of it: signals of their own."""
+    outputs = dict.fromkeys(loop.plant.outputs)
+    return [output for output in outputs if output not in loop.plant.states]

@@ -1,0 +1,72 @@
+"""What every way of computing members has to do."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from certrack.model.implementation import Implementation
+from certrack.studies.ensembles.statistics import Bands
+
+
+@dataclass(frozen=True)
+class MemberResults:
+    """What a method knows of a range of members.
+
+    Attributes
+    ----------
+    metrics : (M, N) array
+        In the order of METRICS; of no meaning for a member that did not reach the end.
+    ends : (N,) array, s
+        Last time reached; -1 for a member of which nothing was computed.
+    run_alone : (N,) array of bool
+        Which members have to be simulated each by itself: the method could not finish them.
+    """
+
+    metrics: np.ndarray
+    ends: np.ndarray
+    run_alone: np.ndarray
+
+
+class Method(ABC):
+    """One way of computing the members of an ensemble.
+
+    1. *Construction* compiles everything. It raises ``Unavailable`` if this machine cannot do it;
+       a method that could be constructed works.
+    2. :meth:`compute` gives exactly the members begin ... end-1. To fill vector registers or to
+       keep groups together it may compute neighbours besides, which count nowhere.
+    3. It counts in the bands, at every time of the grid, the signals of every member of the range:
+       a member that has escaped counts as missing from there on. A member that must be run alone
+       is counted up to its last time and not after it; the ordinary run is counted from there.
+    4. A member that ends early and is not to be run alone has escaped: nothing else may end one.
+    5. What it computes of a member depends on the member alone, bit for bit: not on the range, nor
+       on the number of threads.
+    6. It may be asked for one range after another, by one thread; it may use several itself.
+    """
+
+    @abstractmethod
+    def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
+        """Compute the members begin ... end-1 and count their signals in the bands."""
+
+
+class SampledMethod(Method):
+    """A method for sampled controllers, which can be asked for other implementations, too."""
+
+    @abstractmethod
+    def extremes(self, members: int, implementation: Implementation) -> tuple[float, float]:
+        """Largest tail error and input of the first members under another implementation.
+
+        Parameters
+        ----------
+        members : int
+        implementation : Implementation
+            With the structure of the system's own.
+
+        Returns
+        -------
+        tail_error : float
+            inf where a member does not finish.
+        peak_input : float
+        """

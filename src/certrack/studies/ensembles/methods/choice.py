@@ -1,0 +1,49 @@
+"""Which class computes a system's members by which method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from certrack.integrators.many.native import Unavailable
+from certrack.studies.ensembles.methods.base import Method, SampledMethod
+from certrack.studies.ensembles.methods.lockstep_continuous import LockstepContinuous
+from certrack.studies.ensembles.methods.maps_sampled import MapsSampled
+from certrack.studies.ensembles.methods.native_continuous import NativeContinuous
+from certrack.studies.ensembles.methods.native_sampled import NativeSampled
+from certrack.studies.ensembles.methods.single_runs import SingleRuns
+from certrack.studies.ensembles.problem import EnsembleProblem
+
+CONTINUOUS: dict[str, Callable[[EnsembleProblem, int], Method]] = {
+    "native": NativeContinuous,
+    "lockstep": LockstepContinuous,
+}
+
+SAMPLED: dict[str, Callable[..., SampledMethod]] = {
+    "native": NativeSampled,
+    "lockstep": MapsSampled,
+}
+
+
+def create_method(name: str, problem: EnsembleProblem, threads: int) -> Method:
+    """The method of that name for the system: its controller is continuous or sampled.
+
+    Raises
+    ------
+    Unavailable
+        If this machine does not have it.
+    """
+    if name == "alone":
+        return SingleRuns()
+    if problem.system.implementation is None:
+        return CONTINUOUS[name](problem, threads)
+    return SAMPLED[name](problem, threads, adjustable=False)
+
+
+def fastest_adjustable(problem: EnsembleProblem, threads: int) -> SampledMethod:
+    """The first method on this machine that can be asked for other implementations."""
+    for create in SAMPLED.values():
+        try:
+            return create(problem, threads, adjustable=True)
+        except Unavailable:
+            continue
+    raise AssertionError("every machine has the maps of the sampled loop")

@@ -1,0 +1,46 @@
+"""The sampled loop by maps from event to event: heyoka's, or NumPy's where it is missing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from certrack.core.expressions import TIME
+from certrack.core.lowering import numpy_callable, rows
+from certrack.integrators.many.sampled_maps import HeyokaMaps, Maps, NumpyMaps
+from certrack.integrators.many.sampled_run import SampledProblem, SampledRun
+from certrack.integrators.single.taylor import available
+from certrack.loops.plant import INPUT
+from certrack.studies.ensembles.methods.sampled import (
+    TOTALS,
+    GroupResults,
+    OnGridPoint,
+    SampledLoopMethod,
+)
+from certrack.studies.ensembles.problem import EnsembleProblem
+
+
+class MapsSampled(SampledLoopMethod):
+    """Members of a sampled loop by compiled maps; every machine has this method."""
+
+    def __init__(self, problem: EnsembleProblem, threads: int, *, adjustable: bool) -> None:
+        super().__init__(problem, threads, adjustable=adjustable)
+        loop = self.loop
+        self._maps: Maps = HeyokaMaps(loop, vector=True) if available() else NumpyMaps(loop)
+        names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
+        self._shown_values = numpy_callable(names, self.shown)
+
+    def integrate(self, course: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
+        run = SampledRun(self._maps, course)
+        events, count = course.timeline, course.x.shape[1]
+        times = events.times[events.marks >= 0]
+
+        def look(k: int) -> None:
+            values = self._shown_values(times[k], run.x, run.u, run.parameters)
+            on_grid_point(k, rows(values, count), ~run.stuck)
+
+        run.run(on_mark=look)
+        missing = np.full((len(self.shown), count), np.nan)
+        for k in range(run.marks, len(times)):
+            on_grid_point(k, missing, ~run.stuck)
+        totals = dict(zip(TOTALS, [*run.totals, run.variation], strict=True))
+        return GroupResults(totals, run.ends, run.stuck)

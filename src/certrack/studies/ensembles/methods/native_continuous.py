@@ -1,0 +1,77 @@
+"""The continuous loop by C that is written for it and compiled on this machine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from certrack.integrators.many.native import (
+    STUCK,
+    StepControl,
+    BinCounts,
+    Native,
+    NativeResult,
+    SharedGrid,
+)
+from certrack.integrators.many.registers import GROUP_SIZE
+from certrack.studies.ensembles.build_flow import build_flow, shown_signals
+from certrack.studies.ensembles.methods.base import MemberResults, Method
+from certrack.studies.ensembles.metric_formulas import INTEGRAL_METRICS, MEMORY_METRICS
+from certrack.studies.ensembles.problem import EnsembleProblem
+from certrack.studies.ensembles.statistics import BAND_BITS, BINS_PER_SIDE, Bands, counts_shape
+
+#: A group of members that needs more steps is given up.
+MAX_GROUP_STEPS = 1_000_000
+
+
+class NativeContinuous(Method):
+    """Members of a continuous loop by compiled C.
+
+    Members share their steps in groups, always the same ones, so whole groups are computed.
+
+    Parameters
+    ----------
+    problem : EnsembleProblem
+    threads : int
+
+    Raises
+    ------
+    Unavailable
+        If no compiler can do it.
+    """
+
+    def __init__(self, problem: EnsembleProblem, threads: int) -> None:
+        self._problem, self._threads = problem, threads
+        self._flow = build_flow(problem.members, problem.varying)
+        signals = shown_signals(self._flow, problem.members.loop)
+        self._native = Native(self._flow, signals)
+        self._native.reserve(threads, counts_shape(len(signals), len(problem.times)))
+
+    def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
+        passed, part = self._integrate(begin, end, bands)
+        names = (*INTEGRAL_METRICS, *MEMORY_METRICS)
+        totals = dict(zip(names, passed.totals[:, part], strict=True))
+        metrics = self._problem.metrics(totals)
+        return MemberResults(metrics, passed.ends[part], passed.outcomes[part] == STUCK)
+
+    def final_states(self, begin: int, end: int, bands: Bands) -> np.ndarray:
+        """Plant states at the end of the run, shape (n, N); NaN for a member that ended early."""
+        passed, part = self._integrate(begin, end, bands)
+        states: np.ndarray = passed.finals[: self._flow.watched, part]
+        return np.where(passed.ends[part] < self._problem.end, np.nan, states)
+
+    def _integrate(self, begin: int, end: int, bands: Bands) -> tuple[NativeResult, slice]:
+        """Whole groups, and where the members begin ... end-1 are among them; these are counted."""
+        problem, segments = self._problem, self._problem.segments
+        first = begin - begin % GROUP_SIZE
+        starts, table = problem.starts_and_parameters(first, -(-end // GROUP_SIZE) * GROUP_SIZE)
+        parameters = np.array([table[name] for name in self._flow.parameters])
+        part = slice(begin - first, end - first)
+        passed = self._native.integrate(
+            starts,
+            parameters,
+            SharedGrid(segments.edges, segments.shared, problem.times, bands.centre, bands.unit),
+            StepControl(problem.tolerance, problem.system.settings.max_state, MAX_GROUP_STEPS),
+            BinCounts(part, BINS_PER_SIDE, BAND_BITS, bands.counts),
+            self._threads,
+        )
+        return passed, part

@@ -1,0 +1,59 @@
+"""The sampled loop by C that is written for it and compiled on this machine."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from certrack.integrators.many.native import STUCK
+from certrack.integrators.many.sampled_run import SampledProblem
+from certrack.integrators.many.sampled_native import SampledNative
+from certrack.studies.ensembles.methods.base import MemberResults
+from certrack.studies.ensembles.methods.sampled import (
+    TOTALS,
+    GroupResults,
+    OnGridPoint,
+    SampledLoopMethod,
+)
+from certrack.studies.ensembles.problem import EnsembleProblem, is_clearly_after
+from certrack.studies.ensembles.statistics import Bands
+
+#: Members that a thread takes at a time; a multiple of the lanes.
+PART_MEMBERS = 256
+
+
+class NativeSampled(SampledLoopMethod):
+    """Members of a sampled loop by compiled C; the threads take parts of a range in turns.
+
+    Raises
+    ------
+    Unavailable
+        If no compiler can do it.
+    """
+
+    def __init__(self, problem: EnsembleProblem, threads: int, *, adjustable: bool) -> None:
+        super().__init__(problem, threads, adjustable=adjustable)
+        self._native = SampledNative(self.loop, self.shown)
+
+    def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
+        firsts = range(begin - begin % PART_MEMBERS, end, PART_MEMBERS)
+        begins = [max(first, begin) for first in firsts]
+        ends = [min(first + PART_MEMBERS, end) for first in firsts]
+        compute_part = super().compute
+        with ThreadPoolExecutor(self.threads) as pool:
+            parts = list(pool.map(lambda a, b: compute_part(a, b, bands), begins, ends))
+        return MemberResults(
+            np.concatenate([part.metrics for part in parts], axis=1),
+            np.concatenate([part.ends for part in parts]),
+            np.concatenate([part.run_alone for part in parts]),
+        )
+
+    def integrate(self, course: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
+        passed = self._native.integrate(course, self.problem.segments.shared)
+        stuck = passed.outcomes == STUCK
+        for k, values in enumerate(passed.values):
+            alone = stuck & is_clearly_after(self.problem.times[k], passed.ends)
+            on_grid_point(k, values, ~alone)
+        totals = dict(zip(TOTALS, passed.totals, strict=True))
+        return GroupResults(totals, passed.ends, stuck)

@@ -1,0 +1,126 @@
+"""What every method of computing members is given: the members, their times, their metrics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import sympy
+
+from certrack.studies.ensembles.members import AMPLITUDE, Members
+from certrack.studies.ensembles.metric_formulas import SETTLING_BAND
+from certrack.studies.ensembles.plan import METRICS, band_times
+from certrack.systems.system import System
+
+#: Two times closer than this part of them are one: rounding may have separated them.
+TIME_ROUNDING = 1e-12
+
+#: Points of the grid on which the reference's largest magnitude is looked for.
+REFERENCE_POINTS = 20_001
+
+#: Half-width of the settling band over the reference's largest magnitude, and where that is zero.
+SETTLING_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Where rates, signals or what is totalled may jump.
+
+    Attributes
+    ----------
+    edges : (K+1,) array, s
+        Begins of the segments, and the end of the run.
+    shared : (K, H) array
+        On each, whether it lies in the tail, and the reference's piece.
+    """
+
+    edges: np.ndarray
+    shared: np.ndarray
+
+    def at(self, time: float) -> np.ndarray:
+        """Values on the segment that begins at or contains `time`."""
+        k = int(np.searchsorted(self.edges, time * (1 + TIME_ROUNDING), side="right")) - 1
+        values: np.ndarray = self.shared[min(k, len(self.shared) - 1)]
+        return values
+
+
+class EnsembleProblem:
+    """All members of a system's population, and what their metrics refer to.
+
+    Parameters
+    ----------
+    system : System
+    seed : int
+    tolerance : float
+        Of the integrators.
+
+    Attributes
+    ----------
+    members : Members
+    times : (T,) array, s
+        Of the bands.
+    segments : Segments
+    """
+
+    def __init__(self, system: System, seed: int, tolerance: float) -> None:
+        self.system, self.tolerance = system, tolerance
+        self.members = Members(system, seed)
+        self.times = band_times(system)
+        settings = system.settings
+        breaks = system.reference.breaks(0.0, settings.duration)
+        ends = [0.0, settings.tail_start, settings.duration]
+        edges = np.unique(np.concatenate([ends, breaks]))
+        shared = np.array([self.shared_values(time) for time in edges[:-1]])
+        self.segments = Segments(edges, shared)
+        self._settling_band = settings.band or _default_settling_band(system)
+
+    @property
+    def end(self) -> float:
+        """Time at which a run ends, s."""
+        return float(self.segments.edges[-1])
+
+    @property
+    def varying(self) -> dict[sympy.Symbol, np.ndarray]:
+        """The parameters that differ between members, with the first member's values."""
+        _, table = self.members.table(0, 1)
+        return table
+
+    def shared_values(self, time: float) -> np.ndarray:
+        """Of the shared symbols: whether the tail has begun, the reference's piece."""
+        tail = float(time >= self.system.settings.tail_start)
+        return np.concatenate([[tail], self.system.reference.piece_values(time)])
+
+    def starts_and_parameters(
+        self, begin: int, end: int
+    ) -> tuple[np.ndarray, dict[sympy.Symbol, np.ndarray]]:
+        """Of the members begin ... end-1: starts (S, N), and what varies, by symbol."""
+        starts, table = self.members.table(begin, end)
+        band = np.full(end - begin, self._settling_band)
+        amplitude = table.get(AMPLITUDE)
+        if self.system.settings.band is None and amplitude is not None:
+            band *= np.abs(amplitude)
+        table[SETTLING_BAND] = band
+        return starts, table
+
+    def metrics(self, totals: dict[str, np.ndarray]) -> np.ndarray:
+        """Metrics from what the integrators total, in the order of METRICS."""
+        duration, outside = self.system.settings.duration, totals["last_outside"]
+        never = outside >= duration * (1 - TIME_ROUNDING)
+        mean_square = np.maximum(totals["integral_squared_error"], 0.0) / duration
+        columns = totals | {
+            "settling_time": np.where(never, np.nan, outside),
+            "rms_error": np.sqrt(mean_square),
+        }
+        return np.array([columns[name] for name in METRICS])
+
+
+def is_clearly_after(time: float | np.ndarray, end: float | np.ndarray) -> np.ndarray:
+    """Whether a time lies after an event that rounding may have moved."""
+    return np.asarray(time > np.asarray(end) * (1 + TIME_ROUNDING))
+
+
+def _default_settling_band(system: System) -> float:
+    """A share of the reference's largest magnitude."""
+    times = np.linspace(0.0, system.settings.duration, REFERENCE_POINTS)
+    largest = float(np.abs(system.reference.values(times, 0)[0]).max())
+    return SETTLING_SHARE * largest or SETTLING_SHARE

@@ -1,0 +1,1 @@
+"""The search of the worst admissible case of a system."""

@@ -1,0 +1,323 @@
+"""The adversary: all that the assumptions leave open, as numbers with ranges.
+
+Each part knows its numbers, and writes them into a system or into the parameters of a compiled
+loop. Whatever the numbers, the assumptions hold:
+
+* disturbances w_k = tanh(m_k sin(omega_k t + phase_k) + v_k . x) (gamma_k ||x|| + beta_k): nearly
+  bang-bang patterns with searched frequency, phase, hardness and state feedback;
+* references of searched amplitude, frequency, phase and shape within Y_0 ... Y_{q+1};
+* g_n and theta within the ranges of the file.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from certrack.references import SymbolicReference
+from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
+from certrack.systems.system import System
+
+#: Of a disturbance's pattern: tanh(30 y) is a sign but for 3 % of y's range.
+MAX_HARDNESS = 30.0
+
+#: Range of the pattern's frequencies, rad/s, if the design allows them: faster ones average out.
+MIN_FREQUENCY, MAX_FREQUENCY = 0.05, 10.0
+
+#: The fastest frequency searched is at least this, rad/s, however slow the design.
+LEAST_FASTEST = 0.5
+
+#: |tanh| rounds to 1: with this factor w_k never passes its bound.
+BELOW_ONE = 0.999999
+
+#: A reference turns at most so many times as fast as the fastest pattern.
+REFERENCE_SPEEDUP = 3.0
+
+#: Names of a wave's numbers among the constants of the reference.
+WAVE_CONSTANTS = ("r_a", "r_k", "r_w", "r_p")
+BEND = WAVE_CONSTANTS[1]
+
+#: Keeps derivatives of the reference below their bounds in spite of rounding.
+BELOW_BOUND = 1 - 1e-12
+
+
+@dataclass(frozen=True)
+class Gene:
+    """One searched number.
+
+    Attributes
+    ----------
+    name : str
+        As a constant of the plant, where it is one.
+    low, high : float
+    """
+
+    name: str
+    low: float
+    high: float
+
+    @property
+    def middle(self) -> float:
+        """Middle of the range."""
+        return (self.low + self.high) / 2
+
+    @property
+    def neutral(self) -> float:
+        """0 if it is in the range, else the middle."""
+        return 0.0 if self.low <= 0 <= self.high else self.middle
+
+
+class AdversaryPart(ABC):
+    """One thing that the adversary may choose."""
+
+    @property
+    @abstractmethod
+    def genes(self) -> tuple[Gene, ...]:
+        """Its numbers, in the order of all values below."""
+
+    def plausible(self, frequency: float, phase: float) -> tuple[float, ...]:
+        """Values to begin with; where it oscillates, with this frequency and phase."""
+        return tuple(gene.neutral for gene in self.genes)
+
+    @abstractmethod
+    def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
+        """Put it into a system; what is written as formulas refers to constants if `named`."""
+
+    @abstractmethod
+    def write_parameters(self, values: np.ndarray, table: ParameterTable) -> None:
+        """Put the values (G, N) of N members into the parameters of the loop with named ones."""
+
+
+class Wave(NamedTuple):
+    """y_d = amplitude sin(frequency t + phase); with a bend, amplitude asin(bend sin(...))."""
+
+    amplitude: float
+    bend: float | None
+    frequency: float
+    phase: float
+
+
+@dataclass(frozen=True)
+class ReferenceShape(AdversaryPart):
+    """A reference within the bounds of the system's own.
+
+    Attributes
+    ----------
+    bounds : (Y_0, ..., Y_{q+1})
+    fastest : float, rad/s
+        Of the patterns.
+    """
+
+    bounds: tuple[float, ...]
+    fastest: float
+
+    @property
+    def bent(self) -> bool:
+        """Whether its shape is searched: only where no second derivative is bounded (q = 0)."""
+        return len(self.bounds) == 2
+
+    @property
+    def genes(self) -> tuple[Gene, ...]:
+        size, speed = Gene("size", 0.0, 1.0), Gene("speed", 0.0, 1.0)
+        phase, shape = Gene("phase", 0.0, 2 * math.pi), Gene("shape", 0.05, 0.999)
+        return (size, speed, phase, shape) if self.bent else (size, speed, phase)
+
+    def plausible(self, frequency: float, phase: float) -> tuple[float, ...]:
+        return (1.0, 1.0, 0.0, 0.9) if self.bent else (1.0, 1.0, 0.0)
+
+    def wave(self, size: float, speed: float, phase: float, shape: float | None = None) -> Wave:
+        """The reference of a member; `size` and `speed` are shares of what is admissible."""
+        Y = self.bounds
+        amplitude = Y[0] * (0.02 + 0.98 * size)
+        if shape is not None:  # asin(k sin) is nearly a triangle as k -> 1
+            scale = amplitude / math.asin(shape)
+            frequency = Y[1] * math.asin(shape) / (amplitude * shape) if amplitude else 1.0
+        else:
+            scale = amplitude
+            orders = range(1, len(Y)) if amplitude else ()
+            frequency = min(((Y[i] / amplitude) ** (1 / i) for i in orders), default=1.0)
+        frequency = min(frequency, REFERENCE_SPEEDUP * self.fastest) * (0.05 + 0.95 * speed)
+        return Wave(scale, shape, frequency * BELOW_BOUND, phase)
+
+    def waves(self, values: np.ndarray) -> np.ndarray:
+        """The references of N members, values (G, N): a row for each field of :class:`Wave`."""
+        waves = [self.wave(*column) for column in values.T.tolist()]
+        return np.array(waves, dtype=float).T
+
+    def reference(self, waves: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """y_d of N members at the times t, shape (T, N)."""
+        amplitude, bend, frequency, phase = waves
+        sine = np.sin(frequency * t[:, None] + phase)
+        return amplitude * (np.arcsin(bend * sine) if self.bent else sine)
+
+    def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
+        wave = self.wave(*values)
+        a, k, w, p = (f"({value!r})" for value in wave)
+        constants = {}
+        if named:
+            a, k, w, p = WAVE_CONSTANTS
+            pairs = zip(WAVE_CONSTANTS, wave, strict=True)
+            constants = {name: value for name, value in pairs if value is not None}
+        sine = f"sin({w}*t + {p})"
+        text = f"{a}*asin({k}*{sine})" if self.bent else f"{a}*{sine}"
+        draft.reference = SymbolicReference(text, constants=constants)  # type: ignore[arg-type]
+
+    def write_parameters(self, values: np.ndarray, table: ParameterTable) -> None:
+        for name, row in zip(WAVE_CONSTANTS, self.waves(values), strict=True):
+            if name != BEND or self.bent:
+                table.set(f"ref_{name}", row)
+
+
+@dataclass(frozen=True)
+class DisturbancePattern(AdversaryPart):
+    """w_k of one state, a share of its bound gamma ||x|| + beta.
+
+    Attributes
+    ----------
+    k : int
+        Number of the state, from 0.
+    states : names of the plant's states
+    gamma, beta : float
+    fastest : float, rad/s
+    """
+
+    k: int
+    states: tuple[str, ...]
+    gamma: float
+    beta: float
+    fastest: float
+
+    @property
+    def genes(self) -> tuple[Gene, ...]:
+        k = self.k
+        feedback = (f"adv_v{k}_{j}" for j in range(len(self.states)))
+        return (
+            Gene(f"adv_m{k}", 0.0, MAX_HARDNESS),
+            Gene(f"adv_w{k}", MIN_FREQUENCY, self.fastest),
+            Gene(f"adv_p{k}", 0.0, 2 * math.pi),
+            *(Gene(name, -MAX_HARDNESS, MAX_HARDNESS) for name in feedback),
+        )
+
+    def plausible(self, frequency: float, phase: float) -> tuple[float, ...]:
+        return (10.0, frequency, phase, *(0.0 for _ in self.states))
+
+    def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
+        numbers = {gene.name: value for gene, value in zip(self.genes, values, strict=True)}
+        if named:
+            draft.constants |= numbers
+        m, w, p, *v = (name if named else f"({value!r})" for name, value in numbers.items())
+        feedback = "".join(f" + {v_j}*{x}" for v_j, x in zip(v, self.states, strict=True))
+        draft.omega[self.k] = f"{BELOW_ONE}*tanh({m}*sin({w}*t + {p}){feedback})*({self._bound()})"
+
+    def _bound(self) -> str:
+        """gamma ||x|| + beta, with a norm that is smooth at zero and never above ||x||."""
+        square = " + ".join(f"{x}**2" for x in self.states)
+        norm = f"(sqrt({square} + 1e-8) - 1e-4)"
+        return f"{self.gamma!r}*{norm} + {self.beta!r}" if self.gamma else repr(self.beta)
+
+    def write_parameters(self, values: np.ndarray, table: ParameterTable) -> None:
+        for gene, row in zip(self.genes, values, strict=True):
+            table.set_constant(gene.name, row)
+
+
+@dataclass(frozen=True)
+class TrueGain(AdversaryPart):
+    """g_n within the range of the file; n is the plant's order."""
+
+    n: int
+    low: float
+    high: float
+
+    @property
+    def genes(self) -> tuple[Gene, ...]:
+        return (Gene("input_gain", self.low, self.high),)
+
+    def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
+        (draft.input_gain,) = values
+
+    def write_parameters(self, values: np.ndarray, table: ParameterTable) -> None:
+        table.set(f"true_g_{self.n - 1}", values[0])
+
+
+@dataclass(frozen=True)
+class TrueTheta(AdversaryPart):
+    """Entry i of theta within the range of the file."""
+
+    i: int
+    low: float
+    high: float
+
+    @property
+    def genes(self) -> tuple[Gene, ...]:
+        return (Gene(f"theta[{self.i}]", self.low, self.high),)
+
+    def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
+        (draft.theta[self.i],) = values
+
+    def write_parameters(self, values: np.ndarray, table: ParameterTable) -> None:
+        table.set(f"true_theta_{self.i}", values[0])
+
+
+@dataclass(frozen=True)
+class Adversary:
+    """All that an adversary may choose against one system.
+
+    Attributes
+    ----------
+    reference : ReferenceShape
+    others : tuple of AdversaryPart
+    """
+
+    reference: ReferenceShape
+    others: tuple[AdversaryPart, ...]
+
+    @classmethod
+    def against(cls, system: System) -> Adversary:
+        """The adversary that the system's assumptions admit."""
+        plant, u = system.plant, system.plant.uncertainty
+        coordinates = system.controller.coordinates
+        fastest = max(LEAST_FASTEST, min(MAX_FREQUENCY, coordinates.fastest_pole))
+        bounds = system.reference.bounds(coordinates.q + 1).values
+        others: list[AdversaryPart] = [
+            DisturbancePattern(k, plant.states, u.gamma[k], u.beta[k], fastest)
+            for k in range(plant.n)
+            if u.tau[k] * (u.gamma[k] + u.beta[k]) > 0
+        ]
+        if plant.input_gain_range and len(set(plant.input_gain_range)) > 1:
+            others.append(TrueGain(plant.n, *plant.input_gain_range))
+        for i, box in enumerate(plant.theta_range or ()):
+            others += [TrueTheta(i, *box)] if box[0] < box[1] else []
+        return cls(ReferenceShape(tuple(bounds), fastest), tuple(others))
+
+    @property
+    def parts(self) -> tuple[AdversaryPart, ...]:
+        """All parts, in the order of the genes."""
+        return (self.reference, *self.others)
+
+    @property
+    def genes(self) -> tuple[Gene, ...]:
+        """All numbers."""
+        return tuple(gene for part in self.parts for gene in part.genes)
+
+    def slices(self) -> list[tuple[AdversaryPart, slice]]:
+        """Every part, and where its numbers lie among all."""
+        ends = np.cumsum([len(part.genes) for part in self.parts]).tolist()
+        begins = [0, *ends[:-1]]
+        return [(part, slice(a, b)) for part, a, b in zip(self.parts, begins, ends, strict=True)]
+
+    def plausible_starts(self) -> np.ndarray:
+        """Rows of genes to begin with: in step with the reference, no feedback."""
+        Y = self.reference.bounds
+        frequency = Y[1] / Y[0] if Y[0] else 1.0
+        low, high = np.array([(gene.low, gene.high) for gene in self.genes]).T
+        rows = [
+            [v for part in self.parts for v in part.plausible(factor * frequency, phase)]
+            for factor in (1.0, 2.0, 0.5, 3.0)
+            for phase in np.arange(4) * math.pi / 2
+        ]
+        return np.clip(rows, low, high)

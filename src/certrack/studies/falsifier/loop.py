@@ -1,0 +1,98 @@
+"""The adversarial closed loop: compiled once, every number of the adversary a parameter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from certrack.integrators.many.taylor_batch import TaylorBatch
+from certrack.loops.continuous import close_loop
+from certrack.studies.falsifier.adversary import Adversary
+from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
+from certrack.systems.system import System
+
+#: Of the integrator.
+HUNT_TOLERANCE = 1e-7
+
+#: Times after the transient at which |e_1| is looked at.
+TAIL_POINTS = 600
+
+#: Score of a run that escapes: above the error of any that does not.
+ESCAPE_SCORE = 1e3
+
+#: Length of the transient, in time constants of the slowest mode: e^-25 is left of the start.
+TRANSIENT_TIME_CONSTANTS = 25.0
+
+#: Transients longer than this are cut, s.
+MAX_TRANSIENT = 500.0
+
+
+class AdversarialLoop:
+    """A system against its adversary.
+
+    Parameters
+    ----------
+    system : System
+        Without an implementation.
+
+    Attributes
+    ----------
+    adversary : Adversary
+    """
+
+    def __init__(self, system: System) -> None:
+        self.adversary = Adversary.against(system)
+        slowest = _slowest_time_constant(system)
+        transient = min(MAX_TRANSIENT, TRANSIENT_TIME_CONSTANTS * slowest)
+        duration = transient + min(100.0, max(4.0 * slowest, 12.0))
+        self._system, self._settings = (
+            system,
+            replace(system.settings, duration=duration, tail=transient, integrator="auto"),
+        )
+        self._times = np.concatenate([[0.0], np.linspace(transient, duration, TAIL_POINTS)])
+        middle = np.array([gene.middle for gene in self.adversary.genes])
+        self._template = self._with(middle, named=True)
+        self._loop = close_loop(self._template)
+        self._integrator = TaylorBatch(self._loop, HUNT_TOLERANCE)
+
+    def case(self, genes: np.ndarray) -> System:
+        """The system against the adversary with these numbers, written out."""
+        return self._with(genes, named=False)
+
+    def _with(self, genes: np.ndarray, *, named: bool) -> System:
+        draft, values = SystemDraft(self._system), genes.tolist()
+        for part, where in self.adversary.slices():
+            part.write_system(values[where], draft, named=named)
+        return draft.finish(self._settings)
+
+    def errors(self, genes: np.ndarray) -> np.ndarray:
+        """Largest |e_1| after the transient of every member; genes (G, N)."""
+        count = genes.shape[1]
+        table = ParameterTable(self._loop, self._template, count)
+        for part, where in self.adversary.slices():
+            part.write_parameters(genes[where], table)
+        shape = self.adversary.reference
+        waves = shape.waves(genes[: len(shape.genes)])
+        start = np.array([*self._template.start, 0.0, 0.0, 0.0])  # the integrals begin at zero
+        worst = np.zeros(count)
+
+        def look(states: np.ndarray, escaped: np.ndarray, members: slice) -> None:
+            y_d = shape.reference(waves[:, members], self._times[1:])
+            error = np.abs(states[1:, 0] - y_d)
+            seen = np.nan_to_num(error, nan=0.0).max(axis=0)  # a run cut short shows what it has
+            worst[members] = np.where(escaped, ESCAPE_SCORE, seen)
+
+        starts = np.repeat(start[:, None], count, axis=1)
+        self._integrator.over_time(starts, table.values, self._times, look)
+        return worst
+
+
+def _slowest_time_constant(system: System) -> float:
+    """Of the error and of the estimates' leaks, s."""
+    law = system.law
+    poles = system.controller.coordinates.poles
+    slowest = 1.0 / max(1e-9, -poles.real.max())
+    leaks = [getattr(law, name, 0.0) for name in ("leak_gain", "leak_theta")]
+    rates = [leak * getattr(law, "gain_rate", 1.0) for leak in leaks if leak]
+    return max(slowest, *(1.0 / rate for rate in rates), 0.0)
