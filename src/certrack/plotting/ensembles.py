@@ -10,7 +10,16 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from certrack.plotting.shared import few_ticks, math_name, style
+from certrack.plotting.shared import (
+    BLUE,
+    PAGE_WIDTH,
+    few_ticks,
+    in_brackets,
+    math_name,
+    new_figure,
+    set_title,
+    style,
+)
 from certrack.studies.ensembles.statistics import LEVELS
 
 if TYPE_CHECKING:
@@ -21,53 +30,56 @@ if TYPE_CHECKING:
 #: Members run away where the outer quantiles exceed the inner ones by this factor.
 RUNAWAY = 30.0
 
+#: Histograms have a logarithmic axis where the values span more than this factor.
+LOGARITHMIC_SPAN = 1e3
 
-def ensemble_figures(found: Ensemble) -> dict[str, Figure]:
+#: Parts of the largest value below which a histogram shows nothing apart.
+SMALLEST_SHARE = 1e-12
+
+#: Bands of the fan chart: positions of their ends in LEVELS, label, opacity.
+BANDS = ((0, -1, "1 to 99 %", 0.14), (1, -2, "5 to 95 %", 0.22), (2, -3, "25 to 75 %", 0.34))
+
+
+def ensemble_figures(ensemble: Ensemble) -> dict[str, Figure]:
     """Fan chart of error, states and input, and histograms of the metrics."""
-    return {"fan": fan_chart(found), "metrics": metric_histograms(found)}
+    return {"fan": fan_chart(ensemble), "metrics": metric_histograms(ensemble)}
 
 
-def fan_chart(found: Ensemble) -> Figure:
+def fan_chart(ensemble: Ensemble) -> Figure:
     """Quantile bands of every signal against time."""
-    names, bands, t = found.signals, _finite(found.bands), found.t
-    units = found.system.plant.units or ("",) * (len(names) - 1)
-    shown = ((0, -1, "1 to 99 %", 0.14), (1, -2, "5 to 95 %", 0.22), (2, -3, "25 to 75 %", 0.34))
+    names, bands, t = ensemble.signals, _finite(ensemble.bands), ensemble.t
+    units = ensemble.system.plant.units or ("",) * (len(names) - 1)
     with style():
-        made = Figure(figsize=(6.5, 1.7 * len(names) + 0.4), layout="constrained")
-        axes = made.subplots(len(names), 1, sharex=True)
-        for i, (ax, name, unit_) in enumerate(zip(axes, names, [units[0], *units], strict=True)):
-            for low, high, label, alpha in shown:
-                ax.fill_between(
-                    t,
-                    bands[low, i],
-                    bands[high, i],
-                    color="#0b61a4",
-                    alpha=alpha,
-                    lw=0,
-                    label=label,
-                )
-            ax.plot(t, bands[len(LEVELS) // 2, i], color="#0b61a4", lw=1.0, label="median")
-            if i == 0 and found.limit is not None:
-                start = max(found.system.settings.tail_start, t[0])
-                for sense in (-1, 1):
-                    limit, named = [sense * found.limit] * 2, "limit" if sense > 0 else None
-                    ax.plot([start, t[-1]], limit, "k--", lw=0.8, label=named)
-            ax.set_ylabel(math_name(name) + (f" [{unit_}]" if unit_ not in ("", "1") else ""))
+        drawing = new_figure(PAGE_WIDTH, 1.7 * len(names) + 0.4)
+        axes = drawing.subplots(len(names), 1, sharex=True)
+        for i, (ax, name, unit) in enumerate(zip(axes, names, [units[0], *units], strict=True)):
+            for low, high, label, alpha in BANDS:
+                shade = {"color": BLUE, "alpha": alpha, "lw": 0}
+                ax.fill_between(t, bands[low, i], bands[high, i], label=label, **shade)
+            ax.plot(t, bands[len(LEVELS) // 2, i], color=BLUE, lw=1.0, label="median")
+            if i == 0 and ensemble.limit is not None:
+                tail = (max(ensemble.system.settings.tail_start, t[0]), t[-1])
+                for sign, entry in ((-1, None), (1, "limit")):
+                    ax.plot(tail, [sign * ensemble.limit] * 2, "k--", lw=0.8, label=entry)
+            ax.set_ylabel(math_name(name) + in_brackets(unit))
             ax.margins(x=0.01)
             _keep_readable(ax, bands[:, i])
-        made.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+        drawing.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
         axes[-1].set_xlabel("time [s]")
-        made.align_ylabels()
-        title = f"{found.system.title}: {found.members} members"
-        made.suptitle(title, fontsize=10, fontweight="bold")
-    return made
+        drawing.align_ylabels()
+        set_title(drawing, _title(ensemble))
+    return drawing
+
+
+def _title(ensemble: Ensemble) -> str:
+    return f"{ensemble.system.title}: {ensemble.members} members"
 
 
 def _finite(bands: np.ndarray) -> np.ndarray:
     """Quantiles with infinite ones at ten times the largest finite one of their signal."""
     size = np.abs(np.where(np.isfinite(bands), bands, 0.0)).max(axis=(0, 2), keepdims=True)
-    least = np.broadcast_to(10 * size, bands.shape)
-    return np.where(np.isinf(bands), np.copysign(least, bands), bands)
+    far = np.broadcast_to(10 * size, bands.shape)
+    return np.where(np.isinf(bands), np.copysign(far, bands), bands)
 
 
 def _keep_readable(ax: Axes, bands: np.ndarray) -> None:
@@ -79,9 +91,9 @@ def _keep_readable(ax: Axes, bands: np.ndarray) -> None:
     edge = 10.0 ** math.ceil(math.log10(middle))
     decades = max(1.0, math.log10(outer / edge))
     ax.set_yscale("symlog", linthresh=edge, linscale=decades)
-    place = ticker.SymmetricalLogLocator(base=10, linthresh=edge)
-    place.set_params(numticks=7)
-    ax.yaxis.set_major_locator(place)
+    locator = ticker.SymmetricalLogLocator(base=10, linthresh=edge)
+    locator.set_params(numticks=7)
+    ax.yaxis.set_major_locator(locator)
     note = f"some run away: logarithmic beyond $\\pm${edge:g}"
     ax.text(0.01, 0.97, note, transform=ax.transAxes, va="top", fontsize=7)
 
@@ -94,32 +106,30 @@ HISTOGRAMS = {
     "peak_input": ("peak input", -1),
 }
 
-
+#: Bars of a histogram: as many as can be told apart at this size.
 HISTOGRAM_BARS = 60
 
 
-def metric_histograms(found: Ensemble) -> Figure:
+def metric_histograms(ensemble: Ensemble) -> Figure:
     """Distribution of four metrics; the limit of the tail error is marked."""
-    units = found.system.plant.units or ("",)
+    units = ensemble.system.plant.units or ("",)
     with style():
-        made = Figure(figsize=(6.5, 4.2), layout="constrained")
-        axes = made.subplots(2, 2).ravel()
+        drawing = new_figure(PAGE_WIDTH, 4.2)
+        axes = drawing.subplots(2, 2).ravel()
         for ax, (name, (label, index)) in zip(axes, HISTOGRAMS.items(), strict=True):
-            tally = found.statistics.metrics[name]
+            tally = ensemble.statistics.metrics[name]
             if tally.counts.size:
                 _histogram(ax, tally)
-            if name == "tail_error" and found.limit is not None:
-                ax.axvline(found.limit, color="k", ls="--", lw=0.8, label="limit")
+            if name == "tail_error" and ensemble.limit is not None:
+                ax.axvline(ensemble.limit, color="k", ls="--", lw=0.8, label="limit")
                 ax.legend()
-            unit_ = "" if index is None else units[index]
-            ax.set_xlabel(label + (f" [{unit_}]" if unit_ not in ("", "1") else ""))
+            ax.set_xlabel(label + in_brackets("" if index is None else units[index]))
             ax.set_ylabel("members")
             if tally.missing:
                 lack = "not settled" if name == "settling_time" else "not finished"
                 ax.set_title(f"{tally.missing} {lack}", loc="right", fontweight="normal")
-        title = f"{found.system.title}: {found.members} members"
-        made.suptitle(title, fontsize=10, fontweight="bold")
-    return made
+        set_title(drawing, _title(ensemble))
+    return drawing
 
 
 def _histogram(ax: Axes, tally: Tally) -> None:
@@ -127,13 +137,14 @@ def _histogram(ax: Axes, tally: Tally) -> None:
     values, bars = tally.values, HISTOGRAM_BARS
     low, high = tally.quantile(LEVELS[0]), tally.quantile(LEVELS[-1])
     assert low is not None and high is not None
-    if low > 0 and (tally.most > 1e3 * low or tally.most > RUNAWAY * high):
-        least = max(tally.least, low / 10, 1e-12 * tally.most)  # tiny ones do not stretch the axis
-        edges = np.geomspace(least, tally.most, bars + 1).tolist()
-        ax.hist(np.clip(values, edges[0], edges[-1]), edges, weights=tally.counts, color="#0b61a4")
+    if low > 0 and (tally.most > LOGARITHMIC_SPAN * low or tally.most > RUNAWAY * high):
+        # a few tiny values must not stretch the axis
+        first = max(tally.least, low / 10, SMALLEST_SHARE * tally.most)
+        edges = np.geomspace(first, tally.most, bars + 1).tolist()
+        ax.hist(np.clip(values, edges[0], edges[-1]), edges, weights=tally.counts, color=BLUE)
         ax.set_xscale("log")
         few_ticks(ax)
     else:
-        ax.hist(values, bars, weights=tally.counts, color="#0b61a4")
+        ax.hist(values, bars, weights=tally.counts, color=BLUE)
         ax.xaxis.set_major_locator(ticker.MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
         ax.ticklabel_format(axis="x", scilimits=(-3, 5))

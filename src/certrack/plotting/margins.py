@@ -9,50 +9,64 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from certrack.plotting.shared import few_ticks, seconds, style
+from certrack.plotting.shared import (
+    GREEN,
+    RED,
+    few_ticks,
+    in_brackets,
+    new_figure,
+    set_title,
+    style,
+    time_unit,
+)
 
 if TYPE_CHECKING:
     from certrack.studies.margins import Margins
 
 
-def margin_figure(found: Margins, title: str, units: Sequence[str] | None) -> Figure:
-    """Worst tail error against period, delay and saturation."""
-    names = [f" [{unit}]" if unit not in ("", "1") else "" for unit in units or ("", "")]
-    at, unit_ = seconds(found.at)
+#: Errors beyond this many times the admitted one are marked at the top, as lost ones are.
+TOP = 1e3
+
+LOST, EDGE = "lost, or off the scale", "exact edge of stability"
+
+
+def margin_figure(margins: Margins, title: str, units: Sequence[str] | None) -> Figure:
+    """Worst tail error against period, delay and saturation.
+
+    Parameters
+    ----------
+    margins : Margins
+    title : str
+    units : texts, optional
+        Of the plant's states and the input.
+    """
+    output, *_, force = map(in_brackets, units or ("", ""))
+    at, unit = time_unit(margins.at)
     panels = {
-        "sampling period": found.period,
-        f"delay at a period of {found.at * at:.3g} {unit_}": found.delay,
-        f"saturation $\\pm u${names[-1]}": found.saturation,
+        "sampling period": margins.period,
+        f"delay at a period of {margins.at * at:.3g} {unit}": margins.delay,
+        f"saturation $\\pm u${force}": margins.saturation,
     }
-    top = 1e3 * found.error
+    top = TOP * margins.error
     with style():
-        made = Figure(figsize=(9.0, 3.2), layout="constrained")
-        axes, lost = made.subplots(1, 3, sharey=True), False
-        for ax, (label, one) in zip(axes, panels.items(), strict=True):
-            factor, unit_ = (1.0, "") if ax is axes[-1] else seconds(*one.values)
-            values, errors = factor * np.array(one.values), np.array(one.errors)
+        drawing = new_figure(9.0, 3.2)
+        axes, lost = drawing.subplots(1, 3, sharey=True), False
+        for ax, (label, margin) in zip(axes, panels.items(), strict=True):
+            factor, unit = (1.0, "") if ax is axes[-1] else time_unit(*margin.values)
+            values, errors = factor * np.array(margin.values), np.array(margin.errors)
             shown = np.isfinite(errors) & (errors < top)
             ax.loglog(values[shown], errors[shown], ".-", label="worst member")
             lost = lost or not shown.all()
-            label_ = "lost, or off the scale"
-            ax.plot(values[~shown], [top] * (~shown).sum(), "x", color="#d1495b", label=label_)
-            ax.axhline(found.error, color="k", ls="--", lw=0.8, label="admitted")
-            edge = factor * one.exact if one.exact else math.nan
-            ax.axvline(edge, color="#2e8b57", ls=":", lw=1.2, label="exact edge of stability")
-            ax.set_xlabel(f"{label} [{unit_}]" if unit_ else label)
+            ax.plot(values[~shown], [top] * (~shown).sum(), "x", color=RED, label=LOST)
+            ax.axhline(margins.error, color="k", ls="--", lw=0.8, label="admitted")
+            edge = factor * margin.exact if margin.exact else math.nan
+            ax.axvline(edge, color=GREEN, ls=":", lw=1.2, label=EDGE)
+            ax.set_xlabel(label + in_brackets(unit))
             few_ticks(ax)
-        handles, labels = axes[0].get_legend_handles_labels()
-        some = {
-            "lost, or off the scale": lost,
-            "exact edge of stability": any(one.exact for one in panels.values()),
-        }
-        kept = [k for k, label in enumerate(labels) if some.get(label, True)]
-        made.legend(
-            [handles[k] for k in kept],
-            [labels[k] for k in kept],
-            loc="outside lower center",
-            ncols=len(kept),
-        )
-        axes[0].set_ylabel(f"tail error{names[0]}")
-        made.suptitle(title, fontsize=10, fontweight="bold")
-    return made
+        exists = {LOST: lost, EDGE: any(margin.exact for margin in panels.values())}
+        entries = zip(*axes[0].get_legend_handles_labels(), strict=True)
+        handles, labels = zip(*(e for e in entries if exists.get(e[1], True)), strict=True)
+        drawing.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        axes[0].set_ylabel(f"tail error{output}")
+        set_title(drawing, title)
+    return drawing

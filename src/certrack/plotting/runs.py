@@ -13,17 +13,31 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from certrack.certificates.tube import Tube
-from certrack.plotting.shared import math_name, style
+from certrack.plotting.shared import (
+    BLUE,
+    PAGE_WIDTH,
+    PURPLE,
+    in_brackets,
+    math_name,
+    new_figure,
+    set_title,
+    style,
+)
 from certrack.simulation.run import Run
 
-#: Of a system's name in a legend, and of the legend's type.
-MOST_LETTERS, LETTERS_PER_INCH = 32, 14
+#: Longer names of systems are cut in a legend, which has so many letters to an inch.
+MAX_NAME, LETTERS_PER_INCH = 32, 14
 
+#: Letters that the line and the space beside a name take in a legend.
+LINE_LETTERS = 8
 
 #: The estimate of the gain has its own axis, of this colour, where the largest values of it and of
 #: the other estimates differ by more than this factor.
-GAIN_COLOR, MAGNITUDES = "#6a4c93", 10.0
+GAIN_COLOR, SAME_AXIS_RATIO = PURPLE, 10.0
 
+
+#: Part of the height of two axes that is left free above for their legend.
+LEGEND_ROOM = 0.3
 
 #: Runs by the name that the legend shows.
 Runs = Mapping[str, Run]
@@ -32,7 +46,7 @@ Runs = Mapping[str, Run]
 def unit(run: Run, index: int) -> str:
     """Unit of state `index` (the input is last) as a label suffix."""
     units = run.system.plant.units
-    return f" [{units[index]}]" if units and units[index] not in ("", "1") else ""
+    return in_brackets(units[index] if units else "")
 
 
 def plot_output(ax: Axes, runs: Runs) -> None:
@@ -42,7 +56,7 @@ def plot_output(ax: Axes, runs: Runs) -> None:
     ax.plot(first.t, first.y_d, color="k", ls=line, lw=width, label="$y_d$")
     for k, run in enumerate(runs.values()):
         _curve(ax, runs, k, run.x[0], "$y$")
-    _finish(ax, f"output{unit(first, 0)}", runs)
+    _label_axes(ax, f"output{unit(first, 0)}", runs)
 
 
 def plot_error(ax: Axes, runs: Runs) -> None:
@@ -52,7 +66,7 @@ def plot_error(ax: Axes, runs: Runs) -> None:
         _curve(ax, runs, k, run.e[0], "$e_1$")
     band = first.metrics.band
     ax.axhspan(-band, band, color="#000000", alpha=0.07, lw=0, label=f"band $\\pm${band:.3g}")
-    _finish(ax, f"tracking error{unit(first, 0)}", runs)
+    _label_axes(ax, f"tracking error{unit(first, 0)}", runs)
 
 
 def plot_states(ax: Axes, runs: Runs) -> None:
@@ -60,7 +74,7 @@ def plot_states(ax: Axes, runs: Runs) -> None:
     for k, run in enumerate(runs.values()):
         for i, state in enumerate(run.system.plant.states):
             _curve(ax, runs, k, run.x[i], math_name(state) + unit(run, i))
-    _finish(ax, "states", runs)
+    _label_axes(ax, "states", runs)
 
 
 def plot_estimates(ax: Axes, runs: Runs) -> None:
@@ -77,22 +91,22 @@ def plot_estimates(ax: Axes, runs: Runs) -> None:
     if "theta_hat_1" in names:
         true.extend(("theta_hat", float(theta.expr)) for theta in truth.theta)
     apart = _magnitudes_differ(runs)
-    gain = ax.twinx() if apart else ax
+    gain_ax = ax.twinx() if apart else ax
     for k, run in enumerate(runs.values()):
         for i, state in enumerate(run.system.controller.states):
-            own = apart and state.name == "delta_hat"
-            label = math_name(state.name) + (" (right)" if own else "")
-            color = GAIN_COLOR if own else None
-            _curve(gain if own else ax, runs, k, run.z[i], label, color)
+            right = apart and state.name == "delta_hat"
+            label = math_name(state.name) + (" (right)" if right else "")
+            color = GAIN_COLOR if right else None
+            _curve(gain_ax if right else ax, runs, k, run.z[i], label, color)
     for name, value in true[::-1]:
-        own = apart and name == "delta_hat"
-        named = "true values" if (name, value) == true[-1] else None
-        color = GAIN_COLOR if own else "k"
-        (gain if own else ax).axhline(value, color=color, lw=0.8, ls=":", label=named)
-    _finish(ax, "estimates", runs)
+        right = apart and name == "delta_hat"
+        entry = "true values" if (name, value) == true[-1] else None
+        color = GAIN_COLOR if right else "k"
+        (gain_ax if right else ax).axhline(value, color=color, lw=0.8, ls=":", label=entry)
+    _label_axes(ax, "estimates", runs)
     if apart:
-        _share_legend(ax, gain)
-        gain.set_ylabel(math_name("delta_hat"), color=GAIN_COLOR)
+        _share_legend(ax, gain_ax)
+        gain_ax.set_ylabel(math_name("delta_hat"), color=GAIN_COLOR)
 
 
 def _magnitudes_differ(runs: Runs) -> bool:
@@ -103,18 +117,18 @@ def _magnitudes_differ(runs: Runs) -> bool:
             gain = state.name == "delta_hat"
             largest[gain] = max(largest[gain], float(np.nanmax(np.abs(values), initial=0.0)))
     low, high = sorted(largest.values())
-    return low > 0 and high > MAGNITUDES * low
+    return low > 0 and high > SAME_AXIS_RATIO * low
 
 
 def _share_legend(ax: Axes, right: Axes) -> None:
     """One legend above the curves of two axes that lie on each other."""
     shown: dict[str, Any] = {}
-    for one in (ax, right):
-        handles, labels = one.get_legend_handles_labels()
+    for side in (ax, right):
+        handles, labels = side.get_legend_handles_labels()
         for handle, label in zip(handles, labels, strict=True):
             shown.setdefault(label, handle)
-        low, high = one.get_ylim()
-        one.set_ylim(low, high + 0.3 * (high - low))
+        low, high = side.get_ylim()
+        side.set_ylim(low, high + LEGEND_ROOM * (high - low))
     legend = ax.get_legend()
     if legend is not None:
         legend.remove()
@@ -130,7 +144,7 @@ def plot_input(ax: Axes, runs: Runs) -> None:
     first = next(iter(runs.values()))
     for k, run in enumerate(runs.values()):
         _curve(ax, runs, k, run.u, "$u$")
-    _finish(ax, f"input{unit(first, -1)}", runs)
+    _label_axes(ax, f"input{unit(first, -1)}", runs)
 
 
 Panel = Callable[[Axes, Runs], None]
@@ -154,12 +168,12 @@ def panels_for(runs: Runs) -> dict[str, Panel]:
 def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
     """One panel as a figure of a paper's column width."""
     with style():
-        made = Figure(figsize=(5.0, 3.0), layout="constrained")
-        ax = made.add_subplot()
+        drawing = new_figure(5.0, 3.0)
+        ax = drawing.add_subplot()
         panel(ax, runs)
         ax.set_title(title, loc="left")
-        _name_systems(made, runs)
-    return made
+        _name_systems(drawing, runs)
+    return drawing
 
 
 def plot_tube(ax: Axes, runs: Runs, tube: Tube) -> None:
@@ -168,23 +182,22 @@ def plot_tube(ax: Axes, runs: Runs, tube: Tube) -> None:
     t = np.unique(np.concatenate([run.t for run in runs.values()]))
     bound = tube(t)
     sampled = any(run.system.implementation is not None for run in runs.values())
-    of = "certified tube" + (" (continuous law)" if sampled else "")
-    ax.fill_between(t, -bound, bound, color="#0b61a4", alpha=0.10, lw=0, label=of)
+    label = "certified tube" + (" (continuous law)" if sampled else "")
+    ax.fill_between(t, -bound, bound, color=BLUE, alpha=0.10, lw=0, label=label)
     for k, run in enumerate(runs.values()):
-        real = run.system.implementation is not None
-        _curve(ax, runs, k, run.e[0], "$e_1$ (sampled run)" if real else "$e_1$")
+        label = "$e_1$" if run.system.implementation is None else "$e_1$ (sampled run)"
+        _curve(ax, runs, k, run.e[0], label)
     floor = math.sqrt(tube.floor)
-    for sense in (-1, 1):
-        label = f"limsup $|e_1| \\leq$ {floor:.4g}" if sense > 0 else None
-        ax.axhline(sense * floor, color="#0b61a4", lw=0.9, ls="--", label=label)
-    _finish(ax, f"tracking error{unit(first, 0)}", runs)
+    for sign, entry in ((-1, None), (1, f"limsup $|e_1| \\leq$ {floor:.4g}")):
+        ax.axhline(sign * floor, color=BLUE, lw=0.9, ls="--", label=entry)
+    _label_axes(ax, f"tracking error{unit(first, 0)}", runs)
 
 
 def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
     """The response in its tube: the whole run, and the end of it magnified."""
     with style():
-        made = Figure(figsize=(6.5, 4.2), layout="constrained")
-        axes = made.subplots(2, 1, sharex=True)
+        drawing = new_figure(PAGE_WIDTH, 4.2)
+        axes = drawing.subplots(2, 1, sharex=True)
         for ax in axes:
             plot_tube(ax, {"": run}, tube)
             ax.label_outer()
@@ -195,33 +208,33 @@ def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
         if run.system.implementation is not None:
             title = f"{title}\ntube of the continuous law; the run shown is sampled".strip()
         axes[0].set_title(title, loc="left")
-        made.align_ylabels()
-    return made
+        drawing.align_ylabels()
+    return drawing
 
 
 def overview(runs: Runs, title: str = "") -> Figure:
     """All panels below each other."""
     panels = panels_for(runs)
     with style():
-        made = Figure(figsize=(6.5, 1.9 * len(panels) + 0.4), layout="constrained")
-        axes = made.subplots(len(panels), 1, sharex=True)
+        drawing = new_figure(PAGE_WIDTH, 1.9 * len(panels) + 0.4)
+        axes = drawing.subplots(len(panels), 1, sharex=True)
         for ax, panel in zip(np.atleast_1d(axes), panels.values(), strict=True):
             panel(ax, runs)
             ax.label_outer()
-        made.align_ylabels()
-        made.suptitle(title, fontsize=10, fontweight="bold")
-        _name_systems(made, runs)
-    return made
+        drawing.align_ylabels()
+        set_title(drawing, title)
+        _name_systems(drawing, runs)
+    return drawing
 
 
-#: How system after system is drawn over the others: line, width, and the lightness of the colour:
-#: the share of white (black where negative) that is mixed in.
-LOOKS = (("-", 2.4, 0.55), ("--", 1.2, 0.0), (":", 1.2, -0.45), ("-.", 0.8, -0.2))
+#: How system after system is drawn over the others: line, width, and the share of white (of black
+#: where negative) that is mixed into the colour.
+LINE_STYLES = (("-", 2.4, 0.55), ("--", 1.2, 0.0), (":", 1.2, -0.45), ("-.", 0.8, -0.2))
 
 
-def _look(color: str, k: int) -> dict[str, Any]:
-    """How the k-th of several systems draws what has this colour."""
-    line, width, light = LOOKS[k % len(LOOKS)]
+def _line_style(color: str, k: int) -> dict[str, Any]:
+    """How a signal of this colour is drawn for the k-th of several systems."""
+    line, width, light = LINE_STYLES[k % len(LINE_STYLES)]
     end = 1.0 if light > 0 else 0.0
     mixed = (1 - abs(light)) * np.array(to_rgb(color)) + abs(light) * end
     return {"color": tuple(mixed.tolist()), "ls": line, "lw": width}
@@ -235,26 +248,25 @@ def _curve(
     if len(runs) == 1:
         ax.plot(t, values, color=color, label=label)
         return
-    named = {line.get_label(): line for line in ax.lines}
-    if label not in named:
-        (named[label],) = ax.plot(
-            [], [], color=color, label=label
-        )  # the legend shows the plain colour
-    ax.plot(t, values, **_look(str(named[label].get_color()), k))
+    lines = {line.get_label(): line for line in ax.lines}
+    if label not in lines:  # the legend shows the plain colour
+        (lines[label],) = ax.plot([], [], color=color, label=label)
+    ax.plot(t, values, **_line_style(str(lines[label].get_color()), k))
 
 
-def _name_systems(made: Figure, runs: Runs) -> None:
+def _name_systems(drawing: Figure, runs: Runs) -> None:
     """One legend of the figure for the systems, where there are several."""
     if len(runs) == 1:
         return
-    names = [name if len(name) <= MOST_LETTERS else f"...{name[-MOST_LETTERS:]}" for name in runs]
-    lines = [Line2D([], [], **_look("#404040", k)) for k in range(len(runs))]
-    letters = made.get_figwidth() * LETTERS_PER_INCH
-    columns = max(1, min(len(names), int(letters / (max(map(len, names)) + 8))))
-    made.legend(lines, names, loc="outside upper center", ncols=columns, handlelength=3)
+    names = [name if len(name) <= MAX_NAME else f"...{name[-MAX_NAME:]}" for name in runs]
+    lines = [Line2D([], [], **_line_style("#404040", k)) for k in range(len(runs))]
+    letters = drawing.get_figwidth() * LETTERS_PER_INCH
+    columns = max(1, min(len(names), int(letters / (max(map(len, names)) + LINE_LETTERS))))
+    drawing.legend(lines, names, loc="outside upper center", ncols=columns, handlelength=3)
 
 
-def _finish(ax: Axes, label: str, runs: Runs) -> None:
+def _label_axes(ax: Axes, label: str, runs: Runs) -> None:
+    """Labels, margin and legend; the legend is beside the axes where there are several runs."""
     ax.set_xlabel("time [s]")
     ax.set_ylabel(label)
     ax.margins(x=0.01)  # a jump at t = 0 stays visible beside the axis

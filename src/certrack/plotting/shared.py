@@ -1,4 +1,4 @@
-"""What all pictures share: the style, names in mathematical type, few ticks, writing."""
+"""What all pictures share: style, colours, figures and titles, labels, few ticks, writing."""
 
 from __future__ import annotations
 
@@ -17,6 +17,23 @@ from matplotlib.figure import Figure
 
 from certrack.core.files import write_folder
 
+#: Colours of curves, in the order in which they are used.
+BLUE, RED, GREEN, GOLD, PURPLE = "#0b61a4", "#d1495b", "#2e8b57", "#edae49", "#6a4c93"
+TEAL, BROWN, GRAY = "#00798c", "#8c564b", "#7f7f7f"
+
+#: Width of a figure in inches: the text of a page, with room for legends.
+PAGE_WIDTH = 6.5
+
+#: Dots per inch of PNG pictures: fine enough for print.
+DPI = 200
+
+#: Times shorter than this, in seconds, are shown in milliseconds.
+MILLISECONDS_BELOW = 0.1
+
+#: Decades of a logarithmic axis: with fewer than the first, ticks lie as on a linear axis; with
+#: fewer than the second, at 1, 2 and 5; with more than the third, labels are powers of ten.
+LINEAR_DECADES, DENSE_DECADES, POWER_DECADES = 0.7, 2, 5
+
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.grid": True,
@@ -32,18 +49,7 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.3,
     "svg.fonttype": "none",
     "svg.hashsalt": "certrack",
-    "axes.prop_cycle": cycler(
-        color=[
-            "#0b61a4",
-            "#d1495b",
-            "#2e8b57",
-            "#edae49",
-            "#6a4c93",
-            "#00798c",
-            "#8c564b",
-            "#7f7f7f",
-        ]
-    ),
+    "axes.prop_cycle": cycler(color=[BLUE, RED, GREEN, GOLD, PURPLE, TEAL, BROWN, GRAY]),
 }
 
 
@@ -52,36 +58,52 @@ def style() -> AbstractContextManager[None]:
     return matplotlib.rc_context(STYLE)
 
 
-def seconds(*times: float) -> tuple[float, str]:
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of that size in inches, whose parts do not overlap."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def set_title(drawing: Figure, title: str) -> None:
+    """The title above all panels of a figure."""
+    drawing.suptitle(title, fontsize=10, fontweight="bold")
+
+
+def in_brackets(unit: str) -> str:
+    """A unit as the end of a label; nothing where there is none."""
+    return f" [{unit}]" if unit not in ("", "1") else ""
+
+
+def time_unit(*times: float) -> tuple[float, str]:
     """Factor and unit in which these times in seconds are short numbers."""
-    return (1e3, "ms") if np.exp(np.mean(np.log(times))) < 0.1 else (1.0, "s")
+    typical = np.exp(np.mean(np.log(times)))
+    return (1e3, "ms") if typical < MILLISECONDS_BELOW else (1.0, "s")
 
 
 def few_ticks(ax: Axes) -> None:
     """Labels that do not touch on a logarithmic axis of any span."""
     low, high = ax.get_xlim()
     decades = math.log10(high) - math.log10(low)
-    if decades < 0.7:
+    if decades < LINEAR_DECADES:
         locator: ticker.Locator = ticker.MaxNLocator(4, steps=[1, 2, 5, 10])
-    elif decades < 2:
+    elif decades < DENSE_DECADES:
         locator = ticker.LogLocator(subs=(1.0, 2.0, 5.0))
     else:
         locator = ticker.LogLocator(numticks=6)
     formatter: ticker.Formatter = ticker.StrMethodFormatter("{x:g}")
-    if decades > 5:
+    if decades > POWER_DECADES:
         formatter = ticker.LogFormatterSciNotation()
     ax.xaxis.set_major_locator(locator)
     ax.xaxis.set_major_formatter(formatter)
     ax.xaxis.set_minor_formatter(ticker.NullFormatter())
 
 
-def save_figure(made: Figure, folder: Path, name: str) -> list[Path]:
+def save_figure(drawing: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as PNG and SVG; returns the paths."""
     pictures: dict[str, bytes] = {}
     with style():
         for kind, stamp in (("png", "Software"), ("svg", "Date")):
             buffer = io.BytesIO()  # no stamp: the same figure gives the same bytes
-            made.savefig(buffer, format=kind, dpi=200, metadata={stamp: None})
+            drawing.savefig(buffer, format=kind, dpi=DPI, metadata={stamp: None})
             pictures[f"{name}.{kind}"] = buffer.getvalue()
     return list(write_folder(folder, pictures))
 
