@@ -203,11 +203,6 @@ INLINE V normal(U key, uint64_t counter) {
   return v_sqrt(-2.0 * v_log((high + 0.5) * 0x1p-32)) * v_cos(low * (0x1p-32 * 6.283185307179586));
 }
 
-INLINE V rounded(V a, double quantum) {
-  V n = a / quantum, near = (n + ROUND) - ROUND;
-  return choose(v_abs(n) < SPLAT(0x1p51), near, n) * quantum;
-}
-
 /* Measure, evaluate the law; the command waits for the actuator. */
 static void take_sample(Group *g, const Task *task, double t, const double *s, V *waiting) {
   V m[MEASURED], c[LAW_COMMON + 1], u;
