@@ -23,6 +23,9 @@ enum { NODES = 7, SAMPLE = 1, ACT = 2 };
 static const double SAFETY = 0.9, MIN_FACTOR = 0.1, MAX_FACTOR = 5.0, FIRST_MAX_FACTOR = 0.5;
 static const double PER_ORDER = 0.2, SMALLEST = 1e-30, NOT_A_NUMBER = 1e18, END_ROUNDING = 1e-15;
 
+/* When no step is short enough for some lanes, the others go on with this part of the interval. */
+static const double RESTART = 1e-6;
+
 /* How a member ended; known to the caller. */
 enum { FINISHED, ESCAPED, STUCK };
 
@@ -158,10 +161,10 @@ static void give_up(Group *g, const Group *now, const Task *task, int64_t first,
   remove_lanes(g, task, first, lost, STUCK, t);
 }
 
-/* Lanes that need several steps for an interval; the others store_shown what they have. */
+/* Lanes that need several steps for an interval; the others keep what they have. */
 OUTLINE void substep(Group *g, const Task *task, int64_t first, double begin, double end,
-                   const double *s, I late, V error, V *ends, V *y) {
-  Group own = *g;
+                     const double *s, I late, V error, V *ends, V *y) {
+  Group trial = *g;
   Step step;
   V x[STATES], after[TOTALS];
   double t = begin, h = (end - begin) * next_factor(largest(error, late), FIRST_MAX_FACTOR);
@@ -169,27 +172,27 @@ OUTLINE void substep(Group *g, const Task *task, int64_t first, double begin, do
   for (int64_t i = 0; i < MAX_INTERVAL_STEPS && t < end && any(late); i++) {
     int last = t + h >= end * (1 - END_ROUNDING);
     h = last ? end - t : h > shortest ? h : shortest;
-    int least = h <= shortest;
+    int at_shortest = h <= shortest;
     prepare(&step, t, h, s);
-    double allowed = (least ? 1.0 : SHARE) * task->tolerance;
-    V error = try_step(&own, &step, allowed, x, after);
-    double worst = largest(error, late);
+    double allowed = (at_shortest ? 1.0 : SHARE) * task->tolerance;
+    V estimate = try_step(&trial, &step, allowed, x, after);
+    double worst = largest(estimate, late);
     if (worst <= 1.0) {
-      memcpy(own.x, x, sizeof x);
-      memcpy(own.y, after, sizeof after);
+      memcpy(trial.x, x, sizeof x);
+      memcpy(trial.y, after, sizeof after);
       t = last ? end : t + h;
     }
     h *= next_factor(worst, MAX_FACTOR);
-    if (least && !(worst <= 1.0)) { /* nothing is short enough for these */
-      I lost = late & ~(error <= SPLAT(1.0));
-      give_up(g, &own, task, first, lost, begin);
+    if (at_shortest && !(worst <= 1.0)) { /* nothing is short enough for these */
+      I lost = late & ~(estimate <= SPLAT(1.0));
+      give_up(g, &trial, task, first, lost, begin);
       late &= ~lost;
-      h = (end - begin) * 1e-6;
+      h = (end - begin) * RESTART;
     }
   }
-  if (t < end) give_up(g, &own, task, first, late, begin);
-  for (int j = 0; j < STATES; j++) ends[j] = choose(late, own.x[j], ends[j]);
-  for (int j = 0; j < TOTALS; j++) y[j] = choose(late, own.y[j], y[j]);
+  if (t < end) give_up(g, &trial, task, first, late, begin);
+  for (int j = 0; j < STATES; j++) ends[j] = choose(late, trial.x[j], ends[j]);
+  for (int j = 0; j < TOTALS; j++) y[j] = choose(late, trial.y[j], y[j]);
 }
 
 /* A standard normal number of a member's key and a counter: SplitMix64, Box and Muller. */
