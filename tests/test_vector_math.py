@@ -12,6 +12,7 @@ import sympy
 import certrack
 from certrack.core.lowering import numpy_callable
 from certrack.core.select import Entry, Extremum
+from certrack.integrators.many.registers import LANES
 from certrack.studies.ensembles.statistics import BAND_BITS, BINS, FINEST, SIDE, Bands
 
 COMPILER = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
@@ -43,6 +44,7 @@ MAP(rough_inverse, rough_inverse(v))
 MAP(any, SPLAT(any(v > SPLAT(0.0)) ? 1.0 : 0.0))
 MAP(select, greater(v, SPLAT(1.0), v_max(v, SPLAT(2.0)), v_min(v, SPLAT(-1.0))))
 
+int lanes(void) { return LANES; }
 static V column(const double *table, int row, long count, long i) {
   V v;
   memcpy(&v, table + row * count + i, sizeof v);
@@ -149,6 +151,10 @@ def test_selections(library):
         assert mapped(library, "any", one)[0] == 0.0
         one[lane] = 1.0
         assert mapped(library, "any", one)[0] == 1.0
+
+
+def test_registers_are_as_long_as_python_takes_them_for(library):
+    assert library.lanes() == LANES
 
 
 def test_rough_inverse(library):

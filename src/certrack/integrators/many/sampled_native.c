@@ -6,7 +6,7 @@
  *
  * `system.h` is generated. It holds the sizes
  *   STATES CONTROLLER MEASURED PARAMETERS SHARED COMMON LAW_COMMON TOTALS SHOWN,
- * the coefficients A, B, C, E of the method, ESCAPING, SHARE, SHORTEST, MAX_INTERVAL_STEPS, and
+ * the coefficients A, B, C, E of the method, the constants of sampled_run.py, and
  *   common(t, s, c), law_common(t, s, c)  what depends on time t and the segment's numbers s alone
  *   rates(c, x, u, p, k, e)               k = x', e = (e_1, e_1')
  *   measure(x, p, m)                      what the sensors would give
@@ -19,9 +19,8 @@
 
 enum { NODES = 7, SAMPLE = 1, ACT = 2 };
 
-/* As in sampled_run.py, but errors are squared here. */
-static const double SAFETY = 0.9, MIN_FACTOR = 0.1, MAX_FACTOR = 5.0, FIRST_MAX_FACTOR = 0.5;
-static const double PER_ORDER = 0.2, SMALLEST = 1e-30, NOT_A_NUMBER = 1e18, END_ROUNDING = 1e-15;
+/* A squared error of less counts as this much: the next step is as long as it may be. */
+static const double SMALLEST = 1e-30;
 
 /* When no step is short enough for some lanes, the others go on with this part of the interval. */
 static const double RESTART = 1e-6;
