@@ -64,16 +64,7 @@ def compiled(name: str, *flags: str) -> ctypes.CDLL:
         subprocess.run(command, check=True)
         code = ctypes.CDLL(str(built))
     array, real = ctypes.c_void_p, ctypes.c_double
-    code.integrate.argtypes = [
-        ctypes.c_int,
-        array,
-        array,
-        array,
-        real,
-        real,
-        ctypes.c_int,
-        array,
-    ]
+    code.integrate.argtypes = [ctypes.c_int, array, array, array, real, real, ctypes.c_int, array]
     return code
 
 

@@ -119,7 +119,14 @@ def _power(base: str, exponent: int) -> str:
 
 
 def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
-    """The generated part of native.c."""
+    """The generated part of native.c: sizes, tables of the method, and functions of the system.
+
+    Parameters
+    ----------
+    flow : AugmentedFlow
+    shown : formulas
+        Of the states and of the signals' symbols at the end of a step.
+    """
     timeless, common = flow.without_time()
     names: dict[sympy.Symbol, str] = {TIME: "t", STEP_BEGIN: "begin", STEP_LENGTH: "h"}
     for letter, symbols in (

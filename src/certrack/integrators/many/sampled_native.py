@@ -155,7 +155,7 @@ class SampledNative:
 
 
 def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
-    """The generated part of sampled_native.c."""
+    """The generated part of sampled_native.c, as :class:`SampledNative` has its parameters."""
     plant, controller = loop.plant, loop.controller
     parameters, shared = loop.parameters, loop.pieces
     command, update = resolved(controller)
@@ -203,7 +203,10 @@ def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
     return with_elementary(
         [
             "enum { " + ", ".join(f"{name} = {size}" for name, size in sizes.items()) + " };",
-            *(f"static const double {name} = {value!r};" for name, value in SHARED_CONSTANTS.items()),
+            *(
+                f"static const double {name} = {value!r};"
+                for name, value in SHARED_CONSTANTS.items()
+            ),
             c_table("A", np.vstack([PAIR.A, PAIR.B])),  # the end of the step as a last stage
             c_table("B", PAIR.B),
             c_table("C", np.append(PAIR.C, 1.0)),

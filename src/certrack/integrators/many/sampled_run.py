@@ -40,8 +40,8 @@ END_ROUNDING = 1e-15
 
 #: The next step is SAFETY of the one whose error would be the allowed one, lest it fail at once; it
 #: is no shorter than MIN_FACTOR of the last one and no longer than MAX_FACTOR of it, because an
-#: error estimate says little about much longer or shorter steps. When the first step of an interval
-#: fails, FIRST_MAX_FACTOR instead: the interval needs two at at_shortest.
+#: error estimate says little about much longer or shorter steps. Where the one step that was to
+#: cross an interval fails, FIRST_MAX_FACTOR instead: the interval needs two at least.
 SAFETY, MIN_FACTOR, MAX_FACTOR, FIRST_MAX_FACTOR = 0.9, 0.1, 5.0, 0.5
 
 #: An error that is not a number counts as this many times the allowed one: the shortest next step.
