@@ -36,7 +36,7 @@ def test_extremum_of_a_nearly_even_cubic_is_close():
     s = np.linspace(0, 1, 2001)[:, None]
 
     def error(part):
-        e0, e1, d0, d1 = parabolas(500)
+        e0, e1, d0, _ = parabolas(500)
         b = e1 - e0 - d0
         a = part * b
         cubic = e0 + s * (d0 + s * (b + s * a))
