@@ -98,17 +98,17 @@ INLINE Real root(Real x)
 }
 INLINE Real lookup(const double table[16], Int index)
 {
-    Real found;
+    Real values;
     for (int l = 0; l < LANES; l++)
-        found[l] = table[index[l] & 15];
-    return found;
+        values[l] = table[index[l] & 15];
+    return values;
 }
 INLINE int any(Int mask)
 {
-    int64_t found = 0;
+    int64_t bits = 0;
     for (int l = 0; l < LANES; l++)
-        found |= mask[l];
-    return found != 0;
+        bits |= mask[l];
+    return bits != 0;
 }
 #endif
 

@@ -62,26 +62,26 @@ def compiled(name: str, *flags: str) -> ctypes.CDLL:
         built = Path(folder) / "peer.so"
         command = ["gcc", *FLAGS, *flags, "-o", str(built), str(HERE / name), "-lmvec", "-lm"]
         subprocess.run(command, check=True)
-        found = ctypes.CDLL(str(built))
+        code = ctypes.CDLL(str(built))
     array, real = ctypes.c_void_p, ctypes.c_double
-    found.integrate.argtypes = [ctypes.c_int, array, array, array, real, real, ctypes.c_int, array]
-    return found
+    code.integrate.argtypes = [ctypes.c_int, array, array, array, real, real, ctypes.c_int, array]
+    return code
 
 
 def library() -> ctypes.CDLL:
     """``floor.c``, compiled for this machine."""
-    found = compiled("floor.c")
+    floor = compiled("floor.c")
     array, real = ctypes.c_void_p, ctypes.c_double
-    found.right_hand_side.argtypes = [real, array, real, real, array]
-    found.right_hand_side.restype = None
-    return found
+    floor.right_hand_side.argtypes = [real, array, real, real, array]
+    floor.right_hand_side.restype = None
+    return floor
 
 
 def c_rates(t: float, y: np.ndarray, gain: float, theta: float) -> np.ndarray:
     """Right-hand side of one member as ``floor.c`` computes it."""
-    given, found = np.ascontiguousarray(y, dtype=float), np.empty(4)
-    library().right_hand_side(t, given.ctypes.data, gain, theta, found.ctypes.data)
-    return found
+    y, rates = np.ascontiguousarray(y, dtype=float), np.empty(4)
+    library().right_hand_side(t, y.ctypes.data, gain, theta, rates.ctypes.data)
+    return rates
 
 
 def c_tsit5(threads: int = 1, *, plain: bool = False) -> Solve:
@@ -123,10 +123,10 @@ def scipy_solver(method: str) -> Solve:
 
     def by_solve_ivp(x: np.ndarray, gain: float, theta: float, tol: float) -> np.ndarray:
         options: dict[str, Any] = {"method": method, "rtol": tol, "atol": tol}
-        found = solve_ivp(rates, (0, T_END), x, args=(gain, theta), t_eval=[T_END], **options)
-        if not found.success:
-            raise RuntimeError(found.message)
-        return found.y[:, -1]
+        solution = solve_ivp(rates, (0, T_END), x, args=(gain, theta), t_eval=[T_END], **options)
+        if not solution.success:
+            raise RuntimeError(solution.message)
+        return solution.y[:, -1]
 
     return looped(by_odeint if method == "odeint" else by_solve_ivp)
 
@@ -141,14 +141,14 @@ def python_control() -> Solve:
     system = control.nlsys(update, None, inputs=0, states=4)
 
     def member(x: np.ndarray, gain: float, theta: float, tol: float) -> np.ndarray:
-        found = control.input_output_response(
+        solution = control.input_output_response(
             system,
             [0, T_END],
             initial_state=x,
             params={"gain": gain, "theta": theta},
             solve_ivp_kwargs={"rtol": tol, "atol": tol},
         )
-        return found.states[:, -1]
+        return solution.states[:, -1]
 
     return looped(member)
 
@@ -184,7 +184,7 @@ def diffrax_tsit5() -> Solve:
     term, solver = diffrax.ODETerm(field), diffrax.Tsit5()
 
     def member(x: Any, gain: Any, theta: Any, tol: Any) -> Any:
-        found = diffrax.diffeqsolve(
+        solution = diffrax.diffeqsolve(
             term,
             solver,
             t0=0.0,
@@ -196,7 +196,7 @@ def diffrax_tsit5() -> Solve:
             stepsize_controller=diffrax.PIDController(rtol=tol, atol=tol),
             max_steps=1_000_000,
         )
-        return jnp.concatenate(found.ys)
+        return jnp.concatenate(solution.ys)
 
     compiled = jax.jit(jax.vmap(member, in_axes=(1, 0, 0, None), out_axes=1))
 

@@ -34,10 +34,10 @@ def test_verified_certificate(name, report):
     system = tenth_order() if name == "tenth order" else certrack.load(name)
     certify_semidefinite(system)
     begin = time.perf_counter()
-    found, _ = certify_semidefinite(system)
+    proof, _ = certify_semidefinite(system)
     spent = time.perf_counter() - begin
-    report(f"{name}: verified bound {found.bound:.4g} in {spent:.3f} s (goal: 1 s, n = 10: 10 s)")
-    assert found.verified
+    report(f"{name}: verified bound {proof.bound:.4g} in {spent:.3f} s (goal: 1 s, n = 10: 10 s)")
+    assert proof.verified
 
 
 def modelled(problem):

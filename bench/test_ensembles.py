@@ -92,8 +92,8 @@ def test_peers(system, report):
         for count in MEMBERS:
             for name in solvers:
                 slow = "SciPy" in name or "control" in name
-                given = peers.ensemble(min(count, FEW) if slow else count)
-                solvers[name](*given, tolerance)  # compile, fill the caches
+                inputs = peers.ensemble(min(count, FEW) if slow else count)
+                solvers[name](*inputs, tolerance)  # compile, fill the caches
                 rounds = 1 if slow else 7
                 times[name, tolerance, count] = np.full(rounds, np.inf)
             for turn in range(7):  # in turns: a noisy machine hurts all alike
@@ -101,10 +101,10 @@ def test_peers(system, report):
                     spent = times[name, tolerance, count]
                     if turn < len(spent):
                         slow = len(spent) == 1
-                        given = peers.ensemble(min(count, FEW) if slow else count)
+                        inputs = peers.ensemble(min(count, FEW) if slow else count)
                         begin = time.perf_counter()
-                        solve(*given, tolerance)
-                        spent[turn] = (time.perf_counter() - begin) / len(given[1])
+                        solve(*inputs, tolerance)
+                        spent[turn] = (time.perf_counter() - begin) / len(inputs[1])
         base = times[f"certrack, {cores()} threads", tolerance, 10_000].min()
         for name in solvers:
             row = [1e6 * times[name, tolerance, count].min() for count in MEMBERS]
@@ -123,36 +123,36 @@ def test_peers(system, report):
     best = {key: spent.min() for key, spent in times.items()}
     us = best[f"certrack, {cores()} threads", 1e-6, 10_000]
     scipy = min(best[f"SciPy {name}", 1e-6, 10_000] for name in ("LSODA", "DOP853", "RK45"))
-    found = {
+    ratios = {
         "diffrax Tsit5": best["diffrax Tsit5", 1e-6, 10_000] / us,
         "best of SciPy's solve_ivp": scipy / us,
     }
-    report(*(f"{name}: {ratio:.1f}x, wanted {WANTED[name]}x" for name, ratio in found.items()))
+    report(*(f"{name}: {ratio:.1f}x, wanted {WANTED[name]}x" for name, ratio in ratios.items()))
     for tolerance, wanted in MOST.items():
         for name in ("C Tsit5", "plain C Tsit5"):
             floor = best[f"{name}, {cores()} threads", tolerance, 10_000]
             ratio = best[f"certrack, {cores()} threads", tolerance, 10_000] / floor
             report(f"{tolerance:.0e}: {ratio:.2f}x the time of {name}, wanted at most {wanted}x")
-    assert all(ratio > LEAST[name] for name, ratio in found.items())
+    assert all(ratio > LEAST[name] for name, ratio in ratios.items())
 
 
 def test_at_equal_error(system, report):
     """The hand-tuned C at 1e-9 against certrack at the tolerance that gives no larger an error."""
     tolerance, count = 4e-9, 10_000
-    given = peers.ensemble(count)
+    inputs = peers.ensemble(count)
     solvers = {"certrack": ours(system, tolerance, cores()), "C Tsit5": peers.c_tsit5(cores())}
     best = dict.fromkeys(solvers, np.inf)
     for _ in range(16):
         for name, solve in solvers.items():
             time.sleep(0.03)  # threads of OpenMP wait busily for a while
             begin = time.perf_counter()
-            solve(*given, 1e-9)
+            solve(*inputs, 1e-9)
             best[name] = min(best[name], time.perf_counter() - begin)
-    own = our_errors(system, tolerance, 200).max()
+    error = our_errors(system, tolerance, 200).max()
     floor = peers.errors(solvers["C Tsit5"], 1e-9, 200).max()
     ratio = best["certrack"] / best["C Tsit5"]
-    report(f"errors {own:.1e} (certrack), {floor:.1e} (C): {ratio:.2f}x the time of C Tsit5")
-    assert own < 1.5 * floor
+    report(f"errors {error:.1e} (certrack), {floor:.1e} (C): {ratio:.2f}x the time of C Tsit5")
+    assert error < 1.5 * floor
 
 
 def test_cost_and_memory(report, tmp_path):
@@ -160,19 +160,19 @@ def test_cost_and_memory(report, tmp_path):
     code = (
         "import re, sys, json, certrack\n"
         "from pathlib import Path\n"
-        "found = certrack.ensemble(certrack.load('example1'), int(sys.argv[1]))\n"
+        "result = certrack.ensemble(certrack.load('example1'), int(sys.argv[1]))\n"
         "status = Path('/proc/self/status').read_text()\n"  # getrusage inherits the parent's peak
         "peak = int(re.search(r'VmHWM:\\s+(\\d+)', status)[1]) / 1024\n"
-        "print(json.dumps([found.summary()['microseconds_per_member'], peak]))\n"
+        "print(json.dumps([result.summary()['microseconds_per_member'], peak]))\n"
     )
-    found = {}
+    costs = {}
     for count in (10_000, 100_000, 1_000_000):
         command = [sys.executable, "-c", code, str(count)]
         done = subprocess.run(command, check=True, capture_output=True, text=True)
-        found[count] = eval(done.stdout)
+        costs[count] = eval(done.stdout)
     report(
-        *(f"{n:9d} members {us:7.2f} us each, peak {mb:6.0f} MB" for n, (us, mb) in found.items())
+        *(f"{n:9d} members {us:7.2f} us each, peak {mb:6.0f} MB" for n, (us, mb) in costs.items())
     )
-    slope = linregress(np.log(list(found)), np.log([n * us for n, (us, _) in found.items()])).slope
+    slope = linregress(np.log(list(costs)), np.log([n * us for n, (us, _) in costs.items()])).slope
     report(f"cost grows as N^{slope:.3f}")
-    assert found[1_000_000][1] - found[10_000][1] < 100
+    assert costs[1_000_000][1] - costs[10_000][1] < 100

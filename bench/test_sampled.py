@@ -55,8 +55,8 @@ def test_sampled_members(report):
         input_gain=uniform(1.5, 2.5),
         theta=(uniform(1.5, 2.5),),
     )
-    way = certrack.Implementation(period=PERIOD)
-    system = certrack.load("example1").replace(population=population, implementation=way)
+    implementation = certrack.Implementation(period=PERIOD)
+    system = certrack.load("example1").replace(population=population, implementation=implementation)
     lines = []
     best = {}
     for method in ("native", "lockstep"):

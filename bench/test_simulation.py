@@ -32,7 +32,7 @@ def scipy_run(system, method, tolerance):
     absolute[-3:] /= INTEGRAL_SCALE
 
     def run():
-        found = solve_ivp(
+        solution = solve_ivp(
             lambda t, y: rates(t, y, p),
             (0, 20),
             y0,
@@ -41,9 +41,9 @@ def scipy_run(system, method, tolerance):
             atol=absolute,
             t_eval=TIMES,
         )
-        u = np.asarray(inputs(TIMES, found.y, p)[0])
-        error = found.y[0] - system.reference.values(TIMES, 0)[0]
-        return found.y, measure(TIMES, error, u, found.y[-3:] * INTEGRAL_SCALE, 0.05, 10)
+        u = np.asarray(inputs(TIMES, solution.y, p)[0])
+        error = solution.y[0] - system.reference.values(TIMES, 0)[0]
+        return solution.y, measure(TIMES, error, u, solution.y[-3:] * INTEGRAL_SCALE, 0.05, 10)
 
     return run
 

@@ -20,7 +20,7 @@ from certrack.references import Reference
 ESCAPING = 1e3
 
 #: Memory for the steps of a run, and the order of the Taylor method at usual tolerances.
-MAX_BYTES, USUAL_ORDER = 5e8, 15
+MAX_RECORD_BYTES, USUAL_ORDER = 5e8, 15
 
 
 class Outcome(Enum):
@@ -78,7 +78,7 @@ class Problem:
     @property
     def max_steps(self) -> int:
         """As many steps as half a gigabyte of Taylor coefficients allows."""
-        return int(MAX_BYTES / (8 * USUAL_ORDER * len(self.start)))
+        return int(MAX_RECORD_BYTES / (8 * USUAL_ORDER * len(self.start)))
 
     @property
     def segments(self) -> list[tuple[float, float]]:

@@ -138,7 +138,7 @@ def _triangle(rows: Sequence[Sequence[float]]) -> np.ndarray:
     return _read_only(table)
 
 
-def _columns(columns: Mapping[int, Sequence[float]], count: int) -> np.ndarray:
+def _of_columns(columns: Mapping[int, Sequence[float]], count: int) -> np.ndarray:
     """A table of `count` columns of which the others are zero."""
     table = np.zeros((len(next(iter(columns.values()))), count))
     for i, column in columns.items():
@@ -283,5 +283,5 @@ DOP853 = Pair(
     C=_fixed(_DOP853_C),
     errors=(_fixed(_DOP853_E5), _fixed(_DOP853_E3)),
     error_orders=(5, 3),
-    dense=_columns(_DOP853_DENSE, 13),
+    dense=_of_columns(_DOP853_DENSE, 13),
 )

@@ -35,8 +35,8 @@ static const double END_ROUNDING = 1e-12;
 static const double SHORTEST = 1e-15;
 
 /* The memories are updated at nodes no further apart than this part of a step at this tolerance,
- * and the same distance at any other: times of the grid among them. Between nodes signals are taken for
- * cubics, which must not fall behind a method of order 8. */
+ * and the same distance at any other: times of the grid among them. Between nodes signals are taken
+ * for cubics, which must not fall behind a method of order 8. */
 static const double NODE_SPACING = 1.0 / 3, SPACING_TOLERANCE = 1e-5;
 
 /* How a member ended; known to the caller. */
@@ -51,10 +51,6 @@ enum { NODES = (STAGES + LANES) / LANES * LANES };
 /* Members whose bins are gathered before they are counted: few enough for the cache, enough to find
  * the bins of a row in it. A row is not a power of two: rows must not share cache sets. */
 enum { BATCH = 8 * GROUP_SIZE, PITCH = BATCH + GROUP_SIZE };
-
-typedef float F __attribute__((vector_size(4 * LANES)));
-typedef int32_t J __attribute__((vector_size(4 * LANES)));
-typedef uint16_t H __attribute__((vector_size(2 * LANES)));
 
 typedef struct {
   int64_t count; /* members */
@@ -186,7 +182,7 @@ OUTLINE double try_step(const Group *g, double tolerance, Step *s) {
   return largest;
 }
 
-/* Weights of the slopes in the rise of the states until begin + theta h, and in their rate there. */
+/* Weights of the slopes in the rise of the states until begin + theta h, and in the rate there. */
 static void dense_weights(double theta, double h, double *value, double *slope) {
   V v[NODES / LANES] = {0}, d[NODES / LANES] = {0}, row;
   double power = 1.0;
@@ -199,17 +195,6 @@ static void dense_weights(double theta, double h, double *value, double *slope) 
     }
   memcpy(value, v, sizeof v);
   memcpy(slope, d, sizeof d);
-}
-
-/* Bins of 1 + |v| by its leading bits (see statistics.py); the last is for what is not a number. */
-INLINE H bins_of(F v, I alive, const Task *task) {
-  int side = (int)task->bins_per_side;
-  F y = 1.0f + (F)((J)v & INT32_MAX);
-  J bin = ((J)y - (127 << 23)) >> (int)(23 - task->bits), beyond = bin >= side, negative = v < 0.0f;
-  bin = (beyond & (side - 1)) | (~beyond & bin);
-  bin = side + (bin ^ negative); /* k -> -k - 1 */
-  J real = (v == v) & __builtin_convertvector(alive, J);
-  return __builtin_convertvector((real & bin) | (~real & (2 * side)), H);
 }
 
 INLINE H *bin_place(const Task *task, const Group *g, int64_t row, int j, int b) {
@@ -229,7 +214,8 @@ INLINE void update(Group *g, const Task *task, int b, double now, const double *
   for (int j = 0; j < SHOWN; j++) {
     V reduced = (v[j] - task->centre[j * task->points + g->row]) * task->per_unit[j];
     *bin_place(task, g, g->row, j, b) =
-        bins_of(__builtin_convertvector(reduced, F), block->alive, task);
+        bins_of(__builtin_convertvector(reduced, F), block->alive, (int)task->bins_per_side,
+                (int)task->bits);
   }
 }
 

@@ -140,7 +140,7 @@ class SharedGrid:
         Segments; between them rates and signals may jump.
     shared : (K, H) array
         Values of the shared symbols on every segment.
-    grid : (T,) array, s
+    times : (T,) array, s
         Where the shown values are counted; begins with the first edge.
     centre, unit : (R, T) and (R,) arrays
         The shown values are reduced by them: (value - centre)/unit.
@@ -148,7 +148,7 @@ class SharedGrid:
 
     edges: np.ndarray
     shared: np.ndarray
-    grid: np.ndarray
+    times: np.ndarray
     centre: np.ndarray
     unit: np.ndarray
 
@@ -204,6 +204,7 @@ class NativeResult:
     outcomes : (N,) array
         0 finished, 1 escaped, 2 stuck.
     steps : int
+        Of all groups together, those that failed among them.
     """
 
     totals: np.ndarray
@@ -251,7 +252,12 @@ class Native:
         grid : SharedGrid
         control : StepControl
         tally : BinCounts
+            Its counts are added to.
         threads : int
+
+        Raises
+        ------
+        MemoryError
         """
         size, count = starts.shape
         totals, ends = np.full((self._totals, count), np.nan), np.zeros(count)
@@ -259,7 +265,7 @@ class Native:
         inputs = [np.ascontiguousarray(a, dtype=float) for a in (starts, parameters)]
         inputs += [
             np.ascontiguousarray(a, dtype=float)
-            for a in (grid.edges, grid.shared, grid.grid, grid.centre)
+            for a in (grid.edges, grid.shared, grid.times, grid.centre)
         ]
         inputs.append(1.0 / np.asarray(grid.unit, dtype=float))
         pointers = [array.ctypes.data for array in inputs]
@@ -272,7 +278,7 @@ class Native:
                 *pointers[:2],
                 len(grid.edges) - 1,
                 *pointers[2:4],
-                len(grid.grid),
+                len(grid.times),
                 *pointers[4:],
                 ESTIMATE_EXCESS * control.tolerance,
                 control.limit,
@@ -281,10 +287,8 @@ class Native:
                 tally.part.stop,
                 tally.bins_per_side,
                 tally.bits,
-                *(
-                    a.ctypes.data
-                    for a in (tally.counts, own_counts, totals, finals, ends, outcomes)
-                ),
+                *(a.ctypes.data for a in (tally.counts, own_counts)),
+                *(a.ctypes.data for a in (totals, finals, ends, outcomes)),
                 next_member.ctypes.data,
             )
             if self._library.integrate(ctypes.byref(task)):

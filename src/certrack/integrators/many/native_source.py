@@ -29,8 +29,8 @@ from certrack.integrators.pairs import DOP853
 IN_VECTOR_MATH = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())
 OF_TWO = {"pow", "atan2"}
 
-#: Functions up to so many letters are expanded where they are called: the rates at every stage.
-SHORT = 3000
+#: Functions up to so many letters are inlined where they are called: the rates at every stage.
+MAX_INLINED = 3000
 
 #: Names of numbers that are not vectors: the same for all members.
 SCALAR = re.compile(r"[cs]\[|begin$|h$")
@@ -115,7 +115,14 @@ def _power(base: str, exponent: int) -> str:
 
 
 def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
-    """The generated part of native.c."""
+    """The generated part of native.c: sizes, tables of the method, and functions of the system.
+
+    Parameters
+    ----------
+    flow : AugmentedFlow
+    shown : formulas
+        Of the states and of the signals' symbols at the end of a step.
+    """
     timeless, common = flow.without_time()
     names: dict[sympy.Symbol, str] = {TIME: "t", STEP_BEGIN: "begin", STEP_LENGTH: "h"}
     for letter, symbols in (
@@ -241,5 +248,5 @@ def c_function(
     ]  # all before the first is assigned: a result may be an argument of another
     lines += [f"  {target} = r{i}_;" for i, (target, _) in enumerate(results)]
     body = "\n".join(lines)
-    kind = "INLINE" if len(body) < SHORT else "static"
+    kind = "INLINE" if len(body) < MAX_INLINED else "static"
     return f"{kind} void {name}({arguments}) {{\n{unused}{body}\n}}\n"

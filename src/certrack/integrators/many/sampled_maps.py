@@ -34,12 +34,48 @@ class Maps(Protocol):
     """Both maps; arrays have a column per member, p a row per parameter, then per piece symbol."""
 
     def control(self, t: Scalar, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
-        """Commanded inputs (N,) and the controller's next states."""
+        """Evaluate the law at a sample.
+
+        Parameters
+        ----------
+        t : float or (N,) array, s
+        measured : (n, N) array
+            What the sensors give.
+        states : (r, N) array
+            Of the controller.
+        p : (P, N) array
+
+        Returns
+        -------
+        u : (N,) array
+            Commanded inputs.
+        states : (r, N) array
+            At the next sample.
+        """
 
     def step(
         self, t: Scalar, h: Scalar, allowed: Scalar, x: Array, u: Array, totals: Array, p: Array
     ) -> tuple[Array, Array, Array]:
-        """Plant states and totals after a step, and its error over the allowed one."""
+        """Integrate the plant from t to t + h at a constant input.
+
+        Parameters
+        ----------
+        t, h : float or (N,) array, s
+        allowed : float or (N,) array
+            Error that is allowed, relative and absolute.
+        x : (n, N) array
+        u : (N,) array
+        totals : (T, N) array
+        p : (P, N) array
+
+        Returns
+        -------
+        x, totals : arrays
+            At t + h.
+        error : (N,) array
+            Estimated error of the states and of the integral of e_1, over the allowed one: the
+            step is accurate enough up to 1.
+        """
 
 
 class NumpyMaps:

@@ -6,7 +6,7 @@
  *
  * `system.h` is generated. It holds the sizes
  *   STATES CONTROLLER MEASURED PARAMETERS SHARED COMMON LAW_COMMON TOTALS SHOWN,
- * the coefficients A, B, C, E of the method, ESCAPING, SHARE, SHORTEST, MAX_INTERVAL_STEPS, and
+ * the coefficients A, B, C, E of the method, the constants of sampled_run.py, and
  *   common(t, s, c), law_common(t, s, c)  what depends on time t and the segment's numbers s alone
  *   rates(c, x, u, p, k, e)               k = x', e = (e_1, e_1')
  *   measure(x, p, m)                      what the sensors would give
@@ -19,9 +19,11 @@
 
 enum { NODES = 7, SAMPLE = 1, ACT = 2 };
 
-/* As in sampled_run.py, but errors are squared here. */
-static const double SAFETY = 0.9, MIN_FACTOR = 0.1, MAX_FACTOR = 5.0, FIRST_MAX_FACTOR = 0.5;
-static const double PER_ORDER = 0.2, SMALLEST = 1e-30, NOT_A_NUMBER = 1e18, END_ROUNDING = 1e-15;
+/* A squared error of less counts as this much: the next step is as long as it may be. */
+static const double SMALLEST = 1e-30;
+
+/* When no step is short enough for some lanes, the others go on with this part of the interval. */
+static const double RESTART = 1e-6;
 
 /* How a member ended; known to the caller. */
 enum { FINISHED, ESCAPED, STUCK };
@@ -158,10 +160,10 @@ static void give_up(Group *g, const Group *now, const Task *task, int64_t first,
   remove_lanes(g, task, first, lost, STUCK, t);
 }
 
-/* Lanes that need several steps for an interval; the others store_shown what they have. */
+/* Lanes that need several steps for an interval; the others keep what they have. */
 OUTLINE void substep(Group *g, const Task *task, int64_t first, double begin, double end,
-                   const double *s, I late, V error, V *ends, V *y) {
-  Group own = *g;
+                     const double *s, I late, V error, V *ends, V *y) {
+  Group trial = *g;
   Step step;
   V x[STATES], after[TOTALS];
   double t = begin, h = (end - begin) * next_factor(largest(error, late), FIRST_MAX_FACTOR);
@@ -169,27 +171,27 @@ OUTLINE void substep(Group *g, const Task *task, int64_t first, double begin, do
   for (int64_t i = 0; i < MAX_INTERVAL_STEPS && t < end && any(late); i++) {
     int last = t + h >= end * (1 - END_ROUNDING);
     h = last ? end - t : h > shortest ? h : shortest;
-    int least = h <= shortest;
+    int at_shortest = h <= shortest;
     prepare(&step, t, h, s);
-    double allowed = (least ? 1.0 : SHARE) * task->tolerance;
-    V error = try_step(&own, &step, allowed, x, after);
-    double worst = largest(error, late);
+    double allowed = (at_shortest ? 1.0 : SHARE) * task->tolerance;
+    V estimate = try_step(&trial, &step, allowed, x, after);
+    double worst = largest(estimate, late);
     if (worst <= 1.0) {
-      memcpy(own.x, x, sizeof x);
-      memcpy(own.y, after, sizeof after);
+      memcpy(trial.x, x, sizeof x);
+      memcpy(trial.y, after, sizeof after);
       t = last ? end : t + h;
     }
     h *= next_factor(worst, MAX_FACTOR);
-    if (least && !(worst <= 1.0)) { /* nothing is short enough for these */
-      I lost = late & ~(error <= SPLAT(1.0));
-      give_up(g, &own, task, first, lost, begin);
+    if (at_shortest && !(worst <= 1.0)) { /* nothing is short enough for these */
+      I lost = late & ~(estimate <= SPLAT(1.0));
+      give_up(g, &trial, task, first, lost, begin);
       late &= ~lost;
-      h = (end - begin) * 1e-6;
+      h = (end - begin) * RESTART;
     }
   }
-  if (t < end) give_up(g, &own, task, first, late, begin);
-  for (int j = 0; j < STATES; j++) ends[j] = choose(late, own.x[j], ends[j]);
-  for (int j = 0; j < TOTALS; j++) y[j] = choose(late, own.y[j], y[j]);
+  if (t < end) give_up(g, &trial, task, first, late, begin);
+  for (int j = 0; j < STATES; j++) ends[j] = choose(late, trial.x[j], ends[j]);
+  for (int j = 0; j < TOTALS; j++) y[j] = choose(late, trial.y[j], y[j]);
 }
 
 /* A standard normal number of a member's key and a counter: SplitMix64, Box and Muller. */
@@ -201,11 +203,6 @@ INLINE V normal(U key, uint64_t counter) {
   V high = __builtin_convertvector((I)(z >> 32), V);
   V low = __builtin_convertvector((I)(z & 0xffffffffu), V);
   return v_sqrt(-2.0 * v_log((high + 0.5) * 0x1p-32)) * v_cos(low * (0x1p-32 * 6.283185307179586));
-}
-
-INLINE V rounded(V a, double quantum) {
-  V n = a / quantum, near = (n + ROUND) - ROUND;
-  return choose(v_abs(n) < SPLAT(0x1p51), near, n) * quantum;
 }
 
 /* Measure, evaluate the law; the command waits for the actuator. */

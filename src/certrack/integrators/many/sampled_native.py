@@ -13,19 +13,28 @@ from certrack.core.expressions import TIME
 from certrack.core.lowering import hoisted
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
+from certrack.integrators.many import sampled_run
 from certrack.integrators.many.native import compiled_library
 from certrack.integrators.many.native_source import c_function, c_table, with_elementary
 from certrack.integrators.many.sampled_maps import PAIR
-from certrack.integrators.many.sampled_run import (
-    MAX_INTERVAL_STEPS,
-    SHARE,
-    SHORTEST,
-    SampledProblem,
-)
+from certrack.integrators.many.sampled_run import SampledProblem
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
 
 Array = np.ndarray
+
+#: Numbers that sampled_native.c shares with sampled_run.py; errors are squared there.
+SHARED_CONSTANTS = {
+    "ESCAPING": ESCAPING,
+    "PER_ORDER": 1.0 / PAIR.order,
+    "NOT_A_NUMBER": sampled_run.NOT_A_NUMBER**2,
+} | {
+    name: getattr(sampled_run, name)
+    for name in (
+        *("SHARE", "SHORTEST", "END_ROUNDING"),
+        *("SAFETY", "MIN_FACTOR", "MAX_FACTOR", "FIRST_MAX_FACTOR"),
+    )
+}
 
 
 class _SampledTask(ctypes.Structure):
@@ -146,7 +155,7 @@ class SampledNative:
 
 
 def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
-    """The generated part of sampled_native.c."""
+    """The generated part of sampled_native.c, as :class:`SampledNative` has its parameters."""
     plant, controller = loop.plant, loop.controller
     parameters, shared = loop.parameters, loop.pieces
     command, update = resolved(controller)
@@ -178,7 +187,7 @@ def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
         "LAW_COMMON": len(law_common),
         "TOTALS": len(loop.totals),
         "SHOWN": len(shown),
-        "MAX_INTERVAL_STEPS": MAX_INTERVAL_STEPS,
+        "MAX_INTERVAL_STEPS": sampled_run.MAX_INTERVAL_STEPS,
     }
 
     def function(
@@ -194,8 +203,10 @@ def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
     return with_elementary(
         [
             "enum { " + ", ".join(f"{name} = {size}" for name, size in sizes.items()) + " };",
-            f"static const double ESCAPING = {ESCAPING!r}, SHARE = {SHARE!r}, "
-            f"SHORTEST = {SHORTEST!r};",
+            *(
+                f"static const double {name} = {value!r};"
+                for name, value in SHARED_CONSTANTS.items()
+            ),
             c_table("A", np.vstack([PAIR.A, PAIR.B])),  # the end of the step as a last stage
             c_table("B", PAIR.B),
             c_table("C", np.append(PAIR.C, 1.0)),

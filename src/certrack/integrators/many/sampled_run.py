@@ -40,8 +40,8 @@ END_ROUNDING = 1e-15
 
 #: The next step is SAFETY of the one whose error would be the allowed one, lest it fail at once; it
 #: is no shorter than MIN_FACTOR of the last one and no longer than MAX_FACTOR of it, because an
-#: error estimate says little about much longer or shorter steps. When the first step of an interval
-#: fails, FIRST_MAX_FACTOR instead: the interval needs two at least.
+#: error estimate says little about much longer or shorter steps. Where the one step that was to
+#: cross an interval fails, FIRST_MAX_FACTOR instead: the interval needs two at least.
 SAFETY, MIN_FACTOR, MAX_FACTOR, FIRST_MAX_FACTOR = 0.9, 0.1, 5.0, 0.5
 
 #: An error that is not a number counts as this many times the allowed one: the shortest next step.
@@ -209,8 +209,8 @@ class SampledRun:
         for _ in range(MAX_INTERVAL_STEPS):
             last = t + h >= end * (1 - END_ROUNDING)
             h = np.where(last, end - t, np.maximum(h, shortest))
-            least = h <= shortest
-            allowed = np.where(least, self._problem.tolerance, self._allowed)
+            at_shortest = h <= shortest
+            allowed = np.where(at_shortest, self._problem.tolerance, self._allowed)
             x_after, totals_after, error = self._maps.step(t, h, allowed, x, u, totals, p)
             passed = (error <= 1.0) & (t < end)
             x = np.where(passed, x_after, x)
@@ -219,7 +219,7 @@ class SampledRun:
             if on_step is not None and passed[0]:
                 on_step(float(t[0]), x, totals, u)
             h = h * _factor(error, MAX_FACTOR)
-            lost |= (t < end) & least & ~passed
+            lost |= (t < end) & at_shortest & ~passed
             if (lost | (t >= end)).all():
                 break
         stuck = t < end

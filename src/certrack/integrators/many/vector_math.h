@@ -1,4 +1,6 @@
-/* Arithmetic on a vector register of doubles: selections and elementary functions. */
+/* Arithmetic on a vector register of doubles: selections, elementary functions, rounding, bins.
+ * Where it uses the bits of a double - sign, 11 of the exponent (that of 1 is 1023), 52 of the
+ * fraction - the reason stands beside it, and tests/test_vector_math.py compares the results. */
 #include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -10,13 +12,18 @@
 enum { LANES = 8 };
 typedef double V __attribute__((vector_size(8 * LANES)));
 typedef int64_t I __attribute__((vector_size(8 * LANES)));
+typedef float F __attribute__((vector_size(4 * LANES)));
+typedef int32_t J __attribute__((vector_size(4 * LANES)));
+typedef uint16_t H __attribute__((vector_size(2 * LANES)));
 
 #define SPLAT(a) ((V){0} + (a))
 #define INLINE static inline __attribute__((always_inline))
-#define OUTLINE static __attribute__((noinline)) /* lest constants be kept in registers, and spilled */
+/* lest constants be kept in registers, and spilled */
+#define OUTLINE static __attribute__((noinline))
 
+/* A comparison gives all bits or none: `and` and `or` are a selection without a branch. */
 INLINE V choose(I mask, V yes, V no) { return (V)((mask & (I)yes) | (~mask & (I)no)); }
-INLINE V v_abs(V a) { return (V)((I)a & INT64_MAX); }
+INLINE V v_abs(V a) { return (V)((I)a & INT64_MAX); } /* without the sign bit */
 #ifdef __AVX512DQ__
 INLINE V greater(V a, V b, V yes, V no) {
   return _mm512_mask_blend_pd(_mm512_cmp_pd_mask(a, b, _CMP_GT_OQ), no, yes);
@@ -34,13 +41,13 @@ INLINE int any(I mask) {
 #ifdef __AVX512F__
   return _mm512_test_epi64_mask((__m512i)mask, (__m512i)mask) != 0;
 #else
-  int64_t found = 0;
-  for (int l = 0; l < LANES; l++) found |= mask[l];
-  return found != 0;
+  int64_t bits = 0;
+  for (int l = 0; l < LANES; l++) bits |= mask[l];
+  return bits != 0;
 #endif
 }
 
-/* Cubics with p = e, p' = d at the ends of [0, 1]; see `Extremum` and `Entry` in core/select.py. The
+/* Cubics with p = e, p' = d at the ends of [0, 1]: `Extremum` and `Entry` of core/select.py. The
  * value at an extremum hardly depends on the place: 14 bits of that are enough, and no branch, as
  * among eight members there is often one that turns. */
 INLINE V cubic(V s, V e0, V d0, V b, V a) { return e0 + s * (d0 + s * (b + s * a)); }
@@ -110,15 +117,15 @@ INLINE int beyond(V a, double least, double most) {
 }
 #endif
 #define FAR(name, least, most)                                                 \
-  static __attribute__((noinline, cold)) V far_##name(V a, V found) {          \
+  static __attribute__((noinline, cold)) V far_##name(V a, V value) {          \
     for (int l = 0; l < LANES; l++)                                            \
-      if (!(a[l] > least && a[l] < most)) found[l] = name(a[l]);               \
-    return found;                                                              \
+      if (!(a[l] > least && a[l] < most)) value[l] = name(a[l]);               \
+    return value;                                                              \
   }                                                                            \
   INLINE V v_##name(V a) {                                                     \
-    V found = near_##name(a);                                                  \
-    if (__builtin_expect(beyond(a, least, most), 0)) found = far_##name(a, found); \
-    return found;                                                              \
+    V value = near_##name(a);                                                  \
+    if (__builtin_expect(beyond(a, least, most), 0)) value = far_##name(a, value); \
+    return value;                                                              \
   }
 
 #define HORNER(sum, table, x)                                            \
@@ -128,7 +135,14 @@ INLINE int beyond(V a, double least, double most) {
         sum * (x) + table[i];                                            \
   } while (0)
 
-static const double ROUND = 6755399441055744.0; /* 1.5 2^52: adding it rounds to an integer */
+/* 1.5 2^52: adding it rounds to an integer, which then stands in the low bits of the fraction. */
+static const double ROUND = 6755399441055744.0;
+
+/* The nearest multiple of a quantum; beyond 2^51 of them the value itself. */
+INLINE V rounded(V a, double quantum) {
+  V n = a / quantum, near = (n + ROUND) - ROUND;
+  return choose(v_abs(n) < SPLAT(0x1p51), near, n) * quantum;
+}
 
 /* (-1)^(n / 2) sin(a - n pi/2) for even (`odd` = 0) or odd n, where |a - n pi/2| <= pi/2: a
  * minimax polynomial, pi/2 in three parts. */
@@ -143,8 +157,8 @@ INLINE V circular(V a, int odd) {
   V p1 = z * 2.7557318055499585e-6 - 0.00019841269836468067;
   V p2 = z * 1.605097160362982e-10 - 2.5051972905379012e-8;
   V p = p0 + z2 * (p1 + z2 * (p2 - 7.4080454517479943e-13 * z2));
-  I sign = (I)shifted + odd;
-  return (V)((I)(r + (r * z) * p) ^ (sign << 63));
+  I sign = (I)shifted + odd; /* its lowest bit: whether to negate */
+  return (V)((I)(r + (r * z) * p) ^ (sign << 63)); /* the sign bit */
 }
 INLINE V near_sin(V a) { return circular(a, 0); }
 INLINE V near_cos(V a) { return circular(a, 1); }
@@ -160,34 +174,35 @@ INLINE V near_exp(V a) {
   V shifted = a * 1.4426950408889634 + ROUND, n = shifted - ROUND;
   V r = a - n * 0x1.62e42fefp-1;
   r = r - n * 0x1.473de6af278edp-34;
-  V found = SPLAT(0.0);
-  HORNER(found, TAYLOR, r);
-  return (V)((I)found + ((I)shifted << 52));
+  V power = SPLAT(0.0);
+  HORNER(power, TAYLOR, r);
+  return (V)((I)power + ((I)shifted << 52)); /* n, in the low bits, is added to the exponent */
 }
 FAR(exp, -700.0, 700.0)
 
 /* log(2^n m), m from 1 to 2: by a table of log c_i at the centres c_i of 16 parts, and a minimax
- * polynomial of m/c_i - 1; absolute error 1e-15 for a of order 1. */
+ * polynomial of m/c_i - 1; absolute error 3e-15 for a of order 1. */
 #define PARTS(F) F(1) F(3) F(5) F(7) F(9) F(11) F(13) F(15) F(17) F(19) F(21) F(23) F(25) F(27) \
     F(29) F(31)
 #define ONE_INVERSE(i) 32.0 / (32 + i),
 #define ONE_LOG(i) __builtin_log((32.0 + i) / 32),
 static const double INVERSE[16] = {PARTS(ONE_INVERSE)}, LOG[16] = {PARTS(ONE_LOG)};
+/* table[the low 4 bits of the index] */
 INLINE V lookup(const double *table, I index) {
 #ifdef __AVX512F__
   return _mm512_permutex2var_pd(_mm512_loadu_pd(table), (__m512i)index,
                                 _mm512_loadu_pd(table + 8));
 #else
-  V found;
-  for (int l = 0; l < LANES; l++) found[l] = table[index[l] & 15];
-  return found;
+  V values;
+  for (int l = 0; l < LANES; l++) values[l] = table[index[l] & 15];
+  return values;
 #endif
 }
 INLINE V near_log(V a) {
   const int64_t one = 0x3ff0000000000000, fraction = 0x000fffffffffffff;
-  I bits = (I)a, index = bits >> 48;
-  V m = (V)((bits & fraction) | one);
-  V k = __builtin_convertvector((bits - one) >> 52, V);
+  I bits = (I)a, index = bits >> 48; /* its low 4 bits lead the fraction: the part of m */
+  V m = (V)((bits & fraction) | one); /* the same fraction, exponent 0 */
+  V k = __builtin_convertvector((bits - one) >> 52, V); /* the exponent, less that of 1 */
   V r = m * lookup(INVERSE, index) - 1.0, z = r * r;
   V p = r * 0.14302004969935271 - 0.16684993320145907;
   V q = r * 0.19999994032650117 - 0.24999993286903622;
@@ -195,3 +210,14 @@ INLINE V near_log(V a) {
   return (k * 0.69314718055994531 + (lookup(LOG, index) + r)) + z * (s + z * (q + z * p));
 }
 FAR(log, 1e-300, 1e300)
+
+/* Bins of y = 1 + |v| by its leading `bits` (see statistics.py): exponent and fraction of y, read
+ * as one integer, grow with y. A last bin, 2 side, is for what is not a number, or not alive. */
+INLINE H bins_of(F v, I alive, int side, int bits) {
+  F y = 1.0f + (F)((J)v & INT32_MAX); /* without the sign bit */
+  J bin = ((J)y - (127 << 23)) >> (23 - bits), beyond = bin >= side, negative = v < 0.0f;
+  bin = (beyond & (side - 1)) | (~beyond & bin);
+  bin = side + (bin ^ negative); /* k -> -k - 1 */
+  J real = (v == v) & __builtin_convertvector(alive, J);
+  return __builtin_convertvector((real & bin) | (~real & (2 * side)), H);
+}

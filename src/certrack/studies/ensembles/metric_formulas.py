@@ -75,7 +75,9 @@ def _error_updates(
     tail, outside, total = map(_memory, MEMORY_METRICS[2:])
     peak = Extremum(e0, e1, STEP_LENGTH * r0, STEP_LENGTH * r1)
     largest = larger(larger(magnitude(e0), magnitude(e1)), magnitude(peak))
-    crossing = STEP_BEGIN + STEP_LENGTH * Entry(e0, e1, STEP_LENGTH * r0, STEP_LENGTH * r1, SETTLING_BAND)
+    crossing = STEP_BEGIN + STEP_LENGTH * Entry(
+        e0, e1, STEP_LENGTH * r0, STEP_LENGTH * r1, SETTLING_BAND
+    )
     left = Select(largest, SETTLING_BAND, crossing, outside)
     return [
         larger(tail, IN_TAIL * largest),

@@ -6,11 +6,11 @@ import numpy as np
 
 from certrack.integrators.many.native import (
     STUCK,
-    StepControl,
     BinCounts,
     Native,
     NativeResult,
     SharedGrid,
+    StepControl,
 )
 from certrack.integrators.many.registers import GROUP_SIZE
 from certrack.studies.ensembles.build_flow import build_flow, shown_signals
