@@ -115,7 +115,7 @@ def shared_library(
     compiler: str | None = None,
     timeout: float = COMPILE_TIMEOUT,
 ) -> bytes:
-    """Contents of the shared library that is compiled from sources.
+    """Contents of the shared library that is compiled from sources, for this machine.
 
     Parameters
     ----------
@@ -131,9 +131,10 @@ def shared_library(
     Raises
     ------
     CompilerError
-        As :func:`run_compiler`.
+        As :func:`load_library`: CC may name a compiler for another machine.
     """
     with _temporary_library(sources, flags, libraries, compiler, timeout) as file:
+        _load(file)
         return file.read_bytes()
 
 
@@ -158,12 +159,16 @@ def load_library(
         As :func:`run_compiler`; also where the library does not run on this machine.
     """
     with _temporary_library(sources, flags, libraries, compiler, timeout) as file:
-        try:
-            return ctypes.CDLL(str(file))  # stays loaded when the file is gone
-        except OSError as problem:
-            raise CompilerError(
-                f"what the C compiler built cannot be loaded: {shorten(str(problem), MAX_REASON)}"
-            ) from None
+        return _load(file)
+
+
+def _load(file: Path) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(file))  # stays loaded when the file is gone
+    except OSError as problem:
+        raise CompilerError(
+            f"what the C compiler built cannot be loaded: {shorten(str(problem), MAX_REASON)}"
+        ) from None
 
 
 @contextmanager
@@ -177,8 +182,11 @@ def _temporary_library(
     """The library as a file, for a while."""
     with ExitStack() as stack:
         try:
-            name = stack.enter_context(tempfile.TemporaryDirectory(prefix="certrack-"))
-            folder = Path(name)
+            temporary = tempfile.TemporaryDirectory(
+                prefix="certrack-",
+                ignore_cleanup_errors=True,  # Windows keeps the file of a loaded library
+            )
+            folder = Path(stack.enter_context(temporary))
             for file, text in sources.items():
                 (folder / file).write_text(text, "utf-8")
         except OSError as problem:
