@@ -116,12 +116,13 @@ class TestRun:
             shared_library(SOURCES, FLAGS)
         assert str(refused.value) == "no C compiler was found: install gcc or clang"
 
+    @pytest.mark.parametrize("build", [load_library, shared_library])
     @pytest.mark.parametrize("kind", FALSE)
-    def test_false_compilers(self, kind, false_compiler, tmp_path):
+    def test_false_compilers(self, kind, build, false_compiler, tmp_path):
         path, message = false_compiler(kind)
         begin = time.monotonic()
         with pytest.raises(CompilerError) as refused:
-            load_library(SOURCES, FLAGS, timeout=0.5)
+            build(SOURCES, FLAGS, timeout=0.5)
         assert time.monotonic() - begin < 20
         said = str(refused.value)
         assert "\n" not in said

@@ -93,7 +93,7 @@ def run_compiler(
     path = find_c_compiler() if compiler is None else compiler
     target = folder / LIBRARY
     try:
-        code, said = _run_command([path, *arguments, "-o", LIBRARY], folder, timeout)
+        code, message = _run_command([path, *arguments, "-o", LIBRARY], folder, timeout)
     except OSError as problem:
         raise CompilerError(
             f"the C compiler {path} cannot be run ({problem.strerror}): install gcc or clang"
@@ -101,7 +101,7 @@ def run_compiler(
     except subprocess.TimeoutExpired:
         raise CompilerError(f"the C compiler {path} took longer than {timeout:g} s") from None
     if code:
-        raise CompilerError(f"the C compiler {path} failed: {_reason(code, said)}")
+        raise CompilerError(f"the C compiler {path} failed: {_reason(code, message)}")
     if not target.is_file():
         raise CompilerError(f"the C compiler {path} reported success but wrote no file")
     return target
@@ -115,7 +115,7 @@ def shared_library(
     compiler: str | None = None,
     timeout: float = COMPILE_TIMEOUT,
 ) -> bytes:
-    """Contents of the shared library that is compiled from sources.
+    """Contents of the shared library that is compiled from sources, for this machine.
 
     Parameters
     ----------
@@ -131,9 +131,10 @@ def shared_library(
     Raises
     ------
     CompilerError
-        As :func:`run_compiler`.
+        As :func:`load_library`: CC may name a compiler for another machine.
     """
-    with _library_file(sources, flags, libraries, compiler, timeout) as file:
+    with _temporary_library(sources, flags, libraries, compiler, timeout) as file:
+        _load(file)
         return file.read_bytes()
 
 
@@ -157,17 +158,21 @@ def load_library(
     CompilerError
         As :func:`run_compiler`; also where the library does not run on this machine.
     """
-    with _library_file(sources, flags, libraries, compiler, timeout) as file:
-        try:
-            return ctypes.CDLL(str(file))  # stays loaded when the file is gone
-        except OSError as problem:
-            raise CompilerError(
-                f"what the C compiler built cannot be loaded: {shorten(str(problem), MAX_REASON)}"
-            ) from None
+    with _temporary_library(sources, flags, libraries, compiler, timeout) as file:
+        return _load(file)
+
+
+def _load(file: Path) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(file))  # stays loaded when the file is gone
+    except OSError as problem:
+        raise CompilerError(
+            f"what the C compiler built cannot be loaded: {shorten(str(problem), MAX_REASON)}"
+        ) from None
 
 
 @contextmanager
-def _library_file(
+def _temporary_library(
     sources: Mapping[str, str],
     flags: Sequence[str],
     libraries: Sequence[str],
@@ -177,8 +182,11 @@ def _library_file(
     """The library as a file, for a while."""
     with ExitStack() as stack:
         try:
-            place = stack.enter_context(tempfile.TemporaryDirectory(prefix="certrack-"))
-            folder = Path(place)
+            temporary = tempfile.TemporaryDirectory(
+                prefix="certrack-",
+                ignore_cleanup_errors=True,  # Windows keeps the file of a loaded library
+            )
+            folder = Path(stack.enter_context(temporary))
             for file, text in sources.items():
                 (folder / file).write_text(text, "utf-8")
         except OSError as problem:
@@ -204,14 +212,14 @@ def _run_command(command: Sequence[str], folder: Path, timeout: float) -> tuple[
         start_new_session=True,
     )
     try:
-        _, said = process.communicate(timeout=timeout)
+        _, message = process.communicate(timeout=timeout)
     except BaseException:  # also where the user interrupts
-        _end(process)
+        _kill_group(process)
         raise
-    return process.returncode, said.decode(errors="replace")
+    return process.returncode, message.decode(errors="replace")
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _kill_group(process: subprocess.Popen[bytes]) -> None:
     """End a process and all that it started."""
     if hasattr(os, "killpg"):
         with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -220,8 +228,8 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     process.communicate()
 
 
-def _reason(code: int, said: str) -> str:
+def _reason(code: int, message: str) -> str:
     """The first line that names an error, else the first one, else the exit code."""
-    lines = [line for line in said.splitlines() if line.strip()]
+    lines = [line for line in message.splitlines() if line.strip()]
     errors = [line for line in lines if "error" in line]
     return shorten(one_line((errors or lines or [f"exit code {code}"])[0].strip()), MAX_REASON)

@@ -10,8 +10,8 @@ hands over functions, not text, of the continuous loop as well.
 The author of a new one
 
 1. writes a folder, or a file, of its own with one public function of a system, a name and, by
-   keyword, a period. It begins with :func:`~certrack.export.program.sampled_system`, which
-   refuses a system without a period, and :func:`~certrack.export.program.controller_program`;
+   keyword, a period. It begins with :func:`~certrack.export.program.sampled_system`, which refuses
+   a system without a period, and :func:`~certrack.export.program.controller_program`;
 2. prints by a subclass of :class:`~certrack.core.printing.FormulaPrinter`. A literal must give the
    same number when it is read. The steps come first, up to the input, then the rates, then the
    next states, which are all computed from the states before;

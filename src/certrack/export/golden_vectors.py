@@ -48,6 +48,12 @@ EXCERPTS = 20
 #: Random points, of which those are taken where numbers show.
 CANDIDATES = 4000
 
+#: Of the numbers of a random point, so many are zero: the formulas' terms then show one by one.
+ZEROS_SHARE = 0.35
+
+#: Of the random points, so many are first samples, where differences are not known.
+FIRST_SHARE = 0.1
+
 #: A larger answer is no test: the law is far from where it works.
 MAX_ANSWER = 1e12
 
@@ -124,7 +130,9 @@ def golden_vectors(
     usable &= (np.abs(answers) < MAX_ANSWER).all(axis=0)
     usable[:carried] &= np.logical_and.accumulate(usable[:carried])
     effects = np.where(usable, effects / GOLDEN_TOLERANCE[real], 0.0)
-    random_points = _cover(effects, of_run) if thin else of_run + np.flatnonzero(usable[of_run:])
+    random_points = (
+        _covering_points(effects, of_run) if thin else of_run + np.flatnonzero(usable[of_run:])
+    )
     chosen = [*np.flatnonzero(usable[:of_run]), *random_points]
     if not chosen:
         raise InputError("law", "has no finite value at any of the points that were tried")
@@ -241,11 +249,11 @@ def _sensitivities(
         changes.append(np.abs(evaluate(*inputs, (i, 1 + MUTATION)) - answers))
     for which, part in enumerate(inputs):
         for row in range(len(part)):
-            moved = [each.copy() for each in inputs]
-            moved[which][row] *= 1 + small
-            change = evaluate(*moved) - answers
+            changed = [each.copy() for each in inputs]
+            changed[which][row] *= 1 + small
+            change = evaluate(*changed) - answers
             if which == 2:
-                change[1 + row] -= moved[2][row] - states[row]
+                change[1 + row] -= changed[2][row] - states[row]
             scales += np.abs(change) / small
     share = np.full(answers.shape[1], STATE_SHARE)
     share[:carried] = 1.0
@@ -257,7 +265,7 @@ def _sensitivities(
     return np.nan_to_num(effects.reshape(len(changes), answers.shape[1])), answers, scales
 
 
-def _cover(effects: Array, of_run: int) -> list[int]:
+def _covering_points(effects: Array, of_run: int) -> list[int]:
     """Samples from number `of_run` on, such that every number shows clearly where it can."""
     best = effects.max(axis=1, initial=0.0)
     least = np.minimum(CLEAR_FACTOR, best) * (1 - QUOTIENT_ROUNDING)
@@ -266,9 +274,9 @@ def _cover(effects: Array, of_run: int) -> list[int]:
     while not seen.all():
         shows = effects >= least[:, None]
         shows[seen] = False
-        take = int(np.argmax(shows.sum(axis=0)))
-        chosen.append(take)
-        seen |= shows[:, take]
+        point = int(np.argmax(shows.sum(axis=0)))
+        chosen.append(point)
+        seen |= shows[:, point]
     return chosen
 
 
@@ -282,15 +290,15 @@ def _random_points(
         base = part[:, columns]
         typical = np.abs(part).max(axis=1, initial=0.0) + 1.0 * (len(part) > 0)
         size = typical[:, None] * 10.0 ** random.uniform(-2, 1, (1, CANDIDATES))
-        moved = base * random.integers(0, 2, (1, CANDIDATES)) + size * random.normal(
+        changed = base * random.integers(0, 2, (1, CANDIDATES)) + size * random.normal(
             size=base.shape
         )
-        return np.where(random.random(base.shape) < 0.35, 0.0, moved)
+        return np.where(random.random(base.shape) < ZEROS_SHARE, 0.0, changed)
 
     points = [spread(part) for part in (x, Y, states)]
     for row, name in enumerate(program.states):
         if name.name == "ctl_first":
-            points[2][row] = (random.random(CANDIDATES) < 0.1) * 1.0
+            points[2][row] = (random.random(CANDIDATES) < FIRST_SHARE) * 1.0
     return points
 
 

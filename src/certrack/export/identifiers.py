@@ -51,8 +51,8 @@ def stem(source: str) -> str:
     return f"{name}_c" if name.lower() in HEADERS else name
 
 
-def free_name(name: str, taken: Iterable[str]) -> str:
+def free_name(name: str, used: Iterable[str]) -> str:
     """`name`, or with as many underscores after it as make it a free identifier."""
-    while name in C_RESERVED or name in taken or re.match(r"(FP|M|FLT|DBL)_[A-Z]", name):
+    while name in C_RESERVED or name in used or re.match(r"(FP|M|FLT|DBL)_[A-Z]", name):
         name += "_"
     return name

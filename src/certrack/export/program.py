@@ -8,7 +8,7 @@ law uses its signals in another way, the formulas stay as they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, pairwise
 
@@ -37,7 +37,7 @@ from certrack.systems.system import System
 E_N, NU, UBAR, DRIFT, CUT = (symbol(f"ctl_{name}") for name in ("e_n", "nu", "ubar", "h", "cut"))
 
 #: Gains that are printed as numbers in the linear forms e_n and nu; all others are named.
-LINEAR = ("A_n", "B_n", "nu_x", "nu_Y", "sign_g")
+LINEAR_FORM_GAINS = ("A_n", "B_n", "nu_x", "nu_Y", "sign_g")
 
 NOTES = {
     E_N: "last error coordinate: e_n = A_n x - B_n (y_d, y_d', ...)",
@@ -93,12 +93,6 @@ class ControllerProgram:
     constants: dict[sympy.Symbol, float]
     labels: dict[sympy.Symbol, str]
     start: tuple[float, ...]
-
-    @property
-    def formulas(self) -> Iterator[sympy.Expr]:
-        """All of them."""
-        yield from (step.formula for step in (*self.steps, *self.rates))
-        yield from self.update
 
 
 def sampled_system(system: System, period: float | None = None) -> System:
@@ -227,14 +221,14 @@ def _named_parts(system: System) -> tuple[list[Step], Equations]:
     """Parts of the law by their names, and the law in these names."""
     plant, controller = system.plant, system.controller
     exact = controller.signals
-    short = Signals(plant, exact.q)
-    short.e_n, short.nu = E_N, NU
-    short.phi = tuple(symbol(f"ctl_phi_{i + 1}") for i in range(plant.r))
-    equations = system.law.equations(short)
-    phi = dict(zip(short.phi, exact.phi, strict=True))
+    named = Signals(plant, exact.q)
+    named.e_n, named.nu = E_N, NU
+    named.phi = tuple(symbol(f"ctl_phi_{i + 1}") for i in range(plant.r))
+    equations = system.law.equations(named)
+    phi = dict(zip(named.phi, exact.phi, strict=True))
     meaning = phi | {E_N: exact.e_n, NU: exact.nu}
     pairs = zip(_all_parts(equations), _all_parts(controller.equations), strict=True)
-    if any(named.xreplace(meaning) != original for named, original in pairs):
+    if any(part.xreplace(meaning) != original for part, original in pairs):
         return [], controller.equations
     drift = plant.drift.expr
     parts = [Step(DRIFT, drift, NOTES[DRIFT])] if drift != 0 else []
@@ -274,7 +268,7 @@ def _unnamed_numbers(
 ) -> dict[sympy.Symbol, sympy.Expr]:
     """Parameters that do not get a name: of linear forms, and gains that are zero."""
     groups = system.controller.signals.all_parameters
-    linear = {name for group in LINEAR for name in groups.get(group, ())}
+    linear = {name for group in LINEAR_FORM_GAINS for name in groups.get(group, ())}
     gains = controller.parameters[: len(system.controller.symbols)]
     return {
         name: _exact_number(values[name]) for name in gains if name in linear or values[name] == 0

@@ -249,10 +249,10 @@ class _SampledPlant:
         """Its states and functions."""
         first = self._implementation.initial_input
         x = np.array(self._system.settings.x0)
-        x = self._cross(0.0, self._implementation.offset, x, first)
-        held = [f"u_before_{i + 1}" for i in range(self._commands)]
+        x = self._advance(0.0, self._implementation.offset, x, first)
+        command_names = [f"u_before_{i + 1}" for i in range(self._commands)]
         start = np.concatenate([x, np.full(self._commands, first)])
-        return _BlockFunctions([*self._states, *held], start, self._update, self._output)
+        return _BlockFunctions([*self._states, *command_names], start, self._update, self._output)
 
     def _update(self, t: float, state: Array, command: Array, _: Any) -> Array:
         """States and latest commands one period later."""
@@ -261,10 +261,10 @@ class _SampledPlant:
         commands = np.concatenate([u, state[n:]])  # the last one acts first
         x, middle, end = state[:n], t + self._fraction * T, t + T
         if self._fraction:
-            x = self._cross(t, middle, x, commands[-1])
-            x = self._cross(middle, end, x, commands[-2])
+            x = self._advance(t, middle, x, commands[-1])
+            x = self._advance(middle, end, x, commands[-2])
         else:
-            x = self._cross(t, end, x, commands[-1])
+            x = self._advance(t, end, x, commands[-1])
         return np.concatenate([x, commands[: self._commands]])
 
     def _output(self, t: float, state: Array, _u: Array, _: Any) -> Array:
@@ -278,7 +278,7 @@ class _SampledPlant:
             round((t - implementation.offset) / implementation.period),
         )[:, 0]
 
-    def _cross(self, begin: float, end: float, x: Array, u: float) -> Array:
+    def _advance(self, begin: float, end: float, x: Array, u: float) -> Array:
         """The states at the end of an interval of constant input.
 
         python-control takes what is not a number for an algebraic loop: better to stop here.

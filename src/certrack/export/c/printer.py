@@ -11,7 +11,7 @@ import sympy
 from certrack.core.errors import InputError
 from certrack.core.printing import ATOM, PRODUCT, SUM, FormulaPrinter, Part
 
-REALS = ("double", "float")
+NUMBER_TYPES = ("double", "float")
 
 #: Characters of a line of C, at most.
 C_LINE_WIDTH = 96
@@ -30,7 +30,7 @@ SELECTION_HELPERS = {
 }
 
 #: Small functions that a file gets when it uses them: name -> (arguments, body, note).
-HELPERS = {
+C_HELPERS = {
     "clamp": (
         ("value", "low", "high"),
         "(low > value) ? low : ((value > high) ? high : value)",
@@ -71,7 +71,7 @@ class CPrinter(FormulaPrinter):
     Attributes
     ----------
     helpers : set of str
-        Which of :data:`HELPERS` were used.
+        Which of :data:`C_HELPERS` were used.
     calls : bool
         Whether a function of <math.h> was.
     """
@@ -136,8 +136,8 @@ class CPrinter(FormulaPrinter):
 
 
 def helper_definition(name: str, type_name: str, real: str) -> str:
-    """The definition of one of :data:`HELPERS`."""
-    arguments, body, note = HELPERS[name]
+    """The definition of one of :data:`C_HELPERS`."""
+    arguments, body, note = C_HELPERS[name]
     typed = ", ".join(f"{type_name} {argument}" for argument in arguments)
     body = body.format(zero=c_literal(0, real), one=c_literal(1, real))
     signature = wrapped(f"static {type_name} {name}({typed})", "")

@@ -17,7 +17,7 @@ from certrack.core import checks
 from certrack.core.version import version
 from certrack.export.c.notes import notes_for
 from certrack.export.c.printer import (
-    REALS,
+    NUMBER_TYPES,
     CPrinter,
     c_literal,
     comment,
@@ -94,11 +94,11 @@ class CCode:
     def names(self) -> dict[sympy.Symbol, str]:
         """Of everything that is a variable within a function."""
         program, names = self.program, dict[sympy.Symbol, str]()
-        taken = {*LOCAL_NAMES, *(f"{self.name}_{end}" for end in ("real", "state", "signals"))}
+        used_names = {*LOCAL_NAMES, *(f"{self.name}_{end}" for end in ("real", "state", "signals"))}
         steps = [step.name for step in (*program.steps, *program.rates)]
         for symbol in (*steps, *program.constants, *program.measured):
-            names[symbol] = free_name(program.labels[symbol], taken)
-            taken.add(names[symbol])
+            names[symbol] = free_name(program.labels[symbol], used_names)
+            used_names.add(names[symbol])
         return names
 
 
@@ -116,7 +116,7 @@ def c_code(
     period : float > 0, s, optional
         Instead of that of the implementation.
     """
-    checks.choice("real", real, REALS)
+    checks.choice("real", real, NUMBER_TYPES)
     system = sampled_system(system, period)
     return CCode(stem(name), real, system, controller_program(system))
 
@@ -213,12 +213,12 @@ def _source_text(code: CCode) -> str:
         *(formula.free_symbols for formula in program.update),
     )
     shared = [step.name for step in program.steps if step.name in late | {COMMAND}]
-    both = [c for c in program.constants if c in early & late and c is not PERIOD]
+    shared_constants = [c for c in program.constants if c in early & late and c is not PERIOD]
     evaluating = CPrinter(_symbol_texts(code, {}), code.real, program.constants)
     signals = {symbol: f"v->{code.names[symbol]}" for symbol in shared}
     advancing = CPrinter(_symbol_texts(code, signals), code.real, program.constants)
     evaluate = [
-        *_local_definitions(code, early.difference(both)),
+        *_local_definitions(code, early.difference(shared_constants)),
         *_step_statements(code, evaluating, program.steps),
         "",
         *(f"    v->{code.names[symbol]} = {code.names[symbol]};" for symbol in shared),
@@ -229,7 +229,7 @@ def _source_text(code: CCode) -> str:
         for member, formula in zip(code.members, program.update, strict=False)
     ]
     advance = [
-        *_local_definitions(code, late.difference(both)),
+        *_local_definitions(code, late.difference(shared_constants)),
         *_step_statements(code, advancing, program.rates),
         "",
         *changes,
@@ -239,7 +239,7 @@ def _source_text(code: CCode) -> str:
     needed = [argument for argument in ("x", "y_d") if argument not in unused]
     inputs = "".join(f"const {real} {argument}[], " for argument in needed)
     arguments = f"const {name}_state *s, const {real} x[], const {real} y_d[], {name}_signals *v"
-    constants = [f"static const {real} {_constant_definition(code, c)}" for c in both]
+    constants = [f"static const {real} {_constant_definition(code, c)}" for c in shared_constants]
     helpers = sorted(evaluating.helpers | advancing.helpers)
     parts = [
         f'#include "{name}.h"\n',

@@ -14,6 +14,7 @@ import sys
 import uuid
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from certrack.core import checks
@@ -21,12 +22,13 @@ from certrack.core.compilers import shared_library
 from certrack.core.errors import InputError
 from certrack.export.c.source import CCode, c_code
 from certrack.export.fmu.description import DESCRIPTIONS, documentation_page
+from certrack.export.identifiers import stem
 from certrack.export.templates import fill_template, packaged_text
 from certrack.systems.system import System
 
-VERSIONS = ("2", "3")
+FMI_VERSIONS = ("2", "3")
 
-SHARED = ("instance.h",)
+SHARED_SOURCES = ("instance.h",)
 
 #: Files of the interface, by version; the first one is compiled.
 WRAPPERS = {
@@ -35,19 +37,19 @@ WRAPPERS = {
 }
 
 #: Folder of the binary: (system, machine) -> (FMI 2, FMI 3).
-FOLDERS = {
+BINARY_FOLDERS = {
     ("linux", "x86_64"): ("linux64", "x86_64-linux"),
     ("linux", "aarch64"): ("aarch64-linux", "aarch64-linux"),
     ("darwin", "x86_64"): ("darwin64", "x86_64-darwin"),
     ("darwin", "arm64"): ("aarch64-darwin", "aarch64-darwin"),
     ("win32", "AMD64"): ("win64", "x86_64-windows"),
 }
-ENDINGS = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
+LIBRARY_SUFFIXES = {"linux": ".so", "darwin": ".dylib", "win32": ".dll"}
 
 FMU_FLAGS = "-std=c99 -O2 -fPIC -shared -fvisibility=hidden".split()
 
 #: Of all files in the archive, so that the bytes do not depend on when it is written.
-DATE = (1980, 1, 1, 0, 0, 0)
+ARCHIVE_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def fmu(
@@ -77,11 +79,13 @@ def fmu(
     CompilerError
         If there is no C compiler, or it failed.
     """
-    checks.choice("--fmi", version, VERSIONS)
+    checks.choice("--fmi", version, FMI_VERSIONS)
     code = c_code(system, name, period=period)
-    if code.name.lower() in {Path(file).stem for file in (*SHARED, *WRAPPERS[version], "model.h")}:
-        code = c_code(system, f"{code.name}_c", period=period)
-    folder, ending = FOLDERS[_machine()][VERSIONS.index(version)], ENDINGS[sys.platform]
+    interface = (*SHARED_SOURCES, *WRAPPERS[version], "model.h")
+    if code.name.lower() in {Path(file).stem for file in interface}:
+        code = replace(code, name=stem(f"{code.name}_c"))
+    folder = BINARY_FOLDERS[_machine()][FMI_VERSIONS.index(version)]
+    suffix = LIBRARY_SUFFIXES[sys.platform]
     contents = _sources(code, version)
     token = _token(code, contents, version)
     contents["model.h"] = _model_header(code, token)
@@ -94,13 +98,13 @@ def fmu(
         | {f"sources/{name}": text.encode() for name, text in contents.items()}
         | {"documentation/index.html": documentation_page(code).encode()}
         | {"documentation/licenses/fmi-headers.txt": licence.encode()}
-        | {f"binaries/{folder}/{code.name}{ending}": binary}
+        | {f"binaries/{folder}/{code.name}{suffix}": binary}
     )
 
 
 def _sources(code: CCode, version: str) -> dict[str, str]:
     controller = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
-    interface = (*SHARED, *WRAPPERS[version])
+    interface = (*SHARED_SOURCES, *WRAPPERS[version])
     return controller | {name: packaged_text(f"fmu/fmi/{name}") for name in interface}
 
 
@@ -128,7 +132,7 @@ def _model_header(code: CCode, token: str) -> str:
 
 def _machine() -> tuple[str, str]:
     machine = sys.platform, platform.machine()
-    if machine not in FOLDERS:
+    if machine not in BINARY_FOLDERS:
         raise InputError("export fmu", "FMI has no name for this machine", " ".join(machine))
     return machine
 
@@ -138,7 +142,7 @@ def _zipped(contents: Mapping[str, bytes]) -> bytes:
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as target:
         for name, data in contents.items():
-            entry = zipfile.ZipInfo(name, DATE)
+            entry = zipfile.ZipInfo(name, ARCHIVE_DATE)
             entry.external_attr = 0o644 << 16
             entry.compress_type = zipfile.ZIP_DEFLATED
             target.writestr(entry, data)

@@ -70,9 +70,9 @@ def structured_text(
         If there is no period.
     """
     system = sampled_system(system, period)
-    program, taken = controller_program(system), set(ST_RESERVED)
-    block = unused_name(stem(name), taken)
-    names = _identifiers(program, taken)
+    program, used_names = controller_program(system), set(ST_RESERVED)
+    block = unused_name(stem(name), used_names)
+    names = _identifiers(program, used_names)
     start = {
         names[state]: value for state, value in zip(program.states, program.start, strict=True)
     }
@@ -100,14 +100,14 @@ def structured_text(
     return "\n".join(lines) + "\n"
 
 
-def _identifiers(program: ControllerProgram, taken: set[str]) -> dict[sympy.Symbol, str]:
+def _identifiers(program: ControllerProgram, used_names: set[str]) -> dict[sympy.Symbol, str]:
     """Identifiers of all symbols: natural where they may be, and all different."""
     Y = {name: f"y_d_{i}" if i else "y_d" for i, name in enumerate(program.Y)}
     steps = (step.name for step in (*program.steps, *program.rates))
     ordered = dict.fromkeys(
         [*program.measured, *Y, COMMAND, *program.states, *steps, *program.constants]
     )
-    return {name: unused_name(Y.get(name) or program.labels[name], taken) for name in ordered}
+    return {name: unused_name(Y.get(name) or program.labels[name], used_names) for name in ordered}
 
 
 def _statements(program: ControllerProgram, variables: Variables) -> Statements:
@@ -115,11 +115,11 @@ def _statements(program: ControllerProgram, variables: Variables) -> Statements:
     names, statements = variables.names, Statements(variables)
     for step in program.steps:
         statements.step(step)
-    rated = {names[step.name] for step in program.rates} & {
+    rate_names = {names[step.name] for step in program.rates} & {
         f"{names[z]}_rate" for z in program.states
     }
     for step in program.rates:
-        note = "rate of an estimate" if names[step.name] in rated else step.note
+        note = "rate of an estimate" if names[step.name] in rate_names else step.note
         statements.step(replace(step, note=note))
     if program.states:
         statements.note("what the next call needs")

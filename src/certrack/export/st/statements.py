@@ -74,14 +74,14 @@ def comment_text(text: str) -> str:
     return re.sub(r"\*(?=\))|\((?=\*)", r"\g<0> ", text).encode("ascii", "replace").decode()
 
 
-def unused_name(label: str, taken: set[str]) -> str:
+def unused_name(label: str, used_names: set[str]) -> str:
     """The label, or one like it, that is an identifier and not taken; it is from now on."""
     name = label = re.sub("_+", "_", label).strip("_")
     base, count = re.sub(r"_\d+$", "", label), 1
-    while name.lower() in taken:
+    while name.lower() in used_names:
         count += 1
         name = f"{base}_{count}"
-    taken.add(name.lower())
+    used_names.add(name.lower())
     return name
 
 
@@ -104,11 +104,11 @@ class Variables:
     def __init__(self, names: Mapping[sympy.Symbol, str]) -> None:
         self.names = dict(names)
         self.temporary: list[str] = []
-        self._taken = {name.lower() for name in names.values()}
+        self._used_names = {name.lower() for name in names.values()}
 
     def add(self) -> sympy.Symbol:
         """One more temporary variable."""
-        name = unused_name("part_1", self._taken)
+        name = unused_name("part_1", self._used_names)
         symbol = sympy.Symbol(name, real=True)
         self.names[symbol] = name
         self.temporary.append(name)
@@ -135,11 +135,11 @@ class Statements(FormulaPrinter):
     first_term, other_terms = SUM, PRODUCT
 
     def __init__(
-        self, variables: Variables, known: Mapping[sympy.Expr, sympy.Symbol] | None = None
+        self, variables: Variables, computed: Mapping[sympy.Expr, sympy.Symbol] | None = None
     ) -> None:
         super().__init__(variables.names)
         self.lines: list[str] = []
-        self._variables, self._known = variables, dict(known or {})
+        self._variables, self._computed = variables, dict(computed or {})
 
     def note(self, text: str) -> None:
         """A comment of its own line."""
@@ -158,12 +158,12 @@ class Statements(FormulaPrinter):
             return
         a, b, yes, no = formula.args
         condition = f"{self.text(a)} > {self.text(b)}"
-        then, other = (Statements(self._variables, self._known) for _ in range(2))
+        then, other = (Statements(self._variables, self._computed) for _ in range(2))
         then.assign(target, yes)
         other.assign(target, no)
         self._add(f"IF {condition} THEN")
         self.lines += [INDENT + line for line in then.lines]
-        if other.lines[0].startswith("IF ") and len(other._known) == len(self._known):
+        if other.lines[0].startswith("IF ") and len(other._computed) == len(self._computed):
             self.lines += [f"ELS{other.lines[0]}", *other.lines[1:]]
         else:
             self.lines += ["ELSE", *(INDENT + line for line in other.lines), "END_IF;"]
@@ -200,7 +200,7 @@ class Statements(FormulaPrinter):
         return self._names[self._part(expr)], ATOM
 
     def _print(self, expr: sympy.Basic, **_: object) -> Part:
-        return super()._print(self._known.get(expr, expr))
+        return super()._print(self._computed.get(expr, expr))
 
     def _print_Function(self, expr: sympy.Expr) -> Part:
         if type(expr) in MISSING_FUNCTIONS:
@@ -209,10 +209,10 @@ class Statements(FormulaPrinter):
 
     def _part(self, formula: sympy.Expr) -> sympy.Symbol:
         """A variable that has the value."""
-        formula = self._known.get(formula, formula)
+        formula = self._computed.get(formula, formula)
         if formula.is_Symbol:
             return formula
         symbol = self._variables.add()
         self.assign(self._names[symbol], formula)
-        self._known[formula] = symbol
+        self._computed[formula] = symbol
         return symbol

@@ -28,6 +28,9 @@ typedef struct {
     model_state state; /* real numbers only: read as an array of them */
 } memory;
 
+/* A step may differ by this part of the period from a multiple of it: masters add up times. */
+static const double STEP_TOLERANCE = 1e-6;
+
 static const char *const BAD_STEP =
     "the communication step must be a multiple of the controller's period, " MODEL_PERIOD_TEXT " s";
 static const char *const BAD_VARIABLE = "there is no such variable";
@@ -98,7 +101,7 @@ static const char *advance(memory *m, double t, double h)
 {
     const double periods = floor(h / MODEL_PERIOD + 0.5);
 
-    if (!(periods >= 1.0) || fabs(h - periods * MODEL_PERIOD) > 1e-6 * MODEL_PERIOD) {
+    if (!(periods >= 1.0) || fabs(h - periods * MODEL_PERIOD) > STEP_TOLERANCE * MODEL_PERIOD) {
         return BAD_STEP;
     }
     for (double k = 0.0; k < periods; k += 1.0) {
