@@ -112,9 +112,9 @@ class Ensemble:
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
-        found = self.statistics
-        metrics = {name: tally.summary() for name, tally in found.metrics.items()}
-        worst = [{"member": index, "tail_error": value} for value, index in found.worst]
+        statistics = self.statistics
+        metrics = {name: tally.summary() for name, tally in statistics.metrics.items()}
+        worst = [{"member": index, "tail_error": value} for value, index in statistics.worst]
         tail = metrics.pop("tail_error") | {"worst_member": worst[0]["member"]}
         return {
             "members": self.members,
@@ -122,7 +122,7 @@ class Ensemble:
             "sampling": self.system.varied.sampling,
             "tail_error": tail,
             "violations": self.violations(),
-            "outcomes": {name: found.outcomes[name] for name in sorted(found.outcomes)},
+            "outcomes": {name: statistics.outcomes[name] for name in sorted(statistics.outcomes)},
             "metrics": metrics,
             "worst": worst,
             "computed": self.computed,
@@ -211,24 +211,24 @@ def ensemble(
     limit, origin = tail_error_limit(system, limit)
     plan, engine = _prepared(system, seed, tolerance, limit, method, threads, client)
     total = plan.empty()
-    store = None if out is None else Checkpoints(Path(out), plan)
-    covered = [] if store is None else store.load(total, members)
+    checkpoints = None if out is None else Checkpoints(Path(out), plan)
+    covered = [] if checkpoints is None else checkpoints.load(total, members)
     missing = list(_missing(covered, members, chunk))
     wanted = sum(end - begin for begin, end in missing)
     progress(members - wanted, members)
     seconds = 0.0
     if engine is None:
-        done = workers.on_cluster(plan, missing, client)
+        results = workers.on_cluster(plan, missing, client)
     else:
-        done = workers.in_this_process(engine, missing, total if store is None else None)
-    for span, found, spent in done if missing else ():
-        if found is not total:
-            total.merge(found)
+        results = workers.in_this_process(engine, missing, total if checkpoints is None else None)
+    for span, statistics, spent in results if missing else ():
+        if statistics is not total:
+            total.merge(statistics)
         covered.append(span)
         seconds += spent
-        if store is not None:
-            store.save(span, found.packed())
-            store.gather(total, covered)
+        if checkpoints is not None:
+            checkpoints.save(span, statistics.packed())
+            checkpoints.gather(total, covered)
         progress(total.members, members)
     return Ensemble(system, seed, total, limit, origin, wanted, seconds)
 
