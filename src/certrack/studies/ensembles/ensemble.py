@@ -29,7 +29,16 @@ if TYPE_CHECKING:
     import xarray
 
 #: Members per chunk: what is lost when a run is killed, and what a worker gets at a time.
-CHUNK = 16_384
+CHUNK_MEMBERS = 16_384
+
+#: More members at a time than this would fill the memory.
+MAX_CHUNK_MEMBERS = 2**24
+
+#: More threads than this are a slip.
+MAX_THREADS = 1024
+
+#: Integrators cannot be more accurate than this; with less accuracy metrics mean nothing.
+MIN_TOLERANCE, MAX_TOLERANCE = 1e-13, 1e-2
 
 
 @dataclass(frozen=True)
@@ -157,7 +166,7 @@ def ensemble(
     limit: float | None = None,
     threads: int | None = None,
     method: str | None = None,
-    chunk: int = CHUNK,
+    chunk: int = CHUNK_MEMBERS,
     out: Path | str | None = None,
     client: Any = None,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -200,14 +209,14 @@ def ensemble(
     """
     checks.integer("members", members, 1, MOST)
     checks.integer("seed", seed, 0, 2**63)
-    checks.integer("chunk", chunk, 1, 2**24)
+    checks.integer("chunk", chunk, 1, MAX_CHUNK_MEMBERS)
     if threads is not None:
-        checks.integer("threads", threads, 1, 1024)
+        checks.integer("threads", threads, 1, MAX_THREADS)
     if method is not None:
         checks.choice("method", method, METHODS)
-    checks.real("tolerance", tolerance, least=1e-13)
-    if tolerance > 1e-2:
-        raise InputError("tolerance", "must be at most 0.01", tolerance)
+    checks.real("tolerance", tolerance, least=MIN_TOLERANCE)
+    if tolerance > MAX_TOLERANCE:
+        raise InputError("tolerance", f"must be at most {MAX_TOLERANCE:g}", tolerance)
     limit, origin = tail_error_limit(system, limit)
     plan, engine = _prepared(system, seed, tolerance, limit, method, threads, client)
     total = plan.empty()

@@ -29,7 +29,7 @@ from certrack.systems.system import System
 #: The sum of the magnitudes of a member's sines: just below 1, so that rounding never passes it.
 SINE_WEIGHT_SUM = 1 - 1e-12
 
-#: ||x|| in the disturbances is sqrt(x.x + ROUNDING^2) - ROUNDING: smooth at zero, never above.
+#: ||x|| in the disturbances is sqrt(x.x + offset^2) - offset: smooth at zero, never above.
 NORM_OFFSET = 1e-6
 
 #: Keeps the weights defined where all draws are zero.
