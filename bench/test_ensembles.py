@@ -16,7 +16,7 @@ from scipy.stats import linregress
 
 import certrack
 from certrack.studies.ensembles.engine import Engine
-from certrack.studies.ensembles.ensemble import CHUNK
+from certrack.studies.ensembles.ensemble import CHUNK_MEMBERS
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import make_plan
 from certrack.studies.ensembles.workers import cores
@@ -51,8 +51,8 @@ def ours(system, tolerance, threads):
     engine, total = Engine(plan, threads), plan.empty()
 
     def solve(x0, gain, theta, _):
-        for begin in range(0, gain.size, CHUNK):
-            engine.compute(begin, min(gain.size, begin + CHUNK), total)
+        for begin in range(0, gain.size, CHUNK_MEMBERS):
+            engine.compute(begin, min(gain.size, begin + CHUNK_MEMBERS), total)
 
     return solve
 

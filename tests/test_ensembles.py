@@ -21,10 +21,13 @@ from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.integrators.many.native import vector_compiler
 from certrack.model.distribution import Distribution
+from certrack.model.implementation import Implementation
 from certrack.model.population import Population
 from certrack.studies.ensembles.engine import OUTCOME_CODES, Engine
 from certrack.studies.ensembles.members import Members
+from certrack.studies.ensembles.methods.choice import create_method
 from certrack.studies.ensembles.plan import METRICS, make_plan
+from certrack.studies.ensembles.problem import EnsembleProblem
 from certrack.studies.ensembles.statistics import (
     BAND_BINS,
     BAND_BITS,
@@ -114,6 +117,39 @@ def test_errors_stay_below_the_tolerance(tolerance):
     members = Members(system, 0)
     exact = [certrack.simulate(members.member(i), tolerance=1e-12).x[:, -1] for i in range(16)]
     assert np.abs(engine.method.final_states(0, 16, bands) - np.transpose(exact)).max() < tolerance
+
+
+def problems():
+    """A continuous and a sampled loop, with jumps of the reference and of the noise."""
+    continuous = VARIANTS["triangle"].with_settings(duration=6, tail=3)
+    implementation = Implementation(0.01, delay=0.5, noise=(1e-3, 1e-3))
+    return {"continuous": continuous, "sampled": continuous.replace(implementation=implementation)}
+
+
+@pytest.mark.parametrize("method", [*METHODS, "alone"])
+@pytest.mark.parametrize("loop", problems())
+def test_every_method_does_its_duties(loop, method):
+    """Exactly the range is computed and counted, and no neighbour or thread matters."""
+    problem = EnsembleProblem(problems()[loop], 4, 1e-6)
+    signals, times = problem.system.plant.n + 2, len(problem.times)
+
+    def compute(begin, end, threads):
+        bands = Bands(np.zeros((signals, times)), np.ones(signals))
+        return create_method(method, problem, threads).compute(begin, end, bands), bands
+
+    results, bands = compute(0, 300, 1)
+    part, counted = compute(13, 270, 2)
+    assert results.metrics.shape == (len(METRICS), 300)
+    for name in ("metrics", "ends", "run_alone"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(results, name)[..., 13:270])
+    assert results.run_alone.all() if method == "alone" else not results.run_alone.any()
+    np.testing.assert_array_equal(results.ends == problem.end, ~results.run_alone)
+    for range_bands, members in ((bands, 300), (counted, 270 - 13)):
+        expected = 0 if method == "alone" else members
+        assert np.unique(range_bands.counts.sum(axis=2)).tolist() == [expected]
+    for begin, end in ((0, 13), (270, 300)):
+        counted.merge(compute(begin, end, 1)[1])
+    np.testing.assert_array_equal(counted.counts, bands.counts)
 
 
 def identical(first, second):

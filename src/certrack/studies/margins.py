@@ -1,16 +1,15 @@
 """What a real drive may take away: longest period, longest delay, lowest saturation.
 
-A period (delay, saturation) *holds* where every one of some members of the population tracks within
-the stated error. From the harmless end on, values are tried in geometric steps until one does not
-hold, and the edge is bisected: what is reported held, and so did everything tried before it. For
-the robust law on a linear plant the edge of stability is exact besides (see
-:mod:`certrack.loops.stability`).
+A period (delay, saturation) *holds* where all members that are tried track within the stated error.
+From the harmless end on, values are tried in geometric steps until one does not hold, and the edge
+is bisected: what is reported held, and so did everything tried before it. For the robust law on a
+linear plant the edge of stability is exact besides (see :mod:`certrack.loops.stability`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,10 +26,14 @@ from certrack.studies.ensembles.methods.choice import fastest_adjustable
 from certrack.studies.ensembles.problem import EnsembleProblem
 from certrack.systems.system import System
 
-#: Of the first period tried: this part of the fastest error pole's time constant.
-FIRST_PERIOD_SHARE = 0.05
+#: The finest period is at most this part of the fastest error pole's time constant: finer ones
+#: change nothing any more ...
+PERIOD_PER_TIME_CONSTANT = 0.05
 
-#: Ratio of one value tried to the next, and how closely an edge is found.
+#: ... and a run has at least so many samples; the longest period tried still gives it 20.
+MIN_RUN_SAMPLES, LAST_RUN_SAMPLES = 100, 20
+
+#: Ratio of one value tried to the next, and of a value that fails to the one reported.
 VALUE_RATIO, EDGE_RATIO = 1.25, 1.01
 
 #: Values tried at most before the search ends without an edge.
@@ -43,7 +46,16 @@ BOUNDED_FACTOR = 100.0
 MARGIN_TOLERANCE = 1e-6
 
 #: Stands for no saturation.
-UNLIMITED_INPUT = 1e12
+UNLIMITED_INPUT = (-1e12, 1e12)
+
+#: The first delay tried, in periods; the lowest saturation, over the input that is needed.
+FIRST_DELAY, LOWEST_SATURATION = 0.2, 1e-4
+
+#: Relative accuracy of the exact edge of stability.
+EXACT_EDGE_TOLERANCE = 1e-12
+
+#: Values at which the spectral radius is looked at before its edge is bracketed.
+RADIUS_POINTS = 400
 
 
 @dataclass(frozen=True)
@@ -157,63 +169,79 @@ def margins(
     """
     checks.integer("members", members, 1, 100_000)
     checks.integer("seed", seed, 0, 2**63)
-    given, duration = system.implementation, system.settings.duration
-    first = min(FIRST_PERIOD_SHARE / system.controller.coordinates.fastest_pole, duration / 100)
+    implementation, duration = system.implementation, system.settings.duration
+    first = _finest_period(system)
+    base = implementation or Implementation(first)
+    saturation = base.saturation
+    base = replace(base, offset=0.0, saturation=saturation or UNLIMITED_INPUT)
+    finest = replace(base, period=min(first, base.period))
+    system = system.replace(implementation=finest)
+    trials = _Trials(system, members, seed, progress)
+    admitted, origin = _admitted(system, error, trials)
+    linear = linear_loop(system)
+    sweep = _Sweep(finest.period, VALUE_RATIO, duration / LAST_RUN_SAMPLES)
+    period = trials.search(
+        "period",
+        lambda T: replace(base, period=T),
+        sweep,
+        admitted,
+        _stability_edge(linear, lambda T: (T, base.delay), sweep),
+    )
+    at = (period.within or first) / 10 if implementation is None else implementation.period
+    base = replace(base, period=at)
+    sweep = _Sweep(at / 5, VALUE_RATIO, MAX_DELAY * at)
+    delay = trials.search(
+        "delay",
+        lambda D: replace(base, delay=D / at),
+        sweep,
+        admitted,
+        _stability_edge(linear, lambda D: (at, D / at), sweep),
+    )
+    unlimited = trials.worst("saturation", replace(base, saturation=UNLIMITED_INPUT))
+    peak = trials.peak
+    if saturation is not None and not unlimited <= admitted:  # begin where it is known to serve
+        peak = max(map(abs, saturation)) / 2
+    lowest = trials.search(
+        "saturation",
+        lambda u: replace(base, saturation=(-u, u)),
+        _Sweep(2 * peak, 1 / VALUE_RATIO, LOWEST_SATURATION * peak),
+        admitted,
+    )
+    as_given = None if implementation is None else trials.worst("as in the file", base)
+    return Margins(admitted, origin, members, at, as_given, period, delay, lowest)
+
+
+def _finest_period(system: System) -> float:
+    """A period so short that the sampled controller is as good as the continuous one, s."""
+    duration = system.settings.duration
+    pole = system.controller.coordinates.fastest_pole
+    first = min(PERIOD_PER_TIME_CONSTANT / pole, duration / MIN_RUN_SAMPLES)
     if duration / first > MAX_RUN_SAMPLES:
-        pole = system.controller.coordinates.fastest_pole
         raise InputError(
             "margin",
             f"a run sampled finely for the fastest error pole, {pole:.3g} /s, has more than "
             f"{MAX_RUN_SAMPLES} samples",
             remedy="Lower c, or shorten simulation.duration",
         )
-    own = given or Implementation(first)
-    base = replace(
-        own, offset=0.0, saturation=own.saturation or (-UNLIMITED_INPUT, UNLIMITED_INPUT)
-    )
-    finest = replace(base, period=min(first, base.period))
-    system = system.replace(implementation=finest)
-    trials = _Trials(system, members, seed, progress)
-    admitted, origin = _admitted(system, error, trials)
-    linear = linear_loop(system)
+    return first
 
-    def edge(
-        implementation: Callable[[float], tuple[float, float]], start: float, end: float
-    ) -> float | None:
-        return None if linear is None else _exact(linear, implementation, start, end)
 
-    longest = duration / 20
-    period = trials.search(
-        "period",
-        lambda T: replace(base, period=T),
-        (finest.period, VALUE_RATIO, longest),
-        admitted,
-        edge(lambda T: (T, base.delay), finest.period, longest),
-    )
-    at = (period.within or first) / 10 if given is None else given.period
-    base = replace(base, period=at)
-    shortest, latest = at / 5, MAX_DELAY * at
-    delay = trials.search(
-        "delay",
-        lambda D: replace(base, delay=D / at),
-        (shortest, VALUE_RATIO, latest),
-        admitted,
-        edge(lambda D: (at, D / at), shortest, latest),
-    )
-    unlimited = trials.worst(
-        "saturation", replace(base, saturation=(-UNLIMITED_INPUT, UNLIMITED_INPUT))
-    )
-    peak = trials.peak
-    if own.saturation is not None and not unlimited <= admitted:  # begin where it is known to serve
-        peak = max(map(abs, own.saturation)) / 2
-    saturation = trials.search(
-        "saturation",
-        lambda u: replace(base, saturation=(-u, u)),
-        (2 * peak, 1 / VALUE_RATIO, 1e-4 * peak),
-        admitted,
-    )
-    as_given = None if given is None else trials.worst("as in the file", base)
-    return Margins(admitted, origin, members, at, as_given, period, delay, saturation)
+@dataclass(frozen=True)
+class _Sweep:
+    """Values in geometric steps: from the start, by the ratio, until they would pass the end."""
+
+    start: float
+    ratio: float
+    end: float
+
+    def values(self) -> Iterator[float]:
+        """The values, MAX_VALUES at most."""
+        value = self.start
+        for _ in range(MAX_VALUES):
+            yield value
+            if (value * self.ratio > self.end) == (self.ratio > 1):
+                return
+            value *= self.ratio
 
 
 class _Trials:
@@ -237,65 +265,72 @@ class _Trials:
         self,
         what: str,
         implementation: Callable[[float], Implementation],
-        span: tuple[float, float, float],
+        sweep: _Sweep,
         admitted: float,
         exact: float | None = None,
     ) -> Margin:
-        """Values from span[0] on by the factor span[1] until one fails or passes span[2]."""
+        """Try the values of a sweep until one fails, and bisect the edge."""
         tried: dict[float, float] = {}
 
-        def at(value: float) -> float:
+        def error_at(value: float) -> float:
             if value not in tried:
                 tried[value] = self.worst(what, implementation(value))
             return tried[value]
 
-        bounded, unlimited = _edge(at, span, BOUNDED_FACTOR * admitted)
-        within, _ = _edge(at, span, admitted)
+        bounded, unlimited = _edge(error_at, sweep, BOUNDED_FACTOR * admitted)
+        within, _ = _edge(error_at, sweep, admitted)
         order = tuple(sorted(tried))
         errors = tuple(tried[value] for value in order)
         return Margin(within, bounded, exact, unlimited, order, errors)
 
 
 def _edge(
-    at: Callable[[float], float], span: tuple[float, float, float], limit: float
+    error_at: Callable[[float], float], sweep: _Sweep, limit: float
 ) -> tuple[float | None, bool]:
     """Last value before the first failure, and whether there was none."""
-    value, step, end = span
     good = None
-    for _ in range(MAX_VALUES):
-        if not at(value) <= limit:
-            break
-        good = value
-        if (value * step > end) == (step > 1):
-            return good, True
-        value *= step
-    else:
-        return good, True
-    if good is None:
-        return None, False
-    bad = value
+    for value in sweep.values():
+        if error_at(value) <= limit:
+            good = value
+        elif good is None:
+            return None, False
+        else:
+            return _bisected(error_at, good, value, limit), False
+    return good, True
+
+
+def _bisected(error_at: Callable[[float], float], good: float, bad: float, limit: float) -> float:
+    """A value that holds, within EDGE_RATIO of one that fails."""
     while max(good / bad, bad / good) > EDGE_RATIO:
         middle = math.sqrt(good * bad)
-        good, bad = (middle, bad) if at(middle) <= limit else (good, middle)
-    return good, False
+        good, bad = (middle, bad) if error_at(middle) <= limit else (good, middle)
+    return good
 
 
-def _exact(
-    linear: LinearLoop,
-    implementation: Callable[[float], tuple[float, float]],
-    start: float,
-    end: float,
+def _stability_edge(
+    linear: LinearLoop | None,
+    period_and_delay: Callable[[float], tuple[float, float]],
+    sweep: _Sweep,
 ) -> float | None:
-    """First value at which the spectral radius reaches 1; None if it does not."""
-    values = np.geomspace(start, end, 400)
-    radii = [linear.radius(*implementation(value)) for value in values]
+    """First value at which the spectral radius reaches 1; None if it does not, or is not known."""
+    if linear is None:
+        return None
+    values = np.geomspace(sweep.start, sweep.end, RADIUS_POINTS)
+    radii = [linear.radius(*period_and_delay(value)) for value in values]
     k = next((k for k, radius in enumerate(radii) if radius >= 1.0), None)
     if k is None:
         return None
     if k == 0:
         return 0.0
     low, high = float(values[k - 1]), float(values[k])
-    return float(brentq(lambda v: linear.radius(*implementation(v)) - 1.0, low, high, rtol=1e-12))
+    return float(
+        brentq(
+            lambda v: linear.radius(*period_and_delay(v)) - 1.0,
+            low,
+            high,
+            rtol=EXACT_EDGE_TOLERANCE,
+        )
+    )
 
 
 def _admitted(system: System, error: float | None, trials: _Trials) -> tuple[float, str]:

@@ -21,8 +21,8 @@ from certrack.studies.ensembles.plan import Plan, Range
 from certrack.studies.ensembles.statistics import Statistics
 from certrack.systems.writer import to_text
 
-#: Chunk files that may gather.
-GATHER = 32
+#: So many chunk files are merged into one.
+MAX_CHUNK_FILES = 32
 
 
 class Checkpoints:
@@ -37,7 +37,7 @@ class Checkpoints:
     def __init__(self, folder: Path, plan: Plan) -> None:
         self.folder = folder
         self._plan = plan
-        self._larger = False
+        self._keep_merged = False  # it belongs to a larger run
         manifest = folder / "ensemble.toml"
         text = self._manifest()
         try:
@@ -70,17 +70,17 @@ class Checkpoints:
         merged = self.folder / "merged.npz"
         covered: list[Range] = []
         if merged.exists():
-            found, ranges = self._read(merged)
-            if found is not None and all(end <= members for _, end in ranges):
-                total.merge(found)
+            statistics, ranges = self._read(merged)
+            if statistics is not None and all(end <= members for _, end in ranges):
+                total.merge(statistics)
                 covered += ranges
-            self._larger = found is not None and not covered
+            self._keep_merged = statistics is not None and not covered
         for path, span in self._chunks():
             if _overlaps(span, covered) or span[1] > members:
                 continue
-            found, _ = self._read(path)
-            if found is not None and found.members == span[1] - span[0]:
-                total.merge(found)
+            statistics, _ = self._read(path)
+            if statistics is not None and statistics.members == span[1] - span[0]:
+                total.merge(statistics)
                 covered.append(span)
         return sorted(covered)
 
@@ -91,7 +91,7 @@ class Checkpoints:
     def gather(self, total: Statistics, covered: list[Range]) -> None:
         """Replace many chunk files by one."""
         chunks = self._chunks()
-        if len(chunks) < GATHER or self._larger:  # the merged file of a larger run is kept
+        if len(chunks) < MAX_CHUNK_FILES or self._keep_merged:
             return
         ranges = np.array(sorted(covered), dtype=np.int64)
         self._save(self.folder / "merged.npz", total.packed() | {"ranges": ranges})
@@ -100,23 +100,23 @@ class Checkpoints:
                 path.unlink(missing_ok=True)
 
     def _chunks(self) -> list[tuple[Path, Range]]:
-        found = []
+        chunks = []
         for path in sorted(self.folder.glob("chunk-*.npz")):
             if match := re.fullmatch(r"chunk-(\d+)-(\d+)\.npz", path.name):
-                found.append((path, (int(match[1]), int(match[2]))))
-        return found
+                chunks.append((path, (int(match[1]), int(match[2]))))
+        return chunks
 
     def _read(self, path: Path) -> tuple[Statistics | None, list[Range]]:
         """Statistics in a file, whole or not at all, and the ranges a merged one covers."""
-        found = self._plan.empty()
+        statistics = self._plan.empty()
         try:
             with path.open("rb") as stream, np.load(stream) as stored:
                 arrays = dict(stored)
-            found.add_packed(arrays)
+            statistics.add_packed(arrays)
             ranges = [(int(a), int(b)) for a, b in arrays.get("ranges", np.empty((0, 2)))]
         except (OSError, ValueError, KeyError, IndexError, EOFError, BadZipFile, zlib.error):
             return None, []
-        return found, ranges
+        return statistics, ranges
 
     def _save(self, path: Path, arrays: dict[str, np.ndarray]) -> None:
         import io

@@ -107,13 +107,13 @@ def fastest(plan: Plan, threads: int) -> Engine:
 
 
 @lru_cache(maxsize=4)
-def _compiled(plan: Plan) -> Engine:
+def _engine_of(plan: Plan) -> Engine:
     """The compiled plan of a worker process."""
     return Engine(plan)
 
 
 def compute_chunk(plan: Plan, begin: int, end: int) -> tuple[dict[str, np.ndarray], float]:
     """What a worker process runs: packed statistics, and the seconds without compilation."""
-    engine = _compiled(plan)
+    engine = _engine_of(plan)
     clock = time.perf_counter()
     return engine.compute(begin, end).packed(), time.perf_counter() - clock

@@ -29,7 +29,16 @@ if TYPE_CHECKING:
     import xarray
 
 #: Members per chunk: what is lost when a run is killed, and what a worker gets at a time.
-CHUNK = 16_384
+CHUNK_MEMBERS = 16_384
+
+#: More members at a time than this would fill the memory.
+MAX_CHUNK_MEMBERS = 2**24
+
+#: More threads than this are a slip.
+MAX_THREADS = 1024
+
+#: Integrators cannot be more accurate than this; with less accuracy metrics mean nothing.
+MIN_TOLERANCE, MAX_TOLERANCE = 1e-13, 1e-2
 
 
 @dataclass(frozen=True)
@@ -112,9 +121,9 @@ class Ensemble:
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
-        found = self.statistics
-        metrics = {name: tally.summary() for name, tally in found.metrics.items()}
-        worst = [{"member": index, "tail_error": value} for value, index in found.worst]
+        statistics = self.statistics
+        metrics = {name: tally.summary() for name, tally in statistics.metrics.items()}
+        worst = [{"member": index, "tail_error": value} for value, index in statistics.worst]
         tail = metrics.pop("tail_error") | {"worst_member": worst[0]["member"]}
         return {
             "members": self.members,
@@ -122,7 +131,7 @@ class Ensemble:
             "sampling": self.system.varied.sampling,
             "tail_error": tail,
             "violations": self.violations(),
-            "outcomes": {name: found.outcomes[name] for name in sorted(found.outcomes)},
+            "outcomes": {name: statistics.outcomes[name] for name in sorted(statistics.outcomes)},
             "metrics": metrics,
             "worst": worst,
             "computed": self.computed,
@@ -157,7 +166,7 @@ def ensemble(
     limit: float | None = None,
     threads: int | None = None,
     method: str | None = None,
-    chunk: int = CHUNK,
+    chunk: int = CHUNK_MEMBERS,
     out: Path | str | None = None,
     client: Any = None,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -200,35 +209,35 @@ def ensemble(
     """
     checks.integer("members", members, 1, MAX_MEMBERS)
     checks.integer("seed", seed, 0, 2**63)
-    checks.integer("chunk", chunk, 1, 2**24)
+    checks.integer("chunk", chunk, 1, MAX_CHUNK_MEMBERS)
     if threads is not None:
-        checks.integer("threads", threads, 1, 1024)
+        checks.integer("threads", threads, 1, MAX_THREADS)
     if method is not None:
         checks.choice("method", method, METHODS)
-    checks.real("tolerance", tolerance, least=1e-13)
-    if tolerance > 1e-2:
-        raise InputError("tolerance", "must be at most 0.01", tolerance)
+    checks.real("tolerance", tolerance, least=MIN_TOLERANCE)
+    if tolerance > MAX_TOLERANCE:
+        raise InputError("tolerance", f"must be at most {MAX_TOLERANCE:g}", tolerance)
     limit, origin = tail_error_limit(system, limit)
     plan, engine = _prepared(system, seed, tolerance, limit, method, threads, client)
     total = plan.empty()
-    store = None if out is None else Checkpoints(Path(out), plan)
-    covered = [] if store is None else store.load(total, members)
+    checkpoints = None if out is None else Checkpoints(Path(out), plan)
+    covered = [] if checkpoints is None else checkpoints.load(total, members)
     missing = list(_missing(covered, members, chunk))
     wanted = sum(end - begin for begin, end in missing)
     progress(members - wanted, members)
     seconds = 0.0
     if engine is None:
-        done = workers.on_cluster(plan, missing, client)
+        results = workers.on_cluster(plan, missing, client)
     else:
-        done = workers.in_this_process(engine, missing, total if store is None else None)
-    for span, found, spent in done if missing else ():
-        if found is not total:
-            total.merge(found)
+        results = workers.in_this_process(engine, missing, total if checkpoints is None else None)
+    for span, statistics, spent in results if missing else ():
+        if statistics is not total:
+            total.merge(statistics)
         covered.append(span)
         seconds += spent
-        if store is not None:
-            store.save(span, found.packed())
-            store.gather(total, covered)
+        if checkpoints is not None:
+            checkpoints.save(span, statistics.packed())
+            checkpoints.gather(total, covered)
         progress(total.members, members)
     return Ensemble(system, seed, total, limit, origin, wanted, seconds)
 

@@ -12,8 +12,14 @@ from certrack.model.population import Population
 from certrack.systems.system import System
 
 
-def tail_error_limit(system: System, given: float | None) -> tuple[float | None, str]:
+def tail_error_limit(system: System, limit: float | None) -> tuple[float | None, str]:
     """Limit of the tail error, and where it comes from.
+
+    Parameters
+    ----------
+    system : System
+    limit : float, optional
+        The user's, which goes before all others.
 
     Returns
     -------
@@ -22,8 +28,8 @@ def tail_error_limit(system: System, given: float | None) -> tuple[float | None,
         ``"given"``, ``"file"``, ``"certificate"``, or why there is none.
     """
     population = system.varied
-    if given is not None:
-        return checks.real("limit", given, above=0), "given"
+    if limit is not None:
+        return checks.real("limit", limit, above=0), "given"
     if population.limit is not None:
         return population.limit, "file"
     reason = uncovered(system, population)
@@ -45,12 +51,13 @@ def uncovered(system: System, population: Population) -> str | None:
         _is(entry, nominal[name]) for name, entry in population.constants
     ):
         return "the plant's constants are not the designer's"
-    known = plant if system.law.kind == "robust" else system.truth
-    assert known.input_gain is not None
-    gain = population.input_gain or Distribution("fixed", (float(known.input_gain.expr),))
-    if plant.input_gain_range is None and not _is(gain, float(known.input_gain.expr)):
+    certified = plant if system.law.kind == "robust" else system.truth
+    assert certified.input_gain is not None
+    nominal_gain = float(certified.input_gain.expr)
+    gain = population.input_gain or Distribution("fixed", (nominal_gain,))
+    if plant.input_gain_range is None and not _is(gain, nominal_gain):
         return "input_gain is another than certified, and plant.ranges does not say how far"
-    for entry, value in zip(population.theta or (), known.theta or (), strict=False):
+    for entry, value in zip(population.theta or (), certified.theta or (), strict=False):
         if plant.theta_range is None and not _is(entry, float(value.expr)):
             return "theta is another than certified, and plant.ranges does not say how far"
     assert system.truth.tau is not None

@@ -30,8 +30,14 @@ from certrack.systems.system import System
 #: The sum of the magnitudes of a member's sines: just below 1, so that rounding never passes it.
 SINE_WEIGHT_SUM = 1 - 1e-12
 
-#: ||x|| in the disturbances is sqrt(x.x + ROUNDING^2) - ROUNDING: smooth at zero, never above.
+#: ||x|| in the disturbances is sqrt(x.x + offset^2) - offset: smooth at zero, never above.
 NORM_OFFSET = 1e-6
+
+#: Keeps the weights defined where all draws are zero.
+LEAST_WEIGHT = 1e-300
+
+#: Keeps the declared bounds of a scaled reference above its own, in spite of rounding.
+ABOVE_ONE = 1 + 1e-12
 
 #: Parameter that scales the reference of a member.
 AMPLITUDE = symbol("ref_member_amplitude")
@@ -73,24 +79,25 @@ class Members:
 
     def _columns(self) -> dict[str, Distribution]:
         """Name and distribution of every drawn number, in the order of the draws."""
-        given, plant, u = self.population, self.system.plant, self.system.plant.uncertainty
-        found: dict[str, Distribution | None] = {}
+        population, plant = self.population, self.system.plant
+        u = plant.uncertainty
+        columns: dict[str, Distribution | None] = {}
         for name in ("x0", "estimates", "theta", "tau"):
-            entries = getattr(given, name)
-            found |= {f"{name}[{i}]": entry for i, entry in enumerate(entries or ())}
-        found |= {f"constants.{name}": entry for name, entry in given.constants}
+            entries = getattr(population, name)
+            columns |= {f"{name}[{i}]": entry for i, entry in enumerate(entries or ())}
+        columns |= {f"constants.{name}": entry for name, entry in population.constants}
         for name in ("input_gain", "amplitude", "frequency"):
-            found[name] = getattr(given, name)
-        if given.disturbance == "multisine":
-            speed = Distribution("loguniform", given.frequencies)
+            columns[name] = getattr(population, name)
+        if population.disturbance == "multisine":
+            speed = Distribution("loguniform", population.frequencies)
             turn = Distribution("uniform", (0.0, 2 * math.pi))
             share = Distribution("uniform", (0.0, 1.0))
             for k in range(plant.n):
                 if u.gamma[k] + u.beta[k] > 0:
-                    for j in range(given.sines):
-                        found |= {f"member_sine_w{k}_{j}": speed, f"member_sine_p{k}_{j}": turn}
-                        found |= {f"member_sine_a{k}_{j}": share}
-        return {name: entry for name, entry in found.items() if entry is not None}
+                    for j in range(population.sines):
+                        columns |= {f"member_sine_w{k}_{j}": speed, f"member_sine_p{k}_{j}": turn}
+                        columns |= {f"member_sine_a{k}_{j}": share}
+        return {name: entry for name, entry in columns.items() if entry is not None}
 
     def draws(self, begin: int, end: int) -> dict[str, np.ndarray]:
         """Every drawn number of the members begin ... end-1, by name."""
@@ -98,14 +105,13 @@ class Members:
         table = probabilities(self.population.sampling, self.seed, begin, end, len(free))
         p = dict(zip(free, table, strict=True))
         nothing = np.zeros(end - begin)
-        found = {name: d.quantile(p.get(name, nothing)) for name, d in self.columns.items()}
-        for name in [
-            name for name in found if name.startswith("member_sine_a") and name.endswith("_0")
-        ]:
-            own = [f"{name[:-1]}{j}" for j in range(self.population.sines)]
-            total = sum(found[other] for other in own) + 1e-300
-            found |= {other: SINE_WEIGHT_SUM * found[other] / total for other in own}
-        return found
+        draws = {name: d.quantile(p.get(name, nothing)) for name, d in self.columns.items()}
+        for k in range(self.system.plant.n):
+            weights = [f"member_sine_a{k}_{j}" for j in range(self.population.sines)]
+            if weights[0] in draws:
+                total = sum(draws[name] for name in weights) + LEAST_WEIGHT
+                draws |= {name: SINE_WEIGHT_SUM * draws[name] / total for name in weights}
+        return draws
 
     def member(self, index: int) -> System:
         """Member `index` as a system of its own, its numbers written out.
@@ -116,9 +122,9 @@ class Members:
             If the index is negative or beyond the sequence.
         """
         draws = self.draws(index, index + 1)
-        found = self._system({name: float(v[0]) for name, v in draws.items()}, written=True)
-        implementation = found.implementation
-        return found.replace(
+        system = self._system({name: float(v[0]) for name, v in draws.items()}, written=True)
+        implementation = system.implementation
+        return system.replace(
             title=f"Member {index} (seed {self.seed}) of: {self.system.title}",
             implementation=None
             if implementation is None
@@ -130,24 +136,24 @@ class Members:
         draws, count = self.draws(begin, end), end - begin
         plant, names = self.system.plant, [state.name for state in self.loop.states]
         starts = np.repeat(np.array(self.system.start)[:, None], count, axis=1)
-        own = self.loop.n
+        n = self.loop.n
         for i in range(len(starts)):
-            name = f"x0[{i}]" if i < own else f"estimates[{i - own}]"
+            name = f"x0[{i}]" if i < n else f"estimates[{i - n}]"
             starts[i] = draws.get(name, starts[i])
         assert len(starts) == len(names) - 3
-        found = self._derived(draws, count)
+        columns = self._derived(draws, count)
         for name, values in draws.items():
             if match := re.fullmatch(r"(theta|tau)\[(\d+)\]", name):
-                found[f"true_{match[1]}_{match[2]}"] = values
+                columns[f"true_{match[1]}_{match[2]}"] = values
             elif name in ("amplitude", "frequency"):
-                found[f"ref_member_{name}"] = values
+                columns[f"ref_member_{name}"] = values
         if "input_gain" in draws:
-            found[f"true_g_{plant.n - 1}"] = draws["input_gain"]
+            columns[f"true_g_{plant.n - 1}"] = draws["input_gain"]
         for i, name in enumerate(self._constants):
             drawn = draws.get(name if name.startswith("member_") else f"constants.{name}")
             if drawn is not None:
-                found[f"true_constants_{i}"] = drawn
-        return starts, {symbol(name): values for name, values in found.items()}
+                columns[f"true_constants_{i}"] = drawn
+        return starts, {symbol(name): values for name, values in columns.items()}
 
     def _derived(self, draws: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
         """Numbers of the plant that follow from its varying constants."""
@@ -191,17 +197,16 @@ class Members:
         x0 = [point.get(f"x0[{i}]", v) for i, v in enumerate(settings.x0)]
         start = system.start[len(x0) :]
         estimates = [point.get(f"estimates[{i}]", v) for i, v in enumerate(start)]
-        own = plant
         if not written and self.population.disturbance == "multisine":
             sines = {
                 name: value for name, value in point.items() if name.startswith("member_sine_")
             }
-            own = replace(plant, constants=dict(plant.constants) | sines)  # type: ignore[arg-type]
+            plant = replace(plant, constants=dict(plant.constants) | sines)  # type: ignore[arg-type]
         return System(
-            plant=own,
+            plant=plant,
             law=system.law,
             reference=self._reference(point),
-            truth=self._truth(point, own, written=written),
+            truth=self._truth(point, plant, written=written),
             settings=replace(settings, x0=tuple(x0), estimates=tuple(estimates) or None),
             title=system.title,
             implementation=system.implementation,
@@ -267,7 +272,7 @@ class Members:
             text = f"member_amplitude*({text})"
         constants: dict[str, Any] = dict(reference.constants)
         constants |= {f"member_{name}": value for name, value in scales.items()}
-        slack = abs(a) * (1 + 1e-12)
+        slack = abs(a) * ABOVE_ONE
         declared = reference.declared
         return SymbolicReference(
             text,  # type: ignore[arg-type]

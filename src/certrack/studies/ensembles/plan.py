@@ -79,7 +79,7 @@ def make_plan(
     with np.errstate(invalid="ignore"):
         largest = np.nanmax(np.abs(signals_of(run, run.t)), axis=1)
         if system.varied.x0:
-            reach = np.abs(measured(system, _ends(system.varied.x0))).max(axis=1)
+            reach = np.abs(measured(system, _extreme_points(system.varied.x0))).max(axis=1)
             largest[1:-1] = np.fmax(largest[1:-1], reach)
     largest[0] = np.fmax(largest[0], largest[1])
     largest[~(largest > 0)] = 1.0
@@ -87,7 +87,7 @@ def make_plan(
     return Plan(system, seed, tolerance, limit, np.nan_to_num(centre), scale, method)
 
 
-def _ends(entries: tuple[Distribution, ...]) -> np.ndarray:
+def _extreme_points(entries: tuple[Distribution, ...]) -> np.ndarray:
     """Points at the ends of the distributions, one column each: all but one at the same end."""
     low, high = ([getattr(entry, end) for entry in entries] for end in ("low", "high"))
     one = np.eye(len(entries), dtype=bool)
@@ -103,9 +103,9 @@ def signals_of(run: Run, t: np.ndarray) -> np.ndarray:
     """e_1, the states of the design and u of a run; NaN after its end."""
     n = run.system.plant.n
     inside = t <= run.trajectory.end
-    found = np.full((n + 2, len(t)), np.nan)
+    signals = np.full((n + 2, len(t)), np.nan)
     states = run.trajectory.interpolate(t[inside])
-    found[1 : n + 1, inside] = measured(run.system, states)
-    found[0, inside] = found[1, inside] - run.system.reference.values(t[inside], 0)[0]
-    found[n + 1, inside] = run.input_of(t[inside], states)
-    return found
+    signals[1 : n + 1, inside] = measured(run.system, states)
+    signals[0, inside] = signals[1, inside] - run.system.reference.values(t[inside], 0)[0]
+    signals[n + 1, inside] = run.input_of(t[inside], states)
+    return signals

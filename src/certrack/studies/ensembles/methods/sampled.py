@@ -74,8 +74,8 @@ class SampledLoopMethod(SampledMethod):
         self._system = system = problem.members.template
         assert system.implementation is not None
         self._implementation = system.implementation
-        own = problem.system
-        self._controller = sampled_controller(own.plant, own.controller, self._implementation)
+        plant, controller = problem.system.plant, problem.system.controller
+        self._controller = sampled_controller(plant, controller, self._implementation)
         free = {*problem.varying, *(self._controller.numbers if adjustable else ())}
         general = sample_loop(system, sampled_totals())
         base = zip(general.parameters, loop_values(general, system).tolist(), strict=True)
