@@ -7,7 +7,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test slow docs bench clean
+.PHONY: demo test slow bench clean
 
 demo: .venv/installed
 	$(BIN)/certrack reproduce --out reproduction
@@ -21,6 +21,7 @@ test: .venv/tested
 slow: .venv/tested
 	$(BIN)/pytest -n 2 -m slow
 
+.PHONY: docs
 docs: .venv/documented
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -c docs -d build/doctrees . build/site
 

@@ -12,8 +12,7 @@ import pytest
 from certrack.core.compilers import c_compilers
 
 ROOT = Path(__file__).parents[1]
-RECORDS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
-PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *RECORDS]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 #: What works only where there is a C compiler.
 NEEDS_C = re.compile(r"export fmu|export\.fmu|--with-c")
 
@@ -67,41 +66,6 @@ def test_toml_parses_and_links_exist(page):
         tomllib.loads(text)
     for target in re.findall(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)", page.read_text()):
         assert (page.parent / target).exists(), target
-
-
-def unlaid(code):
-    """Code without its layout: line breaks, indentation, strings in several parts."""
-    return re.sub(r"\s+", "", re.sub(r'"\s*\n\s*f?"', "", code))
-
-
-def test_examples_of_style_stand_in_the_code():
-    page = (ROOT / "CONTRIBUTING.md").read_text()
-    examples = re.findall(r"`([\w/]+\.py)`[^`]*:\n\n```py\n(.*?)^```", page, re.M | re.S)
-    assert len(examples) == page.count("```py\n") > 3
-    for file, text in examples:
-        assert unlaid(text) in unlaid((ROOT / "src" / "certrack" / file).read_text()), file
-
-
-def test_every_decision_is_listed_and_has_its_parts():
-    page = (ROOT / "docs" / "decisions.md").read_text()
-    listed = re.findall(r"^\| (\d+) \| \[(.+)\]\((.+)\) \|", page, re.M)
-    assert [target for _, _, target in listed] == [f"decisions/{path.name}" for path in RECORDS]
-    parts = ["Context", "Decision", "What was measured", "Consequences", "Left out"]
-    for (number, title, _), path in zip(listed, RECORDS, strict=True):
-        text = path.read_text()
-        assert path.name.startswith(f"{int(number):04}-")
-        assert text.startswith(f"# {number}. {title}\n\nStatus: ")
-        assert re.findall(r"^## (.+)", text, re.M) == parts
-
-
-def test_versions_agree():
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    citation = (ROOT / "CITATION.cff").read_text()
-    assert re.findall(r"^version: (.+)", citation, re.M) == [version]
-    changes = (ROOT / "CHANGELOG.md").read_text()
-    numbers = re.findall(r"^## \[(\d.*?)\] - \d{4}-\d\d-\d\d$", changes, re.M)
-    assert numbers[0] == version
-    assert numbers == sorted(set(numbers), key=lambda n: [*map(int, n.split("."))], reverse=True)
 
 
 def test_every_system_file_key_is_documented():
