@@ -1,11 +1,12 @@
 # make demo   reproduces the paper on a fresh machine
 # make test   checks style, types and behaviour
 # make bench  measures speed, as ratios within one run
+# make keys   writes what docs and starter file say of each key of a system file
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test slow bench clean
+.PHONY: demo test slow bench keys clean
 
 demo: .venv/installed
 	$(BIN)/certrack reproduce --out reproduction
@@ -21,6 +22,9 @@ slow: .venv/tested
 
 bench: .venv/benched
 	$(BIN)/pytest bench
+
+keys: .venv/installed
+	$(BIN)/python -m certrack.systems.keys docs/system-file.md src/certrack/systems/starter.toml
 
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv

@@ -31,7 +31,7 @@ KIND_WORDS = {
     "integer": "whole number",
     "interval": "[low, high]",
     "intervals": "list of [low, high]",
-    "metric": "list of numbers, or a matrix",
+    "metric": "diagonal or matrix",
     "names": "list of names",
     "number": "number",
     "numbers": "list of numbers",
@@ -40,10 +40,10 @@ KIND_WORDS = {
     "texts": "list of texts",
 }
 
-#: Kinds whose texts are formulas of the plant's constants that give a number.
-NUMERIC = frozenset(
-    "any distribution distributions interval intervals metric number numbers rows".split()
-) | {"distributions by name"}
+#: Kinds whose texts are formulas of the plant's constants that give numbers: one, lists, tables.
+SCALARS = ("number", "distribution")
+LISTS = ("distributions", "interval", "intervals", "metric", "numbers", "rows")
+BY_NAME = ("distributions by name",)
 
 
 @dataclass(frozen=True)
@@ -99,11 +99,6 @@ class Key:
             raise ValueError(f"no such kind of key: {self.kind}")
 
     @property
-    def numeric(self) -> bool:
-        """Whether its texts are formulas of the plant's constants that give numbers."""
-        return self.kind in NUMERIC
-
-    @property
     def comment(self) -> str:
         """Its meaning and unit, as a comment in a system file says them."""
         return ", ".join(part for part in (self.help, self.unit) if part)
@@ -112,10 +107,10 @@ class Key:
     def limits(self) -> str:
         """Its limits in words; empty if there are none."""
         if self.choices:
-            return ", ".join(map(str, self.choices))
+            return " | ".join(map(str, self.choices))
         words = [f"> {self.above:g}"] if self.above is not None else []
         if self.least is not None and self.most is not None:
-            words.append(f"{self.least:g} to {self.most:g}")
+            words.append(f"{_short(self.least)} to {_short(self.most)}")
         elif self.least is not None:
             words.append(f">= {self.least:g}")
         elif self.most is not None:
@@ -210,6 +205,16 @@ class Key:
                 return tuple(parse(f"{key}[{i}]", v, constants) for i, v in enumerate(entries))
         raise NotImplementedError(f"{key}: a {self.kind} is checked by the class that holds it")
 
+    def evaluated(self, key: str, value: Any, constants: Mapping[str, Any]) -> Any:
+        """The value with numbers instead of formulas of the constants; what does not fit stays."""
+        fits = (
+            self.kind == "any"
+            or (self.kind in SCALARS and not isinstance(value, list))
+            or (self.kind in LISTS and isinstance(value, list))
+            or (self.kind in BY_NAME and isinstance(value, dict))
+        )
+        return _evaluated(key, value, constants) if fits else value
+
     def _number(self, key: str, value: Any, constants: Mapping[str, Any] | None) -> float:
         limits: dict[str, Any] = {"nonzero": self.nonzero, "infinite": self.infinite}
         if self.unit and self.least is not None and self.most is not None:
@@ -292,12 +297,18 @@ def check_fields(instance: Any, table: str, *names: str) -> None:
         set_fields(instance, **{name: key.checked(where, value)})
 
 
-def evaluate(key: str, value: Any, constants: Mapping[str, Any]) -> Any:
-    """Replace the formulas of the constants in a value of a file, however nested, by numbers."""
+def _short(value: float) -> str:
+    """A limit as short as it can be said exactly."""
+    power = int(math.log2(value)) if value >= 2**20 else 0
+    return f"2^{power}" if power and value == 2**power else f"{value:g}"
+
+
+def _evaluated(key: str, value: Any, constants: Mapping[str, Any]) -> Any:
+    """Formulas in nested lists and tables replaced by their numbers."""
     if isinstance(value, list):
-        return [evaluate(f"{key}[{i}]", entry, constants) for i, entry in enumerate(value)]
+        return [_evaluated(f"{key}[{i}]", entry, constants) for i, entry in enumerate(value)]
     if isinstance(value, dict):
-        return {name: evaluate(f"{key}.{name}", v, constants) for name, v in value.items()}
+        return {name: _evaluated(f"{key}.{name}", v, constants) for name, v in value.items()}
     if not isinstance(value, str):
         return value
     return math.inf if value == "inf" else checks.real(key, value, constants)

@@ -60,15 +60,15 @@ class Truth:
     """
 
     input_gain: Expression | None = keyed(
-        "formula", None, help="true g_n", nonzero=True, otherwise="required"
+        "number", None, help="true g_n", nonzero=True, otherwise="required without states"
     )
     theta: tuple[Expression, ...] = keyed(
-        "formulas", (), help="true theta", shape="one number per regressor"
+        "numbers", (), help="true theta", shape="one number per regressor"
     )
     omega: tuple[Expression, ...] | None = keyed(
         "formulas",
         None,
-        help="the uncertain terms, formulas of t and the states",
+        help="w_1 ... w_n, formulas of t and the states",
         shape="w_1 ... w_n, one per state",
         otherwise="zero",
     )

@@ -80,7 +80,7 @@ def as_dicts() -> dict[str, dict[str, Any]]:
 
 
 BEGIN, END = "<!-- keys: written by make keys -->", "<!-- end of keys -->"
-HEADINGS = ("key", "what it is", "unit", "limits", "if left out", "meaning")
+HEADINGS = ("key", "value", "unit", "if left out", "meaning")
 
 
 def page_section() -> str:
@@ -89,38 +89,43 @@ def page_section() -> str:
 
 
 def _page_tables() -> Iterator[str]:
-    for table, rows in _merged_tables().items():
-        title = f"### `[{table}]`" if table else "### Before the first table"
+    for title, rows in _merged_tables().items():
         yield "\n".join([title, "", _row(HEADINGS), _row(["---"] * len(HEADINGS)), *rows])
 
 
 def _merged_tables() -> dict[str, list[str]]:
-    """Rows of each table; keys that several kinds share are one row."""
-    kinds: dict[tuple[str, str, Key], list[str]] = {}
+    """Headings and rows of the page's tables; a key that several kinds share is one row."""
+    owners: dict[tuple[str, str, Key], list[str]] = {}
+    total: dict[str, int] = {}
     for path, keys in TABLES.items():
         table, _, kind = path.rstrip("]").partition("[")
+        title = f"### `[{table}]`" if table else "### Above the first table"
+        title += " with a `kind`" if table == "reference" and kind else ""
+        total[title] = total.get(title, 0) + 1
         for name, key in keys.items():
-            kinds.setdefault((table, name, key), []).append(kind)
+            owners.setdefault((title, name, key), []).append(kind)
     tables: dict[str, list[str]] = {}
-    for (table, name, key), names in kinds.items():
-        total = sum(path.partition("[")[0] == table for path in TABLES)
-        every = len(names) == total or name == "kind"
-        only = "" if every else ", ".join(name or "formula" for name in names)
-        tables.setdefault(table, []).append(_key_row(name, key, only))
+    for (title, name, key), kinds in owners.items():
+        only = "" if len(kinds) == total[title] else ", ".join(kinds)
+        tables.setdefault(title, []).append(_key_row(name, key, only))
     return tables
 
 
 def _key_row(name: str, key: Key, only: str) -> str:
-    words = ", ".join(filter(None, (KIND_WORDS[key.kind], key.shape)))
-    left_out = "**required**" if key.required else key.otherwise or _default(key.default)
+    value = " ".join(filter(None, (KIND_WORDS[key.kind], key.limits)))
+    value += f": {key.shape}" if key.shape else ""
+    left_out = [key.otherwise or _default(key.default)]
+    if key.required:
+        left_out = ["**required**", key.otherwise]
     meaning = f"{key.help} ({only})" if only else key.help
-    return _row([f"`{name}`", words, key.unit, key.limits, left_out, meaning])
+    return _row([f"`{name}`", value, key.unit, " ".join(filter(None, left_out)), meaning])
 
 
 def _default(value: Any) -> str:
     if isinstance(value, tuple):
         return f"`[{', '.join(map(str, value))}]`"
-    return f"`{value:g}`" if isinstance(value, (int, float)) else f"`{value}`"
+    text = f"{value:g}" if isinstance(value, (int, float)) else str(value)
+    return f"`{re.sub(r'e([+-])0*', lambda e: 'e' + e[1].strip('+'), text)}`"
 
 
 def _row(cells: Iterable[str]) -> str:
@@ -160,11 +165,13 @@ def _starter_comment(table: str, name: str, code: str) -> str | None:
         table = "law[adaptive]"
     if table == "reference" and name == "kind":
         kind = code.split('"')[1]
-        return ", ".join(REFERENCE_KINDS[kind].keys)
+        return ", ".join(name for name in REFERENCE_KINDS[kind].keys if name != "bound")
     key = TABLES.get(table, {}).get(name)
     if key is None:
         return None
-    return f"{key.comment}: {key.limits}" if key.kind == "choice" else key.comment
+    comment = f"{key.comment}: {key.limits}" if key.kind == "choice" else key.comment
+    is_left_out = code.startswith("#") and key.otherwise
+    return f"{comment}; {key.otherwise} if left out" if is_left_out else comment
 
 
 def main(page: str, starter: str) -> None:

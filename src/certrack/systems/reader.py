@@ -20,7 +20,7 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.keys import Key, evaluate
+from certrack.core.keys import Key
 from certrack.laws import Law, known_laws
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -188,7 +188,7 @@ def _values(
     required = [name for name, key in keys.items() if key.required]
     checks.known_keys(table, entries, keys, required)
     return {
-        name: evaluate(f"{table}.{name}", value, constants) if keys[name].numeric else value
+        name: keys[name].evaluated(f"{table}.{name}", value, constants)
         for name, value in entries.items()
     }
 
@@ -224,7 +224,7 @@ def _truth(table: Any, plant: Plant) -> Truth:
     values = table | {"constants": constants}
     if "tau" in values and "states" not in values:
         numbers = constants_of_truth(plant, constants) if constants else plant.constant_values
-        values["tau"] = evaluate("truth.tau", values["tau"], numbers)
+        values["tau"] = TABLES["truth"]["tau"].evaluated("truth.tau", values["tau"], numbers)
     return Truth(**values)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import fields
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from certrack.core.checks import number_or_text
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, parse
 from certrack.laws import Law
@@ -110,7 +110,7 @@ def _plain(value: Any) -> Any:
             return value.values[0]
         return {value.kind: list(value.values)}
     if isinstance(value, Expression):
-        return _number_or_text(value.text)
+        return number_or_text(value.text)
     if isinstance(value, dict):
         return {name: _plain(entry) for name, entry in value.items()}
     if isinstance(value, (tuple, list)):
@@ -118,17 +118,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     return value
-
-
-def _number_or_text(text: str) -> int | float | str:
-    for kind in (int, float):
-        try:
-            number = kind(text)
-        except ValueError:
-            continue
-        if repr(number) == text and math.isfinite(number):
-            return number
-    return text
 
 
 def _present(values: Mapping[str, Any]) -> dict[str, Any]:
