@@ -498,7 +498,7 @@ def test_a_part_holds_what_its_types_say():
         theta_range=[["K", 3]],
         uncertainty={"tau": ["K", 0], "gamma": [0, 1], "beta": [0, 0]},
     )
-    truth = Truth(input_gain="K", theta=[1], omega=[0, "t"], tau=[1, "1/2"], constants={"K": 3})
+    truth = Truth(input_gain="K", theta=[2], omega=[0, "t"], tau=[1, "1/2"], constants={"K": 3})
     own = Truth(states=["z"], rates=["u - a"], outputs=["z", 0], constants={"a": 1})
     settings = Settings(x0=np.array([1, 0]), duration=np.int64(3))
     implementation = Implementation(period="1/8", saturation=[-1, 1], velocity=["x2"], noise=[0, 1])
