@@ -27,7 +27,7 @@ from certrack.systems.writer import to_text, write_text
 
 FORMAT = "certrack-certificate/1"
 MAX_BYTES = 20_000_000
-KEYS = ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256")
+DOCUMENT_KEYS = ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256")
 
 
 @dataclass(frozen=True)
@@ -125,8 +125,8 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _stages(body: dict[str, Any]) -> tuple[Proof, ...]:
     """The proof's one to three stages, well formed."""
-    if not isinstance(body, dict) or tuple(sorted(body)) != tuple(sorted(KEYS)):
-        raise InputError("", "is not a certificate: it must have " + ", ".join(KEYS))
+    if not isinstance(body, dict) or tuple(sorted(body)) != tuple(sorted(DOCUMENT_KEYS)):
+        raise InputError("", "is not a certificate: it must have " + ", ".join(DOCUMENT_KEYS))
     if body["format"] != FORMAT:
         raise InputError("format", f"must be {FORMAT}", body["format"])
     if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):

@@ -246,8 +246,8 @@ class Key:
         return checks.reals(key, rows, None, "one number per regressor", constants, above=0)
 
     def _whole_choice(self, key: str, value: Any) -> int:
-        whole = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if not whole or value not in self.choices:
+        is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if not is_number or value not in self.choices:
             raise InputError(key, "must be " + " or ".join(map(str, self.choices)), value)
         return int(value)
 
@@ -267,8 +267,9 @@ def keyed(kind: str, default: Any = MISSING, **description: Any) -> Any:
     required = description.pop("required", default is MISSING)
     shown = None if default is MISSING else default
     key = Key(kind, required=required, default=None if required else shown, **description)
-    given = {} if default is MISSING else {"default": default}
-    return field(**given, metadata={"key": key})
+    if default is MISSING:
+        return field(metadata={"key": key})
+    return field(default=default, metadata={"key": key})
 
 
 def keys_of(owner: Any) -> dict[str, Key]:

@@ -197,14 +197,14 @@ class Plant:
             raise InputError("plant.states", f"must be 1 to {MAX_ORDER} names", names)
         states: list[str] = []
         for i, name in enumerate(names):
-            states.append(free_name(f"plant.states[{i}]", name, states))
+            states.append(new_name(f"plant.states[{i}]", name, states))
         return tuple(states)
 
     def _check_constants(self, states: tuple[str, ...]) -> tuple[tuple[str, Expression], ...]:
         constants: dict[str, Expression] = {}
         for name, value in name_value_pairs("plant.constants", self.constants):
             key = f"plant.constants.{name}"
-            free_name(key, name, [*states, *constants])
+            new_name(key, name, [*states, *constants])
             constants[name] = number(key, value, {k: v.expr for k, v in constants.items()})
         return tuple(constants.items())
 
@@ -293,8 +293,8 @@ class Plant:
         unknown = set(values) - {name for name, _ in self.constants}
         if unknown:
             raise InputError("constants", f"unknown constant {sorted(unknown)[0]!r}")
-        sources = {name: values.get(name, value) for name, value in self.constants}
-        return replace(self, constants=sources)  # type: ignore[arg-type]
+        sources: Any = {name: values.get(name, value) for name, value in self.constants}
+        return replace(self, constants=sources)
 
 
 def name_value_pairs(key: str, constants: Any) -> list[tuple[str, Any]]:
@@ -307,7 +307,7 @@ def name_value_pairs(key: str, constants: Any) -> list[tuple[str, Any]]:
     return [(name, value) for name, value in pairs]
 
 
-def free_name(key: str, name: Any, used: Sequence[str]) -> str:
+def new_name(key: str, name: Any, used: Sequence[str]) -> str:
     """A name that is not used yet, neither here nor by the language nor by the closed loop."""
     check_name(key, name, used)
     if name in LOOP_SIGNALS or name.startswith(LOOP_PREFIXES):

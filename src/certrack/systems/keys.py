@@ -25,7 +25,7 @@ from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS
 from certrack.systems.system import Settings, System
 
 
-def _table(owner: Any, below: str = "") -> dict[str, Key]:
+def _keys_below(owner: Any, below: str = "") -> dict[str, Key]:
     """Keys of a class that stand in its table, or in the named table below that."""
     keys: dict[str, Key] = {}
     for field, key in keys_of(owner).items():
@@ -53,17 +53,17 @@ def reference_keys(kind: str) -> dict[str, Key]:
 #: Tables of the file and their keys. Where the keys depend on the kind, it stands in brackets.
 TABLES: dict[str, dict[str, Key]] = {
     "": keys_of(System),
-    "plant": _table(Plant),
-    "plant.ranges": _table(Plant, "ranges"),
-    "plant.uncertainty": _table(Uncertainty),
-    "truth": _table(Truth),
+    "plant": _keys_below(Plant),
+    "plant.ranges": _keys_below(Plant, "ranges"),
+    "plant.uncertainty": _keys_below(Uncertainty),
+    "truth": _keys_below(Truth),
     "reference": dict(FORMULA_KEYS),
     **{f"reference[{kind}]": reference_keys(kind) for kind in REFERENCE_KINDS},
     **{f"law[{kind}]": law_keys(law) for kind, law in LAWS.items()},
-    "simulation": _table(Settings),
-    "implementation": _table(Implementation),
-    "ensemble": _table(Population),
-    "ensemble.reference": _table(Population, "reference"),
+    "simulation": _keys_below(Settings),
+    "implementation": _keys_below(Implementation),
+    "ensemble": _keys_below(Population),
+    "ensemble.reference": _keys_below(Population, "reference"),
 }
 
 #: Path -> key, e.g. ``"plant.chain"``, ``"law[adaptive].Gamma"``.
@@ -134,8 +134,7 @@ def _row(cells: Iterable[str]) -> str:
 
 def with_section(page: str) -> str:
     """The page with its tables written anew."""
-    before, _, rest = page.partition(BEGIN)
-    _, _, after = rest.partition(END)
+    before, after = page.partition(BEGIN)[0], page.partition(END)[2]
     return f"{before}{BEGIN}\n\n{page_section()}\n\n{END}{after}"
 
 
@@ -174,11 +173,11 @@ def _starter_comment(table: str, name: str, code: str) -> str | None:
     return f"{comment}; {key.otherwise} if left out" if is_left_out else comment
 
 
-def main(page: str, starter: str) -> None:
+def rewrite(page: str, starter: str) -> None:
     """Write the tables of the page and the comments of the starter file."""
     for path, write in ((Path(page), with_section), (Path(starter), with_comments)):
         path.write_text(write(path.read_text("utf-8")), "utf-8")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    rewrite(*sys.argv[1:])

@@ -44,7 +44,7 @@ def to_text(system: System) -> str:
     for name, table in tables.items():
         document[name] = {
             key: _shelve(value, shelf) if isinstance(value, list) else value
-            for key, value in _plain(table).items()
+            for key, value in _as_toml(table).items()
         }
     text = tomlkit.dumps(document)
     for i, values in enumerate(shelf):
@@ -103,7 +103,7 @@ def write_whole(path: Path, data: bytes | memoryview) -> None:
         raise
 
 
-def _plain(value: Any) -> Any:
+def _as_toml(value: Any) -> Any:
     """Expressions as numbers or text, tuples as lists."""
     if isinstance(value, Distribution):
         if value.kind == "fixed":
@@ -112,9 +112,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Expression):
         return number_or_text(value.text)
     if isinstance(value, dict):
-        return {name: _plain(entry) for name, entry in value.items()}
+        return {name: _as_toml(entry) for name, entry in value.items()}
     if isinstance(value, (tuple, list)):
-        return [_plain(entry) for entry in value]
+        return [_as_toml(entry) for entry in value]
     if isinstance(value, np.generic):
         return value.item()
     return value
@@ -143,8 +143,8 @@ def _truth_table(truth: Truth) -> dict[str, Any]:
 def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
     if isinstance(reference, SymbolicReference):
         signal: Any = reference.signal
-        own = {name: value.expr for name, value in reference.constants}
-        if any(plant.constant_values.get(name) != value for name, value in own.items()):
+        constants = {name: value.expr for name, value in reference.constants}
+        if any(plant.constant_values.get(name) != value for name, value in constants.items()):
             signal = parse(
                 "reference.signal", reference.numeric, ["t"]
             )  # the file has no such name
