@@ -271,6 +271,10 @@ def test_a_message_names_the_line_of_its_key(old, new, key, expected):
     assert line_named(edited(old, new), key).startswith(expected)
 
 
+def test_text_that_is_not_toml_has_the_line_of_the_parser():
+    assert line_named(edited("[simulation]", "[simulation"), "") == "[simulation"
+
+
 def test_what_is_not_in_the_file_has_no_line():
     assert line_named("title = 'x'", "plant") is None
     assert line_named("", "") is None

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import tomllib
 import warnings
 from collections.abc import Mapping
@@ -130,6 +131,15 @@ def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -
         What messages call the file.
     folder : Path, optional
         Where sample files lie; without it they are refused.
+
+    Returns
+    -------
+    System
+
+    Raises
+    ------
+    InputError
+        If anything in it does not fit; it names the key and the line.
     """
     try:
         decoded = _decoded(text)
@@ -138,8 +148,7 @@ def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -
     try:
         return _read_system(_parsed(decoded), folder)
     except InputError as problem:
-        line = problem.line or (line_of(decoded, problem.key) if problem.key else None)
-        raise problem.within(name, line) from None
+        raise problem.within(name, problem.line or line_of(decoded, problem.key)) from None
 
 
 def _decoded(text: str | bytes) -> str:
@@ -156,7 +165,10 @@ def _parsed(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
-        raise InputError("", f"is not TOML: {problem}") from None
+        error = InputError("", f"is not TOML: {problem}")
+        place = re.search(r"at line (\d+)", str(problem))
+        error.line = int(place[1]) if place else None
+        raise error from None
     except RecursionError:
         raise InputError("", "is not TOML: nested too deeply") from None
 
@@ -183,7 +195,10 @@ def _read_values(
     constants: Mapping[str, Any],
     keys: Mapping[str, Key] | None = None,
 ) -> dict[str, Any]:
-    """Entries of a table, all known and none missing, with numbers instead of their formulas."""
+    """Entries of a table, all known and none missing, with numbers instead of their formulas.
+
+    The class or function that takes them checks the rest.
+    """
     keys = TABLES[table] if keys is None else keys
     required = [name for name, key in keys.items() if key.required]
     checks.known_keys(table, entries, keys, required)
@@ -211,9 +226,9 @@ def _read_plant(table: Any) -> Plant:
         checks.known_keys("plant.uncertainty", values["uncertainty"], keys, required=keys)
     if "gain_sign" not in values:
         raise InputError("plant.gain_sign", "is missing", remedy="State 1 or -1")
+    values["constants"] = _read_named_values("plant.constants", values.get("constants", {}))
     return Plant(
-        **values
-        | {"constants": _read_named_values("plant.constants", values.get("constants", {}))},
+        **values,
         input_gain_range=ranges.get("input_gain"),
         theta_range=ranges.get("theta"),
     )
