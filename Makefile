@@ -24,7 +24,7 @@ bench: .venv/benched
 	$(BIN)/pytest bench
 
 keys: .venv/installed
-	$(BIN)/python -m certrack.systems.keys docs/system-file.md src/certrack/systems/starter.toml
+	$(BIN)/python -m certrack.systems.documentation docs/system-file.md src/certrack/systems/starter.toml
 
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv

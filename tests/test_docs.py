@@ -21,7 +21,8 @@ from certrack.model.population import Population
 from certrack.model.truth import Truth
 from certrack.model.uncertainty import Uncertainty
 from certrack.references.keys import REFERENCE_KINDS
-from certrack.systems.keys import KEYS, as_dicts, with_comments, with_section
+from certrack.systems.documentation import with_comments, with_section
+from certrack.systems.keys import KEYS, as_dicts
 from certrack.systems.reader import starter
 from certrack.systems.system import Settings, System
 
