@@ -1,8 +1,11 @@
 """What a key of the system file holds, said once: as metadata of the field that it fills.
 
 The loader, its messages, the page on the system file, the comments of the starter file and the
-forms of a designer all read these :class:`Key` s. The classes that hold the values are frozen
-dataclasses, laws of a user's own among them, so that ``dataclasses.replace`` works on all of them;
+forms of a designer all read these :class:`Key` s.
+
+The classes that hold the values are frozen dataclasses, laws of a user's own among them, so that
+``dataclasses.replace`` works on all of them. A field holds what its type says; the constructor
+also takes what a user writes (lists, numbers, texts) and turns it into that, and
 :func:`set_fields` is the one place where a field is set while its instance is being built.
 """
 
@@ -16,7 +19,6 @@ from typing import Any
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.expressions import parse
 
 #: kind of a key -> what a reader of the page is told.
 KIND_WORDS = {
@@ -157,6 +159,8 @@ class Key:
         ------
         InputError
             If it is not what this key holds.
+        NotImplementedError
+            If only the class that holds it can check it: formulas, names by value, distributions.
         """
         match self.kind:
             case "number":
@@ -165,12 +169,6 @@ class Key:
                 entries = checks.sequence(key, value, count, self.shape)
                 return tuple(
                     self._number(f"{key}[{i}]", v, constants) for i, v in enumerate(entries)
-                )
-            case "rows":
-                rows = checks.sequence(key, value, count, self.shape)
-                one = Key("numbers", shape=self.shape, above=self.above, infinite=self.infinite)
-                return tuple(
-                    one.checked(f"{key}[{i}]", row, constants) for i, row in enumerate(rows)
                 )
             case "integer":
                 least, most = (0 if end is None else int(end) for end in (self.least, self.most))
@@ -196,13 +194,6 @@ class Key:
             case "names":
                 entries = checks.sequence(key, value, count, self.shape)
                 return tuple(checks.text(f"{key}[{i}]", v) for i, v in enumerate(entries))
-            case "any":
-                return value
-            case "formula":
-                return parse(key, value, constants)
-            case "formulas":
-                entries = checks.sequence(key, value, count, self.shape)
-                return tuple(parse(f"{key}[{i}]", v, constants) for i, v in enumerate(entries))
         raise NotImplementedError(f"{key}: a {self.kind} is checked by the class that holds it")
 
     def evaluated(self, key: str, value: Any, constants: Mapping[str, Any]) -> Any:
