@@ -3,11 +3,12 @@
 # make slow   runs the slow tail of the tests
 # make docs   builds the site, in build/site
 # make bench  measures speed, as ratios within one run
+# make keys   writes what docs and starter file say of each key of a system file
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test slow bench clean
+.PHONY: demo test slow bench keys clean
 
 demo: .venv/installed
 	$(BIN)/certrack reproduce --out reproduction
@@ -27,6 +28,9 @@ docs: .venv/documented
 
 bench: .venv/benched
 	$(BIN)/pytest bench
+
+keys: .venv/installed
+	$(BIN)/python -m certrack.systems.documentation docs/system-file.md src/certrack/systems/starter.toml
 
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv

@@ -1,5 +1,8 @@
 """Every command and every program in the documentation runs."""
 
+import dataclasses
+import inspect
+import json
 import re
 import shlex
 import subprocess
@@ -10,6 +13,18 @@ from pathlib import Path
 import pytest
 
 from certrack.core.compilers import c_compilers
+from certrack.core.keys import keys_of
+from certrack.laws import LAWS
+from certrack.model.implementation import Implementation
+from certrack.model.plant import Plant
+from certrack.model.population import Population
+from certrack.model.truth import Truth
+from certrack.model.uncertainty import Uncertainty
+from certrack.references.keys import REFERENCE_KINDS
+from certrack.systems.documentation import with_comments, with_section
+from certrack.systems.keys import KEYS, as_dicts
+from certrack.systems.reader import starter
+from certrack.systems.system import Settings, System
 
 ROOT = Path(__file__).parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
@@ -68,29 +83,56 @@ def test_toml_parses_and_links_exist(page):
         assert (page.parent / target).exists(), target
 
 
-def test_every_system_file_key_is_documented():
-    from dataclasses import fields as fields_of
-
-    from certrack.laws import LAWS
-    from certrack.systems.reader import (
-        IMPLEMENTATION_KEYS,
-        PLANT_KEYS,
-        POPULATION_KEYS,
-        SETTING_KEYS,
-        SIGNALS,
-        TRUTH_KEYS,
-    )
-
+def test_what_the_page_says_of_every_key_is_what_the_loader_knows():
     page = (ROOT / "docs" / "system-file.md").read_text()
-    fields = {entry.name for law in LAWS.values() for entry in fields_of(law)}
-    signals = {name for _, a, b in SIGNALS.values() for name in (*a, *b)}
-    for key in {
-        *PLANT_KEYS,
-        *TRUTH_KEYS,
-        *SETTING_KEYS,
-        *POPULATION_KEYS,
-        *IMPLEMENTATION_KEYS,
-        *fields,
-        *signals,
-    }:
-        assert re.search(rf"[`.]{key}\b", page), key
+    assert page == with_section(page), "write it anew: make keys"
+    for path, key in KEYS.items():
+        assert re.search(rf"\| `{path.rpartition('.')[2]}` \|", page), path
+        assert key.help and not key.help.endswith("."), path
+
+
+def test_every_comment_of_the_starter_file_is_that_of_its_key():
+    assert starter() == with_comments(starter()), "write it anew: make keys"
+    assert "# length of the run, s\n" in starter()
+
+
+def test_the_table_of_keys_is_json_and_tells_what_a_form_needs():
+    forms = json.loads(json.dumps(as_dicts()))
+    assert set(forms) == set(KEYS)
+    assert forms["implementation.delay"] == {
+        "kind": "number",
+        "help": "from a sample until its input acts",
+        "unit": "periods",
+        "least": 0,
+        "most": 100,
+        "default": 0,
+    }
+    assert forms["law[adaptive].c"]["required"] and forms["plant.chain"]["nonzero"]
+    assert forms["ensemble.sampling"]["choices"] == ["plain", "latin", "sobol"]
+
+
+def test_no_field_of_a_table_is_without_its_key():
+    without = {  # parts of a system, which are tables of their own
+        Plant: {"uncertainty"},
+        System: {"plant", "law", "reference", "truth", "settings", "population", "implementation"},
+    }
+    for owner in (Plant, Uncertainty, Truth, Settings, Implementation, Population, System):
+        names = {entry.name for entry in dataclasses.fields(owner)}
+        assert names - set(keys_of(owner)) == without.get(owner, set())
+    for law in LAWS.values():
+        assert {entry.name for entry in dataclasses.fields(law)} == set(keys_of(law))
+
+
+@pytest.mark.parametrize("kind", REFERENCE_KINDS)
+def test_the_keys_of_a_reference_are_the_arguments_of_its_maker(kind):
+    reference = REFERENCE_KINDS[kind]
+    arguments = {
+        name: argument.default
+        for name, argument in inspect.signature(reference.make).parameters.items()
+        if argument.kind is argument.POSITIONAL_OR_KEYWORD
+    }
+    assert set(arguments) == set(reference.keys) - {"file"}
+    for name, default in arguments.items():
+        required = default is inspect.Parameter.empty
+        assert required == reference.keys[name].required, name
+        assert required or default == reference.keys[name].default, name

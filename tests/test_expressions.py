@@ -73,6 +73,26 @@ def test_hostile_text_is_refused_quickly_in_one_line(text):
     assert len(message) < 600
 
 
+#: Refused only once the names are known.
+LATER = {"unknown name", "nan", "variable exponent"}
+
+
+@pytest.mark.parametrize("name", [name for name in HOSTILE if name not in LATER])
+def test_hostile_text_is_refused_also_where_any_name_may_occur(name):
+    begin = time.perf_counter()
+    with pytest.raises(InputError):
+        parse("truth.omega[0]", HOSTILE[name], None)
+    assert time.perf_counter() - begin < 5
+
+
+def test_names_may_be_checked_later():
+    formula = parse("truth.input_gain", "J**K/x9", None)
+    assert {str(name) for name in formula.expr.free_symbols} == {"J", "K", "x9"}
+    assert parse("", formula, {"J": 3, "K": 2, "x9": 1}).expr == 9
+    for name in LATER:
+        parse("", HOSTILE[name], None)
+
+
 @pytest.mark.parametrize("value", [None, True, [], {}, b"x1", object(), math.nan, math.inf])
 def test_what_is_not_text_or_number_is_refused(value):
     with pytest.raises(InputError):

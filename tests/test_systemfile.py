@@ -2,8 +2,12 @@
 
 import re
 import tomllib
+import types
+import typing
+from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import SHIPPED, systems
 from hypothesis import given, settings
@@ -11,9 +15,18 @@ from hypothesis import strategies as st
 
 import certrack
 from certrack.core.errors import InputError
+from certrack.core.expressions import TIME
+from certrack.laws import base
+from certrack.model.distribution import Distribution
+from certrack.model.implementation import Implementation
+from certrack.model.plant import Plant
+from certrack.model.population import Population
+from certrack.model.truth import Truth
+from certrack.model.uncertainty import Uncertainty
 from certrack.references import samples, steps, trapezoid, triangle
+from certrack.systems.lines import line_of
 from certrack.systems.reader import loads, starter
-from certrack.systems.system import System
+from certrack.systems.system import Settings, System
 from certrack.systems.writer import to_text
 
 GOOD = starter()
@@ -222,6 +235,93 @@ def test_bad_files_are_named_in_one_line(text, expected):
     assert len(message) < 700
 
 
+def line_named(text, key):
+    """The line that the message about this key names."""
+    with pytest.raises(InputError) as caught:
+        loads(text, "drive.toml")
+    problem = caught.value
+    assert (problem.file, problem.key) == ("drive.toml", key)
+    where = "drive.toml" if problem.line is None else f"drive.toml:{problem.line}"
+    assert str(problem).startswith(": ".join(filter(None, (where, key))) + ": ")
+    return problem.line and text.splitlines()[problem.line - 1]
+
+
+LINES_NAMED = [
+    ("chain = [1]", "chian = [1]", "plant.chian", "chian = [1]"),
+    ("chain = [1]", "chain = [\n  # g_1\n  0,\n]", "plant.chain[0]", "  0,"),
+    ("J = 0.5", "J = 'x'", "plant.constants.J", "J = 'x'"),
+    ("[plant.constants]", "[plan]", "plan", "[plan]"),
+    ("gamma = ", "# ", "plant.uncertainty.gamma", "[plant.uncertainty]"),
+    ("c = [5, 5]", '"c" = [5, "x"]', "law.c[1]", '"c" = [5, "x"]'),
+    ('title = "My drive"', 'title = """a\n[law]"""', "title", 'title = """'),
+    ("[simulation]", "[simulation]\ntail = 30", "simulation.tail", "tail = 30"),
+    ("[simulation]", "[implementation]\n[simulation]", "implementation.period", "[implementation]"),
+    ("[simulation]", "ensemble.limit = 0\n[simulation]", "law.ensemble", "ensemble.limit = 0"),
+    (
+        "[simulation]",
+        "[ensemble]\nx0 = [1,\n {uniform = [2,\n 1]}]\n[simulation]",
+        "ensemble.x0[1].uniform",
+        " {uniform = [2,",
+    ),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "key", "expected"), LINES_NAMED)
+def test_a_message_names_the_line_of_its_key(old, new, key, expected):
+    assert line_named(edited(old, new), key).startswith(expected)
+
+
+def test_text_that_is_not_toml_has_the_line_of_the_parser():
+    assert line_named(edited("[simulation]", "[simulation"), "") == "[simulation"
+
+
+def test_what_is_not_in_the_file_has_no_line():
+    assert line_named("title = 'x'", "plant") is None
+    assert line_named("", "") is None
+
+
+@given(st.lists(st.sampled_from([*'abc.=[]{}",#\\ \n', "'", '"""', "a = 1\n", "[a.b]\n"])))
+def test_the_search_for_a_line_ends_on_any_text(parts):
+    text = "".join(parts)
+    assert line_of(text, "a.b[0]") in (None, *range(1, text.count("\n") + 2))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "close"),
+    [("chian", "chain"), ("regresor", "regressor"), ("input-gain", "input_gain")],
+)
+def test_an_unknown_key_comes_with_the_closest_known_one(wrong, close):
+    with pytest.raises(InputError, match=rf"unknown key. Did you mean {close}\? Known here: "):
+        loads(edited("chain =", f"{wrong} ="))
+    with pytest.raises(InputError, match=r"unknown key. Known here: "):
+        loads(edited("chain =", "zzz ="))
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_loading_builds_every_thing_once(monkeypatch, name):
+    calls = Counter()
+
+    def count(owner, method):
+        original = getattr(owner, method)
+
+        def counting(*arguments, **options):
+            calls[owner.__name__, method] += 1
+            return original(*arguments, **options)
+
+        monkeypatch.setattr(owner, method, counting)
+
+    for part in (Plant, Uncertainty, Implementation, Population, Settings, System):
+        count(part, "__post_init__")
+    count(Truth, "bound_to")
+    count(base, "recursion")
+    system = certrack.load(name)
+    assert system.controller is system.controller
+    assert set(calls.values()) == {1}, calls
+    parts = {owner for owner, _ in calls}
+    assert {"Plant", "Uncertainty", "Settings", "System", "Truth", base.__name__} <= parts
+    assert ("Implementation" in parts) == (system.implementation is not None)
+
+
 def test_starter_and_shipped_systems_survive_a_round_trip(shipped):
     for system in (shipped, loads(GOOD)):
         again = loads(to_text(system))
@@ -331,6 +431,114 @@ def test_swapped_lines_raise_nothing_but_our_error(first, second):
     lines = GOOD.splitlines()
     lines[first], lines[second] = lines[second], lines[first]
     loads_or_complains("\n".join(lines))
+
+
+#: What is invalid by itself, and the key that its message names.
+INVALID = [
+    (Plant, {"states": ["x1", "x2"]}, "plant.chain"),
+    (Plant, {"states": ["x"], "gain_sign": 0}, "plant.gain_sign"),
+    (Plant, {"states": ["x"], "uncertainty": {"tau": [0]}}, "plant.uncertainty.gamma"),
+    (Uncertainty, {"tau": [1], "gamma": [-1], "beta": [0]}, "plant.uncertainty.gamma[0]"),
+    (Uncertainty, {"tau": [1], "gamma": [1, 1], "beta": [0]}, "plant.uncertainty.gamma"),
+    (Truth, {}, "truth.input_gain"),
+    (Truth, {"input_gain": 1, "tau": [-1]}, "truth.tau[0]"),
+    (Truth, {"input_gain": "x.__class__"}, "truth.input_gain"),
+    (Truth, {"input_gain": 1, "omega": ["9**9**9**9"]}, "truth.omega[0]"),
+    (Truth, {"input_gain": 1, "constants": {"K": "J"}}, "truth.constants.K"),
+    (Truth, {"states": ["z"], "rates": ["u"], "outputs": 3}, "truth.outputs"),
+    (Truth, {"states": ["z", "z"], "rates": ["u"], "outputs": ["z"]}, "truth.states[1]"),
+    (Truth, {"states": ["z"], "rates": [], "outputs": ["z"]}, "truth.rates"),
+    (Truth, {"states": ["z"], "rates": ["u"], "outputs": ["z"], "tau": [1]}, "truth.tau"),
+    (Settings, {"x0": ["a"], "duration": 1}, "simulation.x0[0]"),
+    (Settings, {"x0": [0], "duration": 0}, "simulation.duration"),
+    (Settings, {"x0": [0], "duration": 1, "tolerance": 1}, "simulation.tolerance"),
+    (Implementation, {"period": -1}, "implementation.period"),
+    (Implementation, {"period": 1, "offset": 1}, "implementation.offset"),
+    (Implementation, {"period": 1, "delay": 101}, "implementation.delay"),
+    (Implementation, {"period": 1, "saturation": (1, 0)}, "implementation.saturation"),
+    (Implementation, {"period": 1, "saturation": (1, 2)}, "implementation.initial_input"),
+    (Implementation, {"period": 1, "noise": [-1]}, "implementation.noise[0]"),
+    (Implementation, {"period": 1, "seed": -1}, "implementation.seed"),
+    (Implementation, {"period": 1, "velocity": "x2"}, "implementation.velocity"),
+    (Implementation, {"period": 1, "velocity_filter": 1}, "implementation.velocity_filter"),
+    (Implementation, {"period": 1, "update": "heun"}, "implementation.update"),
+    (Implementation, {"period": 1, "projection": [[1, 0]]}, "implementation.projection[0]"),
+    (Population, {"sines": -4}, "ensemble.sines"),
+    (Population, {"points": 2.5}, "ensemble.points"),
+    (Population, {"limit": 0}, "ensemble.limit"),
+    (Population, {"sampling": "halton"}, "ensemble.sampling"),
+    (Population, {"disturbance": 3}, "ensemble.disturbance"),
+    (Population, {"frequencies": (0, 1)}, "ensemble.frequencies"),
+    (Population, {"tau": [{"uniform": [-1, 1]}]}, "ensemble.tau[0]"),
+    (Population, {"x0": [{"uniform": [1, -1]}]}, "ensemble.x0[0].uniform"),
+    (Population, {"theta": 1}, "ensemble.theta"),
+    (Population, {"constants": {"K": "a"}}, "ensemble.constants.K"),
+    (Population, {"frequency": 0}, "ensemble.reference.frequency"),
+    (Distribution, {"kind": "uniform", "values": (2, 1)}, "uniform"),
+    (Distribution, {"kind": "uniform", "values": (1,)}, "uniform"),
+    (Distribution, {"kind": "loguniform", "values": (0, 1)}, "loguniform"),
+    (Distribution, {"kind": "truncnorm", "values": (0, 0, -1, 1)}, "truncnorm"),
+    (Distribution, {"kind": "gauss", "values": (0, 1)}, "distribution"),
+]
+
+
+@pytest.mark.parametrize(("part", "fields", "key"), INVALID)
+def test_nothing_exists_invalid(part, fields, key):
+    with pytest.raises(InputError) as caught:
+        part(**fields)
+    assert caught.value.key == key
+
+
+def test_a_part_holds_what_its_types_say():
+    plant = Plant(
+        states=["x1", "x2"],
+        chain=[2],
+        regressor=["K"],
+        gain_sign=1.0,
+        input_gain=3,
+        theta=[1],
+        constants={"K": "2"},
+        input_gain_range=[1, 4],
+        theta_range=[["K", 3]],
+        uncertainty={"tau": ["K", 0], "gamma": [0, 1], "beta": [0, 0]},
+    )
+    truth = Truth(input_gain="K", theta=[2], omega=[0, "t"], tau=[1, "1/2"], constants={"K": 3})
+    own = Truth(states=["z"], rates=["u - a"], outputs=["z", 0], constants={"a": 1})
+    settings = Settings(x0=np.array([1, 0]), duration=np.int64(3))
+    implementation = Implementation(period="1/8", saturation=[-1, 1], velocity=["x2"], noise=[0, 1])
+    population = Population(x0=[1, {"uniform": [0, 1]}], constants={"K": 2}, frequencies=[1, 2])
+    reference = certrack.SymbolicReference("K*sin(t)", constants={"K": 2}, declared=[2, 2])
+    law = certrack.Adaptive(c=[1, 2], theta0=[1], Gamma=[[1]], delta0=1)
+    bound = System(plant, law, reference, truth, settings, "", population, implementation)
+    assert bound.truth.omega[1].expr == TIME
+    assert float(bound.truth.input_gain.expr) == 3
+    for part in (plant, truth, own, settings, implementation, population, reference, law):
+        holds_its_types(part)
+    for part in (bound.truth, bound.population, bound.implementation, plant.uncertainty):
+        holds_its_types(part)
+
+
+def holds_its_types(part):
+    for name, type_ in typing.get_type_hints(type(part)).items():
+        if typing.get_origin(type_) is not typing.ClassVar:
+            assert is_a(getattr(part, name), type_), (name, getattr(part, name), type_)
+
+
+def is_a(value, type_):
+    origin, arguments = typing.get_origin(type_), typing.get_args(type_)
+    if type_ is typing.Any:
+        return True
+    if origin is types.UnionType:
+        return any(is_a(value, option) for option in arguments)
+    if origin is not tuple:
+        return type(value) is type_
+    if arguments[1:] == (...,):
+        arguments = arguments[:1] * len(value) if isinstance(value, tuple) else ()
+    return (
+        type(value) is tuple
+        and len(value) == len(arguments)
+        and all(is_a(v, t) for v, t in zip(value, arguments, strict=True))
+    )
 
 
 def test_catalog_lists_every_shipped_file():

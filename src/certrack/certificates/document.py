@@ -32,7 +32,7 @@ FORMAT = "certrack-certificate/1"
 #: A certificate of order 100 has less than 1 MB; reading stops here, whatever a stranger sends.
 MAX_CERTIFICATE_BYTES = 20_000_000
 
-KEYS = ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256")
+DOCUMENT_KEYS = ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256")
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,8 @@ def _read_document(path: Path) -> dict[str, Any]:
 
 def _stages(body: dict[str, Any]) -> tuple[Proof, ...]:
     """The proof's one to three stages, well formed."""
-    if not isinstance(body, dict) or tuple(sorted(body)) != tuple(sorted(KEYS)):
-        raise InputError("", "is not a certificate: it must have " + ", ".join(KEYS))
+    if not isinstance(body, dict) or tuple(sorted(body)) != tuple(sorted(DOCUMENT_KEYS)):
+        raise InputError("", "is not a certificate: it must have " + ", ".join(DOCUMENT_KEYS))
     if body["format"] != FORMAT:
         raise InputError("format", f"must be {FORMAT}", body["format"])
     if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):

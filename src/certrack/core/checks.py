@@ -27,10 +27,22 @@ def sequence(key: str, value: Any, length: int | None, what: str) -> list[Any]:
 def as_written(value: Any) -> Any:
     """The value as the user wrote it, for messages."""
     if isinstance(value, Expression):
-        return value.text
+        return number_or_text(value.text)
     if isinstance(value, (list, tuple)):
         return [as_written(entry) for entry in value]
     return value
+
+
+def number_or_text(text: str) -> int | float | str:
+    """The number that a text is the shortest form of, or else the text itself."""
+    for kind in (int, float):
+        try:
+            value = kind(text)
+        except ValueError:
+            continue
+        if repr(value) == text and math.isfinite(value):
+            return value
+    return text
 
 
 def real(

@@ -13,12 +13,13 @@ import ast
 import keyword
 import math
 import numbers
+import operator
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import sympy
@@ -30,11 +31,12 @@ MAX_NESTING = 100  # parentheses and operators
 MAX_NODES = 4_000
 MAX_POWER = 64  # magnitude of a numeric exponent
 MAX_ARGUMENTS = 8  # of min and max
+MAX_INTEGER_BITS = 1000  # of an integer in the text; about MAX_MAGNITUDE
+MAX_BITS = 20_000  # of the numerator and denominator of any constant
 MAX_MAGNITUDE = 1e300  # of any constant
 
 TIME = sympy.Symbol("t", real=True)
 
-_Unary = Callable[[float], float]
 _OfTwo = Callable[[sympy.Expr, sympy.Expr], sympy.Expr]
 
 
@@ -43,7 +45,7 @@ def _sign(value: float) -> float:
 
 
 #: name -> (SymPy function, the same in floating point, fewest and most arguments)
-FUNCTIONS: dict[str, tuple[Any, Callable[..., float], int, int]] = {
+ALLOWED_FUNCTIONS: dict[str, tuple[Any, Callable[..., float], int, int]] = {
     **{
         name: (getattr(sympy, name), getattr(math, name), 1, 1)
         for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh")
@@ -58,7 +60,14 @@ FUNCTIONS: dict[str, tuple[Any, Callable[..., float], int, int]] = {
     "max": (sympy.Max, max, 1, MAX_ARGUMENTS),
 }
 
-RESERVED = frozenset(FUNCTIONS) | {"t", "pi", "inf", "nan"}
+RESERVED_NAMES = frozenset(ALLOWED_FUNCTIONS) | {"t", "pi", "inf", "nan"}
+
+_ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 
@@ -93,7 +102,7 @@ def check_name(key: str, name: Any, used: Iterable[str] = ()) -> str:
         raise InputError(
             key, "names must be identifiers: a letter, then letters, digits and _", name
         )
-    if name in RESERVED:
+    if name in RESERVED_NAMES:
         raise InputError(
             key, "this name is reserved (function, time or number)", name, "Choose another name"
         )
@@ -238,7 +247,7 @@ class _Builder:
         if expr.has(sympy.nan, sympy.oo, sympy.zoo, sympy.I):
             raise self.fail("is not a finite real formula")
         for constant in expr.atoms(sympy.Rational):  # x*1e300*1e300 merges its factors
-            self.checked(lambda constant=constant: float(constant))  # type: ignore[misc]
+            self.checked(partial(float, constant))
         return expr
 
     def visit(self, node: ast.AST, depth: int) -> tuple[sympy.Expr, float | None]:
@@ -254,8 +263,8 @@ class _Builder:
                 if name not in self.names:
                     if self.any_name:
                         return symbol(name), None
-                    known = ", ".join(sorted(self.names))
-                    raise self.fail(f"unknown name {name!r}", remedy=f"Known here: {known}")
+                    names = ", ".join(sorted(self.names))
+                    raise self.fail(f"unknown name {name!r}", remedy=f"Known here: {names}")
                 return self.names[name]
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
                 expr, value = self.visit(operand, depth + 1)
@@ -268,13 +277,14 @@ class _Builder:
                 return self.call(name, [self.visit(arg, depth + 1) for arg in args])
         raise self.fail(
             f"{type(node).__name__} is not allowed in a formula",
-            remedy="Allowed: names, numbers, + - * / **, and " + ", ".join(sorted(FUNCTIONS)),
+            remedy="Allowed: names, numbers, + - * / **, and "
+            + ", ".join(sorted(ALLOWED_FUNCTIONS)),
         )
 
     def constant(self, value: Any) -> tuple[sympy.Expr, float]:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.fail(f"{type(value).__name__} is not a number", value)
-        if isinstance(value, int) and value.bit_length() > 1000:
+        if isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
             raise self.fail(f"a number is larger than {MAX_MAGNITUDE:g}")
         if not abs(value) <= MAX_MAGNITUDE:
             raise self.fail(f"a number is larger than {MAX_MAGNITUDE:g}")
@@ -288,23 +298,17 @@ class _Builder:
         right: tuple[sympy.Expr, float | None],
     ) -> tuple[sympy.Expr, float | None]:
         (a, va), (b, vb) = left, right
-        constant = va is not None and vb is not None
-        match op:
-            case ast.Add():
-                return a + b, self.checked(lambda: va + vb) if constant else None  # type: ignore[operator]
-            case ast.Sub():
-                return a - b, self.checked(lambda: va - vb) if constant else None  # type: ignore[operator]
-            case ast.Mult():
-                value = self.checked(lambda: va * vb) if constant else None  # type: ignore[operator]
-                return self.exact(a * b), value
-            case ast.Div():
-                if vb == 0 or b == 0:
-                    raise self.fail("divides by zero")
-                value = self.checked(lambda: va / vb) if constant else None  # type: ignore[operator]
-                return self.exact(a / b), value
-            case ast.Pow():
-                return self.power(a, va, b, vb)
-        raise self.fail(f"operator {type(op).__name__} is not allowed in a formula")
+        if isinstance(op, ast.Pow):
+            return self.power(a, va, b, vb)
+        compute = _ARITHMETIC.get(type(op))
+        if compute is None:
+            raise self.fail(f"operator {type(op).__name__} is not allowed in a formula")
+        if isinstance(op, ast.Div) and (vb == 0 or b == 0):
+            raise self.fail("divides by zero")
+        is_constant = va is not None and vb is not None
+        value = self.checked(partial(compute, va, vb)) if is_constant else None
+        expr = compute(a, b)
+        return self.exact(expr) if isinstance(op, (ast.Mult, ast.Div)) else expr, value
 
     def power(
         self, a: sympy.Expr, va: float | None, b: sympy.Expr, vb: float | None
@@ -330,11 +334,12 @@ class _Builder:
     def call(
         self, name: str, args: list[tuple[sympy.Expr, float | None]]
     ) -> tuple[sympy.Expr, float | None]:
-        if name not in FUNCTIONS:
+        if name not in ALLOWED_FUNCTIONS:
             raise self.fail(
-                f"unknown function {name!r}", remedy="Known: " + ", ".join(sorted(FUNCTIONS))
+                f"unknown function {name!r}",
+                remedy="Known: " + ", ".join(sorted(ALLOWED_FUNCTIONS)),
             )
-        build, compute, fewest, most = FUNCTIONS[name]
+        build, compute, fewest, most = ALLOWED_FUNCTIONS[name]
         if not fewest <= len(args) <= most:
             raise self.fail(f"{name} takes {fewest} to {most} arguments", f"{len(args)} arguments")
         args = [(expr, self.constant_value(expr, value)) for expr, value in args]
@@ -364,6 +369,6 @@ class _Builder:
 
     def exact(self, expr: sympy.Expr) -> sympy.Expr:
         """Refuse rationals that grow without bound under repeated multiplication."""
-        if expr.is_Rational and expr.q.bit_length() + abs(expr.p).bit_length() > 20_000:
+        if expr.is_Rational and expr.q.bit_length() + abs(expr.p).bit_length() > MAX_BITS:
             raise self.fail("a constant in the formula has too many digits")
         return expr

@@ -1,8 +1,11 @@
 """What a key of the system file holds, said once: as metadata of the field that it fills.
 
 The loader, its messages, the page on the system file, the comments of the starter file and the
-forms of a designer all read these :class:`Key` s. The classes that hold the values are frozen
-dataclasses, laws of a user's own among them, so that ``dataclasses.replace`` works on all of them;
+forms of a designer all read these :class:`Key` s.
+
+The classes that hold the values are frozen dataclasses, laws of a user's own among them, so that
+``dataclasses.replace`` works on all of them. A field holds what its type says; the constructor
+also takes what a user writes (lists, numbers, texts) and turns it into that, and
 :func:`set_fields` is the one place where a field is set while its instance is being built.
 """
 
@@ -16,7 +19,6 @@ from typing import Any
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.expressions import parse
 
 #: kind of a key -> what a reader of the page is told.
 KIND_WORDS = {
@@ -31,7 +33,7 @@ KIND_WORDS = {
     "integer": "whole number",
     "interval": "[low, high]",
     "intervals": "list of [low, high]",
-    "metric": "list of numbers, or a matrix",
+    "metric": "diagonal or matrix",
     "names": "list of names",
     "number": "number",
     "numbers": "list of numbers",
@@ -40,10 +42,10 @@ KIND_WORDS = {
     "texts": "list of texts",
 }
 
-#: Kinds whose texts are formulas of the plant's constants that give a number.
-NUMERIC = frozenset(
-    "any distribution distributions interval intervals metric number numbers rows".split()
-) | {"distributions by name"}
+#: Kinds whose texts are formulas of the plant's constants that give numbers: one, lists, tables.
+SCALARS = ("number", "distribution")
+LISTS = ("distributions", "interval", "intervals", "metric", "numbers", "rows")
+BY_NAME = ("distributions by name",)
 
 
 @dataclass(frozen=True)
@@ -99,11 +101,6 @@ class Key:
             raise ValueError(f"no such kind of key: {self.kind}")
 
     @property
-    def numeric(self) -> bool:
-        """Whether its texts are formulas of the plant's constants that give numbers."""
-        return self.kind in NUMERIC
-
-    @property
     def comment(self) -> str:
         """Its meaning and unit, as a comment in a system file says them."""
         return ", ".join(part for part in (self.help, self.unit) if part)
@@ -112,10 +109,10 @@ class Key:
     def limits(self) -> str:
         """Its limits in words; empty if there are none."""
         if self.choices:
-            return ", ".join(map(str, self.choices))
+            return " | ".join(map(str, self.choices))
         words = [f"> {self.above:g}"] if self.above is not None else []
         if self.least is not None and self.most is not None:
-            words.append(f"{self.least:g} to {self.most:g}")
+            words.append(f"{_short(self.least)} to {_short(self.most)}")
         elif self.least is not None:
             words.append(f">= {self.least:g}")
         elif self.most is not None:
@@ -162,6 +159,8 @@ class Key:
         ------
         InputError
             If it is not what this key holds.
+        NotImplementedError
+            If only the class that holds it can check it: formulas, names by value, distributions.
         """
         match self.kind:
             case "number":
@@ -170,12 +169,6 @@ class Key:
                 entries = checks.sequence(key, value, count, self.shape)
                 return tuple(
                     self._number(f"{key}[{i}]", v, constants) for i, v in enumerate(entries)
-                )
-            case "rows":
-                rows = checks.sequence(key, value, count, self.shape)
-                one = Key("numbers", shape=self.shape, above=self.above, infinite=self.infinite)
-                return tuple(
-                    one.checked(f"{key}[{i}]", row, constants) for i, row in enumerate(rows)
                 )
             case "integer":
                 least, most = (0 if end is None else int(end) for end in (self.least, self.most))
@@ -201,14 +194,17 @@ class Key:
             case "names":
                 entries = checks.sequence(key, value, count, self.shape)
                 return tuple(checks.text(f"{key}[{i}]", v) for i, v in enumerate(entries))
-            case "any":
-                return value
-            case "formula":
-                return parse(key, value, constants)
-            case "formulas":
-                entries = checks.sequence(key, value, count, self.shape)
-                return tuple(parse(f"{key}[{i}]", v, constants) for i, v in enumerate(entries))
         raise NotImplementedError(f"{key}: a {self.kind} is checked by the class that holds it")
+
+    def evaluated(self, key: str, value: Any, constants: Mapping[str, Any]) -> Any:
+        """The value with numbers instead of formulas of the constants; what does not fit stays."""
+        fits = (
+            self.kind == "any"
+            or (self.kind in SCALARS and not isinstance(value, list))
+            or (self.kind in LISTS and isinstance(value, list))
+            or (self.kind in BY_NAME and isinstance(value, dict))
+        )
+        return _evaluated(key, value, constants) if fits else value
 
     def _number(self, key: str, value: Any, constants: Mapping[str, Any] | None) -> float:
         limits: dict[str, Any] = {"nonzero": self.nonzero, "infinite": self.infinite}
@@ -241,8 +237,8 @@ class Key:
         return checks.reals(key, rows, None, "one number per regressor", constants, above=0)
 
     def _whole_choice(self, key: str, value: Any) -> int:
-        whole = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if not whole or value not in self.choices:
+        is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if not is_number or value not in self.choices:
             raise InputError(key, "must be " + " or ".join(map(str, self.choices)), value)
         return int(value)
 
@@ -262,8 +258,9 @@ def keyed(kind: str, default: Any = MISSING, **description: Any) -> Any:
     required = description.pop("required", default is MISSING)
     shown = None if default is MISSING else default
     key = Key(kind, required=required, default=None if required else shown, **description)
-    given = {} if default is MISSING else {"default": default}
-    return field(**given, metadata={"key": key})
+    if default is MISSING:
+        return field(metadata={"key": key})
+    return field(default=default, metadata={"key": key})
 
 
 def keys_of(owner: Any) -> dict[str, Key]:
@@ -292,12 +289,18 @@ def check_fields(instance: Any, table: str, *names: str) -> None:
         set_fields(instance, **{name: key.checked(where, value)})
 
 
-def evaluate(key: str, value: Any, constants: Mapping[str, Any]) -> Any:
-    """Replace the formulas of the constants in a value of a file, however nested, by numbers."""
+def _short(value: float) -> str:
+    """A limit as short as it can be said exactly."""
+    power = int(math.log2(value)) if value >= 2**20 else 0
+    return f"2^{power}" if power and value == 2**power else f"{value:g}"
+
+
+def _evaluated(key: str, value: Any, constants: Mapping[str, Any]) -> Any:
+    """Formulas in nested lists and tables replaced by their numbers."""
     if isinstance(value, list):
-        return [evaluate(f"{key}[{i}]", entry, constants) for i, entry in enumerate(value)]
+        return [_evaluated(f"{key}[{i}]", entry, constants) for i, entry in enumerate(value)]
     if isinstance(value, dict):
-        return {name: evaluate(f"{key}.{name}", v, constants) for name, v in value.items()}
+        return {name: _evaluated(f"{key}.{name}", v, constants) for name, v in value.items()}
     if not isinstance(value, str):
         return value
     return math.inf if value == "inf" else checks.real(key, value, constants)

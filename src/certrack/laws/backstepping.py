@@ -21,6 +21,7 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import DesignError, InputError
+from certrack.core.keys import set_fields
 
 #: A design with a larger coefficient is refused: the certificates square the coefficients, and the
 #: square must be a float.
@@ -53,17 +54,12 @@ class Gains:
         p = (math.inf,) * (n - 1) if self.p is None else self.p
         rows = checks.sequence("law.k", k, n, "row m holds k_m1 ... k_m,2m, m = 1 ... n")
         limits: dict[str, Any] = {"above": 0, "infinite": True}
-        object.__setattr__(self, "c", c)
-        object.__setattr__(
-            self,
-            "k",
-            tuple(
-                checks.reals(f"law.k[{m}]", row, 2 * m + 2, f"k_{m + 1},j", **limits)
-                for m, row in enumerate(rows)
-            ),
+        k = tuple(
+            checks.reals(f"law.k[{m}]", row, 2 * m + 2, f"k_{m + 1},j", **limits)
+            for m, row in enumerate(rows)
         )
         p = checks.reals("law.p", p, n - 1, "p_1 ... p_{n-1}", **limits)
-        object.__setattr__(self, "p", p)
+        set_fields(self, c=c, k=k, p=p)
 
     @property
     def is_lean(self) -> bool:

@@ -188,7 +188,7 @@ class Law(ABC):
     k: tuple[tuple[float, ...], ...] | None = keyed(
         "rows",
         None,
-        help="damping; inf omits a term",
+        help="damping: row m has 2m entries; inf omits a term",
         shape="row m holds k_m1 ... k_m,2m, m = 1 ... n",
         above=0,
         infinite=True,
@@ -197,7 +197,7 @@ class Law(ABC):
     p: tuple[float, ...] | None = keyed(
         "numbers",
         None,
-        help="damping of the reference derivative that is not fed forward; inf omits a term",
+        help="damping of the derivative of y_d not fed forward; inf omits a term",
         shape="p_1 ... p_{n-1}",
         above=0,
         infinite=True,
@@ -206,7 +206,7 @@ class Law(ABC):
     feedforward: int = keyed(
         "integer",
         0,
-        help="q, derivatives of y_d in the virtual controls: 0 ... n-1; the reference needs q+1",
+        help="derivatives of y_d in the virtual controls, q = 0 ... n-1",
         least=0,
         most=MAX_ORDER - 1,
     )

@@ -1,1 +1,1 @@
-"""What is given: plant, its uncertainty, the truth, the population of plants, the drive."""
+"""The plant, its uncertainty, the true plant, what varies between members, and the drive."""

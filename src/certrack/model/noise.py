@@ -1,19 +1,20 @@
 """Measurement noise: normal numbers that are a pure function of seed, member, sample and sensor.
 
 A member's key and a counter are hashed (SplitMix64) and turned into a normal number (Box, Muller).
-No state is kept, so any sample of any member can be had alone, in any order, and by the compiled
-integrator (``sampled_native.c``) as well.
+There is no state, so any sample of any member can be computed alone, in any order, and by the
+compiled integrator (``sampled_native.c``) as well.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+#: 2^64 over the golden ratio: the step of SplitMix64's counter.
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
 def keys(seed: int, first: int, count: int) -> np.ndarray:
-    """Keys of the members first ... first + count - 1, unsigned integers."""
+    """Keys of the members first ... first + count - 1, shape (count,), unsigned integers."""
     start = np.random.SeedSequence(seed).generate_state(1, np.uint64)
     members = np.arange(first, first + count, dtype=np.uint64)
     return _hashed(start + GOLDEN * members)
@@ -25,8 +26,8 @@ def normal(keys: np.ndarray, sample: int, sensors: int) -> np.ndarray:
     bits = _hashed(keys + GOLDEN * counters[:, None])
     high, low = bits >> np.uint64(32), bits & np.uint64(0xFFFFFFFF)
     radius = np.sqrt(-2.0 * np.log((high + 0.5) * 2.0**-32))
-    found: np.ndarray = radius * np.cos(low * (2.0**-32 * 2.0 * np.pi))
-    return found
+    numbers: np.ndarray = radius * np.cos(low * (2.0**-32 * 2.0 * np.pi))
+    return numbers
 
 
 def _hashed(z: np.ndarray) -> np.ndarray:

@@ -41,6 +41,10 @@ LOOP_PREFIXES = (
 )
 
 
+#: Bounds for no state: the uncertainty of a plant that states none.
+UNSTATED = Uncertainty((), (), ())
+
+
 @dataclass(frozen=True)
 class Plant:
     """What the designer knows of the plant [5].
@@ -86,16 +90,16 @@ class Plant:
         shape="names of x_1 ... x_n",
     )
     chain: tuple[Expression, ...] = keyed(
-        "formulas",
+        "numbers",
         (),
-        help="virtual control coefficients; [] for n = 1",
+        help="virtual control coefficients g_1 ... g_{n-1}; [] for n = 1",
         shape="g_1 ... g_{n-1}",
         nonzero=True,
     )
     linear: tuple[tuple[Expression, ...], ...] = keyed(
         "rows",
         None,
-        help="couplings b_ij: row i has i entries",
+        help="couplings b_ij: row i (1 ... n-1) has i entries",
         shape="rows b_i1 ... b_ii, i = 1 ... n-1",
         otherwise="zero",
     )
@@ -103,25 +107,25 @@ class Plant:
     regressor: tuple[Expression, ...] = keyed(
         "formulas",
         (),
-        help="phi(x), formulas of the states; [] when there is no unknown theta",
+        help="phi(x); [] when there is no unknown theta",
         shape="phi_1(x) ... phi_r(x)",
     )
     gain_sign: int = keyed("choice", 1, help="sign of g_n", choices=(1, -1), required=True)
     input_gain: Expression | None = keyed(
-        "formula",
+        "number",
         None,
         help="g_n, only where it is known; the robust law needs it",
         nonzero=True,
         otherwise="unknown",
     )
     theta: tuple[Expression, ...] | None = keyed(
-        "formulas",
+        "numbers",
         None,
         help="theta, only where it is known; the robust law needs it",
         shape="one number per regressor",
         otherwise="unknown",
     )
-    uncertainty: Uncertainty = Uncertainty((), (), ())  # of no states: none at all
+    uncertainty: Uncertainty = UNSTATED
     constants: tuple[tuple[str, Expression], ...] = keyed(
         "constants",
         (),
@@ -176,7 +180,7 @@ class Plant:
 
     def _check_uncertainty(self, n: int) -> Uncertainty:
         bounds: Any = self.uncertainty
-        if bounds is None or bounds == Uncertainty((), (), ()):
+        if bounds is None or bounds == UNSTATED:
             return Uncertainty.none(n)
         if isinstance(bounds, Mapping):
             return Uncertainty.from_table(bounds, n, self.constant_values)
@@ -193,14 +197,14 @@ class Plant:
             raise InputError("plant.states", f"must be 1 to {MAX_ORDER} names", names)
         states: list[str] = []
         for i, name in enumerate(names):
-            states.append(free_name(f"plant.states[{i}]", name, states))
+            states.append(new_name(f"plant.states[{i}]", name, states))
         return tuple(states)
 
     def _check_constants(self, states: tuple[str, ...]) -> tuple[tuple[str, Expression], ...]:
         constants: dict[str, Expression] = {}
         for name, value in name_value_pairs("plant.constants", self.constants):
             key = f"plant.constants.{name}"
-            free_name(key, name, [*states, *constants])
+            new_name(key, name, [*states, *constants])
             constants[name] = number(key, value, {k: v.expr for k, v in constants.items()})
         return tuple(constants.items())
 
@@ -289,8 +293,8 @@ class Plant:
         unknown = set(values) - {name for name, _ in self.constants}
         if unknown:
             raise InputError("constants", f"unknown constant {sorted(unknown)[0]!r}")
-        sources = {name: values.get(name, value) for name, value in self.constants}
-        return replace(self, constants=sources)  # type: ignore[arg-type]
+        sources: Any = {name: values.get(name, value) for name, value in self.constants}
+        return replace(self, constants=sources)
 
 
 def name_value_pairs(key: str, constants: Any) -> list[tuple[str, Any]]:
@@ -303,7 +307,7 @@ def name_value_pairs(key: str, constants: Any) -> list[tuple[str, Any]]:
     return [(name, value) for name, value in pairs]
 
 
-def free_name(key: str, name: Any, used: Sequence[str]) -> str:
+def new_name(key: str, name: Any, used: Sequence[str]) -> str:
     """A name that is not used yet, neither here nor by the language nor by the closed loop."""
     check_name(key, name, used)
     if name in LOOP_SIGNALS or name.startswith(LOOP_PREFIXES):

@@ -17,8 +17,8 @@ from certrack.model.plant import (
     Plant,
     check_gain,
     check_within,
-    free_name,
     name_value_pairs,
+    new_name,
 )
 
 #: What a truth with states of its own has no place for.
@@ -60,15 +60,15 @@ class Truth:
     """
 
     input_gain: Expression | None = keyed(
-        "formula", None, help="true g_n", nonzero=True, otherwise="required"
+        "number", None, help="true g_n", nonzero=True, otherwise="required without states"
     )
     theta: tuple[Expression, ...] = keyed(
-        "formulas", (), help="true theta", shape="one number per regressor"
+        "numbers", (), help="true theta", shape="one number per regressor"
     )
     omega: tuple[Expression, ...] | None = keyed(
         "formulas",
         None,
-        help="the uncertain terms, formulas of t and the states",
+        help="w_1 ... w_n, formulas of t and the states",
         shape="w_1 ... w_n, one per state",
         otherwise="zero",
     )
@@ -123,7 +123,7 @@ class Truth:
                 raise InputError(f"truth.{name}", "needs truth.states", remedy="Name the states")
         if self.input_gain is None:
             raise InputError("truth.input_gain", "is missing")
-        set_fields(self, input_gain=_formula("truth.input_gain", self.input_gain))
+        set_fields(self, input_gain=_open_formula("truth.input_gain", self.input_gain))
         self._read_formulas("theta", "omega")
         check_fields(self, "truth", "tau")
 
@@ -139,7 +139,7 @@ class Truth:
         if not 1 <= len(names) <= MAX_ORDER:
             raise InputError("truth.states", f"must be 1 to {MAX_ORDER} names", names)
         for i, name in enumerate(names):
-            states.append(free_name(f"truth.states[{i}]", name, states))
+            states.append(new_name(f"truth.states[{i}]", name, states))
         set_fields(self, states=tuple(states))
         for name in ("rates", "outputs"):
             if getattr(self, name) is None:
@@ -153,7 +153,7 @@ class Truth:
             value, key = getattr(self, name), f"truth.{name}"
             if value is not None:
                 entries = checks.sequence(key, value, count, keys_of(self)[name].shape)
-                formulas = (_formula(f"{key}[{i}]", entry) for i, entry in enumerate(entries))
+                formulas = (_open_formula(f"{key}[{i}]", entry) for i, entry in enumerate(entries))
                 set_fields(self, **{name: tuple(formulas)})
 
     def bound_to(self, plant: Plant) -> Truth:
@@ -164,7 +164,9 @@ class Truth:
         constants = constants_of_truth(plant, self.constants)
         gain = check_gain("truth.input_gain", self.input_gain, plant.gain_sign, constants)
         check_within("truth.input_gain", gain, plant.input_gain_range, "input_gain")
-        theta = _formulas("truth.theta", self.theta, plant.r, "one number per regressor", constants)
+        theta = _named_formulas(
+            "truth.theta", self.theta, plant.r, "one number per regressor", constants
+        )
         for i, box in enumerate(plant.theta_range or ()):
             check_within(f"truth.theta[{i}]", float(theta[i].expr), box, "theta")
         omega = ("0",) * plant.n if self.omega is None else self.omega
@@ -174,7 +176,9 @@ class Truth:
             self,
             input_gain=number("truth.input_gain", self.input_gain, constants),
             theta=theta,
-            omega=_formulas("truth.omega", omega, plant.n, "w_1 ... w_n, one per state", names),
+            omega=_named_formulas(
+                "truth.omega", omega, plant.n, "w_1 ... w_n, one per state", names
+            ),
             tau=tuple(checks.sequence("truth.tau", tau, plant.n, "one number per state")),
         )
 
@@ -188,15 +192,15 @@ class Truth:
         for i, name in enumerate(constants):
             if name not in plant.constant_values:
                 used = [*plant.states, *states, *list(constants)[:i]]
-                free_name(f"truth.constants.{name}", name, used)
+                new_name(f"truth.constants.{name}", name, used)
         names = [*states, *dict.fromkeys([*plant.constant_values, *constants])]
-        rates = _formulas(
+        rates = _named_formulas(
             "truth.rates", self.rates or (), len(states), "one per state", ["t", "u", *names]
         )
         if not any(symbol("u") in rate.expr.free_symbols for rate in rates):
             raise InputError("truth.rates", "must contain the input u")
         what = "one per state of the plant"
-        outputs = _formulas("truth.outputs", self.outputs or (), plant.n, what, names)
+        outputs = _named_formulas("truth.outputs", self.outputs or (), plant.n, what, names)
         return replace(self, rates=rates, outputs=outputs)
 
 
@@ -210,12 +214,12 @@ def constants_of_truth(plant: Plant, constants: Any) -> dict[str, sympy.Expr]:
     return plant.with_constants(**values).constant_values
 
 
-def _formula(key: str, text: Any) -> Expression:
+def _open_formula(key: str, text: Any) -> Expression:
     """A formula whose names are checked when the plant is known."""
     return text if isinstance(text, Expression) else parse(key, text, None)
 
 
-def _formulas(
+def _named_formulas(
     key: str,
     texts: Iterable[Any],
     count: int,

@@ -72,7 +72,6 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
             "times": Key(
                 "numbers",
                 help="when each move begins",
-                shape="times of the moves, s",
                 unit="s",
                 required=True,
             ),
@@ -92,12 +91,16 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
             "times": Key(
                 "numbers",
                 help="sample times, increasing",
-                shape="sample times, s",
                 unit="s",
                 required=True,
+                otherwise="or file",
             ),
             "values": Key(
-                "numbers", help="y_d at these times", shape="one value per time", required=True
+                "numbers",
+                help="y_d at these times",
+                shape="one per time",
+                required=True,
+                otherwise="or file",
             ),
             "interpolation": Key(
                 "choice",

@@ -19,6 +19,7 @@ import sympy
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
+from certrack.core.keys import set_fields
 from certrack.references.base import Bounds, round_up
 
 #: Of every piece: enough for a cubic interpolant.
@@ -70,7 +71,7 @@ class PiecewiseReference:
         if self.bound is None:
             return
         limit = checks.real("reference.bound", self.bound, above=0)
-        object.__setattr__(self, "bound", limit)
+        set_fields(self, bound=limit)
         inside = np.linspace(1e-9, 1 - 1e-9, BOUND_POINTS)
         points = self._knots[:-1, None] + np.diff(self._knots)[:, None] * inside
         total = np.abs(self.values(points.ravel(), 1)).sum(axis=0).max()

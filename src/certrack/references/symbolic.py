@@ -13,6 +13,7 @@ import sympy
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, Expression, derivative, number, parse, symbol
+from certrack.core.keys import set_fields
 from certrack.core.lowering import numpy_callable, rows
 from certrack.references.base import Bounds, require_order
 from certrack.references.supremum import interval_supremum, sinusoid_supremum
@@ -61,15 +62,14 @@ class SymbolicReference:
                 signal.text,
                 'Use kind = "steps" with a slope limit, or kind = "samples"',
             )
-        object.__setattr__(self, "constants", pairs)
-        object.__setattr__(self, "signal", signal)
+        set_fields(self, constants=pairs, signal=signal)
         if self.bound is not None:
-            object.__setattr__(self, "bound", checks.real("reference.bound", self.bound, above=0))
+            set_fields(self, bound=checks.real("reference.bound", self.bound, above=0))
         if self.declared is not None:
             declared = checks.reals(
                 "reference.bounds", self.declared, None, "Y_0, Y_1, ...", least=0
             )
-            object.__setattr__(self, "declared", declared)
+            set_fields(self, declared=declared)
         self._refuse_contradictions()
 
     def _refuse_contradictions(self) -> None:

@@ -12,29 +12,36 @@ from certrack.core.expressions import symbol
 from certrack.laws.base import Signals, dot
 from certrack.systems.system import System
 
-DIGITS = 6
+#: Significant digits of the numbers in printed formulas.
+PRINTED_DIGITS = 6
 
-Lines = list[tuple[str, str]]
+#: Left and right side of each formula.
+Sides = list[tuple[str, str]]
 
 
 def as_text(system: System) -> list[str]:
     """One line per formula, plain text."""
-    return [f"{left} = {right}" for left, right in _lines(system, _text, "e_{}", "lambda_{}")]
+    return [
+        f"{left} = {right}"
+        for left, right in _equation_sides(system, _as_plain_text, "e_{}", "lambda_{}")
+    ]
 
 
 def as_latex(system: System) -> str:
     """The whole design as a LaTeX ``align*`` environment."""
-    lines = _lines(system, _latex, "e_{{{}}}", r"\lambda_{{{}}}")
+    lines = _equation_sides(system, _as_latex_text, "e_{{{}}}", r"\lambda_{{{}}}")
     body = " \\\\\n".join(f"  {left} &= {right}" for left, right in lines)
     return f"\\begin{{align*}}\n{body}\n\\end{{align*}}"
 
 
-def _lines(system: System, show: Callable[[sympy.Expr], str], e: str, virtual: str) -> Lines:
+def _equation_sides(
+    system: System, show: Callable[[sympy.Expr], str], e: str, virtual: str
+) -> Sides:
     """Left and right sides, in the order in which the design is read."""
     plant, design = system.plant, system.controller.coordinates
     n, x = plant.n, plant.symbols
     Y = [symbol(f"y_d_{i}") for i in range(design.q + 2)]
-    lines: Lines = [(e.format(1), show(x[0] - Y[0]))]
+    lines: Sides = [(e.format(1), show(x[0] - Y[0]))]
     for m in range(1, n):
         formula = _linear(design.eta[m - 1], x[:m]) + _linear(design.d[m - 1], Y[:-1])
         lines.append((virtual.format(m), show(formula)))
@@ -46,17 +53,18 @@ def _lines(system: System, show: Callable[[sympy.Expr], str], e: str, virtual: s
     equations = system.law.equations(short)
     names = [s for group in short.all_parameters.values() for s in group]
     values = system.law.values(plant, list(short.all_parameters))
-    known = {s: sympy.Float(v, DIGITS) for s, v in zip(names, values, strict=True)}
-    known[symbol("e_n")] = symbol(f"e_{n}")
-    lines.append(("u", show(_rounded(equations.u.xreplace(known)))))
+    symbols = {s: sympy.Float(v, PRINTED_DIGITS) for s, v in zip(names, values, strict=True)}
+    symbols[symbol("e_n")] = symbol(f"e_{n}")
+    lines.append(("u", show(_rounded(equations.u.xreplace(symbols)))))
     for state, rate in equations.update:
-        lines.append((_dotted(show, state), show(_rounded(rate.xreplace(known)))))
+        lines.append((_dotted(show, state), show(_rounded(rate.xreplace(symbols)))))
     return lines
 
 
 def _linear(weights: np.ndarray, terms: Sequence[sympy.Symbol]) -> sympy.Expr:
     return dot(
-        [sympy.Float(weight, DIGITS) if weight else sympy.S.Zero for weight in weights], terms
+        [sympy.Float(weight, PRINTED_DIGITS) if weight else sympy.S.Zero for weight in weights],
+        terms,
     )
 
 
@@ -66,7 +74,7 @@ def _rounded(expr: sympy.Expr) -> sympy.Expr:
     return expr.xreplace({f: sympy.Integer(int(f)) for f in floats if float(f).is_integer()})
 
 
-def _text(expr: sympy.Expr) -> str:
+def _as_plain_text(expr: sympy.Expr) -> str:
     text = sympy.sstr(_rounded(expr), full_prec=False)
     for i in range(20, 1, -1):
         text = text.replace(f"y_d_{i}", f"y_d^({i})")
@@ -74,7 +82,7 @@ def _text(expr: sympy.Expr) -> str:
 
 
 def _dotted(show: Callable[[sympy.Expr], str], state: sympy.Symbol) -> str:
-    return rf"\dot{{{show(state)}}}" if show is _latex else f"{state.name}'"
+    return rf"\dot{{{show(state)}}}" if show is _as_latex_text else f"{state.name}'"
 
 
 class _Latex(LatexPrinter):
@@ -91,5 +99,5 @@ class _Latex(LatexPrinter):
         return str(super()._print_Symbol(expr))
 
 
-def _latex(expr: sympy.Expr) -> str:
+def _as_latex_text(expr: sympy.Expr) -> str:
     return str(_Latex({"full_prec": False}).doprint(_rounded(expr)))

@@ -1,20 +1,15 @@
-"""Every key of the system file, and what is written from them.
+"""Every key of the system file, table by table.
 
 The keys are those of the dataclass fields and reference kinds that they fill; here they are put in
-the order of the file. ``python -m certrack.systems.keys PAGE STARTER`` writes the tables of the
-page docs/system-file.md and the comments of starter.toml anew; ``make keys`` calls it.
+the order of the file, for the loader, for :mod:`certrack.systems.documentation` and for forms.
 """
 
 from __future__ import annotations
 
-import re
-import sys
-from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, fields
-from pathlib import Path
 from typing import Any
 
-from certrack.core.keys import KIND_WORDS, Key, keys_of
+from certrack.core.keys import Key, keys_of
 from certrack.laws import LAWS, Law
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -25,7 +20,7 @@ from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS
 from certrack.systems.system import Settings, System
 
 
-def _table(owner: Any, below: str = "") -> dict[str, Key]:
+def _keys_below(owner: Any, below: str = "") -> dict[str, Key]:
     """Keys of a class that stand in its table, or in the named table below that."""
     keys: dict[str, Key] = {}
     for field, key in keys_of(owner).items():
@@ -53,17 +48,17 @@ def reference_keys(kind: str) -> dict[str, Key]:
 #: Tables of the file and their keys. Where the keys depend on the kind, it stands in brackets.
 TABLES: dict[str, dict[str, Key]] = {
     "": keys_of(System),
-    "plant": _table(Plant),
-    "plant.ranges": _table(Plant, "ranges"),
-    "plant.uncertainty": _table(Uncertainty),
-    "truth": _table(Truth),
+    "plant": _keys_below(Plant),
+    "plant.ranges": _keys_below(Plant, "ranges"),
+    "plant.uncertainty": _keys_below(Uncertainty),
+    "truth": _keys_below(Truth),
     "reference": dict(FORMULA_KEYS),
     **{f"reference[{kind}]": reference_keys(kind) for kind in REFERENCE_KINDS},
     **{f"law[{kind}]": law_keys(law) for kind, law in LAWS.items()},
-    "simulation": _table(Settings),
-    "implementation": _table(Implementation),
-    "ensemble": _table(Population),
-    "ensemble.reference": _table(Population, "reference"),
+    "simulation": _keys_below(Settings),
+    "implementation": _keys_below(Implementation),
+    "ensemble": _keys_below(Population),
+    "ensemble.reference": _keys_below(Population, "reference"),
 }
 
 #: Path -> key, e.g. ``"plant.chain"``, ``"law[adaptive].Gamma"``.
@@ -77,101 +72,3 @@ KEYS: dict[str, Key] = {
 def as_dicts() -> dict[str, dict[str, Any]]:
     """All keys in a form that JSON holds, for the forms of a designer."""
     return {path: key.as_dict() for path, key in KEYS.items()}
-
-
-BEGIN, END = "<!-- keys: written by make keys -->", "<!-- end of keys -->"
-HEADINGS = ("key", "what it is", "unit", "limits", "if left out", "meaning")
-
-
-def page_section() -> str:
-    """The tables of the page on the system file, as Markdown."""
-    return "\n\n".join(_page_tables())
-
-
-def _page_tables() -> Iterator[str]:
-    for table, rows in _merged_tables().items():
-        title = f"### `[{table}]`" if table else "### Before the first table"
-        yield "\n".join([title, "", _row(HEADINGS), _row(["---"] * len(HEADINGS)), *rows])
-
-
-def _merged_tables() -> dict[str, list[str]]:
-    """Rows of each table; keys that several kinds share are one row."""
-    kinds: dict[tuple[str, str, Key], list[str]] = {}
-    for path, keys in TABLES.items():
-        table, _, kind = path.rstrip("]").partition("[")
-        for name, key in keys.items():
-            kinds.setdefault((table, name, key), []).append(kind)
-    tables: dict[str, list[str]] = {}
-    for (table, name, key), names in kinds.items():
-        total = sum(path.partition("[")[0] == table for path in TABLES)
-        every = len(names) == total or name == "kind"
-        only = "" if every else ", ".join(name or "formula" for name in names)
-        tables.setdefault(table, []).append(_key_row(name, key, only))
-    return tables
-
-
-def _key_row(name: str, key: Key, only: str) -> str:
-    words = ", ".join(filter(None, (KIND_WORDS[key.kind], key.shape)))
-    left_out = "**required**" if key.required else key.otherwise or _default(key.default)
-    meaning = f"{key.help} ({only})" if only else key.help
-    return _row([f"`{name}`", words, key.unit, key.limits, left_out, meaning])
-
-
-def _default(value: Any) -> str:
-    if isinstance(value, tuple):
-        return f"`[{', '.join(map(str, value))}]`"
-    return f"`{value:g}`" if isinstance(value, (int, float)) else f"`{value}`"
-
-
-def _row(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
-
-
-def with_section(page: str) -> str:
-    """The page with its tables written anew."""
-    before, _, rest = page.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n\n{page_section()}\n\n{END}{after}"
-
-
-_STARTER_LINE = re.compile(r"(?P<code>(?:# )?(?P<name>\w+) = .*?)(?P<gap> *)(?:# (?P<comment>.*))?")
-
-#: Column of the comments of the starter file.
-COLUMN = 37
-
-
-def with_comments(starter: str) -> str:
-    """The starter file with the comments of its keys written anew."""
-    lines, table = [], ""
-    for line in starter.splitlines():
-        header = re.match(r"\[([\w.]+)\]", line)
-        match = _STARTER_LINE.fullmatch(line)
-        table = header[1] if header else table
-        comment = _starter_comment(table, match["name"], match["code"]) if match else None
-        if match and comment:
-            line = f"{match['code']:<{COLUMN - 2}}  # {comment}"
-        lines.append(line)
-    return "\n".join(lines) + "\n"
-
-
-def _starter_comment(table: str, name: str, code: str) -> str | None:
-    """Comment of a key; None where the file has words of its own."""
-    if table == "law":
-        table = "law[adaptive]"
-    if table == "reference" and name == "kind":
-        kind = code.split('"')[1]
-        return ", ".join(REFERENCE_KINDS[kind].keys)
-    key = TABLES.get(table, {}).get(name)
-    if key is None:
-        return None
-    return f"{key.comment}: {key.limits}" if key.kind == "choice" else key.comment
-
-
-def main(page: str, starter: str) -> None:
-    """Write the tables of the page and the comments of the starter file."""
-    for path, write in ((Path(page), with_section), (Path(starter), with_comments)):
-        path.write_text(write(path.read_text("utf-8")), "utf-8")
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

@@ -27,6 +27,8 @@ def line_of(text: str, key: str) -> int | None:
     If it is not there, the line of the innermost table, list or key around it; None if that is
     the file itself.
     """
+    if not key:
+        return None
     scanner = _Scanner(text, key)
     try:
         scanner.scan()

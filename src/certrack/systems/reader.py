@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import tomllib
 import warnings
 from collections.abc import Mapping
@@ -20,7 +21,7 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.keys import Key, evaluate
+from certrack.core.keys import Key
 from certrack.laws import Law, known_laws
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -130,16 +131,24 @@ def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -
         What messages call the file.
     folder : Path, optional
         Where sample files lie; without it they are refused.
+
+    Returns
+    -------
+    System
+
+    Raises
+    ------
+    InputError
+        If anything in it does not fit; it names the key and the line.
     """
     try:
         decoded = _decoded(text)
     except InputError as problem:
         raise problem.within(name) from None
     try:
-        return _system(_parsed(decoded), folder)
+        return _read_system(_parsed(decoded), folder)
     except InputError as problem:
-        line = problem.line or (line_of(decoded, problem.key) if problem.key else None)
-        raise problem.within(name, line) from None
+        raise problem.within(name, problem.line or line_of(decoded, problem.key)) from None
 
 
 def _decoded(text: str | bytes) -> str:
@@ -156,50 +165,56 @@ def _parsed(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
-        raise InputError("", f"is not TOML: {problem}") from None
+        error = InputError("", f"is not TOML: {problem}")
+        place = re.search(r"at line (\d+)", str(problem))
+        error.line = int(place[1]) if place else None
+        raise error from None
     except RecursionError:
         raise InputError("", "is not TOML: nested too deeply") from None
 
 
-def _system(tables: dict[str, Any], folder: Path | None) -> System:
+def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
     checks.known_keys("", tables, SECTIONS, required=REQUIRED_SECTIONS)
-    plant = _plant(tables["plant"])
+    plant = _read_plant(tables["plant"])
     constants = plant.constant_values
     return System(
         plant=plant,
-        law=_law(tables["law"], constants),
-        reference=_reference(tables["reference"], constants, folder),
-        truth=_truth(tables["truth"], plant),
-        settings=Settings(**_values("simulation", tables["simulation"], constants)),
+        law=_read_law(tables["law"], constants),
+        reference=_read_reference(tables["reference"], constants, folder),
+        truth=_read_truth(tables["truth"], plant),
+        settings=Settings(**_read_values("simulation", tables["simulation"], constants)),
         title=checks.text("title", tables.get("title", "")),
-        population=_population(tables.get("ensemble"), constants),
-        implementation=_implementation(tables.get("implementation"), constants),
+        population=_read_population(tables.get("ensemble"), constants),
+        implementation=_read_implementation(tables.get("implementation"), constants),
     )
 
 
-def _values(
+def _read_values(
     table: str,
     entries: Any,
     constants: Mapping[str, Any],
     keys: Mapping[str, Key] | None = None,
 ) -> dict[str, Any]:
-    """Entries of a table, all known and none missing, with numbers instead of their formulas."""
+    """Entries of a table, all known and none missing, with numbers instead of their formulas.
+
+    The class or function that takes them checks the rest.
+    """
     keys = TABLES[table] if keys is None else keys
     required = [name for name, key in keys.items() if key.required]
     checks.known_keys(table, entries, keys, required)
     return {
-        name: evaluate(f"{table}.{name}", value, constants) if keys[name].numeric else value
+        name: keys[name].evaluated(f"{table}.{name}", value, constants)
         for name, value in entries.items()
     }
 
 
-def _any_names(table: str, entries: Any) -> dict[str, Any]:
+def _read_named_values(table: str, entries: Any) -> dict[str, Any]:
     """A table whose names the user chooses."""
     checks.known_keys(table, entries, entries)
     return dict(entries)
 
 
-def _plant(table: Any) -> Plant:
+def _read_plant(table: Any) -> Plant:
     tables = ("constants", "ranges", "uncertainty")
     names = list(dict.fromkeys([*TABLES["plant"], *tables]))
     checks.known_keys("plant", table, names, required=("states",))
@@ -211,40 +226,41 @@ def _plant(table: Any) -> Plant:
         checks.known_keys("plant.uncertainty", values["uncertainty"], keys, required=keys)
     if "gain_sign" not in values:
         raise InputError("plant.gain_sign", "is missing", remedy="State 1 or -1")
+    values["constants"] = _read_named_values("plant.constants", values.get("constants", {}))
     return Plant(
-        **values | {"constants": _any_names("plant.constants", values.get("constants", {}))},
+        **values,
         input_gain_range=ranges.get("input_gain"),
         theta_range=ranges.get("theta"),
     )
 
 
-def _truth(table: Any, plant: Plant) -> Truth:
+def _read_truth(table: Any, plant: Plant) -> Truth:
     checks.known_keys("truth", table, TABLES["truth"])
-    constants = _any_names("truth.constants", table.get("constants", {}))
+    constants = _read_named_values("truth.constants", table.get("constants", {}))
     values = table | {"constants": constants}
     if "tau" in values and "states" not in values:
         numbers = constants_of_truth(plant, constants) if constants else plant.constant_values
-        values["tau"] = evaluate("truth.tau", values["tau"], numbers)
+        values["tau"] = TABLES["truth"]["tau"].evaluated("truth.tau", values["tau"], numbers)
     return Truth(**values)
 
 
-def _law(table: Any, constants: Mapping[str, Any]) -> Law:
+def _read_law(table: Any, constants: Mapping[str, Any]) -> Law:
     if not isinstance(table, dict):
         raise InputError("law", "must be a table [law]", table)
     laws = known_laws()
     if "kind" not in table:
         raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(laws))
     law = laws[checks.choice("law.kind", table["kind"], laws)]
-    values = _values("law", table, constants, law_keys(law))
+    values = _read_values("law", table, constants, law_keys(law))
     del values["kind"]
     return law(**values)
 
 
-def _reference(table: Any, constants: Mapping[str, Any], folder: Path | None) -> Reference:
+def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | None) -> Reference:
     if not isinstance(table, dict):
         raise InputError("reference", "must be a table [reference]", table)
     if "signal" in table:
-        values = _values("reference", table, constants)
+        values = _read_values("reference", table, constants)
         return SymbolicReference(
             signal=values["signal"],
             bound=values.get("bound"),
@@ -257,7 +273,7 @@ def _reference(table: Any, constants: Mapping[str, Any], folder: Path | None) ->
     entries = dict(table)
     if kind == "samples" and "file" in entries:
         entries |= _samples_of_file(entries.pop("file"), folder)
-    values = _values("reference", entries, constants, reference_keys(kind))
+    values = _read_values("reference", entries, constants, reference_keys(kind))
     del values["kind"]
     return REFERENCE_KINDS[kind].make(**values)
 
@@ -285,19 +301,19 @@ def _samples_of_file(name: Any, folder: Path | None) -> dict[str, list[float]]:
     return {"times": table[:, 0].tolist(), "values": table[:, 1].tolist()}
 
 
-def _population(table: Any, constants: Mapping[str, Any]) -> Population | None:
+def _read_population(table: Any, constants: Mapping[str, Any]) -> Population | None:
     if table is None:
         return None
     names = [*TABLES["ensemble"], "reference"]
     checks.known_keys("ensemble", table, names)
     entries = dict(table)
-    factors = _values("ensemble.reference", entries.pop("reference", {}), constants)
+    factors = _read_values("ensemble.reference", entries.pop("reference", {}), constants)
     if "constants" in entries:
-        entries["constants"] = _any_names("ensemble.constants", entries["constants"])
-    return Population(**_values("ensemble", entries, constants), **factors)
+        entries["constants"] = _read_named_values("ensemble.constants", entries["constants"])
+    return Population(**_read_values("ensemble", entries, constants), **factors)
 
 
-def _implementation(table: Any, constants: Mapping[str, Any]) -> Implementation | None:
+def _read_implementation(table: Any, constants: Mapping[str, Any]) -> Implementation | None:
     if table is None:
         return None
-    return Implementation(**_values("implementation", table, constants))
+    return Implementation(**_read_values("implementation", table, constants))

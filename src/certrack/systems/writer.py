@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import fields
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from certrack.core.checks import number_or_text
 from certrack.core.expressions import Expression, parse
 from certrack.core.files import write_text
 from certrack.laws import Law
@@ -44,7 +44,7 @@ def to_text(system: System) -> str:
     for name, table in tables.items():
         document[name] = {
             key: _shelve(value, shelf) if isinstance(value, list) else value
-            for key, value in _plain(table).items()
+            for key, value in _as_toml(table).items()
         }
     text = tomlkit.dumps(document)
     for i, values in enumerate(shelf):
@@ -65,32 +65,21 @@ def save(system: System, path: str | os.PathLike[str]) -> None:
     write_text(Path(path), to_text(system))
 
 
-def _plain(value: Any) -> Any:
+def _as_toml(value: Any) -> Any:
     """Expressions as numbers or text, tuples as lists."""
     if isinstance(value, Distribution):
         if value.kind == "fixed":
             return value.values[0]
         return {value.kind: list(value.values)}
     if isinstance(value, Expression):
-        return _number_or_text(value.text)
+        return number_or_text(value.text)
     if isinstance(value, dict):
-        return {name: _plain(entry) for name, entry in value.items()}
+        return {name: _as_toml(entry) for name, entry in value.items()}
     if isinstance(value, (tuple, list)):
-        return [_plain(entry) for entry in value]
+        return [_as_toml(entry) for entry in value]
     if isinstance(value, np.generic):
         return value.item()
     return value
-
-
-def _number_or_text(text: str) -> int | float | str:
-    for kind in (int, float):
-        try:
-            number = kind(text)
-        except ValueError:
-            continue
-        if repr(number) == text and math.isfinite(number):
-            return number
-    return text
 
 
 def _present(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -116,8 +105,8 @@ def _truth_table(truth: Truth) -> dict[str, Any]:
 def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
     if isinstance(reference, SymbolicReference):
         signal: Any = reference.signal
-        own = {name: value.expr for name, value in reference.constants}
-        if any(plant.constant_values.get(name) != value for name, value in own.items()):
+        constants = {name: value.expr for name, value in reference.constants}
+        if any(plant.constant_values.get(name) != value for name, value in constants.items()):
             signal = parse(
                 "reference.signal", reference.numeric, ["t"]
             )  # the file has no such name
