@@ -5,6 +5,7 @@
 # make bench  measures speed, as ratios within one run
 PYTHON ?= python3
 BIN := .venv/bin
+COVERAGE := --cov --cov-report=term
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: demo test slow bench clean
@@ -16,7 +17,7 @@ test: .venv/tested
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 -m "not slow" --cov --cov-report=term
+	$(BIN)/pytest -n 2 -m "not slow" $(COVERAGE)
 
 slow: .venv/tested
 	$(BIN)/pytest -n 2 -m slow
