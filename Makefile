@@ -6,6 +6,7 @@
 # make keys   writes what docs and starter file say of each key of a system file
 PYTHON ?= python3
 BIN := .venv/bin
+COVERAGE := --cov --cov-report=term
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: demo test slow bench keys clean
@@ -17,7 +18,7 @@ test: .venv/tested
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 -m "not slow" --cov --cov-report=term
+	$(BIN)/pytest -n 2 -m "not slow" $(COVERAGE)
 
 slow: .venv/tested
 	$(BIN)/pytest -n 2 -m slow
