@@ -516,6 +516,7 @@ def test_a_part_holds_what_its_types_say():
         holds_its_types(part)
     for part in (bound.truth, bound.population, bound.implementation, plant.uncertainty):
         holds_its_types(part)
+    holds_its_types(Distribution("uniform", [0, 1]))
 
 
 def holds_its_types(part):
