@@ -77,14 +77,14 @@ class AdversarialLoop:
         start = np.array([*self._template.start, 0.0, 0.0, 0.0])  # the integrals begin at zero
         worst = np.zeros(count)
 
-        def look(states: np.ndarray, escaped: np.ndarray, members: slice) -> None:
+        def observe(states: np.ndarray, escaped: np.ndarray, members: slice) -> None:
             y_d = shape.reference(waves[:, members], self._times[1:])
             error = np.abs(states[1:, 0] - y_d)
             seen = np.nan_to_num(error, nan=0.0).max(axis=0)  # a run cut short shows what it has
             worst[members] = np.where(escaped, ESCAPE_SCORE, seen)
 
         starts = np.repeat(start[:, None], count, axis=1)
-        self._integrator.over_time(starts, table.values, self._times, look)
+        self._integrator.over_time(starts, table.values, self._times, observe)
         return worst
 
 

@@ -34,11 +34,11 @@ class MapsSampled(SampledLoopMethod):
         events, count = course.timeline, course.x.shape[1]
         times = events.times[events.marks >= 0]
 
-        def look(k: int) -> None:
+        def at_grid_point(k: int) -> None:
             values = self._shown_values(times[k], run.x, run.u, run.parameters)
             on_grid_point(k, rows(values, count), ~run.stuck)
 
-        run.run(on_mark=look)
+        run.run(on_mark=at_grid_point)
         missing = np.full((len(self.shown), count), np.nan)
         for k in range(run.marks, len(times)):
             on_grid_point(k, missing, ~run.stuck)
