@@ -39,7 +39,7 @@ def at(problem, e, a, b, y):
 
 @given(systems(kinds=("adaptive", "robust")), st.integers(0, 9))
 def test_scaled_inputs_are_those_of_the_error_system(system, seed):
-    """e' = (S - C - K) e + T w - R y_d^(q+1), x = A^-1 (e + B Y), at inputs within their bounds."""
+    """e' = (S - C - K) e + T w - R y_d^(q+1), x = A^-1 (e + B Y), at inputs within bounds."""
     problem, found = error_problem(system, decimal), system.controller.coordinates
     rng = np.random.default_rng(seed)
     n, q, u = found.n, found.q, system.plant.uncertainty

@@ -17,8 +17,9 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import _step, certify_cascade
 from certrack.certificates.centred import _enclose, centred_problem
 from certrack.certificates.exact import float_up, from_text, root_up, squared_bound
-from certrack.certificates.formulation import error_problem
+from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.published import certify_published
+from certrack.certificates.tube import _energy, _entry_errors
 from certrack.laws import Robust
 from certrack.model.plant import Plant, Uncertainty
 from certrack.model.truth import Truth
@@ -155,6 +156,25 @@ def test_tube_contains_the_exact_values():
         e = np.array([rational(Fraction(v)) for v in e], dtype=object)
         assert exactly(found.start) >= exactly(e @ P @ e)
         assert exactly(found.floor) >= square
+
+
+@pytest.mark.parametrize(("n", "k"), [(3, 0.5), (4, 0.1), (5, 0.5), (6, 0.5)])
+def test_tube_of_a_damped_design_starts_above_the_exact_energy(n, k):
+    """A has entries up to 1e41, and near the orbit A x - B Y nearly cancels."""
+    plant = Plant(states=[f"x{i + 1}" for i in range(n)], chain=[1.1] * (n - 1), input_gain=1)
+    damping = {"k": [[k] * (2 * m) for m in range(1, n + 1)], "p": [k] * (n - 1)}
+    law = Robust(c=[1.3] * n, **damping)
+    system = System(plant, law, SymbolicReference("0.3*cos(t)"), Truth(1), Settings([0] * n, 1))
+    problem, exact = error_problem(system, rational), error_coordinates(system, rational)
+    floats, errors = system.controller.coordinates, _entry_errors(system)
+    rng = np.random.default_rng(0)
+    for decade in np.linspace(-12, 3, 20):
+        apart = rng.normal(size=n) * 10**decade
+        x = np.linalg.solve(floats.A, floats.B[:, 0] * 0.3 + apart)
+        start = np.array([rational(Fraction(v)) for v in x], dtype=object)
+        e = exact.A @ start - exact.B[:, 0] * rational(Fraction(0.3))
+        found = _energy(system, problem, np.eye(n), errors, tuple(x.tolist()))
+        assert exactly(found) >= exactly(e @ e) / 2
 
 
 def test_rate_of_a_tube_is_not_above_the_proven_one():

@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import product
 
 import numpy as np
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.exact import Proof, from_text, squared_bound
-from certrack.certificates.formulation import error_problem
+from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.problem import ErrorProblem
 from certrack.core import checks
 from certrack.core.errors import InputError
@@ -29,8 +30,11 @@ MAX_BOX_CORNERS = 4096
 #: Factor on results of a few float operations, each of which may have rounded down by 1e-16.
 TUBE_ROUNDING = 1 + 1e-12
 
-#: Factor on V(0): its quadratic form may lose more digits, for the entries of A can be large.
+#: Factor on V(0), for the roundings of a well-conditioned design; what a large A loses is added.
 ENERGY_ROUNDING = 1 + 1e-9
+
+#: Float operations, per state, behind an entry of e and of P e.
+OPERATIONS = 4
 
 
 @dataclass(frozen=True)
@@ -94,9 +98,10 @@ def tube(
     square = squared_bound(problem, proof)
     assert square is not None
     P = np.array([[float(from_text(v)) for v in row] for row in proof.P])
-    energy = max(_energy(system, problem, P, x) for x in _corners(system, box))
+    errors = _entry_errors(system)
+    energy = max(_energy(system, problem, P, errors, x) for x in _corners(system, box))
     alpha = math.nextafter(float(from_text(proof.alpha)), 0.0)  # the nearest float may be above
-    return Tube(2 * energy * ENERGY_ROUNDING, float(square) * TUBE_ROUNDING, alpha)
+    return Tube(2 * energy, float(square) * TUBE_ROUNDING, alpha)
 
 
 def _corners(system: System, box: Sequence[tuple[float, float]] | None) -> list[tuple[float, ...]]:
@@ -114,14 +119,37 @@ def _corners(system: System, box: Sequence[tuple[float, float]] | None) -> list[
     return list(product(*distinct))
 
 
-def _energy(system: System, problem: ErrorProblem, P: np.ndarray, x: tuple[float, ...]) -> float:
-    """V(0) from the plant state `x`, the estimates' part at its worst over the ranges."""
+def _entry_errors(system: System) -> tuple[np.ndarray, np.ndarray]:
+    """How far each entry of A and of B is from its exact value, with the roundings of A x - B Y."""
+    floats, exact = system.controller.coordinates, error_coordinates(system, rational)
+    unit = OPERATIONS * floats.n * np.finfo(float).eps
+    gap = np.vectorize(lambda v, w: abs(float(v - rational(Fraction(w)))), otypes=[float])
+    A, B = (gap(*pair) for pair in ((exact.A, floats.A), (exact.B, floats.B)))
+    return A + unit * np.abs(floats.A), B + unit * np.abs(floats.B)
+
+
+def _energy(
+    system: System,
+    problem: ErrorProblem,
+    P: np.ndarray,
+    errors: tuple[np.ndarray, np.ndarray],
+    x: tuple[float, ...],
+) -> float:
+    """V(0) from the plant state `x`, rounded up; the estimates' part at its worst over the ranges.
+
+    e = A x - B Y is a small difference of large terms where the start is near the orbit that the
+    loop settles to, and entries of A grow doubly exponentially with the order of a damped design:
+    what e^T P e/2 can lose by that is added.
+    """
     coordinates = system.controller.coordinates
     Y = system.reference.values(np.array([0.0]), coordinates.q)[:, 0]
     e = coordinates.A @ np.array(x) - coordinates.B @ Y
     total = float(e @ P @ e) / 2
+    lost = errors[0] @ np.abs(x) + errors[1] @ np.abs(Y)  # of e
+    size, weight = np.abs(e) + lost, np.abs(P)
+    loss = lost @ weight @ size + OPERATIONS * len(e) * np.finfo(float).eps * size @ weight @ size
     if problem.adaptation is not None:
         z = system.settings.estimates or (0.0,) * len(system.controller.states)
         adaptation = problem.adaptation.in_floats()
         total += float(P[-1, -1]) * float(adaptation.energy(np.array(z)))
-    return total
+    return max(total * ENERGY_ROUNDING, total + float(loss))
