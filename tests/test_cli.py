@@ -1,15 +1,18 @@
 """The command line as a user meets it."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 from conftest import SHIPPED
+from rich.console import Console
 
 import certrack
-from certrack.cli import main, report
+from certrack.cli import cli, main, report
 
 
 def invoke(capfd, *arguments):
@@ -222,13 +225,58 @@ def test_bad_calls_are_exit_2_and_one_line(capfd, arguments, message):
 
 @pytest.mark.parametrize(
     "verb",
-    ["list", "new", "design", "simulate", "compare", "certify", "verify", "falsify", "reproduce"],
+    [
+        *("list", "new", "design", "simulate", "compare", "ensemble", "margin", "certify"),
+        *("verify", "falsify", "reproduce", "export c", "export st", "export fmu"),
+    ],
 )
 def test_help_has_an_example_that_is_right(capfd, verb):
-    code, out, _ = invoke(capfd, verb, "--help")
+    code, out, _ = invoke(capfd, *verb.split(), "--help")
     assert code == 0
     assert f"Example: certrack {verb}" in out
     assert "--json" in out
+
+
+def commands(group, *path):
+    for name, command in group.commands.items():
+        if isinstance(command, click.Group):
+            yield from commands(command, *path, name)
+        else:
+            yield (*path, name), command
+
+
+def test_every_option_says_what_it_is(capfd):
+    """And the example of every verb has arguments that the verb takes."""
+    for path, command in commands(cli):
+        for option in command.params:
+            assert isinstance(option, click.Argument) or option.help, (path, option.name)
+        (example,) = re.findall(r"Example: certrack (.*)", command.help)
+        words = example.split()
+        assert tuple(words[: len(path)]) == path
+        command.make_context(path[-1], words[len(path) :])
+
+
+@pytest.mark.parametrize("path", [(), ("export",)])
+def test_the_lists_of_verbs_fit_a_terminal(monkeypatch, capfd, path):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = invoke(capfd, *path, "--help")
+    assert code == 0
+    assert "..." not in out.partition("Commands:")[2]
+    assert max(map(len, out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_notes_break_between_words_on_a_terminal_only(monkeypatch, capfd, terminal):
+    monkeypatch.setattr(report, "console", lambda: Console(width=30, force_terminal=terminal))
+    lines = ["resting on:", "  " + "a-word " * 20 + "end", "", "x" * 40]
+    report.print_lines(lines)
+    out, _ = capfd.readouterr()
+    if terminal:
+        assert max(map(len, out.splitlines()[:-1])) <= 30
+        assert out.split() == " ".join(lines).split()
+        assert all(line.startswith("  ") for line in out.splitlines()[1:-2])
+    else:
+        assert out.splitlines() == lines
 
 
 def test_module_runs_as_an_installed_command(tmp_path):

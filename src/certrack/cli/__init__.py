@@ -1,7 +1,8 @@
 """Command line. Each verb loads, computes, prints; the work is done elsewhere.
 
 Results go to standard output (``--json`` for programs), diagnostics to standard error. Exit code 0
-means success, 2 bad input with one line that says what is wrong, 1 a run that did not finish.
+means success, 2 bad input with one line that says what is wrong, 1 a run that did not finish or a
+certificate that does not exist or does not hold, 130 an interruption.
 """
 
 from __future__ import annotations

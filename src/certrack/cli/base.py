@@ -13,11 +13,24 @@ if TYPE_CHECKING:
     from certrack.systems.system import System
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
+NEW_FILE = click.Path(path_type=Path, dir_okay=False)
+
+#: Seed of an ensemble.
+MEMBER_SEED = click.IntRange(0, 2**63)
 
 
 def json_option(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add ``--json``."""
-    return click.option("--json", "as_json", is_flag=True, help="Machine-readable output.")(command)
+    return click.option(
+        "--json", "as_json", is_flag=True, help="Print the results as JSON, for programs."
+    )(command)
+
+
+def period_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add ``--period``."""
+    return click.option("--period", type=float, help="Sampling period, s; default: the file's.")(
+        command
+    )
 
 
 def note_violations(system: System) -> None:
@@ -29,7 +42,7 @@ def note_violations(system: System) -> None:
 
 
 def note_implementation(system: System) -> None:
-    """Say that a guarantee is of the continuous loop."""
+    """Say that a guarantee is of the continuous law where the file has a sampled controller."""
     if system.implementation is not None:
         click.echo(
             "certrack: note: this is of the continuous law; sampling, delay, limits and sensors of "
@@ -39,7 +52,7 @@ def note_implementation(system: System) -> None:
 
 
 def draw(runs: dict[str, Run], folder: Path, title: str) -> None:
-    """Every panel, and all of them together."""
+    """Write every panel as a picture of its own, and all of them together."""
     from certrack import plotting
 
     for name, panel in plotting.panels_for(runs).items():

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import click
 
-from certrack.cli.base import FOLDER, json_option
-
-FILE = click.Path(path_type=Path, dir_okay=False)
+from certrack.cli.base import FOLDER, NEW_FILE, json_option, period_option
 
 
 @click.group()
 def export() -> None:
-    """Export the controller to other tools.
+    """Write the controller for other tools: C, Structured Text, FMU.
 
     \b
     Example: certrack export c example1 --period 0.001 --out firmware
@@ -23,11 +21,17 @@ def export() -> None:
 @export.command()
 @click.argument("file")
 @click.option("--out", type=FOLDER, required=True, help="Folder for the files.")
-@click.option("--real", type=click.Choice(["double", "float"]), default="double", show_default=True)
-@click.option("--period", type=float, help="Sampling period, s; default: the file's.")
+@click.option(
+    "--real",
+    type=click.Choice(["double", "float"]),
+    default="double",
+    show_default=True,
+    help="Type of the numbers.",
+)
+@period_option
 @json_option
 def c(file: str, out: Path, real: str, period: float | None, as_json: bool) -> None:
-    """Write the controller as C99, with its acceptance test.
+    """Write the controller in C99, with its acceptance test.
 
     \b
     Example: certrack export c example1 --period 0.001 --real float --out firmware
@@ -50,11 +54,13 @@ def c(file: str, out: Path, real: str, period: float | None, as_json: bool) -> N
 
 @export.command()
 @click.argument("file")
-@click.option("--out", type=FILE, required=True, help="NAME.st; NAME names the block.")
-@click.option("--period", type=float, help="Sampling period, s; default: the file's.")
+@click.option("--out", type=NEW_FILE, required=True, help="NAME.st; NAME names the block.")
+@period_option
 @json_option
 def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
-    """Write the controller as a function block in Structured Text (IEC 61131-3).
+    """Write the controller as a block in Structured Text.
+
+    The file holds one function block as in IEC 61131-3.
 
     \b
     Example: certrack export st dual-motor-lean --period 0.001 --out drive.st
@@ -64,17 +70,25 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     from certrack.systems.reader import load
 
     write_text(out, structured_text(load(file), out.name, period=period))
-    _written(out, as_json)
+    _report_file(out, as_json)
 
 
 @export.command()
 @click.argument("file")
-@click.option("--out", type=FILE, required=True, help="NAME.fmu; NAME names the model.")
-@click.option("--fmi", type=click.Choice(["2", "3"]), default="2", show_default=True)
-@click.option("--period", type=float, help="Sampling period, s; default: the file's.")
+@click.option("--out", type=NEW_FILE, required=True, help="NAME.fmu; NAME names the model.")
+@click.option(
+    "--fmi",
+    type=click.Choice(["2", "3"]),
+    default="2",
+    show_default=True,
+    help="Version of the FMI standard.",
+)
+@period_option
 @json_option
 def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> None:
-    """Write the controller as a co-simulation FMU with sources and a binary for this machine.
+    """Write the controller as an FMU for co-simulation.
+
+    It holds the sources and a binary for this machine.
 
     \b
     Example: certrack export fmu dual-motor-lean --fmi 3 --period 0.001 --out drive.fmu
@@ -84,10 +98,11 @@ def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> 
     from certrack.systems.reader import load
 
     write_bytes(out, controller_fmu(load(file), out.name, version=fmi, period=period))
-    _written(out, as_json)
+    _report_file(out, as_json)
 
 
-def _written(out: Path, as_json: bool) -> None:
+def _report_file(out: Path, as_json: bool) -> None:
+    """Say what was written."""
     from certrack.cli import report
 
     click.echo(report.to_json({"file": str(out)}) if as_json else f"{out} written")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from certrack.cli.base import json_option
+from certrack.cli.base import NEW_FILE, json_option
 
 
 @click.command("list")
@@ -28,10 +28,10 @@ def list_systems(as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("name", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("name", type=NEW_FILE)
 @json_option
 def new(name: Path, as_json: bool) -> None:
-    """Write a commented starter system file NAME.
+    """Write a commented system file NAME to start from.
 
     \b
     Example: certrack new drive.toml
@@ -55,7 +55,7 @@ def new(name: Path, as_json: bool) -> None:
 @click.option("--latex", is_flag=True, help="Print the formulas as a LaTeX align* environment.")
 @json_option
 def design(file: str, latex: bool, as_json: bool) -> None:
-    """Design the controller: error coordinates, virtual controls, control law.
+    """Print error coordinates, virtual controls and control law.
 
     \b
     Example: certrack design dual-motor --latex
@@ -68,26 +68,26 @@ def design(file: str, latex: bool, as_json: bool) -> None:
     if latex and not as_json:
         click.echo(formulas.as_latex(system))
         return
-    found = system.controller.coordinates
+    coords = system.controller.coordinates
     if as_json:
-        poles = sorted(found.poles, key=lambda pole: (pole.real, pole.imag))
+        poles = sorted(coords.poles, key=lambda pole: (pole.real, pole.imag))
         values = {
-            "A": found.A,
-            "B": found.B if found.q else found.B[:, 0],
-            "kappa": found.kappa,
-            "eta": found.eta,
-            "d": found.d if found.q else found.d[:, 0],
-            "R": found.R,
-            "nu_x": found.nu_x,
-            "nu_Y": found.nu_Y,
-            "feedforward": found.q,
+            "A": coords.A,
+            "B": coords.B if coords.q else coords.B[:, 0],
+            "kappa": coords.kappa,
+            "eta": coords.eta,
+            "d": coords.d if coords.q else coords.d[:, 0],
+            "R": coords.R,
+            "nu_x": coords.nu_x,
+            "nu_Y": coords.nu_Y,
+            "feedforward": coords.q,
             "error_poles": [[pole.real, pole.imag] for pole in poles],
             "law": formulas.as_text(system),
             "latex": formulas.as_latex(system),
         }
         click.echo(report.to_json(values))
         return
-    click.echo(f"{system.title or file}: {system.law.kind} law, feed-forward order {found.q}\n")
+    click.echo(f"{system.title or file}: {system.law.kind} law, feed-forward order {coords.q}\n")
     click.echo("\n".join(formulas.as_text(system)))
-    damping = ", ".join(f"{value:.6g}" for value in found.kappa)
-    click.echo(f"\nkappa = ({damping}) 1/s; fastest error pole {found.fastest_pole:.4g} 1/s")
+    damping = ", ".join(f"{value:.6g}" for value in coords.kappa)
+    click.echo(f"\nkappa = ({damping}) 1/s; fastest error pole {coords.fastest_pole:.4g} 1/s")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from certrack.cli.base import FOLDER, json_option
+from certrack.cli.base import FOLDER, MEMBER_SEED, json_option
 
 
 @click.command()
@@ -14,19 +14,34 @@ from certrack.cli.base import FOLDER, json_option
 @click.option(
     "--error",
     type=float,
-    help="Admitted tail error, in the unit of the output x_1; default: the limit or certificate.",
+    help="Admitted tail error, in the unit of the output x_1; default: the file's limit, or else "
+    "the certified bound.",
 )
-@click.option("-n", "--members", type=click.IntRange(1, 100_000), default=64, show_default=True)
-@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True)
-@click.option("--plot", type=FOLDER, help="Folder for the picture of error against period.")
+@click.option(
+    "-n",
+    "--members",
+    type=click.IntRange(1, 100_000),
+    default=64,
+    show_default=True,
+    help="Number of members on which every value is tried.",
+)
+@click.option(
+    "--seed", type=MEMBER_SEED, default=0, show_default=True, help="Seed of the ensemble."
+)
+@click.option(
+    "--plot",
+    type=FOLDER,
+    help="Folder for the picture: error against period, delay and saturation.",
+)
 @json_option
 def margin(
     file: str, error: float | None, members: int, seed: int, plot: Path | None, as_json: bool
 ) -> None:
-    """Longest sampling period and delay, lowest saturation.
+    """Find the limits of sampling period, delay and saturation.
 
-    Every value is tried on some members of the file's population; for the robust law on a linear
-    plant the edge of stability is exact besides.
+    These are the longest period and delay and the lowest saturation at which the tail error stays
+    admissible. Every value is tried on members of the file's ensemble, which proves nothing. For
+    the robust law on a linear plant the exact edge of stability is computed too.
 
     \b
     Example: certrack margin dual-motor-lean --plot pictures
@@ -37,16 +52,15 @@ def margin(
 
     system = load(file)
     with report.count_progress("Margins") as advance:
-        found = margins(system, error=error, members=members, seed=seed, progress=advance)
+        result = margins(system, error=error, members=members, seed=seed, progress=advance)
     if plot is not None:
         from certrack import plotting
 
-        made = plotting.margin_figure(found, system.title, system.plant.units)
-        plotting.save_figure(made, plot, "margin")
+        figure = plotting.margin_figure(result, system.title, system.plant.units)
+        plotting.save_figure(figure, plot, "margin")
     if as_json:
-        click.echo(report.to_json(found.summary()))
+        click.echo(report.to_json(result.summary()))
     else:
         click.echo(system.title or file)
-        report.console().print(report.margin_table(found, system.plant.units))
-        for line in report.margin_notes(found):
-            click.echo(line)
+        report.console().print(report.margin_table(result, system.plant.units))
+        report.print_lines(report.margin_notes(result))

@@ -6,18 +6,19 @@ from pathlib import Path
 
 import click
 
-from certrack.cli.base import FOLDER, json_option, note_implementation, note_violations
+from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_implementation, note_violations
 
 
 @click.command()
 @click.argument("file")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Certificate (JSON).")
+@click.option("--out", type=NEW_FILE, help="File for the certificate (JSON).")
 @click.option("--plot", type=FOLDER, help="Folder for the picture of the tube over the response.")
 @json_option
 def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> None:
-    """Certify: guaranteed bounds on the tracking error, exactly verified.
+    """Compute guaranteed bounds on the tracking error.
 
-    Exit code 1 if no certificate exists or none was found.
+    Bounds that are shown as verified have been checked in exact arithmetic. The exit code is 1 if
+    no certificate exists or none was found.
 
     \b
     Example: certrack certify dual-motor-lean --out cert.json
@@ -29,24 +30,23 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
     system = load(file)
     note_violations(system)
     note_implementation(system)
-    found = certificates.certify(system)
-    if out is not None and found.stages:
-        certificates.save_certificate(system, found.stages, out)
-    if plot is not None and found.tube is not None:
+    result = certificates.certify(system)
+    if out is not None and result.stages:
+        certificates.save_certificate(system, result.stages, out)
+    if plot is not None and result.tube is not None:
         from certrack import plotting
         from certrack.simulation.simulator import simulate as run_system
 
         run = run_system(system)
-        plotting.save_figure(plotting.tube_figure(run, found.tube, system.title), plot, "tube")
+        plotting.save_figure(plotting.tube_figure(run, result.tube, system.title), plot, "tube")
     if as_json:
-        click.echo(report.to_json(report.certificates_summary(found)))
+        click.echo(report.to_json(report.certificates_summary(result)))
     else:
         click.echo(system.title or file)
-        report.console().print(report.certificates_table(found))
-        for line in report.certificates_notes(found):
-            click.echo(line)
-    if not found.best.exists:
-        click.echo(f"certrack: no certificate: {found.semidefinite.reason}", err=True)
+        report.console().print(report.certificates_table(result))
+        report.print_lines(report.certificates_notes(result))
+    if not result.best.exists:
+        click.echo(f"certrack: no certificate: {result.semidefinite.reason}", err=True)
         raise click.exceptions.Exit(1)
 
 
@@ -54,9 +54,9 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
 @click.argument("certificate", type=click.Path(path_type=Path))
 @json_option
 def verify(certificate: Path, as_json: bool) -> None:
-    """Check a saved certificate in exact arithmetic; no solver is used.
+    """Check a saved certificate in exact arithmetic.
 
-    Exit code 1 if it does not hold.
+    No solver is used. The exit code is 1 if the certificate does not hold.
 
     \b
     Example: certrack verify cert.json
@@ -64,36 +64,45 @@ def verify(certificate: Path, as_json: bool) -> None:
     from certrack import certificates
     from certrack.cli import report
 
-    found = certificates.verify(certificate)
+    proof = certificates.verify(certificate)
     if as_json:
         from dataclasses import asdict
 
-        click.echo(report.to_json(asdict(found)))
-    elif found.verified:
-        click.echo(f"verified: limsup |e_1| <= {float(found.bound):.6g}, resting on")
-        click.echo("\n".join(f"  {line}" for line in found.assumptions))
-    if not found.verified:
-        click.echo(f"certrack: {certificate}: not verified: {found.reason}", err=True)
+        click.echo(report.to_json(asdict(proof)))
+    elif proof.verified:
+        click.echo(f"verified: limsup |e_1| <= {float(proof.bound):.6g}, resting on")
+        report.print_lines(f"  {line}" for line in proof.assumptions)
+    if not proof.verified:
+        click.echo(f"certrack: {certificate}: not verified: {proof.reason}", err=True)
         raise click.exceptions.Exit(1)
 
 
 @click.command()
 @click.argument("file")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Worst case (TOML).")
-@click.option("--budget", type=click.IntRange(100), default=6000, show_default=True, help="Runs.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--out", type=NEW_FILE, help="System file (TOML) for the worst case.")
+@click.option(
+    "--budget",
+    type=click.IntRange(100),
+    default=6000,
+    show_default=True,
+    help="About so many runs.",
+)
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the search."
+)
 @json_option
 def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) -> None:
-    """Search the worst admissible disturbance, reference and parameters.
+    """Search for the worst admissible case.
 
-    The ratio tells how tight the certificate is: certified bound over worst error found.
+    Disturbance, reference and parameters are varied within what the certificate covers. The ratio
+    of the certified bound to the worst error found tells how tight the bound is.
 
     \b
     Example: certrack falsify example1 --out worst.toml
     """
     from certrack.certificates import best_sound_bound
     from certrack.cli import report
-    from certrack.studies.falsifier import falsify as falsifier
+    from certrack.studies.falsifier.falsify import falsify as search
     from certrack.systems.reader import load
     from certrack.systems.writer import save
 
@@ -101,23 +110,23 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     note_violations(system)
     note_implementation(system)
     with report.progress("Searching", budget) as advance:
-        found = falsifier.falsify(system, budget=budget, seed=seed, progress=advance)
+        result = search(system, budget=budget, seed=seed, progress=advance)
     if out is not None:
-        save(found.system, out)
+        save(result.system, out)
     certified = best_sound_bound(system)
     values = {
-        "worst_error": found.worst_error,
+        "worst_error": result.worst_error,
         "certified": certified,
-        "ratio": certified / found.worst_error if found.worst_error else None,
-        "runs": found.evaluations,
+        "ratio": certified / result.worst_error if result.worst_error else None,
+        "runs": result.evaluations,
         "seed": seed,
         "file": None if out is None else str(out),
     }
     if as_json:
         click.echo(report.to_json(values))
     else:
-        click.echo(f"worst |e_1| found in {found.evaluations} runs: {found.worst_error:.6g}")
+        click.echo(f"worst |e_1| found in {result.evaluations} runs: {result.worst_error:.6g}")
         click.echo(f"certified limsup |e_1|: {certified:.6g}")
-        click.echo(f"certified / found: {certified / found.worst_error:.3g}")
+        click.echo(f"certified / found: {certified / result.worst_error:.3g}")
         if out is not None:
             click.echo(f"{out} replays it: certrack simulate {out}")

@@ -6,10 +6,11 @@ import json
 import math
 import textwrap
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+import click
 import numpy as np
 from rich.console import Console, Group
 from rich.table import Table
@@ -25,18 +26,19 @@ if TYPE_CHECKING:
 
 def to_json(values: Any) -> str:
     """JSON with arrays as lists and missing numbers as null."""
-    return json.dumps(_plain(values), indent=2, allow_nan=False)
+    return json.dumps(_json_ready(values), indent=2, allow_nan=False)
 
 
-def _plain(value: Any) -> Any:
+def _json_ready(value: Any) -> Any:
+    """The value with arrays as lists and numbers that JSON does not have as None."""
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return _json_ready(value.tolist())
     if isinstance(value, Mapping):
-        return {str(name): _plain(entry) for name, entry in value.items()}
+        return {str(name): _json_ready(entry) for name, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
+        return [_json_ready(entry) for entry in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return _json_ready(value.item())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
@@ -50,18 +52,20 @@ def table(
     title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 5
 ) -> Table:
     """A table of text and numbers; neither a number nor a word of a usual length is broken."""
-    made = Table(title=title or None, title_justify="left", title_style="bold")
+    result = Table(title=title or None, title_justify="left", title_style="bold")
     cells = [[_cell(value, digits) for value in row] for row in rows]
     room = console().width - 3 * len(columns) - 1
     heads = list(columns)
-    if sum(max(map(len, both)) for both in zip(heads, *cells, strict=True)) > room:
+    if sum(max(map(len, column)) for column in zip(heads, *cells, strict=True)) > room:
         heads = [_broken(head, entries) for head, *entries in zip(heads, *cells, strict=True)]
-    least = [_longest_word(both) for both in zip(heads, *cells, strict=True)]
-    for head, width in zip(heads, least, strict=True):
-        made.add_column(head, overflow="fold", min_width=width if sum(least) <= room else None)
+    min_widths = [_longest_word(column) for column in zip(heads, *cells, strict=True)]
+    for head, width in zip(heads, min_widths, strict=True):
+        result.add_column(
+            head, overflow="fold", min_width=width if sum(min_widths) <= room else None
+        )
     for row in cells:
-        made.add_row(*row)
-    return made
+        result.add_row(*row)
+    return result
 
 
 def _longest_word(texts: Sequence[str]) -> int:
@@ -79,19 +83,34 @@ def _cell(value: object, digits: int) -> str:
     if value is None:
         return "-"
     if isinstance(value, float):
-        return _number(value, digits) if math.isfinite(value) else "-"
+        return _short_number(value, digits) if math.isfinite(value) else "-"
     return str(value)
 
 
-def _number(value: float, digits: int) -> str:
+def _short_number(value: float, digits: int) -> str:
     """A number with a short exponent, if any.
 
-    >>> _number(804940.0, 4), _number(0.00012344, 4), _number(0.5, 4)
-    ('8.049e5', '1.234e-4', '0.5')
+    >>> [_short_number(value, 4) for value in (804940.0, 0.00012344, 0.5)]
+    ['8.049e5', '1.234e-4', '0.5']
     """
     text = f"{value:.{digits}g}" if abs(value) >= 1e-3 or not value else f"{value:.{digits - 1}e}"
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}" if mark else text
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print lines; on a terminal, longer ones than its width are broken between words."""
+    out = console()
+    for line in lines:
+        indent = line[: len(line) - len(line.lstrip())] + "  "
+        wrapped = textwrap.wrap(
+            line,
+            out.width,
+            subsequent_indent=indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        click.echo("\n".join(wrapped) if out.is_terminal else line)
 
 
 def console(*, error: bool = False) -> Console:
@@ -100,7 +119,7 @@ def console(*, error: bool = False) -> Console:
 
 
 @contextmanager
-def _bar(*more: str) -> Iterator[Progress]:
+def _bar(*fields: str) -> Iterator[Progress]:
     """Progress bar on standard error with further columns; silent where nobody watches."""
     from rich.progress import (
         BarColumn,
@@ -114,7 +133,7 @@ def _bar(*more: str) -> Iterator[Progress]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(
         *columns,
-        *map(TextColumn, more),
+        *map(TextColumn, fields),
         TimeRemainingColumn(),
         console=log,
         transient=True,
@@ -143,14 +162,14 @@ def rate_progress(what: str) -> Iterator[Callable[[int, int], None]]:
     """Progress bar with rate and time left; yields a function of the work done and in all."""
     with _bar("{task.fields[rate]}") as bar:
         task = bar.add_task(what, total=None, rate="")
-        begun: tuple[float, int] | None = None
+        start: tuple[float, int] | None = None
 
         def advance(done: int, total: int) -> None:
-            nonlocal begun
+            nonlocal start
             now = time.monotonic()
-            begun = begun or (now, done)
-            fresh, spent = done - begun[1], now - begun[0]
-            rate = f"{fresh / spent:,.0f}/s" if fresh and spent else ""
+            start = start or (now, done)
+            count, seconds = done - start[1], now - start[0]
+            rate = f"{count / seconds:,.0f}/s" if count and seconds else ""
             bar.update(task, completed=done, total=total, rate=rate)
 
         yield advance
@@ -187,11 +206,16 @@ METRIC_ROWS = {
 }
 
 
+#: Letters that the labels of the metrics and the numbers of one run need in a table.
+LABEL_WIDTH, RUN_WIDTH = 20, 15
+
+
 def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Group:
     """Metrics of one or several runs, one column each, below each other where there are many."""
-    names, beside = list(summaries), max(1, (console().width - 20) // 15)
-    parts = (names[i : i + beside] for i in range(0, len(names), beside))
-    return Group(*(_metrics_table({name: summaries[name] for name in part}) for part in parts))
+    names = list(summaries)
+    count = max(1, (console().width - LABEL_WIDTH) // RUN_WIDTH)
+    groups = (names[i : i + count] for i in range(0, len(names), count))
+    return Group(*(_metrics_table({name: summaries[name] for name in group}) for group in groups))
 
 
 def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
@@ -204,50 +228,51 @@ def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
     return table("", ["metric", *summaries], rows)
 
 
-def ensemble_table(found: Ensemble) -> Table:
+def ensemble_table(ensemble: Ensemble) -> Table:
     """Quantiles of every metric."""
     rows = []
     for key, label in METRIC_ROWS.items():
-        entries = found.statistics.metrics[key].summary()
+        entries = ensemble.statistics.metrics[key].summary()
         shown = [entries[name] for name in ("5%", "50%", "95%", "99%", "max")]
         rows.append([label, *shown, entries["missing"]])
     return table("", ["metric", "5%", "median", "95%", "99%", "largest", "none"], rows, digits=4)
 
 
-def ensemble_notes(found: Ensemble, file: str) -> list[str]:
+def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
     """Outcomes, violations and the worst member in words."""
-    outcomes = ", ".join(f"{n} {name}" for name, n in sorted(found.statistics.outcomes.items()))
+    outcomes = ", ".join(f"{n} {name}" for name, n in sorted(ensemble.statistics.outcomes.items()))
     lines = [f"outcomes: {outcomes}"]
-    unsettled = found.statistics.metrics["settling_time"].missing
+    unsettled = ensemble.statistics.metrics["settling_time"].missing
     if unsettled:
-        lines.append(f"{unsettled} of {found.members} members are never settled within the band")
-    violations = found.violations()
+        lines.append(f"{unsettled} of {ensemble.members} members are never settled within the band")
+    violations = ensemble.violations()
     if violations is None:
-        lines.append(f"no limit: {found.limit_origin}")
+        lines.append(f"no limit: {ensemble.limit_origin}")
     else:
         text = (
             f"tail error beyond {violations['limit']:.5g} ({violations['origin']}): "
-            f"{violations['count']} of {found.members} members"
+            f"{violations['count']} of {ensemble.members} members"
         )
         if violations["interval"] is not None:
             low, high = violations["interval"]
             text += f", probability within [{low:.3g}, {high:.3g}] (95 %, Clopper-Pearson)"
         lines.append(text)
-    value, index = found.statistics.worst[0]
-    lines.append(
-        f"worst member {index}: tail error {value:.5g}; replay: "
-        f"certrack simulate {file} --member {index} --seed {found.seed}"
-    )
+    value, index = ensemble.statistics.worst[0]
+    lines += [
+        f"worst member {index}: tail error {value:.5g}; to replay it:",
+        f"  certrack simulate {file} --member {index} --seed {ensemble.seed}",
+    ]
     return lines
 
 
-KINDS = ("published", "corrected", "rate", "semidefinite", "cascade")
+#: Certificates, in the order in which they are shown.
+CERTIFICATE_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade")
 
 
-def certificates_summary(found: Certificates) -> dict[str, Any]:
+def certificates_summary(results: Certificates) -> dict[str, Any]:
     """All certificates, ready for JSON; a bound that does not exist is null."""
 
-    def one(certificate: Certificate) -> dict[str, Any]:
+    def entries(certificate: Certificate) -> dict[str, Any]:
         return {
             "bound": certificate.bound,
             "alpha": certificate.alpha,
@@ -257,20 +282,24 @@ def certificates_summary(found: Certificates) -> dict[str, Any]:
         }
 
     return {
-        **{kind: one(getattr(found, kind)) for kind in KINDS},
-        "verified": found.best.verified,
+        **{kind: entries(getattr(results, kind)) for kind in CERTIFICATE_KINDS},
+        "verified": results.best.verified,
         "critical_strength": {
-            "published": found.critical_published,
-            "semidefinite": found.critical_semidefinite,
+            "published": results.critical_published,
+            "semidefinite": results.critical_semidefinite,
         },
         "tube": None
-        if found.tube is None
-        else {"start": found.tube.start, "floor": found.tube.floor, "alpha": found.tube.alpha},
-        "assumptions": list(found.best.assumptions),
+        if results.tube is None
+        else {
+            "start": results.tube.start,
+            "floor": results.tube.floor,
+            "alpha": results.tube.alpha,
+        },
+        "assumptions": list(results.best.assumptions),
     }
 
 
-def certificates_table(found: Certificates) -> Table:
+def certificates_table(results: Certificates) -> Table:
     """Bounds side by side."""
     notes = {
         "published": "the paper's; its last step is not valid for every gain",
@@ -280,56 +309,64 @@ def certificates_table(found: Certificates) -> Table:
         "cascade": "e_n first, then e_1 with e_n as bounded input",
     }
     rows = []
-    for kind in KINDS:
-        entry: Certificate = getattr(found, kind)
+    for kind in CERTIFICATE_KINDS:
+        entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = notes[kind] if entry.exists else entry.reason
         rows.append([kind, entry.bound if entry.exists else None, checked, text])
     return table("limsup |e_1| <=", ["certificate", "bound", "verified", "note"], rows)
 
 
-def certificates_notes(found: Certificates) -> list[str]:
+#: The error counts as settled in the tube where it is within this part of the bound.
+SETTLED_MARGIN = 0.1
+
+
+def certificates_notes(results: Certificates) -> list[str]:
     """Critical strengths, tube and assumptions in words."""
-    if not found.best.exists:
+    if not results.best.exists:
         return []
     lines = [
-        f"critical strength (common scale of tau): published {found.critical_published:.4g}, "
-        f"semidefinite {found.critical_semidefinite:.4g}"
+        f"critical strength (common scale of tau): published {results.critical_published:.4g}, "
+        f"semidefinite {results.critical_semidefinite:.4g}"
     ]
-    if found.tube is not None:
-        level = 1.1 * found.semidefinite.bound
+    if results.tube is not None:
+        level = (1 + SETTLED_MARGIN) * results.semidefinite.bound
+        start, settled = float(results.tube(0.0)), results.tube.settling_time(level)
+        margin = f"{100 * SETTLED_MARGIN:g} %"
         lines.append(
-            f"tube from x0: |e_1| <= {float(found.tube(0.0)):.4g} at t = 0, within 10 % of the "
-            f"bound after {found.tube.settling_time(level):.4g} s"
+            f"tube from x0: |e_1| <= {start:.4g} at t = 0, within {margin} of the bound "
+            f"after {settled:.4g} s"
         )
-    return [*lines, "resting on:", *(f"  {line}" for line in found.best.assumptions)]
+    return [*lines, "resting on:", *(f"  {line}" for line in results.best.assumptions)]
 
 
-def margin_table(found: Margins, units: Sequence[str] | None) -> Table:
+def margin_table(margins: Margins, units: Sequence[str] | None) -> Table:
     """Margins side by side."""
     unit = units[-1] if units and units[-1] not in ("", "1") else ""
     labels = {
-        "longest period [s]": found.period,
-        "longest delay [s]": found.delay,
-        f"lowest saturation [+-{unit}]" if unit else "lowest saturation (+-)": found.saturation,
+        "longest period [s]": margins.period,
+        "longest delay [s]": margins.delay,
+        f"lowest saturation [+-{unit}]" if unit else "lowest saturation (+-)": margins.saturation,
     }
     rows = [[label, m.within, m.bounded, m.exact] for label, m in labels.items()]
     return table("", ["margin", "within the error", "bounded", "exact edge"], rows)
 
 
-def margin_notes(found: Margins) -> list[str]:
+def margin_notes(margins: Margins) -> list[str]:
     """What the margins refer to, in words."""
     lines = [
-        f"admitted tail error: {found.error:.5g} ({found.origin}); {found.members} members tried "
-        "at every value, not proven",
-        f"delay and saturation at a period of {found.at:.4g} s; the rest is as in the file",
+        f"admitted tail error: {margins.error:.5g} ({margins.origin}); {margins.members} members "
+        "tried at every value, not proven",
+        f"delay and saturation at a period of {margins.at:.4g} s; the rest is as in the file",
     ]
-    if found.as_given is not None:
-        within = "within" if found.as_given <= found.error else "BEYOND"
-        lines.append(f"[implementation] as it stands: tail error {found.as_given:.5g}, {within} it")
-    if found.period.exact is not None:
+    if margins.as_given is not None:
+        within = "within" if margins.as_given <= margins.error else "BEYOND"
+        lines.append(
+            f"[implementation] as it stands: tail error {margins.as_given:.5g}, {within} it"
+        )
+    if margins.period.exact is not None:
         lines.append("exact edge: nominal plant, no disturbance; all eigenvalues inside below it")
     for name in ("period", "delay", "saturation"):
-        if getattr(found, name).unlimited:
+        if getattr(margins, name).unlimited:
             lines.append(f"{name}: nothing failed within the range searched")
     return lines

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from certrack.cli.base import FOLDER, diagnose, draw, json_option
+from certrack.cli.base import FOLDER, MEMBER_SEED, NEW_FILE, diagnose, draw, json_option
 
 if TYPE_CHECKING:
     from certrack.studies.ensembles.ensemble import Ensemble
@@ -15,13 +15,23 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("file")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="NetCDF file.")
-@click.option("--samples", type=click.IntRange(2, 10_000_000), help="Equidistant times in --out.")
+@click.option("--out", type=NEW_FILE, help="NetCDF file for the run.")
+@click.option(
+    "--samples",
+    type=click.IntRange(2, 10_000_000),
+    help="Equidistant times in --out; default: the integrator's own steps, subdivided.",
+)
 @click.option("--plot", type=FOLDER, help="Folder for pictures (PNG and SVG).")
-@click.option("--integrator", type=click.Choice(["auto", "taylor", "scipy", "implicit"]))
-@click.option("--tolerance", type=float, help="Of the integrator, e.g. 1e-9.")
+@click.option(
+    "--integrator",
+    type=click.Choice(["auto", "taylor", "scipy", "implicit"]),
+    help="Method; default: the file's.",
+)
+@click.option(
+    "--tolerance", type=float, help="Tolerance of the integrator, e.g. 1e-9; default: the file's."
+)
 @click.option("--member", type=click.IntRange(0), help="Replay this member of the ensemble.")
-@click.option("--seed", type=click.IntRange(0, 2**63), help="Of the ensemble, with --member.")
+@click.option("--seed", type=MEMBER_SEED, help="Seed of the ensemble, with --member; default: 0.")
 @click.option(
     "--with-c",
     is_flag=True,
@@ -40,7 +50,7 @@ def simulate(
     with_c: bool,
     as_json: bool,
 ) -> None:
-    """Simulate one run and measure it.
+    """Simulate one run and print its metrics.
 
     \b
     Example: certrack simulate example1 --plot pictures --out run.nc
@@ -93,7 +103,7 @@ def simulate(
 @click.option("--plot", type=FOLDER, help="Folder for pictures (PNG and SVG).")
 @json_option
 def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
-    """Simulate several systems and set their metrics side by side.
+    """Simulate several systems and print their metrics side by side.
 
     \b
     Example: certrack compare example1 example1-classic
@@ -117,18 +127,47 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
 
 @click.command()
 @click.argument("file")
-@click.option("-n", "--members", type=click.IntRange(1), default=10_000, show_default=True)
-@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True)
+@click.option(
+    "-n",
+    "--members",
+    type=click.IntRange(1),
+    default=10_000,
+    show_default=True,
+    help="Number of members.",
+)
+@click.option(
+    "--seed",
+    type=MEMBER_SEED,
+    default=0,
+    show_default=True,
+    help="A member depends on the file, this seed and its own number only.",
+)
 @click.option("--out", type=FOLDER, help="Folder for results; a stopped run goes on from it.")
-@click.option("--tolerance", type=float, default=1e-6, show_default=True, help="Of the integrator.")
+@click.option(
+    "--tolerance",
+    type=float,
+    default=1e-6,
+    show_default=True,
+    help="Tolerance of the integrator.",
+)
 @click.option(
     "--limit",
     type=float,
-    help="Of the tail error, in the unit of the output x_1; default: the file's or certified.",
+    help="Limit of the tail error, in the unit of the output x_1; default: the file's, or else "
+    "the certified bound.",
 )
-@click.option("--threads", type=click.IntRange(1, 1024), help="Default: one per core.")
-@click.option("--cluster", metavar="ADDRESS", help="Dask scheduler, e.g. tcp://host:8786.")
-@click.option("--keep", type=click.IntRange(0), multiple=True, help="Save this member's full run.")
+@click.option(
+    "--threads", type=click.IntRange(1, 1024), help="Number of threads; default: one per core."
+)
+@click.option(
+    "--cluster", metavar="ADDRESS", help="Address of a Dask scheduler, e.g. tcp://host:8786."
+)
+@click.option(
+    "--keep",
+    type=click.IntRange(0),
+    multiple=True,
+    help="Save the full run of this member in --out; may be repeated.",
+)
 @json_option
 def ensemble(
     file: str,
@@ -142,10 +181,11 @@ def ensemble(
     keep: tuple[int, ...],
     as_json: bool,
 ) -> None:
-    """Simulate many members: plants, starts and disturbances as in the file's [ensemble].
+    """Simulate many random members: plants, starts and disturbances.
 
-    Without [ensemble], everything within plant.ranges and plant.uncertainty. With --out, quantile
-    bands (NetCDF), summary (JSON) and pictures are written there.
+    They are drawn as the file's [ensemble] says; without it, within plant.ranges and
+    plant.uncertainty. With --out, quantile bands (NetCDF), the summary (JSON) and pictures are
+    written there.
 
     \b
     Example: certrack ensemble example1 -n 10000 --out ensemble
@@ -167,7 +207,7 @@ def ensemble(
             workers.connect(cluster) if cluster is not None else nullcontext() as client,
             report.rate_progress("Members") as advance,
         ):
-            found = run_ensemble(
+            result = run_ensemble(
                 system,
                 members,
                 seed=seed,
@@ -182,27 +222,28 @@ def ensemble(
         if out is not None:
             click.echo(f"certrack: {out} keeps what is done; the same command goes on", err=True)
         raise
-    summary = found.summary()
+    summary = result.summary()
     if out is not None:
-        _save(found, summary, out, keep)
+        _save_ensemble(result, summary, out, keep)
     if as_json:
         click.echo(report.to_json(summary))
     else:
-        click.echo(f"{system.title or file}: {found.members} members, seed {seed}")
-        report.console().print(report.ensemble_table(found))
-        for line in report.ensemble_notes(found, file):
-            click.echo(line)
+        click.echo(f"{system.title or file}: {result.members} members, seed {seed}")
+        report.console().print(report.ensemble_table(result))
+        report.print_lines(report.ensemble_notes(result, file))
 
 
-def _save(found: Ensemble, summary: dict[str, Any], out: Path, keep: tuple[int, ...]) -> None:
+def _save_ensemble(
+    ensemble: Ensemble, summary: dict[str, Any], out: Path, keep: tuple[int, ...]
+) -> None:
     """Bands, summary, pictures and chosen members."""
     from certrack import plotting
     from certrack.cli import report
     from certrack.core.files import write_netcdf, write_text
 
-    write_netcdf(out / "bands.nc", found.dataset())
+    write_netcdf(out / "bands.nc", ensemble.dataset())
     write_text(out / "summary.json", report.to_json(summary) + "\n")
-    for name, figure in plotting.ensemble_figures(found).items():
+    for name, figure in plotting.ensemble_figures(ensemble).items():
         plotting.save_figure(figure, out, name)
     for index in keep:
-        found.run(index).save(out / f"member-{index}.nc")
+        ensemble.run(index).save(out / f"member-{index}.nc")
