@@ -81,68 +81,21 @@ def test_page_names_what_exists():
 ONE_MEANING = {
     "Array": "short for np.ndarray",
     **dict.fromkeys(
-        ("certify", "ensemble", "export", "falsify", "fmu", "reproduce", "simulate", "verify"),
+        ("certify", "ensemble", "falsify", "fmu", "reproduce", "simulate", "verify"),
         "the verb of the command line, and what it calls",
     ),
 }
 
-#: Public names with several meanings, still to be told apart.
-SEVERAL_MEANINGS = {
-    "CLOSE",
-    "DIGITS",
-    "ESCAPED",
-    "FINE",
-    "FLAGS",
-    "FUNCTIONS",
-    "GRID",
-    "GROUP",
-    "KINDS",
-    "LANES",
-    "LONGEST",
-    "MAX_BYTES",
-    "MAX_CORNERS",
-    "MAX_SAMPLES",
-    "MOST",
-    "MOST_STEPS",
-    "Number",
-    "ORDER",
-    "OWN",
-    "PATIENCE",
-    "Passed",
-    "Program",
-    "RESERVED",
-    "ROUNDING",
-    "SIGNALS",
-    "STEP",
-    "Steps",
-    "TOLERANCE",
-    "Timeline",
-    "WIDTH",
-    "compiler",
-    "interval",
-    "literal",
-}
-
-#: Private names that several modules of a room define, still to be told apart.
-PRIVATE_TWICE = {
-    ("export", "_inputs"),
-    ("export", "_is_negative"),
-    ("integrators", "_Task"),
-}
-
 
 def test_public_names_mean_one_thing():
-    """Both lists are exact: an entry that is no longer needed has to go."""
+    """The list is exact: an entry that is no longer needed has to go."""
     places = defaultdict(set)
     for _, path, tree in modules():
         for name in defined(tree.body):
             if not name.startswith("_") and "." not in name:
                 places[name].add(path)
     twice = {name: sorted(paths) for name, paths in places.items() if len(paths) > 1}
-    allowed = ONE_MEANING.keys() | SEVERAL_MEANINGS
-    assert not twice.keys() - allowed, {name: twice[name] for name in twice.keys() - allowed}
-    assert not allowed - twice.keys(), "no longer needed"
-    assert not ONE_MEANING.keys() & SEVERAL_MEANINGS
+    assert twice.keys() == ONE_MEANING.keys(), twice
 
 
 def test_private_names_are_unique_within_a_room():
@@ -152,7 +105,7 @@ def test_private_names_are_unique_within_a_room():
             if name.startswith("_") and not name.startswith("__") and "." not in name:
                 places[room, name].add(path)
     twice = {key: sorted(paths) for key, paths in places.items() if len(paths) > 1}
-    assert twice.keys() == PRIVATE_TWICE, twice
+    assert not twice
 
 
 #: Words that say nothing to a control or numerics engineer; what is meant has a name.
@@ -160,28 +113,6 @@ BANNED = set(
     "found made given way ways some mine whole put taken kept rest own go look creep bury forget "
     "lay told hands crowd passed course counted Crowd Passed Course Counted MOST PATIENCE".split()
 )
-
-#: Where they still stand; this only shrinks.
-STILL_BANNED = {
-    "certificates": "found kept",
-    "cli": "found hands made",
-    "core": "found own rest taken whole",
-    "export": "PATIENCE course found given kept made own put rest some taken whole",
-    "integrators": (
-        "Counted Course Crowd PATIENCE Passed bury course creep crowd forget found go kept "
-        "look made own passed rest some taken whole"
-    ),
-    "laws": "found given",
-    "loops": "found given kept made own put rest whole",
-    "model": "MOST found given own some taken whole",
-    "papers": "found made",
-    "plotting": "found kept look made own some",
-    "references": "found given",
-    "simulation": "course found kept mine own",
-    "studies": "MOST counted course crowd found given hands kept look mine own passed some whole",
-    "systems": "own",
-    "testing": "found own",
-}
 
 
 def identifiers(tree):
@@ -202,12 +133,8 @@ def identifiers(tree):
 
 
 def test_names_are_those_of_the_field():
-    """The list is exact: an entry that is no longer needed has to go."""
-    standing = {room: set() for room, _, _ in modules()}
-    for room, _, tree in modules():
-        standing[room] |= {name.strip("_") for name in identifiers(tree)} & BANNED
-    standing = {room: " ".join(sorted(words)) for room, words in standing.items() if words}
-    assert standing == STILL_BANNED
+    for _, path, tree in modules():
+        assert not {name.strip("_") for name in identifiers(tree)} & BANNED, path
 
 
 def test_public_surface_is_frozen():

@@ -40,7 +40,7 @@ CLEAR_FACTOR = 10.0
 MAX_CARRIED = 40
 
 #: Samples of the closed-loop run that they come from: enough to see it settle.
-MAX_RUN_SAMPLES = 2000
+MAX_GOLDEN_SAMPLES = 2000
 
 #: Points of that run that stand alone.
 EXCERPTS = 20
@@ -326,7 +326,7 @@ def recorded_run(system: System, program: ControllerProgram) -> tuple[Array, Arr
     implementation = system.implementation
     assert implementation is not None
     duration = min(
-        system.settings.duration, implementation.offset + MAX_RUN_SAMPLES * implementation.period
+        system.settings.duration, implementation.offset + MAX_GOLDEN_SAMPLES * implementation.period
     )
     settings = replace(system.settings, duration=duration, tail=None)
     short = system.replace(settings=settings)

@@ -225,7 +225,7 @@ class _SampledPlant:
         simulator = SampledSimulator(system, controller=controller)
         self._system, self._implementation, self._maps = system, implementation, simulator.maps
         self._states = [state.name for state in simulator.loop.plant.states]
-        self._course = SampledProblem(
+        self._problem = SampledProblem(
             x=np.array(system.settings.x0)[:, None],
             states=np.empty((0, 1)),
             totals=np.zeros((len(simulator.loop.totals), 1)),
@@ -240,7 +240,7 @@ class _SampledPlant:
             tolerance=system.settings.tolerance,
             max_state=system.settings.max_state,
         )
-        self._p = SampledRun(simulator.maps, self._course).parameters
+        self._p = SampledRun(simulator.maps, self._problem).parameters
         whole_periods = math.floor(implementation.delay)
         self._fraction = implementation.delay - whole_periods
         self._commands = whole_periods + (self._fraction > 0)
@@ -270,11 +270,11 @@ class _SampledPlant:
     def _output(self, t: float, state: Array, _u: Array, _: Any) -> Array:
         """What the sensors show."""
         implementation, x = self._implementation, state[: len(self._states), None]
-        true = x if self._course.outputs is None else self._course.outputs(x, self._p)
+        true = x if self._problem.outputs is None else self._problem.outputs(x, self._p)
         return sensed(
             true,
             implementation,
-            self._course.keys,
+            self._problem.keys,
             round((t - implementation.offset) / implementation.period),
         )[:, 0]
 
@@ -285,7 +285,7 @@ class _SampledPlant:
         """
         if begin >= end:
             return x
-        run = SampledRun(self._maps, replace(self._course, x=x[:, None]))
+        run = SampledRun(self._maps, replace(self._problem, x=x[:, None]))
         run.u = np.array([u])
         if not run.advance(begin, end):
             raise CertrackError(f"stopped at t = {begin:.6g} s: {run.outcomes[0].value}")

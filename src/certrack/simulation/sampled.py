@@ -81,7 +81,7 @@ class SampledSimulator:
         breaks = system.reference.breaks(0.0, settings.duration)
         line = event_timeline(implementation, settings.duration, breaks, np.empty(0))
         parameters = loop_values(self.loop, system)[:, None]
-        course = SampledProblem(
+        problem = SampledProblem(
             x=np.array(settings.x0)[:, None],
             states=starting_state(self.loop.controller, system.estimates, implementation)[:, None],
             totals=np.zeros((len(self.loop.totals), 1)),
@@ -94,14 +94,14 @@ class SampledSimulator:
             tolerance=settings.tolerance,
             max_state=settings.max_state,
         )
-        record = RunRecord(course.x, course.totals, len(system.controller.states))
+        record = RunRecord(problem.x, problem.totals, len(system.controller.states))
 
         def sampled(t: float, states: Array) -> None:
             record.add_sample(t, states)
             if len(record.samples) % SAMPLES_PER_REPORT == 0:
                 progress(t / settings.duration)
 
-        run = SampledRun(self.maps, course)
+        run = SampledRun(self.maps, problem)
         run.run(on_sample=sampled, on_step=record.add_step)
         record.add_sample(float(line.times[-1]), run.states)
         outcome: Outcome = run.outcomes[0]

@@ -212,14 +212,14 @@ class SampledRun:
             at_shortest = h <= shortest
             allowed = np.where(at_shortest, self._problem.tolerance, self._allowed)
             x_after, totals_after, error = self._maps.step(t, h, allowed, x, u, totals, p)
-            passed = (error <= 1.0) & (t < end)
-            x = np.where(passed, x_after, x)
-            totals = np.where(passed, totals_after, totals)
-            t = np.where(passed, np.where(last, end, t + h), t)
-            if on_step is not None and passed[0]:
+            accepted = (error <= 1.0) & (t < end)
+            x = np.where(accepted, x_after, x)
+            totals = np.where(accepted, totals_after, totals)
+            t = np.where(accepted, np.where(last, end, t + h), t)
+            if on_step is not None and accepted[0]:
                 on_step(float(t[0]), x, totals, u)
             h = h * _factor(error, MAX_FACTOR)
-            lost |= (t < end) & at_shortest & ~passed
+            lost |= (t < end) & at_shortest & ~accepted
             if (lost | (t >= end)).all():
                 break
         stuck = t < end

@@ -29,9 +29,9 @@ class MapsSampled(SampledLoopMethod):
         names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
         self._shown_values = numpy_callable(names, self.shown)
 
-    def integrate(self, course: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
-        run = SampledRun(self._maps, course)
-        events, count = course.timeline, course.x.shape[1]
+    def integrate(self, group: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
+        run = SampledRun(self._maps, group)
+        events, count = group.timeline, group.x.shape[1]
         times = events.times[events.marks >= 0]
 
         def at_grid_point(k: int) -> None:

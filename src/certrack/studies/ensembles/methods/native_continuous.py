@@ -47,17 +47,17 @@ class NativeContinuous(Method):
         self._native.reserve(threads, counts_shape(len(signals), len(problem.times)))
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
-        passed, part = self._integrate(begin, end, bands)
+        results, part = self._integrate(begin, end, bands)
         names = (*INTEGRAL_METRICS, *MEMORY_METRICS)
-        totals = dict(zip(names, passed.totals[:, part], strict=True))
+        totals = dict(zip(names, results.totals[:, part], strict=True))
         metrics = self._problem.metrics(totals)
-        return MemberResults(metrics, passed.ends[part], passed.outcomes[part] == STUCK)
+        return MemberResults(metrics, results.ends[part], results.outcomes[part] == STUCK)
 
     def final_states(self, begin: int, end: int, bands: Bands) -> np.ndarray:
         """Plant states at the end of the run, shape (n, N); NaN for a member that ended early."""
-        passed, part = self._integrate(begin, end, bands)
-        states: np.ndarray = passed.finals[: self._flow.watched, part]
-        return np.where(passed.ends[part] < self._problem.end, np.nan, states)
+        results, part = self._integrate(begin, end, bands)
+        states: np.ndarray = results.finals[: self._flow.watched, part]
+        return np.where(results.ends[part] < self._problem.end, np.nan, states)
 
     def _integrate(self, begin: int, end: int, bands: Bands) -> tuple[NativeResult, slice]:
         """Whole groups, and where the members begin ... end-1 are among them; these are counted."""
@@ -66,7 +66,7 @@ class NativeContinuous(Method):
         starts, table = problem.starts_and_parameters(first, -(-end // GROUP_SIZE) * GROUP_SIZE)
         parameters = np.array([table[name] for name in self._flow.parameters])
         part = slice(begin - first, end - first)
-        passed = self._native.integrate(
+        results = self._native.integrate(
             starts,
             parameters,
             SharedGrid(segments.edges, segments.shared, problem.times, bands.centre, bands.unit),
@@ -74,4 +74,4 @@ class NativeContinuous(Method):
             BinCounts(part, BINS_PER_SIDE, BAND_BITS, bands.counts),
             self._threads,
         )
-        return passed, part
+        return results, part

@@ -49,11 +49,11 @@ class NativeSampled(SampledLoopMethod):
             np.concatenate([part.run_alone for part in parts]),
         )
 
-    def integrate(self, course: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
-        passed = self._native.integrate(course, self.problem.segments.shared)
-        stuck = passed.outcomes == STUCK
-        for k, values in enumerate(passed.values):
-            alone = stuck & is_clearly_after(self.problem.times[k], passed.ends)
+    def integrate(self, group: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
+        results = self._native.integrate(group, self.problem.segments.shared)
+        stuck = results.outcomes == STUCK
+        for k, values in enumerate(results.values):
+            alone = stuck & is_clearly_after(self.problem.times[k], results.ends)
             on_grid_point(k, values, ~alone)
-        totals = dict(zip(TOTALS, passed.totals, strict=True))
-        return GroupResults(totals, passed.ends, stuck)
+        totals = dict(zip(TOTALS, results.totals, strict=True))
+        return GroupResults(totals, results.ends, stuck)

@@ -88,7 +88,7 @@ class SampledLoopMethod(SampledMethod):
         self._outputs = outputs_of(self.loop)
 
     @abstractmethod
-    def integrate(self, course: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
+    def integrate(self, group: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
         """Integrate members to their end; any number of threads may do so at once."""
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
@@ -96,13 +96,13 @@ class SampledLoopMethod(SampledMethod):
         first, last = begin - begin % LANES, -(-end // LANES) * LANES
         part = slice(begin - first, end - first)
 
-        def on_grid_point(k: int, values: np.ndarray, counted: np.ndarray) -> None:
+        def on_grid_point(k: int, values: np.ndarray, is_counted: np.ndarray) -> None:
             with self._counting:
                 for signal, row in enumerate(values):
-                    bands.observe(signal, k, row[part][counted[part]])
+                    bands.observe(signal, k, row[part][is_counted[part]])
 
-        course = self._course(first, *self.problem.starts_and_parameters(first, last))
-        results = self.integrate(course, on_grid_point)
+        group = self._group_problem(first, *self.problem.starts_and_parameters(first, last))
+        results = self.integrate(group, on_grid_point)
         totals = {name: values[part] for name, values in results.totals.items()}
         metrics = self.problem.metrics(totals)
         return MemberResults(metrics, results.ends[part], results.run_alone[part])
@@ -114,8 +114,8 @@ class SampledLoopMethod(SampledMethod):
         def of_group(first: int) -> tuple[float, float]:
             starts, table = self.problem.starts_and_parameters(first, first + size)
             table |= {name: np.full(size, value) for name, value in numbers.items()}
-            course = self._course(first, starts, table, implementation)
-            results = self.integrate(course, lambda *_: None)
+            group = self._group_problem(first, starts, table, implementation)
+            results = self.integrate(group, lambda *_: None)
             part = slice(0, members - first)
             done = ~results.run_alone & (results.ends >= self.problem.end)
             tails = np.where(done, results.totals["tail_error"], np.inf)[part]
@@ -138,7 +138,7 @@ class SampledLoopMethod(SampledMethod):
         duration, breaks = problem.system.settings.duration, problem.segments.edges[1:-1]
         return event_timeline(implementation, duration, breaks, problem.times)
 
-    def _course(
+    def _group_problem(
         self,
         first: int,
         starts: np.ndarray,
