@@ -14,7 +14,7 @@ from mpmath import iv, mp
 import certrack
 from certrack.certificates import certify_semidefinite
 from certrack.certificates.arithmetic import rational
-from certrack.certificates.cascade import _step, certify_cascade
+from certrack.certificates.cascade import _prove_stage, certify_cascade
 from certrack.certificates.centred import _enclose, centred_problem
 from certrack.certificates.exact import float_up, from_text, root_up, squared_bound
 from certrack.certificates.formulation import error_coordinates, error_problem
@@ -199,7 +199,7 @@ def planar(drift, regressor):
 def remainder(system):
     """Proof of a bound on V, and what the centred stage then adds on the last row for kappa = 1."""
     problem = error_problem(system, rational)
-    proof = _step(problem, problem.n - 1)
+    proof = _prove_stage(problem, problem.n - 1)
     zeta = centred_problem(system, problem, proof, flint.fmpq(1)).Ub[:, -1]
     return proof, float(zeta[-1])
 

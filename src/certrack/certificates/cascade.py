@@ -8,9 +8,8 @@ faster and never see the estimates: only the last row of the error system does. 
    bound e_1 there, with any alpha the fast rows allow.
 
 Once |e_n| <= E (1 + eps), the second inequality, which is strict, still holds for small eps; so
-limsup |e_1| is at most its bound. Both steps are verified exactly. A stage
-between the two, centred on better virtual parameters (:mod:`certrack.certificates.centred`), makes
-E smaller where it helps.
+limsup |e_1| is at most its bound. Both steps are verified exactly. A stage between the two, centred
+on better virtual parameters (:mod:`certrack.certificates.centred`), makes E smaller where it helps.
 """
 
 from __future__ import annotations
@@ -43,25 +42,25 @@ def certify_cascade(system: System) -> tuple[Certificate, tuple[Proof, ...] | No
         exact = error_problem(system, rational)
         if exact.adaptation is None or exact.n < 2:
             raise NoCertificate("the cascade helps the adaptive law of order 2 and more only")
-        stages = [_step(exact, exact.n - 1)]
-        closer = _centred_stage(system, exact, stages[0])
-        stages += [] if closer is None else [closer]
-        first = _step(head_problem(exact, from_text(stages[-1].bound)), 0)
+        stages = [_prove_stage(exact, exact.n - 1)]
+        centred = _centred_stage(system, exact, stages[0])
+        stages += [] if centred is None else [centred]
+        head = _prove_stage(head_problem(exact, from_text(stages[-1].bound)), 0)
     except NoCertificate as problem:
         return missing("cascade", str(problem)), None
-    return proven("cascade", system, first), (*stages, first)
+    return proven("cascade", system, head), (*stages, head)
 
 
 def check_cascade(system: System, problem: ErrorProblem, stages: Sequence[Proof]) -> str:
     """Empty if every stage holds for the (exact) problem, else what fails."""
     if problem.n < 2 or problem.adaptation is None:
         return "a cascade needs the adaptive law and at least two states"
-    *inner, first = stages
+    *inner, head = stages
     reason = check(problem, inner[0], problem.n - 1)
     if not reason and len(inner) == 2:
         kappa = from_text(inner[1].shift)
         reason = check(centred_problem(system, problem, inner[0], kappa), inner[1], problem.n - 1)
-    return reason or check(head_problem(problem, from_text(inner[-1].bound)), first)
+    return reason or check(head_problem(problem, from_text(inner[-1].bound)), head)
 
 
 #: Values of kappa that are tried, of either sign. They are close enough for the refinement below to
@@ -83,7 +82,7 @@ PROOF_ATTEMPTS = 2
 
 
 def _centred_stage(system: System, exact: ErrorProblem, reached: Proof) -> Proof | None:
-    """A smaller bound on e_n with V centred elsewhere, or None."""
+    """A proven bound on e_n, smaller than `reached`, with V centred elsewhere; or None."""
     target = exact.n - 1
     solutions: dict[str, Solution] = {}
 
@@ -130,7 +129,8 @@ def head_problem(problem: ErrorProblem, limit: Any) -> ErrorProblem:
     )
 
 
-def _step(exact: ErrorProblem, target: int) -> Proof:
+def _prove_stage(exact: ErrorProblem, target: int) -> Proof:
+    """A proven bound on limsup |e_target| (from 0) of the problem."""
     solution = best_solution(SemidefiniteProgram(exact.in_floats(), target))
     proof = None if solution is None else prove(exact, solution, target)
     if proof is None:
