@@ -99,7 +99,7 @@ def sampled_controller(
         memories.append((symbol("ctl_u_last"), COMMAND))
     estimates = controller.states
     rates = [rate.xreplace(x) for _, rate in controller.equations.update]
-    leak = _leak_jacobian(controller, rates) if implementation.update == "exact_leak" else ()
+    leak = leak_jacobian(controller) if implementation.update == "exact_leak" else ()
     hold = _hold_entries(leak, len(estimates))
     numbers += [symbol(f"ctl_hold_{i}_{j}") for i, j in hold]
     if implementation.projection is not None:
@@ -240,9 +240,10 @@ def _weighted(rates: Sequence[sympy.Expr], hold: Sequence[tuple[int, int]]) -> l
     ]
 
 
-def _leak_jacobian(controller: Controller, rates: list[sympy.Expr]) -> tuple[sympy.Expr, ...]:
-    """Jacobian of the rates by the estimates, where it depends on gains alone; else zero."""
+def leak_jacobian(controller: Controller) -> tuple[sympy.Expr, ...]:
+    """Jacobian of the rates by the estimates, row-major: what depends on gains alone, else zero."""
     gains = set(controller.symbols)
+    rates = [rate for _, rate in controller.equations.update]
     table = [sympy.diff(rate, z) for rate in rates for z in controller.states]
     return tuple(entry if entry.free_symbols <= gains else sympy.S.Zero for entry in table)
 
