@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from certrack.core.arrays import Array
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
@@ -24,8 +25,6 @@ from certrack.model.noise import keys
 from certrack.references import pieces_at
 from certrack.simulation.run import Run
 from certrack.systems.system import System
-
-Array = np.ndarray
 
 #: Parts of a step between which a run is sampled: enough for the metrics to refine a peak.
 PARTS = 8
