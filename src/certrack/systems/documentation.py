@@ -36,7 +36,7 @@ def _merged_tables() -> dict[str, list[str]]:
     total: dict[str, int] = {}
     for path, keys in TABLES.items():
         table, _, kind = path.rstrip("]").partition("[")
-        title = f"### `[{table}]`" if table else "### Above the first table"
+        title = f"## `[{table}]`" if table else "## Above the first table"
         title += " with a `kind`" if table == "reference" and kind else ""
         total[title] = total.get(title, 0) + 1
         for name, key in keys.items():
