@@ -136,7 +136,7 @@ class Implementation:
     velocity: tuple[str, ...] = keyed(
         "names",
         (),
-        help="states that are not measured but had from filtered differences of the one before",
+        help="states not measured but computed from filtered differences of the one before",
         shape="names of states",
     )
     velocity_filter: float = keyed(
