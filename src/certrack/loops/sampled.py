@@ -99,6 +99,16 @@ class SampledLoop:
 def sample_loop(system: System, totals: Totals | None = None) -> SampledLoop:
     """The closed loop of a system that has an implementation.
 
+    Parameters
+    ----------
+    system : System
+    totals : Totals, optional
+        What is kept from step to step; by default the integrals of a single run.
+
+    Returns
+    -------
+    SampledLoop
+
     Raises
     ------
     InputError
@@ -133,7 +143,18 @@ def sample_loop(system: System, totals: Totals | None = None) -> SampledLoop:
 
 
 def loop_values(loop: SampledLoop, system: System) -> np.ndarray:
-    """Values of :attr:`SampledLoop.parameters` of a loop as :func:`sample_loop` makes it."""
+    """Values of :attr:`SampledLoop.parameters` of a loop as :func:`sample_loop` makes it.
+
+    Parameters
+    ----------
+    loop : SampledLoop
+        That of `system`, or of another system of the same structure.
+    system : System
+
+    Returns
+    -------
+    (P,) array
+    """
     assert system.implementation is not None
     law = controller_values(loop.controller, system.plant, system.law, system.implementation)
     known: dict[sympy.Symbol, float] = {}
