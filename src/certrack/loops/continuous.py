@@ -60,7 +60,16 @@ class ClosedLoop:
 
 
 def close_loop(system: System) -> ClosedLoop:
-    """The closed loop of `system` as one ODE."""
+    """The closed loop of `system` as one ODE: its implementation, if any, is left out.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    ClosedLoop
+    """
     plant, controller = simulated_plant(system), system.controller
     s = controller.signals
     measured = dict(zip(s.x, plant.outputs, strict=True))
@@ -88,7 +97,18 @@ def close_loop(system: System) -> ClosedLoop:
 
 
 def parameter_values(loop: ClosedLoop, system: System) -> np.ndarray:
-    """Values of :attr:`ClosedLoop.parameters`, without those of the reference's piece."""
+    """Values of :attr:`ClosedLoop.parameters`, without those of the reference's piece.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        That of `system`, or of another system of the same structure.
+    system : System
+
+    Returns
+    -------
+    (P,) array
+    """
     return np.concatenate(
         [
             plant_values(loop.plant, system),

@@ -88,7 +88,21 @@ class SampledController:
 def sampled_controller(
     plant: Plant, controller: Controller, implementation: Implementation
 ) -> SampledController:
-    """The controller of a law in discrete time."""
+    """The controller of a law in discrete time.
+
+    Parameters
+    ----------
+    plant : Plant
+        Of the design: its chain gives the states that are not measured.
+    controller : Controller
+        The law in continuous time.
+    implementation : Implementation
+        Only what it has counts here (limits, differences, anti-windup), not its numbers.
+
+    Returns
+    -------
+    SampledController
+    """
     s = controller.signals
     steps: list[tuple[sympy.Symbol, sympy.Expr]] = []
     memories: list[tuple[sympy.Symbol, sympy.Expr]] = []
@@ -140,6 +154,10 @@ def next_estimates(
     hold : pairs (i, j)
         See :class:`SampledController`.
     implementation : Implementation
+
+    Returns
+    -------
+    formulas, one per estimate
     """
     rises = _weighted(rates, hold)
     limited = implementation.saturation is not None or implementation.rate_limit is not None
@@ -263,7 +281,21 @@ def _hold_entries(leak: tuple[sympy.Expr, ...], count: int) -> tuple[tuple[int, 
 def controller_values(
     controller: SampledController, plant: Plant, law: Law, implementation: Implementation
 ) -> np.ndarray:
-    """Values of :attr:`SampledController.parameters`."""
+    """Values of :attr:`SampledController.parameters`.
+
+    Parameters
+    ----------
+    controller : SampledController
+    plant : Plant
+    law : Law
+        Has the gains.
+    implementation : Implementation
+        Of the structure that the controller was made for.
+
+    Returns
+    -------
+    (P,) array
+    """
     gains = law.values(plant, controller.gain_names)
     T, filter_time = implementation.period, implementation.velocity_filter
     known = {PERIOD: T}
@@ -298,7 +330,20 @@ def _hold_weights(controller: SampledController, gains: np.ndarray, T: float) ->
 def starting_state(
     controller: SampledController, estimates: tuple[float, ...], implementation: Implementation
 ) -> np.ndarray:
-    """States before the first sample."""
+    """States before the first sample.
+
+    Parameters
+    ----------
+    controller : SampledController
+    estimates : numbers
+        The law's own states at the start.
+    implementation : Implementation
+        Has the input before the first sample.
+
+    Returns
+    -------
+    (S,) array
+    """
     initial = {FIRST: 1.0, symbol("ctl_u_last"): implementation.initial_input}
     memories = [initial.get(name, 0.0) for name in controller.states[len(controller.estimates) :]]
     return np.array([*estimates, *memories])

@@ -57,7 +57,21 @@ class SimulatedPlant:
 
 
 def simulated_plant(system: System) -> SimulatedPlant:
-    """The truth of `system` as formulas."""
+    """The truth of `system` as formulas.
+
+    Without states of its own, with b_ij, g_i, tau_i, theta and constants as they really are,
+
+        x_i' = g_i x_{i+1} + sum_j b_ij x_j + tau_i w_i,        i < n
+        x_n' = g_n u + h(x) + phi(x)^T theta + tau_n w_n        [5]
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    SimulatedPlant
+    """
     if system.truth.states:
         return _truth_with_states(system)
     plant, truth = system.plant, system.truth
@@ -104,7 +118,18 @@ def _truth_with_states(system: System) -> SimulatedPlant:
 
 
 def plant_values(plant: SimulatedPlant, system: System) -> np.ndarray:
-    """Values of :attr:`SimulatedPlant.parameters`."""
+    """Values of :attr:`SimulatedPlant.parameters`.
+
+    Parameters
+    ----------
+    plant : SimulatedPlant
+        That of `system`, or of another system of the same structure.
+    system : System
+
+    Returns
+    -------
+    (P,) array
+    """
     truth, built = system.truth, _plant_as_built(system)
     if truth.states:
         return np.array(list(true_constants(system).values()))
@@ -136,6 +161,10 @@ def measured(system: System, states: np.ndarray) -> np.ndarray:
     system : System
     states : (S, N) array
         Those of the simulated plant; what follows them is ignored.
+
+    Returns
+    -------
+    (n, N) array
     """
     truth, count = system.truth, len(system.simulated_states)
     if not truth.states:

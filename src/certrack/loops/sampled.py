@@ -104,10 +104,14 @@ def sample_loop(
     Parameters
     ----------
     system : System
-    totals : formulas, optional
-        What is totalled along a run.
+    totals : Totals, optional
+        What is kept from step to step; by default the integrals of a single run.
     controller : SampledController, optional
         That of the system, where it has been made before.
+
+    Returns
+    -------
+    SampledLoop
 
     Raises
     ------
@@ -144,7 +148,18 @@ def sample_loop(
 
 
 def loop_values(loop: SampledLoop, system: System) -> np.ndarray:
-    """Values of :attr:`SampledLoop.parameters` of a loop as :func:`sample_loop` makes it."""
+    """Values of :attr:`SampledLoop.parameters` of a loop as :func:`sample_loop` makes it.
+
+    Parameters
+    ----------
+    loop : SampledLoop
+        That of `system`, or of another system of the same structure.
+    system : System
+
+    Returns
+    -------
+    (P,) array
+    """
     assert system.implementation is not None
     law = controller_values(loop.controller, system.plant, system.law, system.implementation)
     known: dict[sympy.Symbol, float] = {}

@@ -72,6 +72,11 @@ class LinearLoop:
         ----------
         period : float, s
         delay : float, periods
+
+        Returns
+        -------
+        (N + s + d + 1, N + s + d + 1) array
+            d is the whole part of the delay, s the number of the controller's memories.
         """
         law = self._law_matrix(period)
         N, n, memories = len(self.b), len(self.C), len(law) - 1
@@ -89,7 +94,18 @@ class LinearLoop:
         return M
 
     def radius(self, period: float, delay: float) -> float:
-        """Spectral radius of the period map; the loop is stable where it is below 1."""
+        """Spectral radius of the period map; the loop is stable where it is below 1.
+
+        Parameters
+        ----------
+        period : float, s
+        delay : float, periods
+
+        Returns
+        -------
+        float
+            inf where the map is not finite.
+        """
         M = self.period_map(period, delay)
         return float(np.abs(np.linalg.eigvals(M)).max()) if np.isfinite(M).all() else math.inf
 
@@ -115,7 +131,18 @@ class LinearLoop:
 
 
 def linear_loop(system: System) -> LinearLoop | None:
-    """The loop as matrices, or None where it is not linear."""
+    """The loop as matrices, or None where it is not linear.
+
+    Parameters
+    ----------
+    system : System
+        Its disturbance, limits, quantisation and noise are left out.
+
+    Returns
+    -------
+    LinearLoop or None
+        None also for a law with states of its own, and without an implementation.
+    """
     if system.controller.states or system.implementation is None:
         return None
     implementation = Implementation(

@@ -77,6 +77,10 @@ def measure(
         See :class:`Metrics`.
     per_step : int, optional
         Samples per integration step; signals may jump between steps.
+
+    Returns
+    -------
+    Metrics
     """
     span = float(t[-1])
     return Metrics(
