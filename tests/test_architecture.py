@@ -79,7 +79,6 @@ def test_page_names_what_exists():
 
 #: Public names that several modules define, and why that is one meaning.
 ONE_MEANING = {
-    "Array": "short for np.ndarray",
     **dict.fromkeys(
         ("certify", "ensemble", "falsify", "fmu", "reproduce", "simulate", "verify"),
         "the verb of the command line, and what it calls",

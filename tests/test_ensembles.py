@@ -504,3 +504,39 @@ def test_summary_is_json():
     assert summary["members"] == 16
     assert summary["violations"] is None
     assert found.dataset()["quantiles"].shape == (len(LEVELS), 4, 201)
+
+
+#: Members whose steps vanish before the end: x' = x^3 escapes in finite time, and a square root
+#: whose argument becomes negative. In a process of its own: a node of the memories that rounding
+#: leaves where it is once made the compiled integrator go on for ever.
+VANISHING = """
+import certrack
+from certrack.model.distribution import Distribution
+from certrack.model.population import Population
+
+def uniform(low, high):
+    return Distribution("uniform", (low, high))
+
+system = certrack.System(
+    plant=certrack.Plant(states=["x"], drift="x**3", gain_sign=1, input_gain=1),
+    law=certrack.Robust(c=(1,)),
+    reference=certrack.SymbolicReference("0.1*sin(t)"),
+    truth=certrack.Truth(input_gain=0.3, omega={omega}, tau=(1,)),
+    settings=certrack.Settings(x0=(0,), duration=10),
+    population=Population(x0=(uniform(-2, 2),), input_gain=uniform(0.2, 1)),
+)
+print(certrack.ensemble(system, {members}, seed=3, method="native").statistics.outcomes)
+"""
+
+
+@pytest.mark.skipif(vector_compiler() is None, reason="no C compiler")
+@pytest.mark.parametrize(
+    ("omega", "members", "outcome"),
+    [("None", 100, "escaped"), ('("sqrt(3.2 - t + 0.05*x)",)', 8, "undefined")],
+)
+def test_members_whose_steps_vanish_end(omega, members, outcome):
+    program = VANISHING.format(omega=omega, members=members)
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert outcome in done.stdout

@@ -9,11 +9,11 @@ import sys
 import numpy as np
 import pytest
 import xarray
-from certrack.export.c.files import write_all
 
 import certrack
 from certrack.core import files
 from certrack.core.errors import InputError
+from certrack.export.c.export import write_all
 from certrack.plotting import save_figure
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")

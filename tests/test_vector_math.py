@@ -13,7 +13,13 @@ import certrack
 from certrack.core.lowering import numpy_callable
 from certrack.core.select import Entry, Extremum
 from certrack.integrators.many.registers import LANES
-from certrack.studies.ensembles.statistics import BAND_BITS, BINS, FINEST, SIDE, Bands
+from certrack.studies.ensembles.statistics import (
+    BAND_BINS,
+    BAND_BITS,
+    BINS_PER_SIDE,
+    FINEST_OCTAVE,
+    Bands,
+)
 
 COMPILER = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
 FLAGS = "-std=gnu11 -O3 -fno-math-errno -fno-trapping-math -fno-signed-zeros -shared -fPIC".split()
@@ -195,9 +201,11 @@ def test_bins_are_those_of_the_statistics(library):
     values = np.append(values, np.ones(-len(values) % 8, dtype=np.float32))
     padded = np.append(values, np.ones(8, dtype=np.float32))  # members that are not alive
     bins = np.empty(len(padded), dtype=np.uint16)
-    library.map_bins(pointer(padded), pointer(bins), ctypes.c_long(len(padded)), SIDE, BAND_BITS)
-    assert (bins[-8:] == BINS - 1).all()
+    library.map_bins(
+        pointer(padded), pointer(bins), ctypes.c_long(len(padded)), BINS_PER_SIDE, BAND_BITS
+    )
+    assert (bins[-8:] == BAND_BINS - 1).all()
     for value, bin_ in zip(values, bins, strict=False):
-        bands = Bands(np.zeros((1, 1)), np.array([2.0**FINEST]))
+        bands = Bands(np.zeros((1, 1)), np.array([2.0**FINEST_OCTAVE]))
         bands.observe(0, 0, np.array([float(value)]))
         assert bands.counts[0, 0].argmax() == bin_

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import sympy
 
+from certrack.core.arrays import Array
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable, rows
@@ -24,8 +25,6 @@ from certrack.loops.controller import COMMAND, controller_values
 from certrack.loops.sampled import SampledLoop, resolved
 from certrack.simulation.sampled import SampledSimulator
 from certrack.systems.system import System
-
-Array = np.ndarray
 
 #: Largest deviation over its scale.
 GOLDEN_TOLERANCE = {"double": 1e-12, "float": 5e-6}

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from certrack.core.arrays import Array
 from certrack.core.errors import CertrackError, MissingExtra
 from certrack.core.expressions import TIME, symbol
 from certrack.core.lowering import numpy_callable
@@ -32,8 +33,6 @@ from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.sampled import SampledSimulator
 from certrack.systems.system import System
-
-Array = np.ndarray
 
 #: A time this close before a break of the reference, relatively, is the break: what rounding does
 #: to a multiple of the period.

@@ -10,6 +10,7 @@ import ctypes
 
 import numpy as np
 
+from certrack.core.arrays import Array
 from certrack.core.compilers import load_library
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
@@ -20,8 +21,6 @@ from certrack.loops.sampled import SampledLoop
 from certrack.simulation.run import Run
 from certrack.simulation.sampled import SampledSimulator
 from certrack.systems.system import System
-
-Array = np.ndarray
 
 #: As strict as the language allows.
 STRICT_FLAGS = (

@@ -257,7 +257,8 @@ static void update_along(Group *g, const Task *task, Step *s, const double *shar
     double parts = ceil((until - g->node) / (task->node_spacing * s->h) * 0.999), c[COMMON + 1];
     double now = parts > 1 ? g->node + (until - g->node) / parts : until;
     now = now < g->t ? g->t : now;
-    if (now > end || now >= stop) return;
+    /* where steps vanish, rounding may leave the next node where the last one is */
+    if (now > end || now >= stop || (now <= g->node && now < until)) return;
     int shows = now >= mark;
     if (!shows) common_at(now, shared, c);
     update_inside(g, task, s, now, shows ? task->grid_common[g->row] : c, shows);

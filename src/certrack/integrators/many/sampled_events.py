@@ -7,9 +7,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from certrack.core.arrays import Array
 from certrack.model.implementation import Implementation
-
-Array = np.ndarray
 
 #: Events closer than this part of a period are one, and so are those closer than
 #: `EVENT_ROUNDING` times the run: rounding may have separated what the user meant to be one.

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 import sympy
 
+from certrack.core.arrays import Array
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows, to_heyoka
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH, larger, magnitude
@@ -20,8 +21,6 @@ from certrack.integrators.pairs import DORMAND_PRINCE, heyoka_step, heyoka_sum, 
 from certrack.loops.controller import COMMAND
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
-
-Array = np.ndarray
 
 #: A number for all members, or one for each.
 Scalar = float | np.ndarray

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import sympy
 
+from certrack.core.arrays import Array
 from certrack.core.expressions import TIME
 from certrack.core.lowering import hoisted
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
@@ -20,8 +21,6 @@ from certrack.integrators.many.sampled_maps import PAIR
 from certrack.integrators.many.sampled_run import SampledProblem
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
-
-Array = np.ndarray
 
 #: Numbers that sampled_native.c shares with sampled_run.py; errors are squared there.
 SHARED_CONSTANTS = {

@@ -15,14 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from certrack.core.arrays import Array
 from certrack.integrators.base import ESCAPING, Outcome
 from certrack.integrators.many.registers import whole_registers
 from certrack.integrators.many.sampled_events import EventTimeline
 from certrack.integrators.many.sampled_maps import PAIR, Maps
 from certrack.model.implementation import Implementation
 from certrack.model.noise import normal
-
-Array = np.ndarray
 
 #: The error allowed in a step is this part of the tolerance: there may be many steps while an error
 #: dies out.
