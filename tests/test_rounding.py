@@ -1,14 +1,20 @@
 """Every step that rounds a bound outward, and what would be claimed without it."""
 
 import math
+import re
 from dataclasses import replace
+from decimal import Decimal
 from fractions import Fraction
+from functools import partial
 from itertools import product
 
 import flint
 import numpy as np
 import pytest
 import sympy
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
 from mpmath import iv, mp
 
 import certrack
@@ -20,6 +26,8 @@ from certrack.certificates.exact import float_up, from_text, root_up, squared_bo
 from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.published import certify_published
 from certrack.certificates.tube import _energy, _entry_errors
+from certrack.cli import cli
+from certrack.core.rounding import rounded_up
 from certrack.laws import Robust
 from certrack.model.plant import Plant, Uncertainty
 from certrack.model.truth import Truth
@@ -133,7 +141,7 @@ def test_published_bounds_are_not_below_their_formula():
 
 
 @pytest.mark.parametrize("name", ["example1", "dual-motor", "dual-motor-strong", "dual-motor-lean"])
-def test_printed_bounds_are_not_below_what_is_proven(name):
+def test_bounds_are_not_below_what_is_proven(name):
     system = certrack.load(name)
     certificate, proof = certify_semidefinite(system)
     square = exactly(squared_bound(error_problem(system, rational), proof))
@@ -256,3 +264,35 @@ def test_remainder_beyond_the_floats_is_no_bound():
     assert certificate.verified
     with pytest.raises(certrack.NoCertificate, match="unbounded on the set"):
         remainder(system)
+
+
+def bounds_in(text):
+    """The bounds of a table of certificates."""
+    rows = re.findall(r"^│ (\w+) +│ ([\d.e-]+) ", text, re.M)
+    return {kind: Decimal(bound) for kind, bound in rows if bound != "-"}
+
+
+@pytest.mark.parametrize("name", ["example1", "dual-motor"])
+def test_printed_bounds_are_not_below_those_computed(name, tmp_path):
+    """To six digits, upwards: in the tables of certify and in what verify and falsify say."""
+    system = certrack.load(name)
+    results = certrack.certify(system)
+    run = partial(CliRunner().invoke, cli, catch_exceptions=False)
+    printed = bounds_in(run(["certify", name, "--out", str(tmp_path / "proof.json")]).output)
+    assert printed.keys() >= {"published", "corrected", "rate", "semidefinite"}
+    for kind, bound in printed.items():
+        exact = Decimal(getattr(results, kind).bound)
+        assert exact <= bound <= exact * Decimal("1.00001")
+    said = run(["verify", str(tmp_path / "proof.json")]).output
+    assert Decimal(re.search(r"<= ([\d.e-]+)", said)[1]) >= Decimal(results.best.bound)
+
+
+@given(st.floats(1e-12, 1e12), st.integers(2, 8))
+def test_rounded_up_is_the_next_short_number(value, digits):
+    text = rounded_up(value, digits)
+    assert Decimal(value) <= Decimal(text) <= Decimal(value) * (1 + Decimal(10) ** (1 - digits))
+    assert len(Decimal(text).normalize().as_tuple().digits) <= digits
+
+
+def test_rounded_up_beyond_numbers():
+    assert [rounded_up(value, 4) for value in (0.0, math.inf, "0.12345")] == ["0", "inf", "0.1235"]

@@ -60,11 +60,13 @@ def draw(runs: dict[str, Run], folder: Path, title: str) -> None:
     plotting.save_figure(plotting.overview(runs, title), folder, "overview")
 
 
-def diagnose(run: Run) -> None:
-    """Notes to standard error; exit code 1 for a run that did not finish."""
-    for note in run.notes:
-        click.echo(f"certrack: note: {note}", err=True)
-    if run.outcome.name != "finished":
-        t = run.trajectory.end
-        click.echo(f"certrack: stopped at t = {t:.6g} s: {run.outcome.value}", err=True)
+def diagnose(*runs: Run) -> None:
+    """Notes of all runs to standard error; exit code 1 if one of them did not finish."""
+    for run in runs:
+        for note in run.notes:
+            click.echo(f"certrack: note: {note}", err=True)
+        if run.outcome.name != "finished":
+            t = run.trajectory.end
+            click.echo(f"certrack: stopped at t = {t:.6g} s: {run.outcome.value}", err=True)
+    if any(run.outcome.name != "finished" for run in runs):
         raise click.exceptions.Exit(1)

@@ -63,6 +63,7 @@ def verify(certificate: Path, as_json: bool) -> None:
     """
     from certrack import certificates
     from certrack.cli import report
+    from certrack.core.rounding import rounded_up
 
     proof = certificates.verify(certificate)
     if as_json:
@@ -70,7 +71,7 @@ def verify(certificate: Path, as_json: bool) -> None:
 
         click.echo(report.to_json(asdict(proof)))
     elif proof.verified:
-        click.echo(f"verified: limsup |e_1| <= {float(proof.bound):.6g}, resting on")
+        click.echo(f"verified: limsup |e_1| <= {rounded_up(proof.bound, 6)}, resting on")
         report.print_lines(f"  {line}" for line in proof.assumptions)
     if not proof.verified:
         click.echo(f"certrack: {certificate}: not verified: {proof.reason}", err=True)
@@ -102,6 +103,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     """
     from certrack.certificates import best_sound_bound
     from certrack.cli import report
+    from certrack.core.rounding import printed_bound
     from certrack.studies.falsifier.falsify import falsify as search
     from certrack.systems.reader import load
     from certrack.systems.writer import save
@@ -126,7 +128,8 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         click.echo(report.to_json(values))
     else:
         click.echo(f"worst |e_1| found in {result.evaluations} runs: {result.worst_error:.6g}")
-        click.echo(f"certified limsup |e_1|: {certified:.6g}")
-        click.echo(f"certified / found: {certified / result.worst_error:.3g}")
+        click.echo(f"certified limsup |e_1|: {printed_bound(certified)}")
+        ratio = values["ratio"]
+        click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
         if out is not None:
             click.echo(f"{out} replays it: certrack simulate {out}")

@@ -16,6 +16,7 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
+from certrack.core.rounding import printed_bound
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -313,7 +314,7 @@ def certificates_table(results: Certificates) -> Table:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = notes[kind] if entry.exists else entry.reason
-        rows.append([kind, entry.bound if entry.exists else None, checked, text])
+        rows.append([kind, printed_bound(entry.bound if entry.exists else None), checked, text])
     return table("limsup |e_1| <=", ["certificate", "bound", "verified", "note"], rows)
 
 
@@ -334,8 +335,8 @@ def certificates_notes(results: Certificates) -> list[str]:
         start, settled = float(results.tube(0.0)), results.tube.settling_time(level)
         margin = f"{100 * SETTLED_MARGIN:g} %"
         lines.append(
-            f"tube from x0: |e_1| <= {start:.4g} at t = 0, within {margin} of the bound "
-            f"after {settled:.4g} s"
+            f"tube from x0: |e_1| <= {printed_bound(start, 4)} at t = 0, within {margin} of the "
+            f"bound after {printed_bound(settled, 4)} s"
         )
     return [*lines, "resting on:", *(f"  {line}" for line in results.best.assumptions)]
 

@@ -121,8 +121,7 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
         click.echo(report.to_json(summaries))
     else:
         report.console().print(report.metrics_table(summaries))
-    for run in runs.values():
-        diagnose(run)
+    diagnose(*runs.values())
 
 
 @click.command()

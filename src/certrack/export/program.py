@@ -46,7 +46,12 @@ NOTES = {
     DRIFT: "drift h(x)",
     LAW_INPUT: "the input that the law asks for",
     COMMAND: "the input within its limits",
-    CUT: "what the limits cut off; the estimates stand still meanwhile",
+}
+
+#: What the estimates do while the input is limited, by the kind of anti-windup.
+CUT_NOTES = {
+    "leak": "what the limits cut off; meanwhile the estimates only leak towards the priors",
+    "hold": "what the limits cut off; meanwhile the estimates stand still",
 }
 
 
@@ -213,7 +218,7 @@ def _update(
     size = magnitude(LAW_INPUT - COMMAND)
     if any(formula.has(size) for formula in after):
         after = [formula.xreplace({size: CUT}) for formula in after]
-        rates.append(Step(CUT, size, NOTES[CUT]))
+        rates.append(Step(CUT, size, CUT_NOTES[implementation.anti_windup]))
     return rates, (*after, *controller.update[len(after) :])
 
 
