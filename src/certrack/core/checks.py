@@ -130,7 +130,7 @@ def choice(key: str, value: Any, options: Iterable[str]) -> str:
 
 
 def text(key: str, value: Any) -> str:
-    """A string."""
+    """One line of printable text."""
     if not isinstance(value, str) or not value.isprintable():
         raise InputError(key, "must be one line of printable text", as_written(value))
     return value

@@ -99,6 +99,8 @@ class Key:
     def __post_init__(self) -> None:
         if self.kind not in KIND_WORDS:
             raise ValueError(f"no such kind of key: {self.kind}")
+        if self.kind == "integer" and (self.least is None or self.most is None):
+            raise ValueError("a key that holds a whole number needs both limits")
 
     @property
     def comment(self) -> str:
@@ -171,8 +173,8 @@ class Key:
                     self._number(f"{key}[{i}]", v, constants) for i, v in enumerate(entries)
                 )
             case "integer":
-                least, most = (0 if end is None else int(end) for end in (self.least, self.most))
-                return checks.integer(key, value, least, most)
+                assert self.least is not None and self.most is not None
+                return checks.integer(key, value, int(self.least), int(self.most))
             case "choice" if isinstance(self.choices[0], str):
                 return checks.choice(key, value, self.choices)
             case "choice":
@@ -188,10 +190,7 @@ class Key:
                 return self._metric(key, value, constants)
             case "text":
                 return checks.text(key, value)
-            case "texts":
-                entries = checks.sequence(key, value, count, self.shape)
-                return tuple(checks.text(key, entry) for entry in entries)
-            case "names":
+            case "texts" | "names":
                 entries = checks.sequence(key, value, count, self.shape)
                 return tuple(checks.text(f"{key}[{i}]", v) for i, v in enumerate(entries))
         raise NotImplementedError(f"{key}: a {self.kind} is checked by the class that holds it")
@@ -234,7 +233,9 @@ class Key:
                 checks.reals(f"{key}[{i}]", row, len(rows), "row", constants)
                 for i, row in enumerate(rows)
             )
-        return checks.reals(key, rows, None, "one number per regressor", constants, above=0)
+        return checks.reals(
+            key, rows, None, "one number per regressor", constants, above=self.above
+        )
 
     def _whole_choice(self, key: str, value: Any) -> int:
         is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
@@ -290,7 +291,7 @@ def check_fields(instance: Any, table: str, *names: str) -> None:
 
 
 def _short(value: float) -> str:
-    """A limit as short as it can be said exactly."""
+    """A limit as text: large powers of two as 2^k."""
     power = int(math.log2(value)) if value >= 2**20 else 0
     return f"2^{power}" if power and value == 2**power else f"{value:g}"
 

@@ -31,7 +31,7 @@ def is_negative(term: sympy.Expr) -> bool:
 
 
 def recognise_selection(choice: sympy.Expr) -> tuple[str, tuple[sympy.Expr, ...]] | None:
-    """The usual function that a :class:`~certrack.core.lowering.Select` is, if it is one.
+    """The usual function that a :class:`~certrack.core.select.Select` is, if it is one.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class FormulaPrinter(Printer):
         raise NotImplementedError
 
     def choice(self, expr: sympy.Expr) -> Part:
-        """Any other :class:`~certrack.core.lowering.Select`."""
+        """Any other :class:`~certrack.core.select.Select`."""
         raise NotImplementedError
 
     def terms(self, expr: sympy.Add) -> Iterable[sympy.Expr]:

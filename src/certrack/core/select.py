@@ -82,7 +82,7 @@ def _clipped(s: sympy.Expr) -> sympy.Expr:
 
 
 def _nonzero(value: sympy.Expr) -> sympy.Expr:
-    """The value as a denominator whose quotient is not used where it vanishes."""
+    """The value, or 1 where it is zero: the quotient by it is not used there."""
     return Select(magnitude(value), 0, value, 1)
 
 
@@ -99,6 +99,11 @@ def larger(a: sympy.Expr, b: sympy.Expr) -> sympy.Expr:
 def smaller(a: sympy.Expr, b: sympy.Expr) -> sympy.Expr:
     """min(a, b) for compiled maps."""
     return Select(b, a, a, b)
+
+
+def clamp(value: sympy.Expr, low: sympy.Expr, high: sympy.Expr) -> sympy.Expr:
+    """The value within [low, high] for compiled maps; NaN stays NaN."""
+    return Select(low, value, low, Select(value, high, high, value))
 
 
 def by_selections(formula: sympy.Expr) -> sympy.Expr:

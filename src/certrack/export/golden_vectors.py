@@ -21,7 +21,7 @@ from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable, rows
 from certrack.export.program import ControllerProgram
 from certrack.integrators.many.sampled_maps import Maps, Scalar
-from certrack.loops.controller import COMMAND, controller_values
+from certrack.loops.controller import COMMAND, FIRST, controller_values
 from certrack.loops.sampled import SampledLoop, resolved
 from certrack.simulation.sampled import SampledSimulator
 from certrack.systems.system import System
@@ -251,7 +251,7 @@ def _sensitivities(
             changed = [each.copy() for each in inputs]
             changed[which][row] *= 1 + small
             change = evaluate(*changed) - answers
-            if which == 2:
+            if part is inputs[-1]:  # the states: an answer holds their rise
                 change[1 + row] -= changed[2][row] - states[row]
             scales += np.abs(change) / small
     share = np.full(answers.shape[1], STATE_SHARE)
@@ -296,7 +296,7 @@ def _random_points(
 
     points = [spread(part) for part in (x, Y, states)]
     for row, name in enumerate(program.states):
-        if name.name == "ctl_first":
+        if name == FIRST:
             points[2][row] = (random.random(CANDIDATES) < FIRST_SHARE) * 1.0
     return points
 

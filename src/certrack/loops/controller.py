@@ -24,7 +24,7 @@ import sympy
 
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable
-from certrack.core.select import Select, magnitude
+from certrack.core.select import Select, clamp, magnitude
 from certrack.laws.base import Controller, Law
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -186,11 +186,6 @@ def _projection_limits(estimates: int) -> list[sympy.Symbol]:
 def differenced(name: str) -> sympy.Symbol:
     """Stands for a state that is not measured."""
     return symbol(f"ctl_value_{name}")
-
-
-def clamp(value: sympy.Expr, low: sympy.Expr, high: sympy.Expr) -> sympy.Expr:
-    """The value within [low, high]; what is not a number stays so."""
-    return Select(low, value, low, Select(value, high, high, value))
 
 
 def _state_values(

@@ -122,7 +122,7 @@ class Statements(FormulaPrinter):
     ----------
     variables : Variables
         Of the block.
-    known : mapping
+    computed : mapping, optional
         Variable of every part that has been computed before.
 
     Attributes
