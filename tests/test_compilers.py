@@ -164,7 +164,7 @@ def uses():
         "the loop": lambda: simulate_with_c(system),
         "fmu": lambda: fmu(system),
         "ensembles": lambda: certrack.ensemble(system, 1, method="native"),
-        "lanes": lambda: compiled_library("native.c", ""),
+        "lanes": lambda: compiled_library("many/native.c", ""),
     }
 
 

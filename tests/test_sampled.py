@@ -548,7 +548,7 @@ def test_neither_compiler_nor_heyoka(monkeypatch):
     def missing(*_):
         raise native.Unavailable
 
-    monkeypatch.setattr("certrack.integrators.many.sampled_native.compiled_library", missing)
+    monkeypatch.setattr("certrack.integrators.sampled.native.compiled_library", missing)
     methods = "certrack.studies.ensembles.methods"
     monkeypatch.setattr(f"{methods}.maps_sampled.available", lambda: False)
     monkeypatch.setattr(f"{methods}.lockstep_continuous.available", lambda: False)

@@ -66,11 +66,18 @@ def _compile(path: str, source: str, more: Sequence[str]) -> ctypes.CDLL:
 
 
 def _packaged(name: str) -> str:
-    return (files("certrack.integrators.many") / name).read_text("utf-8")
+    return files("certrack.integrators").joinpath(*name.split("/")).read_text("utf-8")
 
 
 def compiled_library(name: str, system: str) -> ctypes.CDLL:
-    """A C file of this folder, compiled with the generated header of a system.
+    """A C file of the integrators, compiled with the generated header of a system.
+
+    Parameters
+    ----------
+    name : str
+        Path below ``integrators``, such as ``many/native.c``.
+    system : str
+        What takes the place of ``system.h``.
 
     Raises
     ------
@@ -231,7 +238,7 @@ class Native:
 
     def __init__(self, flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> None:
         self._totals = len(flow.integrands) + len(flow.memories)
-        self._library = compiled_library("native.c", system_header(flow, shown))
+        self._library = compiled_library("many/native.c", system_header(flow, shown))
         self._spare_counts: list[np.ndarray] = []
 
     def integrate(

@@ -11,7 +11,7 @@ import numpy as np
 
 from certrack.core.errors import InputError
 from certrack.core.lowering import extract_switches, to_heyoka
-from certrack.integrators.many.registers import LANES, whole_registers
+from certrack.integrators.registers import LANES, whole_registers
 from certrack.loops.continuous import ClosedLoop
 
 #: A member that needs more steps has not finished; a run takes tens to hundreds.
