@@ -18,6 +18,7 @@ import numpy as np
 import sympy
 
 from certrack.core.compilers import CompilerError, c_compilers, find_c_compiler, load_library
+from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.integrators.many.native_source import system_header
 
@@ -41,10 +42,6 @@ VECTOR_MATH = (
     ["-DVECTOR_MATH", "-lmvec", "-lm"],
     ["-lm"],
 )
-
-
-class Unavailable(Exception):
-    """Compiled C cannot be had on this machine."""
 
 
 def vector_compiler() -> str | None:
@@ -81,7 +78,7 @@ def compiled_library(name: str, system: str) -> ctypes.CDLL:
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If no compiler can do it.
     """
     text = _packaged(name)
@@ -91,13 +88,13 @@ def compiled_library(name: str, system: str) -> ctypes.CDLL:
     try:
         path = vector_compiler() or find_c_compiler()
     except CompilerError as problem:
-        raise Unavailable(str(problem)) from None
+        raise MethodUnavailable(str(problem)) from None
     for more in ([*wide, *math] for wide in (WIDE, []) for math in VECTOR_MATH):
         try:
             return _compile(path, text, more)
         except CompilerError as problem:
             reason = problem  # of the fewest flags in the end
-    raise Unavailable(str(reason))
+    raise MethodUnavailable(str(reason))
 
 
 class _NativeTask(ctypes.Structure):
@@ -232,7 +229,7 @@ class Native:
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If no compiler can do it.
     """
 

@@ -94,7 +94,7 @@ class SampledNative:
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If there is no compiler that can do it.
     """
 

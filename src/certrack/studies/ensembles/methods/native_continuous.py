@@ -35,7 +35,7 @@ class NativeContinuous(Method):
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If no compiler can do it.
     """
 

@@ -28,7 +28,7 @@ class NativeSampled(SampledLoopMethod):
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If no compiler can do it.
     """
 
