@@ -21,7 +21,8 @@ from certrack.core.compilers import (
 )
 from certrack.export.c import simulate_with_c
 from certrack.export.fmu import fmu
-from certrack.integrators.many.native import Unavailable, compiled_library
+from certrack.integrators.base import MethodUnavailable
+from certrack.integrators.many.native import compiled_library
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the false compilers are shell scripts")
 
@@ -164,7 +165,7 @@ def uses():
         "the loop": lambda: simulate_with_c(system),
         "fmu": lambda: fmu(system),
         "ensembles": lambda: certrack.ensemble(system, 1, method="native"),
-        "lanes": lambda: compiled_library("native.c", ""),
+        "lanes": lambda: compiled_library("many/native.c", ""),
     }
 
 
@@ -172,11 +173,11 @@ def uses():
 def test_same_message_for_the_same_problem(use, false_compiler, monkeypatch):
     path, message = false_compiler("broken")
     with pytest.raises(
-        (certrack.CertrackError, Unavailable), match="error: \ufffd wrong"
+        (certrack.CertrackError, MethodUnavailable), match="error: \ufffd wrong"
     ) as refused:
         uses()[use]()
     assert f"the C compiler {path} {message}" in str(refused.value)
     monkeypatch.setenv("PATH", "")
-    with pytest.raises((certrack.CertrackError, Unavailable)) as refused:
+    with pytest.raises((certrack.CertrackError, MethodUnavailable)) as refused:
         uses()[use]()
     assert "no C compiler was found: install gcc or clang" in str(refused.value)

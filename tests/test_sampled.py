@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import certrack
-from certrack.integrators.many import native
+from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.native import vector_compiler
 from certrack.loops.stability import linear_loop
 from certrack.model.noise import keys, normal
@@ -546,12 +546,12 @@ def test_neither_compiler_nor_heyoka(monkeypatch):
     """NumPy takes the members side by side, and margins have a method, too."""
 
     def missing(*_):
-        raise native.Unavailable
+        raise MethodUnavailable
 
-    monkeypatch.setattr("certrack.integrators.many.sampled_native.compiled_library", missing)
+    monkeypatch.setattr("certrack.integrators.sampled.native.compiled_library", missing)
     methods = "certrack.studies.ensembles.methods"
-    monkeypatch.setattr(f"{methods}.maps_sampled.available", lambda: False)
-    monkeypatch.setattr(f"{methods}.lockstep_continuous.available", lambda: False)
+    monkeypatch.setattr(f"{methods}.maps_sampled.has_heyoka", lambda: False)
+    monkeypatch.setattr(f"{methods}.lockstep_continuous.has_heyoka", lambda: False)
     system = sampled("example1", **EVERYTHING).with_settings(duration=1, tail=0.5)
     method = fastest_adjustable(EnsembleProblem(system, 3, 1e-9), 1)
     assert type(method) is MapsSampled

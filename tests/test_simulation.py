@@ -257,7 +257,7 @@ def test_dataset_has_labels_units_and_provenance(tmp_path):
 
 
 def test_missing_heyoka_falls_back_to_scipy_with_one_warning(monkeypatch):
-    monkeypatch.setattr("certrack.simulation.continuous.available", lambda: False)
+    monkeypatch.setattr("certrack.simulation.continuous.has_heyoka", lambda: False)
     system = certrack.load("example1").with_settings(duration=1, tail=None)
     with pytest.warns(UserWarning, match="heyoka is not installed") as caught:
         run = simulate(system)

@@ -12,7 +12,7 @@ import sympy
 import certrack
 from certrack.core.lowering import numpy_callable
 from certrack.core.select import Entry, Extremum
-from certrack.integrators.many.registers import LANES
+from certrack.integrators.registers import LANES
 from certrack.studies.ensembles.statistics import (
     BAND_BINS,
     BAND_BITS,

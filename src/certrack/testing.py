@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from certrack.core.expressions import TIME
+from certrack.core.heyoka import has_heyoka
 from certrack.core.lowering import extract_switches, numpy_callable, to_heyoka
-from certrack.integrators.single.taylor import available
 from certrack.laws import known_laws
 from certrack.loops.continuous import close_loop, parameter_values
 from certrack.simulation.simulator import Simulator, simulate
@@ -102,7 +102,7 @@ class LawConformance:
 
     def test_numpy_and_taylor_forms_agree(self) -> None:
         """Both lowerings of the loop give the same rates."""
-        if not available():
+        if not has_heyoka():
             return
         import heyoka as hy
 
@@ -124,7 +124,7 @@ class LawConformance:
 
     def test_integrators_agree(self) -> None:
         """Taylor and SciPy give the same run."""
-        if not available():
+        if not has_heyoka():
             return
         settings = self.system.settings
         start = replace(settings, tolerance=1e-11, duration=min(5.0, settings.duration), tail=None)

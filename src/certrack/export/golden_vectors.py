@@ -20,7 +20,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable, rows
 from certrack.export.program import ControllerProgram
-from certrack.integrators.many.sampled_maps import Maps, Scalar
+from certrack.integrators.sampled.maps import SampledMaps, Scalar
 from certrack.loops.controller import COMMAND, FIRST, controller_values
 from certrack.loops.sampled import SampledLoop, resolved
 from certrack.simulation.sampled import SampledSimulator
@@ -304,7 +304,7 @@ def _random_points(
 class _RecordingMaps:
     """Maps that remember what the controller was given."""
 
-    def __init__(self, maps: Maps) -> None:
+    def __init__(self, maps: SampledMaps) -> None:
         self._maps = maps
         self.times: list[float] = []
         self.inputs: list[tuple[Array, Array]] = []
@@ -331,7 +331,7 @@ def recorded_run(system: System, program: ControllerProgram) -> tuple[Array, Arr
     short = system.replace(settings=settings)
     recorders: list[_RecordingMaps] = []
 
-    def listen(maps: Maps, _: SampledLoop) -> Maps:
+    def listen(maps: SampledMaps, _: SampledLoop) -> SampledMaps:
         recorders.append(_RecordingMaps(maps))
         return recorders[0]
 

@@ -19,8 +19,8 @@ from certrack.core.arrays import Array
 from certrack.core.errors import CertrackError, MissingExtra
 from certrack.core.expressions import TIME, symbol
 from certrack.core.lowering import numpy_callable
-from certrack.integrators.many.sampled_events import event_timeline
-from certrack.integrators.many.sampled_run import SampledProblem, SampledRun, sensed
+from certrack.integrators.sampled.events import event_timeline
+from certrack.integrators.sampled.run import SampledProblem, SampledRun, sensed
 from certrack.loops.controller import (
     SampledController,
     controller_values,

@@ -23,6 +23,10 @@ ESCAPING = 1e3
 MAX_RECORD_BYTES, USUAL_ORDER = 5e8, 15
 
 
+class MethodUnavailable(Exception):
+    """This machine lacks what a method needs: a C compiler that can do it, or heyoka."""
+
+
 class Outcome(Enum):
     """How a run ended; the value is what to tell the user, remedy included."""
 

@@ -1,7 +1,8 @@
 """Embedded pairs of explicit Runge-Kutta methods: the one table that every stepper is made from.
 
 NumPy steps, heyoka expressions and C tables of the steppers in :mod:`certrack.integrators.many`
-take their coefficients from here; a test holds them to Butcher's order conditions.
+and :mod:`certrack.integrators.sampled` take their coefficients from here; a test holds them to
+Butcher's order conditions.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A member's key and a counter are hashed (SplitMix64) and turned into a normal number (Box, Muller).
 There is no state, so any sample of any member can be computed alone, in any order, and by the
-compiled integrator (``sampled_native.c``) as well.
+compiled integrator (``integrators/sampled/native.c``) as well.
 """
 
 from __future__ import annotations

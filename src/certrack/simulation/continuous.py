@@ -16,10 +16,11 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
+from certrack.core.heyoka import has_heyoka
 from certrack.core.lowering import numpy_callable, rows
 from certrack.integrators.base import Integrator, Outcome, Problem
 from certrack.integrators.single.scipy import ScipyIntegrator
-from certrack.integrators.single.taylor import TaylorIntegrator, available
+from certrack.integrators.single.taylor import TaylorIntegrator
 from certrack.loops.continuous import INTEGRALS, ClosedLoop, close_loop, parameter_values
 from certrack.references import pieces_at
 from certrack.simulation.run import Run
@@ -106,7 +107,7 @@ class ContinuousSimulator:
         """Method for `system`, and why if it is not the usual one."""
         wanted = system.settings.integrator
         if wanted != "auto":
-            if wanted == "taylor" and not available():
+            if wanted == "taylor" and not has_heyoka():
                 raise InputError(
                     "simulation.integrator",
                     "the Taylor method needs heyoka, which is not installed",
@@ -124,7 +125,7 @@ class ContinuousSimulator:
             return "scipy", [
                 "asin, acos, atan2, tan have branch points unseen by Taylor steps: SciPy."
             ]
-        if not available():
+        if not has_heyoka():
             warnings.warn(
                 "heyoka is not installed: using SciPy, which is about 60 times slower",
                 stacklevel=4,  # whoever called Simulator.run

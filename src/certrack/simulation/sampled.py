@@ -11,12 +11,12 @@ import numpy as np
 from certrack.core.arrays import Array
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
+from certrack.core.heyoka import has_heyoka
 from certrack.core.lowering import numpy_callable, rows
 from certrack.integrators.base import Outcome, Trajectory
-from certrack.integrators.many.sampled_events import event_timeline
-from certrack.integrators.many.sampled_maps import HeyokaMaps, Maps, NumpyMaps
-from certrack.integrators.many.sampled_run import SampledProblem, SampledRun
-from certrack.integrators.single.taylor import available
+from certrack.integrators.sampled.events import event_timeline
+from certrack.integrators.sampled.maps import HeyokaMaps, NumpyMaps, SampledMaps
+from certrack.integrators.sampled.run import SampledProblem, SampledRun
 from certrack.loops.continuous import INTEGRAL_SCALE
 from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
@@ -54,7 +54,7 @@ class SampledSimulator:
     def __init__(
         self,
         system: System,
-        around: Callable[[Maps, SampledLoop], Maps] | None = None,
+        around: Callable[[SampledMaps, SampledLoop], SampledMaps] | None = None,
         controller: SampledController | None = None,
     ) -> None:
         self.loop: SampledLoop = sample_loop(system, controller=controller)
@@ -66,9 +66,10 @@ class SampledSimulator:
                 integrator,
                 "Use auto or scipy",
             )
-        by_numpy = integrator == "scipy" or not available()
-        self.maps: Maps = NumpyMaps(self.loop) if by_numpy else HeyokaMaps(self.loop, vector=False)
-        self.maps = self.maps if around is None else around(self.maps, self.loop)
+        by_numpy = integrator == "scipy" or not has_heyoka()
+        loop = self.loop
+        maps: SampledMaps = NumpyMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
+        self.maps = maps if around is None else around(maps, loop)
         self.outputs = outputs_of(self.loop)
         names = [TIME, self.loop.plant.states, INPUT, [*self.loop.parameters, *self.loop.pieces]]
         self._rates = numpy_callable(names, [*self.loop.plant.rates, self.loop.e_1])

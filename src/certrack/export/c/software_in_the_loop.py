@@ -16,7 +16,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
 from certrack.export.c.source import CCode, c_code
-from certrack.integrators.many.sampled_maps import Maps, Scalar
+from certrack.integrators.sampled.maps import SampledMaps, Scalar
 from certrack.loops.sampled import SampledLoop
 from certrack.simulation.run import Run
 from certrack.simulation.sampled import SampledSimulator
@@ -33,14 +33,14 @@ class CMaps:
 
     Parameters
     ----------
-    maps : Maps
+    maps : SampledMaps
         For the plant.
     loop : SampledLoop
     code : CCode
         Of the system that is run: its gains are in the code, not in the parameters.
     """
 
-    def __init__(self, maps: Maps, loop: SampledLoop, code: CCode) -> None:
+    def __init__(self, maps: SampledMaps, loop: SampledLoop, code: CCode) -> None:
         self._maps = maps
         sources = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
         self._library = load_library(sources, STRICT_FLAGS)
@@ -90,7 +90,7 @@ def simulate_with_c(system: System) -> Run:
         )
     code = c_code(system)
 
-    def with_c(maps: Maps, loop: SampledLoop) -> Maps:
+    def with_c(maps: SampledMaps, loop: SampledLoop) -> SampledMaps:
         return CMaps(maps, loop, code)
 
     controller = code.program.controller

@@ -20,8 +20,8 @@ from certrack.core.lowering import numpy_callable, rows
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.integrators.many.lockstep_map import STEP_ROWS, StepMap
-from certrack.integrators.many.registers import whole_registers
 from certrack.integrators.pairs import DOP853, DORMAND_PRINCE
+from certrack.integrators.registers import whole_registers
 
 #: Members per call of the compiled step: their rows fit the second-level cache.
 BLOCK = 2048

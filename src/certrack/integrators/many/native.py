@@ -18,6 +18,7 @@ import numpy as np
 import sympy
 
 from certrack.core.compilers import CompilerError, c_compilers, find_c_compiler, load_library
+from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.integrators.many.native_source import system_header
 
@@ -43,10 +44,6 @@ VECTOR_MATH = (
 )
 
 
-class Unavailable(Exception):
-    """Compiled C cannot be had on this machine."""
-
-
 def vector_compiler() -> str | None:
     """Path of the first C compiler that knows the flags, or None."""
     return next(filter(_knows_flags, c_compilers()), None)
@@ -66,15 +63,22 @@ def _compile(path: str, source: str, more: Sequence[str]) -> ctypes.CDLL:
 
 
 def _packaged(name: str) -> str:
-    return (files("certrack.integrators.many") / name).read_text("utf-8")
+    return files("certrack.integrators").joinpath(*name.split("/")).read_text("utf-8")
 
 
 def compiled_library(name: str, system: str) -> ctypes.CDLL:
-    """A C file of this folder, compiled with the generated header of a system.
+    """A C file of the integrators, compiled with the generated header of a system.
+
+    Parameters
+    ----------
+    name : str
+        Path below ``integrators``, such as ``many/native.c``.
+    system : str
+        What takes the place of ``system.h``.
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If no compiler can do it.
     """
     text = _packaged(name)
@@ -84,13 +88,13 @@ def compiled_library(name: str, system: str) -> ctypes.CDLL:
     try:
         path = vector_compiler() or find_c_compiler()
     except CompilerError as problem:
-        raise Unavailable(str(problem)) from None
+        raise MethodUnavailable(str(problem)) from None
     for more in ([*wide, *math] for wide in (WIDE, []) for math in VECTOR_MATH):
         try:
             return _compile(path, text, more)
         except CompilerError as problem:
             reason = problem  # of the fewest flags in the end
-    raise Unavailable(str(reason))
+    raise MethodUnavailable(str(reason))
 
 
 class _NativeTask(ctypes.Structure):
@@ -225,13 +229,13 @@ class Native:
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If no compiler can do it.
     """
 
     def __init__(self, flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> None:
         self._totals = len(flow.integrands) + len(flow.memories)
-        self._library = compiled_library("native.c", system_header(flow, shown))
+        self._library = compiled_library("many/native.c", system_header(flow, shown))
         self._spare_counts: list[np.ndarray] = []
 
     def integrate(

@@ -22,8 +22,8 @@ from certrack.core.printing import (
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH, Select
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.many.augmented import AugmentedFlow
-from certrack.integrators.many.registers import GROUP_SIZE, LANES
 from certrack.integrators.pairs import DOP853
+from certrack.integrators.registers import GROUP_SIZE, LANES
 
 #: Vector functions that vector_math.h has anyway, and those of two arguments.
 IN_VECTOR_MATH = set("abs max min sqrt sign sin cos exp log Extremum Entry".split())

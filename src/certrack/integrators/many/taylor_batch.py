@@ -10,8 +10,9 @@ from collections.abc import Callable
 import numpy as np
 
 from certrack.core.errors import InputError
+from certrack.core.heyoka import quiet_heyoka
 from certrack.core.lowering import extract_switches, to_heyoka
-from certrack.integrators.many.registers import LANES, whole_registers
+from certrack.integrators.registers import LANES, whole_registers
 from certrack.loops.continuous import ClosedLoop
 
 #: A member that needs more steps has not finished; a run takes tens to hundreds.
@@ -29,8 +30,7 @@ class TaylorBatch:
     """
 
     def __init__(self, loop: ClosedLoop, tolerance: float) -> None:
-        import heyoka as hy
-
+        hy = quiet_heyoka()
         rates, kinks = extract_switches(loop.rates)
         if kinks or loop.pieces:
             raise InputError("system", "must be smooth to be run in lanes", remedy="Use simulate")

@@ -1,1 +1,1 @@
-"""One run at a time: the Taylor method, SciPy, and the kinks on the way."""
+"""One run at a time: the Taylor method, SciPy's, and switches for kinks of the state."""

@@ -10,18 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from certrack.core.heyoka import quiet_heyoka
 from certrack.core.lowering import extract_switches, to_heyoka
 from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory, fractions
 from certrack.integrators.single.switches import Switches
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
-
-
-def available() -> bool:
-    """Whether heyoka is installed (it has no wheels for macOS and Windows)."""
-    from importlib.util import find_spec
-
-    return find_spec("heyoka") is not None
-
 
 #: With careful steps, which are many, a run is not followed beyond states of this size.
 MAX_CAREFUL_STATE = 1e9
@@ -50,9 +43,7 @@ class TaylorIntegrator:
     """
 
     def __init__(self, loop: ClosedLoop, tolerance: float) -> None:
-        import heyoka as hy
-
-        hy.set_logger_level_critical()  # it warns on standard output, where JSON goes
+        hy = quiet_heyoka()
         rates, kinks = extract_switches(loop.rates)
         used = set().union(*(f.free_symbols for f in (*rates, *(f for _, f in kinks))))
         count = len(loop.parameters) - loop.pieces

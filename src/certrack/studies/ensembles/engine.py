@@ -8,8 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from certrack.integrators.base import Outcome
-from certrack.integrators.many.native import Unavailable
+from certrack.integrators.base import MethodUnavailable, Outcome
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.ensembles.methods.choice import create_method
@@ -32,7 +31,7 @@ class Engine:
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If this machine does not have the plan's method.
     """
 
@@ -101,7 +100,7 @@ def fastest(plan: Plan, threads: int) -> Engine:
     for name in METHODS:
         try:
             return Engine(replace(plan, method=name), threads)
-        except Unavailable:
+        except MethodUnavailable:
             continue
     raise AssertionError("members can always be run alone")
 

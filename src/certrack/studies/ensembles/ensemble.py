@@ -12,7 +12,7 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.integrators.many.native import Unavailable
+from certrack.integrators.base import MethodUnavailable
 from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
@@ -256,7 +256,7 @@ def _prepared(
     cores = threads or workers.cores()
     try:
         engine = Engine(plan, cores) if method else fastest(plan, cores)
-    except Unavailable as reason:
+    except MethodUnavailable as reason:
         raise InputError("method", str(reason), method, "Leave it out") from None
     return engine.plan, None if client is not None else engine
 

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
 from certrack.core.errors import InputError
+from certrack.core.heyoka import has_heyoka
 from certrack.integrators.base import Outcome
-from certrack.integrators.single.taylor import available
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.loop import AdversarialLoop
 from certrack.systems.system import System
@@ -76,7 +76,7 @@ def falsify(
             "falsify searches disturbances of the design's plant, not of one with own states",
             remedy="Give the truth in the design's form, or vary it by certrack ensemble",
         )
-    if not available():
+    if not has_heyoka():
         raise InputError(
             "falsify", "needs heyoka, which is not installed", remedy="conda-forge has it"
         )

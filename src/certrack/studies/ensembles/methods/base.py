@@ -31,10 +31,10 @@ class MemberResults:
 
 
 class Method(ABC):
-    """One way of computing the members of an ensemble.
+    """A method of computing the members of an ensemble.
 
-    1. *Construction* compiles everything. It raises ``Unavailable`` if this machine cannot do it;
-       a method that could be constructed works.
+    1. *Construction* compiles everything. It raises ``MethodUnavailable`` if this machine cannot
+       do it; a method that could be constructed works.
     2. :meth:`compute` gives exactly the members begin ... end-1. To fill vector registers or to
        keep groups together it may compute neighbours besides, which count nowhere.
     3. It counts in the bands, at every time of the grid, the signals of every member of the range:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from certrack.integrators.many.native import Unavailable
+from certrack.integrators.base import MethodUnavailable
 from certrack.studies.ensembles.methods.base import Method, SampledMethod
 from certrack.studies.ensembles.methods.lockstep_continuous import LockstepContinuous
 from certrack.studies.ensembles.methods.maps_sampled import MapsSampled
@@ -29,7 +29,7 @@ def create_method(name: str, problem: EnsembleProblem, threads: int) -> Method:
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If this machine does not have it.
     """
     if name == "alone":
@@ -44,6 +44,6 @@ def fastest_adjustable(problem: EnsembleProblem, threads: int) -> SampledMethod:
     for create in SAMPLED.values():
         try:
             return create(problem, threads, adjustable=True)
-        except Unavailable:
+        except MethodUnavailable:
             continue
     raise AssertionError("every machine has the maps of the sampled loop")

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from certrack.core.heyoka import has_heyoka
+from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.lockstep import Lockstep
-from certrack.integrators.many.native import Unavailable
-from certrack.integrators.single.taylor import available
 from certrack.studies.ensembles.build_flow import build_flow, shown_signals
 from certrack.studies.ensembles.methods.base import MemberResults, Method
 from certrack.studies.ensembles.metric_formulas import INTEGRAL_METRICS, MEMORY_METRICS
@@ -27,13 +27,13 @@ class LockstepContinuous(Method):
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If heyoka is not installed.
     """
 
     def __init__(self, problem: EnsembleProblem, threads: int) -> None:
-        if not available():
-            raise Unavailable("heyoka is not installed")
+        if not has_heyoka():
+            raise MethodUnavailable("heyoka is not installed")
         self._problem = problem
         self._flow = build_flow(problem.members, problem.varying)
         self._lockstep = Lockstep(self._flow, problem.tolerance, parallel=threads > 1)

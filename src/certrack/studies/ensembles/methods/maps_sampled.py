@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from certrack.core.expressions import TIME
+from certrack.core.heyoka import has_heyoka
 from certrack.core.lowering import numpy_callable, rows
-from certrack.integrators.many.sampled_maps import HeyokaMaps, Maps, NumpyMaps
-from certrack.integrators.many.sampled_run import SampledProblem, SampledRun
-from certrack.integrators.single.taylor import available
+from certrack.integrators.sampled.maps import HeyokaMaps, NumpyMaps, SampledMaps
+from certrack.integrators.sampled.run import SampledProblem, SampledRun
 from certrack.loops.plant import INPUT
 from certrack.studies.ensembles.methods.sampled import (
     TOTALS,
@@ -25,7 +25,7 @@ class MapsSampled(SampledLoopMethod):
     def __init__(self, problem: EnsembleProblem, threads: int, *, adjustable: bool) -> None:
         super().__init__(problem, threads, adjustable=adjustable)
         loop = self.loop
-        self._maps: Maps = HeyokaMaps(loop, vector=True) if available() else NumpyMaps(loop)
+        self._maps: SampledMaps = HeyokaMaps(loop, vector=True) if has_heyoka() else NumpyMaps(loop)
         names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
         self._shown_values = numpy_callable(names, self.shown)
 

@@ -12,7 +12,7 @@ from certrack.integrators.many.native import (
     SharedGrid,
     StepControl,
 )
-from certrack.integrators.many.registers import GROUP_SIZE
+from certrack.integrators.registers import GROUP_SIZE
 from certrack.studies.ensembles.build_flow import build_flow, shown_signals
 from certrack.studies.ensembles.methods.base import MemberResults, Method
 from certrack.studies.ensembles.metric_formulas import INTEGRAL_METRICS, MEMORY_METRICS
@@ -35,7 +35,7 @@ class NativeContinuous(Method):
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If no compiler can do it.
     """
 

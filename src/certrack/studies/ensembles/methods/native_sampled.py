@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from certrack.integrators.many.native import STUCK
-from certrack.integrators.many.sampled_native import SampledNative
-from certrack.integrators.many.sampled_run import SampledProblem
+from certrack.integrators.sampled.native import SampledNative
+from certrack.integrators.sampled.run import SampledProblem
 from certrack.studies.ensembles.methods.base import MemberResults
 from certrack.studies.ensembles.methods.sampled import (
     TOTALS,
@@ -28,7 +28,7 @@ class NativeSampled(SampledLoopMethod):
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If no compiler can do it.
     """
 

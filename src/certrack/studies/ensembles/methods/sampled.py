@@ -11,9 +11,9 @@ from threading import Lock
 import numpy as np
 import sympy
 
-from certrack.integrators.many.registers import LANES
-from certrack.integrators.many.sampled_events import EventTimeline, event_timeline
-from certrack.integrators.many.sampled_run import SampledProblem
+from certrack.integrators.registers import LANES
+from certrack.integrators.sampled.events import EventTimeline, event_timeline
+from certrack.integrators.sampled.run import SampledProblem
 from certrack.loops.controller import controller_values, sampled_controller, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import loop_values, sample_loop

@@ -17,9 +17,9 @@ import numpy as np
 
 from certrack.core.arrays import Array
 from certrack.integrators.base import ESCAPING, Outcome
-from certrack.integrators.many.registers import whole_registers
-from certrack.integrators.many.sampled_events import EventTimeline
-from certrack.integrators.many.sampled_maps import PAIR, Maps
+from certrack.integrators.registers import whole_registers
+from certrack.integrators.sampled.events import EventTimeline
+from certrack.integrators.sampled.maps import PAIR, SampledMaps
 from certrack.model.implementation import Implementation
 from certrack.model.noise import normal
 
@@ -106,7 +106,7 @@ class SampledRun:
         Who was given up for another reason than an escape.
     """
 
-    def __init__(self, maps: Maps, problem: SampledProblem) -> None:
+    def __init__(self, maps: SampledMaps, problem: SampledProblem) -> None:
         self._maps, self._problem = maps, problem
         self._allowed = SHARE * problem.tolerance
         count = problem.x.shape[1]

@@ -1,4 +1,4 @@
-"""Members under a sampled controller in the lanes of vector registers (``sampled_native.c``)."""
+"""Members under a sampled controller in the lanes of vector registers (``native.c``)."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from certrack.core.expressions import TIME
 from certrack.core.lowering import hoisted
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
-from certrack.integrators.many import sampled_run
 from certrack.integrators.many.native import compiled_library
 from certrack.integrators.many.native_source import c_function, c_table, with_elementary
-from certrack.integrators.many.sampled_maps import PAIR
-from certrack.integrators.many.sampled_run import SampledProblem
+from certrack.integrators.sampled import run
+from certrack.integrators.sampled.maps import PAIR
+from certrack.integrators.sampled.run import SampledProblem
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
 
-#: Numbers that sampled_native.c shares with sampled_run.py; errors are squared there.
+#: Numbers that native.c shares with run.py; errors are squared there.
 SHARED_CONSTANTS = {
     "ESCAPING": ESCAPING,
     "PER_ORDER": 1.0 / PAIR.order,
-    "NOT_A_NUMBER": sampled_run.NOT_A_NUMBER**2,
+    "NOT_A_NUMBER": run.NOT_A_NUMBER**2,
 } | {
-    name: getattr(sampled_run, name)
+    name: getattr(run, name)
     for name in (
         *("SHARE", "SHORTEST", "END_ROUNDING"),
         *("SAFETY", "MIN_FACTOR", "MAX_FACTOR", "FIRST_MAX_FACTOR"),
@@ -37,7 +37,7 @@ SHARED_CONSTANTS = {
 
 
 class _SampledTask(ctypes.Structure):
-    """``Task`` of sampled_native.c."""
+    """``Task`` of native.c."""
 
     _fields_ = [
         ("count", ctypes.c_int64),
@@ -94,14 +94,14 @@ class SampledNative:
 
     Raises
     ------
-    Unavailable
+    MethodUnavailable
         If there is no compiler that can do it.
     """
 
     def __init__(self, loop: SampledLoop, shown: Sequence[sympy.Expr]) -> None:
         self._shown, self._totals = len(shown), len(loop.totals)
         self._sensors = len(loop.controller.measured)
-        self._library = compiled_library("sampled_native.c", sampled_header(loop, shown))
+        self._library = compiled_library("sampled/native.c", sampled_header(loop, shown))
 
     def integrate(self, problem: SampledProblem, shared: Array) -> SampledResult:
         """Integrate to the end; releases the interpreter lock.
@@ -154,7 +154,7 @@ class SampledNative:
 
 
 def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
-    """The generated part of sampled_native.c, as :class:`SampledNative` has its parameters."""
+    """The generated part of native.c, as :class:`SampledNative` has its parameters."""
     plant, controller = loop.plant, loop.controller
     parameters, shared = loop.parameters, loop.pieces
     command, update = resolved(controller)
@@ -186,7 +186,7 @@ def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
         "LAW_COMMON": len(law_common),
         "TOTALS": len(loop.totals),
         "SHOWN": len(shown),
-        "MAX_INTERVAL_STEPS": sampled_run.MAX_INTERVAL_STEPS,
+        "MAX_INTERVAL_STEPS": run.MAX_INTERVAL_STEPS,
     }
 
     def function(

@@ -14,10 +14,11 @@ import sympy
 
 from certrack.core.arrays import Array
 from certrack.core.expressions import TIME
+from certrack.core.heyoka import quiet_heyoka
 from certrack.core.lowering import numpy_callable, rows, to_heyoka
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH, larger, magnitude
-from certrack.integrators.many.registers import LANES
 from certrack.integrators.pairs import DORMAND_PRINCE, heyoka_step, heyoka_sum, numpy_step
+from certrack.integrators.registers import LANES
 from certrack.loops.controller import COMMAND
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
@@ -29,7 +30,7 @@ Scalar = float | np.ndarray
 PAIR = DORMAND_PRINCE
 
 
-class Maps(Protocol):
+class SampledMaps(Protocol):
     """Both maps; arrays have a column per member, p a row per parameter, then per piece symbol."""
 
     def control(self, t: Scalar, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
@@ -135,9 +136,7 @@ class HeyokaMaps:
     STEP_ROWS = 3
 
     def __init__(self, loop: SampledLoop, *, vector: bool) -> None:
-        import heyoka as hy
-
-        hy.set_logger_level_critical()
+        hy = quiet_heyoka()
         self._loop = loop
         self._known = {
             name: hy.par[self.STEP_ROWS + i]

@@ -2,11 +2,11 @@
  *
  * Eight members make a group that shares its steps. Between two events the input is constant and a
  * group takes one step of the pair of Dormand and Prince; lanes whose error estimate demands it
- * take several, as short as the most difficult of them needs (sampled_run.py does the same).
+ * take several, as short as the most difficult of them needs (run.py does the same).
  *
  * `system.h` is generated. It holds the sizes
  *   STATES CONTROLLER MEASURED PARAMETERS SHARED COMMON LAW_COMMON TOTALS SHOWN,
- * the coefficients A, B, C, E of the method, the constants of sampled_run.py, and
+ * the coefficients A, B, C, E of the method, the constants of run.py, and
  *   common(t, s, c), law_common(t, s, c)  what depends on time t and the segment's numbers s alone
  *   rates(c, x, u, p, k, e)               k = x', e = (e_1, e_1')
  *   measure(x, p, m)                      what the sensors would give
