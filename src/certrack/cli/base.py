@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from certrack.core.errors import InputError
 
 if TYPE_CHECKING:
     from certrack.simulation.run import Run
@@ -33,6 +36,27 @@ def period_option(command: Callable[..., Any]) -> Callable[..., Any]:
     )
 
 
+@contextmanager
+def naming(file: str, *keys: str) -> Iterator[None]:
+    """Name the system file in refusals of these keys, which come after it was read."""
+    try:
+        yield
+    except InputError as problem:
+        if problem.key in keys and not problem.file:
+            problem.within(file if Path(file).suffix else f"{file}.toml")
+        raise
+
+
+def tell_written(as_json: bool, *paths: Path) -> None:
+    """Say which files, or how many in which folder, were written; programs know."""
+    if as_json:
+        return
+    if len(paths) == 1:
+        click.echo(f"{paths[0]} written")
+    elif paths:
+        click.echo(f"{len(paths)} files written in {paths[0].parent}")
+
+
 def note_violations(system: System) -> None:
     """Say where the file's omega breaks Assumption 1: no certificate covers such a run."""
     from certrack.certificates.assumption_1 import check_assumption_1
@@ -51,13 +75,14 @@ def note_implementation(system: System) -> None:
         )
 
 
-def draw(runs: dict[str, Run], folder: Path, title: str) -> None:
-    """Write every panel as a picture of its own, and all of them together."""
+def draw(runs: dict[str, Run], folder: Path, title: str) -> list[Path]:
+    """Write every panel as a picture of its own, and all of them together; returns the paths."""
     from certrack import plotting
 
+    paths: list[Path] = []
     for name, panel in plotting.panels_for(runs).items():
-        plotting.save_figure(plotting.figure(panel, runs, title), folder, name)
-    plotting.save_figure(plotting.overview(runs, title), folder, "overview")
+        paths += plotting.save_figure(plotting.figure(panel, runs, title), folder, name)
+    return paths + plotting.save_figure(plotting.overview(runs, title), folder, "overview")
 
 
 def diagnose(*runs: Run) -> None:

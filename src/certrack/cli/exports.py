@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from certrack.cli.base import FOLDER, NEW_FILE, json_option, period_option
+from certrack.cli.base import FOLDER, NEW_FILE, json_option, naming, period_option
 
 
 @click.group()
@@ -40,7 +40,8 @@ def c(file: str, out: Path, real: str, period: float | None, as_json: bool) -> N
     from certrack.export.c import export_c
     from certrack.systems.reader import load
 
-    exported = export_c(load(file), out, file, real=real, period=period)
+    with naming(file, "implementation"):
+        exported = export_c(load(file), out, file, real=real, period=period)
     for note in exported.notes:
         click.echo(f"certrack: note: {note}", err=True)
     if as_json:
@@ -69,7 +70,8 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     from certrack.export.st import structured_text
     from certrack.systems.reader import load
 
-    write_text(out, structured_text(load(file), out.name, period=period))
+    with naming(file, "implementation"):
+        write_text(out, structured_text(load(file), out.name, period=period))
     _report_file(out, as_json)
 
 
@@ -97,7 +99,8 @@ def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> 
     from certrack.export.fmu import fmu as controller_fmu
     from certrack.systems.reader import load
 
-    write_bytes(out, controller_fmu(load(file), out.name, version=fmi, period=period))
+    with naming(file, "implementation"):
+        write_bytes(out, controller_fmu(load(file), out.name, version=fmi, period=period))
     _report_file(out, as_json)
 
 

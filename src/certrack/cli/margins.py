@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from certrack.cli.base import FOLDER, MEMBER_SEED, json_option
+from certrack.cli.base import FOLDER, MEMBER_SEED, json_option, naming, tell_written
 
 
 @click.command()
@@ -51,16 +51,22 @@ def margin(
     from certrack.systems.reader import load
 
     system = load(file)
-    with report.count_progress("Margins") as advance:
+    with naming(file, "margin"), report.count_progress("Margins") as advance:
         result = margins(system, error=error, members=members, seed=seed, progress=advance)
+    pictures: list[Path] = []
     if plot is not None:
         from certrack import plotting
 
         figure = plotting.margin_figure(result, system.title, system.plant.units)
-        plotting.save_figure(figure, plot, "margin")
+        pictures = plotting.save_figure(figure, plot, "margin")
     if as_json:
         click.echo(report.to_json(result.summary()))
     else:
         click.echo(system.title or file)
         report.console().print(report.margin_table(result, system.plant.units))
         report.print_lines(report.margin_notes(result))
+        if any(found.unlimited for found in (result.period, result.delay, result.saturation)):
+            report.print_lines(
+                ["where nothing failed, the value shown is the end of the range, no edge"]
+            )
+    tell_written(as_json, *pictures)

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from certrack.cli.base import FOLDER, MEMBER_SEED, NEW_FILE, diagnose, draw, json_option
+from certrack.cli.base import (
+    FOLDER,
+    MEMBER_SEED,
+    NEW_FILE,
+    diagnose,
+    draw,
+    json_option,
+    naming,
+    tell_written,
+)
 
 if TYPE_CHECKING:
     from certrack.studies.ensembles.ensemble import Ensemble
@@ -74,7 +83,8 @@ def simulate(
         from certrack.core.compilers import find_c_compiler
         from certrack.export.c import difference_from_python, simulate_with_c
 
-        run = simulate_with_c(system)
+        with naming(file, "implementation"):
+            run = simulate_with_c(system)
         difference = difference_from_python(run)
         controller = {"controller": "c", "difference_from_python": difference}
     else:
@@ -82,8 +92,7 @@ def simulate(
             run, controller = Simulator(system).run(progress=advance), {"controller": "python"}
     if out is not None:
         run.save(out, samples)
-    if plot is not None:
-        draw({Path(file).stem: run}, plot, system.title)
+    pictures = [] if plot is None else draw({Path(file).stem: run}, plot, system.title)
     summary = run.summary()
     if as_json:
         click.echo(report.to_json(summary | controller))
@@ -95,6 +104,8 @@ def simulate(
                 f"controller: the exported C, compiled by {Path(find_c_compiler()).name}; "
                 f"largest difference of u from Python: {difference:.2g}"
             )
+    tell_written(as_json, *([] if out is None else [out]))
+    tell_written(as_json, *pictures)
     diagnose(run)
 
 
@@ -114,13 +125,13 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
 
     systems = {file: load(file) for file in files}
     runs = {file: run_system(system) for file, system in systems.items()}
-    if plot is not None:
-        draw(runs, plot, "")
+    pictures = [] if plot is None else draw(runs, plot, "")
     summaries = {file: run.summary() for file, run in runs.items()}
     if as_json:
         click.echo(report.to_json(summaries))
     else:
         report.console().print(report.metrics_table(summaries))
+    tell_written(as_json, *pictures)
     diagnose(*runs.values())
 
 
@@ -222,27 +233,30 @@ def ensemble(
             click.echo(f"certrack: {out} keeps what is done; the same command goes on", err=True)
         raise
     summary = result.summary()
-    if out is not None:
-        _save_ensemble(result, summary, out, keep)
+    written = [] if out is None else _save_ensemble(result, summary, out, keep)
     if as_json:
         click.echo(report.to_json(summary))
     else:
         click.echo(f"{system.title or file}: {result.members} members, seed {seed}")
         report.console().print(report.ensemble_table(result))
         report.print_lines(report.ensemble_notes(result, file))
+    tell_written(as_json, *written)
 
 
 def _save_ensemble(
     ensemble: Ensemble, summary: dict[str, Any], out: Path, keep: tuple[int, ...]
-) -> None:
-    """Bands, summary, pictures and chosen members."""
+) -> list[Path]:
+    """Bands, summary, pictures and chosen members; returns the paths."""
     from certrack import plotting
     from certrack.cli import report
     from certrack.core.files import write_netcdf, write_text
 
-    write_netcdf(out / "bands.nc", ensemble.dataset())
-    write_text(out / "summary.json", report.to_json(summary) + "\n")
+    paths = [out / "bands.nc", out / "summary.json"]
+    write_netcdf(paths[0], ensemble.dataset())
+    write_text(paths[1], report.to_json(summary) + "\n")
     for name, figure in plotting.ensemble_figures(ensemble).items():
-        plotting.save_figure(figure, out, name)
+        paths += plotting.save_figure(figure, out, name)
     for index in keep:
-        ensemble.run(index).save(out / f"member-{index}.nc")
+        paths.append(out / f"member-{index}.nc")
+        ensemble.run(index).save(paths[-1])
+    return paths

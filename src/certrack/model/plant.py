@@ -161,7 +161,12 @@ class Plant:
         set_fields(self, states=states, constants=self._check_constants(states))
         values = self.constant_values
         keys = keys_of(self)
-        coefficients = checks.sequence("plant.chain", self.chain, n - 1, keys["chain"].shape)
+        coefficients = checks.sequence(
+            "plant.chain",
+            self.chain,
+            n - 1,
+            f"{keys['chain'].shape} (n = {n}, the number of states)",
+        )
         for i, value in enumerate(coefficients):
             checks.real(f"plant.chain[{i}]", value, values, nonzero=True)
         names = [*states, *values]
@@ -215,7 +220,12 @@ class Plant:
         couplings: Any = self.linear
         if couplings is None:
             couplings = [[0] * i for i in range(1, n)]
-        rows = checks.sequence(key, couplings, n - 1, "rows b_i1 ... b_ii, i = 1 ... n-1")
+        rows = checks.sequence(
+            key,
+            couplings,
+            n - 1,
+            f"rows b_i1 ... b_ii, i = 1 ... n-1 (n = {n}, the number of states)",
+        )
         return tuple(
             tuple(
                 number(f"{key}[{i}][{j}]", v, constants)

@@ -26,12 +26,15 @@ from certrack.studies.ensembles.methods.choice import fastest_adjustable
 from certrack.studies.ensembles.problem import EnsembleProblem
 from certrack.systems.system import System
 
-#: The finest period is at most this part of the fastest error pole's time constant: finer ones
-#: change nothing any more ...
+#: The first period tried is at most this part of the fastest error pole's time constant ...
 PERIOD_PER_TIME_CONSTANT = 0.05
 
 #: ... and a run has at least so many samples; the longest period tried still gives it 20.
 MIN_RUN_SAMPLES, LAST_RUN_SAMPLES = 100, 20
+
+#: Adaptation can make a loop faster than its error poles: that often the period is halved until all
+#: members finish. 2^-10 of it serves a loop some thousand times as fast as its fastest pole.
+MAX_HALVINGS = 10
 
 #: Ratio of one value tried to the next, and of a value that fails to the one reported.
 VALUE_RATIO, EDGE_RATIO = 1.25, 1.01
@@ -170,16 +173,17 @@ def margins(
     checks.integer("members", members, 1, 100_000)
     checks.integer("seed", seed, 0, 2**63)
     implementation, duration = system.implementation, system.settings.duration
-    first = _finest_period(system)
+    first = _first_period(system)
     base = implementation or Implementation(first)
     saturation = base.saturation
     base = replace(base, offset=0.0, saturation=saturation or UNLIMITED_INPUT)
-    finest = replace(base, period=min(first, base.period))
-    system = system.replace(implementation=finest)
+    coarse = replace(base, period=min(first, base.period))
+    system = system.replace(implementation=coarse)
     trials = _Trials(system, members, seed, progress)
-    admitted, origin = _admitted(system, error, trials)
+    finest, finest_error = _finest_sampling(coarse, duration, trials)
+    admitted, origin = _admitted(system, error, finest, finest_error)
     linear = linear_loop(system)
-    sweep = _Sweep(finest.period, VALUE_RATIO, duration / LAST_RUN_SAMPLES)
+    sweep = _Sweep(finest, VALUE_RATIO, duration / LAST_RUN_SAMPLES)
     period = trials.search(
         "period",
         lambda T: replace(base, period=T),
@@ -187,7 +191,7 @@ def margins(
         admitted,
         _stability_edge(linear, lambda T: (T, base.delay), sweep),
     )
-    at = (period.within or first) / 10 if implementation is None else implementation.period
+    at = (period.within or finest) / 10 if implementation is None else implementation.period
     base = replace(base, period=at)
     sweep = _Sweep(at / 5, VALUE_RATIO, MAX_DELAY * at)
     delay = trials.search(
@@ -211,8 +215,8 @@ def margins(
     return Margins(admitted, origin, members, at, as_given, period, delay, lowest)
 
 
-def _finest_period(system: System) -> float:
-    """A period so short that the sampled controller is as good as the continuous one, s."""
+def _first_period(system: System) -> float:
+    """A period that is short for the error poles, s; the loop of an adaptive law may be faster."""
     duration = system.settings.duration
     pole = system.controller.coordinates.fastest_pole
     first = min(PERIOD_PER_TIME_CONSTANT / pole, duration / MIN_RUN_SAMPLES)
@@ -224,6 +228,28 @@ def _finest_period(system: System) -> float:
             remedy="Lower c, or shorten simulation.duration",
         )
     return first
+
+
+def _finest_sampling(
+    coarse: Implementation, duration: float, trials: _Trials
+) -> tuple[float, float]:
+    """The period to begin with, s, and the members' worst tail error; inf if none lets all finish.
+
+    It is halved until all members finish, and then once more, to get away from that edge. If they
+    never do, the shortest period tried is returned.
+    """
+    period = coarse.period
+    error = trials.worst("period", coarse)
+    if math.isfinite(error):
+        return period, error
+    for _ in range(MAX_HALVINGS):
+        if 2 * duration / period > MAX_RUN_SAMPLES:
+            break
+        finishes, period = math.isfinite(error), period / 2
+        error = trials.worst("period", replace(coarse, period=period))
+        if finishes:
+            break
+    return period, error
 
 
 @dataclass(frozen=True)
@@ -333,19 +359,21 @@ def _stability_edge(
     )
 
 
-def _admitted(system: System, error: float | None, trials: _Trials) -> tuple[float, str]:
+def _admitted(
+    system: System, error: float | None, finest: float, finest_error: float
+) -> tuple[float, str]:
     """The admitted tail error and where it comes from."""
-    assert system.implementation is not None
     if error is not None:
         return checks.real("error", error, above=0), "given"
     limit, origin = tail_error_limit(system.replace(implementation=None), None)
-    finest = trials.worst("error", system.implementation)
-    if not math.isfinite(finest):
+    if not math.isfinite(finest_error):
         raise InputError(
             "margin",
-            "not every member of the population finishes even with the finest sampling",
-            remedy="Narrow [ensemble], or choose another law",
+            f"not every member of the population finishes, down to a period of {finest:.3g} s",
+            remedy="Narrow [ensemble] or plant.ranges, or choose another law or smaller adaptation "
+            "gains; certrack ensemble without [implementation] tells whether they finish in "
+            "continuous time",
         )
-    if limit is not None and finest <= limit:
+    if limit is not None and finest_error <= limit:
         return limit, origin
-    return 2 * finest, "twice the error of the finest sampling"
+    return 2 * finest_error, "twice the error of the finest sampling"

@@ -251,9 +251,32 @@ def _read_law(table: Any, constants: Mapping[str, Any]) -> Law:
     if "kind" not in table:
         raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(laws))
     law = laws[checks.choice("law.kind", table["kind"], laws)]
+    _refuse_keys_of_another("law", table, "law", {name: law_keys(laws[name]) for name in laws})
     values = _read_values("law", table, constants, law_keys(law))
     del values["kind"]
     return law(**values)
+
+
+def _refuse_keys_of_another(
+    table: str, entries: Mapping[str, Any], what: str, keys: Mapping[str, Mapping[str, Key]]
+) -> None:
+    """Say at once which keys belong to another kind than the table's, and to which."""
+    kind = entries["kind"]
+    owners = {
+        name: [other for other in keys if name in keys[other]]
+        for name in entries
+        if name not in keys[kind]
+    }
+    foreign = [name for name, found in owners.items() if found]
+    if not foreign:
+        return
+    first, *others = foreign
+    have = "has" if len(owners[first]) == 1 else "have"
+    raise InputError(
+        f"{table}.{first}",
+        f"is not a key of the {kind} {what} ({', '.join(owners[first])} {have} it)",
+        remedy=f"Nor: {', '.join(others)}" if others else "",
+    )
 
 
 def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | None) -> Reference:
@@ -273,7 +296,9 @@ def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | Non
     entries = dict(table)
     if kind == "samples" and "file" in entries:
         entries |= _samples_of_file(entries.pop("file"), folder)
-    values = _read_values("reference", entries, constants, reference_keys(kind))
+    keys = {name: reference_keys(name) for name in REFERENCE_KINDS}
+    _refuse_keys_of_another("reference", entries, "reference", keys)
+    values = _read_values("reference", entries, constants, keys[kind])
     del values["kind"]
     return REFERENCE_KINDS[kind].make(**values)
 
@@ -287,7 +312,9 @@ def _samples_of_file(name: Any, folder: Path | None) -> dict[str, list[float]]:
     try:
         data = _read_bytes(folder / relative)
     except OSError as problem:
-        raise InputError(key, f"cannot be read ({problem.strerror})", name) from None
+        raise InputError(
+            key, f"cannot be read ({problem.strerror}) in {folder.resolve()}", name
+        ) from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an empty file is refused below
