@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
-from dataclasses import is_dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, fields, is_dataclass, replace
 from functools import lru_cache, wraps
 from importlib.metadata import entry_points
 from typing import Any, TypeVar
@@ -83,18 +83,28 @@ def register_reference(kind: str, **keys: Key) -> Callable[[_Maker], _Maker]:
         if not is_dataclass(maker) or parameters is None or not parameters.frozen:
             remedy = "Write @register(...) above @dataclass(frozen=True)"
             raise InputError("reference", "must be a frozen dataclass", maker.__name__, remedy)
-        _registered_references[kind] = ReferenceKind(maker, {**keys_of(maker), **keys})
+        described = {**keys_of(maker), **keys}
+        _require_keys(
+            (f.name for f in fields(maker) if f.init and f.default is MISSING), described
+        )
+        _registered_references[kind] = ReferenceKind(maker, described)
         return maker
 
     return decorate
 
 
+def _require_keys(names: Iterable[str], keys: Mapping[str, Key]) -> None:
+    """Refuse arguments that a file could not state."""
+    if missing := [name for name in names if name not in keys]:
+        message = f"{', '.join(missing)} has no key"
+        remedy = "Declare a field by certrack.references.key(...), or @register(kind, name=Key(...))"
+        raise InputError("reference", message, remedy=remedy)
+
+
 def _with_fields(kind: str, make: Callable[..., Any], keys: Mapping[str, Key]) -> Any:
     """The function, whose references remember the arguments that made them."""
     signature = inspect.signature(make)
-    if missing := sorted(set(signature.parameters) - set(keys)):
-        remedy = "Write @register(kind, name=Key(...), ...)"
-        raise InputError("reference", "lacks the keys of arguments", ", ".join(missing), remedy)
+    _require_keys(signature.parameters, keys)
 
     @wraps(make)
     def with_fields(*arguments: Any, **named: Any) -> PiecewiseReference:

@@ -25,6 +25,8 @@ from certrack.model.plant import Plant
 from certrack.model.sampling import probabilities
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
+from certrack.simulation.run import Run
+from certrack.simulation.simulator import Simulator
 from certrack.systems.system import System
 
 #: The sum of the magnitudes of a member's sines: just below 1, so that rounding never passes it.
@@ -122,7 +124,22 @@ class Members:
             If the index is negative or beyond the sequence.
         """
         draws = self.draws(index, index + 1)
-        system = self._system({name: float(v[0]) for name, v in draws.items()}, written=True)
+        return self._one(index, {name: float(v[0]) for name, v in draws.items()}, written=True)
+
+    def run(self, index: int) -> Run:
+        """The run of member `index`; all members share one compiled simulator."""
+        draws = self.draws(index, index + 1)
+        point = {name: float(v[0]) for name, v in draws.items()}
+        run = self._simulator.run(self._one(index, point, written=False))
+        return replace(run, system=self._one(index, point, written=True))
+
+    @cached_property
+    def _simulator(self) -> Simulator:
+        return Simulator(self.template)
+
+    def _one(self, index: int, point: dict[str, float], *, written: bool) -> System:
+        """Member `index`, whose draws are `point`."""
+        system = self._system(point, written=written)
         implementation = system.implementation
         return system.replace(
             title=f"Member {index} (seed {self.seed}) of: {self.system.title}",
