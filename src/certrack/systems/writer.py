@@ -84,9 +84,7 @@ def save(system: System, path: str | os.PathLike[str]) -> None:
 def _as_toml(value: Any) -> Any:
     """Expressions as numbers or text, tuples as lists."""
     if isinstance(value, Distribution):
-        if value.kind == "fixed":
-            return value.values[0]
-        return {value.kind: list(value.values)}
+        return value.written
     if isinstance(value, Expression):
         return number_or_text(value.text)
     if isinstance(value, dict):

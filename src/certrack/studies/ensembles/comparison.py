@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from certrack.core.errors import InputError
 from certrack.core.latex import latex_table
-from certrack.studies.ensembles.ensemble import Ensemble
+from certrack.integrators.single.taylor import available
+from certrack.studies.ensembles.ensemble import Ensemble, ensemble
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METRICS
 from certrack.studies.ensembles.statistics import binomial_interval
+from certrack.systems.system import System
 
 if TYPE_CHECKING:
     import pandas
+
+#: Up to so many members compiling takes longer than computing.
+QUICK_MEMBERS = 5000
 
 #: Confidence of the intervals.
 CONFIDENCE = 0.95
@@ -109,15 +115,22 @@ class PairedComparison:
         return latex_table(frame, caption=caption, label=label)
 
 
-def paired(ensembles: Mapping[str, Ensemble]) -> PairedComparison:
+def paired(
+    laws: Mapping[str, System | Ensemble], members: int = 1000, *, seed: int = 0, **options: Any
+) -> PairedComparison:
     """Compare laws on the same members.
 
     Parameters
     ----------
-    ensembles : mapping
-        Two or more ensembles by the names of their laws: same seed, same number of members, and
-        the same population, so that member i has the same plant, start, disturbance and reference
-        under every law.
+    laws : mapping
+        Two or more systems by the names of their laws, or ensembles of them that were computed
+        before, with one seed and number of members. The population must be the same, so that
+        member i has the same plant, start, disturbance and reference under every law.
+    members, seed
+        Of the ensembles of systems. They are computed without a limit, and up to 5000 members by
+        the method that compiles fastest.
+    **options
+        Of :func:`certrack.ensemble`, for systems: tolerance, threads, method.
 
     Returns
     -------
@@ -133,23 +146,29 @@ def paired(ensembles: Mapping[str, Ensemble]) -> PairedComparison:
     >>> import certrack, dataclasses
     >>> system = certrack.load("example1")
     >>> faster = system.replace(law=dataclasses.replace(system.law, c=(2, 1)))
-    >>> found = {
-    ...     name: certrack.ensemble(each, 16, method="lockstep")
-    ...     for name, each in {"c = (1, 0.5)": system, "c = (2, 1)": faster}.items()
-    ... }
-    >>> comparison = certrack.paired(found)
+    >>> comparison = certrack.paired({"c = (1, 0.5)": system, "c = (2, 1)": faster}, 16)
     >>> comparison.frame().shape
     (32, 11)
     >>> bool(comparison.summary().loc[("tail_error", "c = (2, 1)"), "difference"] < 0)
     True
     """
-    pairs = tuple(dict(ensembles).items())
-    if len(pairs) < 2:
-        raise InputError("ensembles", "must be at least two, by name")
+    if len(laws) < 2:
+        raise InputError("laws", "must be at least two, by name")
+    if members <= QUICK_MEMBERS and available():
+        options = {"method": "lockstep"} | options
+    pairs = tuple(
+        (
+            name,
+            ensemble(entry, members, seed=seed, limit=math.inf, per_member=True, **options)
+            if isinstance(entry, System)
+            else entry,
+        )
+        for name, entry in laws.items()
+    )
     (first_name, first), *others = pairs
     for name, found in others:
         if reason := _why_not_same_members(first, found):
-            raise InputError("ensembles", f"{first_name} and {name} have different {reason}")
+            raise InputError("laws", f"{first_name} and {name} have different {reason}")
     for _, found in pairs:
         found.per_member()
     return PairedComparison(pairs)
