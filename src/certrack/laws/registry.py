@@ -58,10 +58,11 @@ def register_law(law: _L) -> _L:
     if not is_dataclass(law) or "__dataclass_params__" not in vars(law) or not parameters.frozen:
         remedy = "Write @register above @dataclass(frozen=True, kw_only=True)"
         raise InputError("law", "must be a frozen dataclass", law.__name__, remedy)
-    kind = check_name("law.kind", vars(law).get("kind", "").replace("-", "_"))
-    if law.kind in LAWS:
+    kind = str(getattr(law, "kind", ""))
+    check_name("law.kind", kind.replace("-", "_"))
+    if kind in LAWS:
         raise InputError("law.kind", "is that of a shipped law", kind, "Choose another name")
-    _registered_laws[law.kind] = law
+    _registered_laws[kind] = law
     return law
 
 

@@ -242,7 +242,8 @@ def ensemble(
         Of the integrator; statistics seldom need more than the default.
     limit : float, optional
         Of the tail error; by default the population's, else the certified bound where the
-        population is within the certificate's assumptions.
+        population is within the certificate's assumptions; inf for none, which saves the time of
+        the certificate.
     threads : int, optional
         By default one per core.
     method : {"native", "lockstep", "alone"}, optional
