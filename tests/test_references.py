@@ -14,7 +14,15 @@ import certrack
 from certrack.certificates import certify_semidefinite
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
-from certrack.references import SymbolicReference, samples, steps, trapezoid, triangle
+from certrack.references import (
+    Key,
+    SymbolicReference,
+    register,
+    samples,
+    steps,
+    trapezoid,
+    triangle,
+)
 from certrack.references.base import Bounds, round_up, total_bound
 
 DENSE = np.linspace(0, 60, 60_001)
@@ -256,6 +264,7 @@ def test_contiguous_moves_are_accepted():
     assert steps((0.1, 0.3), (0, 0.2, 0.4), 1.0).bounds(0).values[0] == pytest.approx(0.4)
 
 
+@register("wave", height=Key("number", help="its amplitude", required=True))
 @dataclass(frozen=True)
 class Wave:
     """A newcomer's reference, with the duties of Reference and nothing else: h sin(0.75 t)."""

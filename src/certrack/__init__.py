@@ -21,6 +21,8 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "model.implementation": ["Implementation"],
         "integrators.base": ["Outcome"],
         "laws": ["Adaptive", "Classic", "Law", "Robust"],
+        "core.latex": ["latex_table"],
+        "studies.ensembles.comparison": ["PairedComparison", "paired"],
         "studies.margins": ["margins"],
         "simulation.metrics": ["Metrics"],
         "model.plant": ["Plant"],

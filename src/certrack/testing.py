@@ -1,4 +1,4 @@
-"""Conformance tests for control laws: write a law in one file, inherit its tests.
+"""Conformance tests: write a law or a reference in one file, inherit its tests.
 
 In a test file of your own::
 
@@ -8,45 +8,91 @@ In a test file of your own::
     class TestMyLaw(LawConformance):
         system = load("example1").replace(law=MyLaw(c=(1, 0.5)))
 
-pytest then runs every ``test_`` method below on your law.
+pytest then runs every ``test_`` method below on your law. A law that is not defined everywhere (a
+barrier, say) states the points at which it is tested::
+
+        points = [(0.5, {"x1": 0.3, "x2": 0.1, "bias": 0.2})]
+
+:class:`ReferenceConformance` does the same for a reference.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import FrozenInstanceError, fields, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from certrack.core.compilers import CompilerError
+from certrack.core.errors import MissingExtra
 from certrack.core.expressions import TIME
 from certrack.core.heyoka import has_heyoka
-from certrack.core.lowering import extract_switches, numpy_callable, to_heyoka
+from certrack.core.keys import keys_of
+from certrack.core.lowering import extract_switches, numpy_callable, rows, to_heyoka
+from certrack.export.c.export import c_files
+from certrack.export.c.software_in_the_loop import difference_from_python, simulate_with_c
+from certrack.export.c.source import c_code
+from certrack.export.python_control import to_control
+from certrack.export.st.function_block import structured_text
+from certrack.integrators.base import Outcome
 from certrack.laws import known_laws
-from certrack.loops.continuous import close_loop, parameter_values
+from certrack.loops.continuous import INTEGRALS, close_loop, parameter_values
+from certrack.model.implementation import Implementation
+from certrack.references import Reference, check_reference, pieces_at
 from certrack.simulation.simulator import Simulator, simulate
-from certrack.systems.reader import loads
+from certrack.studies.ensembles.ensemble import ensemble
+from certrack.systems.reader import load, loads
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
+#: What is tried at random, and how far numbers may differ.
+RANDOM_POINTS, MEMBERS, SHORT_RUN = 5, 4, 1.0
+
+#: Period of the sampled runs where the system has none, s.
+PERIOD_TESTED = 1e-3
+
 
 class LawConformance:
-    """Tests that every law passes; set :attr:`system` to a system that uses the law."""
+    """Tests that every law passes; set :attr:`system` to a system that uses the law.
+
+    Attributes
+    ----------
+    system : System
+    points : pairs (t, values by name)
+        Times and states of plant and law at which formulas are evaluated; a state that is left out
+        has its initial value. Without points, random ones: states of 0.1 to 1.5.
+    """
 
     system: System
+    points: Sequence[tuple[float, Mapping[str, float]]] = ()
 
-    def _points(self, count: int = 5) -> list[tuple[float, np.ndarray, np.ndarray]]:
-        """Random times and states of the loop, with the parameters of the current piece."""
-        rng = np.random.default_rng(0)
+    def _points(self) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """Times and states of the loop, with the parameters of the current piece."""
         loop, reference = close_loop(self.system), self.system.reference
-        values = parameter_values(loop, self.system)
-        return [
-            (t, y, np.concatenate([values, reference.piece_values(t)]))
-            for t, y in zip(
-                rng.uniform(0, self.system.settings.duration, count),
-                rng.uniform(0.1, 1.5, (count, len(loop.states))),
-                strict=True,
-            )
-        ]
+        values, states = parameter_values(loop, self.system), [s.name for s in loop.states]
+        rng, size = np.random.default_rng(0), (RANDOM_POINTS, len(states))
+        times = rng.uniform(0, self.system.settings.duration, RANDOM_POINTS)
+        pairs = list(zip(times.tolist(), rng.uniform(0.1, 1.5, size), strict=True))
+        if self.points:
+            start = dict(zip(states, [*self.system.start, 0.0, 0.0, 0.0], strict=True))
+            for _, named in self.points:
+                assert set(named) <= set(states), f"no such state: {set(named) - set(states)}"
+            pairs = [
+                (float(t), np.array(list({**start, **named}.values()))) for t, named in self.points
+            ]
+        return [(t, y, np.concatenate([values, reference.piece_values(t)])) for t, y in pairs]
+
+    @property
+    def _sampled(self) -> System:
+        """The system, sampled, for a short time."""
+        system = self.system
+        implementation = system.implementation or Implementation(period=PERIOD_TESTED)
+        duration = min(SHORT_RUN, system.settings.duration)
+        return system.replace(implementation=implementation).with_settings(
+            duration=duration, tail=None
+        )
 
     def test_is_immutable(self) -> None:
         """A law is a frozen value."""
@@ -142,10 +188,145 @@ class LawConformance:
         compiled, fresh = Simulator(self.system).run(other), Simulator(other).run()
         assert compiled.final_state == fresh.final_state
 
+    def test_gains_are_symbols(self) -> None:
+        """Other numbers in the law's fields change no formula: none stands there as a number."""
+        law, plant = self.system.law, self.system.plant
+        for name, key in keys_of(law).items():
+            value = getattr(law, name)
+            if key.kind == "number" and isinstance(value, float):
+                other = replace(law, **{name: value + 1e-3 * (abs(value) or 1.0)})
+                same = other.design(plant).equations == law.design(plant).equations
+                assert same, f"{name} stands in the formulas as a number"
+
+    def test_runs_sampled(self) -> None:
+        """The sampled loop reaches its end."""
+        run = simulate(self._sampled)
+        assert run.outcome is Outcome.finished, run.outcome.value
+
+    def test_members_are_the_same_however_they_are_computed(self) -> None:
+        """Side by side, and each by itself: continuous and sampled."""
+        if not has_heyoka():
+            return
+        short = self._sampled
+        for system in (short.replace(implementation=None), short):
+            together, alone = (
+                ensemble(system, MEMBERS, method=method, limit=1.0).per_member()[0]
+                for method in ("lockstep", "alone")
+            )
+            np.testing.assert_allclose(together, alone, rtol=1e-3, atol=1e-5)
+
+    def test_is_exported(self) -> None:
+        """C and Structured Text exist; C, where it compiles, gives the run of Python."""
+        system = self._sampled
+        assert structured_text(system)
+        c_files(c_code(system))
+        try:
+            run = simulate_with_c(system)
+        except CompilerError:
+            return
+        assert difference_from_python(run) <= 1e-9 * (1 + float(np.abs(run.u).max()))
+
+    def test_python_control_has_the_same_rates(self) -> None:
+        """The blocks' rates are those of the loop."""
+        system = self.system.replace(implementation=None)
+        try:
+            blocks = to_control(system)
+        except MissingExtra:
+            return
+        loop = close_loop(system)
+        rates = numpy_callable([TIME, loop.states, loop.parameters], loop.rates)
+        for t, y, p in self._points():
+            count = len(loop.states) - len(INTEGRALS)
+            expected = np.array(rates(t, y, p), dtype=float)[:count]
+            found = blocks.loop.dynamics(t, y[:count], [])
+            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
     def test_survives_a_system_file(self) -> None:
         """Saved and loaded, the system is the same (laws that a file can name)."""
         if self.system.law.kind in known_laws():
             assert loads(to_text(self.system)) == self.system
+
+
+class ReferenceConformance:
+    """Tests that every reference passes.
+
+    Attributes
+    ----------
+    reference : Reference
+    duration : float, s
+        How far it is looked at.
+    """
+
+    reference: Reference
+    duration: float = 10.0
+
+    @property
+    def _order(self) -> int:
+        return int(min(self.reference.order, 3))
+
+    @property
+    def _times(self) -> np.ndarray:
+        """Dense times, none of which is a break."""
+        edges = [0.0, *self.reference.breaks(0.0, self.duration).tolist(), self.duration]
+        inside = np.linspace(0.01, 0.99, 200)
+        return np.concatenate([a + (b - a) * inside for a, b in pairwise(edges)])
+
+    def test_keeps_the_protocol(self) -> None:
+        """Registered, every member there, formulas supported and those of the values."""
+        check_reference(self.reference, self._order, self.duration)
+
+    def test_formulas_are_those_of_the_values(self) -> None:
+        """Everywhere between the breaks."""
+        reference, t = self.reference, self._times
+        names = [TIME, reference.parameter_symbols, reference.piece_symbols]
+        evaluate = numpy_callable(names, reference.formulas(self._order))
+        expected = rows(evaluate(t, reference.parameter_values, pieces_at(reference, t)), len(t))
+        found = reference.values(t, self._order)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+    def test_every_break_is_listed(self) -> None:
+        """Between two of them the piece does not change, and derivatives do not jump."""
+        reference, t = self.reference, self._times
+        table = np.array([reference.piece_values(time) for time in t.tolist()])
+        np.testing.assert_array_equal(table.T.reshape(-1, len(t)), pieces_at(reference, t))
+        h = 1e-6 * self.duration
+        left, right = (reference.values(t + s, self._order) for s in (-h, h))
+        slope = (right[:-1] - left[:-1]) / (2 * h)
+        middle = reference.values(t, self._order)[1:]
+        edges = reference.breaks(0.0, self.duration)
+        near = np.abs(t[:, None] - edges[None]).min(axis=1, initial=np.inf) <= 2 * h
+        scale = np.abs(middle).max(axis=1, keepdims=True) + 1
+        assert np.all((np.abs(slope - middle) / scale)[:, ~near] < 1e-3), "a derivative is wrong"
+
+    def test_is_continuous_below_its_order(self) -> None:
+        """At a break only the derivative of the order may jump."""
+        reference, h = self.reference, 1e-9 * self.duration
+        edges = reference.breaks(0.0, self.duration)
+        order = int(min(reference.order, 3))
+        left, right = (reference.values(edges + s, order)[:order] for s in (-h, h))
+        size = np.abs(reference.values(self._times, order)).max() + 1
+        assert np.all(np.abs(left - right) <= 1e-5 * size)
+
+    def test_bounds_hold(self) -> None:
+        """No sample is beyond them."""
+        bounds = self.reference.bounds(self._order).values
+        largest = np.abs(self.reference.values(self._times, self._order)).max(axis=1)
+        assert np.all(largest <= np.array(bounds)), f"{largest} exceeds {bounds}"
+
+    def test_survives_a_system_file(self) -> None:
+        """Saved and loaded, it is the same."""
+        system = load("example1").replace(reference=self.reference)
+        assert loads(to_text(system)).reference == self.reference
+
+    def test_is_simulated(self) -> None:
+        """In continuous time, sampled, and in an ensemble."""
+        system = load("example1").replace(reference=self.reference)
+        system = system.with_settings(duration=SHORT_RUN, tail=None)
+        sampled = system.replace(implementation=Implementation(period=PERIOD_TESTED))
+        runs = [simulate(each) for each in (system, sampled)]
+        assert all(run.outcome is Outcome.finished for run in runs)
+        np.testing.assert_allclose(runs[0].y_d, self.reference.values(runs[0].t, 0)[0])
+        assert ensemble(system, MEMBERS, limit=1.0).statistics.outcomes["finished"] == MEMBERS
 
 
 def _constants(system: System) -> set[Any]:

@@ -127,6 +127,24 @@ def write_netcdf(path: Path, dataset: xarray.Dataset) -> None:
     write_bytes(path, image.getbuffer())
 
 
+def read_netcdf(path: Path) -> xarray.Dataset:
+    """A dataset of a NetCDF file, read into memory.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    import xarray
+
+    try:
+        with xarray.open_dataset(path, engine="h5netcdf") as dataset:
+            return dataset.load()
+    except (OSError, ValueError, KeyError) as problem:
+        reason = getattr(problem, "strerror", None) or "it is no NetCDF file"
+        raise InputError(str(path), f"cannot be read ({reason})") from None
+
+
 @contextmanager
 def _temporary_file(folder: Path) -> Iterator[Path]:
     """An empty file of our own, with the permissions of any new file; removed if not moved."""

@@ -21,7 +21,7 @@ from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable, rows
 from certrack.export.program import ControllerProgram
 from certrack.integrators.sampled.maps import SampledMaps, Scalar
-from certrack.loops.controller import COMMAND, FIRST, controller_values
+from certrack.loops.controller import COMMAND, FIRST, SAMPLE_NUMBER, controller_values
 from certrack.loops.sampled import SampledLoop, resolved
 from certrack.simulation.sampled import SampledSimulator
 from certrack.systems.system import System
@@ -298,6 +298,8 @@ def _random_points(
     for row, name in enumerate(program.states):
         if name == FIRST:
             points[2][row] = (random.random(CANDIDATES) < FIRST_SHARE) * 1.0
+        if name == SAMPLE_NUMBER:  # time does not run before the start
+            points[2][row] = np.abs(points[2][row])
     return points
 
 

@@ -15,7 +15,7 @@ from itertools import count, pairwise
 import sympy
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import fold_minmax, symbol
+from certrack.core.expressions import TIME, fold_minmax, symbol
 from certrack.core.printing import MAX_FACTORS
 from certrack.core.select import larger, magnitude, smaller
 from certrack.laws.base import Equations, Signals
@@ -23,6 +23,7 @@ from certrack.loops.controller import (
     COMMAND,
     LAW_INPUT,
     PERIOD,
+    SAMPLE_TIME,
     SampledController,
     controller_values,
     differenced,
@@ -160,6 +161,7 @@ def controller_program(system: System) -> ControllerProgram:
         for name in plant.symbols
         if name.name in implementation.velocity
     }
+    x[TIME] = SAMPLE_TIME
     rates, update = _update(controller, implementation, equations, x)
     rates = _printable(rates, unnamed, "r")
     update = tuple(formula.xreplace(unnamed) for formula in update)
@@ -212,9 +214,10 @@ def _update(
         for i, (z, rate) in enumerate(equations.update)
     ]
     gains_and_estimates = {*controller.parameters, *controller.estimates}
-    forgetting = forgetting_rates([rate for _, rate in equations.update], gains_and_estimates)
     names = [step.name for step in rates]
-    after = next_estimates(controller.estimates, names, forgetting, controller.hold, implementation)
+    forgetting = forgetting_rates([rate for _, rate in equations.update], gains_and_estimates)
+    hold, filters = controller.hold, equations.filters
+    after = next_estimates(controller.estimates, names, forgetting, hold, implementation, filters)
     size = magnitude(LAW_INPUT - COMMAND)
     if any(formula.has(size) for formula in after):
         after = [formula.xreplace({size: CUT}) for formula in after]
@@ -229,7 +232,7 @@ def _named_parts(system: System) -> tuple[list[Step], Equations]:
     named = Signals(plant, exact.q)
     named.e_n, named.nu = E_N, NU
     named.phi = tuple(symbol(f"ctl_phi_{i + 1}") for i in range(plant.r))
-    equations = system.law.equations(named)
+    equations = system.law.normal_equations(named)
     phi = dict(zip(named.phi, exact.phi, strict=True))
     meaning = phi | {E_N: exact.e_n, NU: exact.nu}
     pairs = zip(_all_parts(equations), _all_parts(controller.equations), strict=True)
@@ -246,7 +249,7 @@ def _named_parts(system: System) -> tuple[list[Step], Equations]:
             parts.append(Step(UBAR, factor, NOTES[UBAR]))
             by_name = {factor: UBAR}
             update = tuple((z, rate.xreplace(by_name)) for z, rate in equations.update)
-            equations = Equations(equations.u.xreplace(by_name), update)
+            equations = Equations(equations.u.xreplace(by_name), update, equations.filters)
             break
     return parts, equations
 
@@ -263,6 +266,8 @@ def _all_parts(equations: Equations) -> list[sympy.Expr]:
 
 
 def _velocity_note(name: sympy.Symbol) -> str:
+    if name == SAMPLE_TIME:
+        return "time of the sample, s"
     if name.name.startswith("ctl_filtered_"):
         return "filtered difference of the state before it"
     return "not measured: (difference - sum_j b_ij x_j)/g_i"

@@ -173,7 +173,7 @@ def _continuous_blocks(system: System) -> tuple[_BlockFunctions, _BlockFunctions
     for name, value in system.plant.constant_values.items():
         names.append(symbol(name))
         numbers.append(float(value))
-    arguments = [law.states, [*law.signals.x, *law.signals.Y], names]
+    arguments = [TIME, law.states, [*law.signals.x, *law.signals.Y], names]
     update = numpy_callable(arguments, [rate for _, rate in law.equations.update])
     u = numpy_callable(arguments, [law.equations.u])
     return (
@@ -186,8 +186,8 @@ def _continuous_blocks(system: System) -> tuple[_BlockFunctions, _BlockFunctions
         _BlockFunctions(
             [state.name for state in law.states],
             np.array(system.estimates),
-            lambda _t, z, inputs, _: np.array(update(z, inputs, numbers), dtype=float),
-            lambda _t, z, inputs, _: np.array(u(z, inputs, numbers), dtype=float),
+            lambda t, z, inputs, _: np.array(update(t, z, inputs, numbers), dtype=float),
+            lambda t, z, inputs, _: np.array(u(t, z, inputs, numbers), dtype=float),
         ),
     )
 

@@ -1,20 +1,52 @@
-"""Control laws: one law, one file, side by side with its equations."""
+"""Control laws: one law, one file, side by side with its equations.
 
-from importlib.metadata import entry_points
+Whoever writes a law finds all names here: :class:`Law` with :class:`Equations` and
+:class:`Signals`, the fields :func:`gain`, :func:`theta_vector` and :func:`theta_metric` with the
+values :func:`vector` and :func:`metric`, :func:`symbol`, :func:`dot`, :class:`Plant`, the errors,
+and :func:`register`.
+"""
 
+from certrack.core.errors import DesignError, InputError
+from certrack.core.expressions import TIME, symbol
 from certrack.laws.adaptive import Adaptive
-from certrack.laws.base import Controller, Law, Signals
+from certrack.laws.base import (
+    Controller,
+    Equations,
+    Law,
+    Signals,
+    dot,
+    gain,
+    metric,
+    theta_metric,
+    theta_vector,
+    vector,
+)
 from certrack.laws.classic import Classic
+from certrack.laws.registry import LAWS, known_laws
+from certrack.laws.registry import register_law as register
 from certrack.laws.robust import Robust
+from certrack.model.plant import Plant
 
-LAWS: dict[str, type[Law]] = {law.kind: law for law in (Adaptive, Robust, Classic)}
-
-
-def known_laws() -> dict[str, type[Law]]:
-    """The laws a system file can name: ours, and those of packages that declare the entry point
-    group ``certrack.laws``.
-    """
-    return {point.name: point.load() for point in entry_points(group="certrack.laws")} | LAWS
-
-
-__all__ = ["LAWS", "Adaptive", "Classic", "Controller", "Law", "Robust", "Signals", "known_laws"]
+__all__ = [
+    "LAWS",
+    "TIME",
+    "Adaptive",
+    "Classic",
+    "Controller",
+    "DesignError",
+    "Equations",
+    "InputError",
+    "Law",
+    "Plant",
+    "Robust",
+    "Signals",
+    "dot",
+    "gain",
+    "known_laws",
+    "metric",
+    "register",
+    "symbol",
+    "theta_metric",
+    "theta_vector",
+    "vector",
+]

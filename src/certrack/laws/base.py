@@ -8,7 +8,7 @@ symbols stand for.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -17,8 +17,9 @@ import sympy
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.expressions import symbol
+from certrack.core.expressions import TIME, check_name, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.core.supported import check_symbols, normal_form
 from certrack.laws.backstepping import ErrorCoordinates, Gains, recursion
 from certrack.model.plant import MAX_ORDER, Plant
 
@@ -57,7 +58,11 @@ class Signals:
         Regressor phi(x).
     sign_g : symbol
         Sign of the input gain.
+    t : symbol
+        Time since the run began, s.
     """
+
+    t = TIME
 
     def __init__(self, plant: Plant, q: int, *, short: bool = False) -> None:
         """With `short`, e_n and nu stay symbols: for printing a law as the paper does."""
@@ -100,10 +105,26 @@ class Signals:
 
 @dataclass(frozen=True)
 class Equations:
-    """A law as formulas: the input u, and the derivatives of the controller's own states."""
+    """A law as formulas: the input u, and the derivatives of the controller's own states.
+
+    Attributes
+    ----------
+    u : formula
+    update : pairs (symbol, formula)
+        Own states and their rates, per second.
+    filters : symbols
+        Own states that are no estimates: they move on while the input is limited, when a sampled
+        controller lets its estimates forget only.
+    """
 
     u: sympy.Expr
     update: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
+    filters: tuple[sympy.Symbol, ...] = ()
+
+    @property
+    def formulas(self) -> dict[str, sympy.Expr]:
+        """All formulas, by what they are."""
+        return {"u": self.u} | {f"the rate of {z}": rate for z, rate in self.update}
 
 
 @dataclass(frozen=True)
@@ -117,12 +138,15 @@ class Controller:
     coordinates : ErrorCoordinates
     values : (P,) array
         Values of :attr:`symbols`.
+    start : tuple of float
+        Initial values of :attr:`states`, as the law states them.
     """
 
     equations: Equations
     signals: Signals
     coordinates: ErrorCoordinates
     values: np.ndarray
+    start: tuple[float, ...] = ()
 
     @property
     def states(self) -> tuple[sympy.Symbol, ...]:
@@ -147,21 +171,26 @@ class Law(ABC):
        :func:`theta_metric`. Every field is a key of the ``[law]`` table; c, k, p and feedforward
        are inherited;
     3. return from :meth:`equations` the input u and the rates of the law's own states (per second),
-       as formulas of `s` alone: ``s.x``, ``s.Y``, ``s.e_n``, ``s.nu``, ``s.phi``, ``s.sign_g``, the
-       gains by ``s.parameter(name)`` and ``s.parameters(name, *shape)``, and its own states, which
-       are symbols that name no state of the plant. Gains must not stand there as numbers, or a
-       compiled loop would keep the old ones. ``s.e_n`` and ``s.nu`` may be plain symbols, as when a
-       law is printed, so a law must not look into them;
+       as formulas of `s` alone: ``s.x``, ``s.Y``, ``s.e_n``, ``s.nu``, ``s.phi``, ``s.sign_g``,
+       the time ``s.t``, the gains by ``s.parameter(name)`` and ``s.parameters(name, *shape)``, and
+       its own states, which are symbols of :func:`certrack.core.expressions.symbol` that name no
+       state or constant of the plant. The functions are those of a system file
+       (:data:`certrack.core.expressions.ALLOWED_FUNCTIONS`), powers may have gains as exponents;
+       anything else is refused when the law is designed, so that what can be simulated can be
+       exported. Gains must not stand there as numbers, or a compiled loop would keep the old ones.
+       ``s.e_n`` and ``s.nu`` may be plain symbols, as when a law is printed, so a law must not look
+       into them;
     4. return from :meth:`parameters` a number, or an array of the shape asked for, for each of
        these names, and raise DesignError where the plant does not tell what the law must know. The
        names A_n, B_n, nu_x, nu_Y and sign_g are taken;
     5. pass ``certrack.testing.LawConformance``.
 
-    Optional: another feed-forward order (:meth:`order`); a reason in `no_certificate`; an entry
-    point ``kind = "package:Class"`` of the group ``certrack.laws``, so that system files can name
-    the law. The law's own states start at zero or at ``simulation.estimates``. Where the input is
-    saturated, a sampled controller keeps of their rates only the terms of gains and own states
-    alone, the forgetting.
+    Optional: another feed-forward order (:meth:`order`); a reason in `no_certificate`; initial
+    values of the own states (:meth:`initial_states`), which ``simulation.estimates`` overrides;
+    and, so that system files can name the law, :func:`certrack.laws.register` or an entry point
+    ``kind = "package:Class"`` of the group ``certrack.laws``. Where the input is saturated, a
+    sampled controller keeps of the rates only the terms of gains and own states alone, the
+    forgetting; own states that are no estimates are listed in ``Equations.filters`` and move on.
 
     A certificate is a theorem about the equations of one law. A new law has none, and says so,
     until a certificate is written for it (:mod:`certrack.certificates`).
@@ -238,6 +267,10 @@ class Law(ABC):
         """
         return {}
 
+    def initial_states(self, plant: Plant) -> Mapping[str, float]:
+        """Initial values of the law's own states, by name; zero for those that are left out."""
+        return {}
+
     def order(self, plant: Plant) -> int:
         """Feed-forward order q on this plant, 0 <= q <= n - 1; y_d needs q + 1 derivatives."""
         return self.feedforward
@@ -279,9 +312,64 @@ class Law(ABC):
         """
         coordinates = self.coordinates(plant)
         signals = Signals(plant, coordinates.q)
-        equations = self.equations(signals)
+        equations = self.normal_equations(signals)
+        names = tuple(z.name for z, _ in equations.update)
+        _check_own_states(names, (*plant.states, *plant.constant_values))
+        known = {*signals.x, *signals.Y, TIME, *(z for z, _ in equations.update)}
+        known |= {name for group in signals.all_parameters.values() for name in group}
+        known |= set().union(plant.drift.expr.free_symbols, *(f.free_symbols for f in signals.phi))
+        remedy = "Use the signals, gains by s.parameter, and own states that have a rate"
+        check_symbols("law", equations.formulas, known, remedy)
+        unknown = [str(z) for z in equations.filters if z.name not in names]
+        if unknown:
+            raise InputError("law", "filters must be own states of the law", ", ".join(unknown))
+        stated = {
+            name: checks.real(f"law.initial_states.{name}", value)
+            for name, value in self.initial_states(plant).items()
+        }
+        if foreign := sorted(set(stated) - set(names)):
+            raise InputError("law.initial_states", "names no state of the law", ", ".join(foreign))
         values = self._values(coordinates, plant, list(signals.all_parameters))
-        return Controller(equations, signals, coordinates, values)
+        start = tuple(stated.get(name, 0.0) for name in names)
+        return Controller(equations, signals, coordinates, values, start)
+
+    def normal_equations(self, s: Signals) -> Equations:
+        """The equations in the one form that is compiled, printed and exported.
+
+        Raises
+        ------
+        InputError
+            If a formula contains what certrack does not support.
+        """
+        equations = self.equations(s)
+        if not isinstance(equations, Equations):
+            raise InputError("law", "equations must return Equations", equations)
+        for z, _ in equations.update:
+            if z != symbol(str(z)):
+                raise InputError("law", "own states must be made by certrack.laws.symbol", z)
+        normal = {name: normal_form("law", name, f) for name, f in equations.formulas.items()}
+        u, *rates = normal.values()
+        names = [z for z, _ in equations.update]
+        return Equations(u, tuple(zip(names, rates, strict=True)), tuple(equations.filters))
+
+
+#: Names that begin like this stand for numbers and memories of certrack's own.
+RESERVED_PREFIXES = (
+    *("law_", "ctl_", "kept_", "true_", "ref_", "piece_", "y_d_", "member_", "switch_"),
+    "integral_",
+)
+
+
+def _check_own_states(names: Sequence[str], used: Collection[str]) -> None:
+    """Refuse names of own states that stand for something else already."""
+    seen = set(used)
+    for name in names:
+        check_name("law", name)
+        if name.startswith(RESERVED_PREFIXES):
+            raise InputError("law", "names of own states must not begin so", name, "Rename it")
+        if name in seen:
+            raise InputError("law", "has a state of this name already", name, "Rename it")
+        seen.add(name)
 
 
 def metric(key: str, value: Any, r: int) -> np.ndarray:

@@ -9,6 +9,9 @@ t_k:
     u       = u_law, within the saturation and the rate limit
     z_{k+1} = z_k + W rate(x, Y, z_k)           estimates; only forgetting while u /= u_law
 
+A law whose formulas contain the time gets t_k = k T, with k among the states: what is exported
+knows the time without being told.
+
 W = T I is forward Euler. ``exact_leak`` takes the constant part L of the Jacobian of the rates by
 the estimates (the leak) into account exactly: W = L^-1 (exp(L T) - I) [exponential Euler].
 """
@@ -22,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 import sympy
 
-from certrack.core.expressions import symbol
+from certrack.core.expressions import TIME, symbol
 from certrack.core.lowering import numpy_callable
 from certrack.core.select import Select, clamp, magnitude
 from certrack.laws.base import Controller, Law
@@ -36,6 +39,9 @@ Assignments = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
 COMMAND, LAW_INPUT = symbol("ctl_u"), symbol("ctl_u_law")
 
 PERIOD = symbol("ctl_period")
+
+#: The time of the sample, and its number, which counts from offset/T on.
+SAMPLE_TIME, SAMPLE_NUMBER = symbol("ctl_time"), symbol("ctl_sample")
 
 #: 1 at the first sample, 0 later: there is nothing to take a difference from yet.
 FIRST = symbol("ctl_first")
@@ -108,6 +114,10 @@ def sampled_controller(
     memories: list[tuple[sympy.Symbol, sympy.Expr]] = []
     numbers = [PERIOD]
     x = _state_values(plant, implementation, steps, memories, numbers)
+    if any(formula.has(TIME) for formula in controller.equations.formulas.values()):
+        steps.append((SAMPLE_TIME, PERIOD * SAMPLE_NUMBER))
+        memories.append((SAMPLE_NUMBER, SAMPLE_NUMBER + 1))
+        x[TIME] = SAMPLE_TIME
     steps.append((LAW_INPUT, controller.equations.u.xreplace(x)))
     steps.append((COMMAND, _limited(implementation, numbers)))
     if implementation.rate_limit is not None:
@@ -120,7 +130,8 @@ def sampled_controller(
     if implementation.projection is not None:
         numbers += _projection_limits(len(estimates))
     forgetting = forgetting_rates(rates, {*controller.symbols, *estimates})
-    after = next_estimates(estimates, rates, forgetting, hold, implementation)
+    filters = controller.equations.filters
+    after = next_estimates(estimates, rates, forgetting, hold, implementation, filters)
     constants = [symbol(name) for name in plant.constant_values]
     return SampledController(
         measured=s.x,
@@ -142,6 +153,7 @@ def next_estimates(
     forgetting: Sequence[sympy.Expr],
     hold: Sequence[tuple[int, int]],
     implementation: Implementation,
+    filters: Sequence[sympy.Symbol] = (),
 ) -> list[sympy.Expr]:
     """The estimates after one period.
 
@@ -154,6 +166,8 @@ def next_estimates(
     hold : pairs (i, j)
         See :class:`SampledController`.
     implementation : Implementation
+    filters : symbols
+        Those of the estimates that move on while the input is limited.
 
     Returns
     -------
@@ -162,12 +176,19 @@ def next_estimates(
     rises = _weighted(rates, hold)
     limited = implementation.saturation is not None or implementation.rate_limit is not None
     if limited and implementation.anti_windup != "none":
-        limited_rises = [sympy.S.Zero] * len(rises)
-        if implementation.anti_windup == "leak":
-            limited_rises = _weighted(forgetting, hold)
+        if implementation.anti_windup != "leak":
+            forgetting = [sympy.S.Zero] * len(rises)
+        limited_rises = _weighted(
+            [
+                rate if z in filters else slow
+                for z, rate, slow in zip(estimates, rates, forgetting, strict=True)
+            ],
+            hold,
+        )
         excess = magnitude(LAW_INPUT - COMMAND)
         rises = [
-            Select(excess, 0, slow, rise) for slow, rise in zip(limited_rises, rises, strict=True)
+            rise if slow == rise else Select(excess, 0, slow, rise)
+            for slow, rise in zip(limited_rises, rises, strict=True)
         ]
     after = [z + rise for z, rise in zip(estimates, rises, strict=True)]
     if implementation.projection is None:
@@ -339,6 +360,8 @@ def starting_state(
     -------
     (S,) array
     """
-    initial = {FIRST: 1.0, symbol("ctl_u_last"): implementation.initial_input}
+    first_number = implementation.offset / implementation.period
+    initial = {FIRST: 1.0, SAMPLE_NUMBER: first_number}
+    initial[symbol("ctl_u_last")] = implementation.initial_input
     memories = [initial.get(name, 0.0) for name in controller.states[len(controller.estimates) :]]
     return np.array([*estimates, *memories])

@@ -10,6 +10,7 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.model.distribution import Distribution, as_distribution
+from certrack.model.disturbance import known_disturbances
 from certrack.model.plant import Plant, check_gain, check_within, name_value_pairs
 from certrack.model.sampling import SAMPLINGS
 from certrack.model.truth import Truth
@@ -43,7 +44,7 @@ class Population:
         True values of plant constants.
     amplitude, frequency : distribution, optional
         Factors on the reference and on its time: amplitude y_d(frequency t).
-    disturbance : {"file", "multisine"}
+    disturbance : {"file", "multisine"} or a registered kind
         The system's omega, or w_k = s_k(t) (gamma_k ||x|| + beta_k) where s_k is a sum of sines of
         random weight, frequency and phase with |s_k| <= 1: always within Assumption 1.
     sines : int
@@ -120,7 +121,7 @@ class Population:
     disturbance: str = keyed(
         "choice",
         "file",
-        help="omega as it stands, or random sines that are always admissible",
+        help="omega as it stands, random sines that are always admissible, or a registered family",
         choices=DISTURBANCES,
     )
     sines: int = keyed(
@@ -175,10 +176,11 @@ class Population:
         if self.frequency is not None and self.frequency.low <= 0:
             low = self.frequency.low
             raise InputError("ensemble.reference.frequency", "must be positive", low)
+        checks.choice("ensemble.disturbance", self.disturbance, known_disturbances())
         check_fields(
             self,
             "ensemble",
-            *("disturbance", "sines", "frequencies", "sampling", "points", "limit"),
+            *("sines", "frequencies", "sampling", "points", "limit"),
         )
 
     def bound_to(self, plant: Plant, truth: Truth, estimates: int) -> Population:
@@ -211,7 +213,7 @@ class Population:
             if getattr(self, name) is not None:
                 remedy = "Vary ensemble.constants and ensemble.x0"
                 raise InputError(f"ensemble.{name}", f"must be left out {where}", remedy=remedy)
-        if self.disturbance == "multisine":
+        if self.disturbance != "file":
             message = f"must be file {where}: its rates hold the disturbances"
             raise InputError("ensemble.disturbance", message, self.disturbance)
 

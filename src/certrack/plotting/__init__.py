@@ -1,9 +1,16 @@
 """Pictures of runs, ensembles and margins.
 
-Figures are made without pyplot, so nothing global is touched and no window opens.
+Figures are made without pyplot, so nothing global is touched and no window opens. The functions
+``plot_...`` draw on any axes, of pyplot's figures too: ``plot_error(ax, {"adaptive": run})``. Their
+legend names the runs, and a curve never gets the style of another one on the same axes.
 """
 
-from certrack.plotting.ensembles import ensemble_figures, fan_chart, metric_histograms
+from certrack.plotting.ensembles import (
+    ensemble_figures,
+    fan_chart,
+    metric_histograms,
+    plot_fan,
+)
 from certrack.plotting.margins import margin_figure
 from certrack.plotting.runs import (
     PANELS,
@@ -37,6 +44,7 @@ __all__ = [
     "panels_for",
     "plot_error",
     "plot_estimates",
+    "plot_fan",
     "plot_input",
     "plot_output",
     "plot_states",

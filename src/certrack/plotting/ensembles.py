@@ -10,6 +10,7 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from certrack.core.errors import InputError
 from certrack.plotting.shared import (
     BLUE,
     PAGE_WIDTH,
@@ -47,28 +48,52 @@ def ensemble_figures(ensemble: Ensemble) -> dict[str, Figure]:
 
 def fan_chart(ensemble: Ensemble) -> Figure:
     """Quantile bands of every signal against time."""
-    names, bands, t = ensemble.signals, _finite(ensemble.bands), ensemble.t
-    units = ensemble.system.plant.units or ("",) * (len(names) - 1)
+    names = ensemble.signals
     with style():
         drawing = new_figure(PAGE_WIDTH, 1.7 * len(names) + 0.4)
         axes = drawing.subplots(len(names), 1, sharex=True)
-        for i, (ax, name, unit) in enumerate(zip(axes, names, [units[0], *units], strict=True)):
-            for low, high, label, alpha in BANDS:
-                shade = {"color": BLUE, "alpha": alpha, "lw": 0}
-                ax.fill_between(t, bands[low, i], bands[high, i], label=label, **shade)
-            ax.plot(t, bands[len(LEVELS) // 2, i], color=BLUE, lw=1.0, label="median")
-            if i == 0 and ensemble.limit is not None:
-                tail = (max(ensemble.system.settings.tail_start, t[0]), t[-1])
-                for sign, entry in ((-1, None), (1, "limit")):
-                    ax.plot(tail, [sign * ensemble.limit] * 2, "k--", lw=0.8, label=entry)
-            ax.set_ylabel(math_name(name) + in_brackets(unit))
-            ax.margins(x=0.01)
-            _keep_readable(ax, bands[:, i])
+        for ax, name in zip(axes, names, strict=True):
+            plot_fan(ax, ensemble, name)
         drawing.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
         axes[-1].set_xlabel("time [s]")
         drawing.align_ylabels()
         set_title(drawing, _title(ensemble))
     return drawing
+
+
+def plot_fan(ax: Axes, ensemble: Ensemble, signal: str = "e_1", color: str = BLUE) -> None:
+    """Quantile bands of one signal against time, on any axes.
+
+    Parameters
+    ----------
+    ax : Axes
+    ensemble : Ensemble
+    signal : str
+        One of ``ensemble.signals``.
+    color : str
+        Another one for another ensemble on the same axes.
+
+    Raises
+    ------
+    InputError
+        If there is no such signal.
+    """
+    names, t = ensemble.signals, ensemble.t
+    if signal not in names:
+        raise InputError("signal", "must be one of " + ", ".join(names), signal)
+    i, bands = names.index(signal), _finite(ensemble.bands)
+    units = ensemble.system.plant.units or ("",) * (len(names) - 1)
+    for low, high, label, alpha in BANDS:
+        shade = {"color": color, "alpha": alpha, "lw": 0}
+        ax.fill_between(t, bands[low, i], bands[high, i], label=label, **shade)
+    ax.plot(t, bands[len(LEVELS) // 2, i], color=color, lw=1.0, label="median")
+    if i == 0 and ensemble.limit is not None:
+        tail = (max(ensemble.system.settings.tail_start, t[0]), t[-1])
+        for sign, entry in ((-1, None), (1, "limit")):
+            ax.plot(tail, [sign * ensemble.limit] * 2, "k--", lw=0.8, label=entry)
+    ax.set_ylabel(math_name(signal) + in_brackets([units[0], *units][i]))
+    ax.margins(x=0.01)
+    _keep_readable(ax, bands[:, i])
 
 
 def _title(ensemble: Ensemble) -> str:

@@ -3,21 +3,40 @@
 A reference of order m has derivatives 0 ... m that exist piecewise and are bounded, with 0 ... m-1
 continuous. A law with feed-forward order q needs order q + 1 (section "feed-forward" of the
 theory page); the paper's law needs one derivative only, so a triangle will do.
+
+Whoever writes a reference finds all names here: :class:`Reference`, :class:`Bounds`, :func:`key`,
+:func:`check_fields`, :func:`symbol`, ``TIME``, :func:`round_up`, and :func:`register`.
 """
 
-from certrack.references.base import Bounds, Reference, pieces_at, require_order
+from certrack.core.errors import InputError
+from certrack.core.expressions import TIME, symbol
+from certrack.core.keys import Key, check_fields
+from certrack.core.keys import keyed as key
+from certrack.references.base import Bounds, Reference, pieces_at, require_order, round_up
 from certrack.references.piecewise import PiecewiseReference, samples, steps, trapezoid, triangle
+from certrack.references.registry import check_reference, known_references
+from certrack.references.registry import register_reference as register
 from certrack.references.symbolic import SymbolicReference
 
 __all__ = [
+    "TIME",
     "Bounds",
+    "InputError",
+    "Key",
     "PiecewiseReference",
     "Reference",
     "SymbolicReference",
+    "check_fields",
+    "check_reference",
+    "key",
+    "known_references",
     "pieces_at",
+    "register",
     "require_order",
+    "round_up",
     "samples",
     "steps",
+    "symbol",
     "trapezoid",
     "triangle",
 ]

@@ -34,10 +34,11 @@ class Reference(Protocol):
     A reference that consists of cubic pieces is a function that returns a
     :class:`~certrack.references.piecewise.PiecewiseReference`, and a formula in t is a
     :class:`~certrack.references.symbolic.SymbolicReference`; both keep these duties already. Any
-    other kind must:
+    other kind is a class that inherits this one, for the parts that may be left out, and must:
 
-    1. be a frozen value with ``==``: equal references may share a compiled loop, and a run must not
-       change them;
+    1. be a frozen dataclass: equal references may share a compiled loop, and a run must not change
+       them. Its fields are declared by :func:`certrack.references.key`, and
+       :func:`certrack.references.register` gives it the word by which system files name it;
     2. be continuous, and say in `order` how many derivatives exist piecewise and are bounded;
        derivatives below `order` must be continuous. A law with feed-forward order q is refused
        unless ``order >= q + 1``, and asks for derivatives 0 ... q + 1 only;
@@ -51,10 +52,11 @@ class Reference(Protocol):
        certificates take the bounds as proven, and what they claim holds for every reference within
        them.
 
-    Optional: `declared_bound` is None where nobody has declared D; the symbols are empty tuples,
-    and their values empty, where the formulas have none. A system file, and so a saved certificate,
-    can hold another kind only after :mod:`certrack.systems.reader` and
-    :mod:`certrack.systems.writer` have been taught its keys.
+    Optional, with what holds if they are left out: `declared_bound` (None: nobody has declared D),
+    `breaks` (none), and the symbols with their values (none). Symbols begin with ``ref_`` or
+    ``piece_``. A system refuses a reference that is not registered, whose formulas contain what is
+    not supported, or whose formulas and values differ. What cannot be checked - bounds, breaks that
+    are missing - :class:`certrack.testing.ReferenceConformance` looks at.
 
     Times are in s, y_d in the unit of the output, y_d^(i) in that unit per s^i.
     """
@@ -66,6 +68,7 @@ class Reference(Protocol):
     @property
     def declared_bound(self) -> float | None:
         """The user's D of Assumption 2, |y_d| + |y_d'| <= D; None if not declared."""
+        return None
 
     def bounds(self, order: int) -> Bounds:
         """Bounds Y_0 ... Y_order, each >= sup |y_d^(i)| over t >= 0.
@@ -78,6 +81,7 @@ class Reference(Protocol):
 
     def breaks(self, start: float, end: float) -> np.ndarray:
         """Increasing times strictly inside (start, end) where a derivative jumps, s."""
+        return np.empty(0)
 
     def values(self, t: np.ndarray, order: int) -> np.ndarray:
         """y_d ... y_d^(order) at the times `t`, shape (order + 1, len(t)).
@@ -95,20 +99,24 @@ class Reference(Protocol):
     @property
     def parameter_symbols(self) -> tuple[sympy.Symbol, ...]:
         """Symbols in the formulas that a sweep may vary; no state or gain may have their names."""
+        return ()
 
     @property
     def parameter_values(self) -> tuple[float, ...]:
         """Values of :attr:`parameter_symbols`, as many."""
+        return ()
 
     @property
     def piece_symbols(self) -> tuple[sympy.Symbol, ...]:
         """Symbols in the formulas that take new values at every break point."""
+        return ()
 
     def piece_values(self, t: float) -> np.ndarray:
         """Values of :attr:`piece_symbols`, as many, on the piece that begins at or contains `t`.
 
         A `t` that is a break but for rounding is the break, so the piece after it counts.
         """
+        return np.empty(0)
 
 
 def pieces_at(reference: Reference, t: np.ndarray) -> np.ndarray:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from certrack.core.files import write_netcdf
+from certrack.core.errors import InputError
+from certrack.core.files import read_netcdf, write_netcdf
 from certrack.core.version import version
 from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.single.taylor import TaylorSeries
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.plant import measured
 from certrack.simulation.metrics import Metrics, measure
+from certrack.systems.reader import loads
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
@@ -197,6 +199,54 @@ class Run:
             If the file cannot be written.
         """
         write_netcdf(Path(path), self.dataset(samples))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Run:
+        """A run that :meth:`save` has written.
+
+        Its samples and metrics are the stored ones; between the samples it is linear.
+
+        Parameters
+        ----------
+        path : path
+
+        Returns
+        -------
+        Run
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read or holds no run.
+        """
+        data = read_netcdf(Path(path))
+        try:
+            system, t = loads(data.attrs["system"], str(path)), data.time.values
+            plant = data.truth if system.truth.states else data.x
+            parts = [plant.values.T, np.full((len(INTEGRALS), len(t)), np.nan)]
+            if system.controller.states:
+                parts.insert(1, data.estimate.values.T)
+            stored = {"t": t, "_states": np.concatenate(parts), "x": data.x.values.T}
+            stored |= {"e": data.e.values.T, "u": data.u.values, "y_d": data.y_d.values}
+            names = [entry.name for entry in fields(Metrics)]
+            metrics = Metrics(**{name: float(data.attrs.get(name, np.nan)) for name in names})
+            outcome, method = Outcome[data.attrs["outcome"]], str(data.attrs["integrator"])
+            notes = data.attrs["notes"]
+        except (KeyError, AttributeError, ValueError) as problem:
+            if isinstance(problem, InputError):
+                raise
+            raise InputError(str(path), f"holds no run of certrack ({problem})") from None
+
+        def states(times: np.ndarray) -> np.ndarray:
+            return np.array([np.interp(times, t, row) for row in stored["_states"]])
+
+        def inputs(times: np.ndarray, _: np.ndarray) -> np.ndarray:
+            return np.interp(times, t, stored["u"])
+
+        trajectory = Trajectory(t, states, outcome, method, parts=1)
+        run = cls(system, trajectory, inputs, (notes,) if notes else ())
+        vars(run).update(stored, metrics=metrics)  # where cached_property looks
+        return run
 
     def _errors(self, t: np.ndarray, x: np.ndarray) -> np.ndarray:
         coordinates = self.system.controller.coordinates

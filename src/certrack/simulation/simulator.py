@@ -7,7 +7,6 @@ other one in continuous time (:mod:`certrack.simulation.continuous`). Only that 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from certrack.core.errors import InputError
@@ -110,12 +109,13 @@ def simulate(system: System, **settings: Any) -> Run:
     ----------
     system : System
     **settings
-        Override entries of :class:`certrack.Settings`, e.g. ``duration=5``.
+        Override entries of :class:`certrack.Settings`, e.g. ``duration=5``. A stated tail keeps its
+        share of the run where only the duration changes.
 
     Returns
     -------
     Run
     """
     if settings:
-        system = replace(system, settings=replace(system.settings, **settings))
+        system = system.with_settings(**settings)
     return Simulator(system).run()

@@ -27,8 +27,7 @@ from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth, constants_of_truth
-from certrack.references import Reference, SymbolicReference
-from certrack.references.keys import REFERENCE_KINDS
+from certrack.references import Reference, SymbolicReference, known_references
 from certrack.systems.keys import TABLES, law_keys, reference_keys
 from certrack.systems.lines import line_of
 from certrack.systems.system import Settings, System
@@ -292,15 +291,17 @@ def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | Non
         )
     if "kind" not in table:
         raise InputError("reference", "must have a signal or a kind", sorted(table))
-    kind = checks.choice("reference.kind", table["kind"], REFERENCE_KINDS)
+    kinds = known_references()
+    kind = checks.choice("reference.kind", table["kind"], kinds)
     entries = dict(table)
     if kind == "samples" and "file" in entries:
         entries |= _samples_of_file(entries.pop("file"), folder)
-    keys = {name: reference_keys(name) for name in REFERENCE_KINDS}
+    keys = {name: reference_keys(name) for name in kinds}
     _refuse_keys_of_another("reference", entries, "reference", keys)
     values = _read_values("reference", entries, constants, keys[kind])
     del values["kind"]
-    return REFERENCE_KINDS[kind].make(**values)
+    reference: Reference = kinds[kind].make(**values)
+    return reference
 
 
 def _samples_of_file(name: Any, folder: Path | None) -> dict[str, list[float]]:

@@ -14,7 +14,7 @@ from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth
-from certrack.references import Reference, require_order
+from certrack.references import Reference, check_reference, require_order
 
 #: More periods of the reference than this in a run are refused: each is several pieces to stop at.
 MAX_REPEATS = 20_000
@@ -33,7 +33,8 @@ class Settings:
     duration : float > 0, s
         Length of the run; it starts at t = 0.
     estimates : numbers, optional
-        Initial controller states (delta_hat, theta_hat ...); zero if left out.
+        Initial controller states (delta_hat, theta_hat ...); if left out, what the law states, or
+        zero.
     tolerance : float
         Relative and absolute tolerance of the integrator.
     integrator : {"auto", "taylor", "scipy", "implicit"}
@@ -57,7 +58,7 @@ class Settings:
         None,
         help="initial controller states, not the prior guesses",
         shape="one number per controller state",
-        otherwise="zero",
+        otherwise="as the law states, or zero",
     )
     tolerance: float = keyed(
         "number",
@@ -174,6 +175,8 @@ class System:
         set_fields(self, implementation=implementation)
 
     def _check_reference(self) -> None:
+        order = self.controller.coordinates.q + 1
+        check_reference(self.reference, 1, self.settings.duration)
         period = getattr(self.reference, "period", None)
         if period is not None and self.settings.duration > MAX_REPEATS * period:
             raise InputError(
@@ -181,8 +184,8 @@ class System:
                 f"must not repeat more than {MAX_REPEATS} times in simulation.duration",
                 period,
             )
-        q = self.controller.coordinates.q
-        require_order(self.reference, q + 1, f"this design (law.feedforward = {q})")
+        require_order(self.reference, order, f"this design (law.feedforward = {order - 1})")
+        check_reference(self.reference, order, self.settings.duration)
 
     @cached_property
     def controller(self) -> Controller:
@@ -204,13 +207,20 @@ class System:
         return replace(self, **changes)
 
     def with_settings(self, **changes: Any) -> System:
-        """A copy with some settings replaced."""
+        """A copy with some settings replaced.
+
+        A stated tail keeps its share of the run where only the duration changes.
+        """
+        tail, duration = self.settings.tail, changes.get("duration")
+        if tail is not None and "tail" not in changes and isinstance(duration, (int, float)):
+            changes["tail"] = duration * (tail / self.settings.duration)
         return replace(self, settings=replace(self.settings, **changes))
 
     @property
     def estimates(self) -> tuple[float, ...]:
         """Initial values of the controller's states."""
-        return self.settings.estimates or (0.0,) * len(self.controller.states)
+        stated = self.settings.estimates
+        return self.controller.start if stated is None else stated
 
     @property
     def start(self) -> tuple[float, ...]:

@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 
 from certrack.core.checks import number_or_text
+from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, parse
 from certrack.core.files import write_text
-from certrack.laws import Law
+from certrack.laws import Law, known_laws
 from certrack.model.distribution import Distribution
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth
-from certrack.references import Reference, SymbolicReference, piecewise
+from certrack.references import PiecewiseReference, Reference, SymbolicReference
+from certrack.references.registry import kind_of
 from certrack.systems.system import System
 
 
@@ -61,22 +63,36 @@ def _shelve(values: list[Any], shelf: list[list[Any]]) -> Any:
 
 
 def save(system: System, path: str | os.PathLike[str]) -> None:
-    """Write a system file; it appears only when it is complete."""
+    """Write a system file; it appears only when it is complete.
+
+    Raises
+    ------
+    InputError
+        If the law is not registered, so that nobody could load the file, or the file cannot be
+        written.
+    """
+    if known_laws().get(system.law.kind) is not type(system.law):
+        raise InputError(
+            "law.kind",
+            "is not registered, so the file could not be loaded",
+            system.law.kind,
+            "Decorate the law with certrack.laws.register, and make it anew",
+        )
     write_text(Path(path), to_text(system))
 
 
 def _as_toml(value: Any) -> Any:
     """Expressions as numbers or text, tuples as lists."""
     if isinstance(value, Distribution):
-        if value.kind == "fixed":
-            return value.values[0]
-        return {value.kind: list(value.values)}
+        return value.written
     if isinstance(value, Expression):
         return number_or_text(value.text)
     if isinstance(value, dict):
         return {name: _as_toml(entry) for name, entry in value.items()}
     if isinstance(value, (tuple, list)):
         return [_as_toml(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
     if isinstance(value, np.generic):
         return value.item()
     return value
@@ -111,9 +127,10 @@ def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
                 "reference.signal", reference.numeric, ["t"]
             )  # the file has no such name
         values = {"signal": signal, "bounds": reference.declared}
-    else:
-        assert isinstance(reference, piecewise.PiecewiseReference)
+    elif isinstance(reference, PiecewiseReference):
         values = dict(reference.fields)
+    else:  # its fields are its keys
+        return {"kind": kind_of(reference)} | _present(field_values(reference))
     return _present(values | {"bound": reference.declared_bound})
 
 

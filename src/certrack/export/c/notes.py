@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
 from certrack.loops.controller import leak_jacobian
 from certrack.systems.system import System
@@ -11,11 +12,31 @@ from certrack.systems.system import System
 #: Below this part of itself per sample, leakage is lost in the rounding of float.
 STALLING_SHARE = 1e-4
 
+#: The last whole number that float can count to.
+FLOAT_COUNT = 2**24
+
 
 def notes_for(system: System, real: str) -> tuple[str, ...]:
     """Notes on the code of a system with numbers of type `real`; usually none."""
     if real == "double":
         return ()
+    return (*_time_notes(system), *_leak_notes(system))
+
+
+def _time_notes(system: System) -> tuple[str, ...]:
+    """A law that knows the time counts its samples, and float counts so far only."""
+    implementation, formulas = system.implementation, system.controller.equations.formulas
+    assert implementation is not None
+    if not any(formula.has(TIME) for formula in formulas.values()):
+        return ()
+    hours = FLOAT_COUNT * implementation.period / 3600
+    return (
+        f"in float, the time of this law stands still after {hours:.1f} h: samples are counted up "
+        f"to {FLOAT_COUNT}. Use --real double if it runs longer.",
+    )
+
+
+def _leak_notes(system: System) -> tuple[str, ...]:
     share = _leak_share(system)
     if not share < STALLING_SHARE:
         return ()

@@ -197,6 +197,7 @@ def _member_note(program: ControllerProgram, symbol: sympy.Symbol) -> str:
         "before": "the state before it, one sample ago",
         "speed": "its filtered difference",
         "first": "1 before the first sample, then 0",
+        "sample": "number of the sample: its time over the period",
         "u": "the last input",
     }
     return (

@@ -150,9 +150,7 @@ def _drawing(
 
 def _plot(ax: Axes, content: PaperAxes) -> None:
     for curve in content.curves:
-        ax.plot(
-            curve.t, curve.values, color=curve.color, ls=curve.line, lw=1.3, label=curve.label
-        )
+        ax.plot(curve.t, curve.values, color=curve.color, ls=curve.line, lw=1.3, label=curve.label)
 
 
 def _draw_whole(ax: Axes, content: PaperAxes) -> None:
@@ -174,9 +172,7 @@ def _draw_detail(ax: Axes, content: PaperAxes) -> None:
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, 1.0))
 
 
-def _span(
-    content: PaperAxes, where: Callable[[np.ndarray], np.ndarray]
-) -> tuple[float, float]:
+def _span(content: PaperAxes, where: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
     """Lowest and highest value of the curves at these times, with a margin."""
     values = [curve.values[where(curve.t)] for curve in content.curves]
     low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)

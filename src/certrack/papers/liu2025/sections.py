@@ -11,7 +11,7 @@ from certrack.certificates.assumption_1 import check_assumption_1
 from certrack.certificates.published import collect
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
-from certrack.papers.liu2025.claim import HOLDS, NOT_TESTABLE, Claim, judged
+from certrack.papers.liu2025.claim import NOT_TESTABLE, Claim, judged
 from certrack.papers.liu2025.runs import PaperRuns, scaled_damping, triangle_reference
 from certrack.systems.reader import load
 from certrack.systems.system import System
@@ -203,9 +203,7 @@ def coordinates_by_18(system: System) -> tuple[np.ndarray, np.ndarray, bool]:
 
     g = [sympy.Rational(str(float(v))) for v in plant.g]
     b = [[sympy.Rational(str(float(v))) for v in row[: i + 1]] for i, row in enumerate(plant.b)]
-    chain = [
-        g[i] * xi[i + 1] + sum(b[i][j] * xi[j] for j in range(i + 1)) for i in range(n - 1)
-    ]
+    chain = [g[i] * xi[i + 1] + sum(b[i][j] * xi[j] for j in range(i + 1)) for i in range(n - 1)]
     errors, stabilising = [xi[0] - y_d], []
     for m in range(n - 1):
         last = stabilising[-1] if m else y_d

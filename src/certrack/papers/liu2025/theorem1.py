@@ -15,7 +15,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from certrack.certificates.published import collect
-from certrack.papers.liu2025.claim import AMBIGUOUS, HOLDS, Claim, judged
+from certrack.papers.liu2025.claim import AMBIGUOUS, Claim, judged
 from certrack.papers.liu2025.runs import CERTIFIED, COUNTEREXAMPLE, PaperRuns
 from certrack.simulation.run import Run
 from certrack.systems.reader import load

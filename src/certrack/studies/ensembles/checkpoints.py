@@ -112,7 +112,7 @@ class Checkpoints:
         try:
             with path.open("rb") as stream, np.load(stream) as stored:
                 arrays = dict(stored)
-            statistics.add_packed(arrays)
+            statistics.add_packed(arrays)  # a file without the table that is asked for is no use
             ranges = [(int(a), int(b)) for a, b in arrays.get("ranges", np.empty((0, 2)))]
         except (OSError, ValueError, KeyError, IndexError, EOFError, BadZipFile, zlib.error):
             return None, []

@@ -10,7 +10,6 @@ import numpy as np
 
 from certrack.integrators.base import MethodUnavailable, Outcome
 from certrack.simulation.run import Run
-from certrack.simulation.simulator import simulate
 from certrack.studies.ensembles.methods.choice import create_method
 from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, signals_of
 from certrack.studies.ensembles.problem import EnsembleProblem, is_clearly_after
@@ -56,6 +55,8 @@ class Engine:
         tail = metrics[METRICS.index("tail_error")]
         tail = np.where(np.isnan(tail), np.inf, tail)
         statistics.observe_worst(tail, begin)
+        if statistics.table is not None:
+            statistics.table.add(begin, metrics, outcomes)
         if self.plan.limit is not None:
             statistics.violations += int((tail > self.plan.limit).sum())
         return statistics
@@ -79,7 +80,7 @@ class Engine:
         metrics[:, early] = np.nan
         outcomes[early & ~results.run_alone] = OUTCOME_CODES[Outcome.escaped]
         for i in np.flatnonzero(results.run_alone).tolist():
-            run = simulate(self._problem.members.member(begin + i))
+            run = self._problem.members.run(begin + i)
             outcomes[i] = OUTCOME_CODES[run.outcome]
             if run.outcome is Outcome.finished:
                 metrics[:, i] = [getattr(run.metrics, name) for name in METRICS]

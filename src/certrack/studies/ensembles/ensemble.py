@@ -12,20 +12,21 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.integrators.base import MethodUnavailable
+from certrack.integrators.base import MethodUnavailable, Outcome
 from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
-from certrack.simulation.simulator import simulate
 from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.checkpoints import Checkpoints
 from certrack.studies.ensembles.engine import Engine, fastest
 from certrack.studies.ensembles.error_limit import tail_error_limit
+from certrack.studies.ensembles.member_table import KEPT_MEMBERS
 from certrack.studies.ensembles.members import Members
-from certrack.studies.ensembles.plan import METHODS, Plan, Range, band_times, make_plan
+from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, Range, band_times, make_plan
 from certrack.studies.ensembles.statistics import LEVELS, Statistics, binomial_interval
 from certrack.systems.system import System
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
 #: Members per chunk: what is lost when a run is killed, and what a worker gets at a time.
@@ -92,8 +93,62 @@ class Ensemble:
         return self._members.member(index)
 
     def run(self, index: int) -> Run:
-        """The full run of member `index`."""
-        return simulate(self.member(index))
+        """The full run of member `index`; all members share one compiled simulator."""
+        return self._members.run(index)
+
+    def per_member(self) -> tuple[np.ndarray, np.ndarray]:
+        """Metrics of every member (M, N), in the order of METRICS, and their outcomes (N,).
+
+        NaN for a member that did not finish; the outcomes are positions in
+        :class:`certrack.Outcome`.
+
+        Raises
+        ------
+        InputError
+            If they were not kept.
+        """
+        table = self.statistics.table
+        arrays = None if table is None else table.arrays(self.members)
+        if arrays is None:
+            remedy = "Call ensemble(..., per_member=True)"
+            raise InputError(
+                "per_member", "the metrics of single members were not kept", None, remedy
+            )
+        return arrays
+
+    def frame(self, *, draws: bool = False) -> pandas.DataFrame:
+        """Metrics of every member as a tidy table: one row per member.
+
+        Parameters
+        ----------
+        draws : bool
+            Add the numbers that were drawn for each member, by their names.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index ``member``; a column per metric, NaN where it does not exist; ``outcome``.
+
+        Raises
+        ------
+        InputError
+            If the metrics of single members were not kept.
+
+        Examples
+        --------
+        >>> import certrack
+        >>> found = certrack.ensemble(certrack.load("example1"), 8, method="lockstep")
+        >>> found.frame().shape
+        (8, 9)
+        """
+        import pandas
+
+        metrics, outcomes = self.per_member()
+        columns: dict[str, Any] = dict(zip(METRICS, metrics, strict=True))
+        columns["outcome"] = np.array([outcome.name for outcome in Outcome])[outcomes]
+        if draws:
+            columns |= self._members.draws(0, self.members)
+        return pandas.DataFrame(columns, index=pandas.RangeIndex(self.members, name="member"))
 
     @property
     def independent(self) -> bool:
@@ -169,6 +224,7 @@ def ensemble(
     chunk: int = CHUNK_MEMBERS,
     out: Path | str | None = None,
     client: Any = None,
+    per_member: bool | None = None,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Ensemble:
     """Simulate many members of a system's population and keep their statistics.
@@ -187,7 +243,8 @@ def ensemble(
         Of the integrator; statistics seldom need more than the default.
     limit : float, optional
         Of the tail error; by default the population's, else the certified bound where the
-        population is within the certificate's assumptions.
+        population is within the certificate's assumptions; inf for none, which saves the time of
+        the certificate.
     threads : int, optional
         By default one per core.
     method : {"native", "lockstep", "alone"}, optional
@@ -199,6 +256,9 @@ def ensemble(
         Folder where finished chunks are kept. The same call goes on where a stopped one was.
     client : distributed.Client, optional
         Compute on its Dask cluster.
+    per_member : bool, optional
+        Keep the metrics of every member, for :meth:`Ensemble.frame` and :func:`certrack.paired`; by
+        default where there are at most 100,000.
     progress : callable
         Gets the members done and in all.
 
@@ -218,7 +278,9 @@ def ensemble(
     if tolerance > MAX_TOLERANCE:
         raise InputError("tolerance", f"must be at most {MAX_TOLERANCE:g}", tolerance)
     limit, origin = tail_error_limit(system, limit)
-    plan, engine = _prepared(system, seed, tolerance, limit, method, threads, client)
+    per_member = members <= KEPT_MEMBERS if per_member is None else per_member
+    plan = make_plan(system, seed, tolerance, limit, method or METHODS[0], per_member=per_member)
+    plan, engine = _prepared(plan, method, threads, client)
     total = plan.empty()
     checkpoints = None if out is None else Checkpoints(Path(out), plan)
     covered = [] if checkpoints is None else checkpoints.load(total, members)
@@ -243,16 +305,9 @@ def ensemble(
 
 
 def _prepared(
-    system: System,
-    seed: int,
-    tolerance: float,
-    limit: float | None,
-    method: str | None,
-    threads: int | None,
-    client: Any,
+    plan: Plan, method: str | None, threads: int | None, client: Any
 ) -> tuple[Plan, Engine | None]:
     """The plan, and its engine unless a cluster computes; the first method that works."""
-    plan = make_plan(system, seed, tolerance, limit, method or METHODS[0])
     cores = threads or workers.cores()
     try:
         engine = Engine(plan, cores) if method else fastest(plan, cores)

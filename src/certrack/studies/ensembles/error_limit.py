@@ -8,6 +8,7 @@ from certrack.certificates import best_sound_bound
 from certrack.certificates.assumption_1 import check_assumption_1
 from certrack.core import checks
 from certrack.model.distribution import Distribution
+from certrack.model.disturbance import Multisine
 from certrack.model.population import Population
 from certrack.systems.system import System
 
@@ -28,6 +29,8 @@ def tail_error_limit(system: System, limit: float | None) -> tuple[float | None,
         ``"given"``, ``"file"``, ``"certificate"``, or why there is none.
     """
     population = system.varied
+    if limit == math.inf:
+        return None, "none was asked for"
     if limit is not None:
         return checks.real("limit", limit, above=0), "given"
     if population.limit is not None:
@@ -69,6 +72,8 @@ def uncovered(system: System, population: Population) -> str | None:
         return "the reference's amplitude exceeds the one certified"
     if frequency is not None and frequency.high > 1:
         return "the reference's frequency exceeds the one certified"
+    if population.disturbance not in ("file", Multisine.kind):
+        return "its disturbances are of a registered family, whose bound is checked on samples only"
     if population.disturbance == "file" and check_assumption_1(system):
         return "omega breaks Assumption 1"
     return None

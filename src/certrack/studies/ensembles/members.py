@@ -5,7 +5,6 @@ Both ways use the same draws; a test holds them against each other.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,31 +15,40 @@ import numpy as np
 import sympy
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import parse, symbol
+from certrack.core.expressions import TIME, parse, symbol
 from certrack.core.lowering import numpy_callable, rows
 from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
 from certrack.loops.plant import true_constants
 from certrack.model.distribution import Distribution
+from certrack.model.disturbance import Multisine, family_of
 from certrack.model.plant import Plant
 from certrack.model.sampling import probabilities
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
+from certrack.simulation.run import Run
+from certrack.simulation.simulator import Simulator
 from certrack.systems.system import System
 
-#: The sum of the magnitudes of a member's sines: just below 1, so that rounding never passes it.
-SINE_WEIGHT_SUM = 1 - 1e-12
+#: Members and times at which the pattern of a registered disturbance is looked at.
+CHECKED_MEMBERS, CHECKED_TIMES = 64, 257
 
 #: ||x|| in the disturbances is sqrt(x.x + offset^2) - offset: smooth at zero, never above.
 NORM_OFFSET = 1e-6
-
-#: Keeps the weights defined where all draws are zero.
-LEAST_WEIGHT = 1e-300
 
 #: Keeps the declared bounds of a scaled reference above its own, in spite of rounding.
 ABOVE_ONE = 1 + 1e-12
 
 #: Parameter that scales the reference of a member.
 AMPLITUDE = symbol("ref_member_amplitude")
+
+
+#: Begin of the names of a disturbance's numbers.
+DISTURBANCE_PREFIX = "member_w"
+
+
+def _disturbance_name(k: int, name: str) -> str:
+    """Name of a drawn number of w_k among the constants of the plant."""
+    return f"{DISTURBANCE_PREFIX}{k}_{name}"
 
 
 class Members:
@@ -59,6 +67,9 @@ class Members:
         for name in system.plant.constant_values:
             if name.startswith("member_"):
                 raise InputError(f"plant.constants.{name}", "is reserved here", remedy="Rename it")
+        self.family = family_of(self.population)
+        numbers = {} if self.family is None else self.family.numbers(self.population)
+        self._disturbance_names = tuple(numbers)
         self.columns = self._columns()
         self.template = self._system(
             {name: (d.low + d.high) / 2 for name, d in self.columns.items()}, written=False
@@ -66,6 +77,7 @@ class Members:
         self._constants = tuple(true_constants(self.template))
         self.loop: ClosedLoop = close_loop(self.template)
         self.base = parameter_values(self.loop, self.template)
+        self._refuse_large_patterns()
 
     def _refuse_unscalable(self) -> None:
         population, reference = self.population, self.system.reference
@@ -88,15 +100,11 @@ class Members:
         columns |= {f"constants.{name}": entry for name, entry in population.constants}
         for name in ("input_gain", "amplitude", "frequency"):
             columns[name] = getattr(population, name)
-        if population.disturbance == "multisine":
-            speed = Distribution("loguniform", population.frequencies)
-            turn = Distribution("uniform", (0.0, 2 * math.pi))
-            share = Distribution("uniform", (0.0, 1.0))
+        if self.family is not None:
+            numbers = self.family.numbers(population)
             for k in range(plant.n):
                 if u.gamma[k] + u.beta[k] > 0:
-                    for j in range(population.sines):
-                        columns |= {f"member_sine_w{k}_{j}": speed, f"member_sine_p{k}_{j}": turn}
-                        columns |= {f"member_sine_a{k}_{j}": share}
+                    columns |= {_disturbance_name(k, name): d for name, d in numbers.items()}
         return {name: entry for name, entry in columns.items() if entry is not None}
 
     def draws(self, begin: int, end: int) -> dict[str, np.ndarray]:
@@ -106,11 +114,13 @@ class Members:
         p = dict(zip(free, table, strict=True))
         nothing = np.zeros(end - begin)
         draws = {name: d.quantile(p.get(name, nothing)) for name, d in self.columns.items()}
+        if self.family is None:
+            return draws
         for k in range(self.system.plant.n):
-            weights = [f"member_sine_a{k}_{j}" for j in range(self.population.sines)]
-            if weights[0] in draws:
-                total = sum(draws[name] for name in weights) + LEAST_WEIGHT
-                draws |= {name: SINE_WEIGHT_SUM * draws[name] / total for name in weights}
+            names = {name: _disturbance_name(k, name) for name in self._disturbance_names}
+            if names and next(iter(names.values())) in draws:
+                own = self.family.adjusted({name: draws[full] for name, full in names.items()})
+                draws |= {_disturbance_name(k, name): values for name, values in own.items()}
         return draws
 
     def member(self, index: int) -> System:
@@ -122,7 +132,22 @@ class Members:
             If the index is negative or beyond the sequence.
         """
         draws = self.draws(index, index + 1)
-        system = self._system({name: float(v[0]) for name, v in draws.items()}, written=True)
+        return self._one(index, {name: float(v[0]) for name, v in draws.items()}, written=True)
+
+    def run(self, index: int) -> Run:
+        """The run of member `index`; all members share one compiled simulator."""
+        draws = self.draws(index, index + 1)
+        point = {name: float(v[0]) for name, v in draws.items()}
+        run = self._simulator.run(self._one(index, point, written=False))
+        return replace(run, system=self._one(index, point, written=True))
+
+    @cached_property
+    def _simulator(self) -> Simulator:
+        return Simulator(self.template)
+
+    def _one(self, index: int, point: dict[str, float], *, written: bool) -> System:
+        """Member `index`, whose draws are `point`."""
+        system = self._system(point, written=written)
         implementation = system.implementation
         return system.replace(
             title=f"Member {index} (seed {self.seed}) of: {self.system.title}",
@@ -197,11 +222,11 @@ class Members:
         x0 = [point.get(f"x0[{i}]", v) for i, v in enumerate(settings.x0)]
         start = system.start[len(x0) :]
         estimates = [point.get(f"estimates[{i}]", v) for i, v in enumerate(start)]
-        if not written and self.population.disturbance == "multisine":
-            sines = {
-                name: value for name, value in point.items() if name.startswith("member_sine_")
+        if not written and self.family is not None:
+            numbers = {
+                name: value for name, value in point.items() if name.startswith(DISTURBANCE_PREFIX)
             }
-            plant = replace(plant, constants=dict(plant.constants) | sines)  # type: ignore[arg-type]
+            plant = replace(plant, constants=dict(plant.constants) | numbers)  # type: ignore[arg-type]
         return System(
             plant=plant,
             law=system.law,
@@ -220,7 +245,7 @@ class Members:
             return replace(truth, constants=others).bound_to(plant)  # type: ignore[arg-type]
         assert truth.tau is not None and truth.input_gain is not None
         omega: Any = truth.omega
-        if self.population.disturbance == "multisine":
+        if self.family is not None:
             omega = self._omega(point, written=written)
         return Truth(
             input_gain=point.get("input_gain", truth.input_gain.text),  # type: ignore[arg-type]
@@ -234,28 +259,49 @@ class Members:
         ).bound_to(plant)
 
     def _omega(self, point: dict[str, float], *, written: bool) -> tuple[str, ...]:
-        """w_k = (sum_j a_kj sin(w_kj t + p_kj)) (gamma_k ||x|| + beta_k)."""
+        """w_k = s_k(t) (gamma_k ||x|| + beta_k)."""
+        assert self.family is not None
         plant, u = self.system.plant, self.system.plant.uncertainty
         square = " + ".join(f"{x}**2" for x in plant.states)
         norm = f"(sqrt({square} + {NORM_OFFSET**2!r}) - {NORM_OFFSET!r})"
-
-        def number(name: str) -> str:
-            return f"({point[name]!r})" if written else name
-
         terms = []
         for k in range(plant.n):
-            if f"member_sine_a{k}_0" not in point:
-                terms.append("0")
-                continue
-            parts = (
-                f"{number(f'member_sine_a{k}_{j}')}"
-                f"*sin({number(f'member_sine_w{k}_{j}')}*t + {number(f'member_sine_p{k}_{j}')})"
-                for j in range(self.population.sines)
-            )
             limit = [f"{u.gamma[k]!r}*{norm}"] if u.gamma[k] else []
             limit += [repr(u.beta[k])] if u.beta[k] else []
-            terms.append(f"({' + '.join(parts)})*({' + '.join(limit)})")
+            pattern = self._pattern(k, point, written=written)
+            terms.append(f"({pattern})*({' + '.join(limit)})" if limit else "0")
         return tuple(terms)
+
+    def _pattern(self, k: int, point: dict[str, float], *, written: bool) -> str:
+        """s_k with its numbers, or with their names."""
+        assert self.family is not None
+
+        def number(name: str) -> str:
+            full = _disturbance_name(k, name)
+            return f"({point[full]!r})" if written else full
+
+        u = self.system.plant.uncertainty
+        if u.gamma[k] + u.beta[k] == 0:
+            return "0"
+        return self.family.pattern(number)
+
+    def _refuse_large_patterns(self) -> None:
+        """A registered family that passes 1 at a sample breaks Assumption 1."""
+        if self.family is None or isinstance(self.family, Multisine):
+            return
+        draws = self.draws(0, CHECKED_MEMBERS)
+        times = np.linspace(0.0, self.system.settings.duration, CHECKED_TIMES)
+        for k in range(self.system.plant.n):
+            names = [name for name in draws if name.startswith(_disturbance_name(k, ""))]
+            text = self._pattern(k, {}, written=False)
+            formula = parse("disturbance", text, ["t", *names]).expr
+            values = numpy_callable([TIME, *map(symbol, names)], [formula])(
+                times[:, None], *(draws[name][None] for name in names)
+            )[0]
+            worst = float(np.abs(values).max())
+            if not worst <= 1:
+                kind = self.family.kind
+                raise InputError(f"disturbance.{kind}", "must stay within [-1, 1]", f"{worst:.6g}")
 
     def _reference(self, point: dict[str, float]) -> Any:
         """The reference with its own amplitude and frequency: A y_d(F t)."""

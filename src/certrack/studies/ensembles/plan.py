@@ -12,6 +12,7 @@ from certrack.model.distribution import Distribution
 from certrack.simulation.metrics import Metrics
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
+from certrack.studies.ensembles.member_table import MemberTable
 from certrack.studies.ensembles.statistics import Bands, Statistics, Tally
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
@@ -41,6 +42,8 @@ class Plan:
         Their magnitudes, powers of two.
     method : {"native", "lockstep", "alone"}
         Compiled C; heyoka's compiled maps; or each member by itself, by the ordinary simulation.
+    per_member : bool
+        Whether the metrics of every member are kept.
     """
 
     system: System
@@ -50,11 +53,13 @@ class Plan:
     centre: np.ndarray
     scale: np.ndarray
     method: str
+    per_member: bool = False
 
     @cached_property
     def key(self) -> bytes:
         """Equal for equal plans."""
         text = f"{to_text(self.system)} {self.seed} {self.tolerance!r} {self.limit!r} {self.method}"
+        text += f" {self.per_member}"
         return text.encode() + self.centre.tobytes() + self.scale.tobytes()
 
     def __eq__(self, other: object) -> bool:
@@ -66,11 +71,18 @@ class Plan:
     def empty(self) -> Statistics:
         """Statistics of no members."""
         metrics = {name: Tally() for name in METRICS}
-        return Statistics(Bands(self.centre, self.scale), metrics)
+        table = MemberTable() if self.per_member else None
+        return Statistics(Bands(self.centre, self.scale), metrics, table=table)
 
 
 def make_plan(
-    system: System, seed: int, tolerance: float, limit: float | None, method: str
+    system: System,
+    seed: int,
+    tolerance: float,
+    limit: float | None,
+    method: str,
+    *,
+    per_member: bool = False,
 ) -> Plan:
     """A plan around the nominal run, the one of the system itself."""
     run = simulate(system)
@@ -84,7 +96,8 @@ def make_plan(
     largest[0] = np.fmax(largest[0], largest[1])
     largest[~(largest > 0)] = 1.0
     scale = np.exp2(np.rint(np.log2(largest)))
-    return Plan(system, seed, tolerance, limit, np.nan_to_num(centre), scale, method)
+    centre = np.nan_to_num(centre)
+    return Plan(system, seed, tolerance, limit, centre, scale, method, per_member)
 
 
 def _extreme_points(entries: tuple[Distribution, ...]) -> np.ndarray:

@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from certrack.studies.ensembles.member_table import MemberTable
+
 #: Mantissa bits of a bin of the bands, and of the metrics.
 BAND_BITS, METRIC_BITS = 6, 10
 
@@ -205,6 +207,7 @@ class Statistics:
     violations: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
     worst: list[tuple[float, int]] = field(default_factory=list)
+    table: MemberTable | None = None
 
     def observe_worst(self, values: np.ndarray, first: int) -> None:
         """Remember the members with the largest values; infinite for one that did not finish."""
@@ -226,6 +229,8 @@ class Statistics:
         self.violations += other.violations
         self.outcomes.update(other.outcomes)
         self._remember(other.worst)
+        if self.table is not None and other.table is not None:
+            self.table.merge(other.table)
 
     def packed(self) -> dict[str, np.ndarray]:
         """Arrays for a file or a network: only bins that are not empty."""
@@ -243,10 +248,12 @@ class Statistics:
         for name, metric in self.metrics.items():
             arrays[f"{name}_keys"], arrays[f"{name}_counts"] = metric.keys, metric.counts
             arrays[f"{name}_extremes"] = np.array([metric.least, metric.most, metric.missing])
-        return arrays
+        return arrays | ({} if self.table is None else self.table.packed())
 
     def add_packed(self, arrays: Mapping[str, Any]) -> None:
         """Merge what :meth:`packed` gave."""
+        if self.table is not None:
+            self.table.add_packed(arrays)
         flat = self.bands.counts.reshape(-1)
         flat[np.cumsum(arrays["bins"].astype(np.int64))] += arrays["counts"].astype(np.int32)
         members, violations = arrays["totals"].tolist()
