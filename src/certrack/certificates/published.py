@@ -18,13 +18,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from certrack.certificates.adaptation import Adaptation
-from certrack.certificates.arithmetic import decimal
+from certrack.certificates.arithmetic import ToNumber, decimal, rational
 from certrack.certificates.certificate import Certificate, NoCertificate, missing
+from certrack.certificates.exact import from_text, root_up
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.premises import assumptions
 from certrack.references.base import total_bound
@@ -122,12 +124,20 @@ def certify_published(system: System) -> dict[str, Certificate]:
 
 
 def critical_strength(system: System) -> float:
-    """Largest common scale of tau with mu1 > 0 for some eps: sqrt(min c/(||A^{-1}||_F^2 G))."""
+    """Largest common scale of tau with mu1 > 0 for some eps: sqrt(min c/(||A^{-1}||_F^2 G)).
+
+    From the exact rationals of the design, rounded down.
+    """
     try:
         terms = collect(system, critical=True)
     except NoCertificate:
         return 0.0
-    return math.sqrt(terms.c_min / (terms.A_norm2 * terms.G)) if terms.G else math.inf
+    if not terms.G:
+        return math.inf
+    Xe = error_problem(system, rational).Xe
+    G, _ = uncertainty_terms(system, rational)
+    c_min = min(rational(c) for c in system.law.gains().c)
+    return float(from_text(root_up(c_min / ((Xe**2).sum() * G)))) / PUBLISHED_ROUNDING  # [35], [36]
 
 
 def collect(system: System, *, critical: bool = False) -> Terms:
@@ -142,7 +152,7 @@ def collect(system: System, *, critical: bool = False) -> Terms:
     """
     problem = error_problem(system, decimal)
     coordinates, adaptation = system.controller.coordinates, problem.adaptation
-    G, H = _uncertainty_terms(system)
+    G, H = uncertainty_terms(system, decimal)
     reference2, last = _reference_terms(system, problem.Xe @ coordinates.B)
     leak, gains = 0.0, (1.0,)
     if adaptation is not None:
@@ -169,25 +179,25 @@ def collect(system: System, *, critical: bool = False) -> Terms:
     return terms
 
 
-def _uncertainty_terms(system: System) -> tuple[float, float]:
+def uncertainty_terms(system: System, number: ToNumber) -> tuple[Any, Any]:
     """G and H: the damping times the squared gamma-parts and beta-parts [28], [29]."""
     gains, u = system.law.gains(), system.plant.uncertainty
     assert gains.k is not None
-    G = H = 0.0
+    G = H = number(0)
     for step in range(system.plant.n):
         for j in range(step + 1):
             for part, bound, index in (("gamma", u.gamma, 2 * j), ("beta", u.beta, 2 * j + 1)):
-                strength = (u.tau[j] * bound[j]) ** 2
+                strength = (number(u.tau[j]) * number(bound[j])) ** 2
                 k = gains.k[step][index]
-                if strength and math.isinf(k):
+                if strength != 0 and math.isinf(k):
                     raise NoCertificate(
                         f"the published proof needs a finite k[{step}][{index}], because "
                         f"tau_{j + 1} {part}_{j + 1} is not zero; the semidefinite one does not"
                     )
-                if strength and part == "gamma":
-                    G += k * strength
-                elif strength:
-                    H += k * strength
+                if strength != 0 and part == "gamma":
+                    G += number(k) * strength
+                elif strength != 0:
+                    H += number(k) * strength
     return G, H
 
 
