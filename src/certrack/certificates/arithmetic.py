@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
 from typing import Any
 
@@ -31,6 +33,23 @@ def rational(value: Any) -> Any:
 def decimal(value: Any) -> Any:
     """Float of a number or formula."""
     return float(value.expr if isinstance(value, Expression) else value)
+
+
+def rounded_up(value: float, digits: int) -> float:
+    """The value with so many decimal digits, not below it; for bounds that are printed.
+
+    >>> rounded_up(0.0786378, 4)
+    0.07864
+    """
+    if not math.isfinite(value):
+        return value
+    context = Context(prec=digits, rounding=ROUND_CEILING)
+    return float(context.create_decimal(Decimal(value)))
+
+
+def rounded_down(value: float, digits: int) -> float:
+    """The value with so many decimal digits, not above it; for strengths that are printed."""
+    return -rounded_up(-value, digits)
 
 
 def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ class Certificates:
     critical_published, critical_semidefinite : float
         Largest common scale of tau with a certificate; the second is verified exactly.
     tube : Tube or None
-        Bound on |e_1(t)| from the system's own start.
+        Bound on |e_1(t)| from the system's own start, of the tightest verified certificate.
     """
 
     published: Certificate
@@ -51,9 +51,7 @@ class Certificates:
     @property
     def stages(self) -> tuple[Proof, ...]:
         """Proof of the tightest verified bound: one stage, or the two or three of the cascade."""
-        if self.cascade_proof is not None and self.cascade.bound < self.semidefinite.bound:
-            return self.cascade_proof
-        return () if self.proof is None else (self.proof,)
+        return tightest(self.semidefinite, self.proof, self.cascade, self.cascade_proof)
 
 
 def certify(system: System) -> Certificates:
@@ -76,6 +74,7 @@ def certify(system: System) -> Certificates:
     classical = certify_published(system)
     semidefinite, proof = certify_semidefinite(system)
     cascade, cascade_proof = certify_cascade(system)
+    stages = tightest(semidefinite, proof, cascade, cascade_proof)
     return Certificates(
         **classical,
         semidefinite=semidefinite,
@@ -84,8 +83,20 @@ def certify(system: System) -> Certificates:
         cascade_proof=cascade_proof,
         critical_published=critical_strength(system),
         critical_semidefinite=critical_semidefinite(system, semidefinite),
-        tube=None if proof is None else tube(system, proof),
+        tube=tube(system, stages) if stages else None,
     )
+
+
+def tightest(
+    semidefinite: Certificate,
+    proof: Proof | None,
+    cascade: Certificate,
+    cascade_proof: tuple[Proof, ...] | None,
+) -> tuple[Proof, ...]:
+    """Proof of the tightest verified bound: one stage, or the two or three of the cascade."""
+    if cascade_proof is not None and cascade.bound < semidefinite.bound:
+        return cascade_proof
+    return () if proof is None else (proof,)
 
 
 def best_sound_bound(system: System) -> float:

@@ -14,10 +14,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from certrack.certificates.arithmetic import rational
+from certrack.certificates.arithmetic import rational, rounded_up
 from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.exact import Proof, check, from_text
+from certrack.certificates.exact import Proof, check, float_up, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.premises import assumptions
 from certrack.core.errors import InputError
@@ -53,6 +53,11 @@ class Verdict:
     bound: str
     reason: str
     assumptions: tuple[str, ...]
+
+    @property
+    def printed_bound(self) -> str:
+        """The bound with six digits, rounded up."""
+        return f"{rounded_up(float_up(from_text(self.bound)), 6):.6g}"
 
 
 def to_document(system: System, *stages: Proof) -> dict[str, Any]:

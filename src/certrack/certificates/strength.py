@@ -1,7 +1,7 @@
 """The critical strength: the largest common scale of tau for which a certificate exists.
 
 Only the a-inputs decide, |a_k| <= s ||x|| with scale s: everything else enters Delta, not the
-question whether there is one. A certificate at s is one at every smaller scale, so there is an edge.
+question whether there is one. A certificate at s is one at every smaller scale: there is an edge.
 
     below  at the published strength, P = I with the design's own multipliers holds, for then
            Q = -(sum of squares of Young's inequality) - mu1 ||e||^2 with mu1 > 0 [35]

@@ -70,7 +70,7 @@ def verify(certificate: Path, as_json: bool) -> None:
 
         click.echo(report.to_json(asdict(proof)))
     elif proof.verified:
-        click.echo(f"verified: limsup |e_1| <= {float(proof.bound):.6g}, resting on")
+        click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}, resting on")
         report.print_lines(f"  {line}" for line in proof.assumptions)
     if not proof.verified:
         click.echo(f"certrack: {certificate}: not verified: {proof.reason}", err=True)

@@ -12,6 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from certrack.certificates.arithmetic import rounded_up
 from certrack.certificates.tube import Tube
 from certrack.plotting.shared import (
     BLUE,
@@ -188,7 +189,7 @@ def plot_tube(ax: Axes, runs: Runs, tube: Tube) -> None:
         label = "$e_1$" if run.system.implementation is None else "$e_1$ (sampled run)"
         _curve(ax, runs, k, run.e[0], label)
     floor = math.sqrt(tube.floor)
-    for sign, entry in ((-1, None), (1, f"limsup $|e_1| \\leq$ {floor:.4g}")):
+    for sign, entry in ((-1, None), (1, f"limsup $|e_1| \\leq$ {rounded_up(floor, 4):.4g}")):
         ax.axhline(sign * floor, color=BLUE, lw=0.9, ls="--", label=entry)
     _label_axes(ax, f"tracking error{unit(first, 0)}", runs)
 
