@@ -63,7 +63,7 @@ def runs_of(system, beginnings):
 @pytest.fixture(scope="module")
 def runs(example1, hostile):
     """Runs of the example, and under the worst case found."""
-    worst = hostile.with_settings(duration=30)
+    worst = hostile.with_settings(duration=30, tail=15)
     return [*runs_of(example1, BEGINNINGS), *runs_of(worst, BEGINNINGS[1::2])]
 
 
