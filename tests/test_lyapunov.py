@@ -258,7 +258,7 @@ def test_the_recursion_has_the_constants_of_remark_3():
     """eta_11 and d_1, written out, and lambda_m as a linear form [20], n = 3, all symbols."""
     n = 3
     g = np.array(sp.symbols("g1:3"), dtype=object)
-    b = np.array([[*sp.symbols("b11"), 0, 0], [*sp.symbols("b21 b22"), 0]], dtype=object)
+    b = np.array([[sp.Symbol("b11"), 0, 0], [*sp.symbols("b21 b22"), 0]], dtype=object)
     c = np.array(sp.symbols("c1:4"), dtype=object)
     weights = [np.array(sp.symbols(f"w{m}_1:{m + 1}"), dtype=object) for m in (1, 2, 3)]
     q = np.array(sp.symbols("q1:3"), dtype=object)

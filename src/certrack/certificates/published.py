@@ -4,10 +4,13 @@
     Dbar = ((1 + 1/eps) G ||A^{-1} B||^2 + sum p_i) D^2 + H
            + |g_n| gbar1 (delta - delta_0)^2 / 2 + gbar2 ||theta - theta_0||^2 / 2
     rho1 = min(mu1, gbar2/2, |g_n| gbar1/2)
-    rho2 = max(1/2, lambda_max(Gamma^{-1})/2, |g_n|/(2 gbar))                    [33]-[42]
+    rho2 = max(1/2, lambda_max(Gamma^{-1})/2, |g_n|/(2 gbar))
 
-    published  sqrt(Dbar/rho1)            the paper's; its last step needs rho2 = 1/2
-    corrected  sqrt(2 rho2 Dbar/rho1)     what V' <= -rho1 ||Xi||^2 + Dbar does imply
+so that V' <= -rho1 ||Xi||^2 + Dbar [33], [39] and V <= rho2 ||Xi||^2 [37]; by the comparison
+principle V <= V(0) e^{-rho1 t/rho2} + (rho2/rho1) Dbar (1 - e^{-rho1 t/rho2}) [40].
+
+    published  sqrt(Dbar/rho1)            [42], by [41], which needs rho2 = 1/2
+    corrected  sqrt(2 rho2 Dbar/rho1)     what [40] does imply, for e_1^2 <= 2 V
     rate       sqrt(2 Dbar/alpha)         alpha = min(2 mu1, gbar2 lambda_min(Gamma), gbar gbar1)
 
 All three are in floating point, rounded up by a relative 1e-9; eps is free and optimised.
@@ -62,16 +65,16 @@ class Terms:
     adaptation: Adaptation | None
 
     def mu1(self, eps: float) -> float:
-        """Decay left after the gamma-parts."""
+        """Decay left after the gamma-parts [32], [34]."""
         return self.c_min - (1 + eps) * self.A_norm2 * self.G
 
     def dbar(self, eps: float) -> float:
-        """Constant part of V'."""
+        """Constant part of V' [34]."""
         gamma_part = (1 + 1 / eps) * self.G * self.reference2 if self.G else 0.0
         return gamma_part + self.residual + self.H + self.leak
 
     def rho1(self, eps: float) -> float:
-        """Decay of ||Xi||^2."""
+        """Decay of ||Xi||^2 [38]."""
         if self.adaptation is None:
             return self.mu1(eps)
         a = self.adaptation
@@ -79,7 +82,7 @@ class Terms:
         return min(rates + ([a.leak_theta / 2] if len(a.Gamma) else []))
 
     def rho2(self) -> float:
-        """Largest weight in V."""
+        """Largest weight in V [36]."""
         if self.adaptation is None:
             return 0.5
         a = self.adaptation
@@ -126,7 +129,8 @@ def certify_published(system: System) -> dict[str, Certificate]:
 def critical_strength(system: System) -> float:
     """Largest common scale of tau with mu1 > 0 for some eps: sqrt(min c/(||A^{-1}||_F^2 G)).
 
-    From the exact rationals of the design, rounded down.
+    What tau-bar is in Theorem 1, for tau in fixed proportions [35]. From the exact rationals of the
+    design, rounded down.
     """
     try:
         terms = collect(system, critical=True)
@@ -137,11 +141,11 @@ def critical_strength(system: System) -> float:
     Xe = error_problem(system, rational).Xe
     G, _ = uncertainty_terms(system, rational)
     c_min = min(rational(c) for c in system.law.gains().c)
-    return float(from_text(root_up(c_min / ((Xe**2).sum() * G)))) / PUBLISHED_ROUNDING  # [35], [36]
+    return float(from_text(root_up(c_min / ((Xe**2).sum() * G)))) / PUBLISHED_ROUNDING
 
 
 def collect(system: System, *, critical: bool = False) -> Terms:
-    """The terms of the formulas.
+    """The terms of the formulas; `leak` is the constant part of [27].
 
     With `critical`, mu1 may be negative.
 

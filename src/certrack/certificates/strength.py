@@ -4,7 +4,7 @@ Only the a-inputs decide, |a_k| <= s ||x|| with scale s: everything else enters 
 question whether there is one. A certificate at s is one at every smaller scale: there is an edge.
 
     below  at the published strength, P = I with the design's own multipliers holds, for then
-           Q = -(sum of squares of Young's inequality) - mu1 ||e||^2 with mu1 > 0 [35]
+           Q = -(sum of squares of Young's inequality) - mu1 ||e||^2 with mu1 > 0 [34]
     above  a_k = s x_k is admissible and moves the trace of the error matrix by s tau_k gamma_k, so
            from s = -trace(S - C - K)/max tau_k gamma_k on an admissible loop is unstable
 

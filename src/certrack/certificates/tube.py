@@ -4,6 +4,8 @@ One stage. V' <= -alpha V + Delta and V >= e_1^2/2 give
 
     |e_1(t)|^2 <= 2 V(0) e^{-alpha t} + (2 Delta/alpha) (1 - e^{-alpha t})
 
+which is the comparison principle [40] with alpha in the place of rho1/rho2.
+
 The cascade. Its stages are inequalities that hold for every t, not only in the long run, if each
 bound that an earlier stage supplies is taken at time t. With E and Z the bounds of e_n and zeta
 that the matrix inequalities were scaled with, and k and nu the multipliers of these inputs,
