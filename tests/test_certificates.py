@@ -386,18 +386,18 @@ def test_tube_holds_for_runs_from_the_start_and_from_a_box(name):
     found = certify(system)
     run = simulate(system)
     assert np.all(np.abs(run.e[0]) <= found.tube(run.t))
-    assert found.tube(1e6) == pytest.approx(found.semidefinite.bound, rel=1e-9)
+    assert found.tube(1e6) == pytest.approx(found.best.bound, rel=1e-9)
     box = [(v - 0.3, v + 0.3) for v in system.settings.x0]
-    wide = certrack.tube(system, found.proof, box)
+    wide = certrack.tube(system, found.stages, box)
     rng = np.random.default_rng(0)
     for _ in range(5):
         x0 = [rng.uniform(*pair) for pair in box]
         run = simulate(system, x0=x0)
         assert np.all(np.abs(run.e[0]) <= wide(run.t))
-    level = 2 * found.semidefinite.bound
+    level = 2 * found.best.bound
     settled = found.tube.settling_time(level)
     assert found.tube(settled) <= level * (1 + 1e-9)
-    assert math.isinf(found.tube.settling_time(0.9 * found.semidefinite.bound))
+    assert math.isinf(found.tube.settling_time(0.9 * found.best.bound))
 
 
 def test_saved_certificate_is_verified_and_tampering_refused(tmp_path):

@@ -3,8 +3,9 @@
 Each method is a file: `published` (the paper's, and two sound forms of it), `semidefinite`,
 `cascade` with its `centred` stage. They share `problem` (the error system as a matrix inequality)
 and `adaptation` (the update laws' part), which `formulation` fills from a system, `exact`
-(verification), `document` (the saved certificate and its checker) and `tube` (the bound for every
-t). A bound is a claim that others build on, so the author of a new method must:
+(verification), `strength` (up to which scale of tau there is one), `document` (the saved
+certificate and its checker) and `tube` (the bound for every t). A bound is a claim that others
+build on, so the author of a new method must:
 
 1. take a :class:`~certrack.systems.system.System` and nothing else, and build its data by
    ``error_problem(system, rational)`` (`decimal` where it claims no exactness), which refuses the
@@ -25,7 +26,7 @@ t). A bound is a claim that others build on, so the author of a new method must:
    the proof is another FORMAT, described in docs/certificate-file.md, and files of the old one stay
    readable;
 6. enter :class:`Certificates`, its `best` and :func:`best_sound_bound`, and the report of the
-   command line. A tube follows from one proof with P >= e_1 e_1^T; a cascade has none;
+   command line. A tube follows from the stages of its proof (:mod:`tube`);
 7. prove by tests that a document with any of its numbers changed for the better is refused (the
    MUTANTS of tests/test_certificates.py), and that no run and no search exceeds the bound.
 """

@@ -1,8 +1,11 @@
 """What the update laws of the adaptive law contribute to V and to V'.
 
-V holds s |g_n| delta_tilde^2/(2 gbar) + s theta_tilde^T Gamma^{-1} theta_tilde/2 [23]. In V' the
-update laws [26] cancel the mismatch on the last row of the error system; what they leave is the
-leakage towards the prior guesses, whose cost is q(alpha) below, for s = 1.
+With delta_tilde = 1/g_n - delta_hat and theta_tilde = theta - theta_hat [22], V holds
+
+    s |g_n| delta_tilde^2/(2 gbar) + s theta_tilde^T Gamma^{-1} theta_tilde/2              [23]
+
+In V' the update laws [26] cancel the mismatch on the last row of the error system; what they leave
+is the leakage towards the prior guesses, whose cost is q(alpha) below, for s = 1.
 """
 
 from __future__ import annotations

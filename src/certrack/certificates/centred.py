@@ -14,6 +14,7 @@ the set that an earlier stage has proven to be reached, by interval arithmetic r
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -55,8 +56,7 @@ def centred_problem(
     assert law is not None
     coordinates = error_coordinates(system, rational)
     n, q = problem.n, coordinates.q
-    AB = problem.Xe @ coordinates.B
-    Y = [exact_float(v, rational) for v in system.reference.bounds(q + 1).values]
+    AB, Y = _reference_part(system, problem)
     M = problem.M.copy()
     M[-1] = M[-1] - kappa * (coordinates.nu_x @ problem.Xe)
     Uy, Xy = np.zeros((2, n, q + 2), dtype=object) + 0 * kappa
@@ -70,7 +70,7 @@ def centred_problem(
         i for i in range(q + 2) if any(Uy[:, i] != 0) or (problem.counts[0] and any(Xy[:, i] != 0))
     ]
     zeta = np.zeros((n, 1), dtype=object) + 0 * kappa
-    zeta[-1, 0] = abs(kappa) * _remainder(system, problem, reached, AB, Y)
+    zeta[-1, 0] = abs(kappa) * remainder_bound(system, problem)(reached)
     return replace(
         problem,
         M=M,
@@ -82,28 +82,44 @@ def centred_problem(
     )
 
 
-def _remainder(
-    system: System, problem: ErrorProblem, reached: Proof, AB: np.ndarray, Y: list[Any]
-) -> Any:
-    """Bound on |h - phi^T theta_tilde| where e^T P e <= B^2 and s |theta_tilde|^2 <= B^2."""
+def _reference_part(system: System, problem: ErrorProblem) -> tuple[np.ndarray, list[Any]]:
+    """A^{-1} B and the bounds Y: x = A^{-1} e + A^{-1} B (y_d ... y_d^(q)), |y_d^(i)| <= Y_i."""
+    coordinates = error_coordinates(system, rational)
+    bounds = system.reference.bounds(coordinates.q + 1).values
+    return problem.Xe @ coordinates.B, [exact_float(v, rational) for v in bounds]
+
+
+def remainder_bound(system: System, problem: ErrorProblem) -> Callable[[Proof], Any]:
+    """Bound on |h - phi^T theta_tilde| as a function of what is reached.
+
+    The function takes a proof, for the set e^T P e <= B^2, s |theta_tilde|^2 <= B^2 with B its
+    bound, and raises NoCertificate where drift and regressor have no interval bound on that set.
+    """
     law, plant = problem.adaptation, system.plant
     assert law is not None
-    P = np.array([[from_text(v) for v in row] for row in reached.P], dtype=object)
-    B2 = from_text(reached.bound) ** 2
-    spread = problem.Xe @ solve(P, problem.Xe.T)
-    box = {}
-    for j, state in enumerate(plant.symbols):
-        # |x_j| <= max over the ellipsoid of |(A^-1 e)_j|, plus |(A^-1 B)_j| Y; a smaller box
-        # would leave out states that are reached, and the bound would be wrong
-        radius = from_text(root_up(B2 * spread[j, j]))
-        radius += sum((abs(AB[j, i]) * Y[i] for i in range(AB.shape[1])), 0 * B2)
-        box[state] = _enclose(-radius, radius)
+    AB, Y = _reference_part(system, problem)
     exact = {symbol(name): value for name, value in plant.constant_values.items()}
-    total = _magnitude(plant.drift.expr.xreplace(exact), box)
-    for i, phi in enumerate(plant.regressor):
-        error = from_text(root_up(B2 * law.Gamma[i, i] / P[-1, -1]))
-        total = total + _magnitude(phi.expr.xreplace(exact), box) * error
-    return total
+    drift = plant.drift.expr.xreplace(exact)
+    regressor = [phi.expr.xreplace(exact) for phi in plant.regressor]
+
+    def bound(reached: Proof) -> Any:
+        P = np.array([[from_text(v) for v in row] for row in reached.P], dtype=object)
+        B2 = from_text(reached.bound) ** 2
+        spread = problem.Xe @ solve(P, problem.Xe.T)
+        box = {}
+        for j, state in enumerate(plant.symbols):
+            # |x_j| <= max over the ellipsoid of |(A^-1 e)_j|, plus |(A^-1 B)_j| Y; a smaller box
+            # would leave out states that are reached, and the bound would be wrong
+            radius = from_text(root_up(B2 * spread[j, j]))
+            radius += sum((abs(AB[j, i]) * Y[i] for i in range(AB.shape[1])), 0 * B2)
+            box[state] = _enclose(-radius, radius)
+        total = _magnitude(drift, box)
+        for i, phi in enumerate(regressor):
+            error = from_text(root_up(B2 * law.Gamma[i, i] / P[-1, -1]))
+            total = total + _magnitude(phi, box) * error
+        return total
+
+    return bound
 
 
 def _enclose(low: Any, high: Any) -> Any:

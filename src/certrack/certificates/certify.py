@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-
-import flint
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import certify_cascade
 from certrack.certificates.certificate import Certificate, NoCertificate, missing
 from certrack.certificates.exact import Proof, prove, proven
 from certrack.certificates.formulation import error_problem
-from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.published import certify_published, critical_strength
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
+from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
 from certrack.systems.system import System
-
-#: Critical strengths beyond this are reported as infinite, below its inverse as zero.
-MAX_STRENGTH = 1e9
-
-#: Whether any certificate exists is asked at this part of the fastest alpha: a smaller alpha asks
-#: less of the loop, and the solver copes with three decades.
-SLOW_RATE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -38,7 +28,7 @@ class Certificates:
     critical_published, critical_semidefinite : float
         Largest common scale of tau with a certificate; the second is verified exactly.
     tube : Tube or None
-        Bound on |e_1(t)| from the system's own start.
+        Bound on |e_1(t)| from the system's own start, of the tightest verified certificate.
     """
 
     published: Certificate
@@ -61,9 +51,7 @@ class Certificates:
     @property
     def stages(self) -> tuple[Proof, ...]:
         """Proof of the tightest verified bound: one stage, or the two or three of the cascade."""
-        if self.cascade_proof is not None and self.cascade.bound < self.semidefinite.bound:
-            return self.cascade_proof
-        return () if self.proof is None else (self.proof,)
+        return tightest(self.semidefinite, self.proof, self.cascade, self.cascade_proof)
 
 
 def certify(system: System) -> Certificates:
@@ -86,6 +74,7 @@ def certify(system: System) -> Certificates:
     classical = certify_published(system)
     semidefinite, proof = certify_semidefinite(system)
     cascade, cascade_proof = certify_cascade(system)
+    stages = tightest(semidefinite, proof, cascade, cascade_proof)
     return Certificates(
         **classical,
         semidefinite=semidefinite,
@@ -94,8 +83,20 @@ def certify(system: System) -> Certificates:
         cascade_proof=cascade_proof,
         critical_published=critical_strength(system),
         critical_semidefinite=critical_semidefinite(system, semidefinite),
-        tube=None if proof is None else tube(system, proof),
+        tube=tube(system, stages) if stages else None,
     )
+
+
+def tightest(
+    semidefinite: Certificate,
+    proof: Proof | None,
+    cascade: Certificate,
+    cascade_proof: tuple[Proof, ...] | None,
+) -> tuple[Proof, ...]:
+    """Proof of the tightest verified bound: one stage, or the two or three of the cascade."""
+    if cascade_proof is not None and cascade.bound < semidefinite.bound:
+        return cascade_proof
+    return () if proof is None else (proof,)
 
 
 def best_sound_bound(system: System) -> float:
@@ -125,50 +126,3 @@ def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
     except NoCertificate as problem:
         return missing("semidefinite", str(problem)), None
     return proven("semidefinite", system, proof), proof
-
-
-def critical_semidefinite(
-    system: System, certified: Certificate | None = None, accuracy: float = 1e-3
-) -> float:
-    """Largest common scale of tau for which a certificate exists, verified exactly.
-
-    Parameters
-    ----------
-    certified : Certificate, optional
-        The verified bound at scale 1, where it exists: it holds at every smaller scale, too, and
-        its rate tells how slow the leakage lets V fall.
-    accuracy : float
-        Relative width of the bisection; the value returned is proven feasible.
-    """
-    try:
-        exact = error_problem(system, rational)
-    except NoCertificate:
-        return 0.0
-    holds = certified is not None and certified.verified
-    slow = certified.alpha / 2 if holds and certified is not None else math.inf
-    if not holds and not _provable(exact, 0.0, slow):
-        return 0.0
-    if not exact.counts[0]:
-        return math.inf
-    low, high = (1.0, 4.0) if holds else (0.0, 1.0)
-    while _provable(exact, high, slow):
-        low, high = high, 4 * high
-        if high > MAX_STRENGTH:
-            return math.inf
-    while high - low > accuracy * high and high > 1 / MAX_STRENGTH:
-        middle = (low + high) / 2 if low else high / 4
-        if _provable(exact, middle, slow):
-            low = middle
-        else:
-            high = middle
-    return low
-
-
-def _provable(exact: ErrorProblem, strength: float, slow: float) -> bool:
-    """Whether the problem with scaled tau has an exactly verified certificate."""
-    scaled = exact.homogeneous(flint.fmpq(*float(strength).as_integer_ratio()))
-    program = SemidefiniteProgram(scaled.in_floats())
-    if not program.fastest > 0:
-        return False
-    solution = program.solve(min(SLOW_RATE * program.fastest, slow))
-    return solution is not None and prove(scaled, solution) is not None

@@ -22,6 +22,7 @@ from certrack.certificates.formulation import error_problem
 from certrack.certificates.premises import assumptions
 from certrack.core.errors import InputError
 from certrack.core.files import write_text
+from certrack.core.rounding import rounded_up
 from certrack.core.version import version
 from certrack.systems.reader import loads
 from certrack.systems.system import System
@@ -53,6 +54,11 @@ class Verdict:
     bound: str
     reason: str
     assumptions: tuple[str, ...]
+
+    @property
+    def printed_bound(self) -> str:
+        """The bound with six digits, rounded up."""
+        return rounded_up(self.bound, 6)
 
 
 def to_document(system: System, *stages: Proof) -> dict[str, Any]:

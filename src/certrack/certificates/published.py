@@ -4,10 +4,13 @@
     Dbar = ((1 + 1/eps) G ||A^{-1} B||^2 + sum p_i) D^2 + H
            + |g_n| gbar1 (delta - delta_0)^2 / 2 + gbar2 ||theta - theta_0||^2 / 2
     rho1 = min(mu1, gbar2/2, |g_n| gbar1/2)
-    rho2 = max(1/2, lambda_max(Gamma^{-1})/2, |g_n|/(2 gbar))                    [33]-[42]
+    rho2 = max(1/2, lambda_max(Gamma^{-1})/2, |g_n|/(2 gbar))
 
-    published  sqrt(Dbar/rho1)            the paper's; its last step needs rho2 = 1/2
-    corrected  sqrt(2 rho2 Dbar/rho1)     what V' <= -rho1 ||Xi||^2 + Dbar does imply
+so that V' <= -rho1 ||Xi||^2 + Dbar [33], [39] and V <= rho2 ||Xi||^2 [37]; by the comparison
+principle V <= V(0) e^{-rho1 t/rho2} + (rho2/rho1) Dbar (1 - e^{-rho1 t/rho2}) [40].
+
+    published  sqrt(Dbar/rho1)            [42], by [41], which needs rho2 = 1/2
+    corrected  sqrt(2 rho2 Dbar/rho1)     what [40] does imply, for e_1^2 <= 2 V
     rate       sqrt(2 Dbar/alpha)         alpha = min(2 mu1, gbar2 lambda_min(Gamma), gbar gbar1)
 
 All three are in floating point, rounded up by a relative 1e-9; eps is free and optimised.
@@ -18,13 +21,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from certrack.certificates.adaptation import Adaptation
-from certrack.certificates.arithmetic import decimal
+from certrack.certificates.arithmetic import ToNumber, decimal, rational
 from certrack.certificates.certificate import Certificate, NoCertificate, missing
+from certrack.certificates.exact import from_text, root_up
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.premises import assumptions
 from certrack.references.base import total_bound
@@ -60,16 +65,16 @@ class Terms:
     adaptation: Adaptation | None
 
     def mu1(self, eps: float) -> float:
-        """Decay left after the gamma-parts."""
+        """Decay left after the gamma-parts [32], [34]."""
         return self.c_min - (1 + eps) * self.A_norm2 * self.G
 
     def dbar(self, eps: float) -> float:
-        """Constant part of V'."""
+        """Constant part of V' [34]."""
         gamma_part = (1 + 1 / eps) * self.G * self.reference2 if self.G else 0.0
         return gamma_part + self.residual + self.H + self.leak
 
     def rho1(self, eps: float) -> float:
-        """Decay of ||Xi||^2."""
+        """Decay of ||Xi||^2 [38]."""
         if self.adaptation is None:
             return self.mu1(eps)
         a = self.adaptation
@@ -77,7 +82,7 @@ class Terms:
         return min(rates + ([a.leak_theta / 2] if len(a.Gamma) else []))
 
     def rho2(self) -> float:
-        """Largest weight in V."""
+        """Largest weight in V [36]."""
         if self.adaptation is None:
             return 0.5
         a = self.adaptation
@@ -122,16 +127,25 @@ def certify_published(system: System) -> dict[str, Certificate]:
 
 
 def critical_strength(system: System) -> float:
-    """Largest common scale of tau with mu1 > 0 for some eps: sqrt(min c/(||A^{-1}||_F^2 G))."""
+    """Largest common scale of tau with mu1 > 0 for some eps: sqrt(min c/(||A^{-1}||_F^2 G)).
+
+    What tau-bar is in Theorem 1, for tau in fixed proportions [35]. From the exact rationals of the
+    design, rounded down.
+    """
     try:
         terms = collect(system, critical=True)
     except NoCertificate:
         return 0.0
-    return math.sqrt(terms.c_min / (terms.A_norm2 * terms.G)) if terms.G else math.inf
+    if not terms.G:
+        return math.inf
+    Xe = error_problem(system, rational).Xe
+    G, _ = uncertainty_terms(system, rational)
+    c_min = min(rational(c) for c in system.law.gains().c)
+    return float(from_text(root_up(c_min / ((Xe**2).sum() * G)))) / PUBLISHED_ROUNDING
 
 
 def collect(system: System, *, critical: bool = False) -> Terms:
-    """The terms of the formulas.
+    """The terms of the formulas; `leak` is the constant part of [27].
 
     With `critical`, mu1 may be negative.
 
@@ -142,7 +156,7 @@ def collect(system: System, *, critical: bool = False) -> Terms:
     """
     problem = error_problem(system, decimal)
     coordinates, adaptation = system.controller.coordinates, problem.adaptation
-    G, H = _uncertainty_terms(system)
+    G, H = uncertainty_terms(system, decimal)
     reference2, last = _reference_terms(system, problem.Xe @ coordinates.B)
     leak, gains = 0.0, (1.0,)
     if adaptation is not None:
@@ -169,25 +183,25 @@ def collect(system: System, *, critical: bool = False) -> Terms:
     return terms
 
 
-def _uncertainty_terms(system: System) -> tuple[float, float]:
+def uncertainty_terms(system: System, number: ToNumber) -> tuple[Any, Any]:
     """G and H: the damping times the squared gamma-parts and beta-parts [28], [29]."""
     gains, u = system.law.gains(), system.plant.uncertainty
     assert gains.k is not None
-    G = H = 0.0
+    G = H = number(0)
     for step in range(system.plant.n):
         for j in range(step + 1):
             for part, bound, index in (("gamma", u.gamma, 2 * j), ("beta", u.beta, 2 * j + 1)):
-                strength = (u.tau[j] * bound[j]) ** 2
+                strength = (number(u.tau[j]) * number(bound[j])) ** 2
                 k = gains.k[step][index]
-                if strength and math.isinf(k):
+                if strength != 0 and math.isinf(k):
                     raise NoCertificate(
                         f"the published proof needs a finite k[{step}][{index}], because "
                         f"tau_{j + 1} {part}_{j + 1} is not zero; the semidefinite one does not"
                     )
-                if strength and part == "gamma":
-                    G += k * strength
-                elif strength:
-                    H += k * strength
+                if strength != 0 and part == "gamma":
+                    G += number(k) * strength
+                elif strength != 0:
+                    H += number(k) * strength
     return G, H
 
 

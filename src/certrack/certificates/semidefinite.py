@@ -158,6 +158,7 @@ class SemidefiniteProgram:
         cost[len(self._entries) + self._na :] = 1.0  # nu and k; the lam cost nothing
         if self.problem.adaptation is not None:
             cost[len(self._entries) - 1] = leak / self._scale[-1] ** 2
+        cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
         variables = self._call(cost, self._base + alpha * self._slope)
         return None if variables is None else self._unscaled(variables, alpha, leak)
 

@@ -1,22 +1,44 @@
 """The tube: a certified bound on |e_1(t)| for every t, from a start or a set of starts.
 
-    |e_1(t)| <= sqrt(2 (V(0) e^{-alpha t} + (Delta/alpha) (1 - e^{-alpha t})))
+One stage. V' <= -alpha V + Delta and V >= e_1^2/2 give
 
-V' <= -alpha V + Delta gives it, with V >= e_1^2/2. The bound at large t is the certificate.
+    |e_1(t)|^2 <= 2 V(0) e^{-alpha t} + (2 Delta/alpha) (1 - e^{-alpha t})
+
+which is the comparison principle [40] with alpha in the place of rho1/rho2.
+
+The cascade. Its stages are inequalities that hold for every t, not only in the long run, if each
+bound that an earlier stage supplies is taken at time t. With E and Z the bounds of e_n and zeta
+that the matrix inequalities were scaled with, and k and nu the multipliers of these inputs,
+
+    V_1' <= -alpha_1 V_1 + Delta_1                               and e_n^2 <= 2 V_1
+    V_2' <= -alpha_2 V_2 + Delta_2 - nu (1 - (zeta(t)/Z)^2)      and e_n^2 <= 2 V_2
+    V_3' <= -alpha_3 V_3 + Delta_3 - k (1 - (e_n(t)/E)^2)        and e_1^2 <= 2 V_3
+
+The first is a tube for V_1, falling to its floor. So from a time t_i on 2 V_1 <= R_i^2, which
+bounds zeta by Z(R_i), in interval arithmetic, for all t >= t_i; hence V_2 on [t_i, t_{i+1}]; hence
+|e_n| by the smaller of the two; hence V_3. Where Z(R_i) does not exist, V_2 waits and starts with
+what V_1 allows it. On each interval the right-hand sides are constants, so the bound is a chain of
+pieces like that of one stage. The last piece begins where R_i and |e_n| are inside the bounds B_1
+and E of the proof: they are rounded up, so that happens in finite time. From there on the tube
+falls to the certificate.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import product
+from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 
-from certrack.certificates.arithmetic import rational
-from certrack.certificates.exact import Proof, from_text, squared_bound
+from certrack.certificates.arithmetic import positive_definite, rational
+from certrack.certificates.cascade import head_problem
+from certrack.certificates.centred import centred_problem, remainder_bound
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.exact import Proof, float_up, from_text, root_up, squared_bound
 from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.problem import ErrorProblem
 from certrack.core import checks
@@ -30,11 +52,21 @@ MAX_BOX_CORNERS = 4096
 #: Factor on results of a few float operations, each of which may have rounded down by 1e-16.
 TUBE_ROUNDING = 1 + 1e-12
 
+#: Factor on every link of the chain of pieces, for a handful of float operations.
+PIECE_ROUNDING = 1 + 1e-14
+
 #: Factor on V(0), for the roundings of a well-conditioned design; what a large A loses is added.
 ENERGY_ROUNDING = 1 + 1e-9
 
 #: Float operations, per state, behind an entry of e and of P e.
 OPERATIONS = 4
+
+#: From piece to piece of a cascade, what exceeds the floor falls by this factor. Nearer to 1 the
+#: tube of Example 1 gets 1 % narrower at most, and computing it takes longer.
+PIECE_RATIO = 0.85
+
+#: The weights with which the virtual parameters' offset is split from the estimation errors.
+OFFSET_WEIGHTS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 
 
 @dataclass(frozen=True)
@@ -44,38 +76,55 @@ class Tube:
     Attributes
     ----------
     start : float
-        2 V(0), rounded up.
+        Square of the bound at t = 0: 2 V(0), rounded up.
     floor : float
         2 Delta/alpha, rounded up: the square of the certificate's bound.
     alpha : float, 1/s
         Rounded down.
+    pieces : rows (time, square, floor)
+        From each time on until the next, the square of the bound is
+        square e^{-alpha (t - time)} + floor (1 - e^{-alpha (t - time)}). One piece if left out.
     """
 
     start: float
     floor: float
     alpha: float
+    pieces: tuple[tuple[float, float, float], ...] = ()
 
     def __call__(self, t: np.ndarray | float) -> np.ndarray:
         """The bound at times `t`, unit of the output."""
-        decay = np.exp(-self.alpha * np.asarray(t, dtype=float))
-        square = self.start * decay + self.floor * (1 - decay)
+        times, squares, floors = np.array(self._chain).T
+        t = np.asarray(t, dtype=float)
+        i = np.maximum(np.searchsorted(times, t, side="right") - 1, 0)
+        lapsed = self.alpha * (t - times[i])
+        square = squares[i] * np.exp(-lapsed) - floors[i] * np.expm1(-lapsed)
         return np.sqrt(square) * TUBE_ROUNDING
+
+    @property
+    def _chain(self) -> tuple[tuple[float, float, float], ...]:
+        return self.pieces or ((0.0, self.start, self.floor),)
 
     def settling_time(self, level: float) -> float:
         """Time after which |e_1| <= level is guaranteed, s; inf if it never is."""
-        square = level**2
-        if self.start <= square:
-            return 0.0
-        if square <= self.floor * TUBE_ROUNDING:
+        limit, chain = level**2, self._chain
+        if max(chain[-1][1], self.floor) <= limit:
+            chain = (*chain, (math.inf, limit, limit))
+        elif limit <= self.floor * TUBE_ROUNDING:
             return math.inf
-        return (
-            math.log((self.start - self.floor) / (square - self.floor)) / self.alpha * TUBE_ROUNDING
-        )
+        else:
+            chain = (*chain, (math.inf, self.floor, self.floor))
+        for (time, square, floor), (end, after, _) in reversed(list(pairwise(chain))):
+            if after > limit:
+                return end
+            if square > limit:
+                fall = math.log((square - floor) / (limit - floor)) / self.alpha
+                return min(time + fall * TUBE_ROUNDING, end)
+        return 0.0
 
 
 def tube(
     system: System,
-    proof: Proof,
+    proof: Proof | Sequence[Proof],
     box: Sequence[tuple[float, float]] | None = None,
 ) -> Tube:
     """Tube of a proven certificate.
@@ -84,8 +133,8 @@ def tube(
     ----------
     system : System
         The one the proof is for; its reference at t = 0 and its initial estimates count.
-    proof : Proof
-        One stage, with P >= e_1 e_1^T: the semidefinite certificate's.
+    proof : Proof, or the stages of a cascade
+        The semidefinite certificate's proof, or ``Certificates.stages``.
     box : n intervals, optional
         Set of initial plant states; the system's x0 if left out.
 
@@ -93,15 +142,155 @@ def tube(
     ------
     InputError
         If the box does not fit the plant or has too many corners.
+    NoCertificate
+        If a stage of a cascade has the bound 0.
     """
+    stages = (proof,) if isinstance(proof, Proof) else tuple(proof)
     problem = error_problem(system, rational)
-    square = squared_bound(problem, proof)
+    corners = _corners(system, box)
+    if len(stages) > 1:
+        return _cascade_tube(system, problem, stages, corners)
+    return Tube(*_single_stage(system, problem, stages[0], corners))
+
+
+def _single_stage(
+    system: System,
+    problem: ErrorProblem,
+    proof: Proof,
+    corners: Sequence[tuple[float, ...]],
+    target: int = 0,
+) -> tuple[float, float, float]:
+    """2 V(0), 2 Delta/alpha and alpha of one stage."""
+    square = squared_bound(problem, proof, target)
     assert square is not None
     P = np.array([[float(from_text(v)) for v in row] for row in proof.P])
     errors = _entry_errors(system)
-    energy = max(_energy(system, problem, P, errors, x) for x in _corners(system, box))
+    energy = max(_energy(system, problem, P, errors, x) for x in corners)
     alpha = math.nextafter(float(from_text(proof.alpha)), 0.0)  # the nearest float may be above
-    return Tube(2 * energy, float(square) * TUBE_ROUNDING, alpha)
+    return 2 * energy, float(square) * TUBE_ROUNDING, alpha
+
+
+#: Times, and for each the largest 2 V (or e_n^2) from it until the next, as a multiple of the
+#: square of the proof's bound; the last lasts for ever and is 1.
+Steps = list[tuple[float, float]]
+
+
+def _cascade_tube(
+    system: System,
+    problem: ErrorProblem,
+    stages: Sequence[Proof],
+    corners: Sequence[tuple[float, ...]],
+) -> Tube:
+    """The chain of pieces of a cascade's last stage, from bounds on |e_n| in time."""
+    *inner, last = stages
+    target = problem.n - 1
+    start, _, alpha = _single_stage(system, problem, inner[0], corners, target)
+    steps = _fall(start, alpha, problem, inner[0], target)
+    if len(inner) > 1:
+        steps = _centred_steps(system, problem, inner, corners, steps)
+    head = head_problem(problem, from_text(inner[-1].bound))
+    square, floor, alpha = _single_stage(system, head, last, corners)
+    share = 2 * from_text(last.k[-1]) / from_text(last.alpha)  # of e_n in the floor
+    total, pieces = squared_bound(head, last), []
+    for (time, ratio), (end, _) in pairwise((*steps, (math.inf, 1.0))):
+        level = _level(total, share, ratio)
+        pieces.append((time, square, level))
+        square = _later(square, level, alpha, end - time)
+    return Tube(pieces[0][1], floor, alpha, tuple(pieces))
+
+
+def _level(square: Any, share: Any, ratio: float) -> float:
+    """2 Delta/alpha, rounded up, with one input's share of it scaled by `ratio`."""
+    return float_up(square + share * (rational(Fraction(ratio)) - 1)) * TUBE_ROUNDING
+
+
+def _later(square: float, floor: float, alpha: float, lapsed: float) -> float:
+    """2 V after some time, rounded up."""
+    decay = math.exp(-alpha * lapsed)
+    return (square * decay - floor * math.expm1(-alpha * lapsed)) * PIECE_ROUNDING
+
+
+def _fall(
+    start: float,
+    alpha: float,
+    problem: ErrorProblem,
+    proof: Proof,
+    target: int,
+    begin: float = 0.0,
+) -> Steps:
+    """Steps of 2 V of one stage from `start` at the time `begin`, down to the proof's bound."""
+    floor, limit = squared_bound(problem, proof, target), from_text(proof.bound) ** 2
+    if not limit > floor:
+        raise NoCertificate("a tube needs bounds of the stages above what their inequalities give")
+    gap = (limit - floor) / limit
+    excess = (rational(Fraction(start)) - floor) / limit
+    time, steps, part = begin, [], rational(Fraction(PIECE_RATIO))
+    while excess > gap:
+        steps.append((time, float_up(floor / limit + excess)))
+        excess = rational(Fraction(float_up(excess * part)))
+        time += -math.log(PIECE_RATIO) / alpha * TUBE_ROUNDING
+    return [*steps, (time, 1.0)]
+
+
+def _centred_steps(
+    system: System,
+    problem: ErrorProblem,
+    inner: Sequence[Proof],
+    corners: Sequence[tuple[float, ...]],
+    steps: Steps,
+) -> Steps:
+    """Steps of e_n^2 by the centred stage, given those of 2 V of the first stage."""
+    reached, proof = inner
+    target, shift = problem.n - 1, from_text(proof.shift)
+    centred = centred_problem(system, problem, reached, shift)
+    square, _, alpha = _single_stage(system, centred, proof, corners, target)
+    has_zeta = centred.counts[1] > problem.counts[1]
+    share = 2 * from_text(proof.nu[-1]) / from_text(proof.alpha) if has_zeta else rational(0)
+    floor, bound2 = squared_bound(centred, proof, target), from_text(reached.bound) ** 2
+    limit, allowed = from_text(proof.bound) ** 2, _allowed(problem, inner)
+    zeta = remainder_bound(system, problem) if has_zeta else lambda _: rational(1)
+    smallest = zeta(reached)
+    result: Steps = []
+    for (time, ratio), (end, _) in pairwise(steps):
+        level2 = rational(Fraction(ratio)) * bound2  # 2 V_1 from here on
+        square = min(square, allowed(level2))
+        try:
+            part = zeta(replace(reached, bound=root_up(level2))) / smallest
+            level = _level(floor, share, float_up(part**2))
+            after = _later(square, level, alpha, end - time)
+        except NoCertificate:  # zeta has no bound on so large a set
+            after = math.inf
+        largest = min(float_up(level2), max(square, after))
+        result.append((time, float_up(rational(Fraction(largest)) / limit)))
+        square = after
+    time = steps[-1][0]
+    square = min(square, allowed(bound2))
+    for at, ratio in _fall(square, alpha, centred, proof, target, time):
+        largest = min(ratio, float_up(bound2 / limit)) if ratio != 1.0 else 1.0
+        result.append((at, largest))
+    return result
+
+
+def _allowed(problem: ErrorProblem, inner: Sequence[Proof]) -> Callable[[Any], float]:
+    """What 2 V of the centred stage can be where 2 V of the first is at most a level.
+
+    2 V_2 <= mu e^T P_1 e + s_2 (N + kappa N_0)^2 with P_2 <= mu P_1, s_1 N^2 the estimates' part of
+    2 V_1, and N_0 the length of (delta, theta) in the same norm.
+    """
+    law = problem.adaptation
+    assert law is not None
+    P, Q = (np.array([[from_text(v) for v in row] for row in proof.P]) for proof in inner)
+    guess = np.linalg.eigvals(np.linalg.solve(P.astype(float), Q.astype(float))).real.max()
+    mu = rational(Fraction(float(guess) * (1 + 1e-9)))
+    while not positive_definite(mu * P - Q):
+        mu *= 2
+    zero = np.zeros(1 + len(law.Gamma), dtype=object) + rational(0)
+    offset2 = 2 * from_text(inner[1].shift) ** 2 * law.energy(zero)
+    lines = []
+    for weight in map(rational, OFFSET_WEIGHTS):
+        steep = max(mu, Q[-1, -1] / P[-1, -1] * (1 + weight))
+        lines.append((steep, Q[-1, -1] * (1 + 1 / weight) * offset2))
+    return lambda level: float_up(min(steep * level + offset for steep, offset in lines))
 
 
 def _corners(system: System, box: Sequence[tuple[float, float]] | None) -> list[tuple[float, ...]]:
@@ -143,9 +332,10 @@ def _energy(
     """
     coordinates = system.controller.coordinates
     Y = system.reference.values(np.array([0.0]), coordinates.q)[:, 0]
-    e = coordinates.A @ np.array(x) - coordinates.B @ Y
+    rows = problem.n  # all, or those of a cascade's last stage
+    e = (coordinates.A @ np.array(x) - coordinates.B @ Y)[:rows]
     total = float(e @ P @ e) / 2
-    lost = errors[0] @ np.abs(x) + errors[1] @ np.abs(Y)  # of e
+    lost = (errors[0] @ np.abs(x) + errors[1] @ np.abs(Y))[:rows]  # of e
     size, weight = np.abs(e) + lost, np.abs(P)
     loss = lost @ weight @ size + OPERATIONS * len(e) * np.finfo(float).eps * size @ weight @ size
     if problem.adaptation is not None:

@@ -63,7 +63,6 @@ def verify(certificate: Path, as_json: bool) -> None:
     """
     from certrack import certificates
     from certrack.cli import report
-    from certrack.core.rounding import rounded_up
 
     proof = certificates.verify(certificate)
     if as_json:
@@ -71,7 +70,7 @@ def verify(certificate: Path, as_json: bool) -> None:
 
         click.echo(report.to_json(asdict(proof)))
     elif proof.verified:
-        click.echo(f"verified: limsup |e_1| <= {rounded_up(proof.bound, 6)}, resting on")
+        click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}, resting on")
         report.print_lines(f"  {line}" for line in proof.assumptions)
     if not proof.verified:
         click.echo(f"certrack: {certificate}: not verified: {proof.reason}", err=True)

@@ -16,7 +16,7 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
-from certrack.core.rounding import printed_bound
+from certrack.core.rounding import printed_bound, rounded_down
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -295,6 +295,8 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
             "start": results.tube.start,
             "floor": results.tube.floor,
             "alpha": results.tube.alpha,
+            "kind": "cascade" if len(results.stages) > 1 else "semidefinite",
+            "pieces": results.tube.pieces,
         },
         "assumptions": list(results.best.assumptions),
     }
@@ -318,6 +320,9 @@ def certificates_table(results: Certificates) -> Table:
     return table("limsup |e_1| <=", ["certificate", "bound", "verified", "note"], rows)
 
 
+#: Digits of a bound in the table and of what is said about the tube.
+BOUND_TEXT_DIGITS = 5
+
 #: The error counts as settled in the tube where it is within this part of the bound.
 SETTLED_MARGIN = 0.1
 
@@ -327,18 +332,29 @@ def certificates_notes(results: Certificates) -> list[str]:
     if not results.best.exists:
         return []
     lines = [
-        f"critical strength (common scale of tau): published {results.critical_published:.4g}, "
-        f"semidefinite {results.critical_semidefinite:.4g}"
+        "critical strength (common scale of tau): published "
+        f"{_strength_text(results.critical_published)}, semidefinite "
+        f"{_strength_text(results.critical_semidefinite)}"
     ]
     if results.tube is not None:
-        level = (1 + SETTLED_MARGIN) * results.semidefinite.bound
-        start, settled = float(results.tube(0.0)), results.tube.settling_time(level)
+        level = (1 + SETTLED_MARGIN) * math.sqrt(results.tube.floor)
+        start = printed_bound(float(results.tube(0.0)), BOUND_TEXT_DIGITS)
+        settled = printed_bound(results.tube.settling_time(level), BOUND_TEXT_DIGITS)
         margin = f"{100 * SETTLED_MARGIN:g} %"
         lines.append(
-            f"tube from x0: |e_1| <= {printed_bound(start, 4)} at t = 0, within {margin} of the "
-            f"bound after {printed_bound(settled, 4)} s"
+            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound "
+            f"after {settled} s"
         )
     return [*lines, "resting on:", *(f"  {line}" for line in results.best.assumptions)]
+
+
+def _strength_text(scale: float) -> str:
+    """A critical strength, rounded down."""
+    if not scale:
+        return "none"
+    if math.isinf(scale):
+        return "unlimited (no term grows with the state)"
+    return rounded_down(scale, BOUND_TEXT_DIGITS)
 
 
 def margin_table(margins: Margins, units: Sequence[str] | None) -> Table:

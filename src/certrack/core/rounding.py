@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from decimal import ROUND_CEILING, Context, Decimal
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 
 
 def rounded_up(value: float | str, digits: int) -> str:
@@ -25,12 +25,21 @@ def rounded_up(value: float | str, digits: int) -> str:
     >>> rounded_up(0.026750001, 4), rounded_up(0.5, 4), rounded_up(12345.6, 3)
     ('0.02676', '0.5', '12400')
     """
+    return _short_text(value, digits, ROUND_CEILING)
+
+
+def rounded_down(value: float | str, digits: int) -> str:
+    """The same, not above the value: for strengths and margins."""
+    return _short_text(value, digits, ROUND_FLOOR)
+
+
+def _short_text(value: float | str, digits: int, rounding: str) -> str:
     exact = Decimal(value)
     if not exact.is_finite():
         return str(float(value))
-    up = Context(prec=digits, rounding=ROUND_CEILING).plus(exact).normalize()
-    small = up and not -4 <= up.adjusted() < max(digits, 6)
-    return f"{up:e}".replace("e+", "e") if small else f"{up:f}"
+    short = Context(prec=digits, rounding=rounding).plus(exact).normalize()
+    in_full = not short or -4 <= short.adjusted() < max(digits, 6)
+    return f"{short:f}" if in_full else f"{short:e}".replace("e+", "e")
 
 
 def printed_bound(value: float | None, digits: int = 6) -> str:

@@ -23,7 +23,7 @@ from certrack.model.plant import Plant
 
 @dataclass(frozen=True, kw_only=True)
 class Adaptive(Law):
-    """Adaptive backstepping with leakage [25], [26].
+    """Adaptive backstepping with leakage [25], [26]; [47] is Example 1's.
 
         u          = delta_hat ubar,     ubar = nu - phi^T theta_hat
         delta_hat' = -gbar sign(g_n) ubar e_n - gbar gbar1 (delta_hat - delta_0)

@@ -5,7 +5,7 @@ The stabilising functions are linear with constant coefficients,
     lambda_m = sum_{j<=m} eta_mj x_j + sum_{i<=q} d_mi y_d^(i)                             [20]
 
 so the whole design is a few vector operations per step; nothing is differentiated. With
-Y = (y_d, y_d', ..., y_d^(q)), the error coordinates are e = A x - B Y [30, 31]. q = 0 is the
+Y = (y_d, y_d', ..., y_d^(q)), the error coordinates are e = A x - B Y [6], [30], [31]. q = 0 is the
 published law; q > 0 feeds derivatives of the reference forward and q = n - 1 is the classic one.
 """
 
@@ -75,7 +75,7 @@ class Gains:
 
 @dataclass(frozen=True)
 class ErrorCoordinates:
-    """Result of the recursion: e = A x - B Y with Y = (y_d ... y_d^(q)).
+    """Result of the recursion: e = A x - B Y with Y = (y_d ... y_d^(q)) [6], [30], [31].
 
     Attributes
     ----------
@@ -115,12 +115,12 @@ class ErrorCoordinates:
 
     @property
     def eta(self) -> list[np.ndarray]:
-        """eta_m1 ... eta_mm of lambda_m, m = 1 ... n-1."""
+        """eta_m1 ... eta_mm of lambda_m [20], m = 1 ... n-1."""
         return [-self.A[m, :m] for m in range(1, self.n)]
 
     @property
     def d(self) -> np.ndarray:
-        """d_m0 ... d_mq of lambda_m, shape (n-1, q+1)."""
+        """d_m0 ... d_mq of lambda_m [20], shape (n-1, q+1)."""
         return self.B[1:]
 
     @cached_property
@@ -134,7 +134,8 @@ class ErrorCoordinates:
     def error_matrix(self) -> np.ndarray:
         """S - C - K of the error system e' = (S - C - K) e + ...
 
-        It is [7], [11], [16] and [21] with the virtual controls and the law in them.
+        It is what the open-loop rates [7], [11], [16] and, for e_n, [21] become with the virtual
+        controls and the law in them.
         """
         skew = np.diag(self.g, 1) - np.diag(self.g, -1)
         return skew - np.diag(self.c + self.kappa)

@@ -13,7 +13,7 @@ from certrack.model.plant import Plant
 
 @dataclass(frozen=True, kw_only=True)
 class Robust(Law):
-    """Backstepping for known parameters (Corollary 1).
+    """Backstepping for known parameters (Corollary 1; [54] is Example 2's).
 
     u = (nu - phi^T theta) / g_n
     """

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from certrack.core.errors import InputError
-from certrack.core.latex import latex_table
 from certrack.core.heyoka import has_heyoka
+from certrack.core.latex import latex_table
 from certrack.studies.ensembles.ensemble import Ensemble, ensemble
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METRICS
