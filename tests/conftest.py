@@ -37,7 +37,7 @@ SHIPPED = (
 )
 
 
-#: Those whose controller is not sampled and whose runs last 20 s; tests/test_papers.py has the other.
+#: Those whose controller is not sampled and whose runs last 20 s; test_papers.py has the other.
 CONTINUOUS = [
     name for name in SHIPPED if name not in ("dual-motor-drive", "theorem1-counterexample")
 ]

@@ -138,14 +138,23 @@ def test_compare(capfd):
 def test_reproduce(capfd, tmp_path):
     found = result(capfd, "reproduce", "--out", str(tmp_path))
     verdicts = [claim["verdict"] for claim in found["claims"]]
-    assert set(verdicts) == {"holds", "differs", "ambiguous"}
+    assert set(verdicts) == {"holds", "differs", "ambiguous", "not testable"}
+    assert all(claim["measure"] and claim["measured"] for claim in found["claims"])
+    assert any("more accurate" in note["text"] for note in found["observations"])
     figures = {path.name for path in tmp_path.iterdir()}
     expected = {
-        f"figure-{name}.{k}"
+        f"figure-{name}{detail}.{k}"
         for name in "2a 2b 2c 2d 3a 3b 3c 4a 4b 4c".split()
+        for detail in ("", "-detail")
         for k in ("png", "svg")
     }
-    assert figures == expected | {"certificates.png", "certificates.svg"}
+    others = {
+        f"{name}.{k}"
+        for name in ("figure-1", "certificates", "counterexample")
+        for k in ("png", "svg")
+    }
+    assert figures == expected | others
+    assert all(path.stat().st_size < 300_000 for path in tmp_path.glob("*.png"))
 
 
 def test_certify_and_verify(capfd, tmp_path):
@@ -185,6 +194,23 @@ def test_falsify(capfd, tmp_path):
     assert 1 <= found["ratio"] < 1.2
     replayed = result(capfd, "simulate", str(path))
     assert replayed["tail_error"] == pytest.approx(found["worst_error"], rel=1e-12)
+    kinds = ["published", "corrected", "rate", "semidefinite", "cascade"]
+    assert list(found["certificates"]) == kinds
+    assert not any(entry["exceeded"] for entry in found["certificates"].values())
+    assert found["certificates"]["semidefinite"]["ratio"] == found["ratio"]
+    assert found["certificates"]["cascade"]["bound"] is None
+
+
+def test_falsify_passes_the_published_bound_where_theorem_1_is_false(capfd):
+    case = ("falsify", "theorem1-counterexample", "--budget", "200")
+    found = result(capfd, *case)
+    entries = found["certificates"]
+    assert {kind for kind, entry in entries.items() if entry["exceeded"]} == {"published"}
+    assert entries["published"]["ratio"] < 0.6
+    code, out, _ = invoke(capfd, *case)
+    assert code == 0
+    assert "EXCEEDED" in out
+    assert "No alarm" in out
 
 
 def test_a_run_that_does_not_finish_is_exit_1_with_the_remedy(capfd, tmp_path):

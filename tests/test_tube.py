@@ -2,9 +2,9 @@
 
 import json
 import math
-from decimal import Decimal
 import sys
 from dataclasses import replace
+from decimal import Decimal
 from itertools import pairwise
 
 import flint

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from certrack.cli.base import FOLDER, json_option
+
+if TYPE_CHECKING:
+    from certrack.papers.liu2025 import Claim
 
 
 @click.command()
@@ -21,7 +26,9 @@ from certrack.cli.base import FOLDER, json_option
 def reproduce(out: Path, as_json: bool) -> None:
     """Reproduce the paper's figures and check its claims.
 
-    Figures 2 to 4 are drawn, and every claim is set beside what is measured.
+    Figures 1 to 4 are drawn, those of the examples twice: as the paper describes them and in
+    detail. Every claim is set beside what is measured, and judged: it holds, differs, is ambiguous
+    or not testable.
 
     \b
     Example: certrack reproduce --out reproduction
@@ -41,6 +48,7 @@ def reproduce(out: Path, as_json: bool) -> None:
     summaries = {name: run.summary() for name, run in results.runs.items()}
     values = {
         "claims": [asdict(claim) for claim in results.claims],
+        "observations": [asdict(observation) for observation in results.observations],
         "runs": summaries,
         "bounds": results.bounds,
         "figures": [str(out / f"{name}.png") for name in results.figures],
@@ -48,11 +56,31 @@ def reproduce(out: Path, as_json: bool) -> None:
     if as_json:
         click.echo(report.to_json(values))
         return
-    rows = [[c.where, c.statement, c.measured, c.verdict] for c in results.claims]
     console = report.console()
     console.print(report.metrics_table(summaries))
-    bounds = [[name, *entry.values()] for name, entry in results.bounds.items()]
-    columns = ["limsup |e_1|", *next(iter(results.bounds.values()))]
+    kinds = next(iter(results.bounds.values()))
+    bounds = [[kind, *(entry[kind] for entry in results.bounds.values())] for kind in kinds]
+    columns = ["limsup |e_1|", *results.bounds]
     console.print(report.table("Certified, falsified and simulated error", columns, bounds))
-    console.print(report.table("Claims", ["where", "claim", "measured", "verdict"], rows))
+    rows = [[_claim_text(claim), claim.verdict] for claim in results.claims]
+    claims = report.table("Claims", ["place, claim, measure and value", "verdict"], rows)
+    notes = [[f"{note.where}: {note.text}"] for note in results.observations]
+    observations = report.table("Observations of ours", ["place, and what was measured"], notes)
+    for ruled in (claims, observations):
+        ruled.show_lines = True
+        console.print(ruled)
+    counts = Counter(claim.verdict for claim in results.claims)
+    click.echo(", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
     click.echo(f"{len(results.figures)} figures (PNG and SVG) in {out}")
+
+
+def _claim_text(claim: Claim) -> str:
+    """A claim, how it was measured, what came out, and our criterion, below each other."""
+    lines = [
+        f"{claim.where}: {claim.statement}",
+        f"measure: {claim.measure}",
+        f"value: {claim.measured}",
+    ]
+    if claim.criterion:
+        lines.append(f"criterion of ours: {claim.criterion}")
+    return "\n".join(lines)

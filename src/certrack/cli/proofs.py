@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_implementation, note_violations
+
+if TYPE_CHECKING:
+    from certrack.certificates import Certificate
+    from certrack.systems.system import System
 
 
 @click.command()
@@ -94,13 +100,14 @@ def verify(certificate: Path, as_json: bool) -> None:
 def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) -> None:
     """Search for the worst admissible case.
 
-    Disturbance, reference and parameters are varied within what the certificate covers. The ratio
-    of the certified bound to the worst error found tells how tight the bound is.
+    Disturbance, reference and parameters are varied within what the certificate covers. The worst
+    error found is compared with every certificate: the ratio of bound to error tells how tight a
+    bound is, and one below the error is exceeded. That may happen to the paper's bound, whose proof
+    has a gap.
 
     \b
     Example: certrack falsify example1 --out worst.toml
     """
-    from certrack.certificates import best_sound_bound
     from certrack.cli import report
     from certrack.core.rounding import printed_bound
     from certrack.studies.falsifier.falsify import falsify as search
@@ -114,11 +121,14 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         result = search(system, budget=budget, seed=seed, progress=advance)
     if out is not None:
         save(result.system, out)
-    certified = best_sound_bound(system)
+    certificates = _certificates_of(system)
+    certified = min(c.bound for kind, c in certificates.items() if kind != "published")
+    against = {kind: _comparison(c, result.worst_error) for kind, c in certificates.items()}
     values = {
         "worst_error": result.worst_error,
         "certified": certified,
         "ratio": certified / result.worst_error if result.worst_error else None,
+        "certificates": against,
         "runs": result.evaluations,
         "seed": seed,
         "file": None if out is None else str(out),
@@ -130,5 +140,45 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         click.echo(f"certified limsup |e_1|: {printed_bound(certified)}")
         ratio = values["ratio"]
         click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
+        rows = [
+            [kind, bound, "exactly" if entry["verified"] else "-", entry["ratio"], note]
+            for kind, entry in against.items()
+            for bound in [printed_bound(entry["bound"])]
+            for note in ["EXCEEDED by the case found" if entry["exceeded"] else ""]
+        ]
+        columns = ["certificate", "bound", "verified", "ratio", "note"]
+        report.console().print(report.table("", columns, rows))
+        if against["published"]["exceeded"]:
+            report.print_lines([PUBLISHED_EXCEEDED])
         if out is not None:
             click.echo(f"{out} replays it: certrack simulate {out}")
+
+
+#: What the user is told where the falsifier passes the paper's bound, which nobody has proven.
+PUBLISHED_EXCEEDED = (
+    "The published bound (42) does not hold here: the last step of its proof takes V' < 0 for a "
+    "falling |e_1|. No alarm: only a verified bound would raise one."
+)
+
+
+def _certificates_of(system: System) -> dict[str, Certificate]:
+    """Every certificate that `certify` lists, without the critical strengths."""
+    from certrack.certificates import certify_semidefinite
+    from certrack.certificates.cascade import certify_cascade
+    from certrack.certificates.published import certify_published
+
+    return {
+        **certify_published(system),
+        "semidefinite": certify_semidefinite(system)[0],
+        "cascade": certify_cascade(system)[0],
+    }
+
+
+def _comparison(certificate: Certificate, error: float) -> dict[str, Any]:
+    """A bound beside the worst error found; a bound that does not exist is null."""
+    return {
+        "bound": certificate.bound,
+        "verified": certificate.verified,
+        "ratio": certificate.bound / error if error else math.inf,
+        "exceeded": error > certificate.bound,
+    }

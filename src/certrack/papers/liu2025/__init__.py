@@ -4,8 +4,8 @@ Runs both examples, draws Figures 1 to 4, and sets every claim beside what is me
 the paper has lost its minus signs, so Example 1 is run with every sign of x(0) and y_d.
 
 `runs` has what is computed, `measures` what is read off a response, `claim` what a claim is;
-`sections`, `theorem1`, `example1` and `example2` judge, `observations` adds what the paper does not
-say; `figures`, `drawing` and `proof_figures` draw.
+`sections`, `theorem1`, `printed_laws`, `example1` and `example2` judge, `observations` adds what
+the paper does not say; `figures`, `drawing` and `proof_figures` draw.
 """
 
 from certrack.papers.liu2025.claim import Claim, Observation

@@ -39,21 +39,21 @@ def _servo(ax: Axes) -> None:
         ax.plot([start[0], 3.7, 3.7], [start[1], start[1], middle], color=CONTROL, lw=1.2)
         _arrow(ax, (3.7, middle), (4.6, middle), f"$u_{i}$", CONTROL)
         _arrow(ax, (6.8, middle), (8.1, middle), f"$\\theta_{i}$", MECHANICS, both=True)
-        above = i == 1
-        tip, tail = (y + 1.4, y + 2.2) if above else (y, y - 0.8)
-        _arrow(ax, (5.7, tail), (5.7, tip), "", UNCERTAIN)
-        ax.text(5.85, (tip + tail) / 2, f"$\\varpi_{i}$", color=UNCERTAIN, va="center")
+        _arrow(ax, (5.7, y + 2.2), (5.7, y + 1.4), "", UNCERTAIN)
+        ax.text(5.85, y + 1.8, f"$\\varpi_{i}$", color=UNCERTAIN, va="center")
         ax.plot([9.7, 11.4], [middle, middle], color=MECHANICS, lw=1.2)
-        _arrow(ax, (11.4, middle), (11.4, 4.3 if above else 2.7), "", MECHANICS, both=False)
+        _arrow(ax, (11.4, middle), (11.4, 4.3 if i == 1 else 2.7), "", MECHANICS)
     _block(ax, (10.4, 2.7), (2.0, 1.6), "load\n$J_L$", MECHANICS)
     _arrow(ax, (12.4, 3.5), (13.9, 3.5), "$y = \\theta_L$", MECHANICS)
     _arrow(ax, (9.5, 3.5), (10.4, 3.5), "", UNCERTAIN)
     ax.text(9.1, 3.5, r"$\varpi_L$", color=UNCERTAIN, va="center")
     ax.plot([12.9, 12.9, 2.0], [3.5, 0.25, 0.25], color=CONTROL, lw=1.2)
+    ax.plot([7.6, 7.6], [5.4, 0.25], color=CONTROL, lw=1.2, ls=":")  # the motors' angles
+    ax.plot([7.6, 7.6, 12.9], [5.4, 1.6, 3.5], color=CONTROL, marker="o", ms=3, ls="")
     _arrow(ax, (2.0, 0.25), (2.0, 2.6), "", CONTROL)
     ax.text(
-        8.0,
-        0.3,
+        10.2,
+        0.32,
         r"$\xi = (\theta_L,\ \dot\theta_L,\ (\theta_1+\theta_2)/2,"
         r"\ (\dot\theta_1+\dot\theta_2)/2)$",
         color=CONTROL,
@@ -83,4 +83,5 @@ def _arrow(
     ax.add_patch(arrow)
     if text:
         x, y = (start[0] + end[0]) / 2, (start[1] + end[1]) / 2
+        x -= 0.2 if both else 0.0  # beside the tap of the feedback
         ax.text(x, y + 0.12, text, ha="center", va="bottom", color=color)

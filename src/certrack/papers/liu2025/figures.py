@@ -1,7 +1,7 @@
 """Figures 2 to 4, each twice: as the paper describes it, and so that one can read it.
 
-The second one, named `...-detail`, is scaled to what comes after the first seconds, which stand in
-an inset; u of Figures 3(c) and 4(c) has the same scale in both, so that the two tails compare.
+The second one, named `...-detail`, shows what comes after the first seconds, which stand in an
+inset; u of Figures 3(c) and 4(c) has the same scale in both, so that the two tails compare.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from certrack.plotting.shared import BLUE, GREEN, RED, new_figure, style
 #: Solid, dashed and dotted as in the paper; the dots are round and close enough to be a line.
 SOLID, DASHED, DOTTED = "-", (0, (5, 2)), (0, (1, 1.2))
 
-#: Every so many samples of a response are drawn: 20 s in 1 ms.
-DRAWN = 10
+#: Every so many samples of a response are drawn, and in the first 0.2 s of them all every tenth.
+DRAWN, DENSE, DENSE_UNTIL = 50, 10, 0.2
 
 #: The height of the inset, and the share of the axes above the curves that is free for it.
-INSET_HEIGHT, INSET_ROOM = 0.45, 1.15
+INSET_HEIGHT, INSET_ROOM = 0.40, 1.25
 
 #: Space between the curves and the frame, as a part of their height.
 MARGIN = 0.08
@@ -126,9 +126,9 @@ def _figures_3_4(runs: PaperRuns) -> Iterator[Specification]:
 
 
 def _curve_of(response: Response, name: str, label: str, color: str, line: object) -> PaperCurve:
-    """A signal, dense where it is fast: all samples of the first 0.2 s are drawn."""
-    dense = int(0.2 / (response.t[1] - response.t[0]))
-    keep = np.r_[0:dense, dense : len(response.t) : DRAWN]
+    """A signal, dense where it is fast."""
+    dense = int(np.searchsorted(response.t, DENSE_UNTIL))
+    keep = np.r_[0:dense:DENSE, dense : len(response.t) : DRAWN]
     return PaperCurve(response.t[keep], response.signals[name][keep], label, color, line)
 
 
@@ -141,7 +141,10 @@ def _drawing(
         for ax, content in zip(axes, rows, strict=True):
             draw(ax, content)
             ax.set_ylabel(content.label)
-            ax.margins(x=0.01)
+            if draw is _draw_detail:
+                ax.set_xlim(content.first, content.curves[0].t[-1])
+            else:
+                ax.margins(x=0.01)
         axes[-1].set_xlabel("time [s]")
         figure.align_ylabels()
         axes[0].set_title(title, loc="left")
@@ -162,14 +165,17 @@ def _draw_detail(ax: Axes, content: PaperAxes) -> None:
     _plot(ax, content)
     low, high = content.limits or _span(content, lambda t: t >= content.first)
     ax.set_ylim(low, high + INSET_ROOM * (high - low))
-    inset = ax.inset_axes((0.5, 1 - INSET_HEIGHT, 0.49, INSET_HEIGHT - 0.02))
+    inset = ax.inset_axes((0.52, 0.93 - INSET_HEIGHT, 0.47, INSET_HEIGHT))
     _plot(inset, content)
     inset.set_xlim(-0.01 * content.first, content.first)
     inset.set_ylim(*_span(content, lambda t: t <= content.first))
     inset.tick_params(labelsize=7)
-    inset.set_facecolor("white")
-    inset.set_title(f"the first {content.first:g} s", fontsize=7, pad=2, fontweight="normal")
-    ax.legend(loc="upper left", bbox_to_anchor=(0.0, 1.0))
+    inset.set_title(f"the first {content.first:g} s", fontsize=8, pad=3, fontweight="normal")
+    inset.patch.set_alpha(0.0)
+    ax.grid(visible=False, axis="x")
+    ax.legend(loc="upper left", title=f"from {content.first:g} s on", alignment="left")
+    ax.set_yticks([tick for tick in ax.get_yticks() if low <= tick <= high])
+    ax.axhline(high, color="#d9d9d9", lw=0.5)
 
 
 def _span(content: PaperAxes, where: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:

@@ -75,5 +75,7 @@ def counterexample_figure(runs: PaperRuns) -> Figure:
         for ax in (pulse, energy):
             ax.set_xlabel("time after the peak [s]")
             ax.legend(loc="upper right")
+            ax.margins(x=0.0)
+        whole.margins(x=0.0)
         whole.set_xlabel("time [s]")
     return figure

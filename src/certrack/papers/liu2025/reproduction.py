@@ -14,6 +14,7 @@ from certrack.papers.liu2025.example1 import example1_claims
 from certrack.papers.liu2025.example2 import example2_claims
 from certrack.papers.liu2025.figures import paper_figures
 from certrack.papers.liu2025.observations import observations
+from certrack.papers.liu2025.printed_laws import printed_law_claims
 from certrack.papers.liu2025.proof_figures import counterexample_figure, tubes_figure
 from certrack.papers.liu2025.runs import CERTIFIED, PaperRuns, paper_runs
 from certrack.papers.liu2025.sections import section_claims
@@ -61,6 +62,7 @@ def reproduce(progress: Callable[[str], None] = lambda _: None, budget: int = 30
     claims = (
         *section_claims(runs),
         *theorem1_claims(runs),
+        *printed_law_claims(runs),
         *example1_claims(runs),
         *example2_claims(runs),
     )

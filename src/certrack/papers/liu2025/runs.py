@@ -10,7 +10,7 @@ from itertools import product
 
 from certrack.certificates import Certificates, certify
 from certrack.papers.liu2025.measures import Response, response
-from certrack.references import SymbolicReference, triangle
+from certrack.references import Reference, SymbolicReference, triangle
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import Simulator, simulate
 from certrack.systems.reader import load
@@ -102,7 +102,7 @@ def paper_runs(progress: Callable[[str], None] = lambda _: None) -> PaperRuns:
     )
 
 
-def triangle_reference() -> object:
+def triangle_reference() -> Reference:
     """As high and as long as Example 1's cosine; its second derivative is unbounded."""
     return triangle(amplitude=0.2, period=2 * math.pi)
 

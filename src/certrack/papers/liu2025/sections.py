@@ -12,6 +12,7 @@ from certrack.certificates.published import collect
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.papers.liu2025.claim import NOT_TESTABLE, Claim, judged
+from certrack.papers.liu2025.measures import upper
 from certrack.papers.liu2025.runs import PaperRuns, scaled_damping, triangle_reference
 from certrack.systems.reader import load
 from certrack.systems.system import System
@@ -43,8 +44,8 @@ def section_claims(runs: PaperRuns) -> Iterator[Claim]:
         "||xi|| until the last step, by (31), is the key",
         "none: 'cannot' and 'key' speak of ways to prove; what can be computed is a proof without "
         "the collected terms",
-        "dual-motor-lean has no damping term at all and is proven to "
-        f"{runs.certificates['dual-motor-lean'].best.bound:.4g}, by (31) and a matrix inequality",
+        "dual-motor-lean has no damping term at all and is proven, by (31) and a matrix "
+        f"inequality, to {upper(runs.certificates['dual-motor-lean'].best.bound)}",
         NOT_TESTABLE,
     )
 
@@ -53,7 +54,7 @@ def _radius_exists(runs: PaperRuns) -> Claim:
     parts = []
     for name, amplitude in (("example1", 0.2), ("dual-motor", 0.1), ("dual-motor-strong", 0.1)):
         bound = runs.certificates[name].best.bound
-        parts.append(f"{name}: {bound:.4g}, {100 * bound / amplitude:.0f} % of the amplitude")
+        parts.append(f"{name}: {upper(bound)}, {100 * bound / amplitude:.0f} % of the amplitude")
     return Claim(
         "Abstract; contribution (i)",
         "the tracking error converges to a bounded region",
@@ -79,7 +80,9 @@ def _nontriangular() -> Claim:
 
 
 def _states_of(system: System, k: int) -> set[sympy.Symbol]:
-    return system.truth.omega[k].expr.free_symbols & set(system.plant.symbols)
+    omega = system.truth.omega
+    assert omega is not None
+    return omega[k].expr.free_symbols & set(system.plant.symbols)
 
 
 def _names(symbols: set[sympy.Symbol]) -> str:
@@ -87,17 +90,20 @@ def _names(symbols: set[sympy.Symbol]) -> str:
 
 
 def _implementable() -> Claim:
-    controller = load("example1").controller
-    used = {str(s) for s in controller.equations.u.free_symbols}
-    unknown = {"theta", "true_g", "omega"} & used
-    counts = sympy.count_ops(controller.equations.u)
+    system = load("example1")
+    equations, signals = system.controller.equations, system.controller.signals
+    known = {*system.plant.symbols, *signals.Y, *system.controller.symbols}
+    known |= {state for state, _ in equations.update}
+    needed = [equations.u, *(rate for _, rate in equations.update)]
+    unknown = set().union(*(formula.free_symbols for formula in needed)) - known
+    counts = sum(int(sympy.count_ops(formula)) for formula in needed)
     return Claim(
         "Contribution (ii)",
         "the controller can be implemented",
-        "what u of Example 1 is a formula of, since it must not need what is unknown; the sign of "
-        "g_n is taken as known",
-        f"u: states, y_d, y_d' and two estimates; {counts} operations; exported as C, the tests "
-        "run it in the loop",
+        "what u and the update laws of Example 1 are formulas of, since they must not need what is "
+        "unknown; the sign of g_n is taken as known",
+        f"of the states, y_d, y_d', two estimates and the gains; {counts} operations; else: "
+        + (_names(unknown) or "nothing"),
         judged(not unknown),
     )
 
@@ -120,8 +126,8 @@ def _relaxed_reference(runs: PaperRuns) -> Iterator[Claim]:
         "tail error below the band of 0.05",
     )
     yield Claim(
-        "Remark 2",
-        "14 other papers need two or more bounded derivatives",
+        "Introduction; contribution (ii); Remarks 1, 2",
+        "the other papers assume more: constant or triangular bounds, second derivatives of y_d",
         "none: the other papers are not at hand",
         "no run decides it",
         NOT_TESTABLE,
@@ -148,10 +154,10 @@ def reduction_residual() -> list[sympy.Expr]:
         K / J * u - K_L / J * (th - th_L) + w
         for K, u, th, w in ((K_1, u_1, th_1, w_1), (K_2, u_2, th_2, w_2))
     ]
-    l, l_11, l_21, l_2 = K_L / J_L, K_1 / (2 * J), K_2 / (2 * J), K_L / J  # [2]
+    L, l_11, l_21, l_2 = K_L / J_L, K_1 / (2 * J), K_2 / (2 * J), K_L / J  # [2]
     xi_1, xi_3, w_4 = th_L, (th_1 + th_2) / 2, (w_1 + w_2) / 2  # [3]
     rows = (
-        2 * l * xi_3 - 2 * l * xi_1 + w_L - load_side,  # [4]
+        2 * L * xi_3 - 2 * L * xi_1 + w_L - load_side,  # [4]
         l_2 * xi_1 - l_2 * xi_3 + l_11 * u_1 + l_21 * u_2 + w_4 - sum(motors) / 2,
     )
     return [sympy.simplify(row) for row in rows]
@@ -160,6 +166,7 @@ def reduction_residual() -> list[sympy.Expr]:
 def _remark_1() -> Claim:
     system = load("example1")
     x1, x2 = system.plant.symbols
+    assert system.truth.omega is not None
     value = system.truth.omega[0].expr.subs({x1: 0, TIME: sympy.pi / 4})
     sizes = [abs(float(value.subs(x2, size))) for size in (1, 100, 10_000)]
     growing = sizes[0] < sizes[1] < sizes[2]
@@ -204,7 +211,8 @@ def coordinates_by_18(system: System) -> tuple[np.ndarray, np.ndarray, bool]:
     g = [sympy.Rational(str(float(v))) for v in plant.g]
     b = [[sympy.Rational(str(float(v))) for v in row[: i + 1]] for i, row in enumerate(plant.b)]
     chain = [g[i] * xi[i + 1] + sum(b[i][j] * xi[j] for j in range(i + 1)) for i in range(n - 1)]
-    errors, stabilising = [xi[0] - y_d], []
+    errors: list[sympy.Expr] = [xi[0] - y_d]
+    stabilising: list[sympy.Expr] = []
     for m in range(n - 1):
         last = stabilising[-1] if m else y_d
         slopes = [sympy.diff(last, xi[i]) for i in range(m)]

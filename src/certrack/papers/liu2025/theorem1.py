@@ -14,8 +14,11 @@ from itertools import pairwise
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from certrack.certificates.published import collect
+from certrack.certificates.assumption_1 import check_assumption_1
+from certrack.certificates.published import certify_published, collect
+from certrack.laws.adaptive import Adaptive
 from certrack.papers.liu2025.claim import AMBIGUOUS, Claim, judged
+from certrack.papers.liu2025.measures import upper
 from certrack.papers.liu2025.runs import CERTIFIED, COUNTEREXAMPLE, PaperRuns
 from certrack.simulation.run import Run
 from certrack.systems.reader import load
@@ -98,16 +101,43 @@ def _radius(runs: PaperRuns) -> Claim:
     peaks = period_peaks(runs.counterexample)
     other = max(period_peaks(runs.confirmation)[1:])
     limit = certificates.published.bound
+    assert meets_premises(runs.counterexample.system)
+    falls = "falls" if energy_falls_beyond(runs.counterexample, limit) else "does not fall"
     return Claim(
         "Theorem 1, (42)",
         "the tracking error ends within sqrt(Delta_bar/rho_1)",
         "sup |e_1| in each period of y_d of theorem1-counterexample, a system that meets every "
         "premise: a bound on limsup is false if it is passed in every period",
-        f"(42) gives {limit:.3f}; |e_1| reaches {', '.join(f'{v:.4f}' for v in peaks)} in periods "
-        f"1 to {len(peaks)} ({other:.4f} by SciPy) while V falls; what is true: corrected "
-        f"{certificates.corrected.bound:.2f}, semidefinite {certificates.semidefinite.bound:.2f}",
+        f"(42) gives {upper(limit, 5)}; |e_1| reaches {', '.join(f'{v:.4f}' for v in peaks)} in "
+        f"periods 1 to {len(peaks)} ({other:.4f} by SciPy); V {falls} while |e_1| is beyond (42), as (41) "
+        f"says; what is true: corrected {upper(certificates.corrected.bound)}, "
+        f"semidefinite {upper(certificates.semidefinite.bound)}",
         judged(max(peaks[1:]) <= limit),
     )
+
+
+def meets_premises(system: System) -> bool:
+    """Whether Theorem 1 speaks of `system`: law (25), (26), Assumption 1, mu_1 > 0, all k and p."""
+    law, u = system.law, system.plant.uncertainty
+    gains = law.gains()
+    assert gains.k is not None and gains.p is not None
+    finite = [value for row in gains.k for value in row] + list(gains.p)
+    return (
+        isinstance(law, Adaptive)
+        and system.controller.coordinates.q == 0
+        and all(0 < value < math.inf for value in finite)
+        and all(value > 0 for value in (*u.tau, *u.gamma))
+        and not check_assumption_1(system)
+        and certify_published(system)["published"].exists
+    )
+
+
+def energy_falls_beyond(run: Run, limit: float) -> bool:
+    """Whether V falls from sample to sample wherever |e_1| > limit."""
+    beyond = np.flatnonzero(np.abs(run.e[0]) > limit)
+    of_errors, of_estimates = energies(run, run.t)
+    V = of_errors + of_estimates
+    return bool(len(beyond)) and bool((np.diff(V)[beyond[beyond < len(V) - 1]] < 0).all())
 
 
 def period_peaks(run: Run) -> list[float]:
@@ -151,7 +181,7 @@ def _last_step() -> Claim:
         "sup |e| in periods 2 to 4 of a linear system with a slow switch, for which the premise "
         "can be checked by hand",
         f"r = 1 and V' < 0 wherever |e_1| > 1, yet |e_1| returns to {worst:.2f} in every period; "
-        f"the corrected bound is {corrected:.2f}",
+        f"the corrected bound is {upper(corrected)}",
         judged(worst <= 1),
     )
 
