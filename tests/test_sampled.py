@@ -15,7 +15,7 @@ from certrack.integrators.many.native import vector_compiler
 from certrack.loops.stability import linear_loop
 from certrack.model.noise import keys, normal
 from certrack.studies.ensembles.methods.choice import fastest_adjustable
-from certrack.studies.ensembles.methods.maps_sampled import MapsSampled
+from certrack.studies.ensembles.methods.lockstep_sampled import LockstepSampled
 from certrack.studies.ensembles.problem import EnsembleProblem
 
 EVERYTHING = {
@@ -550,11 +550,11 @@ def test_neither_compiler_nor_heyoka(monkeypatch):
 
     monkeypatch.setattr("certrack.integrators.sampled.native.compiled_library", missing)
     methods = "certrack.studies.ensembles.methods"
-    monkeypatch.setattr(f"{methods}.maps_sampled.has_heyoka", lambda: False)
+    monkeypatch.setattr(f"{methods}.lockstep_sampled.has_heyoka", lambda: False)
     monkeypatch.setattr(f"{methods}.lockstep_continuous.has_heyoka", lambda: False)
     system = sampled("example1", **EVERYTHING).with_settings(duration=1, tail=0.5)
     method = fastest_adjustable(EnsembleProblem(system, 3, 1e-9), 1)
-    assert type(method) is MapsSampled
+    assert type(method) is LockstepSampled
     worst, _ = method.extremes(3, system.implementation)
     every = [certrack.ensemble(system, 3, seed=3).run(i).metrics.tail_error for i in range(3)]
     assert worst == pytest.approx(max(every), rel=1e-7)

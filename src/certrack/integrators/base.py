@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntEnum
 from itertools import pairwise
 from typing import Protocol
 
@@ -47,6 +47,15 @@ class Outcome(Enum):
         "The switching of abs, sign, min or max could not be followed: the loop slides along a "
         "kink. Replace sign(x) by tanh(x/0.01)."
     )
+
+
+class MemberOutcome(IntEnum):
+    """How one of many members ended, as compiled C says it (there in capitals)."""
+
+    finished = 0
+    escaped = 1
+    #: The method cannot finish it; :class:`Outcome` of its own run says why.
+    run_alone = 2
 
 
 @dataclass(frozen=True)

@@ -274,6 +274,10 @@ _DOP853_DENSE = {
 }
 # fmt: on
 
+#: DOP853's estimate is e_5^2 / sqrt(e_5^2 + 0.01 e_3^2) of its two errors (Hairer, Norsett, Wanner,
+#: II.10): of order 8 like the method, and never above the fifth-order one.
+THIRD_ORDER_WEIGHT = 0.01
+
 #: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), II.5 and II.10: order
 #: 8, error estimates of orders 5 and 3, and the dense output above, of order 6.
 DOP853 = Pair(

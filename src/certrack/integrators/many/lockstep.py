@@ -75,7 +75,7 @@ class Lockstep:
         times: np.ndarray,
         shared: Callable[[float], np.ndarray],
         on_grid_point: Callable[[int, Callable[[int], np.ndarray]], None],
-        limit: float,
+        max_state: float,
         restarts: frozenset[int] = frozenset(),
     ) -> tuple[np.ndarray, np.ndarray]:
         """Integrate all members over `times`.
@@ -91,7 +91,7 @@ class Lockstep:
         on_grid_point : callable
             Gets the number of the grid time and a function that gives one row of all members,
             shape (N,); NaN for a member that has ended.
-        limit : float
+        max_state : float
             A member whose state passes it has escaped.
         restarts : grid numbers
             Where the rates or signals jump.
@@ -100,7 +100,7 @@ class Lockstep:
         -------
         ends : (N,) array
             Last time reached by each member.
-        stuck : (N,) array of bool
+        run_alone : (N,) array of bool
             Whether the step limit stopped it.
         """
         count = starts.shape[1]
@@ -114,18 +114,18 @@ class Lockstep:
         members.clear_memories()  # they have seen a jump from signals that were nothing yet
         members.evaluate(times[0], shared(times[0]))
         ends = np.full(len(columns), times[0])
-        alive = members.inside(limit)
+        alive = members.inside(max_state)
         for k in range(len(times) - 1):
             values = shared(times[k])
             if k in restarts:
                 members.evaluate(times[k], values)
             on_grid_point(k, lambda row: members.row(row)[:count])
             members.advance(times[k], times[k + 1], values, alive)
-            alive &= members.inside(limit)
+            alive &= members.inside(max_state)
             members.remove(~alive)
             ends[alive] = times[k + 1]
         on_grid_point(len(times) - 1, lambda row: members.row(row)[:count])
-        return ends[:count], members.stuck[:count]
+        return ends[:count], members.run_alone[:count]
 
     def common(
         self, begin: float, step: float, nodes: np.ndarray, shared: np.ndarray
@@ -145,7 +145,7 @@ class _MemberBlocks:
         self._before = np.zeros((blocks, size + 1, width))  # the last row is the error estimate
         self._after = np.zeros_like(self._before)
         self._levels = np.zeros(blocks * width, dtype=int)
-        self.stuck = np.zeros(blocks * width, dtype=bool)
+        self.run_alone = np.zeros(blocks * width, dtype=bool)
         self._coarsen_below = MARGIN * 2.0**-lockstep._pair.order
         self._root = 1.0 / lockstep._pair.order
         self._parameters: dict[tuple[int, int], np.ndarray] = {}
@@ -164,12 +164,14 @@ class _MemberBlocks:
     def clear_memories(self) -> None:
         self._before[:, self._lockstep.rows["memories"]] = 0.0
 
-    def inside(self, limit: float) -> np.ndarray:
-        """Members whose states are finite and within the limit."""
+    def inside(self, max_state: float) -> np.ndarray:
+        """Members whose states are finite and within `max_state`."""
         states = self._before[:, : self._lockstep.flow.watched]
-        if states.max() <= limit and states.min() >= -limit:  # nearly always, and not for NaN
+        if (
+            states.max() <= max_state and states.min() >= -max_state
+        ):  # nearly always, and not for NaN
             return np.ones(len(self._levels), dtype=bool)
-        inside: np.ndarray = (np.abs(states) <= limit).all(axis=1).ravel()
+        inside: np.ndarray = (np.abs(states) <= max_state).all(axis=1).ravel()
         return inside
 
     def remove(self, gone: np.ndarray) -> None:
@@ -250,7 +252,7 @@ class _MemberBlocks:
             block, lane = np.divmod(members, self._width)
             states = self._before[block, : self._lockstep.flow.watched, lane]
             self._after[block, :, lane] = np.nan
-            self.stuck[members] = ~(np.abs(states) > ESCAPING).any(axis=1)
+            self.run_alone[members] = ~(np.abs(states) > ESCAPING).any(axis=1)
             self._levels[members] = 0
 
     def _table(

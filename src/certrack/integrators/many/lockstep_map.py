@@ -12,12 +12,8 @@ import sympy
 from certrack.core.lowering import to_heyoka
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.many.augmented import AugmentedFlow
-from certrack.integrators.pairs import Pair, heyoka_step, heyoka_sum
+from certrack.integrators.pairs import THIRD_ORDER_WEIGHT, Pair, heyoka_step, heyoka_sum
 from certrack.integrators.registers import LANES
-
-#: DOP853's estimate is e_5^2 / sqrt(e_5^2 + 0.01 e_3^2) of its two errors (Hairer, Norsett, Wanner,
-#: II.10): of order 8 like the method, and never above the fifth-order one.
-THIRD_ORDER_WEIGHT = 0.01
 
 #: Rows of the runtime parameters before what depends on time alone: begin, length, tolerance.
 STEP_ROWS = 3

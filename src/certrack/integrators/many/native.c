@@ -10,8 +10,8 @@
  * `system.h` is generated. It holds the sizes
  *   BLOCKS (of lanes in a group) STATES WATCHED PARAMETERS SHARED COMMON INTEGRALS SIGNALS
  *   MEMORIES SHOWN STAGES TERMS (of the dense output),
- * the coefficients A, B, C, E3, E5, DENSE of the method, ESCAPING (a state larger than this where
- * steps vanish is escaping), and
+ * the coefficients A, B, C, E3, E5, THIRD_ORDER_WEIGHT, DENSE of the method, ESCAPING (a state larger
+ * than this where steps vanish is escaping), how a member ended (FINISHED ESCAPED RUN_ALONE), and
  *   common(t, s, c)              what depends on time t and the segment's numbers s alone
  *   rates(c, x, p, k, q)         k = x', q = integrands
  *   signals(c, x, p, k, y)       what the memories look at
@@ -39,9 +39,6 @@ static const double SHORTEST = 1e-15;
  * for cubics, which must not fall behind a method of order 8. */
 static const double NODE_SPACING = 1.0 / 3, SPACING_TOLERANCE = 1e-5;
 
-/* How a member ended; known to the caller. */
-enum { FINISHED, ESCAPED, STUCK };
-
 /* Members of a group, which share their steps. */
 enum { GROUP_SIZE = BLOCKS * LANES };
 
@@ -61,7 +58,7 @@ typedef struct {
   int64_t points;
   const double *grid; /* times; the first is the start */
   const double *centre, *per_unit; /* SHOWN x points, SHOWN: (value - centre) per_unit is counted */
-  double tolerance, limit;
+  double tolerance, max_state;
   int64_t max_steps; /* of a group */
   int64_t begin, end; /* the members that are counted */
   int64_t bins_per_side, bits; /* of one side of zero; leading bits of a bin: see statistics.py */
@@ -149,7 +146,7 @@ INLINE V end_of_step(const Block *g, double h, double tolerance, V (*k)[STATES],
     third += e3 * e3;
     fifth += e5 * e5;
   }
-  return h / tolerance * fifth * rough_inverse(v_sqrt((fifth + 0.01 * third) * STATES + 1e-300));
+  return h / tolerance * fifth * rough_inverse(v_sqrt((fifth + THIRD_ORDER_WEIGHT * third) * STATES + 1e-300));
 }
 
 /* One step: slopes of the stages, ends, rise of the integrals, integrands at the end; returns the
@@ -276,8 +273,8 @@ static void remove_lanes(Group *g, const Task *task, int b, I which, int outcome
     }
 }
 
-/* No step is short enough: lanes whose error is too large are escaping or stuck; after too many
- * steps all are. */
+/* No step is short enough: lanes whose error is too large are escaping or must be run alone; after too
+ * many steps all are. */
 static void give_up(Group *g, const Task *task, const Step *s) {
   EACH_BLOCK(b) {
     V *x = g->block[b].x, ends[STATES], k[STAGES + 1][STATES];
@@ -286,7 +283,7 @@ static void give_up(Group *g, const Task *task, const Step *s) {
     I bad = g->steps >= task->max_steps ? ~(I){0} : ~(error <= SPLAT(1.0)), large = (I){0};
     for (int j = 0; j < WATCHED; j++) large |= v_abs(x[j]) > SPLAT(ESCAPING);
     remove_lanes(g, task, b, bad & large, ESCAPED);
-    remove_lanes(g, task, b, bad, STUCK);
+    remove_lanes(g, task, b, bad, RUN_ALONE);
   }
 }
 
@@ -298,11 +295,11 @@ static void accept(Group *g, const Task *task, const Step *s, double end) {
     for (int j = 0; j < STATES; j++) {
       block->x[j] = s->ends[b][j];
       block->k[j] = s->k[b][STAGES][j];
-      if (j < WATCHED) outside |= ~(v_abs(block->x[j]) <= SPLAT(task->limit));
+      if (j < WATCHED) outside |= ~(v_abs(block->x[j]) <= SPLAT(task->max_state));
     }
     for (int j = 0; j < INTEGRALS; j++) block->q[j] += s->q[b][j], block->r[j] = s->r[b][j];
     if (any(outside & block->alive)) remove_lanes(g, task, b, outside, ESCAPED);
-    if (g->steps >= task->max_steps) remove_lanes(g, task, b, ~(I){0}, STUCK);
+    if (g->steps >= task->max_steps) remove_lanes(g, task, b, ~(I){0}, RUN_ALONE);
   }
 }
 

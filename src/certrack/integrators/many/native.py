@@ -1,6 +1,6 @@
 """Members in the lanes of vector registers: C written for the system, compiled where it runs.
 
-The fastest way by far, where there is a C compiler with GCC's vector extensions (gcc, clang);
+By far the fastest method, where there is a C compiler with GCC's vector extensions (gcc, clang);
 ``native.c`` beside this file holds the method, ``vector_math.h`` the arithmetic,
 ``native_source.py`` writes the system for them; this module compiles and calls them.
 """
@@ -32,9 +32,6 @@ WIDE = ["-mprefer-vector-width=512"]
 #: At the end of a run the error of the states then stays below the tolerance (a test measures it);
 #: on the way it may be twice as large, as that of any integrator whose tolerance is one of steps.
 ESTIMATE_EXCESS = 10.0
-
-#: Outcome of a member whose group took too many steps, or none that is long enough.
-STUCK = 2
 
 #: Vector functions of the C library, from the most to none: older ones lack some or all.
 VECTOR_MATH = (
@@ -112,7 +109,7 @@ class _NativeTask(ctypes.Structure):
         ("centre", ctypes.c_void_p),
         ("per_unit", ctypes.c_void_p),
         ("tolerance", ctypes.c_double),
-        ("limit", ctypes.c_double),
+        ("max_state", ctypes.c_double),
         ("max_steps", ctypes.c_int64),
         ("begin", ctypes.c_int64),
         ("end", ctypes.c_int64),
@@ -164,14 +161,14 @@ class StepControl:
     Attributes
     ----------
     tolerance : float
-    limit : float
+    max_state : float
         A watched state beyond it has escaped.
     max_steps : int
         A group that needs more is given up.
     """
 
     tolerance: float
-    limit: float
+    max_state: float
     max_steps: int
 
 
@@ -205,8 +202,8 @@ class NativeResult:
     finals : (S, N) array
         States at the end of a member.
     ends : (N,) array, s
-    outcomes : (N,) array
-        0 finished, 1 escaped, 2 stuck.
+    outcomes : (N,) array of MemberOutcome
+        Run alone are members whose group took too many steps, or none that moves the time.
     steps : int
         Of all groups together, those that failed among them.
     """
@@ -285,7 +282,7 @@ class Native:
                 len(grid.times),
                 *pointers[4:],
                 ESTIMATE_EXCESS * control.tolerance,
-                control.limit,
+                control.max_state,
                 control.max_steps,
                 tally.part.start,
                 tally.part.stop,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,9 @@ from certrack.core.printing import (
     recognise_selection,
 )
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH, Select
-from certrack.integrators.base import ESCAPING
+from certrack.integrators.base import ESCAPING, MemberOutcome
 from certrack.integrators.many.augmented import AugmentedFlow
-from certrack.integrators.pairs import DOP853
+from certrack.integrators.pairs import DOP853, THIRD_ORDER_WEIGHT
 from certrack.integrators.registers import GROUP_SIZE, LANES
 
 #: Vector functions that vector_math.h has anyway, and those of two arguments.
@@ -31,6 +31,9 @@ OF_TWO = {"pow", "atan2"}
 
 #: Functions up to so many letters are inlined where they are called: the rates at every stage.
 MAX_INLINED = 3000
+
+#: How a member ended, for C.
+OUTCOME_NAMES = {outcome.name.upper(): outcome.value for outcome in MemberOutcome}
 
 #: Names of numbers that are not vectors: the same for all members.
 SCALAR = re.compile(r"[cs]\[|begin$|h$")
@@ -158,7 +161,8 @@ def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
 
     memories = [formula for _, formula in timeless.memories]
     parts = [
-        "enum { " + ", ".join(f"{name} = {size}" for name, size in sizes.items()) + " };",
+        c_enum(sizes),
+        c_enum(OUTCOME_NAMES),
         f"static const double ESCAPING = {ESCAPING!r};",
         *_tables(),
         function("common", "V t, const double *s, V *out", ("out", list(common))),
@@ -201,6 +205,7 @@ def _tables() -> list[str]:
         c_table("C", np.append(DOP853.C, 1.0)),
         c_table("E3", third),
         c_table("E5", fifth),
+        f"static const double THIRD_ORDER_WEIGHT = {THIRD_ORDER_WEIGHT!r};",
         c_table("DENSE", _dense_rows()),
     ]
 
@@ -209,6 +214,11 @@ def _dense_rows() -> np.ndarray:
     """Coefficients of the dense output; rows are filled up to whole vectors."""
     assert DOP853.dense is not None
     return np.pad(DOP853.dense, ((0, 0), (0, -DOP853.dense.shape[1] % 8)))
+
+
+def c_enum(values: Mapping[str, int]) -> str:
+    """C names of integers."""
+    return "enum { " + ", ".join(f"{name} = {value}" for name, value in values.items()) + " };"
 
 
 def c_table(name: str, table: np.ndarray) -> str:

@@ -6,7 +6,8 @@
  *
  * `system.h` is generated. It holds the sizes
  *   STATES CONTROLLER MEASURED PARAMETERS SHARED COMMON LAW_COMMON TOTALS SHOWN,
- * the coefficients A, B, C, E of the method, the constants of run.py, and
+ * the coefficients A, B, C, E of the method, the constants of run.py, how a member ended (FINISHED
+ * ESCAPED RUN_ALONE), and
  *   common(t, s, c), law_common(t, s, c)  what depends on time t and the segment's numbers s alone
  *   rates(c, x, u, p, k, e)               k = x', e = (e_1, e_1')
  *   measure(x, p, m)                      what the sensors would give
@@ -25,9 +26,6 @@ static const double SMALLEST = 1e-30;
 /* When no step is short enough for some lanes, the others go on with this part of the interval. */
 static const double RESTART = 1e-6;
 
-/* How a member ended; known to the caller. */
-enum { FINISHED, ESCAPED, STUCK };
-
 typedef uint64_t U __attribute__((vector_size(8 * LANES)));
 
 typedef struct {
@@ -43,7 +41,7 @@ typedef struct {
   int64_t depth; /* commands that may wait, and one */
   const double *noise, *quantum; /* MEASURED each */
   double input_quantum, input_low, input_high; /* of the converter */
-  double initial_input, tolerance, limit;
+  double initial_input, tolerance, max_state;
   double *values; /* times of interest x SHOWN x count */
   double *end_totals; /* (TOTALS + 1) x count; the last row is the variation of the input */
   double *ends; /* count */
@@ -157,7 +155,7 @@ static void give_up(Group *g, const Group *now, const Task *task, int64_t first,
   I large = (I){0};
   for (int j = 0; j < STATES; j++) large |= v_abs(now->x[j]) > SPLAT(ESCAPING);
   remove_lanes(g, task, first, lost & large, ESCAPED, t);
-  remove_lanes(g, task, first, lost, STUCK, t);
+  remove_lanes(g, task, first, lost, RUN_ALONE, t);
 }
 
 /* Lanes that need several steps for an interval; the others keep what they have. */
@@ -271,7 +269,7 @@ static void integrate_group(const Task *task, int64_t first, Group *g, V *waitin
     I outside = (I){0};
     for (int j = 0; j < STATES; j++) {
       g->x[j] = ends[j];
-      outside |= ~(v_abs(ends[j]) <= SPLAT(task->limit));
+      outside |= ~(v_abs(ends[j]) <= SPLAT(task->max_state));
     }
     if (any(outside & g->alive)) remove_lanes(g, task, first, outside, ESCAPED, t);
     if (!any(g->alive)) {

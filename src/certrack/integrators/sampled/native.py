@@ -15,7 +15,13 @@ from certrack.core.lowering import hoisted
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.many.native import compiled_library
-from certrack.integrators.many.native_source import c_function, c_table, with_elementary
+from certrack.integrators.many.native_source import (
+    OUTCOME_NAMES,
+    c_enum,
+    c_function,
+    c_table,
+    with_elementary,
+)
 from certrack.integrators.sampled import run
 from certrack.integrators.sampled.maps import PAIR
 from certrack.integrators.sampled.run import SampledProblem
@@ -53,7 +59,7 @@ class _SampledTask(ctypes.Structure):
             (name, ctypes.c_double)
             for name in (
                 *("input_quantum", "input_low", "input_high"),
-                *("initial_input", "tolerance", "limit"),
+                *("initial_input", "tolerance", "max_state"),
             )
         ),
         *((name, ctypes.c_void_p) for name in ("values", "end_totals", "ends", "outcomes")),
@@ -72,8 +78,7 @@ class SampledResult:
         The last row is the variation of the input.
     ends : (N,) array, s
         Last event reached within the admitted states.
-    outcomes : (N,) array
-        0 finished, 1 escaped, 2 stuck.
+    outcomes : (N,) array of MemberOutcome
     """
 
     values: Array
@@ -201,7 +206,8 @@ def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
     of_time = "V t, const double *s, V *out"
     return with_elementary(
         [
-            "enum { " + ", ".join(f"{name} = {size}" for name, size in sizes.items()) + " };",
+            c_enum(sizes),
+            c_enum(OUTCOME_NAMES),
             *(
                 f"static const double {name} = {value!r};"
                 for name, value in SHARED_CONSTANTS.items()

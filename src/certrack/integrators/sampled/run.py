@@ -102,8 +102,8 @@ class SampledRun:
     ends : (N,) array, s
         Last event reached within the admitted states.
     outcomes : (N,) array of Outcome
-    stuck : (N,) array of bool
-        Who was given up for another reason than an escape.
+    run_alone : (N,) array of bool
+        Which of many members have to be: given up for another reason than an escape.
     """
 
     def __init__(self, maps: SampledMaps, problem: SampledProblem) -> None:
@@ -114,7 +114,7 @@ class SampledRun:
         self.u = np.full(count, problem.implementation.initial_input)
         self.ends = np.zeros(count)
         self.outcomes = np.full(count, Outcome.finished, dtype=object)
-        self._alive, self.stuck = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
+        self._alive, self.run_alone = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
         self._waiting: deque[Array] = deque()
         self._samples = self.marks = 0
         self.variation = np.zeros(count)
@@ -221,22 +221,24 @@ class SampledRun:
             lost |= (t < end) & at_shortest & ~accepted
             if (lost | (t >= end)).all():
                 break
-        stuck = t < end
-        if stuck.any():
+        given_up = t < end
+        if given_up.any():
             wild = np.abs(x).max(axis=0) > ESCAPING
-            x[:, stuck], totals[:, stuck] = np.nan, np.nan
-            for i in np.flatnonzero(stuck):
-                limit = Outcome.undefined if lost[i] else Outcome.step_limit
-                self.outcomes[group[i]] = Outcome.escaped if wild[i] else limit
-                self.stuck[group[i]] = not wild[i]
+            x[:, given_up], totals[:, given_up] = np.nan, np.nan
+            for i in np.flatnonzero(given_up):
+                reason = Outcome.undefined if lost[i] else Outcome.step_limit
+                self.outcomes[group[i]] = Outcome.escaped if wild[i] else reason
+                self.run_alone[group[i]] = not wild[i]
         x_end[:, group], totals_end[:, group] = x, totals
 
     def _inside(self) -> bool:
         """End the members that left the admitted states; whether any goes on."""
-        limit = self._problem.max_state
-        if self.x.max() <= limit and self.x.min() >= -limit:  # nearly always, and not for NaN
+        max_state = self._problem.max_state
+        if (
+            self.x.max() <= max_state and self.x.min() >= -max_state
+        ):  # nearly always, and not for NaN
             return True
-        gone = ~(np.abs(self.x) <= limit).all(axis=0) & self._alive
+        gone = ~(np.abs(self.x) <= max_state).all(axis=0) & self._alive
         for i in np.flatnonzero(gone):
             if self.outcomes[i] is Outcome.finished:
                 self.outcomes[i] = Outcome.escaped

@@ -1,6 +1,6 @@
 """The members of an ensemble: from (seed, index) to a complete system, one alone or many at once.
 
-Both ways use the same draws; a test holds them against each other.
+Both use the same draws; a test holds them against each other.
 """
 
 from __future__ import annotations

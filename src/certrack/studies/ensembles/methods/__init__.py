@@ -1,1 +1,1 @@
-"""The ways of computing the members of an ensemble: one interface, one file per way."""
+"""The methods of computing the members of an ensemble: one interface, one file per method."""

@@ -1,4 +1,4 @@
-"""What every way of computing members has to do."""
+"""What every method of computing members has to do."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from certrack.model.implementation import Implementation
 from certrack.studies.ensembles.statistics import Bands
 
 
@@ -49,24 +48,3 @@ class Method(ABC):
     @abstractmethod
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         """Compute the members begin ... end-1 and count their signals in the bands."""
-
-
-class SampledMethod(Method):
-    """A method for sampled controllers, which can be asked for other implementations, too."""
-
-    @abstractmethod
-    def extremes(self, members: int, implementation: Implementation) -> tuple[float, float]:
-        """Largest tail error and input of the first members under another implementation.
-
-        Parameters
-        ----------
-        members : int
-        implementation : Implementation
-            With the structure of the system's own.
-
-        Returns
-        -------
-        tail_error : float
-            inf where a member does not finish.
-        peak_input : float
-        """

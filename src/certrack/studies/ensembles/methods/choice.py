@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from certrack.integrators.base import MethodUnavailable
-from certrack.studies.ensembles.methods.base import Method, SampledMethod
+from certrack.studies.ensembles.methods.base import Method
 from certrack.studies.ensembles.methods.lockstep_continuous import LockstepContinuous
-from certrack.studies.ensembles.methods.maps_sampled import MapsSampled
+from certrack.studies.ensembles.methods.lockstep_sampled import LockstepSampled
 from certrack.studies.ensembles.methods.native_continuous import NativeContinuous
 from certrack.studies.ensembles.methods.native_sampled import NativeSampled
+from certrack.studies.ensembles.methods.sampled_base import SampledMethod
 from certrack.studies.ensembles.methods.single_runs import SingleRuns
 from certrack.studies.ensembles.problem import EnsembleProblem
 
@@ -20,7 +21,7 @@ CONTINUOUS: dict[str, Callable[[EnsembleProblem, int], Method]] = {
 
 SAMPLED: dict[str, Callable[..., SampledMethod]] = {
     "native": NativeSampled,
-    "lockstep": MapsSampled,
+    "lockstep": LockstepSampled,
 }
 
 

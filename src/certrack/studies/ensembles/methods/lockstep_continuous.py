@@ -66,7 +66,7 @@ class LockstepContinuous(Method):
                     first = rows[kind].start
                     totals.update((name, row(first + i)) for i, name in enumerate(names))
 
-        ends, stuck = self._lockstep.run(
+        ends, run_alone = self._lockstep.run(
             starts,
             parameters,
             self._times,
@@ -75,4 +75,4 @@ class LockstepContinuous(Method):
             problem.system.settings.max_state,
             self._restarts,
         )
-        return MemberResults(problem.metrics(totals), ends, stuck)
+        return MemberResults(problem.metrics(totals), ends, run_alone)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from certrack.integrators.base import MemberOutcome
 from certrack.integrators.many.native import (
-    STUCK,
     BinCounts,
     Native,
     NativeResult,
@@ -51,7 +51,8 @@ class NativeContinuous(Method):
         names = (*INTEGRAL_METRICS, *MEMORY_METRICS)
         totals = dict(zip(names, results.totals[:, part], strict=True))
         metrics = self._problem.metrics(totals)
-        return MemberResults(metrics, results.ends[part], results.outcomes[part] == STUCK)
+        run_alone = results.outcomes[part] == MemberOutcome.run_alone
+        return MemberResults(metrics, results.ends[part], run_alone)
 
     def final_states(self, begin: int, end: int, bands: Bands) -> np.ndarray:
         """Plant states at the end of the run, shape (n, N); NaN for a member that ended early."""

@@ -6,15 +6,15 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from certrack.integrators.many.native import STUCK
+from certrack.integrators.base import MemberOutcome
 from certrack.integrators.sampled.native import SampledNative
 from certrack.integrators.sampled.run import SampledProblem
 from certrack.studies.ensembles.methods.base import MemberResults
-from certrack.studies.ensembles.methods.sampled import (
+from certrack.studies.ensembles.methods.sampled_base import (
     TOTALS,
     GroupResults,
     OnGridPoint,
-    SampledLoopMethod,
+    SampledMethod,
 )
 from certrack.studies.ensembles.problem import EnsembleProblem, is_clearly_after
 from certrack.studies.ensembles.statistics import Bands
@@ -23,7 +23,7 @@ from certrack.studies.ensembles.statistics import Bands
 PART_MEMBERS = 256
 
 
-class NativeSampled(SampledLoopMethod):
+class NativeSampled(SampledMethod):
     """Members of a sampled loop by compiled C; the threads take parts of a range in turns.
 
     Raises
@@ -51,9 +51,9 @@ class NativeSampled(SampledLoopMethod):
 
     def integrate(self, group: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
         results = self._native.integrate(group, self.problem.segments.shared)
-        stuck = results.outcomes == STUCK
+        run_alone = results.outcomes == MemberOutcome.run_alone
         for k, values in enumerate(results.values):
-            alone = stuck & is_clearly_after(self.problem.times[k], results.ends)
-            on_grid_point(k, values, ~alone)
+            not_reached = is_clearly_after(self.problem.times[k], results.ends)
+            on_grid_point(k, values, ~(run_alone & not_reached))
         totals = dict(zip(TOTALS, results.totals, strict=True))
-        return GroupResults(totals, results.ends, stuck)
+        return GroupResults(totals, results.ends, run_alone)

@@ -10,16 +10,16 @@ from certrack.core.lowering import numpy_callable, rows
 from certrack.integrators.sampled.maps import HeyokaMaps, NumpyMaps, SampledMaps
 from certrack.integrators.sampled.run import SampledProblem, SampledRun
 from certrack.loops.plant import INPUT
-from certrack.studies.ensembles.methods.sampled import (
+from certrack.studies.ensembles.methods.sampled_base import (
     TOTALS,
     GroupResults,
     OnGridPoint,
-    SampledLoopMethod,
+    SampledMethod,
 )
 from certrack.studies.ensembles.problem import EnsembleProblem
 
 
-class MapsSampled(SampledLoopMethod):
+class LockstepSampled(SampledMethod):
     """Members of a sampled loop by compiled maps; every machine has this method."""
 
     def __init__(self, problem: EnsembleProblem, threads: int, *, adjustable: bool) -> None:
@@ -36,11 +36,11 @@ class MapsSampled(SampledLoopMethod):
 
         def at_grid_point(k: int) -> None:
             values = self._shown_values(times[k], run.x, run.u, run.parameters)
-            on_grid_point(k, rows(values, count), ~run.stuck)
+            on_grid_point(k, rows(values, count), ~run.run_alone)
 
         run.run(on_mark=at_grid_point)
         missing = np.full((len(self.shown), count), np.nan)
         for k in range(run.marks, len(times)):
-            on_grid_point(k, missing, ~run.stuck)
+            on_grid_point(k, missing, ~run.run_alone)
         totals = dict(zip(TOTALS, [*run.totals, run.variation], strict=True))
-        return GroupResults(totals, run.ends, run.stuck)
+        return GroupResults(totals, run.ends, run.run_alone)

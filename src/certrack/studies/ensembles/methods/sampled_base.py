@@ -1,4 +1,4 @@
-"""Members under a sampled controller: what the compiled C and the compiled maps have in common."""
+"""The base of the methods for sampled controllers: what compiled C and maps have in common."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from certrack.loops.sampled import loop_values, sample_loop
 from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.sampled import outputs_of
-from certrack.studies.ensembles.methods.base import MemberResults, SampledMethod
+from certrack.studies.ensembles.methods.base import MemberResults, Method
 from certrack.studies.ensembles.metric_formulas import (
     IN_TAIL,
     INTEGRAL_METRICS,
@@ -55,8 +55,10 @@ class GroupResults:
     run_alone: np.ndarray
 
 
-class SampledLoopMethod(SampledMethod):
-    """A sampled loop whose members are integrated in whole vector registers.
+class SampledMethod(Method):
+    """A method for sampled controllers, which can be asked for other implementations, too.
+
+    Members are integrated in whole vector registers, by :meth:`integrate` of the subclass.
 
     Parameters
     ----------
@@ -108,6 +110,20 @@ class SampledLoopMethod(SampledMethod):
         return MemberResults(metrics, results.ends[part], results.run_alone[part])
 
     def extremes(self, members: int, implementation: Implementation) -> tuple[float, float]:
+        """Largest tail error and input of the first members under another implementation.
+
+        Parameters
+        ----------
+        members : int
+        implementation : Implementation
+            With the structure of the system's own.
+
+        Returns
+        -------
+        tail_error : float
+            inf where a member does not finish.
+        peak_input : float
+        """
         size = LANES * max(1, members // (LANES * self.threads))
         numbers = self._numbers(implementation)
 
