@@ -39,7 +39,7 @@ from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.reader import loads, starter
 from certrack.systems.system import Settings, System
 
-# Theory table, to the digits it gives.
+# Computed beside this project, to the digits given; docs/certificates.md has more digits of some.
 CLASSICAL = {
     "example1": (0.262, 0.371, 0.262),
     "dual-motor": (0.222, 0.222, 0.222),
@@ -123,7 +123,7 @@ def test_rate_is_never_above_corrected_at_any_eps(rates, gain, delta0, eps):
 
 
 def test_modelling_layer_finds_the_same_optimum():
-    """The program written again in cvxpy, from the equations of the theory."""
+    """The program written again in cvxpy, from the inequality of docs/certificates.md."""
     system = certrack.load("dual-motor")
     p = error_problem(system, decimal)
     ours = SemidefiniteProgram(p).solve(3.5)

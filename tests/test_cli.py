@@ -222,6 +222,23 @@ def test_a_run_that_does_not_finish_is_exit_1_with_the_remedy(capfd, tmp_path):
     assert "Raise c" in err
 
 
+def test_what_was_written_is_said_but_not_to_programs(capfd, tmp_path):
+    run, pictures, members = tmp_path / "run.nc", tmp_path / "pictures", tmp_path / "members"
+    simulate = ("simulate", "example1", "--out", str(run), "--plot", str(pictures))
+    _, out, err = invoke(capfd, *simulate)
+    count = len(list(pictures.iterdir()))
+    assert out.endswith(f"{run} written\n{count} files written in {pictures}\n") and err == ""
+    assert "outcome" in result(capfd, *simulate)
+    _, out, _ = invoke(capfd, "compare", "example1", "--plot", str(pictures))
+    assert out.endswith(f"{count} files written in {pictures}\n")
+    _, out, _ = invoke(
+        capfd, "ensemble", "example1", "-n", "16", "--keep", "3", "--out", str(members)
+    )
+    listed = [path for path in members.iterdir() if path.suffix in (".nc", ".json", ".png", ".svg")]
+    assert (members / "member-3.nc") in listed
+    assert out.endswith(f"{len(listed)} files written in {members}\n")
+
+
 BAD = {
     "no file": (["simulate", "nowhere"], "neither a file nor a shipped system"),
     "missing file": (["simulate", "nowhere.toml"], "cannot be read"),
@@ -235,6 +252,22 @@ BAD = {
     "out is a folder": (["simulate", "example1", "--out", "/"], "is a directory"),
     "no certificate": (["verify", "nowhere.json"], "cannot be read"),
     "samples without out": (["simulate", "example1", "--samples", "9"], "--samples needs --out"),
+    "period missing for C": (
+        ["export", "c", "dual-motor", "--out", "/nowhere/firmware"],
+        "dual-motor.toml: implementation: is missing",
+    ),
+    "period missing for ST": (
+        ["export", "st", "dual-motor", "--out", "/nowhere/drive.st"],
+        "dual-motor.toml: implementation: is missing",
+    ),
+    "period missing for an FMU": (
+        ["export", "fmu", "dual-motor", "--out", "/nowhere/drive.fmu"],
+        "dual-motor.toml: implementation: is missing",
+    ),
+    "sampled by C": (
+        ["simulate", "dual-motor", "--with-c"],
+        "dual-motor.toml: implementation: is missing",
+    ),
     "budget": (["falsify", "example1", "--budget", "1"], "is not in the range"),
     "unwritable reproduction": (["reproduce", "--out", "/proc/nowhere"], "cannot be written"),
 }

@@ -26,7 +26,8 @@ from certrack.papers.liu2025.theorem1 import (
     tau_bar,
 )
 
-# Theory table: (x0, sign of y_d) -> improved and classic (settling, tail, peak, energy).
+# Computed beside this project from the paper's equations: (x0, sign of y_d) -> improved and classic
+# (settling, tail, peak, energy).
 TABLE = {
     ((1, 2), 1): ((2.15, 0.0336, 12.90, 33.1), (10.50, 0.1125, 9.83, 60.3)),
     ((1, 2), -1): ((3.08, 0.0336, 19.62, 39.5), (11.58, 0.0942, 10.43, 71.2)),

@@ -17,6 +17,7 @@ from certrack.model.noise import keys, normal
 from certrack.studies.ensembles.methods.choice import fastest_adjustable
 from certrack.studies.ensembles.methods.lockstep_sampled import LockstepSampled
 from certrack.studies.ensembles.problem import EnsembleProblem
+from certrack.systems.reader import starter
 
 EVERYTHING = {
     "period": 0.01,
@@ -483,9 +484,50 @@ def test_margins_keep_the_rest_of_the_file():
     assert beyond.as_given > beyond.error and beyond.saturation.within is None
 
 
-def test_margins_refuse_a_population_that_escapes():
-    with pytest.raises(certrack.InputError, match="not every member of the population finishes"):
-        certrack.margins(certrack.load("example1-classic"), members=64)
+def high_gains():
+    """The starter file with fast adaptation: its loop is faster than its error poles."""
+    system = certrack.loads(starter())
+    gains = {"Gamma": (100.0,), "gain_rate": 100.0, "leak_gain": 0.01, "leak_theta": 0.01}
+    return system.replace(law=replace(system.law, **gains))
+
+
+def test_margins_of_a_loop_that_adaptation_makes_faster_than_its_poles():
+    """At the period to begin with none finishes; docs/certificates.md sends such loops here."""
+    system = high_gains()
+    found = certrack.margins(system, members=16)
+    first = 0.05 / system.controller.coordinates.fastest_pole
+    assert dict(zip(found.period.values, found.period.errors, strict=True))[first / 4] < 0.009
+    assert found.period.within == pytest.approx(0.00524, rel=0.05)
+    assert found.period.within < first
+    for value, error in zip(found.period.values, found.period.errors, strict=True):
+        assert (error <= found.error) == (value <= found.period.within), value
+    assert 0 < found.delay.within < found.period.within and not found.saturation.unlimited
+
+
+def test_margins_of_members_that_finish_in_continuous_time_are_found():
+    assert certrack.margins(certrack.load("example1-classic"), members=64).period.within > 0.002
+
+
+def test_margins_refuse_a_loop_that_never_finishes():
+    """The law knows a wrong theta of x1^3: the loop escapes in finite time, however sampled."""
+    text = starter()
+    for old, new in {
+        'kind = "adaptive"': 'kind = "robust"',
+        '["-sin(x1)"]': '["x1**3"]',
+        "theta = [[1.0, 3.0]]": "theta = [[1, 50]]",
+        "theta = [1.7]": "theta = [50]",
+        "x0 = [0.5, 0]": "x0 = [5, 0]",
+    }.items():
+        assert old in text
+        text = text.replace(old, new)
+    gains = ("Gamma", "gain_rate", "leak_", "delta0", "theta0")
+    text = "\n".join(line for line in text.splitlines() if not line.startswith(gains))
+    system = certrack.loads(text)
+    refusal = r"not every member of the population finishes, down to a period of 9.58e-06 s"
+    with pytest.raises(certrack.InputError, match=refusal):
+        certrack.margins(system, members=8)
+    given = certrack.margins(system, members=8, error=1.0)
+    assert given.period.within is None and given.period.errors == (math.inf,)
 
 
 def test_margins_refuse_a_pole_too_fast_to_be_sampled():
@@ -493,6 +535,12 @@ def test_margins_refuse_a_pole_too_fast_to_be_sampled():
     fast = system.replace(law=replace(system.law, c=(1e6,) * 4))
     with pytest.raises(certrack.InputError, match=r"fastest error pole, 1e\+06 /s, has more than"):
         certrack.margins(fast, members=2)
+
+
+def test_halving_ends_where_a_run_has_too_many_samples(monkeypatch):
+    monkeypatch.setattr("certrack.studies.margins.MAX_RUN_SAMPLES", 2100)
+    with pytest.raises(certrack.InputError, match=r"finishes, down to a period of 0\.00981 s"):
+        certrack.margins(high_gains(), members=2)
 
 
 # ---- ensembles -----------------------------------------------------------------------------------

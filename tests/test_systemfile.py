@@ -80,7 +80,10 @@ BAD = {
         edited('["x1", "x2"]', '["x1", 2]'),
         "plant.states[1]: names must be ident",
     ),
-    "chain too long": (edited("chain = [1]", "chain = [1, 2]"), "plant.chain: must be a list of 1"),
+    "chain too long": (
+        edited("chain = [1]", "chain = [1, 2]"),
+        "plant.chain: must be a list of 1: g_1 ... g_{n-1} (n = 2, the number of states)",
+    ),
     "chain not a list": (edited("chain = [1]", "chain = 1"), "plant.chain: must be a list of 1"),
     "zero g": (edited("chain = [1]", "chain = [0]"), "plant.chain[0]: must not be zero"),
     "g is nan": (edited("chain = [1]", "chain = [nan]"), "plant.chain[0]: must be a finite number"),
@@ -179,7 +182,16 @@ BAD = {
         edited("Gamma = [1.0]", "Gamma = [[-1.0]]"),
         "law.Gamma: must be positive definite",
     ),
-    "foreign gain": (edited('kind = "adaptive"', 'kind = "robust"'), "law.Gamma: unknown key"),
+    "foreign gain": (
+        edited('kind = "adaptive"', 'kind = "robust"'),
+        "law.Gamma: is not a key of the robust law (adaptive, classic have it). "
+        "Nor: gain_rate, leak_gain, leak_theta, delta0, theta0",
+    ),
+    "foreign shape": (
+        edited('signal = "0.5*sin(t)"', 'kind = "triangle"\nrise = 1'),
+        "reference.rise: is not a key of the triangle reference (trapezoid has it)",
+    ),
+    "no such gain": (edited("Gamma = [1.0]", "Gama = [1.0]"), "law.Gama: unknown key"),
     "feedforward": (
         edited("feedforward = 1", "feedforward = 2"),
         "law.feedforward: must be a whole number",

@@ -40,9 +40,12 @@ E_N, NU, UBAR, DRIFT, CUT = (symbol(f"ctl_{name}") for name in ("e_n", "nu", "ub
 #: Gains that are printed as numbers in the linear forms e_n and nu; all others are named.
 LINEAR_FORM_GAINS = ("A_n", "B_n", "nu_x", "nu_Y", "sign_g")
 
+#: What whoever tunes by hand must know of these forms.
+MADE_NUMBERS = "numbers made from c, k, p, chain, linear: change the system file and export again"
+
 NOTES = {
-    E_N: "last error coordinate: e_n = A_n x - B_n (y_d, y_d', ...)",
-    NU: "what all laws share: nu = nu_x x + nu_Y (y_d, y_d', ...) - h(x)",
+    E_N: f"last error coordinate: e_n = A_n x - B_n (y_d, y_d', ...)\n{MADE_NUMBERS}",
+    NU: f"what all laws share: nu = nu_x x + nu_Y (y_d, y_d', ...) - h(x)\n{MADE_NUMBERS}",
     UBAR: "ubar = nu - phi(x)^T theta_hat",
     DRIFT: "drift h(x)",
     LAW_INPUT: "the input that the law asks for",
@@ -58,7 +61,7 @@ CUT_NOTES = {
 
 @dataclass(frozen=True)
 class Step:
-    """One formula and what it means."""
+    """One formula and what it means, in one line or more."""
 
     name: sympy.Symbol
     formula: sympy.Expr

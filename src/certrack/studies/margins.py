@@ -191,7 +191,7 @@ def margins(
         admitted,
         _stability_edge(linear, lambda T: (T, base.delay), sweep),
     )
-    at = (period.within or finest) / 10 if implementation is None else implementation.period
+    at = (period.within or first) / 10 if implementation is None else implementation.period
     base = replace(base, period=at)
     sweep = _Sweep(at / 5, VALUE_RATIO, MAX_DELAY * at)
     delay = trials.search(

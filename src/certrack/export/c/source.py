@@ -298,7 +298,9 @@ def _step_statements(code: CCode, printer: CPrinter, steps: Iterable[Step]) -> l
     """One statement per step, its meaning above it."""
     lines: list[str] = []
     for step in steps:
-        lines += ["", f"    /* {step.note} */"] if step.note else []
+        lines += (
+            ["", *(f"    /* {line} */" for line in step.note.splitlines())] if step.note else []
+        )
         text = printer.text(step.formula)
         lines.append(wrapped(f"const {code.type} {code.names[step.name]} = {text};"))
     return lines

@@ -142,8 +142,8 @@ class Statements(FormulaPrinter):
         self._variables, self._computed = variables, dict(computed or {})
 
     def note(self, text: str) -> None:
-        """A comment of its own line."""
-        self.lines += ["", f"(* {comment_text(text)} *)"]
+        """A comment of its own lines."""
+        self.lines += ["", *(f"(* {comment_text(line)} *)" for line in text.splitlines())]
 
     def step(self, step: Step) -> None:
         """A named formula, below what it means."""
