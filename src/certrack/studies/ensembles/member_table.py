@@ -49,10 +49,16 @@ class MemberTable:
         return metrics, np.concatenate([outcomes for *_, outcomes in ordered])
 
     def packed(self) -> dict[str, np.ndarray]:
-        """Arrays for a file or a network."""
-        sizes = [(begin, len(outcomes)) for begin, _, outcomes in self.parts]
-        metrics = [metrics for _, metrics, _ in self.parts]
-        outcomes = [outcomes for *_, outcomes in self.parts]
+        """Arrays for a file or a network: the same for the same members, whatever the parts."""
+        ordered = sorted(self.parts, key=lambda part: part[0])
+        sizes: list[list[int]] = []
+        for begin, _, codes in ordered:
+            if sizes and sum(sizes[-1]) == begin:
+                sizes[-1][1] += len(codes)
+            else:
+                sizes.append([begin, len(codes)])
+        metrics = [metrics for _, metrics, _ in ordered]
+        outcomes = [outcomes for *_, outcomes in ordered]
         return {
             "table_parts": np.array(sizes, dtype=np.int64).reshape(-1, 2),
             "table_metrics": np.concatenate(metrics, axis=1) if metrics else np.empty((0, 0)),
