@@ -109,8 +109,8 @@ def _radius(runs: PaperRuns) -> Claim:
         "sup |e_1| in each period of y_d of theorem1-counterexample, a system that meets every "
         "premise: a bound on limsup is false if it is passed in every period",
         f"(42) gives {upper(limit, 5)}; |e_1| reaches {', '.join(f'{v:.4f}' for v in peaks)} in "
-        f"periods 1 to {len(peaks)} ({other:.4f} by SciPy); V {falls} while |e_1| is beyond (42), as (41) "
-        f"says; what is true: corrected {upper(certificates.corrected.bound)}, "
+        f"periods 1 to {len(peaks)} ({other:.4f} by SciPy); V {falls} while |e_1| is beyond (42), "
+        f"as (41) says; what is true: corrected {upper(certificates.corrected.bound)}, "
         f"semidefinite {upper(certificates.semidefinite.bound)}",
         judged(max(peaks[1:]) <= limit),
     )
