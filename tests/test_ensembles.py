@@ -488,7 +488,7 @@ def test_a_cluster_gives_the_same_even_if_a_worker_dies():
         pids = list(client.run(os.getpid).values())
         killed = []
 
-        def progress(done, total):
+        def progress(done, total, worst):
             if done and not killed:
                 killed.append(pids[0])
                 os.kill(pids[0], signal.SIGKILL)

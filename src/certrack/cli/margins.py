@@ -51,7 +51,7 @@ def margin(
     from certrack.systems.reader import load
 
     system = load(file)
-    with report.count_progress("Margins") as advance:
+    with report.progress("Margins, values tried") as advance:
         result = margins(system, error=error, members=members, seed=seed, progress=advance)
     if plot is not None:
         from certrack import plotting

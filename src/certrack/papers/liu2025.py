@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import count, pairwise, product
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 from certrack.certificates import Tube, certify
+from certrack.core.progress import Progress, silent
 from certrack.plotting import (
     figure,
     plot_error,
@@ -31,6 +32,9 @@ from certrack.simulation.simulator import Simulator, simulate
 from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.reader import load
 from certrack.systems.system import System
+
+#: Both examples, the theorem, four systems certified and falsified, the figures.
+STEPS = 8
 
 HOLDS, DIFFERS, AMBIGUOUS = "holds", "differs", "ambiguous"
 
@@ -69,25 +73,40 @@ class Reproduction:
     bounds: dict[str, dict[str, float]]
 
 
-def reproduce(progress: Callable[[str], None] = lambda _: None, budget: int = 3000) -> Reproduction:
+def reproduce(progress: Progress = silent, budget: int = 3000) -> Reproduction:
     """Run the paper's examples and judge its claims.
 
     Parameters
     ----------
     progress : callable
-        Called with a text that says what is being done.
+        Gets the steps done, their number and None.
     budget : int
         Runs that the falsifier spends on each system.
+
+    Returns
+    -------
+    Reproduction
+
+    Examples
+    --------
+    >>> import certrack
+    >>> result = certrack.reproduce(budget=100)  # doctest: +SKIP
+    >>> [claim.verdict for claim in result.claims]  # doctest: +SKIP
     """
-    progress("Example 1, every sign of x(0) and y_d")
+    steps = count()
+
+    def report() -> None:
+        progress(next(steps), STEPS, None)
+
+    report()
     variants = dict(_example1_variants())
     improved, classic = variants[((1, 2), 1)]
-    progress("Example 2")
+    report()
     motor = Simulator(load("dual-motor"))
     weak, strong = motor.run(), motor.run(load("dual-motor-strong"))
     signs: list[tuple[int, ...]] = [(1, 1, 1, 0), (-1, 1, 1, 0), (1, -1, -1, 0)]
     starts = {x0: _run_from(motor, x0) for x0 in signs}
-    progress("Theorem 1, last step")
+    report()
     theorem = _theorem_1()
     claims = (
         *_claims_example1(variants),
@@ -96,9 +115,9 @@ def reproduce(progress: Callable[[str], None] = lambda _: None, budget: int = 30
     )
     bounds, tubes = {}, {}
     for name in ("example1", "dual-motor", "dual-motor-strong", "dual-motor-lean"):
-        progress(f"Certifying and falsifying {name}")
+        report()
         bounds[name], tubes[name] = _bounds(load(name), budget)
-    progress("Figures")
+    report()
     runs = {
         "example1": improved,
         "example1-classic": classic,
@@ -108,6 +127,7 @@ def reproduce(progress: Callable[[str], None] = lambda _: None, budget: int = 30
     certified = {"example1": improved, "dual-motor": weak, "dual-motor-strong": strong}
     certified["dual-motor-lean"] = simulate(load("dual-motor-lean"))
     panels = figures(runs) | {"certificates": _certificate_figure(certified, tubes)}
+    report()
     return Reproduction(claims, panels, runs, bounds)
 
 

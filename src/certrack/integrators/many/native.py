@@ -18,6 +18,7 @@ import numpy as np
 import sympy
 
 from certrack.core.compilers import CompilerError, c_compilers, find_c_compiler, load_library
+from certrack.core.errors import CertrackError
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.integrators.many.native_source import system_header
 
@@ -43,7 +44,7 @@ VECTOR_MATH = (
 )
 
 
-class Unavailable(Exception):
+class Unavailable(CertrackError):
     """Compiled C cannot be had on this machine."""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
+from certrack.core.progress import Progress, silent
 from certrack.integrators.many.native import Unavailable
 from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
@@ -169,7 +170,7 @@ def ensemble(
     chunk: int = CHUNK_MEMBERS,
     out: Path | str | None = None,
     client: Any = None,
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Progress = silent,
 ) -> Ensemble:
     """Simulate many members of a system's population and keep their statistics.
 
@@ -200,12 +201,24 @@ def ensemble(
     client : distributed.Client, optional
         Compute on its Dask cluster.
     progress : callable
-        Gets the members done and in all.
+        Gets the members done, their number in all and the largest tail error. Where it raises,
+        finished chunks stay in `out`.
+
+    Returns
+    -------
+    Ensemble
 
     Raises
     ------
     InputError
         If an argument does not fit or the folder cannot be written.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> result = certrack.ensemble(certrack.load("example1"), members=64)
+    >>> result.members, result.violations()["count"]
+    (64, 0)
     """
     checks.integer("members", members, 1, MAX_MEMBERS)
     checks.integer("seed", seed, 0, 2**63)
@@ -224,7 +237,7 @@ def ensemble(
     covered = [] if checkpoints is None else checkpoints.load(total, members)
     missing = list(_missing(covered, members, chunk))
     wanted = sum(end - begin for begin, end in missing)
-    progress(members - wanted, members)
+    progress(members - wanted, members, _largest(total))
     seconds = 0.0
     if engine is None:
         results = workers.on_cluster(plan, missing, client)
@@ -238,8 +251,13 @@ def ensemble(
         if checkpoints is not None:
             checkpoints.save(span, statistics.packed())
             checkpoints.gather(total, covered)
-        progress(total.members, members)
+        progress(total.members, members, _largest(total))
     return Ensemble(system, seed, total, limit, origin, wanted, seconds)
+
+
+def _largest(total: Statistics) -> float | None:
+    """The largest tail error so far."""
+    return total.worst[0][0] if total.worst else None
 
 
 def _prepared(
