@@ -64,7 +64,9 @@ def variants():
         "multisine": base,
         "sobol": example1(sampling="sobol", amplitude=uniform(0.5, 1), frequency=uniform(0.5, 2)),
         "triangle": base.replace(reference=certrack.triangle(0.2, 5.0)),
-        "steps": base.replace(reference=certrack.steps([1.0, 7.0], [0.0, 0.1, -0.1], 0.5)),
+        "steps": base.replace(
+            reference=certrack.references.steps([1.0, 7.0], [0.0, 0.1, -0.1], 0.5)
+        ),
         "kinks": base.replace(plant=kinked),
         "four states": lean.replace(
             population=Population(constants={"K_L": uniform(2, 4)}, disturbance="multisine")

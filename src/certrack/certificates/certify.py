@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import flint
 
@@ -16,6 +16,7 @@ from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.published import certify_published, critical_strength
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.certificates.tube import Tube, tube
+from certrack.core.notebook import ShownInNotebooks
 from certrack.systems.system import System
 
 #: Critical strengths beyond this are reported as infinite, below its inverse as zero.
@@ -27,7 +28,7 @@ SLOW_RATE = 1e-3
 
 
 @dataclass(frozen=True)
-class Certificates:
+class Certificates(ShownInNotebooks):
     """Result of :func:`certify`.
 
     Attributes
@@ -51,6 +52,15 @@ class Certificates:
     critical_published: float
     critical_semidefinite: float
     tube: Tube | None
+
+    def __repr__(self) -> str:
+        entries = [getattr(self, entry.name) for entry in fields(self)]
+        shown = [
+            f"{entry.kind} {entry.bound:.4g}" + (" (verified)" if entry.verified else "")
+            for entry in entries
+            if isinstance(entry, Certificate) and entry.exists
+        ]
+        return f"Certificates(limsup |e_1| <= {', '.join(shown) or 'no bound'})"
 
     @property
     def best(self) -> Certificate:
@@ -82,6 +92,13 @@ def certify(system: System) -> Certificates:
     ------
     InputError
         If a bound of the reference can neither be proven nor is declared.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> found = certrack.certify(certrack.load("dual-motor-lean"))
+    >>> found.best.verified
+    True
     """
     classical = certify_published(system)
     semidefinite, proof = certify_semidefinite(system)

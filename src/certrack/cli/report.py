@@ -16,6 +16,7 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
+from certrack.simulation.metrics import METRIC_LABELS
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -175,17 +176,6 @@ def rate_progress(what: str) -> Iterator[Progress]:
         yield advance
 
 
-METRIC_ROWS = {
-    "settling_time": "settling time [s]",
-    "tail_error": "tail error",
-    "rms_error": "RMS error",
-    "integral_abs_error": "integral of |e_1|",
-    "peak_input": "peak input",
-    "input_energy": "input energy",
-    "input_variation": "variation of input",
-}
-
-
 #: Letters that the labels of the metrics and the numbers of one run need in a table.
 LABEL_WIDTH, RUN_WIDTH = 20, 15
 
@@ -201,7 +191,7 @@ def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Group:
 def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
     rows = [
         [label, *(summary[key] for summary in summaries.values())]
-        for key, label in METRIC_ROWS.items()
+        for key, label in METRIC_LABELS.items()
     ]
     rows.append(["outcome", *(summary["outcome"] for summary in summaries.values())])
     rows.append(["integrator", *(summary["integrator"] for summary in summaries.values())])
@@ -211,7 +201,7 @@ def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
 def ensemble_table(ensemble: Ensemble) -> Table:
     """Quantiles of every metric."""
     rows = []
-    for key, label in METRIC_ROWS.items():
+    for key, label in METRIC_LABELS.items():
         entries = ensemble.statistics.metrics[key].summary()
         shown = [entries[name] for name in ("5%", "50%", "95%", "99%", "max")]
         rows.append([label, *shown, entries["missing"]])

@@ -72,6 +72,11 @@ class Reproduction:
     runs: dict[str, Run]
     bounds: dict[str, dict[str, float]]
 
+    def __repr__(self) -> str:
+        verdicts = [claim.verdict for claim in self.claims]
+        counts = (f"{verdicts.count(v)} {v}" for v in (HOLDS, DIFFERS, AMBIGUOUS))
+        return f"Reproduction({len(verdicts)} claims: {', '.join(counts)})"
+
 
 def reproduce(progress: Progress = silent, budget: int = 3000) -> Reproduction:
     """Run the paper's examples and judge its claims.

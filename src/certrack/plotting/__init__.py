@@ -3,7 +3,9 @@
 Figures are made without pyplot, so nothing global is touched and no window opens.
 """
 
+from certrack.plotting.certificates import certificates_figure
 from certrack.plotting.ensembles import ensemble_figures, fan_chart, metric_histograms
+from certrack.plotting.main_picture import plot
 from certrack.plotting.margins import margin_figure
 from certrack.plotting.runs import (
     PANELS,
@@ -28,6 +30,7 @@ __all__ = [
     "STYLE",
     "Panel",
     "Runs",
+    "certificates_figure",
     "ensemble_figures",
     "fan_chart",
     "figure",
@@ -35,6 +38,7 @@ __all__ = [
     "metric_histograms",
     "overview",
     "panels_for",
+    "plot",
     "plot_error",
     "plot_estimates",
     "plot_input",

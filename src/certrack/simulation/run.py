@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from certrack.core.errors import shorten
 from certrack.core.files import write_netcdf
+from certrack.core.notebook import ShownInNotebooks
 from certrack.core.version import version
 from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.single.taylor import TaylorSeries
@@ -30,7 +32,7 @@ DEFAULT_BAND = 0.05
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(ShownInNotebooks):
     """One simulated run.
 
     Attributes
@@ -112,6 +114,13 @@ class Run:
             settings.tail_start,
             per_step=self.trajectory.parts + 1 if self.smooth_steps else 1,
         )
+
+    def __repr__(self) -> str:
+        metrics, trajectory = self.metrics, self.trajectory
+        end = f"{self.outcome.name} at {trajectory.end:g} s by {trajectory.method}"
+        found = f"tail error {metrics.tail_error:.5g}, peak input {metrics.peak_input:.5g}"
+        settled = f"settling time {metrics.settling_time:.4g} s"
+        return f"Run({shorten(self.system.title)!r}: {end}; {found}, {settled})"
 
     @property
     def final_state(self) -> dict[str, float]:

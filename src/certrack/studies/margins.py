@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 
 from certrack.core import checks
 from certrack.core.errors import InputError
+from certrack.core.notebook import ShownInNotebooks
 from certrack.core.progress import Progress, silent
 from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import MAX_DELAY, MAX_RUN_SAMPLES, Implementation
@@ -95,9 +96,14 @@ class Margin:
             "errors": list(self.errors),
         }
 
+    def __repr__(self) -> str:
+        values = {"within": self.within, "bounded": self.bounded, "exact": self.exact}
+        shown = ", ".join(f"{name} {v:.4g}" for name, v in values.items() if v is not None)
+        return f"Margin({shown or 'none'}; {len(self.values)} values tried)"
+
 
 @dataclass(frozen=True)
-class Margins:
+class Margins(ShownInNotebooks):
     """Margins of a sampled loop.
 
     Attributes
@@ -137,6 +143,15 @@ class Margins:
             "as_given": self.as_given,
             **{name: getattr(self, name).summary() for name in ("period", "delay", "saturation")},
         }
+
+    def __repr__(self) -> str:
+        def shown(value: float | None, unit: str) -> str:
+            return "none" if value is None else f"{value:.4g}{unit}"
+
+        period, delay = shown(self.period.within, " s"), shown(self.delay.within, " s")
+        lowest = shown(self.saturation.within, "")
+        found = f"period {period}, delay {delay}, saturation {lowest}"
+        return f"Margins(error {self.error:.5g} on {self.members} members: {found})"
 
 
 def margins(

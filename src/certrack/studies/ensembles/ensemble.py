@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from certrack.core import checks
-from certrack.core.errors import InputError
+from certrack.core.errors import InputError, shorten
+from certrack.core.notebook import ShownInNotebooks
 from certrack.core.progress import Progress, silent
 from certrack.integrators.many.native import Unavailable
 from certrack.model.sampling import MAX_MEMBERS
@@ -43,7 +44,7 @@ MIN_TOLERANCE, MAX_TOLERANCE = 1e-13, 1e-2
 
 
 @dataclass(frozen=True)
-class Ensemble:
+class Ensemble(ShownInNotebooks):
     """Statistics of many members.
 
     Attributes
@@ -68,6 +69,18 @@ class Ensemble:
     limit_origin: str
     computed: int
     seconds: float
+
+    def __repr__(self) -> str:
+        tail = self.statistics.metrics["tail_error"]
+        median, largest = (
+            "-" if value is None else f"{value:.5g}"
+            for value in (tail.quantile(0.5), tail.summary()["max"])
+        )
+        found = f"tail error: median {median}, largest {largest}"
+        if self.limit is not None:
+            found += f"; {self.statistics.violations} beyond {self.limit:.5g}"
+        title = shorten(self.system.title)
+        return f"Ensemble({title!r}: {self.members} members, seed {self.seed}; {found})"
 
     @cached_property
     def _members(self) -> Members:
