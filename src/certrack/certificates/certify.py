@@ -9,7 +9,7 @@ import flint
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import certify_cascade
-from certrack.certificates.certificate import Certificate, NoCertificate, missing
+from certrack.certificates.certificate import Certificate, NoCertificate, missing, shown_bound
 from certrack.certificates.exact import Proof, prove, proven
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.problem import ErrorProblem
@@ -56,7 +56,7 @@ class Certificates(ShownInNotebooks):
     def __repr__(self) -> str:
         entries = [getattr(self, entry.name) for entry in fields(self)]
         shown = [
-            f"{entry.kind} {entry.bound:.4g}" + (" (verified)" if entry.verified else "")
+            f"{entry.kind} {shown_bound(entry.bound)}" + (" (verified)" if entry.verified else "")
             for entry in entries
             if isinstance(entry, Certificate) and entry.exists
         ]
@@ -116,7 +116,24 @@ def certify(system: System) -> Certificates:
 
 
 def best_sound_bound(system: System) -> float:
-    """The tightest sound bound on limsup |e_1|; inf if there is none."""
+    """The tightest sound bound on limsup |e_1|; inf if there is none.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.certify(system)
+    >>> certrack.certificates.best_sound_bound(system) == found.best.bound
+    True
+    """
     classical = certify_published(system)
     semidefinite, _ = certify_semidefinite(system)
     cascade, _ = certify_cascade(system)
@@ -124,7 +141,25 @@ def best_sound_bound(system: System) -> float:
 
 
 def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
-    """The tight certificate of `system`, verified exactly, and the numbers that prove it."""
+    """The tight certificate of `system`, verified exactly, and the numbers that prove it.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    certificate : Certificate
+    proof : Proof or None
+        None where there is no certificate.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> found, proof = certrack.certificates.certify_semidefinite(certrack.load("dual-motor-lean"))
+    >>> found.verified
+    True
+    """
     try:
         exact = error_problem(system, rational)
         solution = best_solution(SemidefiniteProgram(exact.in_floats()))

@@ -89,10 +89,23 @@ def tube(
     box : n intervals, optional
         Set of initial plant states; the system's x0 if left out.
 
+    Returns
+    -------
+    Tube
+
     Raises
     ------
     InputError
         If the box does not fit the plant or has too many corners.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.certify(system)
+    >>> tube = certrack.certificates.tube(system, found.proof)
+    >>> bool(tube(0.0) > tube(10.0) >= 0)
+    True
     """
     problem = error_problem(system, rational)
     square = squared_bound(problem, proof)

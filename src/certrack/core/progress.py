@@ -47,7 +47,7 @@ class Cancellable:
     >>> import certrack
     >>> stop = certrack.Cancellable()
     >>> stop.cancel()  # usually from another thread, while the call works
-    >>> certrack.ensemble(certrack.load("example1"), members=64, progress=stop)
+    >>> certrack.simulate(certrack.load("example1"), progress=stop)
     Traceback (most recent call last):
         ...
     certrack.core.errors.Cancelled: cancelled before the call was done

@@ -14,6 +14,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from certrack.certificates import Certificate, Certificates
+from certrack.certificates.certificate import shown_bound
 from certrack.plotting.main_picture import plot
 from certrack.plotting.shared import style
 from certrack.simulation.metrics import METRIC_LABELS
@@ -64,7 +65,7 @@ def _(result: Design) -> str:
 @html.register
 def _(result: Run) -> str:
     metrics = result.metrics.as_dict()
-    rows = [(label, metrics[name]) for name, label in METRIC_LABELS.items()]
+    rows: list[Sequence[object]] = [(v, metrics[k]) for k, v in METRIC_LABELS.items()]
     trajectory = result.trajectory
     rows += [
         ("outcome", f"{result.outcome.name} at {trajectory.end:g} s"),
@@ -80,7 +81,7 @@ def _(result: Certificates) -> str:
     rows = [
         (
             entry.kind,
-            entry.bound if entry.exists else None,
+            shown_bound(entry.bound) if entry.exists else None,
             "exactly" if entry.verified else "no",
             entry.reason,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -119,7 +120,8 @@ class Run(ShownInNotebooks):
         metrics, trajectory = self.metrics, self.trajectory
         end = f"{self.outcome.name} at {trajectory.end:g} s by {trajectory.method}"
         found = f"tail error {metrics.tail_error:.5g}, peak input {metrics.peak_input:.5g}"
-        settled = f"settling time {metrics.settling_time:.4g} s"
+        time = metrics.settling_time
+        settled = f"settled after {time:.4g} s" if math.isfinite(time) else "not settled"
         return f"Run({shorten(self.system.title)!r}: {end}; {found}, {settled})"
 
     @property
@@ -129,7 +131,19 @@ class Run(ShownInNotebooks):
         return dict(zip(names, self._states[: len(names), -1].tolist(), strict=True))
 
     def summary(self) -> dict[str, Any]:
-        """Metrics, final state and outcome, ready for JSON."""
+        """Metrics, final state and outcome, ready for JSON.
+
+        Returns
+        -------
+        dict
+
+        Examples
+        --------
+        >>> import certrack
+        >>> run = certrack.simulate(certrack.load("example1"))
+        >>> run.summary()["outcome"]
+        'finished'
+        """
         return {
             **self.metrics.as_dict(),
             "final_time": self.trajectory.end,
@@ -156,6 +170,13 @@ class Run(ShownInNotebooks):
             Variables ``x`` and ``e`` (time, state), ``u`` and ``y_d`` (time), ``estimate``
             (time, parameter), ``truth`` (time, truth_state) where the truth has states of its own;
             the attributes hold version, system text and metrics.
+
+        Examples
+        --------
+        >>> import certrack
+        >>> run = certrack.simulate(certrack.load("example1"))
+        >>> dict(run.dataset(samples=101).sizes)
+        {'time': 101, 'state': 2, 'parameter': 2}
         """
         import xarray
 
@@ -200,10 +221,26 @@ class Run(ShownInNotebooks):
     def save(self, path: str | Path, samples: int | None = None) -> None:
         """Write the dataset as NetCDF; the file appears only when it is complete.
 
+        Parameters
+        ----------
+        path : path
+        samples : int, optional
+            As for :meth:`dataset`.
+
+        Returns
+        -------
+        None
+
         Raises
         ------
         InputError
             If the file cannot be written.
+
+        Examples
+        --------
+        >>> import certrack
+        >>> run = certrack.simulate(certrack.load("example1"))
+        >>> run.save("run.nc")
         """
         write_netcdf(Path(path), self.dataset(samples))
 

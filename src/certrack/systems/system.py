@@ -197,6 +197,12 @@ class System(ShownInNotebooks):
         Returns
         -------
         Design
+
+        Examples
+        --------
+        >>> import certrack
+        >>> certrack.load("example1").design().coordinates.n
+        2
         """
         return design(self)
 
@@ -219,11 +225,44 @@ class System(ShownInNotebooks):
         return f"System({shorten(self.title)!r}: {text})"
 
     def replace(self, **changes: Any) -> System:
-        """A copy with some parts replaced, checked again."""
+        """A copy with some parts replaced, checked again.
+
+        Parameters
+        ----------
+        **changes
+            Parts by name.
+
+        Returns
+        -------
+        System
+
+        Examples
+        --------
+        >>> import certrack
+        >>> system = certrack.load("example1")
+        >>> system.replace(title="mine").title
+        'mine'
+        """
         return replace(self, **changes)
 
     def with_settings(self, **changes: Any) -> System:
-        """A copy with some settings replaced."""
+        """A copy with some settings replaced.
+
+        Parameters
+        ----------
+        **changes
+            Entries of :class:`Settings` by name.
+
+        Returns
+        -------
+        System
+
+        Examples
+        --------
+        >>> import certrack
+        >>> certrack.load("example1").with_settings(x0=(0, 0)).settings.x0
+        (0.0, 0.0)
+        """
         return replace(self, settings=replace(self.settings, **changes))
 
     @property

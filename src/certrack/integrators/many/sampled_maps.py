@@ -162,10 +162,10 @@ class HeyokaMaps:
     def _call(self, function: Any, step: Sequence[Any], inputs: Sequence[Array], p: Array) -> Array:
         count = inputs[0].shape[1]
         key = (function.nparams, count)
-        tables = self._of_thread.__dict__
+        tables: dict[Any, Array] = self._of_thread.__dict__
         if key not in tables:
             tables[key] = np.empty(key)
-        table: Array = tables[key]
+        table = tables[key]
         for row, value in zip(table, step, strict=False):
             row[:] = value
         table[self.STEP_ROWS :] = p[: max(0, function.nparams - self.STEP_ROWS)]

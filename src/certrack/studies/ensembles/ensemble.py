@@ -102,11 +102,43 @@ class Ensemble(ShownInNotebooks):
         return ("e_1", *self.system.plant.states, "u")
 
     def member(self, index: int) -> System:
-        """Member `index` as a system of its own."""
+        """Member `index` as a system of its own.
+
+        Parameters
+        ----------
+        index : int
+
+        Returns
+        -------
+        System
+
+        Examples
+        --------
+        >>> import certrack
+        >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
+        >>> result.member(3).truth == result.member(4).truth
+        False
+        """
         return self._members.member(index)
 
     def run(self, index: int) -> Run:
-        """The full run of member `index`."""
+        """The full run of member `index`.
+
+        Parameters
+        ----------
+        index : int
+
+        Returns
+        -------
+        Run
+
+        Examples
+        --------
+        >>> import certrack
+        >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
+        >>> result.run(3).outcome.name
+        'finished'
+        """
         return simulate(self.member(index))
 
     @property
@@ -134,7 +166,19 @@ class Ensemble(ShownInNotebooks):
         }
 
     def summary(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Ready for JSON.
+
+        Returns
+        -------
+        dict
+
+        Examples
+        --------
+        >>> import certrack
+        >>> system = certrack.load("example1")
+        >>> certrack.ensemble(system, members=64, method="lockstep").summary()["outcomes"]
+        {'finished': 64}
+        """
         statistics = self.statistics
         metrics = {name: tally.summary() for name, tally in statistics.metrics.items()}
         worst = [{"member": index, "tail_error": value} for value, index in statistics.worst]
@@ -155,7 +199,19 @@ class Ensemble(ShownInNotebooks):
         }
 
     def dataset(self) -> xarray.Dataset:
-        """Quantile bands with labels and units."""
+        """Quantile bands with labels and units.
+
+        Returns
+        -------
+        xarray.Dataset
+
+        Examples
+        --------
+        >>> import certrack
+        >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
+        >>> result.dataset().quantiles.dims
+        ('level', 'signal', 'time')
+        """
         import xarray
 
         units = self.system.plant.units or ("1",) * (self.system.plant.n + 1)
