@@ -193,9 +193,10 @@ def test_tube_from_a_box_starts_at_its_worst_corner(name, sides):
     _, proof = certify_semidefinite(system)
     box = [(v - sides[0], v + sides[1]) for v in system.settings.x0]
     starts = [
-        certrack.tube(system.with_settings(x0=corner), proof).start for corner in product(*box)
+        certrack.certificates.tube(system.with_settings(x0=corner), proof).start
+        for corner in product(*box)
     ]
-    assert certrack.tube(system, proof, box).start == max(starts)
+    assert certrack.certificates.tube(system, proof, box).start == max(starts)
 
 
 def test_tube_counts_the_initial_estimates():
@@ -208,7 +209,7 @@ def test_tube_counts_the_initial_estimates():
     e = found.A @ np.array(system.settings.x0) - found.B[:, 0] * 0.2
     estimates = 2 * (0.5 - 0.1) ** 2 / 2 + (2 - 1.4) ** 2 / 2
     expected = e @ P @ e + 2 * P[-1, -1] * estimates
-    assert certrack.tube(system, proof).start == pytest.approx(expected, rel=1e-8)
+    assert certrack.certificates.tube(system, proof).start == pytest.approx(expected, rel=1e-8)
 
 
 def test_ranges_reach_the_adaptation():

@@ -388,7 +388,7 @@ def test_tube_holds_for_runs_from_the_start_and_from_a_box(name):
     assert np.all(np.abs(run.e[0]) <= found.tube(run.t))
     assert found.tube(1e6) == pytest.approx(found.best.bound, rel=1e-9)
     box = [(v - 0.3, v + 0.3) for v in system.settings.x0]
-    wide = certrack.tube(system, found.stages, box)
+    wide = certrack.certificates.tube(system, found.stages, box)
     rng = np.random.default_rng(0)
     for _ in range(5):
         x0 = [rng.uniform(*pair) for pair in box]

@@ -64,7 +64,9 @@ def variants():
         "multisine": base,
         "sobol": example1(sampling="sobol", amplitude=uniform(0.5, 1), frequency=uniform(0.5, 2)),
         "triangle": base.replace(reference=certrack.triangle(0.2, 5.0)),
-        "steps": base.replace(reference=certrack.steps([1.0, 7.0], [0.0, 0.1, -0.1], 0.5)),
+        "steps": base.replace(
+            reference=certrack.references.steps([1.0, 7.0], [0.0, 0.1, -0.1], 0.5)
+        ),
         "kinks": base.replace(plant=kinked),
         "four states": lean.replace(
             population=Population(constants={"K_L": uniform(2, 4)}, disturbance="multisine")
@@ -488,7 +490,7 @@ def test_a_cluster_gives_the_same_even_if_a_worker_dies():
         pids = list(client.run(os.getpid).values())
         killed = []
 
-        def progress(done, total):
+        def progress(done, total, worst):
             if done and not killed:
                 killed.append(pids[0])
                 os.kill(pids[0], signal.SIGKILL)

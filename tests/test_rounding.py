@@ -159,7 +159,7 @@ def test_tube_contains_the_exact_values():
     square = exactly(squared_bound(error_problem(system, rational), proof))
     for _ in range(20):
         x0 = [float(f"{v:.3f}") for v in rng.uniform(-1, 1, 4)]
-        found = certrack.tube(system.with_settings(x0=x0), proof)
+        found = certrack.certificates.tube(system.with_settings(x0=x0), proof)
         e = coordinates.A @ np.array(x0) - coordinates.B @ Y
         e = np.array([rational(Fraction(v)) for v in e], dtype=object)
         assert exactly(found.start) >= exactly(e @ P @ e)
@@ -191,7 +191,7 @@ def test_rate_of_a_tube_is_not_above_the_proven_one():
     above = [text for text in DECIMALS if exactly(float(text)) > Fraction(text)]
     assert above  # decimals whose nearest float is larger
     for alpha in above:
-        found = certrack.tube(system, replace(proof, alpha=alpha))
+        found = certrack.certificates.tube(system, replace(proof, alpha=alpha))
         assert exactly(found.alpha) <= Fraction(alpha)
 
 

@@ -61,6 +61,23 @@ def check_assumption_1(system: System, seed: int = 0) -> list[Violation]:
     Random states of all magnitudes and directions over the run's duration, the worst of each term
     polished. No violation is evidence, not proof. A truth with states of its own has no omega to
     evaluate.
+
+    Parameters
+    ----------
+    system : System
+    seed : int
+        Of the random states.
+
+    Returns
+    -------
+    list of Violation
+        Empty where none was found.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.check_assumption_1(certrack.load("example1"))
+    []
     """
     plant, truth = system.plant, system.truth
     t, x = _random_points(plant.n, system.settings.duration, seed)

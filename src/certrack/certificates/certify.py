@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import certify_cascade
-from certrack.certificates.certificate import Certificate, NoCertificate, missing
+from certrack.certificates.certificate import Certificate, NoCertificate, missing, shown_bound
 from certrack.certificates.exact import Proof, prove, proven
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.published import certify_published, critical_strength
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
+from certrack.core.notebook import ShownInNotebooks
 from certrack.systems.system import System
 
 
 @dataclass(frozen=True)
-class Certificates:
+class Certificates(ShownInNotebooks):
     """Result of :func:`certify`.
 
     Attributes
@@ -41,6 +42,15 @@ class Certificates:
     critical_published: float
     critical_semidefinite: float
     tube: Tube | None
+
+    def __repr__(self) -> str:
+        entries = [getattr(self, entry.name) for entry in fields(self)]
+        shown = [
+            f"{entry.kind} {shown_bound(entry.bound)}" + (" (verified)" if entry.verified else "")
+            for entry in entries
+            if isinstance(entry, Certificate) and entry.exists
+        ]
+        return f"Certificates(limsup |e_1| <= {', '.join(shown) or 'no bound'})"
 
     @property
     def best(self) -> Certificate:
@@ -70,6 +80,13 @@ def certify(system: System) -> Certificates:
     ------
     InputError
         If a bound of the reference can neither be proven nor is declared.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> found = certrack.certify(certrack.load("dual-motor-lean"))
+    >>> found.best.verified
+    True
     """
     classical = certify_published(system)
     semidefinite, proof = certify_semidefinite(system)
@@ -100,7 +117,24 @@ def tightest(
 
 
 def best_sound_bound(system: System) -> float:
-    """The tightest sound bound on limsup |e_1|; inf if there is none."""
+    """The tightest sound bound on limsup |e_1|; inf if there is none.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.certify(system)
+    >>> certrack.certificates.best_sound_bound(system) == found.best.bound
+    True
+    """
     classical = certify_published(system)
     semidefinite, _ = certify_semidefinite(system)
     cascade, _ = certify_cascade(system)
@@ -108,7 +142,25 @@ def best_sound_bound(system: System) -> float:
 
 
 def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
-    """The tight certificate of `system`, verified exactly, and the numbers that prove it."""
+    """The tight certificate of `system`, verified exactly, and the numbers that prove it.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    certificate : Certificate
+    proof : Proof or None
+        None where there is no certificate.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> found, proof = certrack.certificates.certify_semidefinite(certrack.load("dual-motor-lean"))
+    >>> found.verified
+    True
+    """
     try:
         exact = error_problem(system, rational)
         solution = best_solution(SemidefiniteProgram(exact.in_floats()))

@@ -69,6 +69,18 @@ def to_document(system: System, *stages: Proof) -> dict[str, Any]:
     system : System
     *stages : Proof
         One for a semidefinite bound, two or three for a cascade.
+
+    Returns
+    -------
+    dict
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.certify(system)
+    >>> certrack.certificates.to_document(system, *found.stages)["format"]
+    'certrack-certificate/1'
     """
     proof = stages[-1]
     body: dict[str, Any] = {
@@ -83,17 +95,57 @@ def to_document(system: System, *stages: Proof) -> dict[str, Any]:
 
 
 def save_certificate(system: System, stages: Sequence[Proof], path: str | os.PathLike[str]) -> None:
-    """Write the certificate to `path`; a failure leaves what was there."""
+    """Write the certificate to `path`; a failure leaves what was there.
+
+    Parameters
+    ----------
+    system : System
+    stages : sequence of Proof
+        ``Certificates.stages``.
+    path : path
+
+    Returns
+    -------
+    None
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.certify(system)
+    >>> certrack.certificates.save_certificate(system, found.stages, "cert.json")
+    >>> certrack.certificates.verify("cert.json").verified
+    True
+    """
     write_text(Path(path), json.dumps(to_document(system, *stages), indent=1) + "\n")
 
 
 def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     """Check a certificate file, or its dictionary, in exact arithmetic.
 
+    Parameters
+    ----------
+    source : path or dict
+
+    Returns
+    -------
+    Verdict
+
     Raises
     ------
     InputError
         If the file is not a certificate at all.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.certify(system)
+    >>> document = certrack.certificates.to_document(system, *found.stages)
+    >>> certrack.certificates.verify(document).verified
+    True
+    >>> certrack.certificates.verify(document | {"claim": "limsup |e_1(t)| <= 0"}).verified
+    False
     """
     name = "certificate" if isinstance(source, dict) else str(source)
     try:

@@ -138,12 +138,25 @@ def tube(
     box : n intervals, optional
         Set of initial plant states; the system's x0 if left out.
 
+    Returns
+    -------
+    Tube
+
     Raises
     ------
     InputError
         If the box does not fit the plant or has too many corners.
     NoCertificate
         If a stage of a cascade has the bound 0.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.certify(system)
+    >>> tube = certrack.certificates.tube(system, found.proof)
+    >>> bool(tube(0.0) > tube(10.0) >= 0)
+    True
     """
     stages = (proof,) if isinstance(proof, Proof) else tuple(proof)
     problem = error_problem(system, rational)

@@ -66,12 +66,11 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     \b
     Example: certrack export st dual-motor-lean --period 0.001 --out drive.st
     """
-    from certrack.core.files import write_text
-    from certrack.export.st import structured_text
+    from certrack.export.st import export_st
     from certrack.systems.reader import load
 
     with naming(file, "implementation"):
-        write_text(out, structured_text(load(file), out.name, period=period))
+        export_st(load(file), out, period=period)
     _report_file(out, as_json)
 
 
@@ -95,12 +94,11 @@ def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> 
     \b
     Example: certrack export fmu dual-motor-lean --fmi 3 --period 0.001 --out drive.fmu
     """
-    from certrack.core.files import write_bytes
-    from certrack.export.fmu import fmu as controller_fmu
+    from certrack.export.fmu import export_fmu
     from certrack.systems.reader import load
 
     with naming(file, "implementation"):
-        write_bytes(out, controller_fmu(load(file), out.name, version=fmi, period=period))
+        export_fmu(load(file), out, version=fmi, period=period)
     _report_file(out, as_json)
 
 

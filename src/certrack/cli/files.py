@@ -61,33 +61,16 @@ def design(file: str, latex: bool, as_json: bool) -> None:
     Example: certrack design dual-motor --latex
     """
     from certrack.cli import report
-    from certrack.systems import formulas
     from certrack.systems.reader import load
 
     system = load(file)
+    result = system.design()
     if latex and not as_json:
-        click.echo(formulas.as_latex(system))
+        click.echo(result.latex)
         return
-    coords = system.controller.coordinates
     if as_json:
-        poles = sorted(coords.poles, key=lambda pole: (pole.real, pole.imag))
-        values = {
-            "A": coords.A,
-            "B": coords.B if coords.q else coords.B[:, 0],
-            "kappa": coords.kappa,
-            "eta": coords.eta,
-            "d": coords.d if coords.q else coords.d[:, 0],
-            "R": coords.R,
-            "nu_x": coords.nu_x,
-            "nu_Y": coords.nu_Y,
-            "feedforward": coords.q,
-            "error_poles": [[pole.real, pole.imag] for pole in poles],
-            "law": formulas.as_text(system),
-            "latex": formulas.as_latex(system),
-        }
-        click.echo(report.to_json(values))
+        click.echo(report.to_json(result.summary()))
         return
-    click.echo(f"{system.title or file}: {system.law.kind} law, feed-forward order {coords.q}\n")
-    click.echo("\n".join(formulas.as_text(system)))
-    damping = ", ".join(f"{value:.6g}" for value in coords.kappa)
-    click.echo(f"\nkappa = ({damping}) 1/s; fastest error pole {coords.fastest_pole:.4g} 1/s")
+    order = result.coordinates.q
+    click.echo(f"{system.title or file}: {system.law.kind} law, feed-forward order {order}\n")
+    click.echo(str(result))

@@ -51,7 +51,7 @@ def margin(
     from certrack.systems.reader import load
 
     system = load(file)
-    with naming(file, "margin"), report.count_progress("Margins") as advance:
+    with naming(file, "margin"), report.progress("Margins, values tried") as advance:
         result = margins(system, error=error, members=members, seed=seed, progress=advance)
     pictures: list[Path] = []
     if plot is not None:

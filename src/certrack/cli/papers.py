@@ -39,12 +39,10 @@ def reproduce(out: Path, as_json: bool) -> None:
     from certrack.papers import liu2025
     from certrack.plotting import save_figure
 
-    log = report.console(error=True)
-    with log.status("Reproducing") as status:
-        results = liu2025.reproduce(status.update)
-        for name, figure in results.figures.items():
-            status.update(f"Writing {name}")
-            save_figure(figure, out, name)
+    with report.progress("Reproducing") as advance:
+        results = liu2025.reproduce(advance)
+    for name, figure in results.figures.items():
+        save_figure(figure, out, name)
     summaries = {name: run.summary() for name, run in results.runs.items()}
     values = {
         "claims": [asdict(claim) for claim in results.claims],

@@ -117,7 +117,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     system = load(file)
     note_violations(system)
     note_implementation(system)
-    with report.progress("Searching", budget) as advance:
+    with report.progress("Searching") as advance:
         result = search(system, budget=budget, seed=seed, progress=advance)
     if out is not None:
         save(result.system, out)

@@ -6,7 +6,7 @@ import json
 import math
 import textwrap
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +17,12 @@ from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
 from certrack.core.rounding import printed_bound, rounded_down
+from certrack.simulation.metrics import METRIC_LABELS
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.progress import Progress as Bar
 
+    from certrack.core.progress import Progress
     from certrack.studies.ensembles.ensemble import Ensemble
     from certrack.studies.margins import Margins
 
@@ -120,19 +122,19 @@ def console(*, error: bool = False) -> Console:
 
 
 @contextmanager
-def _bar(*fields: str) -> Iterator[Progress]:
+def _bar(*fields: str) -> Iterator[Bar]:
     """Progress bar on standard error with further columns; silent where nobody watches."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
-        Progress,
         TextColumn,
         TimeRemainingColumn,
     )
+    from rich.progress import Progress as Bar
 
     log = console(error=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
+    with Bar(
         *columns,
         *map(TextColumn, fields),
         TimeRemainingColumn(),
@@ -144,28 +146,27 @@ def _bar(*fields: str) -> Iterator[Progress]:
 
 
 @contextmanager
-def progress(what: str, total: int) -> Iterator[Callable[[int, float], None]]:
-    """Progress bar; yields a function of the work done and the best so far."""
-    worst = 0.0
+def progress(what: str) -> Iterator[Progress]:
+    """Progress bar; yields the `progress` of a long call."""
     with _bar() as bar:
-        task = bar.add_task(what, total=total)
+        task = bar.add_task(what, total=None)
 
-        def advance(done: int, value: float) -> None:
-            nonlocal worst
-            worst = max(worst, value)
-            bar.update(task, completed=min(done, total), description=f"{what}, worst {worst:.4g}")
+        def advance(done: float, total: float | None, best: float | None, /) -> None:
+            shown = what if best is None else f"{what}, worst {best:.4g}"
+            done = done if total is None else min(done, total)
+            bar.update(task, completed=done, total=total, description=shown)
 
         yield advance
 
 
 @contextmanager
-def rate_progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Progress bar with rate and time left; yields a function of the work done and in all."""
+def rate_progress(what: str) -> Iterator[Progress]:
+    """Progress bar with rate and time left; yields the `progress` of a long call."""
     with _bar("{task.fields[rate]}") as bar:
         task = bar.add_task(what, total=None, rate="")
-        start: tuple[float, int] | None = None
+        start: tuple[float, float] | None = None
 
-        def advance(done: int, total: int) -> None:
+        def advance(done: float, total: float | None, _best: float | None, /) -> None:
             nonlocal start
             now = time.monotonic()
             start = start or (now, done)
@@ -174,37 +175,6 @@ def rate_progress(what: str) -> Iterator[Callable[[int, int], None]]:
             bar.update(task, completed=done, total=total, rate=rate)
 
         yield advance
-
-
-@contextmanager
-def count_progress(what: str) -> Iterator[Callable[[str, int], None]]:
-    """Counter of work whose end is not known; yields a function of what is done and how often."""
-    with _bar() as bar:
-        task = bar.add_task(what, total=None)
-
-        def advance(part: str, done: int) -> None:
-            bar.update(task, completed=done, description=f"{what}: {part}")
-
-        yield advance
-
-
-@contextmanager
-def share_progress(what: str) -> Iterator[Callable[[float], None]]:
-    """Progress bar of a share of the work; yields a function of it."""
-    with _bar() as bar:
-        task = bar.add_task(what, total=100)
-        yield lambda share: bar.update(task, completed=int(100 * share))
-
-
-METRIC_ROWS = {
-    "settling_time": "settling time [s]",
-    "tail_error": "tail error",
-    "rms_error": "RMS error",
-    "integral_abs_error": "integral of |e_1|",
-    "peak_input": "peak input",
-    "input_energy": "input energy",
-    "input_variation": "variation of input",
-}
 
 
 #: Letters that the labels of the metrics and the numbers of one run need in a table.
@@ -222,7 +192,7 @@ def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Group:
 def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
     rows = [
         [label, *(summary[key] for summary in summaries.values())]
-        for key, label in METRIC_ROWS.items()
+        for key, label in METRIC_LABELS.items()
     ]
     rows.append(["outcome", *(summary["outcome"] for summary in summaries.values())])
     rows.append(["integrator", *(summary["integrator"] for summary in summaries.values())])
@@ -232,7 +202,7 @@ def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
 def ensemble_table(ensemble: Ensemble) -> Table:
     """Quantiles of every metric."""
     rows = []
-    for key, label in METRIC_ROWS.items():
+    for key, label in METRIC_LABELS.items():
         entries = ensemble.statistics.metrics[key].summary()
         shown = [entries[name] for name in ("5%", "50%", "95%", "99%", "max")]
         rows.append([label, *shown, entries["missing"]])

@@ -88,7 +88,7 @@ def simulate(
         difference = difference_from_python(run)
         controller = {"controller": "c", "difference_from_python": difference}
     else:
-        with report.share_progress("Simulating") as advance:
+        with report.progress("Simulating, s") as advance:
             run, controller = Simulator(system).run(progress=advance), {"controller": "python"}
     if out is not None:
         run.save(out, samples)

@@ -1,12 +1,25 @@
-"""Exceptions. Each message is one line: what, where, what was expected, what came, the remedy."""
+"""Exceptions. Each message is one line: what, where, what was expected, what came, the remedy.
+
+All are one tree with :class:`CertrackError` at the root, and all can be pickled, so that a worker
+process hands them back with every field.
+"""
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 
 class CertrackError(Exception):
     """Base of everything certrack raises on purpose."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        fields = {name: picklable(value) for name, value in self.__dict__.items()}
+        return _restored, (type(self), tuple(map(picklable, self.args)), fields)
+
+
+class Cancelled(CertrackError):
+    """The user stopped a long call by its `progress`."""
 
 
 class InputError(CertrackError, ValueError):
@@ -69,6 +82,25 @@ class MissingExtra(CertrackError):
         super().__init__(
             f"{purpose} needs {package}, which is not installed: pip install 'certrack[{extra}]'"
         )
+
+
+def _restored(
+    kind: type[CertrackError], arguments: tuple[Any, ...], fields: dict[str, Any]
+) -> CertrackError:
+    """An error as it was pickled, without asking its constructor."""
+    error = kind.__new__(kind)
+    error.args = arguments
+    error.__dict__.update(fields)
+    return error
+
+
+def picklable(value: Any) -> Any:
+    """The value itself, or its text where it cannot be pickled: `got` may be anything."""
+    try:
+        pickle.dumps(value)
+    except Exception:
+        return shorten(value)
+    return value
 
 
 def one_line(text: str) -> str:

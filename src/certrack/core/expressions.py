@@ -90,6 +90,9 @@ class Expression:
     def __str__(self) -> str:
         return self.text
 
+    def __repr__(self) -> str:
+        return f"Expression({self.text!r})"
+
 
 def symbol(name: str) -> sympy.Symbol:
     """The real symbol every part of certrack uses for `name`."""

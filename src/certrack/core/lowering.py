@@ -18,15 +18,41 @@ from certrack.core.expressions import TIME, derivative, without_minmax
 from certrack.core.select import Entry, Extremum, Select, by_selections, numpy_select
 
 
-def numpy_callable(
-    arguments: Sequence[Any], formulas: Sequence[sympy.Expr]
-) -> Callable[..., list[Any]]:
+class NumpyFunction:
+    """Formulas as one vectorised NumPy function, which returns the values of all of them.
+
+    A copy, a pickle and another process get the formulas and write the code anew when it is first
+    called, since generated code cannot be pickled.
+
+    Parameters
+    ----------
+    arguments : sequence
+        Symbols, or nested sequences of them.
+    formulas : sequence of sympy.Expr
+    """
+
+    __slots__ = ("_arguments", "_formulas", "_function")
+
+    def __init__(self, arguments: Sequence[Any], formulas: Sequence[sympy.Expr]) -> None:
+        self._arguments, self._formulas = tuple(arguments), tuple(formulas)
+        self._function: Callable[..., list[Any]] | None = None
+
+    def __call__(self, *values: Any) -> list[Any]:
+        function = self._function
+        if function is None:  # two threads may both write it: the same code
+            modules = [{"Select": numpy_select}, "numpy"]
+            formulas = list(map(by_selections, self._formulas))
+            function = sympy.lambdify(list(self._arguments), formulas, modules, cse=True)
+            self._function = function
+        return function(*values)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return NumpyFunction, (self._arguments, self._formulas)
+
+
+def numpy_callable(arguments: Sequence[Any], formulas: Sequence[sympy.Expr]) -> NumpyFunction:
     """Vectorised NumPy function of the given (nested) arguments that returns all formulas."""
-    modules = [{"Select": numpy_select}, "numpy"]
-    function: Callable[..., list[Any]] = sympy.lambdify(
-        arguments, list(map(by_selections, formulas)), modules, cse=True
-    )
-    return function
+    return NumpyFunction(arguments, formulas)
 
 
 def jacobian(formulas: Sequence[sympy.Expr], by: Sequence[sympy.Symbol]) -> list[sympy.Expr]:

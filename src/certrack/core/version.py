@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version as _installed
+
 
 def version() -> str:
     """Version text, e.g. ``"0.1.0"``."""
-    from importlib.metadata import version as installed
+    return _installed("certrack")
 
-    return installed("certrack")
+
+__version__ = version()

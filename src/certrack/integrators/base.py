@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from certrack.core.progress import Progress, silent
 from certrack.references import Reference
 
 #: A state larger than this where the solution ceases to exist is escaping, not leaving a domain.
@@ -77,6 +78,8 @@ class Problem:
     fastest_pole : float, 1/s
         Of the designed error system.
     max_state : float
+    progress : callable
+        Gets the time reached, the duration and None, from time to time.
     """
 
     start: np.ndarray
@@ -87,6 +90,7 @@ class Problem:
     plant_order: int
     fastest_pole: float
     max_state: float
+    progress: Progress = silent
 
     @property
     def max_steps(self) -> int:

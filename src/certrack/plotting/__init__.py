@@ -5,12 +5,14 @@ Figures are made without pyplot, so nothing global is touched and no window open
 legend names the runs, and a curve never gets the style of another one on the same axes.
 """
 
+from certrack.plotting.certificates import certificates_figure
 from certrack.plotting.ensembles import (
     ensemble_figures,
     fan_chart,
     metric_histograms,
     plot_fan,
 )
+from certrack.plotting.main_picture import plot
 from certrack.plotting.margins import margin_figure
 from certrack.plotting.runs import (
     PANELS,
@@ -35,6 +37,7 @@ __all__ = [
     "STYLE",
     "Panel",
     "Runs",
+    "certificates_figure",
     "ensemble_figures",
     "fan_chart",
     "figure",
@@ -42,6 +45,7 @@ __all__ = [
     "metric_histograms",
     "overview",
     "panels_for",
+    "plot",
     "plot_error",
     "plot_estimates",
     "plot_fan",

@@ -42,12 +42,45 @@ BANDS = ((0, -1, "1 to 99 %", 0.14), (1, -2, "5 to 95 %", 0.22), (2, -3, "25 to 
 
 
 def ensemble_figures(ensemble: Ensemble) -> dict[str, Figure]:
-    """Fan chart of error, states and input, and histograms of the metrics."""
+    """Fan chart of error, states and input, and histograms of the metrics.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+
+    Returns
+    -------
+    dict
+        Figure by name.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
+    >>> sorted(certrack.plotting.ensemble_figures(result))
+    ['fan', 'metrics']
+    """
     return {"fan": fan_chart(ensemble), "metrics": metric_histograms(ensemble)}
 
 
 def fan_chart(ensemble: Ensemble) -> Figure:
-    """Quantile bands of every signal against time."""
+    """Quantile bands of every signal against time.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+
+    Returns
+    -------
+    Figure
+
+    Examples
+    --------
+    >>> import certrack
+    >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
+    >>> len(certrack.plotting.fan_chart(result).axes)
+    4
+    """
     names = ensemble.signals
     with style():
         drawing = new_figure(PAGE_WIDTH, 1.7 * len(names) + 0.4)
@@ -136,7 +169,23 @@ HISTOGRAM_BARS = 60
 
 
 def metric_histograms(ensemble: Ensemble) -> Figure:
-    """Distribution of four metrics; the limit of the tail error is marked."""
+    """Distribution of four metrics; the limit of the tail error is marked.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+
+    Returns
+    -------
+    Figure
+
+    Examples
+    --------
+    >>> import certrack
+    >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
+    >>> len(certrack.plotting.metric_histograms(result).axes)
+    4
+    """
     units = ensemble.system.plant.units or ("",)
     with style():
         drawing = new_figure(PAGE_WIDTH, 4.2)

@@ -39,6 +39,19 @@ def margin_figure(margins: Margins, title: str, units: Sequence[str] | None) -> 
     title : str
     units : texts, optional
         Of the plant's states and the input.
+
+    Returns
+    -------
+    Figure
+
+    Examples
+    --------
+    >>> import certrack
+    >>> tried = certrack.Margin(0.01, 0.02, None, False, (0.01, 0.02), (1e-3, 1e-2))
+    >>> limits = {name: tried for name in ("period", "delay", "saturation")}
+    >>> result = certrack.Margins(2e-3, "given", 8, 0.01, None, **limits)
+    >>> len(certrack.plotting.margin_figure(result, "", None).axes)
+    3
     """
     output, *_, force = map(in_brackets, units or ("", ""))
     at, unit = time_unit(margins.at)

@@ -49,13 +49,54 @@ CURVE_MARK = "certrack-curve"
 
 
 def unit(run: Run, index: int) -> str:
-    """Unit of state `index` (the input is last) as a label suffix."""
+    """Unit of state `index` (the input is last) as a label suffix.
+
+    Parameters
+    ----------
+    run : Run
+    index : int
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> import certrack
+    >>> run = certrack.simulate(certrack.load("example1"))
+    >>> certrack.plotting.unit(run, 0)
+    ''
+    """
     units = run.system.plant.units
     return in_brackets(units[index] if units else "")
 
 
 def plot_output(ax: Axes, runs: Runs, *, named: bool = True) -> None:
-    """Output and reference against time."""
+    """Output and reference against time.
+
+    Parameters
+    ----------
+    ax : Axes
+        To draw on.
+    runs : mapping of names to runs
+        The names stand in the legend.
+    named : bool
+        Whether the legend names the runs.
+
+    Returns
+    -------
+    None
+
+    Examples
+    --------
+    >>> import certrack
+    >>> from matplotlib.figure import Figure
+    >>> run = certrack.simulate(certrack.load("example1"))
+    >>> ax = Figure().subplots()
+    >>> certrack.plotting.plot_output(ax, {"example1": run})
+    >>> ax.get_ylabel()
+    'output'
+    """
     first = next(iter(runs.values()))
     line, width = ("--", 1.0) if len(runs) == 1 else ("-", 0.7)  # dashes tell several runs apart
     ax.plot(first.t, first.y_d, color="k", ls=line, lw=width, label=_once(ax, "$y_d$"))
@@ -65,7 +106,31 @@ def plot_output(ax: Axes, runs: Runs, *, named: bool = True) -> None:
 
 
 def plot_error(ax: Axes, runs: Runs, *, named: bool = True) -> None:
-    """Tracking error against time, with the settling band."""
+    """Tracking error against time, with the settling band.
+
+    Parameters
+    ----------
+    ax : Axes
+        To draw on.
+    runs : mapping of names to runs
+        The names stand in the legend.
+    named : bool
+        Whether the legend names the runs.
+
+    Returns
+    -------
+    None
+
+    Examples
+    --------
+    >>> import certrack
+    >>> from matplotlib.figure import Figure
+    >>> run = certrack.simulate(certrack.load("example1"))
+    >>> ax = Figure().subplots()
+    >>> certrack.plotting.plot_error(ax, {"example1": run})
+    >>> ax.get_ylabel()
+    'tracking error'
+    """
     first = next(iter(runs.values()))
     for k, run in enumerate(runs.values()):
         _curve(ax, runs, k, run.e[0], "$e_1$", named=named)
@@ -77,7 +142,31 @@ def plot_error(ax: Axes, runs: Runs, *, named: bool = True) -> None:
 
 
 def plot_states(ax: Axes, runs: Runs, *, named: bool = True) -> None:
-    """All plant states against time."""
+    """All plant states against time.
+
+    Parameters
+    ----------
+    ax : Axes
+        To draw on.
+    runs : mapping of names to runs
+        The names stand in the legend.
+    named : bool
+        Whether the legend names the runs.
+
+    Returns
+    -------
+    None
+
+    Examples
+    --------
+    >>> import certrack
+    >>> from matplotlib.figure import Figure
+    >>> run = certrack.simulate(certrack.load("example1"))
+    >>> ax = Figure().subplots()
+    >>> certrack.plotting.plot_states(ax, {"example1": run})
+    >>> ax.get_ylabel()
+    'states'
+    """
     for k, run in enumerate(runs.values()):
         for i, state in enumerate(run.system.plant.states):
             _curve(ax, runs, k, run.x[i], math_name(state) + unit(run, i), named=named)
@@ -89,6 +178,27 @@ def plot_estimates(ax: Axes, runs: Runs, *, named: bool = True) -> None:
 
     The estimate of the gain has an axis of its own, on the right, where the others are of another
     magnitude.
+
+    Parameters
+    ----------
+    ax : Axes
+        To draw on.
+    runs : mapping of names to runs
+        The names stand in the legend.
+
+    Returns
+    -------
+    None
+
+    Examples
+    --------
+    >>> import certrack
+    >>> from matplotlib.figure import Figure
+    >>> run = certrack.simulate(certrack.load("example1"))
+    >>> ax = Figure().subplots()
+    >>> certrack.plotting.plot_estimates(ax, {"example1": run})
+    >>> ax.get_ylabel()
+    'estimates'
     """
     truth = next(iter(runs.values())).system.truth
     names = {state.name for run in runs.values() for state in run.system.controller.states}
@@ -147,7 +257,31 @@ def _share_legend(ax: Axes, right: Axes) -> None:
 
 
 def plot_input(ax: Axes, runs: Runs, *, named: bool = True) -> None:
-    """Control input against time."""
+    """Control input against time.
+
+    Parameters
+    ----------
+    ax : Axes
+        To draw on.
+    runs : mapping of names to runs
+        The names stand in the legend.
+    named : bool
+        Whether the legend names the runs.
+
+    Returns
+    -------
+    None
+
+    Examples
+    --------
+    >>> import certrack
+    >>> from matplotlib.figure import Figure
+    >>> run = certrack.simulate(certrack.load("example1"))
+    >>> ax = Figure().subplots()
+    >>> certrack.plotting.plot_input(ax, {"example1": run})
+    >>> ax.get_ylabel()
+    'input'
+    """
     first = next(iter(runs.values()))
     for k, run in enumerate(runs.values()):
         _curve(ax, runs, k, run.u, "$u$", named=named)
@@ -167,13 +301,50 @@ PANELS: dict[str, Panel] = {
 
 
 def panels_for(runs: Runs) -> dict[str, Panel]:
-    """The panels that have something to show."""
+    """The panels that have something to show.
+
+    Parameters
+    ----------
+    runs : mapping of names to runs
+
+    Returns
+    -------
+    dict
+        Panel by name.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> run = certrack.simulate(certrack.load("example1"))
+    >>> list(certrack.plotting.panels_for({"": run}))
+    ['output', 'error', 'states', 'estimates', 'input']
+    """
     estimating = any(run.system.controller.states for run in runs.values())
     return {name: draw for name, draw in PANELS.items() if name != "estimates" or estimating}
 
 
 def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
-    """One panel as a figure of a paper's column width."""
+    """One panel as a figure of a paper's column width.
+
+    Parameters
+    ----------
+    panel : callable
+        One of :data:`PANELS`.
+    runs : mapping of names to runs
+        The names stand in the legend.
+    title : str
+
+    Returns
+    -------
+    Figure
+
+    Examples
+    --------
+    >>> import certrack
+    >>> run = certrack.simulate(certrack.load("example1"))
+    >>> len(certrack.plotting.figure(certrack.plotting.plot_error, {"": run}).axes)
+    1
+    """
     with style():
         drawing = new_figure(5.0, 3.0)
         ax = drawing.add_subplot()
@@ -184,7 +355,33 @@ def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
 
 
 def plot_tube(ax: Axes, runs: Runs, tube: Tube, *, named: bool = True) -> None:
-    """Tracking errors and the certified tube, which is of the continuous law."""
+    """Tracking errors and the certified tube, which is of the continuous law.
+
+    Parameters
+    ----------
+    ax : Axes
+        To draw on.
+    runs : mapping of names to runs
+        The names stand in the legend.
+    tube : Tube
+    named : bool
+        Whether the legend names the runs.
+
+    Returns
+    -------
+    None
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.certify(system)
+    >>> from matplotlib.figure import Figure
+    >>> ax = Figure().subplots()
+    >>> certrack.plotting.plot_tube(ax, {"": certrack.simulate(system)}, found.tube)
+    >>> ax.get_xlabel()
+    'time [s]'
+    """
     first = next(iter(runs.values()))
     t = np.unique(np.concatenate([run.t for run in runs.values()]))
     bound = tube(t)
@@ -201,7 +398,26 @@ def plot_tube(ax: Axes, runs: Runs, tube: Tube, *, named: bool = True) -> None:
 
 
 def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
-    """The response in its tube: the whole run, and the end of it magnified."""
+    """The response in its tube: the whole run, and the end of it magnified.
+
+    Parameters
+    ----------
+    run : Run
+    tube : Tube
+    title : str
+
+    Returns
+    -------
+    Figure
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.certify(system)
+    >>> len(certrack.plotting.tube_figure(certrack.simulate(system), found.tube).axes)
+    2
+    """
     with style():
         drawing = new_figure(PAGE_WIDTH, 4.2)
         axes = drawing.subplots(2, 1, sharex=True)
@@ -220,7 +436,25 @@ def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
 
 
 def overview(runs: Runs, title: str = "") -> Figure:
-    """All panels below each other."""
+    """All panels below each other.
+
+    Parameters
+    ----------
+    runs : mapping of names to runs
+        The names stand in the legend.
+    title : str
+
+    Returns
+    -------
+    Figure
+
+    Examples
+    --------
+    >>> import certrack
+    >>> run = certrack.simulate(certrack.load("example1"))
+    >>> len(certrack.plotting.overview({"": run}).axes)
+    5
+    """
     panels = panels_for(runs)
     with style():
         drawing = new_figure(PAGE_WIDTH, 1.9 * len(panels) + 0.4)

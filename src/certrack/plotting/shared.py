@@ -54,7 +54,19 @@ STYLE: dict[Any, Any] = {
 
 
 def style() -> AbstractContextManager[None]:
-    """Context in which certrack draws."""
+    """Context in which certrack draws.
+
+    Returns
+    -------
+    context manager
+
+    Examples
+    --------
+    >>> import certrack
+    >>> from matplotlib.figure import Figure
+    >>> with certrack.plotting.style():
+    ...     ax = Figure().subplots()
+    """
     return matplotlib.rc_context(STYLE)
 
 
@@ -98,7 +110,29 @@ def few_ticks(ax: Axes) -> None:
 
 
 def save_figure(drawing: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and SVG; returns the paths."""
+    """Write a figure as PNG and SVG; returns the paths.
+
+    Parameters
+    ----------
+    drawing : Figure
+    folder : path
+        Made if it does not exist.
+    name : str
+        Of both files, without extension.
+
+    Returns
+    -------
+    list of Path
+
+    Examples
+    --------
+    >>> import certrack
+    >>> run = certrack.simulate(certrack.load("example1"))
+    >>> from pathlib import Path
+    >>> drawing = certrack.plotting.overview({"": run})
+    >>> [path.name for path in certrack.plotting.save_figure(drawing, Path("pictures"), "run")]
+    ['run.png', 'run.svg']
+    """
     pictures: dict[str, bytes] = {}
     with style():
         for kind, stamp in (("png", "Software"), ("svg", "Date")):

@@ -227,6 +227,16 @@ def trapezoid(
         A time at which a rise begins.
     bound : float, optional
         D of Assumption 2.
+
+    Returns
+    -------
+    PiecewiseReference
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.trapezoid(amplitude=1, period=4, rise=1).order
+    1
     """
     if fields is None:
         fields = _fields(
@@ -256,7 +266,30 @@ def triangle(
     start: float = 0.0,
     bound: float | None = None,
 ) -> PiecewiseReference:
-    """Periodic triangle: a :func:`trapezoid` that never holds."""
+    """Periodic triangle: a :func:`trapezoid` that never holds.
+
+    Parameters
+    ----------
+    amplitude : float
+        Half the peak-to-peak swing, unit of the output.
+    period : float, s
+    offset : float
+        Mean value, unit of the output.
+    start : float, s
+        A time at which a rise begins.
+    bound : float, optional
+        D of Assumption 2.
+
+    Returns
+    -------
+    PiecewiseReference
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.triangle(amplitude=1, period=4).bounds(1).values
+    (1.0, 1.0)
+    """
     fields = _fields("triangle", amplitude=amplitude, period=period, offset=offset, start=start)
     period = checks.real("reference.period", period, above=0)
     return trapezoid(amplitude, period, period / 2, offset, start, bound, fields=fields)
@@ -280,6 +313,17 @@ def steps(
         Speed of a move, unit of the output per second.
     bound : float, optional
         D of Assumption 2.
+
+    Returns
+    -------
+    PiecewiseReference
+
+    Examples
+    --------
+    >>> import certrack
+    >>> move = certrack.references.steps([1.0], [0.0, 0.5], slope=0.1)
+    >>> move.breaks(0, 10)
+    array([1., 6.])
     """
     times = checks.reals("reference.times", times, None, "times of the moves, s")
     if not times:
@@ -328,6 +372,16 @@ def samples(
         start and end with zero slope, so that holding keeps y_d' continuous (order 2).
     bound : float, optional
         D of Assumption 2.
+
+    Returns
+    -------
+    PiecewiseReference
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.references.samples([0, 1, 2], [0, 1, 0]).order
+    2
     """
     from scipy.interpolate import CubicSpline, PchipInterpolator
 

@@ -9,7 +9,9 @@ seen in advance shows in the outcome, and then the run is made again.
 from __future__ import annotations
 
 import warnings
-from functools import partial
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 import sympy
@@ -17,12 +19,13 @@ import sympy
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.heyoka import has_heyoka
-from certrack.core.lowering import numpy_callable, rows
-from certrack.integrators.base import Integrator, Outcome, Problem
+from certrack.core.lowering import NumpyFunction, numpy_callable, rows
+from certrack.core.progress import Progress, silent
+from certrack.integrators.base import Integrator, Outcome, Problem, Trajectory
 from certrack.integrators.single.scipy import ScipyIntegrator
 from certrack.integrators.single.taylor import TaylorIntegrator
 from certrack.loops.continuous import INTEGRALS, ClosedLoop, close_loop, parameter_values
-from certrack.references import pieces_at
+from certrack.references import Reference, pieces_at
 from certrack.simulation.run import Run
 from certrack.systems.system import System
 
@@ -61,6 +64,8 @@ RETRIES = {
 class ContinuousSimulator:
     """A system's continuous loop; every method is compiled when it is first used.
 
+    An integrator serves one run at a time: threads that run at once have one each.
+
     Parameters
     ----------
     system : System
@@ -69,12 +74,12 @@ class ContinuousSimulator:
     def __init__(self, system: System) -> None:
         self.system = system
         self.loop: ClosedLoop = close_loop(system)
-        self._integrators: dict[tuple[str, float], Integrator] = {}
+        self._idle: dict[tuple[str, float], list[Integrator]] = {}
         self._has_kinks = any(rate.has(*KINKED_FUNCTIONS) for rate in self.loop.rates)
         self._parameters = parameter_values(self.loop, system)
         self._input = numpy_callable([TIME, self.loop.states, self.loop.parameters], [self.loop.u])
 
-    def run(self, system: System) -> Run:
+    def run(self, system: System, progress: Progress = silent) -> Run:
         """Simulate a system whose loop is the compiled one in other numbers."""
         settings = system.settings
         parameters = (
@@ -89,17 +94,20 @@ class ContinuousSimulator:
             plant_order=self.loop.n,
             fastest_pole=system.controller.coordinates.fastest_pole,
             max_state=settings.max_state,
+            progress=progress,
         )
+        progress(0.0, settings.duration, None)
         method, notes = self._choose_method(system)
-        trajectory = self._integrator(method, settings.tolerance).integrate(problem)
+        trajectory = self._integrated(method, problem)
         retry = RETRIES.get((method, trajectory.outcome)) if settings.integrator == "auto" else None
         if retry:
             method, reason = retry
             notes.append(f"{reason} at t = {trajectory.end:g} s; run again with {method}.")
-            again = self._integrator(method, settings.tolerance).integrate(problem)
+            again = self._integrated(method, problem)
             missed = trajectory.outcome is Outcome.kink_missed
             trajectory = again if missed or again.end >= trajectory.end else trajectory
-        inputs = partial(self._inputs, system, parameters)
+        inputs = InputOf(self._input, system.reference, parameters)
+        progress(settings.duration, settings.duration, None)
         smooth = method == "taylor" or not self._has_kinks
         return Run(system, trajectory, inputs, tuple(notes), smooth)
 
@@ -133,21 +141,48 @@ class ContinuousSimulator:
             return "scipy", []
         return "taylor", []
 
-    def _integrator(self, method: str, tolerance: float) -> Integrator:
-        """The compiled method; only the Taylor method is compiled for one tolerance."""
+    def _integrated(self, method: str, problem: Problem) -> Trajectory:
+        """The solution by a method, whose integrator is taken from the idle ones."""
+        with self._integrator(method, problem.tolerance) as integrator:
+            return integrator.integrate(problem)
+
+    @contextmanager
+    def _integrator(self, method: str, tolerance: float) -> Iterator[Integrator]:
+        """An idle integrator, or a new one; the Taylor method's is for one tolerance only."""
         key = (method, tolerance if method == "taylor" else 0.0)
-        if key not in self._integrators:
-            self._integrators[key] = (
+        idle = self._idle.setdefault(key, [])
+        try:
+            integrator = idle.pop()  # in one step: no other thread gets the same
+        except IndexError:
+            integrator = (
                 TaylorIntegrator(self.loop, tolerance)
                 if method == "taylor"
                 else ScipyIntegrator(self.loop, implicit=method == "implicit")
             )
-        return self._integrators[key]
+        try:
+            yield integrator
+        finally:
+            idle.append(integrator)
 
-    def _inputs(
-        self, system: System, parameters: np.ndarray, t: np.ndarray, states: np.ndarray
-    ) -> np.ndarray:
-        """Control input u at times t, shape (N,)."""
+
+@dataclass(frozen=True)
+class InputOf:
+    """The control input u of a run at times t and states there, shape (N,).
+
+    Attributes
+    ----------
+    law : NumpyFunction
+        u as a function of time, states, and parameters with the pieces of the reference.
+    reference : Reference
+    parameters : (P,) array
+    """
+
+    law: NumpyFunction
+    reference: Reference
+    parameters: np.ndarray
+
+    def __call__(self, t: np.ndarray, states: np.ndarray) -> np.ndarray:
+        pieces = pieces_at(self.reference, t)
         with np.errstate(all="ignore"):
-            values = self._input(t, states, [*parameters.tolist(), *pieces_at(system.reference, t)])
+            values = self.law(t, states, [*self.parameters.tolist(), *pieces])
         return rows(values, len(t))[0]

@@ -15,6 +15,17 @@ import numpy as np
 #: Larger samples are of a run that escapes: their squares overflow, and no peak is refined there.
 MAX_REFINED = 1e100
 
+#: Metrics that tables show, and what they are called there.
+METRIC_LABELS = {
+    "settling_time": "settling time [s]",
+    "tail_error": "tail error",
+    "rms_error": "RMS error",
+    "integral_abs_error": "integral of |e_1|",
+    "peak_input": "peak input",
+    "input_energy": "input energy",
+    "input_variation": "variation of input",
+}
+
 
 @dataclass(frozen=True)
 class Metrics:

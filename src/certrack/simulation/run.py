@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -10,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from certrack.core.errors import InputError
+from certrack.core.errors import InputError, shorten
 from certrack.core.files import read_netcdf, write_netcdf
+from certrack.core.notebook import ShownInNotebooks
 from certrack.core.version import version
 from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.single.taylor import TaylorSeries
@@ -32,7 +34,7 @@ DEFAULT_BAND = 0.05
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(ShownInNotebooks):
     """One simulated run.
 
     Attributes
@@ -115,6 +117,14 @@ class Run:
             per_step=self.trajectory.parts + 1 if self.smooth_steps else 1,
         )
 
+    def __repr__(self) -> str:
+        metrics, trajectory = self.metrics, self.trajectory
+        end = f"{self.outcome.name} at {trajectory.end:g} s by {trajectory.method}"
+        found = f"tail error {metrics.tail_error:.5g}, peak input {metrics.peak_input:.5g}"
+        time = metrics.settling_time
+        settled = f"settled after {time:.4g} s" if math.isfinite(time) else "not settled"
+        return f"Run({shorten(self.system.title)!r}: {end}; {found}, {settled})"
+
     @property
     def final_state(self) -> dict[str, float]:
         """Simulated plant's and controller's states at the last time reached, by name."""
@@ -122,7 +132,19 @@ class Run:
         return dict(zip(names, self._states[: len(names), -1].tolist(), strict=True))
 
     def summary(self) -> dict[str, Any]:
-        """Metrics, final state and outcome, ready for JSON."""
+        """Metrics, final state and outcome, ready for JSON.
+
+        Returns
+        -------
+        dict
+
+        Examples
+        --------
+        >>> import certrack
+        >>> run = certrack.simulate(certrack.load("example1"))
+        >>> run.summary()["outcome"]
+        'finished'
+        """
         return {
             **self.metrics.as_dict(),
             "final_time": self.trajectory.end,
@@ -149,6 +171,13 @@ class Run:
             Variables ``x`` and ``e`` (time, state), ``u`` and ``y_d`` (time), ``estimate``
             (time, parameter), ``truth`` (time, truth_state) where the truth has states of its own;
             the attributes hold version, system text and metrics.
+
+        Examples
+        --------
+        >>> import certrack
+        >>> run = certrack.simulate(certrack.load("example1"))
+        >>> dict(run.dataset(samples=101).sizes)
+        {'time': 101, 'state': 2, 'parameter': 2}
         """
         import xarray
 
@@ -193,10 +222,26 @@ class Run:
     def save(self, path: str | Path, samples: int | None = None) -> None:
         """Write the dataset as NetCDF; the file appears only when it is complete.
 
+        Parameters
+        ----------
+        path : path
+        samples : int, optional
+            As for :meth:`dataset`.
+
+        Returns
+        -------
+        None
+
         Raises
         ------
         InputError
             If the file cannot be written.
+
+        Examples
+        --------
+        >>> import certrack
+        >>> run = certrack.simulate(certrack.load("example1"))
+        >>> run.save("run.nc")
         """
         write_netcdf(Path(path), self.dataset(samples))
 

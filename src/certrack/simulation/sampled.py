@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -12,7 +11,8 @@ from certrack.core.arrays import Array
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.heyoka import has_heyoka
-from certrack.core.lowering import numpy_callable, rows
+from certrack.core.lowering import NumpyFunction, numpy_callable, rows
+from certrack.core.progress import Progress, silent
 from certrack.integrators.base import Outcome, Trajectory
 from certrack.integrators.sampled.events import event_timeline
 from certrack.integrators.sampled.maps import HeyokaMaps, NumpyMaps, SampledMaps
@@ -22,7 +22,7 @@ from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop, loop_values, sample_loop
 from certrack.model.noise import keys
-from certrack.references import pieces_at
+from certrack.references import Reference, pieces_at
 from certrack.simulation.run import Run
 from certrack.systems.system import System
 
@@ -74,8 +74,8 @@ class SampledSimulator:
         names = [TIME, self.loop.plant.states, INPUT, [*self.loop.parameters, *self.loop.pieces]]
         self._rates = numpy_callable(names, [*self.loop.plant.rates, self.loop.e_1])
 
-    def run(self, system: System, progress: Callable[[float], None] = lambda _share: None) -> Run:
-        """Simulate `system`; `progress` gets the share that is done."""
+    def run(self, system: System, progress: Progress = silent) -> Run:
+        """Simulate `system`; `progress` gets the time reached."""
         implementation, settings = system.implementation, system.settings
         assert implementation is not None
         breaks = system.reference.breaks(0.0, settings.duration)
@@ -99,28 +99,44 @@ class SampledSimulator:
         def sampled(t: float, states: Array) -> None:
             record.add_sample(t, states)
             if len(record.samples) % SAMPLES_PER_REPORT == 0:
-                progress(t / settings.duration)
+                progress(t, settings.duration, None)
 
+        progress(0.0, settings.duration, None)
         run = SampledRun(self.maps, problem)
         run.run(on_sample=sampled, on_step=record.add_step)
         record.add_sample(float(line.times[-1]), run.states)
+        progress(settings.duration, settings.duration, None)
         outcome: Outcome = run.outcomes[0]
         if outcome is not Outcome.finished:
             record.drop_from(settings.max_state)
         times = np.array(record.ends)
-        slopes = partial(self._slopes, system, parameters[:, 0])
+        slopes = Slopes(self._rates, system.reference, parameters[:, 0])
         solution = record.solution(slopes, run.u[0])
         parts = PARTS if len(solution.ends) <= MAX_FINE_STEPS else COARSE_PARTS
         trajectory = Trajectory(times, solution, outcome, "sampled", parts)
-        return Run(system, trajectory, lambda t, _: solution.input(t))
+        return Run(system, trajectory, solution.input_at)
 
-    def _slopes(
-        self, system: System, parameters: Array, t: Array, x: Array, u: Array, begins: Array
-    ) -> Array:
-        """Rates of the plant's states and of the integrals, for steps that begin at `begins`."""
-        pieces = pieces_at(system.reference, begins * JUST_AFTER)
+
+@dataclass(frozen=True)
+class Slopes:
+    """Rates of the plant's states and of the integrals, for steps that begin at `begins`.
+
+    Attributes
+    ----------
+    rates : NumpyFunction
+        Those of the states, and e_1.
+    reference : Reference
+    parameters : (P,) array
+    """
+
+    rates: NumpyFunction
+    reference: Reference
+    parameters: Array
+
+    def __call__(self, t: Array, x: Array, u: Array, begins: Array) -> Array:
+        pieces = pieces_at(self.reference, begins * JUST_AFTER)
         with np.errstate(all="ignore"):
-            rates = rows(self._rates(t, x, u, [*parameters, *pieces]), len(t))
+            rates = rows(self.rates(t, x, u, [*self.parameters, *pieces]), len(t))
         e = rates[-1]
         return np.vstack([rates[:-1], np.array([u**2, e**2, e]) / INTEGRAL_SCALE])
 
@@ -226,6 +242,10 @@ class SampledSolution:
     def input(self, t: Array) -> Array:
         """The input that acts at the times t."""
         return self.inputs[self._step_at(np.asarray(t, dtype=float))]
+
+    def input_at(self, t: Array, _states: Array) -> Array:
+        """The same, called as the input of any run is."""
+        return self.input(t)
 
     def __call__(self, t: Array) -> Array:
         """Plant states, estimates and integrals at the times t."""

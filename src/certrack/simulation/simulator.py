@@ -6,10 +6,11 @@ other one in continuous time (:mod:`certrack.simulation.continuous`). Only that 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from certrack.core.errors import InputError
+from certrack.core.progress import Progress, silent
 from certrack.loops.continuous import ClosedLoop, close_loop
 from certrack.loops.sampled import SampledLoop, sample_loop
 from certrack.model.truth import Truth
@@ -52,11 +53,21 @@ class Simulator:
     def run(
         self,
         system: System | None = None,
-        progress: Callable[[float], None] = lambda _share: None,
+        progress: Progress = silent,
     ) -> Run:
         """Simulate `system`, by default the one given at construction.
 
-        `progress` gets the share that is done of a sampled run, which may take long.
+        Any number of threads may do so at once.
+
+        Parameters
+        ----------
+        system : System, optional
+        progress : callable
+            Gets the simulated time, the duration and None.
+
+        Returns
+        -------
+        Run
 
         Raises
         ------
@@ -68,9 +79,13 @@ class Simulator:
             raise InputError(
                 "system", "has another structure than the compiled one", remedy="Make a Simulator"
             )
-        if isinstance(self._simulator, SampledSimulator):
-            return self._simulator.run(system, progress)
-        return self._simulator.run(system)
+        return self._simulator.run(system, progress)
+
+    def __repr__(self) -> str:
+        return f"Simulator({self.system!r})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self.system,)  # compiled code stays here
 
     def _serves(self, system: System) -> bool:
         """Whether the compiled loop is that of `system`; its formulas are made only if needed."""
@@ -80,6 +95,23 @@ class Simulator:
             return True
         join = close_loop if system.implementation is None else sample_loop
         return join(system) == self.loop
+
+
+#: Simulators that a process keeps of those it was sent: each took seconds to compile, perhaps.
+MAX_RESTORED = 8
+
+
+def _restored(system: System) -> Simulator:
+    """The simulator that was pickled; one that is sent again and again is compiled once."""
+    try:
+        return _kept(system)
+    except TypeError:  # a reference or a law of the user's that has no hash
+        return Simulator(system)
+
+
+@lru_cache(maxsize=MAX_RESTORED)
+def _kept(system: System) -> Simulator:
+    return Simulator(system)
 
 
 def _same_structure(a: System, b: System) -> bool:
@@ -102,12 +134,14 @@ def _same_truth_structure(a: Truth, b: Truth) -> bool:
     return a.omega == b.omega and not b.states and not a.constants  # these may fill a coupling
 
 
-def simulate(system: System, **settings: Any) -> Run:
+def simulate(system: System, *, progress: Progress = silent, **settings: Any) -> Run:
     """Simulate a system once.
 
     Parameters
     ----------
     system : System
+    progress : callable
+        Gets the simulated time, the duration and None; see :mod:`certrack.core.progress`.
     **settings
         Override entries of :class:`certrack.Settings`, e.g. ``duration=5``. A stated tail keeps its
         share of the run where only the duration changes.
@@ -115,7 +149,14 @@ def simulate(system: System, **settings: Any) -> Run:
     Returns
     -------
     Run
+
+    Examples
+    --------
+    >>> import certrack
+    >>> run = certrack.simulate(certrack.load("example1"), duration=5)
+    >>> run.outcome.name
+    'finished'
     """
     if settings:
         system = system.with_settings(**settings)
-    return Simulator(system).run()
+    return Simulator(system).run(progress=progress)

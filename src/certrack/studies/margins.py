@@ -18,6 +18,8 @@ from scipy.optimize import brentq
 
 from certrack.core import checks
 from certrack.core.errors import InputError
+from certrack.core.notebook import ShownInNotebooks
+from certrack.core.progress import Progress, silent
 from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import MAX_DELAY, MAX_RUN_SAMPLES, Implementation
 from certrack.studies.ensembles import workers
@@ -97,9 +99,14 @@ class Margin:
             "errors": list(self.errors),
         }
 
+    def __repr__(self) -> str:
+        values = {"within": self.within, "bounded": self.bounded, "exact": self.exact}
+        shown = ", ".join(f"{name} {v:.4g}" for name, v in values.items() if v is not None)
+        return f"Margin({shown or 'none'}; {len(self.values)} values tried)"
+
 
 @dataclass(frozen=True)
-class Margins:
+class Margins(ShownInNotebooks):
     """Margins of a sampled loop.
 
     Attributes
@@ -140,6 +147,15 @@ class Margins:
             **{name: getattr(self, name).summary() for name in ("period", "delay", "saturation")},
         }
 
+    def __repr__(self) -> str:
+        def shown(value: float | None, unit: str) -> str:
+            return "none" if value is None else f"{value:.4g}{unit}"
+
+        period, delay = shown(self.period.within, " s"), shown(self.delay.within, " s")
+        lowest = shown(self.saturation.within, "")
+        found = f"period {period}, delay {delay}, saturation {lowest}"
+        return f"Margins(error {self.error:.5g} on {self.members} members: {found})"
+
 
 def margins(
     system: System,
@@ -147,7 +163,7 @@ def margins(
     error: float | None = None,
     members: int = 64,
     seed: int = 0,
-    progress: Callable[[str, int], None] = lambda _what, _done: None,
+    progress: Progress = silent,
 ) -> Margins:
     """Search the margins of a system's controller on a real drive.
 
@@ -163,12 +179,23 @@ def margins(
         Of the population, tried at every value.
     seed : int
     progress : callable
-        Gets what is searched and how many values were tried.
+        Gets how many values were tried, None and None.
+
+    Returns
+    -------
+    Margins
 
     Raises
     ------
     InputError
         If an argument does not fit.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> found = certrack.margins(certrack.load("dual-motor-lean"), members=8)
+    >>> found.period.within < found.period.bounded
+    True
     """
     checks.integer("members", members, 1, 100_000)
     checks.integer("seed", seed, 0, 2**63)
@@ -185,7 +212,6 @@ def margins(
     linear = linear_loop(system)
     sweep = _Sweep(finest, VALUE_RATIO, duration / LAST_RUN_SAMPLES)
     period = trials.search(
-        "period",
         lambda T: replace(base, period=T),
         sweep,
         admitted,
@@ -195,23 +221,21 @@ def margins(
     base = replace(base, period=at)
     sweep = _Sweep(at / 5, VALUE_RATIO, MAX_DELAY * at)
     delay = trials.search(
-        "delay",
         lambda D: replace(base, delay=D / at),
         sweep,
         admitted,
         _stability_edge(linear, lambda D: (at, D / at), sweep),
     )
-    unlimited = trials.worst("saturation", replace(base, saturation=UNLIMITED_INPUT))
+    unlimited = trials.worst(replace(base, saturation=UNLIMITED_INPUT))
     peak = trials.peak
     if saturation is not None and not unlimited <= admitted:  # begin where it is known to serve
         peak = max(map(abs, saturation)) / 2
     lowest = trials.search(
-        "saturation",
         lambda u: replace(base, saturation=(-u, u)),
         _Sweep(2 * peak, 1 / VALUE_RATIO, LOWEST_SATURATION * peak),
         admitted,
     )
-    as_given = None if implementation is None else trials.worst("as in the file", base)
+    as_given = None if implementation is None else trials.worst(base)
     return Margins(admitted, origin, members, at, as_given, period, delay, lowest)
 
 
@@ -239,14 +263,14 @@ def _finest_sampling(
     never do, the shortest period tried is returned.
     """
     period = coarse.period
-    error = trials.worst("period", coarse)
+    error = trials.worst(coarse)
     if math.isfinite(error):
         return period, error
     for _ in range(MAX_HALVINGS):
         if 2 * duration / period > MAX_RUN_SAMPLES:
             break
         finishes, period = math.isfinite(error), period / 2
-        error = trials.worst("period", replace(coarse, period=period))
+        error = trials.worst(replace(coarse, period=period))
         if finishes:
             break
     return period, error
@@ -273,23 +297,20 @@ class _Sweep:
 class _Trials:
     """Members under other implementations, compiled once."""
 
-    def __init__(
-        self, system: System, members: int, seed: int, progress: Callable[[str, int], None]
-    ) -> None:
+    def __init__(self, system: System, members: int, seed: int, progress: Progress) -> None:
         self._members, self._progress, self._done, self.peak = members, progress, 0, 0.0
         problem = EnsembleProblem(system, seed, MARGIN_TOLERANCE)
         self._method = fastest_adjustable(problem, workers.cores())
 
-    def worst(self, what: str, implementation: Implementation) -> float:
+    def worst(self, implementation: Implementation) -> float:
         """Worst tail error of the members."""
         error, self.peak = self._method.extremes(self._members, implementation)
         self._done += 1
-        self._progress(what, self._done)
+        self._progress(self._done, None, None)
         return error
 
     def search(
         self,
-        what: str,
         implementation: Callable[[float], Implementation],
         sweep: _Sweep,
         admitted: float,
@@ -300,7 +321,7 @@ class _Trials:
 
         def error_at(value: float) -> float:
             if value not in tried:
-                tried[value] = self.worst(what, implementation(value))
+                tried[value] = self.worst(implementation(value))
             return tried[value]
 
         bounded, unlimited = _edge(error_at, sweep, BOUNDED_FACTOR * admitted)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy
@@ -10,7 +11,9 @@ from sympy.printing.latex import LatexPrinter
 
 from certrack.core.expressions import symbol
 from certrack.laws.base import Signals, dot
-from certrack.systems.system import System
+
+if TYPE_CHECKING:
+    from certrack.systems.system import System
 
 #: Significant digits of the numbers in printed formulas.
 PRINTED_DIGITS = 6

@@ -50,7 +50,19 @@ REQUIRED_SECTIONS = SECTIONS[1:6]
 
 
 def catalog() -> dict[str, str]:
-    """Names and titles of the shipped systems."""
+    """Names and titles of the shipped systems.
+
+    Returns
+    -------
+    dict
+        Title by name.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.catalog()["example1-classic"]
+    'Second-order benchmark (Actuators 14:367, Example 1), classic law'
+    """
     folder = files("certrack.systems") / "catalog"
     names = sorted(
         entry.name.removesuffix(".toml")
@@ -63,7 +75,18 @@ def catalog() -> dict[str, str]:
 
 
 def starter() -> str:
-    """Text of a commented system file to begin with."""
+    """Text of a commented system file to begin with.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.loads(certrack.starter()).law.kind
+    'adaptive'
+    """
     return (files("certrack.systems") / "starter.toml").read_text("utf-8")
 
 
@@ -83,6 +106,12 @@ def load(source: str | os.PathLike[str]) -> System:
     ------
     InputError
         If the file cannot be read or anything in it does not fit.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.load("example1").plant.states
+    ('x1', 'x2')
     """
     path = Path(source)
     try:
@@ -139,6 +168,13 @@ def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -
     ------
     InputError
         If anything in it does not fit; it names the key and the line.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> text = certrack.to_text(certrack.load("example1"))
+    >>> certrack.loads(text) == certrack.load("example1")
+    True
     """
     try:
         decoded = _decoded(text)

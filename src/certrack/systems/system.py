@@ -7,14 +7,16 @@ from functools import cached_property
 from typing import Any
 
 from certrack.core import checks
-from certrack.core.errors import InputError
+from certrack.core.errors import InputError, shorten
 from certrack.core.keys import check_fields, keyed, set_fields
+from certrack.core.notebook import ShownInNotebooks
 from certrack.laws.base import Controller, Law
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth
 from certrack.references import Reference, check_reference, require_order
+from certrack.systems.design import Design, design
 
 #: More periods of the reference than this in a run are refused: each is several pieces to stop at.
 MAX_REPEATS = 20_000
@@ -104,7 +106,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class System:
+class System(ShownInNotebooks):
     """Plant, truth, reference, law and settings that fit each other.
 
     A population, if given, says what varies between the members of an ensemble; an implementation,
@@ -192,6 +194,21 @@ class System:
         """The law made for the plant."""
         return self.law.design(self.plant)
 
+    def design(self) -> Design:
+        """Error coordinates, virtual controls and control law, as numbers and as formulas.
+
+        Returns
+        -------
+        Design
+
+        Examples
+        --------
+        >>> import certrack
+        >>> certrack.load("example1").design().coordinates.n
+        2
+        """
+        return design(self)
+
     @property
     def varied(self) -> Population:
         """What varies between the members of an ensemble: as stated, or by default."""
@@ -202,14 +219,54 @@ class System:
         """Names of the simulated plant's states: the truth's own, or those of the design."""
         return self.truth.states or self.plant.states
 
+    def __repr__(self) -> str:
+        implementation = self.implementation
+        how = (
+            "continuous" if implementation is None else f"sampled every {implementation.period:g} s"
+        )
+        text = f"{self.law.kind} law, order {self.plant.n}, {how}, {self.settings.duration:g} s"
+        return f"System({shorten(self.title)!r}: {text})"
+
     def replace(self, **changes: Any) -> System:
-        """A copy with some parts replaced, checked again."""
+        """A copy with some parts replaced, checked again.
+
+        Parameters
+        ----------
+        **changes
+            Parts by name.
+
+        Returns
+        -------
+        System
+
+        Examples
+        --------
+        >>> import certrack
+        >>> system = certrack.load("example1")
+        >>> system.replace(title="mine").title
+        'mine'
+        """
         return replace(self, **changes)
 
     def with_settings(self, **changes: Any) -> System:
         """A copy with some settings replaced.
 
         A stated tail keeps its share of the run where only the duration changes.
+
+        Parameters
+        ----------
+        **changes
+            Entries of :class:`Settings` by name.
+
+        Returns
+        -------
+        System
+
+        Examples
+        --------
+        >>> import certrack
+        >>> certrack.load("example1").with_settings(x0=(0, 0)).settings.x0
+        (0.0, 0.0)
         """
         tail, duration = self.settings.tail, changes.get("duration")
         if tail is not None and "tail" not in changes and isinstance(duration, (int, float)):

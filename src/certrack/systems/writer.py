@@ -26,7 +26,22 @@ from certrack.systems.system import System
 
 
 def to_text(system: System) -> str:
-    """The system as TOML text that :func:`loads` turns into an equal system."""
+    """The system as TOML text that :func:`loads` turns into an equal system.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.to_text(certrack.load("dual-motor")).splitlines()[0]
+    'title = "Dual-motor drive servo (Actuators 14:367, Example 2)"'
+    """
     import tomlkit
 
     document = tomlkit.document()
@@ -65,11 +80,27 @@ def _shelve(values: list[Any], shelf: list[list[Any]]) -> Any:
 def save(system: System, path: str | os.PathLike[str]) -> None:
     """Write a system file; it appears only when it is complete.
 
+    Parameters
+    ----------
+    system : System
+    path : path
+
+    Returns
+    -------
+    None
+
     Raises
     ------
     InputError
         If the law is not registered, so that nobody could load the file, or the file cannot be
         written.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.save(certrack.load("example1"), "mine.toml")
+    >>> certrack.load("mine.toml") == certrack.load("example1")
+    True
     """
     if known_laws().get(system.law.kind) is not type(system.law):
         raise InputError(

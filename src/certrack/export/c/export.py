@@ -65,10 +65,21 @@ def export_c(
     period : float > 0, s, optional
         Instead of that of the system's implementation; needed if it has none.
 
+    Returns
+    -------
+    Exported
+
     Raises
     ------
     InputError
         If something does not fit, or the folder cannot be written to.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> written = certrack.export_c(certrack.load("example1"), "firmware", "drive", period=0.001)
+    >>> [path.name for path in written.files]
+    ['drive.h', 'drive.c', 'drive_test.c', 'README.md']
     """
     code = c_code(system, name, real=real, period=period)
     return Exported(code.name, write_all(Path(folder), c_files(code)), code.notes)

@@ -75,12 +75,23 @@ def simulate_with_c(system: System) -> Run:
     system : System
         With an implementation.
 
+    Returns
+    -------
+    Run
+
     Raises
     ------
     InputError
         If it has none.
     CompilerError
         If there is no C compiler, or it failed.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> run = certrack.simulate_with_c(certrack.load("dual-motor-drive"))
+    >>> run.outcome.name
+    'finished'
     """
     if system.implementation is None:
         raise InputError(

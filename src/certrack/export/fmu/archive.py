@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import platform
 import sys
 import uuid
@@ -20,6 +21,7 @@ from pathlib import Path
 from certrack.core import checks
 from certrack.core.compilers import shared_library
 from certrack.core.errors import InputError
+from certrack.core.files import write_bytes
 from certrack.export.c.source import CCode, c_code
 from certrack.export.fmu.description import DESCRIPTIONS, documentation_page
 from certrack.export.identifiers import stem
@@ -100,6 +102,48 @@ def fmu(
         | {"documentation/licenses/fmi-headers.txt": licence.encode()}
         | {f"binaries/{folder}/{code.name}{suffix}": binary}
     )
+
+
+def export_fmu(
+    system: System,
+    path: str | os.PathLike[str],
+    *,
+    version: str = "2",
+    period: float | None = None,
+) -> Path:
+    """Write the controller as an FMU, whole or not at all.
+
+    Parameters
+    ----------
+    system : System
+    path : path
+        NAME.fmu; NAME names the model.
+    version : {"2", "3"}
+        Of FMI.
+    period : float > 0, s, optional
+        Instead of that of the implementation; needed if the system has none.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If there is no period, FMI has no name for this machine, or the file cannot be written.
+    CompilerError
+        If there is no C compiler, or it failed.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.export_fmu(certrack.load("dual-motor-drive"), "drive.fmu").name
+    'drive.fmu'
+    """
+    file = Path(path)
+    write_bytes(file, fmu(system, file.name, version=version, period=period))
+    return file
 
 
 def _sources(code: CCode, version: str) -> dict[str, str]:

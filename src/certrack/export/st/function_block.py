@@ -5,11 +5,14 @@ Only what every controller understands: IF, arithmetic and the standard's functi
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import sympy
 
+from certrack.core.files import write_text
 from certrack.core.version import version
 from certrack.export.identifiers import stem
 from certrack.export.program import (
@@ -98,6 +101,38 @@ def structured_text(
         "END_FUNCTION_BLOCK",
     ]
     return "\n".join(lines) + "\n"
+
+
+def export_st(system: System, path: str | os.PathLike[str], *, period: float | None = None) -> Path:
+    """Write the controller as a function block in Structured Text, whole or not at all.
+
+    Parameters
+    ----------
+    system : System
+    path : path
+        NAME.st; NAME names the block.
+    period : float > 0, s, optional
+        Instead of that of the implementation; needed if the system has none.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If there is no period, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.export_st(certrack.load("example1"), "drive.st", period=0.001).name
+    'drive.st'
+    """
+    file = Path(path)
+    write_text(file, structured_text(system, file.name, period=period))
+    return file
 
 
 def _identifiers(program: ControllerProgram, used_names: set[str]) -> dict[sympy.Symbol, str]:

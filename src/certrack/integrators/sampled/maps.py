@@ -7,6 +7,7 @@ the plant takes steps of the pair of Dormand and Prince (order 5, error control 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from threading import local
 from typing import Any, Protocol
 
 import numpy as np
@@ -145,7 +146,7 @@ class HeyokaMaps:
         options = {"batch_size": LANES, "force_avx512": True} if vector else {}
         self._control = hy.cfunc(*self._control_formulas(hy), **options)
         self._step = hy.cfunc(*self._step_formulas(hy), **options)
-        self._buffers: dict[tuple[int, int], Array] = {}
+        self._of_thread = local()  # a thread's own, so that threads may share the maps
 
     def control(self, t: Scalar, measured: Array, states: Array, p: Array) -> tuple[Array, Array]:
         values = self._call(self._control, (t, 0.0, 0.0), (measured, states), p)
@@ -160,9 +161,10 @@ class HeyokaMaps:
     def _call(self, function: Any, step: Sequence[Any], inputs: Sequence[Array], p: Array) -> Array:
         count = inputs[0].shape[1]
         key = (function.nparams, count)
-        if key not in self._buffers:
-            self._buffers[key] = np.empty(key)
-        table = self._buffers[key]
+        tables: dict[Any, Array] = self._of_thread.__dict__
+        if key not in tables:
+            tables[key] = np.empty(key)
+        table = tables[key]
         for row, value in zip(table, step, strict=False):
             row[:] = value
         table[self.STEP_ROWS :] = p[: max(0, function.nparams - self.STEP_ROWS)]

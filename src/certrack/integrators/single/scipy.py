@@ -83,6 +83,7 @@ def _advance(solver: Any, problem: Problem, times: list[float], pieces: list[Any
     """Step the solver to the end of its segment."""
     n = problem.plant_order
     while solver.status == "running":
+        problem.progress(times[-1], problem.duration, None)
         with np.errstate(all="ignore"):
             solver.step()
         if solver.status == "failed":

@@ -29,6 +29,9 @@ MAX_EMPTY_STEPS = 3
 #: Length of the step by the Taylor series that leaves such a kink, s.
 LEAVING_STEP = 1e-6
 
+#: Steps after which the progress is reported.
+STEPS_PER_REPORT = 1024
+
 
 class TaylorIntegrator:
     """A compiled closed loop; an :class:`~certrack.integrators.base.Integrator`.
@@ -105,18 +108,18 @@ class TaylorIntegrator:
             ta.time = begin
             if switches is not None:
                 switches.set(ta)
-            end, outcome = self._segment(begin, stop, problem.max_steps, steps, careful)
+            end, outcome = self._segment(begin, stop, problem, steps, careful)
             if outcome is not Outcome.finished:
                 break
         return _trajectory(steps, end, outcome, problem), steps
 
     def _segment(
-        self, begin: float, stop: float, max_steps: int, steps: _StepRecord, careful: bool
+        self, begin: float, stop: float, problem: Problem, steps: _StepRecord, careful: bool
     ) -> tuple[float, Outcome]:
         """Step from `begin` to `stop`, recording the Taylor coefficients of every step."""
         ta, switches = self._integrator, self._switches
         step, tc, k, starts, table = ta.step, ta.tc, steps.count, steps.starts, steps.table
-        empty = stalled = 0
+        empty, stalled, max_steps = 0, 0, problem.max_steps
         while True:  # the hot loop: heyoka's step takes about as long as two Python calls
             if switches is not None:
                 switches.record(ta)
@@ -152,6 +155,8 @@ class TaylorIntegrator:
             if k >= max_steps:
                 result = begin, Outcome.step_limit
                 break
+            if not k % STEPS_PER_REPORT:
+                problem.progress(begin, problem.duration, None)
             if switches is not None and int(outcome) >= 0:
                 switches.set(ta, skip=int(outcome))
         steps.count = k

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from certrack.core import checks
-from certrack.core.errors import InputError
+from certrack.core.errors import InputError, shorten
+from certrack.core.notebook import ShownInNotebooks
+from certrack.core.progress import Progress, silent
 from certrack.integrators.base import MethodUnavailable, Outcome
 from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
@@ -43,7 +45,7 @@ MIN_TOLERANCE, MAX_TOLERANCE = 1e-13, 1e-2
 
 
 @dataclass(frozen=True)
-class Ensemble:
+class Ensemble(ShownInNotebooks):
     """Statistics of many members.
 
     Attributes
@@ -69,6 +71,18 @@ class Ensemble:
     computed: int
     seconds: float
 
+    def __repr__(self) -> str:
+        tail = self.statistics.metrics["tail_error"]
+        median, largest = (
+            "-" if value is None else f"{value:.5g}"
+            for value in (tail.quantile(0.5), tail.summary()["max"])
+        )
+        found = f"tail error: median {median}, largest {largest}"
+        if self.limit is not None:
+            found += f"; {self.statistics.violations} beyond {self.limit:.5g}"
+        title = shorten(self.system.title)
+        return f"Ensemble({title!r}: {self.members} members, seed {self.seed}; {found})"
+
     @cached_property
     def _members(self) -> Members:
         return Members(self.system, self.seed)
@@ -89,11 +103,43 @@ class Ensemble:
         return ("e_1", *self.system.plant.states, "u")
 
     def member(self, index: int) -> System:
-        """Member `index` as a system of its own."""
+        """Member `index` as a system of its own.
+
+        Parameters
+        ----------
+        index : int
+
+        Returns
+        -------
+        System
+
+        Examples
+        --------
+        >>> import certrack
+        >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
+        >>> result.member(3).truth == result.member(4).truth
+        False
+        """
         return self._members.member(index)
 
     def run(self, index: int) -> Run:
-        """The full run of member `index`; all members share one compiled simulator."""
+        """The full run of member `index`; all members share one compiled simulator.
+
+        Parameters
+        ----------
+        index : int
+
+        Returns
+        -------
+        Run
+
+        Examples
+        --------
+        >>> import certrack
+        >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
+        >>> result.run(3).outcome.name
+        'finished'
+        """
         return self._members.run(index)
 
     def per_member(self) -> tuple[np.ndarray, np.ndarray]:
@@ -175,7 +221,19 @@ class Ensemble:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Ready for JSON.
+
+        Returns
+        -------
+        dict
+
+        Examples
+        --------
+        >>> import certrack
+        >>> system = certrack.load("example1")
+        >>> certrack.ensemble(system, members=64, method="lockstep").summary()["outcomes"]
+        {'finished': 64}
+        """
         statistics = self.statistics
         metrics = {name: tally.summary() for name, tally in statistics.metrics.items()}
         worst = [{"member": index, "tail_error": value} for value, index in statistics.worst]
@@ -196,7 +254,19 @@ class Ensemble:
         }
 
     def dataset(self) -> xarray.Dataset:
-        """Quantile bands with labels and units."""
+        """Quantile bands with labels and units.
+
+        Returns
+        -------
+        xarray.Dataset
+
+        Examples
+        --------
+        >>> import certrack
+        >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
+        >>> result.dataset().quantiles.dims
+        ('level', 'signal', 'time')
+        """
         import xarray
 
         units = self.system.plant.units or ("1",) * (self.system.plant.n + 1)
@@ -225,7 +295,7 @@ def ensemble(
     out: Path | str | None = None,
     client: Any = None,
     per_member: bool | None = None,
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Progress = silent,
 ) -> Ensemble:
     """Simulate many members of a system's population and keep their statistics.
 
@@ -260,12 +330,24 @@ def ensemble(
         Keep the metrics of every member, for :meth:`Ensemble.frame` and :func:`certrack.paired`; by
         default where there are at most 100,000.
     progress : callable
-        Gets the members done and in all.
+        Gets the members done, their number in all and the largest tail error. Where it raises,
+        finished chunks stay in `out`.
+
+    Returns
+    -------
+    Ensemble
 
     Raises
     ------
     InputError
         If an argument does not fit or the folder cannot be written.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> result = certrack.ensemble(certrack.load("example1"), members=64)
+    >>> result.members, result.violations()["count"]
+    (64, 0)
     """
     checks.integer("members", members, 1, MAX_MEMBERS)
     checks.integer("seed", seed, 0, 2**63)
@@ -286,7 +368,7 @@ def ensemble(
     covered = [] if checkpoints is None else checkpoints.load(total, members)
     missing = list(_missing(covered, members, chunk))
     wanted = sum(end - begin for begin, end in missing)
-    progress(members - wanted, members)
+    progress(members - wanted, members, _largest(total))
     seconds = 0.0
     if engine is None:
         results = workers.on_cluster(plan, missing, client)
@@ -300,8 +382,13 @@ def ensemble(
         if checkpoints is not None:
             checkpoints.save(span, statistics.packed())
             checkpoints.gather(total, covered)
-        progress(total.members, members)
+        progress(total.members, members, _largest(total))
     return Ensemble(system, seed, total, limit, origin, wanted, seconds)
+
+
+def _largest(total: Statistics) -> float | None:
+    """The largest tail error so far."""
+    return total.worst[0][0] if total.worst else None
 
 
 def _prepared(

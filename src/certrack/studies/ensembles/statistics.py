@@ -80,6 +80,17 @@ class Bands:
         """What the bands count in, for each signal."""
         return self.scale * 2.0**-FINEST_OCTAVE
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Only the bins in which there is something: most are empty."""
+        filled = np.flatnonzero(self.counts)
+        bins = {"filled": filled, "counts": self.counts.reshape(-1)[filled]}
+        return {"centre": self.centre, "scale": self.scale} | bins
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.centre, self.scale = state["centre"], state["scale"]
+        self.counts = np.zeros(counts_shape(*self.centre.shape), dtype=np.int32)
+        self.counts.reshape(-1)[state["filled"]] = state["counts"]
+
     def observe(self, signal: int, k: int, values: np.ndarray) -> None:
         """Count `values` of a signal at grid time k; NaN counts as missing."""
         with np.errstate(over="ignore", invalid="ignore"):

@@ -7,7 +7,6 @@ transient; the best case is polished alone, written as a system file and replaye
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.optimize import differential_evolution, minimize
 
 from certrack.core.errors import InputError
 from certrack.core.heyoka import has_heyoka
+from certrack.core.progress import Progress, silent
 from certrack.integrators.base import Outcome
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.loop import AdversarialLoop
@@ -48,7 +48,7 @@ def falsify(
     *,
     budget: int = 6000,
     seed: int = 0,
-    progress: Callable[[int, float], None] = lambda _n, _worst: None,
+    progress: Progress = silent,
 ) -> Falsification:
     """Search the worst admissible case of `system`.
 
@@ -62,13 +62,24 @@ def falsify(
     seed : int
         Of the population.
     progress : callable
-        Gets the runs so far and the worst error so far.
+        Gets the runs so far, the budget and the worst error so far.
+
+    Returns
+    -------
+    Falsification
 
     Raises
     ------
     InputError
         If heyoka is missing, a bound of the reference cannot be proven, or the truth has states
         of its own.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> found = certrack.falsify(certrack.load("dual-motor-lean"), budget=200)
+    >>> bool(found.worst_error <= certrack.certify(certrack.load("dual-motor-lean")).best.bound)
+    True
     """
     if system.truth.states:
         raise InputError(
@@ -80,7 +91,8 @@ def falsify(
         raise InputError(
             "falsify", "needs heyoka, which is not installed", remedy="conda-forge has it"
         )
-    search = _Search(AdversarialLoop(system.replace(implementation=None)), progress)
+    progress(0, budget, None)
+    search = _Search(AdversarialLoop(system.replace(implementation=None)), budget, progress)
     evolved = search.evolve(budget, seed)
     candidates = (evolved, search.polish(evolved, budget))
     best = min(candidates, key=lambda genes: float(search.scores(genes[:, None])[0]))
@@ -91,8 +103,9 @@ def falsify(
 class _Search:
     """Maximise the error over an adversary's genes; counts the runs and reports them."""
 
-    def __init__(self, loop: AdversarialLoop, progress: Callable[[int, float], None]) -> None:
+    def __init__(self, loop: AdversarialLoop, budget: int, progress: Progress) -> None:
         self.loop, self._progress, self.evaluations = loop, progress, 0
+        self._budget, self._worst = budget, 0.0
         self._bounds = [(gene.low, gene.high) for gene in loop.adversary.genes]
         self._low, self._high = np.array(self._bounds).T
 
@@ -101,7 +114,8 @@ class _Search:
         genes = points.reshape(len(self._bounds), -1)
         self.evaluations += genes.shape[1]
         errors = self.loop.errors(genes)
-        self._progress(self.evaluations, float(errors.max()))
+        self._worst = max(self._worst, float(errors.max()))
+        self._progress(self.evaluations, self._budget, self._worst)
         return -errors
 
     def evolve(self, budget: int, seed: int) -> np.ndarray:

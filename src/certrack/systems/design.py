@@ -1,0 +1,98 @@
+"""The design of a system: what the recursion and the law give, as numbers and as formulas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from certrack.core.notebook import ShownInNotebooks
+from certrack.laws.backstepping import ErrorCoordinates
+from certrack.systems import formulas
+
+if TYPE_CHECKING:
+    from certrack.systems.system import System
+
+
+@dataclass(frozen=True)
+class Design(ShownInNotebooks):
+    """Result of :func:`design`.
+
+    Attributes
+    ----------
+    title : str
+    kind : str
+        Of the law.
+    coordinates : ErrorCoordinates
+        A, B, kappa, eta, d and the poles of the error system.
+    formulas : texts
+        Virtual controls, control law and update laws, a line each.
+    latex : str
+        The same as an ``align*`` environment.
+    """
+
+    title: str
+    kind: str
+    coordinates: ErrorCoordinates
+    formulas: tuple[str, ...]
+    latex: str
+
+    def summary(self) -> dict[str, Any]:
+        """Ready for JSON, but for arrays.
+
+        Returns
+        -------
+        dict
+        """
+        found = self.coordinates
+        poles = sorted(found.poles, key=lambda pole: (pole.real, pole.imag))
+        return {
+            "A": found.A,
+            "B": found.B if found.q else found.B[:, 0],
+            "kappa": found.kappa,
+            "eta": found.eta,
+            "d": found.d if found.q else found.d[:, 0],
+            "R": found.R,
+            "nu_x": found.nu_x,
+            "nu_Y": found.nu_Y,
+            "feedforward": found.q,
+            "error_poles": [[pole.real, pole.imag] for pole in poles],
+            "law": list(self.formulas),
+            "latex": self.latex,
+        }
+
+    def __repr__(self) -> str:
+        n, q = self.coordinates.n, self.coordinates.q
+        return f"Design({self.kind} law, order {n}, feed-forward order {q})"
+
+    def __str__(self) -> str:
+        """The formulas, and how fast the error system is."""
+        damping = ", ".join(f"{value:.6g}" for value in self.coordinates.kappa)
+        pole = self.coordinates.fastest_pole
+        end = f"kappa = ({damping}) 1/s; fastest error pole {pole:.4g} 1/s"
+        return "\n".join([*self.formulas, "", end])
+
+
+def design(system: System) -> Design:
+    """The error coordinates, virtual controls and control law of a system.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    Design
+
+    Examples
+    --------
+    >>> import certrack
+    >>> print(certrack.design(certrack.load("example1-classic")).formulas[0])
+    e_1 = x1 - y_d
+    """
+    return Design(
+        title=system.title,
+        kind=system.law.kind,
+        coordinates=system.controller.coordinates,
+        formulas=tuple(formulas.as_text(system)),
+        latex=formulas.as_latex(system),
+    )
