@@ -286,7 +286,8 @@ def certificates_table(results: Certificates) -> Table:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = notes[kind] if entry.exists else entry.reason
-        rows.append([kind, printed_bound(entry.bound if entry.exists else None), checked, text])
+        bound = printed_bound(entry.bound if entry.exists else None, BOUND_TEXT_DIGITS)
+        rows.append([kind, bound, checked, text])
     return table("limsup |e_1| <=", ["certificate", "bound", "verified", "note"], rows)
 
 
