@@ -21,7 +21,7 @@ from certrack.core.lowering import numpy_callable, rows
 from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
 from certrack.loops.plant import true_constants
 from certrack.model.distribution import Distribution
-from certrack.model.plant import Plant
+from certrack.model.plant import Plant, refuse_prefix
 from certrack.model.sampling import probabilities
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
@@ -56,9 +56,7 @@ class Members:
         self.system, self.seed = system, seed
         self.population = system.varied
         self._refuse_unscalable()
-        for name in system.plant.constant_values:
-            if name.startswith("member_"):
-                raise InputError(f"plant.constants.{name}", "is reserved here", remedy="Rename it")
+        refuse_prefix(system.plant, "member_", "an ensemble")
         self.columns = self._columns()
         self.template = self._system(
             {name: (d.low + d.high) / 2 for name, d in self.columns.items()}, written=False
@@ -236,8 +234,6 @@ class Members:
     def _omega(self, point: dict[str, float], *, written: bool) -> tuple[str, ...]:
         """w_k = (sum_j a_kj sin(w_kj t + p_kj)) (gamma_k ||x|| + beta_k)."""
         plant, u = self.system.plant, self.system.plant.uncertainty
-        square = " + ".join(f"{x}**2" for x in plant.states)
-        norm = f"(sqrt({square} + {NORM_OFFSET**2!r}) - {NORM_OFFSET!r})"
 
         def number(name: str) -> str:
             return f"({point[name]!r})" if written else name
@@ -252,9 +248,8 @@ class Members:
                 f"*sin({number(f'member_sine_w{k}_{j}')}*t + {number(f'member_sine_p{k}_{j}')})"
                 for j in range(self.population.sines)
             )
-            limit = [f"{u.gamma[k]!r}*{norm}"] if u.gamma[k] else []
-            limit += [repr(u.beta[k])] if u.beta[k] else []
-            terms.append(f"({' + '.join(parts)})*({' + '.join(limit)})")
+            bound = u.bound_formula(k, plant.states, NORM_OFFSET)
+            terms.append(f"({' + '.join(parts)})*({bound})")
         return tuple(terms)
 
     def _reference(self, point: dict[str, float]) -> Any:
