@@ -42,7 +42,7 @@ MAX_VALUES = 60
 #: A loop counts as bounded while its error is below so many times the admitted one.
 BOUNDED_FACTOR = 100.0
 
-#: Of the integrator.
+#: Tolerance of the integrator.
 MARGIN_TOLERANCE = 1e-6
 
 #: Stands for no saturation.
@@ -114,7 +114,7 @@ class Margins:
     period : Margin, s
     delay : Margin, s
     saturation : Margin, unit of the input
-        Of the symmetric limits +-u.
+        The lowest symmetric limits +-u.
     """
 
     error: float
@@ -157,7 +157,7 @@ def margins(
         Admitted tail error; by default the population's limit, the certified bound where it covers
         the population, else twice the worst tail error of the finest sampling.
     members : int
-        Of the population, tried at every value.
+        Members of the population, tried at every value.
     seed : int
     progress : callable
         Gets what is searched and how many values were tried.

@@ -47,13 +47,13 @@ class EnsembleProblem:
     system : System
     seed : int
     tolerance : float
-        Of the integrators.
+        Tolerance of the integrators.
 
     Attributes
     ----------
     members : Members
     times : (T,) array, s
-        Of the bands.
+        Times of the bands.
     segments : Segments
     """
 
@@ -81,14 +81,14 @@ class EnsembleProblem:
         return table
 
     def shared_values(self, time: float) -> np.ndarray:
-        """Of the shared symbols: whether the tail has begun, the reference's piece."""
+        """Values of the shared symbols: whether the tail has begun, the reference's piece."""
         tail = float(time >= self.system.settings.tail_start)
         return np.concatenate([[tail], self.system.reference.piece_values(time)])
 
     def starts_and_parameters(
         self, begin: int, end: int
     ) -> tuple[np.ndarray, dict[sympy.Symbol, np.ndarray]]:
-        """Of the members begin ... end-1: starts (S, N), and what varies, by symbol."""
+        """Starts (S, N) of the members begin ... end-1, and what varies between them, by symbol."""
         starts, table = self.members.table(begin, end)
         band = np.full(end - begin, self._settling_band)
         amplitude = table.get(AMPLITUDE)

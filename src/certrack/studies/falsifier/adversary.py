@@ -25,7 +25,7 @@ from certrack.references import SymbolicReference
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
 from certrack.systems.system import System
 
-#: Of a disturbance's pattern: tanh(30 y) is a sign but for 3 % of y's range.
+#: Largest hardness of a disturbance's pattern: tanh(30 y) is a sign but for 3 % of y's range.
 MAX_HARDNESS = 30.0
 
 #: Range of the pattern's frequencies, rad/s, if the design allows them: faster ones average out.
@@ -133,7 +133,7 @@ class ReferenceShape(AdversaryPart):
     ----------
     bounds : (Y_0, ..., Y_{q+1})
     fastest : float, rad/s
-        Of the patterns.
+        The fastest frequency of the patterns.
     """
 
     bounds: tuple[float, ...]

@@ -25,8 +25,8 @@ from certrack.systems.system import System
 #: multiple of what the integrator runs side by side.
 MIN_POPULATION, MAX_POPULATION = 32, 96
 
-#: Of differential evolution, within the usual ranges: the differences that are added are scaled by
-#: a random factor of this interval, and a candidate takes this share of its numbers from the sum.
+#: Numbers of differential evolution, within the usual ranges: a difference is scaled by a random
+#: factor of this interval and added, and a candidate takes this share of its numbers from the sum.
 DIFFERENCE_SCALE, CROSSOVER = (0.4, 0.9), 0.8
 
 #: Runs of the polish at least, and runs of the evolution for each of them.
@@ -72,7 +72,7 @@ def falsify(
     budget : int
         Number of runs.
     seed : int
-        Of the population.
+        Seed of the population.
     progress : callable
         Gets the runs so far and the worst error so far.
 

@@ -94,7 +94,7 @@ class AdversarialLoop:
 
 
 def _slowest_time_constant(system: System) -> float:
-    """Of the error and of the estimates' leaks, s."""
+    """Slowest time constant of the error and of the estimates' leaks, s."""
     law = system.law
     poles = system.controller.coordinates.poles
     slowest = 1.0 / max(1e-9, -poles.real.max())
