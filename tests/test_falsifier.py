@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import certrack
+from certrack.studies.falsifier.falsify import falsify
 from certrack.studies.falsifier.loop import AdversarialLoop
 
 
@@ -23,14 +24,14 @@ SYSTEMS = {
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_a_case_written_out_is_the_one_that_was_scored(name):
-    """Every gene away from its plausible start, so that none may be forgotten in either place."""
+    """Every number away from its plausible start, so that none may be forgotten in either place."""
     loop = AdversarialLoop(SYSTEMS[name])
-    genes = loop.adversary.genes
+    variables = loop.adversary.variables
     rng = np.random.default_rng(3)
-    low, high = np.array([(gene.low, gene.high) for gene in genes]).T
+    low, high = np.array([(variable.low, variable.high) for variable in variables]).T
     soft = np.where(high == 30.0, 0.05, 1.0)  # hard patterns are rough to integrate
     table = (
-        (low + high) / 2 + soft * (rng.uniform(low, high, (3, len(genes))) - (low + high) / 2)
+        (low + high) / 2 + soft * (rng.uniform(low, high, (3, len(variables))) - (low + high) / 2)
     ).T
     scores = loop.errors(table)
     for score, column in zip(scores, table.T, strict=True):
@@ -39,20 +40,34 @@ def test_a_case_written_out_is_the_one_that_was_scored(name):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_every_gene_changes_the_loop(name):
+def test_every_number_changes_the_loop(name):
     loop = AdversarialLoop(SYSTEMS[name])
-    middle = np.array([gene.middle for gene in loop.adversary.genes])
-    for i, gene in enumerate(loop.adversary.genes):
+    middle = np.array([variable.middle for variable in loop.adversary.variables])
+    for i, variable in enumerate(loop.adversary.variables):
         moved = middle.copy()
-        moved[i] += 0.2 * (gene.high - gene.low)
-        assert certrack.to_text(loop.case(moved)) != certrack.to_text(loop.case(middle)), gene.name
-        assert loop.errors(moved[:, None]) != loop.errors(middle[:, None]), gene.name
+        moved[i] += 0.2 * (variable.high - variable.low)
+        texts = [certrack.to_text(loop.case(point)) for point in (moved, middle)]
+        assert texts[0] != texts[1], variable.name
+        assert loop.errors(moved[:, None]) != loop.errors(middle[:, None]), variable.name
 
 
 def test_plausible_starts_are_within_the_ranges():
     adversary = AdversarialLoop(SYSTEMS["bent reference, gain, theta"]).adversary
-    low, high = np.array([(gene.low, gene.high) for gene in adversary.genes]).T
+    low, high = np.array([(variable.low, variable.high) for variable in adversary.variables]).T
     starts = adversary.plausible_starts()
     assert np.all((low <= starts) & (starts <= high))
-    frequencies = starts[:, [gene.name for gene in adversary.genes].index("adv_w0")]
+    frequencies = starts[:, [variable.name for variable in adversary.variables].index("adv_w0")]
     assert len(set(frequencies)) == 4
+
+
+def test_constants_of_the_user_are_never_overwritten():
+    """The patterns' numbers are constants of the plant, so their names are not the user's."""
+    base = certrack.load("example1")
+    constants = dict(base.plant.constants) | {"adv_m0": 1.0}
+    system = base.replace(plant=replace(base.plant, constants=constants))
+    with pytest.raises(certrack.InputError, match="adv_ are reserved by falsify"):
+        falsify(system, budget=1)
+    renamed = replace(base.plant, constants=dict(base.plant.constants) | {"advance": 1.0})
+    case = AdversarialLoop(base.replace(plant=renamed))
+    middle = np.array([variable.middle for variable in case.adversary.variables])
+    assert float(case.case(middle).plant.constant_values["advance"]) == 1.0

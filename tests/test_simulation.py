@@ -371,3 +371,12 @@ def test_only_the_loop_that_runs_is_built(monkeypatch, sampled):
     simulator.run(system.replace(law=replace(system.law, c=(3, 2))))
     simulator.run(system.with_settings(x0=(0.3, 0.1)))
     assert built == (["SampledLoop"] if sampled else ["ClosedLoop"])
+
+
+def test_settling_band_of_a_run_that_ends_early_is_that_of_the_whole():
+    """A sine that has hardly risen when the run escapes; an ensemble has the same band."""
+    system = certrack.load("example1").replace(reference=certrack.SymbolicReference("sin(t)"))
+    early = certrack.simulate(system.with_settings(max_state=2.0))
+    assert early.outcome is Outcome.escaped and np.abs(early.y_d).max() < 0.1
+    assert early.metrics.band == certrack.simulate(system).metrics.band
+    assert early.metrics.band == pytest.approx(0.05, rel=1e-6)

@@ -76,7 +76,7 @@ class Problem:
     plant_order : int
         The first `plant_order` states are those of the plant.
     fastest_pole : float, 1/s
-        Of the designed error system.
+        The fastest pole of the designed error system.
     max_state : float
     progress : callable
         Gets the time reached, the duration and None, from time to time.

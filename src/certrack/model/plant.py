@@ -325,6 +325,15 @@ def new_name(key: str, name: Any, used: Sequence[str]) -> str:
     return str(name)
 
 
+def refuse_prefix(plant: Plant, prefix: str, who: str) -> None:
+    """Refuse a plant with names that begin as those that `who` gives to constants of its own."""
+    for name in (*plant.states, *plant.constant_values):
+        if name.startswith(prefix):
+            key = "plant.states" if name in plant.states else f"plant.constants.{name}"
+            what = f"names that begin with {prefix} are reserved by {who}"
+            raise InputError(key, what, name, "Rename it")
+
+
 def check_gain(
     key: str, value: Any, gain_sign: int, constants: Mapping[str, Any] | None = None
 ) -> float:

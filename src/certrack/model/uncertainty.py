@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,6 +64,23 @@ class Uncertainty:
                 for name, key in keys.items()
             }
         )
+
+    def bound_formula(self, k: int, states: Sequence[str], offset: float) -> str:
+        """The bound of w_k as a formula, with a norm that is smooth at zero and never above ||x||.
+
+        Parameters
+        ----------
+        k : int
+            Number of the state, from 0.
+        states : names of the plant's states
+        offset : float
+            The norm is sqrt(x.x + offset^2) - offset.
+        """
+        square = " + ".join(f"{x}**2" for x in states)
+        norm = f"(sqrt({square} + {offset**2!r}) - {offset!r})"
+        parts = [f"{self.gamma[k]!r}*{norm}"] if self.gamma[k] else []
+        parts += [repr(self.beta[k])] if self.beta[k] else []
+        return " + ".join(parts) or "0"
 
     @staticmethod
     def none(n: int) -> Uncertainty:

@@ -12,6 +12,16 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from certrack.references import Reference
+from certrack.systems.system import Settings
+
+#: Half-width of the settling band over the reference's largest magnitude, as usual in step
+#: responses; the half-width itself where the reference is zero.
+SETTLING_SHARE = 0.05
+
+#: Points of the grid over the run on which the reference's largest magnitude is looked for.
+REFERENCE_POINTS = 20_001
+
 #: Larger samples are of a run that escapes: their squares overflow, and no peak is refined there.
 MAX_REFINED = 1e100
 
@@ -65,6 +75,23 @@ class Metrics:
     def as_dict(self) -> dict[str, float | None]:
         """For JSON: a number that does not exist is None."""
         return {k: v if math.isfinite(v) else None for k, v in asdict(self).items()}
+
+
+def settling_band(settings: Settings, reference: Reference) -> float:
+    """Half-width of the settling band: the stated one, else a share of the largest reference.
+
+    The reference is looked at over the whole duration, so an early end of a run does not matter.
+
+    Parameters
+    ----------
+    settings : Settings
+    reference : Reference
+    """
+    if settings.band is not None:
+        return settings.band
+    times = np.linspace(0.0, settings.duration, REFERENCE_POINTS)
+    largest = float(np.abs(reference.values(times, 0)[0]).max())
+    return SETTLING_SHARE * largest or SETTLING_SHARE
 
 
 def measure(

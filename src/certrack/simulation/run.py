@@ -19,18 +19,13 @@ from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.single.taylor import TaylorSeries
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.plant import measured
-from certrack.simulation.metrics import Metrics, measure
+from certrack.simulation.metrics import Metrics, measure, settling_band
 from certrack.systems.reader import loads
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
 if TYPE_CHECKING:
     import xarray
-
-
-#: Settling band, as usual in step responses: this part of the largest reference, or itself where
-#: the reference is zero.
-DEFAULT_BAND = 0.05
 
 
 @dataclass(frozen=True)
@@ -102,9 +97,6 @@ class Run(ShownInNotebooks):
     def metrics(self) -> Metrics:
         """What the run is judged by."""
         settings = self.system.settings
-        band = settings.band
-        if band is None:
-            band = DEFAULT_BAND * float(np.abs(self.y_d).max()) or DEFAULT_BAND
         integrals = self._states[-len(INTEGRALS) :] * INTEGRAL_SCALE
         error = self.x[0] - self.y_d
         return measure(
@@ -112,7 +104,7 @@ class Run(ShownInNotebooks):
             error,
             self.u,
             integrals,
-            band,
+            settling_band(settings, self.system.reference),
             settings.tail_start,
             per_step=self.trajectory.parts + 1 if self.smooth_steps else 1,
         )

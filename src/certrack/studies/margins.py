@@ -47,7 +47,7 @@ MAX_VALUES = 60
 #: A loop counts as bounded while its error is below so many times the admitted one.
 BOUNDED_FACTOR = 100.0
 
-#: Of the integrator.
+#: Tolerance of the integrator.
 MARGIN_TOLERANCE = 1e-6
 
 #: Stands for no saturation.
@@ -124,7 +124,7 @@ class Margins(ShownInNotebooks):
     period : Margin, s
     delay : Margin, s
     saturation : Margin, unit of the input
-        Of the symmetric limits +-u.
+        The lowest symmetric limits +-u.
     """
 
     error: float
@@ -176,7 +176,7 @@ def margins(
         Admitted tail error; by default the population's limit, the certified bound where it covers
         the population, else twice the worst tail error of the finest sampling.
     members : int
-        Of the population, tried at every value.
+        Members of the population, tried at every value.
     seed : int
     progress : callable
         Gets how many values were tried, None and None.

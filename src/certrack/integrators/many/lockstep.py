@@ -24,7 +24,7 @@ from certrack.integrators.pairs import DOP853, DORMAND_PRINCE
 from certrack.integrators.registers import whole_registers
 
 #: Members per call of the compiled step: their rows fit the second-level cache.
-BLOCK = 2048
+BLOCK_MEMBERS = 2048
 
 #: More halvings of an interval than this, and the member is given up.
 MAX_LEVEL = 11
@@ -35,13 +35,13 @@ MAX_HALVINGS = 4
 
 #: With half as many steps the error estimate may reach this part of the allowed one: were it all of
 #: it, a member would go to and fro between two levels.
-MARGIN = 0.5
+COARSEN_MARGIN = 0.5
 
 #: Steps after which a group is asked whether any member still has a passing estimate.
 CHECK_EVERY = 16
 
 #: From this tolerance on the fifth-order pair is faster than the eighth-order one.
-COARSE = 1e-7
+FIFTH_ORDER_FROM = 1e-7
 
 
 class Lockstep:
@@ -60,7 +60,7 @@ class Lockstep:
         self.flow, self.rows = flow, flow.rows
         self.size = self.rows["memories"].stop
         self._tolerance, self._parallel = tolerance, parallel
-        self._pair = DORMAND_PRINCE if tolerance >= COARSE else DOP853
+        self._pair = DORMAND_PRINCE if tolerance >= FIFTH_ORDER_FROM else DOP853
         self._nodes = np.unique([*self._pair.C, 1.0])
         timeless, symbols = flow.without_time()
         names = [TIME, *flow.shared]
@@ -105,7 +105,7 @@ class Lockstep:
         """
         count = starts.shape[1]
         columns = whole_registers(count)  # which member each column computes
-        width = min(len(columns), BLOCK)
+        width = min(len(columns), BLOCK_MEMBERS)
         blocks = -(-len(columns) // width)
         columns = columns[np.minimum(np.arange(blocks * width), len(columns) - 1)]
         members = _MemberBlocks(self, blocks, width)
@@ -146,7 +146,7 @@ class _MemberBlocks:
         self._after = np.zeros_like(self._before)
         self._levels = np.zeros(blocks * width, dtype=int)
         self.run_alone = np.zeros(blocks * width, dtype=bool)
-        self._coarsen_below = MARGIN * 2.0**-lockstep._pair.order
+        self._coarsen_below = COARSEN_MARGIN * 2.0**-lockstep._pair.order
         self._root = 1.0 / lockstep._pair.order
         self._parameters: dict[tuple[int, int], np.ndarray] = {}
 
@@ -230,8 +230,8 @@ class _MemberBlocks:
         step, steps = self._lockstep._step, 2**level
         h = (end - begin) / steps
         worst = np.zeros(len(group))
-        for first in range(0, len(group), BLOCK):
-            part = group[first : first + BLOCK]
+        for first in range(0, len(group), BLOCK_MEMBERS):
+            part = group[first : first + BLOCK_MEMBERS]
             padded = part[whole_registers(len(part))]
             block, lane = np.divmod(padded, self._width)
             now = np.ascontiguousarray(self._before[block, :, lane].T)
@@ -243,7 +243,7 @@ class _MemberBlocks:
                 now, after = after, now
                 if (i + 1) % CHECK_EVERY == 0 and not (error <= 1.0).any():
                     break
-            worst[first : first + BLOCK] = error[: len(part)]
+            worst[first : first + BLOCK_MEMBERS] = error[: len(part)]
             self._after[block, :, lane] = now.T
         return worst
 

@@ -10,8 +10,9 @@
  * `system.h` is generated. It holds the sizes
  *   BLOCKS (of lanes in a group) STATES WATCHED PARAMETERS SHARED COMMON INTEGRALS SIGNALS
  *   MEMORIES SHOWN STAGES TERMS (of the dense output),
- * the coefficients A, B, C, E3, E5, THIRD_ORDER_WEIGHT, DENSE of the method, ESCAPING (a state larger
- * than this where steps vanish is escaping), how a member ended (FINISHED ESCAPED RUN_ALONE), and
+ * the coefficients A, B, C, E3, E5, THIRD_ORDER_WEIGHT, DENSE of the method, ESCAPING (a state
+ * larger than this where steps vanish is escaping), how a member ended (FINISHED ESCAPED RUN_ALONE),
+ * and
  *   common(t, s, c)              what depends on time t and the segment's numbers s alone
  *   rates(c, x, p, k, q)         k = x', q = integrands
  *   signals(c, x, p, k, y)       what the memories look at
@@ -146,7 +147,8 @@ INLINE V end_of_step(const Block *g, double h, double tolerance, V (*k)[STATES],
     third += e3 * e3;
     fifth += e5 * e5;
   }
-  return h / tolerance * fifth * rough_inverse(v_sqrt((fifth + THIRD_ORDER_WEIGHT * third) * STATES + 1e-300));
+  return h / tolerance * fifth *
+         rough_inverse(v_sqrt((fifth + THIRD_ORDER_WEIGHT * third) * STATES + 1e-300));
 }
 
 /* One step: slopes of the stages, ends, rise of the integrals, integrands at the end; returns the
@@ -200,7 +202,7 @@ INLINE H *bin_place(const Task *task, const Group *g, int64_t row, int j, int b)
 
 /* Update the memories of a block at the time `now`; at a time of the grid store its bins. */
 INLINE void update(Group *g, const Task *task, int b, double now, const double *c, const V *x,
-                const V *slopes, int shows) {
+                   const V *slopes, int shows) {
   Block *block = &g->block[b];
   V y[SIGNALS], v[SHOWN];
   signals(c, x, block->p, slopes, y);
@@ -218,7 +220,7 @@ INLINE void update(Group *g, const Task *task, int b, double now, const double *
 
 /* The same at a time inside a step, by the dense output. */
 OUTLINE void update_inside(Group *g, const Task *task, Step *s, double now, const double *c,
-                        int shows) {
+                           int shows) {
   double value[NODES], slope[NODES];
   dense_weights((now - g->t) / s->h, s->h, value, slope);
   EACH_BLOCK(b) {
@@ -247,7 +249,7 @@ OUTLINE void update_at_edge(Group *g, const Task *task, const double *c, int end
 
 /* Update the memories at all nodes inside a step. */
 static void update_along(Group *g, const Task *task, Step *s, const double *shared, double end,
-                   double stop) {
+                         double stop) {
   for (;;) {
     double mark = g->row < task->points ? task->grid[g->row] : INFINITY;
     double until = mark < stop ? mark : stop;
@@ -273,8 +275,8 @@ static void remove_lanes(Group *g, const Task *task, int b, I which, int outcome
     }
 }
 
-/* No step is short enough: lanes whose error is too large are escaping or must be run alone; after too
- * many steps all are. */
+/* No step is short enough: lanes whose error is too large are escaping or must be run alone; after
+ * too many steps all are. */
 static void give_up(Group *g, const Task *task, const Step *s) {
   EACH_BLOCK(b) {
     V *x = g->block[b].x, ends[STATES], k[STAGES + 1][STATES];

@@ -205,7 +205,7 @@ class NativeResult:
     outcomes : (N,) array of MemberOutcome
         Run alone are members whose group took too many steps, or none that moves the time.
     steps : int
-        Of all groups together, those that failed among them.
+        Steps of all groups together, those that failed among them.
     """
 
     totals: np.ndarray
@@ -222,7 +222,7 @@ class Native:
     ----------
     flow : AugmentedFlow
     shown : formulas
-        Of the states and of the signals' symbols at the end of a step.
+        Formulas of the states and of the signals' symbols at the end of a step.
 
     Raises
     ------

@@ -124,7 +124,7 @@ def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
     ----------
     flow : AugmentedFlow
     shown : formulas
-        Of the states and of the signals' symbols at the end of a step.
+        Formulas of the states and of the signals' symbols at the end of a step.
     """
     timeless, common = flow.without_time()
     names: dict[sympy.Symbol, str] = {TIME: "t", STEP_BEGIN: "begin", STEP_LENGTH: "h"}

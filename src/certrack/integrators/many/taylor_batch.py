@@ -67,6 +67,8 @@ class TaylorBatch:
         on_batch : callable
             Gets states (T, S, lanes), which lanes escaped, and the slice of members they belong
             to; a member that ended early has NaN from there on.
+        max_steps : int
+            A member that needs more has not finished.
         """
         ta, count = self._integrator, starts.shape[1]
         grid = np.repeat(times[:, None], LANES, axis=1)

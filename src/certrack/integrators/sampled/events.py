@@ -19,7 +19,7 @@ END_MARGIN = 1e-12
 
 
 class _Kind(IntEnum):
-    """Of an event; in the order of the columns below."""
+    """What happens at an event, in the order of the columns below."""
 
     sample = 0
     action = 1

@@ -43,7 +43,7 @@ class SampledMaps(Protocol):
         measured : (n, N) array
             What the sensors give.
         states : (r, N) array
-            Of the controller.
+            States of the controller.
         p : (P, N) array
 
         Returns
@@ -215,7 +215,8 @@ class HeyokaMaps:
     ) -> Any:
         """Norm of the estimated errors over allowed (1 + |x|), per root of the number of states.
 
-        Of the states and, last, of the integral of e_1: a reference may be faster than the plant.
+        The errors are those of the states and, last, of the integral of e_1: a reference may be
+        faster than the plant.
         """
         a, b = sympy.symbols("a b", real=True)
         squares = []

@@ -165,13 +165,13 @@ OUTLINE void substep(Group *g, const Task *task, int64_t first, double begin, do
   Step step;
   V x[STATES], after[TOTALS];
   double t = begin, h = (end - begin) * next_factor(largest(error, late), FIRST_MAX_FACTOR);
-  double shortest = SHORTEST * end;
+  double shortest = SHORTEST_STEP * end;
   for (int64_t i = 0; i < MAX_INTERVAL_STEPS && t < end && any(late); i++) {
     int last = t + h >= end * (1 - END_ROUNDING);
     h = last ? end - t : h > shortest ? h : shortest;
     int at_shortest = h <= shortest;
     prepare(&step, t, h, s);
-    double allowed = (at_shortest ? 1.0 : SHARE) * task->tolerance;
+    double allowed = (at_shortest ? 1.0 : ERROR_SHARE) * task->tolerance;
     V estimate = try_step(&trial, &step, allowed, x, after);
     double worst = largest(estimate, late);
     if (worst <= 1.0) {
@@ -223,7 +223,7 @@ static void take_sample(Group *g, const Task *task, double t, const double *s, V
 }
 
 static void store_shown(const Group *g, const Task *task, int64_t first, double t, const double *s,
-                 int64_t mark) {
+                        int64_t mark) {
   V c[COMMON + 1], v[SHOWN];
   common(SPLAT(t), s, c);
   shown(c, g->x, g->p, g->u, v);
@@ -262,7 +262,7 @@ static void integrate_group(const Task *task, int64_t first, Group *g, V *waitin
     if (k + 1 == task->events) break;
     double end = task->times[k + 1], h = end - t;
     prepare(&step, t, h, s);
-    V error = try_step(g, &step, SHARE * task->tolerance, ends, y);
+    V error = try_step(g, &step, ERROR_SHARE * task->tolerance, ends, y);
     I late = ~(error <= SPLAT(1.0)) & g->alive;
     if (any(late)) substep(g, task, first, t, end, s, late, error, ends, y);
     memcpy(g->y, y, sizeof y);

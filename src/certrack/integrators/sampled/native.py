@@ -36,7 +36,7 @@ SHARED_CONSTANTS = {
 } | {
     name: getattr(run, name)
     for name in (
-        *("SHARE", "SHORTEST", "END_ROUNDING"),
+        *("ERROR_SHARE", "SHORTEST_STEP", "END_ROUNDING"),
         *("SAFETY", "MIN_FACTOR", "MAX_FACTOR", "FIRST_MAX_FACTOR"),
     )
 }
@@ -95,7 +95,7 @@ class SampledNative:
     loop : SampledLoop
         With numbers for what does not vary.
     shown : formulas
-        Of time, states, parameters and input; kept at the times of interest.
+        Formulas of time, states, parameters and input; kept at the times of interest.
 
     Raises
     ------

@@ -23,13 +23,14 @@ from certrack.integrators.sampled.maps import PAIR, SampledMaps
 from certrack.model.implementation import Implementation
 from certrack.model.noise import normal
 
-#: The error allowed in a step is this part of the tolerance: there may be many steps while an error
-#: dies out.
-SHARE = 0.1
+#: A step's error may be this part of the tolerance, because the errors of several steps add up
+#: before the first of them has died out.
+ERROR_SHARE = 0.1
 
-#: No step is shorter than this part of the time. One that is as short may have the whole tolerance
-#: as its error: a jump of the rates is crossed by it, where formulas cease to exist it fails.
-SHORTEST = 1e-15
+#: No step is shorter than this part of the time t, which is near rounding. A step that short may
+#: have the whole tolerance as its error, so that it crosses a jump of the rates; where a formula
+#: leaves its domain it fails, and the member is given up.
+SHORTEST_STEP = 1e-15
 
 #: A member that needs more steps for one interval is given up.
 MAX_INTERVAL_STEPS = 5_000
@@ -63,9 +64,9 @@ class SampledProblem:
     pieces : callable
         Values of the reference's piece symbols from a time on.
     keys : (N,) array of unsigned integers
-        Of the members' noise.
+        Keys of the members' noise.
     tolerance : float
-        Of the plant's states and of the integral of e_1, relative and absolute.
+        Tolerance of the plant's states and of the integral of e_1, relative and absolute.
     max_state : float
         A plant state beyond it has escaped.
     """
@@ -96,7 +97,7 @@ class SampledRun:
     u, variation : (N,) arrays
         The input that acts, and the sum of its changes' magnitudes.
     parameters : (P, N) array
-        Of the loop and its current piece.
+        Parameters of the loop and of its current piece.
     marks : int
         Times of interest reached.
     ends : (N,) array, s
@@ -108,7 +109,7 @@ class SampledRun:
 
     def __init__(self, maps: SampledMaps, problem: SampledProblem) -> None:
         self._maps, self._problem = maps, problem
-        self._allowed = SHARE * problem.tolerance
+        self._allowed = ERROR_SHARE * problem.tolerance
         count = problem.x.shape[1]
         self.x, self.states, self.totals = problem.x, problem.states, problem.totals
         self.u = np.full(count, problem.implementation.initial_input)
@@ -204,7 +205,7 @@ class SampledRun:
         t = np.full(len(group), begin)
         x, totals = self.x[:, group], self.totals[:, group]
         u, p = self.u[group], np.ascontiguousarray(self.parameters[:, group])
-        lost, shortest = np.zeros(len(group), dtype=bool), SHORTEST * end
+        lost, shortest = np.zeros(len(group), dtype=bool), SHORTEST_STEP * end
         for _ in range(MAX_INTERVAL_STEPS):
             last = t + h >= end * (1 - END_ROUNDING)
             h = np.where(last, end - t, np.maximum(h, shortest))

@@ -13,7 +13,7 @@ from certrack.core.lowering import jacobian, numpy_callable
 from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
 
-#: Of the rates in one segment of the reference; a run that needs more would take minutes.
+#: Evaluations of the rates in one segment of the reference; a run with more would take minutes.
 MAX_EVALUATIONS = 400_000
 
 #: SciPy refuses smaller relative tolerances (100 times the rounding of a double).

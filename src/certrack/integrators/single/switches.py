@@ -34,7 +34,7 @@ class Switches:
     Parameters
     ----------
     states, parameters : symbols
-        Of the loop; `parameters` ends with the switch symbols.
+        Symbols of the loop; `parameters` ends with the switch symbols.
     rates : formulas
         Smooth right-hand sides.
     functions : formulas

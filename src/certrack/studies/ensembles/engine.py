@@ -71,7 +71,7 @@ class Engine:
         metrics : (M, N) array
             In the order of METRICS; NaN for a member that did not finish.
         outcomes : (N,) array
-            By their numbers in :data:`CODES`.
+            By their numbers in :data:`OUTCOME_CODES`.
         """
         results = self.method.compute(begin, end, bands)
         metrics = results.metrics

@@ -21,7 +21,7 @@ from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
 from certrack.loops.plant import true_constants
 from certrack.model.distribution import Distribution
 from certrack.model.disturbance import Multisine, family_of
-from certrack.model.plant import Plant
+from certrack.model.plant import Plant, refuse_prefix
 from certrack.model.sampling import probabilities
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
@@ -64,9 +64,7 @@ class Members:
         self.system, self.seed = system, seed
         self.population = system.varied
         self._refuse_unscalable()
-        for name in system.plant.constant_values:
-            if name.startswith("member_"):
-                raise InputError(f"plant.constants.{name}", "is reserved here", remedy="Rename it")
+        refuse_prefix(system.plant, "member_", "an ensemble")
         self.family = family_of(self.population)
         numbers = {} if self.family is None else self.family.numbers(self.population)
         self._disturbance_names = tuple(numbers)
@@ -262,14 +260,12 @@ class Members:
         """w_k = s_k(t) (gamma_k ||x|| + beta_k)."""
         assert self.family is not None
         plant, u = self.system.plant, self.system.plant.uncertainty
-        square = " + ".join(f"{x}**2" for x in plant.states)
-        norm = f"(sqrt({square} + {NORM_OFFSET**2!r}) - {NORM_OFFSET!r})"
         terms = []
         for k in range(plant.n):
-            limit = [f"{u.gamma[k]!r}*{norm}"] if u.gamma[k] else []
-            limit += [repr(u.beta[k])] if u.beta[k] else []
             pattern = self._pattern(k, point, written=written)
-            terms.append(f"({pattern})*({' + '.join(limit)})" if limit else "0")
+            varies = u.gamma[k] + u.beta[k] > 0
+            bound = u.bound_formula(k, plant.states, NORM_OFFSET) if varies else ""
+            terms.append(f"({pattern})*({bound})" if varies else "0")
         return tuple(terms)
 
     def _pattern(self, k: int, point: dict[str, float], *, written: bool) -> str:

@@ -35,7 +35,7 @@ class Plan:
     seed : int
     tolerance : float
     limit : float, optional
-        Of the tail error.
+        Limit of the tail error.
     centre : (R, T) array
         e_1, the states of the design and u of the nominal run on the time grid.
     scale : (R,) array

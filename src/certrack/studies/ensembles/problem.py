@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import sympy
 
+from certrack.simulation.metrics import settling_band
 from certrack.studies.ensembles.members import AMPLITUDE, Members
 from certrack.studies.ensembles.metric_formulas import SETTLING_BAND
 from certrack.studies.ensembles.plan import METRICS, band_times
@@ -14,12 +15,6 @@ from certrack.systems.system import System
 
 #: Two times closer than this part of them are one: rounding may have separated them.
 TIME_ROUNDING = 1e-12
-
-#: Points of the grid on which the reference's largest magnitude is looked for.
-REFERENCE_POINTS = 20_001
-
-#: Half-width of the settling band over the reference's largest magnitude, and where that is zero.
-SETTLING_SHARE = 0.05
 
 
 @dataclass(frozen=True)
@@ -52,13 +47,13 @@ class EnsembleProblem:
     system : System
     seed : int
     tolerance : float
-        Of the integrators.
+        Tolerance of the integrators.
 
     Attributes
     ----------
     members : Members
     times : (T,) array, s
-        Of the bands.
+        Times of the bands.
     segments : Segments
     """
 
@@ -72,7 +67,7 @@ class EnsembleProblem:
         edges = np.unique(np.concatenate([ends, breaks]))
         shared = np.array([self.shared_values(time) for time in edges[:-1]])
         self.segments = Segments(edges, shared)
-        self._settling_band = settings.band or _default_settling_band(system)
+        self._settling_band = settling_band(settings, system.reference)
 
     @property
     def end(self) -> float:
@@ -86,14 +81,14 @@ class EnsembleProblem:
         return table
 
     def shared_values(self, time: float) -> np.ndarray:
-        """Of the shared symbols: whether the tail has begun, the reference's piece."""
+        """Values of the shared symbols: whether the tail has begun, the reference's piece."""
         tail = float(time >= self.system.settings.tail_start)
         return np.concatenate([[tail], self.system.reference.piece_values(time)])
 
     def starts_and_parameters(
         self, begin: int, end: int
     ) -> tuple[np.ndarray, dict[sympy.Symbol, np.ndarray]]:
-        """Of the members begin ... end-1: starts (S, N), and what varies, by symbol."""
+        """Starts (S, N) of the members begin ... end-1, and what varies between them, by symbol."""
         starts, table = self.members.table(begin, end)
         band = np.full(end - begin, self._settling_band)
         amplitude = table.get(AMPLITUDE)
@@ -117,10 +112,3 @@ class EnsembleProblem:
 def is_clearly_after(time: float | np.ndarray, end: float | np.ndarray) -> np.ndarray:
     """Whether a time lies after an event that rounding may have moved."""
     return np.asarray(time > np.asarray(end) * (1 + TIME_ROUNDING))
-
-
-def _default_settling_band(system: System) -> float:
-    """A share of the reference's largest magnitude."""
-    times = np.linspace(0.0, system.settings.duration, REFERENCE_POINTS)
-    largest = float(np.abs(system.reference.values(times, 0)[0]).max())
-    return SETTLING_SHARE * largest or SETTLING_SHARE

@@ -15,15 +15,17 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from certrack.model.plant import refuse_prefix
 from certrack.references import SymbolicReference
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
 from certrack.systems.system import System
 
-#: Of a disturbance's pattern: tanh(30 y) is a sign but for 3 % of y's range.
+#: Largest hardness of a disturbance's pattern: tanh(30 y) is a sign but for 3 % of y's range.
 MAX_HARDNESS = 30.0
 
 #: Range of the pattern's frequencies, rad/s, if the design allows them: faster ones average out.
@@ -34,6 +36,27 @@ LEAST_FASTEST = 0.5
 
 #: |tanh| rounds to 1: with this factor w_k never passes its bound.
 BELOW_ONE = 0.999999
+
+#: ||x|| in the disturbances is sqrt(x.x + offset^2) - offset: larger than in an ensemble, lest the
+#: Taylor method take tiny steps where feedback drives the state through zero.
+ADVERSARY_NORM_OFFSET = 1e-4
+
+#: Begin of the names of the patterns' numbers, where they are constants of the plant.
+ADVERSARY_PREFIX = "adv_"
+
+#: Hardness to begin with: tanh(10 y) is a sign but for a tenth of y's range, and still cheap.
+PLAUSIBLE_HARDNESS = 10.0
+
+#: Where the search begins: frequencies over that of the fastest full-size reference, and phases.
+PLAUSIBLE_FACTORS, PLAUSIBLE_PHASES = (1.0, 2.0, 0.5, 3.0), 4
+
+#: Range of the shape k of asin(k sin): below it is a sine, above it a triangle, whose corners cost
+#: ever more steps; and the shape to begin with.
+MIN_BEND, MAX_BEND, PLAUSIBLE_BEND = 0.05, 0.999, 0.9
+
+#: Least amplitude over Y_0, and least frequency over the highest admissible one: the frequency of a
+#: reference without amplitude is not defined, and one without frequency is none to track.
+LEAST_SIZE, LEAST_SPEED = 0.02, 0.05
 
 #: A reference turns at most so many times as fast as the fastest pattern.
 REFERENCE_SPEEDUP = 3.0
@@ -47,7 +70,7 @@ BELOW_BOUND = 1 - 1e-12
 
 
 @dataclass(frozen=True)
-class Gene:
+class SearchVariable:
     """One searched number.
 
     Attributes
@@ -77,12 +100,12 @@ class AdversaryPart(ABC):
 
     @property
     @abstractmethod
-    def genes(self) -> tuple[Gene, ...]:
+    def variables(self) -> tuple[SearchVariable, ...]:
         """Its numbers, in the order of all values below."""
 
     def plausible(self, frequency: float, phase: float) -> tuple[float, ...]:
         """Values to begin with; where it oscillates, with this frequency and phase."""
-        return tuple(gene.neutral for gene in self.genes)
+        return tuple(variable.neutral for variable in self.variables)
 
     @abstractmethod
     def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
@@ -110,7 +133,7 @@ class ReferenceShape(AdversaryPart):
     ----------
     bounds : (Y_0, ..., Y_{q+1})
     fastest : float, rad/s
-        Of the patterns.
+        The fastest frequency of the patterns.
     """
 
     bounds: tuple[float, ...]
@@ -122,18 +145,21 @@ class ReferenceShape(AdversaryPart):
         return len(self.bounds) == 2
 
     @property
-    def genes(self) -> tuple[Gene, ...]:
-        size, speed = Gene("size", 0.0, 1.0), Gene("speed", 0.0, 1.0)
-        phase, shape = Gene("phase", 0.0, 2 * math.pi), Gene("shape", 0.05, 0.999)
+    def variables(self) -> tuple[SearchVariable, ...]:
+        size, speed = SearchVariable("size", 0.0, 1.0), SearchVariable("speed", 0.0, 1.0)
+        phase, shape = (
+            SearchVariable("phase", 0.0, 2 * math.pi),
+            SearchVariable("shape", MIN_BEND, MAX_BEND),
+        )
         return (size, speed, phase, shape) if self.bent else (size, speed, phase)
 
     def plausible(self, frequency: float, phase: float) -> tuple[float, ...]:
-        return (1.0, 1.0, 0.0, 0.9) if self.bent else (1.0, 1.0, 0.0)
+        return (1.0, 1.0, 0.0, PLAUSIBLE_BEND) if self.bent else (1.0, 1.0, 0.0)
 
     def wave(self, size: float, speed: float, phase: float, shape: float | None = None) -> Wave:
         """The reference of a member; `size` and `speed` are shares of what is admissible."""
         Y = self.bounds
-        amplitude = Y[0] * (0.02 + 0.98 * size)
+        amplitude = Y[0] * (LEAST_SIZE + (1 - LEAST_SIZE) * size)
         if shape is not None:  # asin(k sin) is nearly a triangle as k -> 1
             scale = amplitude / math.asin(shape)
             frequency = Y[1] * math.asin(shape) / (amplitude * shape) if amplitude else 1.0
@@ -141,7 +167,8 @@ class ReferenceShape(AdversaryPart):
             scale = amplitude
             orders = range(1, len(Y)) if amplitude else ()
             frequency = min(((Y[i] / amplitude) ** (1 / i) for i in orders), default=1.0)
-        frequency = min(frequency, REFERENCE_SPEEDUP * self.fastest) * (0.05 + 0.95 * speed)
+        frequency = min(frequency, REFERENCE_SPEEDUP * self.fastest)
+        frequency *= LEAST_SPEED + (1 - LEAST_SPEED) * speed
         return Wave(scale, shape, frequency * BELOW_BOUND, phase)
 
     def waves(self, values: np.ndarray) -> np.ndarray:
@@ -175,54 +202,50 @@ class ReferenceShape(AdversaryPart):
 
 @dataclass(frozen=True)
 class DisturbancePattern(AdversaryPart):
-    """w_k of one state, a share of its bound gamma ||x|| + beta.
+    """w_k of one state, a share of its bound.
 
     Attributes
     ----------
     k : int
         Number of the state, from 0.
     states : names of the plant's states
-    gamma, beta : float
+    bound : formula
+        The bound of w_k.
     fastest : float, rad/s
     """
 
     k: int
     states: tuple[str, ...]
-    gamma: float
-    beta: float
+    bound: str
     fastest: float
 
     @property
-    def genes(self) -> tuple[Gene, ...]:
+    def variables(self) -> tuple[SearchVariable, ...]:
         k = self.k
-        feedback = (f"adv_v{k}_{j}" for j in range(len(self.states)))
+        feedback = (f"{ADVERSARY_PREFIX}v{k}_{j}" for j in range(len(self.states)))
         return (
-            Gene(f"adv_m{k}", 0.0, MAX_HARDNESS),
-            Gene(f"adv_w{k}", MIN_FREQUENCY, self.fastest),
-            Gene(f"adv_p{k}", 0.0, 2 * math.pi),
-            *(Gene(name, -MAX_HARDNESS, MAX_HARDNESS) for name in feedback),
+            SearchVariable(f"{ADVERSARY_PREFIX}m{k}", 0.0, MAX_HARDNESS),
+            SearchVariable(f"{ADVERSARY_PREFIX}w{k}", MIN_FREQUENCY, self.fastest),
+            SearchVariable(f"{ADVERSARY_PREFIX}p{k}", 0.0, 2 * math.pi),
+            *(SearchVariable(name, -MAX_HARDNESS, MAX_HARDNESS) for name in feedback),
         )
 
     def plausible(self, frequency: float, phase: float) -> tuple[float, ...]:
-        return (10.0, frequency, phase, *(0.0 for _ in self.states))
+        return (PLAUSIBLE_HARDNESS, frequency, phase, *(0.0 for _ in self.states))
 
     def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
-        numbers = {gene.name: value for gene, value in zip(self.genes, values, strict=True)}
+        numbers = {
+            variable.name: value for variable, value in zip(self.variables, values, strict=True)
+        }
         if named:
             draft.constants |= numbers
         m, w, p, *v = (name if named else f"({value!r})" for name, value in numbers.items())
         feedback = "".join(f" + {v_j}*{x}" for v_j, x in zip(v, self.states, strict=True))
-        draft.omega[self.k] = f"{BELOW_ONE}*tanh({m}*sin({w}*t + {p}){feedback})*({self._bound()})"
-
-    def _bound(self) -> str:
-        """gamma ||x|| + beta, with a norm that is smooth at zero and never above ||x||."""
-        square = " + ".join(f"{x}**2" for x in self.states)
-        norm = f"(sqrt({square} + 1e-8) - 1e-4)"
-        return f"{self.gamma!r}*{norm} + {self.beta!r}" if self.gamma else repr(self.beta)
+        draft.omega[self.k] = f"{BELOW_ONE}*tanh({m}*sin({w}*t + {p}){feedback})*({self.bound})"
 
     def write_parameters(self, values: np.ndarray, table: ParameterTable) -> None:
-        for gene, row in zip(self.genes, values, strict=True):
-            table.set_constant(gene.name, row)
+        for variable, row in zip(self.variables, values, strict=True):
+            table.set_constant(variable.name, row)
 
 
 @dataclass(frozen=True)
@@ -234,8 +257,8 @@ class TrueGain(AdversaryPart):
     high: float
 
     @property
-    def genes(self) -> tuple[Gene, ...]:
-        return (Gene("input_gain", self.low, self.high),)
+    def variables(self) -> tuple[SearchVariable, ...]:
+        return (SearchVariable("input_gain", self.low, self.high),)
 
     def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
         (draft.input_gain,) = values
@@ -253,8 +276,8 @@ class TrueTheta(AdversaryPart):
     high: float
 
     @property
-    def genes(self) -> tuple[Gene, ...]:
-        return (Gene(f"theta[{self.i}]", self.low, self.high),)
+    def variables(self) -> tuple[SearchVariable, ...]:
+        return (SearchVariable(f"theta[{self.i}]", self.low, self.high),)
 
     def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
         (draft.theta[self.i],) = values
@@ -278,13 +301,21 @@ class Adversary:
 
     @classmethod
     def against(cls, system: System) -> Adversary:
-        """The adversary that the system's assumptions admit."""
+        """The adversary that the system's assumptions admit.
+
+        Raises
+        ------
+        InputError
+            If the plant has names that the adversary gives to its own numbers.
+        """
         plant, u = system.plant, system.plant.uncertainty
+        refuse_prefix(plant, ADVERSARY_PREFIX, "falsify")
         coordinates = system.controller.coordinates
         fastest = max(LEAST_FASTEST, min(MAX_FREQUENCY, coordinates.fastest_pole))
         bounds = system.reference.bounds(coordinates.q + 1).values
+        bound = partial(u.bound_formula, states=plant.states, offset=ADVERSARY_NORM_OFFSET)
         others: list[AdversaryPart] = [
-            DisturbancePattern(k, plant.states, u.gamma[k], u.beta[k], fastest)
+            DisturbancePattern(k, plant.states, bound(k), fastest)
             for k in range(plant.n)
             if u.tau[k] * (u.gamma[k] + u.beta[k]) > 0
         ]
@@ -296,28 +327,28 @@ class Adversary:
 
     @property
     def parts(self) -> tuple[AdversaryPart, ...]:
-        """All parts, in the order of the genes."""
+        """All parts, in the order of the variables."""
         return (self.reference, *self.others)
 
     @property
-    def genes(self) -> tuple[Gene, ...]:
+    def variables(self) -> tuple[SearchVariable, ...]:
         """All numbers."""
-        return tuple(gene for part in self.parts for gene in part.genes)
+        return tuple(variable for part in self.parts for variable in part.variables)
 
     def slices(self) -> list[tuple[AdversaryPart, slice]]:
         """Every part, and where its numbers lie among all."""
-        ends = np.cumsum([len(part.genes) for part in self.parts]).tolist()
+        ends = np.cumsum([len(part.variables) for part in self.parts]).tolist()
         begins = [0, *ends[:-1]]
         return [(part, slice(a, b)) for part, a, b in zip(self.parts, begins, ends, strict=True)]
 
     def plausible_starts(self) -> np.ndarray:
-        """Rows of genes to begin with: in step with the reference, no feedback."""
+        """Points (a row each) to begin with: in step with the reference, no feedback."""
         Y = self.reference.bounds
         frequency = Y[1] / Y[0] if Y[0] else 1.0
-        low, high = np.array([(gene.low, gene.high) for gene in self.genes]).T
+        low, high = np.array([(variable.low, variable.high) for variable in self.variables]).T
         rows = [
             [v for part in self.parts for v in part.plausible(factor * frequency, phase)]
-            for factor in (1.0, 2.0, 0.5, 3.0)
-            for phase in np.arange(4) * math.pi / 2
+            for factor in PLAUSIBLE_FACTORS
+            for phase in np.arange(PLAUSIBLE_PHASES) * 2 * math.pi / PLAUSIBLE_PHASES
         ]
         return np.clip(rows, low, high)

@@ -65,7 +65,7 @@ class ParameterTable:
     ----------
     loop : ClosedLoop
     system : System
-        Of this loop.
+        The system of this loop.
     count : int
         Members.
     """

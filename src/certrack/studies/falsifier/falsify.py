@@ -16,12 +16,24 @@ from certrack.core.errors import InputError
 from certrack.core.heyoka import has_heyoka
 from certrack.core.progress import Progress, silent
 from certrack.integrators.base import Outcome
+from certrack.integrators.registers import LANES
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.loop import AdversarialLoop
 from certrack.systems.system import System
 
-#: Adversaries in a population: at least and at most.
+#: Adversaries in a population: at least and at most. In between about four per searched number, a
+#: multiple of what the integrator runs side by side.
 MIN_POPULATION, MAX_POPULATION = 32, 96
+
+#: Numbers of differential evolution, within the usual ranges: a difference is scaled by a random
+#: factor of this interval and added, and a candidate takes this share of its numbers from the sum.
+DIFFERENCE_SCALE, CROSSOVER = (0.4, 0.9), 0.8
+
+#: Runs of the polish at least, and runs of the evolution for each of them.
+MIN_POLISH_RUNS, RUNS_PER_POLISH_RUN = 50, 20
+
+#: The polish ends where numbers and error move less than this.
+POLISHED_POINT, POLISHED_ERROR = 1e-6, 1e-9
 
 
 @dataclass(frozen=True)
@@ -60,7 +72,7 @@ def falsify(
     budget : int
         Number of runs.
     seed : int
-        Of the population.
+        Seed of the population.
     progress : callable
         Gets the runs so far, the budget and the worst error so far.
 
@@ -71,14 +83,14 @@ def falsify(
     Raises
     ------
     InputError
-        If heyoka is missing, a bound of the reference cannot be proven, or the truth has states
-        of its own.
+        If heyoka is missing, a bound of the reference cannot be proven, the truth has states of its
+        own, or a name of the plant is one of the search's own.
 
     Examples
     --------
     >>> import certrack
-    >>> found = certrack.falsify(certrack.load("dual-motor-lean"), budget=200)
-    >>> bool(found.worst_error <= certrack.certify(certrack.load("dual-motor-lean")).best.bound)
+    >>> result = certrack.falsify(certrack.load("dual-motor-lean"), budget=200)
+    >>> bool(result.worst_error <= certrack.certify(certrack.load("dual-motor-lean")).best.bound)
     True
     """
     if system.truth.states:
@@ -95,38 +107,38 @@ def falsify(
     search = _Search(AdversarialLoop(system.replace(implementation=None)), budget, progress)
     evolved = search.evolve(budget, seed)
     candidates = (evolved, search.polish(evolved, budget))
-    best = min(candidates, key=lambda genes: float(search.scores(genes[:, None])[0]))
+    best = min(candidates, key=lambda point: float(search.scores(point[:, None])[0]))
     case = search.loop.case(best)
     return Falsification(_replayed_error(case), case, search.evaluations)
 
 
 class _Search:
-    """Maximise the error over an adversary's genes; counts the runs and reports them."""
+    """Maximise the error over an adversary's numbers; counts the runs and reports them."""
 
     def __init__(self, loop: AdversarialLoop, budget: int, progress: Progress) -> None:
         self.loop, self._progress, self.evaluations = loop, progress, 0
         self._budget, self._worst = budget, 0.0
-        self._bounds = [(gene.low, gene.high) for gene in loop.adversary.genes]
+        self._bounds = [(v.low, v.high) for v in loop.adversary.variables]
         self._low, self._high = np.array(self._bounds).T
 
     def scores(self, points: np.ndarray) -> np.ndarray:
-        """Errors with a minus, of the genes (G, N)."""
-        genes = points.reshape(len(self._bounds), -1)
-        self.evaluations += genes.shape[1]
-        errors = self.loop.errors(genes)
+        """Errors with a minus, of the points (G, N)."""
+        points = points.reshape(len(self._bounds), -1)
+        self.evaluations += points.shape[1]
+        errors = self.loop.errors(points)
         self._worst = max(self._worst, float(errors.max()))
         self._progress(self.evaluations, self._budget, self._worst)
         return -errors
 
     def evolve(self, budget: int, seed: int) -> np.ndarray:
-        """The best genes of a population, by differential evolution."""
+        """The best point of a population, by differential evolution."""
         count = len(self._bounds)
-        size = max(MIN_POPULATION, min(MAX_POPULATION, 8 * (count // 2)))
+        size = max(MIN_POPULATION, min(MAX_POPULATION, LANES * (count // 2)))
         rng = np.random.default_rng(seed)
         start = rng.uniform(self._low, self._high, (size, count))
         plausible = self.loop.adversary.plausible_starts()
         start[: len(plausible)] = plausible
-        genes: np.ndarray = differential_evolution(
+        point: np.ndarray = differential_evolution(
             self.scores,
             self._bounds,
             vectorized=True,
@@ -137,23 +149,27 @@ class _Search:
             rng=rng,
             tol=0.0,
             atol=0.0,
-            mutation=(0.4, 0.9),
-            recombination=0.8,
+            mutation=DIFFERENCE_SCALE,
+            recombination=CROSSOVER,
         ).x
-        return genes
+        return point
 
-    def polish(self, genes: np.ndarray, budget: int) -> np.ndarray:
-        """The genes after a search around them, by Nelder and Mead's simplex."""
+    def polish(self, point: np.ndarray, budget: int) -> np.ndarray:
+        """The point after a search around it, by Nelder and Mead's simplex."""
         polished = minimize(
             lambda p: float(self.scores(self._clipped(p)[:, None])[0]),
-            genes,
+            point,
             method="Nelder-Mead",
-            options={"maxfev": max(50, budget // 20), "xatol": 1e-6, "fatol": 1e-9},
+            options={
+                "maxfev": max(MIN_POLISH_RUNS, budget // RUNS_PER_POLISH_RUN),
+                "xatol": POLISHED_POINT,
+                "fatol": POLISHED_ERROR,
+            },
         )
         return self._clipped(polished.x)
 
-    def _clipped(self, genes: np.ndarray) -> np.ndarray:
-        return np.clip(genes, self._low, self._high)
+    def _clipped(self, point: np.ndarray) -> np.ndarray:
+        return np.clip(point, self._low, self._high)
 
 
 def _replayed_error(case: System) -> float:

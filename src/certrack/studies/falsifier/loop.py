@@ -12,7 +12,7 @@ from certrack.studies.falsifier.adversary import Adversary
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
 from certrack.systems.system import System
 
-#: Of the integrator.
+#: Tolerance of the integrator: the replay has the usual one.
 HUNT_TOLERANCE = 1e-7
 
 #: Times after the transient at which |e_1| is looked at.
@@ -26,6 +26,10 @@ TRANSIENT_TIME_CONSTANTS = 25.0
 
 #: Transients longer than this are cut, s.
 MAX_TRANSIENT = 500.0
+
+#: Length of the tail after it, in time constants of the slowest mode, but at least and at most so
+#: many s: 12 s hold two periods of a pattern of 1 rad/s, more than 100 s would cost too much.
+TAIL_TIME_CONSTANTS, MIN_TAIL, MAX_TAIL = 4.0, 12.0, 100.0
 
 
 class AdversarialLoop:
@@ -45,35 +49,36 @@ class AdversarialLoop:
         self.adversary = Adversary.against(system)
         slowest = _slowest_time_constant(system)
         transient = min(MAX_TRANSIENT, TRANSIENT_TIME_CONSTANTS * slowest)
-        duration = transient + min(100.0, max(4.0 * slowest, 12.0))
-        self._system, self._settings = (
-            system,
-            replace(system.settings, duration=duration, tail=transient, integrator="auto"),
+        tail = min(MAX_TAIL, max(TAIL_TIME_CONSTANTS * slowest, MIN_TAIL))
+        duration = transient + tail
+        self._system = system
+        self._settings = replace(
+            system.settings, duration=duration, tail=transient, integrator="auto"
         )
         self._times = np.concatenate([[0.0], np.linspace(transient, duration, TAIL_POINTS)])
-        middle = np.array([gene.middle for gene in self.adversary.genes])
+        middle = np.array([v.middle for v in self.adversary.variables])
         self._template = self._with(middle, named=True)
         self._loop = close_loop(self._template)
         self._integrator = TaylorBatch(self._loop, HUNT_TOLERANCE)
 
-    def case(self, genes: np.ndarray) -> System:
+    def case(self, point: np.ndarray) -> System:
         """The system against the adversary with these numbers, written out."""
-        return self._with(genes, named=False)
+        return self._with(point, named=False)
 
-    def _with(self, genes: np.ndarray, *, named: bool) -> System:
-        draft, values = SystemDraft(self._system), genes.tolist()
+    def _with(self, point: np.ndarray, *, named: bool) -> System:
+        draft, values = SystemDraft(self._system), point.tolist()
         for part, where in self.adversary.slices():
             part.write_system(values[where], draft, named=named)
         return draft.finish(self._settings)
 
-    def errors(self, genes: np.ndarray) -> np.ndarray:
-        """Largest |e_1| after the transient of every member; genes (G, N)."""
-        count = genes.shape[1]
+    def errors(self, points: np.ndarray) -> np.ndarray:
+        """Largest |e_1| after the transient of every member; points (G, N)."""
+        count = points.shape[1]
         table = ParameterTable(self._loop, self._template, count)
         for part, where in self.adversary.slices():
-            part.write_parameters(genes[where], table)
+            part.write_parameters(points[where], table)
         shape = self.adversary.reference
-        waves = shape.waves(genes[: len(shape.genes)])
+        waves = shape.waves(points[: len(shape.variables)])
         start = np.array([*self._template.start, 0.0, 0.0, 0.0])  # the integrals begin at zero
         worst = np.zeros(count)
 
@@ -89,7 +94,7 @@ class AdversarialLoop:
 
 
 def _slowest_time_constant(system: System) -> float:
-    """Of the error and of the estimates' leaks, s."""
+    """Slowest time constant of the error and of the estimates' leaks, s."""
     law = system.law
     poles = system.controller.coordinates.poles
     slowest = 1.0 / max(1e-9, -poles.real.max())

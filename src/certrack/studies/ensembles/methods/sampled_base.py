@@ -63,7 +63,7 @@ class SampledMethod(Method):
     Parameters
     ----------
     problem : EnsembleProblem
-        Of a system with an implementation.
+        The members of a system with an implementation.
     threads : int
     adjustable : bool
         Whether :meth:`extremes` is to be asked for other implementations: their numbers are then
