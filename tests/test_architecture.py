@@ -1,4 +1,4 @@
-"""The house: rooms, layers, names, public surface, size of files, cost of import."""
+"""Architecture: rooms, layers, names, public surface, size of files, cost of import."""
 
 import ast
 import re

@@ -29,7 +29,8 @@ def test_every_decision_is_listed_and_has_its_parts():
     for (number, title, _), path in zip(listed, RECORDS, strict=True):
         text = path.read_text()
         assert path.name.startswith(f"{int(number):04}-")
-        assert text.startswith(f"# {number}. {title}\n\nStatus: ")
+        head = rf"# {number}\. {re.escape(title)}\n\nStatus: [^.\n]+\. Date: \d{{4}}-\d\d-\d\d\.\n"
+        assert re.match(head, text), path
         assert re.findall(r"^## (.+)", text, re.M) == parts
 
 

@@ -75,13 +75,13 @@ def largest_ratio(runs, make):
 
 
 def test_no_run_leaves_the_tube(runs, stages):
-    assert largest_ratio(runs, lambda system: certrack.certificates.tube(system, stages)) <= 1
+    assert largest_ratio(runs, lambda system: tube(system, stages)) <= 1
 
 
 def test_the_tube_at_the_start_is_the_error(example1, stages):
     """e_1(0) is known, and for order 2 the last stage has no other coordinate."""
     for x1 in (1.0, -3.0, 0.2):
-        tube = certrack.certificates.tube(example1.with_settings(x0=(x1, 2)), stages)
+        tube = tube(example1.with_settings(x0=(x1, 2)), stages)
         assert abs(x1 - 0.2) <= tube(0.0) <= max(abs(x1 - 0.2) * (1 + 1e-6), 1e-3)
 
 
@@ -94,7 +94,7 @@ def naive(system, stages):
 
 def narrowed(system, stages):
     """The mutant: the whole tube a little too narrow at the start."""
-    whole = certrack.certificates.tube(system, stages)
+    whole = tube(system, stages)
     return replace(whole, pieces=tuple((t, 0.9 * s, 0.9 * f) for t, s, f in whole.pieces))
 
 
@@ -147,11 +147,11 @@ def test_the_tube_falls_to_the_certificate_and_belongs_to_the_best(example1):
     assert found.tube(1e6) >= found.cascade.bound
     assert len(found.tube.pieces) > 1
     lean = certify(certrack.load("dual-motor-lean"))
-    assert lean.tube == certrack.certificates.tube(certrack.load("dual-motor-lean"), lean.proof)
+    assert lean.tube == tube(certrack.load("dual-motor-lean"), lean.proof)
 
 
 def test_the_pieces_join_and_none_is_below_the_floor(example1, stages):
-    tube = certrack.certificates.tube(example1, stages)
+    tube = tube(example1, stages)
     for (time, square, floor), (end, after, _) in pairwise(tube.pieces):
         decay = math.exp(-tube.alpha * (end - time))
         assert square * decay + floor * (1 - decay) <= after <= square * decay + floor + 1e-12
@@ -163,7 +163,7 @@ def test_the_pieces_join_and_none_is_below_the_floor(example1, stages):
 
 @pytest.mark.parametrize("level", [0.7, 0.3, 0.1, 0.08])
 def test_settling_time_is_the_last_time_above_the_level(level, example1, stages):
-    tube = certrack.certificates.tube(example1, stages)
+    tube = tube(example1, stages)
     settled = tube.settling_time(level)
     assert np.all(tube(settled + np.linspace(0, 100, 20_001)) <= level * (1 + 1e-9))
     assert tube(0.999 * settled) > level
@@ -184,15 +184,15 @@ def test_two_stages_have_their_tube_too(example1, runs, stages):
     problem = error_problem(example1, rational)
     last = cascade._prove_stage(head_problem(problem, from_text(stages[0].bound)), 0)
     two = (stages[0], last)
-    assert largest_ratio(runs[::3], lambda system: certrack.certificates.tube(system, two)) <= 1
-    assert certrack.certificates.tube(example1, two)(1e6) == pytest.approx(
+    assert largest_ratio(runs[::3], lambda system: tube(system, two)) <= 1
+    assert tube(example1, two)(1e6) == pytest.approx(
         float(last.bound), rel=1e-9
     )
 
 
 def test_the_centred_stage_waits_where_zeta_has_no_bound(monkeypatch, example1, runs, stages):
     """The first steps refuse; V_2 then starts with what V_1 allows, and nothing gets smaller."""
-    whole = certrack.certificates.tube(example1, stages)
+    whole = tube(example1, stages)
     module = sys.modules["certrack.certificates.tube"]
     real, refused = module.remainder_bound, []
 
@@ -206,12 +206,12 @@ def test_the_centred_stage_waits_where_zeta_has_no_bound(monkeypatch, example1, 
         return bound
 
     monkeypatch.setattr(module, "remainder_bound", refusing)
-    late = certrack.certificates.tube(example1, stages)
+    late = tube(example1, stages)
     assert refused
     t = np.linspace(0, 60, 601)
     assert np.all(late(t) >= whole(t) * (1 - 1e-12))
     assert late(1e6) == whole(1e6)
-    assert largest_ratio(runs[::5], lambda system: certrack.certificates.tube(system, stages)) <= 1
+    assert largest_ratio(runs[::5], lambda system: tube(system, stages)) <= 1
 
 
 def test_a_cascade_of_order_3_keeps_its_tube():
@@ -238,13 +238,13 @@ def test_a_cascade_of_order_3_keeps_its_tube():
     )
     certificate, stages = certify_cascade(system)
     assert certificate.verified
-    tube = certrack.certificates.tube(system, stages)
+    tube = tube(system, stages)
     assert tube(1e6) == pytest.approx(certificate.bound, rel=1e-9)
     for x0 in ((1, 1, -1), (0.2, 0, 5), (-2, 3, -4), (0.2, 0, -9)):
         run = simulate(system, x0=x0)
         assert np.all(
             np.abs(run.e[0])
-            <= certrack.certificates.tube(system.with_settings(x0=x0), stages)(run.t)
+            <= tube(system.with_settings(x0=x0), stages)(run.t)
         )
 
 
@@ -273,16 +273,16 @@ def test_what_is_printed_and_written_is_the_best_certificates_tube():
     assert tube["kind"] == "cascade"
     assert math.sqrt(tube["floor"]) == pytest.approx(told["cascade"]["bound"], rel=1e-9)
     rebuilt = Tube(tube["start"], tube["floor"], tube["alpha"], tuple(map(tuple, tube["pieces"])))
-    assert rebuilt(3.0) == certrack.certificates.tube(
+    assert rebuilt(3.0) == tube(
         certrack.load("example1"), certify_cascade(certrack.load("example1"))[1]
     )(3.0)
 
 
 def test_the_semidefinite_tube_is_still_to_be_had(example1):
     certificate, proof = certify_semidefinite(example1)
-    assert certrack.certificates.tube(example1, proof)(1e6) == pytest.approx(
+    assert tube(example1, proof)(1e6) == pytest.approx(
         certificate.bound, rel=1e-9
     )
-    assert certrack.certificates.tube(example1, [proof]) == certrack.certificates.tube(
+    assert tube(example1, [proof]) == tube(
         example1, proof
     )

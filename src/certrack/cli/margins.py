@@ -65,7 +65,7 @@ def margin(
         click.echo(system.title or file)
         report.console().print(report.margin_table(result, system.plant.units))
         report.print_lines(report.margin_notes(result))
-        if any(found.unlimited for found in (result.period, result.delay, result.saturation)):
+        if any(one.unlimited for one in (result.period, result.delay, result.saturation)):
             report.print_lines(
                 ["where nothing failed, the value shown is the end of the range, no edge"]
             )

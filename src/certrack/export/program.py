@@ -41,11 +41,13 @@ E_N, NU, UBAR, DRIFT, CUT = (symbol(f"ctl_{name}") for name in ("e_n", "nu", "ub
 LINEAR_FORM_GAINS = ("A_n", "B_n", "nu_x", "nu_Y", "sign_g")
 
 #: What whoever tunes by hand must know of these forms.
-MADE_NUMBERS = "numbers made from c, k, p, chain, linear: change the system file and export again"
+DERIVED_NUMBERS = (
+    "numbers made from c, k, p, chain, linear: change the system file and export again"
+)
 
 NOTES = {
-    E_N: f"last error coordinate: e_n = A_n x - B_n (y_d, y_d', ...)\n{MADE_NUMBERS}",
-    NU: f"what all laws share: nu = nu_x x + nu_Y (y_d, y_d', ...) - h(x)\n{MADE_NUMBERS}",
+    E_N: f"last error coordinate: e_n = A_n x - B_n (y_d, y_d', ...)\n{DERIVED_NUMBERS}",
+    NU: f"what all laws share: nu = nu_x x + nu_Y (y_d, y_d', ...) - h(x)\n{DERIVED_NUMBERS}",
     UBAR: "ubar = nu - phi(x)^T theta_hat",
     DRIFT: "drift h(x)",
     LAW_INPUT: "the input that the law asks for",

@@ -36,7 +36,7 @@ MIN_RUN_SAMPLES, LAST_RUN_SAMPLES = 100, 20
 
 #: Adaptation can make a loop faster than its error poles: that often the period is halved until all
 #: members finish. 2^-10 of it serves a loop some thousand times as fast as its fastest pole.
-MAX_HALVINGS = 10
+MAX_PERIOD_HALVINGS = 10
 
 #: Ratio of one value tried to the next, and of a value that fails to the one reported.
 VALUE_RATIO, EDGE_RATIO = 1.25, 1.01
@@ -266,7 +266,7 @@ def _finest_sampling(
     error = trials.worst(coarse)
     if math.isfinite(error):
         return period, error
-    for _ in range(MAX_HALVINGS):
+    for _ in range(MAX_PERIOD_HALVINGS):
         if 2 * duration / period > MAX_RUN_SAMPLES:
             break
         finishes, period = math.isfinite(error), period / 2

@@ -302,7 +302,7 @@ def _refuse_keys_of_another(
         for name in entries
         if name not in keys[kind]
     }
-    foreign = [name for name, found in owners.items() if found]
+    foreign = [name for name, kinds in owners.items() if kinds]
     if not foreign:
         return
     first, *others = foreign
