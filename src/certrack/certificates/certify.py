@@ -9,7 +9,7 @@ import flint
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import certify_cascade
-from certrack.certificates.certificate import Certificate, NoCertificate, missing
+from certrack.certificates.certificate import Certificate, NoCertificate, missing, within_floats
 from certrack.certificates.exact import Proof, prove, proven
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.problem import ErrorProblem
@@ -109,19 +109,20 @@ def best_sound_bound(system: System) -> float:
 def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
     """The tight certificate of `system`, verified exactly, and the numbers that prove it."""
     try:
-        exact = error_problem(system, rational)
-        solution = best_solution(SemidefiniteProgram(exact.in_floats()))
-        if solution is None:
-            raise NoCertificate(
-                "no certificate found: the uncertainty is too strong for this design; lower tau, "
-                "raise c, or use fewer damping terms"
-            )
-        proof = prove(exact, solution)
-        if proof is None:
-            raise NoCertificate(
-                "the solver's certificate did not survive exact verification; rescale the states "
-                "or use fewer damping terms"
-            )
+        with within_floats():
+            exact = error_problem(system, rational)
+            solution = best_solution(SemidefiniteProgram(exact.in_floats()))
+            if solution is None:
+                raise NoCertificate(
+                    "no certificate found: the uncertainty is too strong for this design; "
+                    "lower tau, raise c, or use fewer damping terms"
+                )
+            proof = prove(exact, solution)
+            if proof is None:
+                raise NoCertificate(
+                    "the solver's certificate did not survive exact verification; rescale the "
+                    "states or use fewer damping terms"
+                )
     except NoCertificate as problem:
         return missing("semidefinite", str(problem)), None
     return proven("semidefinite", system, proof), proof
@@ -167,8 +168,12 @@ def critical_semidefinite(
 def _provable(exact: ErrorProblem, strength: float, slow: float) -> bool:
     """Whether the problem with scaled tau has an exactly verified certificate."""
     scaled = exact.homogeneous(flint.fmpq(*float(strength).as_integer_ratio()))
-    program = SemidefiniteProgram(scaled.in_floats())
-    if not program.fastest > 0:
+    try:
+        with within_floats():
+            program = SemidefiniteProgram(scaled.in_floats())
+            if not program.fastest > 0:
+                return False
+            solution = program.solve(min(SLOW_RATE * program.fastest, slow))
+            return solution is not None and prove(scaled, solution) is not None
+    except NoCertificate:
         return False
-    solution = program.solve(min(SLOW_RATE * program.fastest, slow))
-    return solution is not None and prove(scaled, solution) is not None

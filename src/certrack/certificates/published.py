@@ -24,7 +24,13 @@ from scipy.optimize import minimize_scalar
 
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import decimal
-from certrack.certificates.certificate import Certificate, NoCertificate, missing
+from certrack.certificates.certificate import (
+    OUT_OF_RANGE,
+    Certificate,
+    NoCertificate,
+    missing,
+    within_floats,
+)
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.premises import assumptions
 from certrack.references.base import total_bound
@@ -100,16 +106,23 @@ class Terms:
 def certify_published(system: System) -> dict[str, Certificate]:
     """Published, corrected and rate form of `system`, each with its best eps."""
     try:
-        terms = collect(system)
+        with within_floats():
+            terms = collect(system)
     except NoCertificate as problem:
         return {kind: missing(kind, str(problem)) for kind in ("published", "corrected", "rate")}
     premises = (*assumptions(system), "D of Assumption 2 for the reference")
 
     def best(kind: str, square: Callable[[float], float]) -> Certificate:
-        eps = _minimise(square, terms)
-        bound = math.sqrt(square(eps)) * PUBLISHED_ROUNDING
-        rate = terms.alpha(eps) if kind == "rate" else math.nan
-        delta = terms.dbar(eps) if kind == "rate" else math.nan
+        try:
+            with within_floats():
+                eps = _minimise(square, terms)
+                bound = math.sqrt(square(eps)) * PUBLISHED_ROUNDING
+                rate = terms.alpha(eps) if kind == "rate" else math.nan
+                delta = terms.dbar(eps) if kind == "rate" else math.nan
+        except NoCertificate as problem:
+            return missing(kind, str(problem))
+        if not math.isfinite(bound):
+            return missing(kind, OUT_OF_RANGE)
         return Certificate(kind, bound, rate, delta, assumptions=premises)
 
     return {
@@ -124,10 +137,11 @@ def certify_published(system: System) -> dict[str, Certificate]:
 def critical_strength(system: System) -> float:
     """Largest common scale of tau with mu1 > 0 for some eps: sqrt(min c/(||A^{-1}||_F^2 G))."""
     try:
-        terms = collect(system, critical=True)
+        with within_floats():
+            terms = collect(system, critical=True)
+            return math.sqrt(terms.c_min / (terms.A_norm2 * terms.G)) if terms.G else math.inf
     except NoCertificate:
         return 0.0
-    return math.sqrt(terms.c_min / (terms.A_norm2 * terms.G)) if terms.G else math.inf
 
 
 def collect(system: System, *, critical: bool = False) -> Terms:
@@ -161,6 +175,8 @@ def collect(system: System, *, critical: bool = False) -> Terms:
         gains=gains,
         adaptation=adaptation,
     )
+    if not all(map(math.isfinite, (terms.A_norm2, G, H, reference2, last, leak))):
+        raise NoCertificate(OUT_OF_RANGE)
     if not critical and not terms.mu1(SMALL_EPS) > 0:
         raise NoCertificate(
             f"the uncertainty is too strong for the published proof: mu1 = {terms.mu1(0):.3g}; "

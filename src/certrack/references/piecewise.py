@@ -263,10 +263,8 @@ def trapezoid(
     bound : float, optional
         D of Assumption 2.
     """
-    if fields is None:
-        fields = _fields(
-            "trapezoid", amplitude=amplitude, period=period, rise=rise, offset=offset, start=start
-        )
+    given = {"amplitude": amplitude, "period": period, "rise": rise, "offset": offset}
+    fields = fields or _fields("trapezoid", **given, start=start)
     amplitude = checks.real("reference.amplitude", amplitude, nonzero=True)
     period = checks.real("reference.period", period, above=0)
     rise = checks.real("reference.rise", rise, above=0)
@@ -341,12 +339,8 @@ def steps(
         if knots and abs(begin - knots[-1]) <= 1e-9 * max(1.0, abs(begin)):
             begin = knots[-1]  # contiguous moves, up to rounding
         if knots and begin < knots[-1]:
-            raise InputError(
-                f"reference.times[{i}]",
-                f"must not be before the end of the previous move at t = {knots[-1]:g}",
-                begin,
-                "Raise slope or move later",
-            )
+            wanted = f"must not be before the end of the previous move at t = {knots[-1]:g}"
+            raise InputError(f"reference.times[{i}]", wanted, begin, "Raise slope or move later")
         if a == b:
             raise InputError(f"reference.levels[{i + 1}]", "must differ from the level before", b)
         if not knots or begin > knots[-1]:
@@ -384,9 +378,8 @@ def samples(
     times = checks.reals("reference.times", times, None, "sample times, s")
     values = checks.reals("reference.values", values, len(times), "one value per time")
     if not 2 <= len(times) <= MAX_REFERENCE_SAMPLES:
-        raise InputError(
-            "reference.times", f"must be 2 to {MAX_REFERENCE_SAMPLES} samples", len(times)
-        )
+        wanted = f"must be 2 to {MAX_REFERENCE_SAMPLES} samples"
+        raise InputError("reference.times", wanted, len(times))
     t, y = np.array(times), np.array(values)
     late = np.flatnonzero(np.diff(t) <= 0)
     if late.size:
