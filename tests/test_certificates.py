@@ -24,7 +24,7 @@ from certrack.certificates import (
 from certrack.certificates.arithmetic import decimal, positive_definite, rational
 from certrack.certificates.cascade import certify_cascade, check_cascade
 from certrack.certificates.document import _digest, verify
-from certrack.certificates.exact import Proof, check, prove
+from certrack.certificates.exact import Proof, check, float_up, from_text, prove, root_up
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.published import certify_published, collect, critical_strength
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
@@ -546,3 +546,42 @@ def test_critical_strength_is_at_least_the_certified_one(rate, leak):
     found = certify(loads(text))
     assert found.semidefinite.verified
     assert found.critical_semidefinite >= 1.0
+
+
+@given(st.integers(1, 10**40), st.integers(1, 10**40), st.integers(-600, 600))
+def test_roots_are_rounded_up_at_any_magnitude(p, q, decade):
+    square = flint.fmpq(p, q) * flint.fmpq(10) ** decade
+    root = from_text(root_up(square))
+    assert square <= root * root <= square * (1 + flint.fmpq(3, 10**12)) ** 2
+
+
+def test_floats_beyond_the_largest_are_infinite():
+    assert float_up(flint.fmpq(10) ** 400) == math.inf
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"beta": 1e8},
+        {"beta": 1e200},
+        {"gamma": 1e200},
+        {"leak_gain": 1e-10},
+        {"Gamma": (1e-12,)},
+        {"Gamma": (1e30,)},
+        {"signal": "1e16*cos(t)"},
+        {"signal": "1e200*cos(t)"},
+    ],
+)
+def test_extreme_numbers_end_in_a_bound_or_a_reason(change):
+    (name, value), system = *change.items(), certrack.load("example1")
+    if name == "signal":
+        system = system.replace(reference=SymbolicReference(value))
+    elif name in ("beta", "gamma"):
+        bounds = replace(system.plant.uncertainty, **{name: (0.0, value)})
+        system = system.replace(plant=replace(system.plant, uncertainty=bounds))
+    else:
+        system = system.replace(law=replace(system.law, **{name: value}))
+    found = certrack.certify(system)
+    for one in (found.published, found.corrected, found.rate, found.semidefinite, found.cascade):
+        assert one.exists != bool(one.reason)

@@ -1,7 +1,7 @@
 """References: derivatives, proven bounds, break points."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -258,6 +258,91 @@ def test_arcsine_has_order_one():
 def test_expanding_huge_sums_is_not_tried():
     text = "(sin(t) + cos(2*t) + sin(3*t) + cos(5*t) + sin(7*t))**64"
     assert SymbolicReference(text).bounds(0).origin == ("proven",)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: trapezoid(1, 20, 1e-13),
+        lambda: trapezoid(1, 20, 5, start=1e20),
+        lambda: triangle(1, 20, start=-1e15),
+        lambda: steps([1e20], [0, 1], 1),
+        lambda: steps([0], [0, 1], 1e14),
+        lambda: steps([0, 1e14], [0, 1, 0], 1),
+        lambda: samples([0, 1e-14, 1], [0, 1, 0]),
+    ],
+)
+def test_a_piece_that_rounding_would_lose_is_refused(make):
+    """Such a piece is a jump, which no bound on y_d' allows."""
+    with pytest.raises(InputError, match="too narrow for its time"):
+        make()
+
+
+@given(
+    st.floats(0.01, 100),
+    st.floats(1e-3, 1e3),
+    st.floats(1e-9, 0.5),
+    st.floats(-1e9, 1e9),
+)
+def test_pieces_meet_whatever_their_times(amplitude, period, part, start):
+    """|y_d(s) - y_d(t)| <= Y_1 |s - t| on both sides of every knot that is accepted."""
+    try:
+        reference = trapezoid(amplitude, period, part * period, start=start)
+    except InputError as problem:
+        assert "too narrow for its time" in str(problem)
+        return
+    knots, rows = np.array(reference.knots), np.array(reference.coefficients)
+    ends = rows[:, 0] + rows[:, 1] * np.diff(knots)
+    starts = np.append(rows[1:, 0], rows[0, 0])
+    assert np.abs(ends - starts).max() <= 1e-14 * amplitude
+    assert reference.bounds(1).values[1] >= np.abs(np.diff(rows[:2, 0]) / np.diff(knots[:2]))
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"knots": ("a",)}, "knots"),
+        ({"knots": (0.0, 2.0, 1.0)}, "knots[2]"),
+        ({"knots": (0.0, 1.0, math.inf)}, "knots"),
+        ({"knots": 3}, "knots"),
+        ({"knots": (0.0,), "coefficients": ()}, "knots"),
+        ({"knots": (0.0, 1.0)}, "coefficients"),
+        ({"coefficients": "abc"}, "coefficients"),
+        ({"coefficients": ((1.0, 0.0), (2.0,))}, "coefficients"),
+        ({"coefficients": ((math.nan,) * 4,) * 2}, "coefficients"),
+        ({"smoothness": 0}, "smoothness"),
+        ({"smoothness": 1.5}, "smoothness"),
+        ({"period": -1}, "period"),
+        ({"period": 3}, "period"),
+        ({"bound": "x*"}, "bound"),
+    ],
+)
+def test_no_invalid_pieces_exist(change, key):
+    with pytest.raises(InputError) as caught:
+        replace(triangle(1, 2), **change)
+    assert str(caught.value).startswith(f"reference.{key}: ")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"coefficients": ((-1.0, 2.0, 0.0, 0.0), (1.1, -2.0, 0.0, 0.0))},  # between pieces
+        {"coefficients": ((-1.0, 2.0, 0.0, 0.0), (1.0, -1.0, 0.0, 0.0))},  # where it repeats
+        {"smoothness": 2},  # the slope
+        {"smoothness": 2, "period": None, "coefficients": ((0, 1, 0, 0), (1, 1, 0, 0))},  # held
+    ],
+)
+def test_pieces_that_jump_are_refused(change):
+    with pytest.raises(InputError, match="must not jump"):
+        replace(triangle(1, 2), **change)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: triangle(1e300, 1e-10), lambda: steps([0], [0, 1e300], 1e-10)]
+)
+def test_overflow_of_a_reference_is_refused(make):
+    with pytest.raises(InputError, match=r"^reference.*(overflows|finite)"):
+        make()
 
 
 def test_contiguous_moves_are_accepted():

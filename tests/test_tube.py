@@ -19,7 +19,7 @@ from certrack.certificates.cascade import certify_cascade, head_problem
 from certrack.certificates.centred import centred_problem
 from certrack.certificates.exact import from_text, squared_bound
 from certrack.certificates.formulation import error_problem
-from certrack.certificates.tube import Tube, _allowed, _centred_steps, _fall, _single_stage
+from certrack.certificates.tube import Tube, _allowed, _centred_steps, _fall, _single_stage, tube
 from certrack.cli import cli
 from certrack.core.rounding import rounded_down, rounded_up
 from certrack.simulation.simulator import Simulator, simulate
@@ -185,9 +185,7 @@ def test_two_stages_have_their_tube_too(example1, runs, stages):
     last = cascade._prove_stage(head_problem(problem, from_text(stages[0].bound)), 0)
     two = (stages[0], last)
     assert largest_ratio(runs[::3], lambda system: tube(system, two)) <= 1
-    assert tube(example1, two)(1e6) == pytest.approx(
-        float(last.bound), rel=1e-9
-    )
+    assert tube(example1, two)(1e6) == pytest.approx(float(last.bound), rel=1e-9)
 
 
 def test_the_centred_stage_waits_where_zeta_has_no_bound(monkeypatch, example1, runs, stages):
@@ -242,10 +240,7 @@ def test_a_cascade_of_order_3_keeps_its_tube():
     assert tube(1e6) == pytest.approx(certificate.bound, rel=1e-9)
     for x0 in ((1, 1, -1), (0.2, 0, 5), (-2, 3, -4), (0.2, 0, -9)):
         run = simulate(system, x0=x0)
-        assert np.all(
-            np.abs(run.e[0])
-            <= tube(system.with_settings(x0=x0), stages)(run.t)
-        )
+        assert np.all(np.abs(run.e[0]) <= tube(system.with_settings(x0=x0), stages)(run.t))
 
 
 def test_centred_problem_has_zeta_as_its_last_bounded_input(example1, stages):
@@ -280,9 +275,5 @@ def test_what_is_printed_and_written_is_the_best_certificates_tube():
 
 def test_the_semidefinite_tube_is_still_to_be_had(example1):
     certificate, proof = certify_semidefinite(example1)
-    assert tube(example1, proof)(1e6) == pytest.approx(
-        certificate.bound, rel=1e-9
-    )
-    assert tube(example1, [proof]) == tube(
-        example1, proof
-    )
+    assert tube(example1, proof)(1e6) == pytest.approx(certificate.bound, rel=1e-9)
+    assert tube(example1, [proof]) == tube(example1, proof)

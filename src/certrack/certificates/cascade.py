@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.centred import centred_problem
-from certrack.certificates.certificate import Certificate, NoCertificate, missing
+from certrack.certificates.certificate import Certificate, NoCertificate, missing, within_floats
 from certrack.certificates.exact import Proof, check, from_text, prove, proven
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.problem import ErrorProblem
@@ -39,13 +39,14 @@ from certrack.systems.system import System
 def certify_cascade(system: System) -> tuple[Certificate, tuple[Proof, ...] | None]:
     """The cascade of `system`, and its two or three proven stages."""
     try:
-        exact = error_problem(system, rational)
-        if exact.adaptation is None or exact.n < 2:
-            raise NoCertificate("the cascade helps the adaptive law of order 2 and more only")
-        stages = [_prove_stage(exact, exact.n - 1)]
-        centred = _centred_stage(system, exact, stages[0])
-        stages += [] if centred is None else [centred]
-        head = _prove_stage(head_problem(exact, from_text(stages[-1].bound)), 0)
+        with within_floats():
+            exact = error_problem(system, rational)
+            if exact.adaptation is None or exact.n < 2:
+                raise NoCertificate("the cascade helps the adaptive law of order 2 and more only")
+            stages = [_prove_stage(exact, exact.n - 1)]
+            centred = _centred_stage(system, exact, stages[0])
+            stages += [] if centred is None else [centred]
+            head = _prove_stage(head_problem(exact, from_text(stages[-1].bound)), 0)
     except NoCertificate as problem:
         return missing("cascade", str(problem)), None
     return proven("cascade", system, head), (*stages, head)

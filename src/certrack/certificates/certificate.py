@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from decimal import ROUND_CEILING, Context, Decimal
+
+import numpy as np
 
 from certrack.core.errors import CertrackError
 
@@ -62,3 +66,26 @@ def shown_bound(bound: float, digits: int = 4) -> str:
 def missing(kind: str, reason: str) -> Certificate:
     """The certificate that says there is none."""
     return Certificate(kind, math.inf, reason=reason)
+
+
+@contextmanager
+def within_floats() -> Iterator[None]:
+    """Compute what may leave the range of floats: then there is no certificate, not a crash.
+
+    Raises
+    ------
+    NoCertificate
+        Instead of the errors of arithmetic; results that became inf or NaN are the caller's to see.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except (ArithmeticError, np.linalg.LinAlgError):
+        raise NoCertificate(OUT_OF_RANGE) from None
+
+
+#: Why there is none where a number overflowed or vanished.
+OUT_OF_RANGE = (
+    "numbers of this design leave the range of floating point; "
+    "choose units in which they are nearer to 1"
+)

@@ -6,7 +6,13 @@ from dataclasses import dataclass, fields
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import certify_cascade
-from certrack.certificates.certificate import Certificate, NoCertificate, missing, shown_bound
+from certrack.certificates.certificate import (
+    Certificate,
+    NoCertificate,
+    missing,
+    shown_bound,
+    within_floats,
+)
 from certrack.certificates.exact import Proof, prove, proven
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.published import certify_published, critical_strength
@@ -162,19 +168,20 @@ def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
     True
     """
     try:
-        exact = error_problem(system, rational)
-        solution = best_solution(SemidefiniteProgram(exact.in_floats()))
-        if solution is None:
-            raise NoCertificate(
-                "no certificate found: the uncertainty is too strong for this design; lower tau, "
-                "raise c, or use fewer damping terms"
-            )
-        proof = prove(exact, solution)
-        if proof is None:
-            raise NoCertificate(
-                "the solver's certificate did not survive exact verification; rescale the states "
-                "or use fewer damping terms"
-            )
+        with within_floats():
+            exact = error_problem(system, rational)
+            solution = best_solution(SemidefiniteProgram(exact.in_floats()))
+            if solution is None:
+                raise NoCertificate(
+                    "no certificate found: the uncertainty is too strong for this design; "
+                    "lower tau, raise c, or use fewer damping terms"
+                )
+            proof = prove(exact, solution)
+            if proof is None:
+                raise NoCertificate(
+                    "the solver's certificate did not survive exact verification; rescale the "
+                    "states or use fewer damping terms"
+                )
     except NoCertificate as problem:
         return missing("semidefinite", str(problem)), None
     return proven("semidefinite", system, proof), proof

@@ -185,10 +185,16 @@ def root_up(square: Any) -> str:
     exact = Fraction(int(square.p), int(square.q))
     if exact == 0:
         return "0"
-    places = BOUND_DIGITS - math.floor(math.log10(math.sqrt(float(exact)) or 1e-300))
-    scaled = exact * 10 ** (2 * places)
+    bits = exact.numerator.bit_length() - exact.denominator.bit_length()
+    decade = math.floor(bits * math.log10(2) / 2)  # of the root, but for one up or down
+    while Fraction(10) ** (2 * decade) > exact:
+        decade -= 1
+    while Fraction(10) ** (2 * decade + 2) <= exact:
+        decade += 1
+    places = BOUND_DIGITS - decade
+    scaled = exact * Fraction(10) ** (2 * places)
     root = math.isqrt(scaled.numerator // scaled.denominator) + 1
-    return f"{root}e-{places}"
+    return f"{root}e{-places}"
 
 
 def float_up(value: Any) -> float:
@@ -196,7 +202,10 @@ def float_up(value: Any) -> float:
 
     Conversion rounds to the nearest float, which may be below: then the next one is taken.
     """
-    near = float(value)
-    while flint.fmpq(*near.as_integer_ratio()) < value:
+    try:
+        near = float(value)
+    except OverflowError:
+        return math.inf
+    while near < math.inf and flint.fmpq(*near.as_integer_ratio()) < value:
         near = math.nextafter(near, math.inf)
     return near

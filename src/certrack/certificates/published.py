@@ -28,7 +28,13 @@ from scipy.optimize import minimize_scalar
 
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import ToNumber, decimal, rational
-from certrack.certificates.certificate import Certificate, NoCertificate, missing
+from certrack.certificates.certificate import (
+    OUT_OF_RANGE,
+    Certificate,
+    NoCertificate,
+    missing,
+    within_floats,
+)
 from certrack.certificates.exact import from_text, root_up
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.premises import assumptions
@@ -105,16 +111,23 @@ class Terms:
 def certify_published(system: System) -> dict[str, Certificate]:
     """Published, corrected and rate form of `system`, each with its best eps."""
     try:
-        terms = collect(system)
+        with within_floats():
+            terms = collect(system)
     except NoCertificate as problem:
         return {kind: missing(kind, str(problem)) for kind in ("published", "corrected", "rate")}
     premises = (*assumptions(system), "D of Assumption 2 for the reference")
 
     def best(kind: str, square: Callable[[float], float]) -> Certificate:
-        eps = _minimise(square, terms)
-        bound = math.sqrt(square(eps)) * PUBLISHED_ROUNDING
-        rate = terms.alpha(eps) if kind == "rate" else math.nan
-        delta = terms.dbar(eps) if kind == "rate" else math.nan
+        try:
+            with within_floats():
+                eps = _minimise(square, terms)
+                bound = math.sqrt(square(eps)) * PUBLISHED_ROUNDING
+                rate = terms.alpha(eps) if kind == "rate" else math.nan
+                delta = terms.dbar(eps) if kind == "rate" else math.nan
+        except NoCertificate as problem:
+            return missing(kind, str(problem))
+        if not math.isfinite(bound):
+            return missing(kind, OUT_OF_RANGE)
         return Certificate(kind, bound, rate, delta, assumptions=premises)
 
     return {
@@ -133,15 +146,16 @@ def critical_strength(system: System) -> float:
     design, rounded down.
     """
     try:
-        terms = collect(system, critical=True)
+        with within_floats():
+            terms = collect(system, critical=True)
+            if not terms.G:
+                return math.inf
+            Xe = error_problem(system, rational).Xe
+            G, _ = uncertainty_terms(system, rational)
+            c_min = min(rational(c) for c in system.law.gains().c)
+            return float(from_text(root_up(c_min / ((Xe**2).sum() * G)))) / PUBLISHED_ROUNDING
     except NoCertificate:
         return 0.0
-    if not terms.G:
-        return math.inf
-    Xe = error_problem(system, rational).Xe
-    G, _ = uncertainty_terms(system, rational)
-    c_min = min(rational(c) for c in system.law.gains().c)
-    return float(from_text(root_up(c_min / ((Xe**2).sum() * G)))) / PUBLISHED_ROUNDING
 
 
 def collect(system: System, *, critical: bool = False) -> Terms:
@@ -175,6 +189,8 @@ def collect(system: System, *, critical: bool = False) -> Terms:
         gains=gains,
         adaptation=adaptation,
     )
+    if not all(map(math.isfinite, (terms.A_norm2, G, H, reference2, last, leak))):
+        raise NoCertificate(OUT_OF_RANGE)
     if not critical and not terms.mu1(SMALL_EPS) > 0:
         raise NoCertificate(
             f"the uncertainty is too strong for the published proof: mu1 = {terms.mu1(0):.3g}; "

@@ -222,6 +222,8 @@ def _natural_scale(problem: ErrorProblem) -> np.ndarray:
     """Typical size of each e_i under unit inputs: root of the Gramian's diagonal."""
     inputs = np.hstack([problem.Ua, problem.Ub, problem.Uy])
     drive = inputs @ inputs.T
+    if not np.isfinite(drive).all():
+        raise OverflowError("the squares of the inputs overflow")
     weight = float(np.trace(drive)) or 1.0
     drive = drive + SCALING_FLOOR * weight * np.eye(problem.n)
     if np.linalg.eigvals(problem.M).real.max() >= 0:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from certrack.certificates.arithmetic import exact_float, positive_definite, rational
-from certrack.certificates.certificate import Certificate, NoCertificate
+from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
 from certrack.certificates.exact import prove
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.problem import ErrorProblem
@@ -95,11 +95,15 @@ def _limit(exact: ErrorProblem) -> float:
 def _provable(exact: ErrorProblem, strength: float, slow: float) -> bool:
     """Whether the problem with scaled tau has an exactly verified certificate."""
     scaled = exact.homogeneous(exact_float(strength, rational))
-    program = SemidefiniteProgram(scaled.in_floats())
-    if not program.fastest > 0:
+    try:
+        with within_floats():
+            program = SemidefiniteProgram(scaled.in_floats())
+            if not program.fastest > 0:
+                return False
+            solution = program.solve(min(SLOW_RATE * program.fastest, slow))
+            return solution is not None and prove(scaled, solution) is not None
+    except NoCertificate:
         return False
-    solution = program.solve(min(SLOW_RATE * program.fastest, slow))
-    return solution is not None and prove(scaled, solution) is not None
 
 
 def _holds_as_published(system: System, exact: ErrorProblem, strength: float) -> bool:

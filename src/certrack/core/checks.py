@@ -8,6 +8,8 @@ import numbers
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+
 from certrack.core.errors import InputError
 from certrack.core.expressions import MAX_MAGNITUDE, Expression, number
 
@@ -99,6 +101,18 @@ def reals(
     """A list of numbers, each within the limits of :func:`real`."""
     entries = sequence(key, value, length, what)
     return tuple(real(f"{key}[{i}]", v, names, **limits) for i, v in enumerate(entries))
+
+
+def finite_array(key: str, value: Any, dimensions: int) -> np.ndarray:
+    """An array of finite numbers, for lists too long to be read one by one."""
+    try:
+        array = np.asarray(value)
+    except (ValueError, TypeError, OverflowError):
+        array = np.empty(0, dtype=object)  # rows of different lengths
+    if array.dtype.kind not in "iuf" or array.ndim != dimensions or not np.isfinite(array).all():
+        wanted = "a list" if dimensions == 1 else "rows of equal length"
+        raise InputError(key, f"must be {wanted} of finite numbers", as_written(value))
+    return array.astype(float)
 
 
 def ordered_pair(

@@ -21,9 +21,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.keys import set_fields
 from certrack.references.base import Bounds, round_up
-
-#: Of every piece: enough for a cubic interpolant.
-DEGREE = 3
+from certrack.references.polynomials import DEGREE, derived, evaluate, stationary
 
 #: More samples than this fill the memory of a small machine while the coefficients are computed.
 MAX_REFERENCE_SAMPLES = 1_000_000
@@ -31,6 +29,9 @@ MAX_REFERENCE_SAMPLES = 1_000_000
 #: Relative to the time or the length of the knots: times closer than this are the same, for the
 #: knots of a periodic reference are sums of floats.
 SAME_TIME = 1e-12
+
+#: Relative to the sizes of its terms: ends of pieces closer than this are the same value.
+SAME_VALUE = 1e-12
 
 #: Factor on the extremes of a piece, whose evaluation is some ten float operations.
 EXTREME_ROUNDING = 1 + 1e-13
@@ -58,6 +59,12 @@ class PiecewiseReference:
         The keys of the system file that made it, for saving.
     bound : float, optional
         D with |y_d| + |y_d'| <= D (Assumption 2).
+
+    Raises
+    ------
+    InputError
+        If it is not what this says: knots that do not increase by more than times are rounded,
+        numbers that are not finite, derivatives below the order that jump.
     """
 
     knots: tuple[float, ...]
@@ -68,6 +75,9 @@ class PiecewiseReference:
     bound: float | None = None
 
     def __post_init__(self) -> None:
+        self._check_numbers()
+        self._check_times()
+        self._check_continuity()
         if self.bound is None:
             return
         limit = checks.real("reference.bound", self.bound, above=0)
@@ -77,6 +87,60 @@ class PiecewiseReference:
         total = np.abs(self.values(points.ravel(), 1)).sum(axis=0).max()
         if total > limit * (1 + BOUND_TOLERANCE):
             raise InputError("reference.bound", f"must bound |y_d| + |y_d'|, which is {total:.6g}")
+
+    def _check_numbers(self) -> None:
+        knots = checks.finite_array("reference.knots", self.knots, 1)
+        if len(knots) < 2:
+            raise InputError("reference.knots", "must be at least two times", len(knots))
+        table = checks.finite_array("reference.coefficients", self.coefficients, 2)
+        if table.shape != (len(knots) - 1, DEGREE + 1):
+            wanted = f"must be {len(knots) - 1} rows of {DEGREE + 1} numbers, one per piece"
+            raise InputError("reference.coefficients", wanted, f"shape {table.shape}")
+        set_fields(
+            self,
+            knots=tuple(knots.tolist()),
+            coefficients=tuple(map(tuple, table.tolist())),
+            smoothness=checks.integer("reference.smoothness", self.smoothness, 1, DEGREE),
+        )
+
+    def _check_times(self) -> None:
+        knots, width = self._knots, np.diff(self._knots)
+        if (width < 0).any():
+            i = int(np.argmax(width < 0)) + 1
+            raise InputError(f"reference.knots[{i}]", "times must increase", self.knots[i])
+        first, last = self.knots[0], self.knots[-1]
+        rounding = SAME_TIME * max(1.0, abs(first), abs(last), last - first)
+        if not (width > rounding).all():
+            i = int(np.argmin(width > rounding))
+            raise InputError(
+                "reference",
+                f"must not have a piece too narrow for its time: {width[i]:g} s at t = "
+                f"{knots[i]:g} s, where times are the same within {rounding:g} s",
+                remedy="Move slower or earlier",
+            )
+        if self.period is not None:
+            set_fields(self, period=checks.real("reference.period", self.period, above=0))
+            if abs(self.period - (last - first)) > rounding:
+                wanted = f"must be the length of the knots, {last - first:g} s"
+                raise InputError("reference.period", wanted, self.period)
+
+    def _check_continuity(self) -> None:
+        """Derivatives below the order are continuous, also where it repeats or holds."""
+        a, width = np.array(self.coefficients), np.diff(self._knots)
+        for i in range(self.smoothness):
+            with np.errstate(all="ignore"):
+                terms = derived(a, i)
+                ends, size = evaluate(terms, width), evaluate(np.abs(terms), width)
+                first = terms[0, 0] if self.period or i == 0 else 0.0
+                last = first if self.period else (ends[-1] if i == 0 else 0.0)
+                jumps = np.abs(np.append(terms[:, 0], last) - np.append(first, ends))
+                size = np.maximum(np.append(size, size[0]), np.append(size[-1], size))
+            if not np.isfinite(size).all():
+                raise InputError("reference", "must not be so large or steep that it overflows")
+            if (jumps > SAME_VALUE * size).any():
+                at = self._knots[int(np.argmax(jumps > SAME_VALUE * size))]
+                what = f"the derivative of order {i}" if i else "y_d"
+                raise InputError("reference", f"must not jump: {what} does at t = {at:g} s")
 
     @property
     def declared_bound(self) -> float | None:
@@ -166,39 +230,10 @@ class PiecewiseReference:
         width = np.diff(self._knots)
         values = []
         for i in range(order + 1):
-            points = [np.zeros_like(width), width, *_stationary(_derived(a, i + 1), width)]
-            best = max(float(np.abs(_evaluate(_derived(a, i), s)).max()) for s in points)
+            points = [np.zeros_like(width), width, *stationary(derived(a, i + 1), width)]
+            best = max(float(np.abs(evaluate(derived(a, i), s)).max()) for s in points)
             values.append(round_up(best * EXTREME_ROUNDING))
         return Bounds(tuple(values), ("exact",) * (order + 1))
-
-
-def _derived(a: np.ndarray, i: int) -> np.ndarray:
-    """Coefficient rows of the i-th derivative, padded with zeros."""
-    derived = np.zeros_like(a)
-    for k in range(i, DEGREE + 1):
-        derived[:, k - i] = math.perm(k, i) * a[:, k]
-    return derived
-
-
-def _evaluate(a: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Value of each row's polynomial at its own s."""
-    value = np.zeros_like(s)
-    for k in range(DEGREE, -1, -1):
-        value = value * s + a[:, k]
-    return value
-
-
-def _stationary(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
-    """Roots of each row's quadratic, moved into the piece (any point of it is admissible)."""
-    # in units of the piece's width and height, so that nothing under- or overflows
-    scaled = slope[:, :3] * width[:, None] ** np.arange(3)
-    scaled = scaled / np.maximum(np.abs(scaled).max(axis=1, keepdims=True), 1e-300)
-    c0, c1, c2 = scaled[:, 0], scaled[:, 1], scaled[:, 2]
-    with np.errstate(all="ignore"):
-        half = -(c1 + np.copysign(np.sqrt(np.maximum(c1**2 - 4 * c0 * c2, 0.0)), c1)) / 2
-        roots = (half / c2, c0 / half)
-    finite = (np.nan_to_num(root, nan=0.0, posinf=0.0, neginf=0.0) for root in roots)
-    return [width * np.clip(root, 0.0, 1.0) for root in finite]
 
 
 def trapezoid(
@@ -238,10 +273,8 @@ def trapezoid(
     >>> certrack.trapezoid(amplitude=1, period=4, rise=1).order
     1
     """
-    if fields is None:
-        fields = _fields(
-            "trapezoid", amplitude=amplitude, period=period, rise=rise, offset=offset, start=start
-        )
+    given = {"amplitude": amplitude, "period": period, "rise": rise, "offset": offset}
+    fields = fields or _fields("trapezoid", **given, start=start)
     amplitude = checks.real("reference.amplitude", amplitude, nonzero=True)
     period = checks.real("reference.period", period, above=0)
     rise = checks.real("reference.rise", rise, above=0)
@@ -249,14 +282,28 @@ def trapezoid(
     start = checks.real("reference.start", start)
     if rise > period / 2:
         raise InputError("reference.rise", f"must not exceed period/2 = {period / 2:g}", rise)
-    low, high, slope = offset - amplitude, offset + amplitude, 2 * amplitude / rise
-    hold = period / 2 - rise
-    pieces = [(rise, low, slope), (hold, high, 0.0), (rise, high, -slope), (hold, low, 0.0)]
-    pieces = [piece for piece in pieces if piece[0] > SAME_TIME * period]
-    knots = start + np.concatenate([[0.0], np.cumsum([width for width, _, _ in pieces])])
-    knots[-1] = start + period
-    rows = tuple((float(a0), float(a1), 0.0, 0.0) for _, a0, a1 in pieces)
-    return PiecewiseReference(tuple(knots.tolist()), rows, 1, period, fields, bound)
+    low, high, hold = offset - amplitude, offset + amplitude, period / 2 - rise
+    if hold <= SAME_TIME * period:  # a triangle, but for rounding
+        rise, hold = period / 2, 0.0
+    corners = [(0.0, low), (rise, high), (rise + hold, high), (2 * rise + hold, low), (period, low)]
+    if not hold:
+        del corners[2], corners[-2]
+    knots = [start + time for time, _ in corners]
+    rows = _ramps(knots, [level for _, level in corners])
+    return PiecewiseReference(tuple(knots), rows, 1, period, fields, bound)
+
+
+def _ramps(knots: list[float], levels: list[float]) -> tuple[tuple[float, ...], ...]:
+    """Straight lines between the levels at the knots.
+
+    Their slopes are those between the knots as they are rounded, so that no line misses its end.
+    """
+    with np.errstate(all="ignore"):
+        slopes = np.diff(levels) / np.diff(knots)
+    if np.isinf(slopes[np.diff(knots) > 0]).any():
+        raise InputError("reference", "must not be so steep that its slope overflows")
+    slopes = np.where(np.diff(knots) > 0, slopes, 0.0)  # the reference refuses such knots itself
+    return tuple((a, slope, 0.0, 0.0) for a, slope in zip(levels, slopes.tolist(), strict=False))
 
 
 def triangle(
@@ -331,27 +378,23 @@ def steps(
     levels = checks.reals("reference.levels", levels, len(times) + 1, "one more than times")
     slope = checks.real("reference.slope", slope, above=0)
     knots: list[float] = []
-    rows: list[tuple[float, ...]] = []
+    heights: list[float] = []
     for i, (begin, a, b) in enumerate(zip(times, levels[:-1], levels[1:], strict=True)):
         if knots and abs(begin - knots[-1]) <= 1e-9 * max(1.0, abs(begin)):
             begin = knots[-1]  # contiguous moves, up to rounding
         if knots and begin < knots[-1]:
-            raise InputError(
-                f"reference.times[{i}]",
-                f"must not be before the end of the previous move at t = {knots[-1]:g}",
-                begin,
-                "Raise slope or move later",
-            )
+            wanted = f"must not be before the end of the previous move at t = {knots[-1]:g}"
+            raise InputError(f"reference.times[{i}]", wanted, begin, "Raise slope or move later")
         if a == b:
             raise InputError(f"reference.levels[{i + 1}]", "must differ from the level before", b)
-        if knots and begin > knots[-1]:
-            rows.append((a, 0.0, 0.0, 0.0))
         if not knots or begin > knots[-1]:
             knots.append(begin)
-        rows.append((a, math.copysign(slope, b - a), 0.0, 0.0))
+            heights.append(a)
         knots.append(begin + abs(b - a) / slope)
+        heights.append(b)
     fields = _fields("steps", times=list(times), levels=list(levels), slope=slope)
-    return PiecewiseReference(tuple(knots), tuple(rows), 1, None, fields, bound)
+    rows = _ramps(knots, heights)
+    return PiecewiseReference(tuple(knots), rows, 1, None, fields, bound)
 
 
 def samples(
@@ -389,9 +432,8 @@ def samples(
     times = checks.reals("reference.times", times, None, "sample times, s")
     values = checks.reals("reference.values", values, len(times), "one value per time")
     if not 2 <= len(times) <= MAX_REFERENCE_SAMPLES:
-        raise InputError(
-            "reference.times", f"must be 2 to {MAX_REFERENCE_SAMPLES} samples", len(times)
-        )
+        wanted = f"must be 2 to {MAX_REFERENCE_SAMPLES} samples"
+        raise InputError("reference.times", wanted, len(times))
     t, y = np.array(times), np.array(values)
     late = np.flatnonzero(np.diff(t) <= 0)
     if late.size:
@@ -407,10 +449,13 @@ def samples(
     a2 = (3 * rise / width - 2 * a1 - b1) / width  # cubic Hermite
     a3 = (a1 + b1 - 2 * rise / width) / width**2
     if not all(np.isfinite(part).all() for part in (a1, a2, a3)):
-        raise InputError("reference.times", "must not be so close that the slopes overflow")
+        raise InputError(*TOO_CLOSE)
     rows = tuple(map(tuple, np.column_stack([y[:-1], a1, a2, a3]).tolist()))
     fields = _fields("samples", times=list(times), values=list(values), interpolation=interpolation)
     return PiecewiseReference(times, rows, 2, None, fields, bound)
+
+
+TOO_CLOSE = ("reference.times", "must not be so close that the slopes overflow")
 
 
 def _slopes(compute: Callable[[], np.ndarray]) -> np.ndarray:
@@ -418,13 +463,9 @@ def _slopes(compute: Callable[[], np.ndarray]) -> np.ndarray:
         with np.errstate(all="ignore"):
             return np.array(compute())
     except (ValueError, ArithmeticError):
-        raise InputError(
-            "reference.times", "must not be so close that the slopes overflow"
-        ) from None
+        raise InputError(*TOO_CLOSE) from None
 
 
 def _fields(kind: str, **values: Any) -> tuple[tuple[str, Any], ...]:
-    def plain(value: Any) -> Any:
-        return tuple(value) if isinstance(value, list) else value
-
-    return (("kind", kind), *((name, plain(value)) for name, value in values.items()))
+    plain = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+    return (("kind", kind), *plain.items())

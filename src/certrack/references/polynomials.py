@@ -1,0 +1,39 @@
+"""Polynomials of degree 3 at most, many at once: a row of coefficients each, lowest power first."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+#: Enough for a cubic interpolant.
+DEGREE = 3
+
+
+def derived(a: np.ndarray, i: int) -> np.ndarray:
+    """Coefficient rows of the i-th derivative, padded with zeros."""
+    rows = np.zeros_like(a)
+    for k in range(i, DEGREE + 1):
+        rows[:, k - i] = math.perm(k, i) * a[:, k]
+    return rows
+
+
+def evaluate(a: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Value of each row's polynomial at its own s."""
+    value = np.zeros_like(s)
+    for k in range(DEGREE, -1, -1):
+        value = value * s + a[:, k]
+    return value
+
+
+def stationary(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
+    """Roots of each row's quadratic, moved into the piece (any point of it is admissible)."""
+    # in units of the piece's width and height, so that nothing under- or overflows
+    scaled = slope[:, :3] * width[:, None] ** np.arange(3)
+    scaled = scaled / np.maximum(np.abs(scaled).max(axis=1, keepdims=True), 1e-300)
+    c0, c1, c2 = scaled[:, 0], scaled[:, 1], scaled[:, 2]
+    with np.errstate(all="ignore"):
+        half = -(c1 + np.copysign(np.sqrt(np.maximum(c1**2 - 4 * c0 * c2, 0.0)), c1)) / 2
+        roots = (half / c2, c0 / half)
+    finite = (np.nan_to_num(root, nan=0.0, posinf=0.0, neginf=0.0) for root in roots)
+    return [width * np.clip(root, 0.0, 1.0) for root in finite]
