@@ -210,6 +210,24 @@ def test_the_centred_stage_waits_where_zeta_has_no_bound(monkeypatch, example1, 
     assert largest_ratio(runs[::5], lambda system: certrack.tube(system, stages)) <= 1
 
 
+@pytest.mark.parametrize(("factor", "wider"), [(0.2, False), (1.5, True)])
+def test_the_bound_on_zeta_counts_while_the_first_stage_falls(
+    monkeypatch, factor, wider, example1, stages
+):
+    module = sys.modules["certrack.certificates.tube"]
+    real, whole = module.remainder_bound, certrack.tube(example1, stages)
+
+    def changed(system, problem):
+        bound = real(system, problem)
+        return lambda reached: bound(reached) * (1 if reached == stages[0] else rational(factor))
+
+    monkeypatch.setattr(module, "remainder_bound", changed)
+    other, t = certrack.tube(example1, stages), np.linspace(5, 15, 101)
+    change = np.log(other(t) / whole(t)) * (1 if wider else -1)
+    assert change.max() > 1e-3
+    assert change.min() > -1e-9
+
+
 def test_a_cascade_of_order_3_keeps_its_tube():
     plant = certrack.Plant(
         states=["x1", "x2", "x3"],
