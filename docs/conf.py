@@ -14,6 +14,9 @@ from pathlib import Path
 from types import BuiltinFunctionType, GenericAlias
 from typing import Any
 
+from docutils import nodes
+from latex2mathml.converter import convert
+
 import certrack
 
 ROOT = Path(__file__).parents[1]
@@ -37,6 +40,8 @@ html_copy_source = False
 highlight_language = "none"  # indented blocks are formulas
 
 myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "mathml"  # browsers typeset it themselves, without a script from a network
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # numpydoc states the types, with shapes and units
@@ -141,8 +146,17 @@ def skip_foreign(
     return True if isinstance(value, (GenericAlias, BuiltinFunctionType)) else None
 
 
+def write_math(translator: Any, node: nodes.Element) -> None:
+    """Formulas as MathML."""
+    is_block = isinstance(node, nodes.math_block)
+    formula = convert(node.astext(), display="block" if is_block else "inline")
+    translator.body.append(f'<div class="formula">{formula}</div>' if is_block else formula)
+    raise nodes.SkipNode
+
+
 def setup(app: Any) -> None:
     """Write the reference before Sphinx looks for pages; read docstrings before numpydoc does."""
     write_reference()
+    app.add_html_math_renderer("mathml", (write_math, None), (write_math, None))
     app.connect("autodoc-process-docstring", rewrite_docstring, priority=100)
     app.connect("autodoc-skip-member", skip_foreign)

@@ -123,6 +123,12 @@ def test_step_m_is_dissipation_less_squares(n):
     s = Steps(n)
     rate = 0  # of L_m = (e_1^2 + ... + e_m^2)/2
     for m in range(1, n):
+        known = sum(s.eta[m - 1, i] * s.F(i) for i in range(1, m))
+        bracket = s.g[m - 1] * s.e[m - 1] + s.F(m) - known + s.kappa(m) * s.e[m]
+        before = (s.dissipation(m - 1) if m > 1 else 0) + s.paid(m)
+        before += s.e[m] * bracket - (s.g[m - 1] * s.e[m - 1] * s.e[m] if m > 1 else 0)
+        given_away = sum(s.squares(i) for i in range(1, m + 1))
+        assert is_zero(before - rate - s.e[m] * s.open_loop_rate(m) - given_away)  # [8], [12], [17]
         rate += s.e[m] * s.rate(m)
         given_away = sum(s.squares(i) for i in range(1, m + 1))
         assert is_zero(s.dissipation(m) - rate - given_away)
@@ -180,6 +186,12 @@ class Estimation:
         return self.size * self.gbar1 * apart**2 / 2 + self.gbar2 * aparts.dot(aparts) / 2
 
 
+def estimates_rate(a, delta_rate, *theta_rate):
+    """The estimates' part of V_n, differentiated [23]."""
+    weighted = (a.theta_tilde.T * a.Gamma.inv() * sp.Matrix(theta_rate))[0]
+    return -weighted - a.size / a.gbar * a.delta_tilde * delta_rate
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("n", ORDERS)
 def test_step_n_is_dissipation_less_squares(n, sign):
@@ -191,11 +203,16 @@ def test_step_n_is_dissipation_less_squares(n, sign):
     u = a.delta_hat * ubar
     rate_n = a.h + a.phi.dot(a.theta) + a.g_n * u + s.tau[n] * s.w(n)  # [21]
     rate_n -= known + sum(s.eta[n - 1, i] * s.tau[i] * s.w(i) for i in range(1, n))
+    free, free_rates = sp.Symbol("u"), sp.symbols("r1 r2 r3")  # any input, any update laws
+    any_rate = rate_n - a.g_n * u + a.g_n * free
+    bracket = s.g[n - 1] * s.e[n - 1] + a.h + a.phi.dot(a.theta) + a.g_n * free - known
+    before = s.dissipation(n - 1) - s.g[n - 1] * s.e[n - 1] * s.e[n] + s.paid(n)
+    before += s.e[n] * (bracket + s.kappa(n) * s.e[n]) + estimates_rate(a, *free_rates)
+    rate = sum(s.e[m] * s.rate(m) for m in range(1, n))
+    total = rate + s.e[n] * any_rate + estimates_rate(a, *free_rates)
+    assert is_zero(before - total - sum(s.squares(m) for m in range(1, n + 1)))  # [24]
     delta_rate, theta_rate = a.update(ubar, s.e[n])
-    # L_n of [23]: the estimates' part, differentiated
-    estimates = -(a.theta_tilde.T * a.Gamma.inv() * theta_rate)[0]
-    estimates -= a.size / a.gbar * a.delta_tilde * delta_rate
-    rate = sum(s.e[m] * s.rate(m) for m in range(1, n)) + s.e[n] * rate_n + estimates
+    rate += s.e[n] * rate_n + estimates_rate(a, delta_rate, *theta_rate)
     decay, cost = a.leak()
     bound = s.dissipation(n) - decay + cost
     given_away = sum(s.squares(m) for m in range(1, n + 1)) + a.leak_squares()

@@ -12,7 +12,12 @@ from certrack.certificates import certify, certify_semidefinite
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.published import critical_strength
-from certrack.certificates.strength import _holds_as_published, _limit, critical_semidefinite
+from certrack.certificates.strength import (
+    _holds_as_published,
+    _limit,
+    _provable,
+    critical_semidefinite,
+)
 from certrack.cli import cli
 from certrack.laws import Robust
 from certrack.model.plant import Plant
@@ -138,6 +143,13 @@ def test_the_exact_strength_of_a_first_order_loop():
     system = System(plant, Robust(c=[3.0]), SymbolicReference("0"), Truth(1), Settings([0], 1))
     edge = critical_semidefinite(system)
     assert 0.998 * 6e7 < edge <= 6e7
+
+
+@pytest.mark.parametrize("decade", range(-6, 1))
+def test_the_program_is_solved_far_below_the_edge(decade):
+    """There the leakage's cost, a power of the scale, used to be all that the solver saw."""
+    exact = error_problem(certrack.load("example1"), rational)
+    assert _provable(exact, 10.0**decade, math.inf)
 
 
 def test_without_a_part_that_grows_with_the_state_it_is_unlimited():

@@ -19,7 +19,8 @@ from certrack.certificates.cascade import certify_cascade, head_problem
 from certrack.certificates.centred import centred_problem
 from certrack.certificates.exact import from_text, squared_bound
 from certrack.certificates.formulation import error_problem
-from certrack.certificates.tube import Tube, _allowed, _centred_steps, _fall, _single_stage, tube
+from certrack.certificates.tube import Tube, _allowed, _centred_steps, _fall, _single_stage
+from certrack.certificates.tube import tube as tube_of
 from certrack.cli import cli
 from certrack.core.rounding import rounded_down, rounded_up
 from certrack.simulation.simulator import Simulator, simulate
@@ -75,13 +76,13 @@ def largest_ratio(runs, make):
 
 
 def test_no_run_leaves_the_tube(runs, stages):
-    assert largest_ratio(runs, lambda system: tube(system, stages)) <= 1
+    assert largest_ratio(runs, lambda system: tube_of(system, stages)) <= 1
 
 
 def test_the_tube_at_the_start_is_the_error(example1, stages):
     """e_1(0) is known, and for order 2 the last stage has no other coordinate."""
     for x1 in (1.0, -3.0, 0.2):
-        tube = tube(example1.with_settings(x0=(x1, 2)), stages)
+        tube = tube_of(example1.with_settings(x0=(x1, 2)), stages)
         assert abs(x1 - 0.2) <= tube(0.0) <= max(abs(x1 - 0.2) * (1 + 1e-6), 1e-3)
 
 
@@ -94,7 +95,7 @@ def naive(system, stages):
 
 def narrowed(system, stages):
     """The mutant: the whole tube a little too narrow at the start."""
-    whole = tube(system, stages)
+    whole = tube_of(system, stages)
     return replace(whole, pieces=tuple((t, 0.9 * s, 0.9 * f) for t, s, f in whole.pieces))
 
 
@@ -151,7 +152,7 @@ def test_the_tube_falls_to_the_certificate_and_belongs_to_the_best(example1):
 
 
 def test_the_pieces_join_and_none_is_below_the_floor(example1, stages):
-    tube = tube(example1, stages)
+    tube = tube_of(example1, stages)
     for (time, square, floor), (end, after, _) in pairwise(tube.pieces):
         decay = math.exp(-tube.alpha * (end - time))
         assert square * decay + floor * (1 - decay) <= after <= square * decay + floor + 1e-12
@@ -163,7 +164,7 @@ def test_the_pieces_join_and_none_is_below_the_floor(example1, stages):
 
 @pytest.mark.parametrize("level", [0.7, 0.3, 0.1, 0.08])
 def test_settling_time_is_the_last_time_above_the_level(level, example1, stages):
-    tube = tube(example1, stages)
+    tube = tube_of(example1, stages)
     settled = tube.settling_time(level)
     assert np.all(tube(settled + np.linspace(0, 100, 20_001)) <= level * (1 + 1e-9))
     assert tube(0.999 * settled) > level
@@ -184,13 +185,13 @@ def test_two_stages_have_their_tube_too(example1, runs, stages):
     problem = error_problem(example1, rational)
     last = cascade._prove_stage(head_problem(problem, from_text(stages[0].bound)), 0)
     two = (stages[0], last)
-    assert largest_ratio(runs[::3], lambda system: tube(system, two)) <= 1
-    assert tube(example1, two)(1e6) == pytest.approx(float(last.bound), rel=1e-9)
+    assert largest_ratio(runs[::3], lambda system: tube_of(system, two)) <= 1
+    assert tube_of(example1, two)(1e6) == pytest.approx(float(last.bound), rel=1e-9)
 
 
 def test_the_centred_stage_waits_where_zeta_has_no_bound(monkeypatch, example1, runs, stages):
     """The first steps refuse; V_2 then starts with what V_1 allows, and nothing gets smaller."""
-    whole = tube(example1, stages)
+    whole = tube_of(example1, stages)
     module = sys.modules["certrack.certificates.tube"]
     real, refused = module.remainder_bound, []
 
@@ -204,12 +205,30 @@ def test_the_centred_stage_waits_where_zeta_has_no_bound(monkeypatch, example1, 
         return bound
 
     monkeypatch.setattr(module, "remainder_bound", refusing)
-    late = tube(example1, stages)
+    late = tube_of(example1, stages)
     assert refused
     t = np.linspace(0, 60, 601)
     assert np.all(late(t) >= whole(t) * (1 - 1e-12))
     assert late(1e6) == whole(1e6)
-    assert largest_ratio(runs[::5], lambda system: tube(system, stages)) <= 1
+    assert largest_ratio(runs[::5], lambda system: tube_of(system, stages)) <= 1
+
+
+@pytest.mark.parametrize(("factor", "wider"), [(0.2, False), (1.5, True)])
+def test_the_bound_on_zeta_counts_while_the_first_stage_falls(
+    monkeypatch, factor, wider, example1, stages
+):
+    module = sys.modules["certrack.certificates.tube"]
+    real, whole = module.remainder_bound, tube_of(example1, stages)
+
+    def changed(system, problem):
+        bound = real(system, problem)
+        return lambda reached: bound(reached) * (1 if reached == stages[0] else rational(factor))
+
+    monkeypatch.setattr(module, "remainder_bound", changed)
+    other, t = tube_of(example1, stages), np.linspace(5, 15, 101)
+    change = np.log(other(t) / whole(t)) * (1 if wider else -1)
+    assert change.max() > 1e-3
+    assert change.min() > -1e-9
 
 
 def test_a_cascade_of_order_3_keeps_its_tube():
@@ -236,11 +255,11 @@ def test_a_cascade_of_order_3_keeps_its_tube():
     )
     certificate, stages = certify_cascade(system)
     assert certificate.verified
-    tube = tube(system, stages)
+    tube = tube_of(system, stages)
     assert tube(1e6) == pytest.approx(certificate.bound, rel=1e-9)
     for x0 in ((1, 1, -1), (0.2, 0, 5), (-2, 3, -4), (0.2, 0, -9)):
         run = simulate(system, x0=x0)
-        assert np.all(np.abs(run.e[0]) <= tube(system.with_settings(x0=x0), stages)(run.t))
+        assert np.all(np.abs(run.e[0]) <= tube_of(system.with_settings(x0=x0), stages)(run.t))
 
 
 def test_centred_problem_has_zeta_as_its_last_bounded_input(example1, stages):
@@ -275,5 +294,5 @@ def test_what_is_printed_and_written_is_the_best_certificates_tube():
 
 def test_the_semidefinite_tube_is_still_to_be_had(example1):
     certificate, proof = certify_semidefinite(example1)
-    assert tube(example1, proof)(1e6) == pytest.approx(certificate.bound, rel=1e-9)
-    assert tube(example1, [proof]) == tube(example1, proof)
+    assert tube_of(example1, proof)(1e6) == pytest.approx(certificate.bound, rel=1e-9)
+    assert tube_of(example1, [proof]) == tube_of(example1, proof)
