@@ -11,6 +11,7 @@ import pytest
 
 import certrack
 from certrack.certificates.published import certify_published
+from certrack.cli.papers import print_reproduction
 from certrack.papers.liu2025 import reproduce
 from certrack.papers.liu2025.claim import VERDICTS
 from certrack.papers.liu2025.measures import Response, response_times, upper
@@ -117,6 +118,18 @@ def test_every_row_says_how_it_was_measured(result):
     parts = "Abstract", "Introduction", "(i)", "(ii)", "(iii)", "Theorem 1", "Corollary 1"
     for part in (*parts, *(f"Remark {i}" for i in range(1, 6)), "Section 6"):
         assert part in sections.replace("Remarks 1, 2", "Remark 1, Remark 2"), part
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_no_word_is_broken(result, width, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(width))
+    print_reproduction(result)
+    lines = capsys.readouterr().out.splitlines()
+    assert all(len(line) <= width for line in lines)
+    printed = " ".join(re.split(r"[│\n]", "\n".join(lines))).split()
+    for claim in result.claims:
+        for text in (claim.where, claim.statement, claim.measure, claim.measured, claim.criterion):
+            assert set(text.split()) <= set(printed) | {f"{claim.where.split()[-1]}"}
 
 
 def test_figures_show_what_the_paper_describes(result):
@@ -246,6 +259,17 @@ def test_counterexample_by_two_integrators(counterexample):
     assert counterexample.metrics.tail_error == pytest.approx(max(one[1:]), abs=1e-6)
 
 
+def test_slower_adaptation_exceeds_further_by_two_integrators(counterexample):
+    system = counterexample.system
+    slow = replace(system.law, Gamma=(0.01,))
+    slow = system.replace(law=slow).with_settings(tolerance=1e-13)
+    assert certify_published(slow)["published"].bound == pytest.approx(1.010, abs=5e-4)
+    runs = [certrack.simulate(slow.with_settings(integrator=m)) for m in ("taylor", "scipy")]
+    one, other = (max(period_peaks(run)[1:]) for run in runs)
+    assert one == pytest.approx(2.3157, abs=1e-4)
+    assert one == pytest.approx(other, abs=1e-6)
+
+
 #: Further systems like the shipped one: order 1 or 2, another regressor, leaks, adaptation gains.
 VARIANT = """
 [plant]
@@ -335,7 +359,7 @@ def test_26_further_variants_against_both_bounds():
     assert all(error < corrected for error, _, corrected in found)
     beyond = [error > published for error, published, _ in found]
     assert sum(beyond[::2]) == 13  # every plant of order 1
-    assert sum(beyond[1::2]) == 3
+    assert sum(beyond[1::2]) == 2
     worst = max(range(1, 26, 2), key=lambda i: found[i][0] / found[i][1])
     error, published, _ = found[worst]
     assert (error, published) == pytest.approx((2.411, 1.224), abs=1e-3)

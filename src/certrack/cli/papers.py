@@ -11,7 +11,7 @@ import click
 from certrack.cli.base import FOLDER, json_option
 
 if TYPE_CHECKING:
-    from certrack.papers.liu2025 import Claim
+    from certrack.papers.liu2025 import Claim, Reproduction
 
 
 @click.command()
@@ -45,19 +45,26 @@ def reproduce(out: Path, as_json: bool) -> None:
         for name, figure in results.figures.items():
             status.update(f"Writing {name}")
             save_figure(figure, out, name)
-    summaries = {name: run.summary() for name, run in results.runs.items()}
-    values = {
-        "claims": [asdict(claim) for claim in results.claims],
-        "observations": [asdict(observation) for observation in results.observations],
-        "runs": summaries,
-        "bounds": results.bounds,
-        "figures": [str(out / f"{name}.png") for name in results.figures],
-    }
     if as_json:
+        values = {
+            "claims": [asdict(claim) for claim in results.claims],
+            "observations": [asdict(observation) for observation in results.observations],
+            "runs": {name: run.summary() for name, run in results.runs.items()},
+            "bounds": results.bounds,
+            "figures": [str(out / f"{name}.png") for name in results.figures],
+        }
         click.echo(report.to_json(values))
         return
+    print_reproduction(results)
+    click.echo(f"{len(results.figures)} figures (PNG and SVG) in {out}")
+
+
+def print_reproduction(results: Reproduction) -> None:
+    """Metrics, bounds, claims and observations as tables."""
+    from certrack.cli import report
+
     console = report.console()
-    console.print(report.metrics_table(summaries))
+    console.print(report.metrics_table({n: run.summary() for n, run in results.runs.items()}))
     kinds = next(iter(results.bounds.values()))
     bounds = [[kind, *(entry[kind] for entry in results.bounds.values())] for kind in kinds]
     columns = ["limsup |e_1|", *results.bounds]
@@ -71,7 +78,6 @@ def reproduce(out: Path, as_json: bool) -> None:
         console.print(ruled)
     counts = Counter(claim.verdict for claim in results.claims)
     click.echo(", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
-    click.echo(f"{len(results.figures)} figures (PNG and SVG) in {out}")
 
 
 def _claim_text(claim: Claim) -> str:
