@@ -37,9 +37,11 @@ def reproduce(out: Path, as_json: bool) -> None:
 
     from certrack.cli import report
     from certrack.papers import liu2025
+    from certrack.papers.liu2025.drawing import servo_diagram
     from certrack.plotting import save_figure
 
     log = report.console(error=True)
+    save_figure(servo_diagram(), out, "figure-1")  # a folder that cannot be written: said at once
     with log.status("Reproducing") as status:
         results = liu2025.reproduce(status.update)
         for name, figure in results.figures.items():
