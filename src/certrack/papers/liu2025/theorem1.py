@@ -197,11 +197,13 @@ def switched_system_error(gbar: float = 0.05, strength: float = 8.0) -> float:
     for begin, end in pairwise(times):
         s = strength * (math.sin(0.005 * (begin + end)) > 0.6)
         matrix = np.array([[-1.0, s], [-gbar * s, -gbar]])
-        rest = np.linalg.solve(matrix, np.array([0.0, -gbar]))
+        equilibrium = np.linalg.solve(matrix, np.array([0.0, -gbar]))
         rates, modes = np.linalg.eig(matrix)
-        shares = np.linalg.solve(modes, state - rest)
+        shares = np.linalg.solve(modes, state - equilibrium)
         t = np.linspace(0.0, end - begin, 1 + round((end - begin) / SWITCHED_SPACING))
-        states = rest[:, None] + (modes @ (shares[:, None] * np.exp(np.outer(rates, t)))).real
+        states = (
+            equilibrium[:, None] + (modes @ (shares[:, None] * np.exp(np.outer(rates, t)))).real
+        )
         state = states[:, -1]
         if begin > 100 * 2 * math.pi:
             worst = max(worst, float(np.abs(states[0]).max()))
