@@ -11,6 +11,7 @@ import pytest
 
 import certrack
 from certrack.certificates.published import certify_published
+from certrack.cli.papers import print_reproduction
 from certrack.papers.liu2025 import reproduce
 from certrack.papers.liu2025.claim import VERDICTS
 from certrack.papers.liu2025.measures import Response, response_times, upper
@@ -120,6 +121,18 @@ def test_every_row_says_how_it_was_measured(result):
         assert part in sections.replace("Remarks 1, 2", "Remark 1, Remark 2"), part
 
 
+@pytest.mark.parametrize("width", [80, 120])
+def test_no_word_is_broken(result, width, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(width))
+    print_reproduction(result)
+    lines = capsys.readouterr().out.splitlines()
+    assert all(len(line) <= width for line in lines)
+    printed = " ".join(re.split(r"[│\n]", "\n".join(lines))).split()
+    for claim in result.claims:
+        for text in (claim.where, claim.statement, claim.measure, claim.measured, claim.criterion):
+            assert set(text.split()) <= set(printed) | {f"{claim.where.split()[-1]}"}
+
+
 def test_figures_show_what_the_paper_describes(result):
     figures = result.figures
     names = {f"{i}{c}" for i, letters in ((2, "abcd"), (3, "abc"), (4, "abc")) for c in letters}
@@ -128,12 +141,8 @@ def test_figures_show_what_the_paper_describes(result):
     output, speed = figures["figure-2a"].axes[0], figures["figure-2b"].axes[0]
     assert [line.is_dashed() for line in output.lines] == [False, True, True]
     run = result.runs["example1"]
-    shown = speed.lines[0]
-    index = np.searchsorted(shown.get_xdata(), 5.0)
-    t = shown.get_xdata()[index]
-    assert shown.get_ydata()[index] == pytest.approx(
-        run.trajectory.interpolate(np.array([t]))[1, 0]
-    )
+    values = run.trajectory.interpolate(speed.lines[0].get_xdata())[1]
+    assert np.abs(speed.lines[0].get_ydata() - values).max() < 1e-9
     assert len(figures["figure-2c"].axes) == 2
     for number, name in ((3, "dual-motor"), (4, "dual-motor-strong")):
         labels = [line.get_label() for line in figures[f"figure-{number}a"].axes[0].lines]
@@ -149,12 +158,8 @@ def test_figures_show_what_the_paper_describes(result):
 
 
 def test_bounds_are_printed_rounded_up():
-    assert [upper(v) for v in (0.0270235, 0.25, 3.95360, 1e-7)] == [
-        "0.02703",
-        "0.25",
-        "3.954",
-        "1e-07",
-    ]
+    texts = [upper(value) for value in (0.0270235, 0.25, 3.95351)]
+    assert texts == ["0.02703", "0.25", "3.954"]
     for value in np.random.default_rng(0).lognormal(0, 5, 200):
         assert value <= float(upper(value)) <= value * (1 + 1e-3)
 
@@ -255,6 +260,17 @@ def test_counterexample_by_two_integrators(counterexample):
     assert counterexample.metrics.tail_error == pytest.approx(max(one[1:]), abs=1e-6)
 
 
+def test_slower_adaptation_exceeds_further_by_two_integrators(counterexample):
+    system = counterexample.system
+    slow = replace(system.law, Gamma=(0.01,))
+    slow = system.replace(law=slow).with_settings(tolerance=1e-13)
+    assert certify_published(slow)["published"].bound == pytest.approx(1.010, abs=5e-4)
+    runs = [certrack.simulate(slow.with_settings(integrator=m)) for m in ("taylor", "scipy")]
+    one, other = (max(period_peaks(run)[1:]) for run in runs)
+    assert one == pytest.approx(2.3157, abs=1e-4)
+    assert one == pytest.approx(other, abs=1e-6)
+
+
 #: Further systems like the shipped one: order 1 or 2, another regressor, leaks, adaptation gains.
 VARIANT = """
 [plant]
@@ -344,7 +360,7 @@ def test_26_further_variants_against_both_bounds():
     assert all(error < corrected for error, _, corrected in found)
     beyond = [error > published for error, published, _ in found]
     assert sum(beyond[::2]) == 13  # every plant of order 1
-    assert sum(beyond[1::2]) == 3
+    assert sum(beyond[1::2]) == 2
     worst = max(range(1, 26, 2), key=lambda i: found[i][0] / found[i][1])
     error, published, _ = found[worst]
     assert (error, published) == pytest.approx((2.411, 1.224), abs=1e-3)
@@ -357,7 +373,7 @@ def test_page_has_every_row(result):
     page = (Path(__file__).parents[1] / "docs" / "reproduction.md").read_text()
     rows = re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \| (.+?) \| (.+?) \|$", page, re.M)
     shown = {(where, statement): row for where, statement, *row in rows}
-    assert len(shown) == len(result.claims)
+    assert len(shown) == len(result.claims) + 1  # and the head of the table
     for claim in result.claims:
         where, statement, measured = (
             text.replace("|", "\\|") for text in (claim.where, claim.statement, claim.measured)

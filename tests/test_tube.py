@@ -148,7 +148,7 @@ def test_the_tube_falls_to_the_certificate_and_belongs_to_the_best(example1):
     assert found.tube(1e6) >= found.cascade.bound
     assert len(found.tube.pieces) > 1
     lean = certify(certrack.load("dual-motor-lean"))
-    assert lean.tube == tube(certrack.load("dual-motor-lean"), lean.proof)
+    assert lean.tube == tube_of(certrack.load("dual-motor-lean"), lean.proof)
 
 
 def test_the_pieces_join_and_none_is_below_the_floor(example1, stages):

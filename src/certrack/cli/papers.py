@@ -11,7 +11,7 @@ import click
 from certrack.cli.base import FOLDER, json_option
 
 if TYPE_CHECKING:
-    from certrack.papers.liu2025 import Claim
+    from certrack.papers.liu2025 import Claim, Reproduction
 
 
 @click.command()
@@ -37,25 +37,36 @@ def reproduce(out: Path, as_json: bool) -> None:
 
     from certrack.cli import report
     from certrack.papers import liu2025
+    from certrack.papers.liu2025.drawing import servo_diagram
     from certrack.plotting import save_figure
 
-    with report.progress("Reproducing") as advance:
-        results = liu2025.reproduce(advance)
-    for name, figure in results.figures.items():
-        save_figure(figure, out, name)
-    summaries = {name: run.summary() for name, run in results.runs.items()}
-    values = {
-        "claims": [asdict(claim) for claim in results.claims],
-        "observations": [asdict(observation) for observation in results.observations],
-        "runs": summaries,
-        "bounds": results.bounds,
-        "figures": [str(out / f"{name}.png") for name in results.figures],
-    }
+    log = report.console(error=True)
+    save_figure(servo_diagram(), out, "figure-1")  # a folder that cannot be written: said at once
+    with log.status("Reproducing") as status:
+        results = liu2025.reproduce(tell=status.update)
+        for name, figure in results.figures.items():
+            status.update(f"Writing {name}")
+            save_figure(figure, out, name)
     if as_json:
+        values = {
+            "claims": [asdict(claim) for claim in results.claims],
+            "observations": [asdict(observation) for observation in results.observations],
+            "runs": {name: run.summary() for name, run in results.runs.items()},
+            "bounds": results.bounds,
+            "figures": [str(out / f"{name}.png") for name in results.figures],
+        }
         click.echo(report.to_json(values))
         return
+    print_reproduction(results)
+    click.echo(f"{len(results.figures)} figures (PNG and SVG) in {out}")
+
+
+def print_reproduction(results: Reproduction) -> None:
+    """Metrics, bounds, claims and observations as tables."""
+    from certrack.cli import report
+
     console = report.console()
-    console.print(report.metrics_table(summaries))
+    console.print(report.metrics_table({n: run.summary() for n, run in results.runs.items()}))
     kinds = next(iter(results.bounds.values()))
     bounds = [[kind, *(entry[kind] for entry in results.bounds.values())] for kind in kinds]
     columns = ["limsup |e_1|", *results.bounds]
@@ -69,7 +80,6 @@ def reproduce(out: Path, as_json: bool) -> None:
         console.print(ruled)
     counts = Counter(claim.verdict for claim in results.claims)
     click.echo(", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
-    click.echo(f"{len(results.figures)} figures (PNG and SVG) in {out}")
 
 
 def _claim_text(claim: Claim) -> str:

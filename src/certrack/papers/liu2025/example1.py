@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from certrack.papers.liu2025.claim import AMBIGUOUS, Claim, judged
-from certrack.papers.liu2025.measures import Response, both, response_times
+from certrack.papers.liu2025.measures import BAND, Response, both, response_times
 from certrack.papers.liu2025.premises import premises_claim
 from certrack.papers.liu2025.runs import PaperRuns
 from certrack.simulation.run import Run
 
-#: The band in which |e_1| counts as tracking, and the amplitude of y_d.
-BAND, AMPLITUDE = 0.05, 0.2
+#: Of y_d = 0.2 cos t.
+COSINE_AMPLITUDE = 0.2
 
 #: From when on the improved law is settled, and from when on the classic one is, too, in s.
 SETTLED, LATE = 3.0, 15.0
@@ -74,7 +74,7 @@ def _tracking(runs: PaperRuns) -> Iterator[Claim]:
 
 def _range_text(response: Response) -> str:
     final = response.final_range("e_1")
-    share = 100 * final / AMPLITUDE
+    share = 100 * final / COSINE_AMPLITUDE
     return (
         f"final range {final:.4f} ({share:.0f} % of the amplitude) from "
         f"{response.settles('e_1'):.2f} s on"

@@ -7,12 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from certrack.papers.liu2025.claim import AMBIGUOUS, Claim, judged
-from certrack.papers.liu2025.measures import both
+from certrack.papers.liu2025.example1 import COSINE_AMPLITUDE
+from certrack.papers.liu2025.measures import BAND, both
 from certrack.papers.liu2025.premises import premises_claim
 from certrack.papers.liu2025.runs import PaperRuns
 
-#: The band in which |e_1| counts as tracking, as in Example 1, and the amplitude of y_d.
-BAND, AMPLITUDE = 0.05, 0.1
+#: Of y_d = 0.1 sin 0.75 t.
+SINE_AMPLITUDE = 0.1
 
 #: What "about 2 s later" admits, s, and when the tails are compared.
 ABOUT_2_S, TAIL = 2.5, 10.0
@@ -56,9 +57,9 @@ def _tracking_claims(runs: PaperRuns) -> Iterator[Claim]:
         "the output tracks the reference",
         "practical tracking, as in Example 1: e_1 settles into a final range, the sup over the "
         "second half of the run, within the band of 0.05; how small it is stands beside it",
-        f"final range {final:.4f}, {100 * final / AMPLITUDE:.0f} % of the amplitude, from "
+        f"final range {final:.4f}, {100 * final / SINE_AMPLITUDE:.0f} % of the amplitude, from "
         f"{weak.settles('e_1'):.2f} s on (Example 1: {runs.laws[0].final_range('e_1'):.4f}, "
-        f"{100 * runs.laws[0].final_range('e_1') / 0.2:.0f} %)",
+        f"{100 * runs.laws[0].final_range('e_1') / COSINE_AMPLITUDE:.0f} %)",
         judged(final < BAND),
         f"final range below {BAND}",
     )

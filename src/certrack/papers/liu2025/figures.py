@@ -27,7 +27,7 @@ DRAWN, DENSE, DENSE_UNTIL = 50, 10, 0.2
 INSET_HEIGHT, INSET_ROOM = 0.40, 1.25
 
 #: Space between the curves and the frame, as a part of their height.
-MARGIN = 0.08
+FRAME_MARGIN = 0.08
 
 
 @dataclass(frozen=True)
@@ -182,5 +182,5 @@ def _span(content: PaperAxes, where: Callable[[np.ndarray], np.ndarray]) -> tupl
     """Lowest and highest value of the curves at these times, with a margin."""
     values = [curve.values[where(curve.t)] for curve in content.curves]
     low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
-    room = MARGIN * (high - low)
+    room = FRAME_MARGIN * (high - low)
     return low - room, high + room

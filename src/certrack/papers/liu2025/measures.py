@@ -17,6 +17,9 @@ from certrack.simulation.run import Run
 #: Distance of the samples in s: a settling time is known to this.
 SPACING = 1e-4
 
+#: The band in which |e_1| counts as tracking: twice the final error of both examples.
+BAND = 0.05
+
 #: A signal has settled into its final range where it stays within this much more than the range.
 RANGE_MARGIN = 0.05
 

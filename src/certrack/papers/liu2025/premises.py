@@ -12,7 +12,7 @@ from certrack.systems.reader import load
 def premises_claim(where: str, name: str) -> Claim:
     """Assumptions 1 and 2 with the constants that the paper gives."""
     system = load(name)
-    found = check_assumption_1(system)
+    violations = check_assumption_1(system)
     t = np.linspace(0, system.settings.duration, 200_001)
     largest = float(np.abs(system.reference.values(t, 1)).sum(axis=0).max())
     D = system.reference.declared_bound
@@ -23,7 +23,7 @@ def premises_claim(where: str, name: str) -> Claim:
         "a search for a point where |w_k| exceeds gamma_k ||xi|| + beta_k (not a proof); largest "
         "|y_d| + |y_d'|",
         f"no violation in 40,000 points a term; {largest:.3f} against D = {D:g}"
-        if not found
-        else str(found[0]),
-        judged(not found and largest <= D),
+        if not violations
+        else str(violations[0]),
+        judged(not violations and largest <= D),
     )

@@ -7,8 +7,9 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
+from certrack.papers.liu2025.measures import upper
 from certrack.papers.liu2025.runs import COUNTEREXAMPLE, PaperRuns
-from certrack.papers.liu2025.theorem1 import PERIOD, energies
+from certrack.papers.liu2025.theorem1 import REFERENCE_PERIOD, energies
 from certrack.plotting.shared import BLUE, GREEN, RED, new_figure, set_title, style
 
 #: The pulse of the third period: from so long before its peak to so long after, s.
@@ -43,28 +44,28 @@ def counterexample_figure(runs: PaperRuns) -> Figure:
     """|e_1| over three periods with every bound; one pulse; the energies during the pulse."""
     run, certificates = runs.counterexample, runs.certificates[COUNTEREXAMPLE]
     published = certificates.published.bound
-    late = run.t >= 2 * PERIOD
+    late = run.t >= 2 * REFERENCE_PERIOD
     peak = float(run.t[late][np.argmax(np.abs(run.e[0][late]))])
     t = np.linspace(peak - BEFORE_PEAK, peak + AFTER_PEAK, 4001)
     error = run.trajectory.interpolate(t)[0] - run.system.reference.values(t, 0)[0]
     of_errors, of_estimates = energies(run, t)
     with style():
         figure = new_figure(6.5, 6.4)
-        whole, pulse, energy = figure.subplots(3, 1)
+        periods, pulse, energy = figure.subplots(3, 1)
         set_title(figure, "Theorem 1 exceeded inside its own class")
-        whole.semilogy(run.t, np.maximum(np.abs(run.e[0]), 1e-6), color=BLUE, label="$|e_1|$")
+        periods.semilogy(run.t, np.maximum(np.abs(run.e[0]), 1e-6), color=BLUE, label="$|e_1|$")
         for bound, text, line, color in (
             (published, "(42)", "--", RED),
             (certificates.semidefinite.bound, "semidefinite", "-", GREEN),
             (certificates.corrected.bound, "corrected", ":", "k"),
         ):
-            whole.axhline(bound, color=color, ls=line, label=f"{text}: {bound:.3g}")
-        whole.set_ylim(1e-5, 100)
-        whole.set_ylabel("tracking error")
-        whole.set_title("three periods of $y_d$: every time the bound (42) is passed", loc="left")
-        whole.legend(ncols=4, loc="upper center")
+            periods.axhline(bound, color=color, ls=line, label=f"{text}: {upper(bound)}")
+        periods.set_ylim(1e-5, 100)
+        periods.set_ylabel("tracking error")
+        periods.set_title("three periods of $y_d$: every time the bound (42) is passed", loc="left")
+        periods.legend(ncols=4, loc="upper center")
         pulse.plot(t - peak, np.abs(error), color=BLUE, label="$|e_1|$")
-        pulse.axhline(published, color=RED, ls="--", label=f"(42): {published:.3f}")
+        pulse.axhline(published, color=RED, ls="--", label=f"(42): {upper(published)}")
         pulse.set_ylabel("tracking error")
         pulse.set_title("the pulse of the third period", loc="left")
         energy.plot(t - peak, of_errors + of_estimates, color="k", label="$V$")
@@ -76,6 +77,6 @@ def counterexample_figure(runs: PaperRuns) -> Figure:
             ax.set_xlabel("time after the peak [s]")
             ax.legend(loc="upper right")
             ax.margins(x=0.0)
-        whole.margins(x=0.0)
-        whole.set_xlabel("time [s]")
+        periods.margins(x=0.0)
+        periods.set_xlabel("time [s]")
     return figure

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 
 from matplotlib.figure import Figure
 
 from certrack.certificates import Certificates
+from certrack.core.progress import Progress, silent
 from certrack.papers.liu2025.claim import Claim, Observation
 from certrack.papers.liu2025.drawing import servo_diagram
 from certrack.papers.liu2025.example1 import example1_claims
@@ -47,18 +49,40 @@ class Reproduction:
     bounds: dict[str, dict[str, float]]
 
 
-def reproduce(progress: Callable[[str], None] = lambda _: None, budget: int = 3000) -> Reproduction:
+def reproduce(
+    progress: Progress = silent,
+    budget: int = 3000,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Reproduction:
     """Run the paper's examples and judge its claims.
 
     Parameters
     ----------
     progress : callable
-        Called with a text that says what is being done.
+        Gets the number of the step that begins, None and None.
     budget : int
         Runs that the falsifier spends on each system.
+    tell : callable
+        Gets a text that says what the step does.
+
+    Returns
+    -------
+    Reproduction
+
+    Examples
+    --------
+    >>> import certrack
+    >>> result = certrack.reproduce(budget=100)  # doctest: +SKIP
+    >>> [claim.verdict for claim in result.claims]  # doctest: +SKIP
     """
-    runs = paper_runs(progress)
-    progress("Judging the claims")
+    steps = count(1)
+
+    def begin(what: str) -> None:
+        tell(what)
+        progress(next(steps), None, None)
+
+    runs = paper_runs(begin)
+    begin("Judging the claims")
     claims = (
         *section_claims(runs),
         *theorem1_claims(runs),
@@ -69,9 +93,9 @@ def reproduce(progress: Callable[[str], None] = lambda _: None, budget: int = 30
     notes = tuple(observations(runs))
     bounds = {}
     for name in CERTIFIED:
-        progress(f"Falsifying {name}")
+        begin(f"Falsifying {name}")
         bounds[name] = _bounds(name, runs.certificates[name], budget)
-    progress("Figures")
+    begin("Figures")
     figures = {
         "figure-1": servo_diagram(),
         **paper_figures(runs),

@@ -76,18 +76,18 @@ class PaperRuns:
         return response(self.weak), response(self.strong)
 
 
-def paper_runs(progress: Callable[[str], None] = lambda _: None) -> PaperRuns:
-    """Run and certify everything; `progress` gets a text that says what is being done."""
-    progress("Example 1, every sign of x(0) and y_d")
+def paper_runs(begin: Callable[[str], None] = lambda _: None) -> PaperRuns:
+    """Run and certify everything; `begin` gets a text that says what is being done."""
+    begin("Example 1, every sign of x(0) and y_d")
     variants = dict(example1_variants())
-    progress("Example 2")
+    begin("Example 2")
     motor = Simulator(load("dual-motor"))
     refuting = load(COUNTEREXAMPLE)
-    progress("A system that exceeds the bound (42)")
+    begin("A system that exceeds the bound (42)")
     runs = simulate(refuting), simulate(refuting, integrator="scipy")
     certificates = {}
     for name in (*CERTIFIED, COUNTEREXAMPLE):
-        progress(f"Certifying {name}")
+        begin(f"Certifying {name}")
         certificates[name] = certify(load(name))
     return PaperRuns(
         example1=variants,

@@ -185,8 +185,10 @@ def _remark_3() -> Claim:
     for name in ("example1", "dual-motor"):
         system = load(name)
         A, B, nonlinear = coordinates_by_18(system)
-        found = system.controller.coordinates
-        worst = max(worst, float(np.abs(A - found.A).max()), float(np.abs(B - found.B[:, 0]).max()))
+        recursive = system.controller.coordinates
+        worst = max(
+            worst, float(np.abs(A - recursive.A).max()), float(np.abs(B - recursive.B[:, 0]).max())
+        )
         curved |= nonlinear
     return Claim(
         "Remark 3, (19), (20)",
