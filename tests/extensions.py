@@ -120,7 +120,9 @@ class Spline(references.Reference):
         return np.array(rows)
 
     def bounds(self, order: int) -> references.Bounds:
-        pieces = [self._polynomials.derivative(i) if i else self._polynomials for i in range(order + 1)]
+        pieces = [
+            self._polynomials.derivative(i) if i else self._polynomials for i in range(order + 1)
+        ]
         hulls = (np.abs(BPoly.from_power_basis(piece).c).max() for piece in pieces)  # Bernstein
         bounds = tuple(references.round_up(float(hull) * (1 + 1e-9)) for hull in hulls)
         return references.Bounds(bounds, ("proven",) * (order + 1))

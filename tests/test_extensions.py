@@ -450,8 +450,10 @@ def test_the_interval_of_the_median_holds_it_as_often_as_it_says():
     from certrack.studies.ensembles.comparison import _median_interval
 
     random = np.random.default_rng(0)
-    hits = [low <= 0 <= high for low, high in map(_median_interval, np.sort(
-        random.standard_cauchy((2000, 40)), axis=1))]
+    hits = [
+        low <= 0 <= high
+        for low, high in map(_median_interval, np.sort(random.standard_cauchy((2000, 40)), axis=1))
+    ]
     assert 0.945 <= np.mean(hits) <= 0.99
 
 

@@ -24,6 +24,7 @@ SUPPORTED = (
     Select,
 )
 
+
 def normal_form(key: str, what: str, formula: Any) -> sympy.Expr:
     """The formula in the form that is compiled, printed and exported.
 

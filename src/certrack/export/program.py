@@ -212,9 +212,7 @@ def _update(
     names = [step.name for step in rates]
     forgetting = forgetting_rates([rate for _, rate in equations.update], gains_and_estimates)
     hold, filters = controller.hold, equations.filters
-    after = next_estimates(
-        controller.estimates, names, forgetting, hold, implementation, filters
-    )
+    after = next_estimates(controller.estimates, names, forgetting, hold, implementation, filters)
     size = magnitude(LAW_INPUT - COMMAND)
     if any(formula.has(size) for formula in after):
         after = [formula.xreplace({size: CUT}) for formula in after]

@@ -27,7 +27,7 @@ _Maker = TypeVar("_Maker", bound=Callable[..., Any])
 _registered_references: dict[str, ReferenceKind] = {}
 
 #: What a reference must have.
-MEMBERS = tuple(name for name in vars(Reference) if not name.startswith("_"))
+PROTOCOL = tuple(name for name in vars(Reference) if not name.startswith("_"))
 
 #: How symbols of a reference begin.
 SYMBOL_PREFIXES = ("ref_", "piece_")
@@ -74,20 +74,18 @@ def register_reference(kind: str, **keys: Key) -> Callable[[_Maker], _Maker]:
         message = "is that of a shipped reference"
         raise InputError("reference.kind", message, kind, "Choose another name")
 
-    def decorate(maker: _Maker) -> _Maker:
+    def decorate(maker: Any) -> Any:
         if not isinstance(maker, type):
             maker = _with_fields(kind, maker, keys)
             _registered_references[kind] = ReferenceKind(maker, dict(keys))
             return maker
-        parameters = getattr(maker, "__dataclass_params__", None)
+        parameters: Any = getattr(maker, "__dataclass_params__", None)
         if not is_dataclass(maker) or parameters is None or not parameters.frozen:
             remedy = "Write @register(...) above @dataclass(frozen=True)"
             raise InputError("reference", "must be a frozen dataclass", maker.__name__, remedy)
         described = {**keys_of(maker), **keys}
-        _require_keys(
-            (f.name for f in fields(maker) if f.init and f.default is MISSING), described
-        )
-        _registered_references[kind] = ReferenceKind(maker, described)
+        _require_keys((f.name for f in fields(maker) if f.init and f.default is MISSING), described)
+        _registered_references[kind] = ReferenceKind(maker, described)  # type: ignore[arg-type]
         return maker
 
     return decorate
@@ -97,7 +95,9 @@ def _require_keys(names: Iterable[str], keys: Mapping[str, Key]) -> None:
     """Refuse arguments that a file could not state."""
     if missing := [name for name in names if name not in keys]:
         message = f"{', '.join(missing)} has no key"
-        remedy = "Declare a field by certrack.references.key(...), or @register(kind, name=Key(...))"
+        remedy = (
+            "Declare a field by certrack.references.key(...), or @register(kind, name=Key(...))"
+        )
         raise InputError("reference", message, remedy=remedy)
 
 
@@ -165,7 +165,7 @@ def check_reference(reference: Any, order: int, duration: float) -> None:
             remedy = "Make it by a function that certrack.references.register decorates"
             raise InputError("reference", "has no kind, so no file can hold it", remedy=remedy)
         return
-    missing = [name for name in MEMBERS if not hasattr(reference, name)]
+    missing = [name for name in PROTOCOL if not hasattr(reference, name)]
     if missing:
         remedy = "Inherit certrack.references.Reference"
         raise InputError("reference", f"lacks {', '.join(missing)}", reference, remedy)
@@ -175,7 +175,9 @@ def check_reference(reference: Any, order: int, duration: float) -> None:
         if "unhashable" not in str(problem):
             raise
         message = "must be hashable: its fields must be numbers, texts and tuples"
-        raise InputError("reference", message, remedy="Call check_fields in __post_init__") from None
+        raise InputError(
+            "reference", message, remedy="Call check_fields in __post_init__"
+        ) from None
 
 
 @lru_cache(maxsize=64)
@@ -220,7 +222,7 @@ def _check_values(reference: Any, order: int, duration: float) -> None:
             raise InputError("reference", message, f"{column[i]:g} and {expected[i]:g}")
 
 
-def _expect(member: str, found: Any, wanted: Any) -> None:
-    if found != wanted:
+def _expect(member: str, actual: Any, wanted: Any) -> None:
+    if actual != wanted:
         what = "shape" if isinstance(wanted, tuple) else "count"
-        raise InputError("reference", f"{member} must have the {what} {wanted}", str(found))
+        raise InputError("reference", f"{member} must have the {what} {wanted}", str(actual))

@@ -20,8 +20,8 @@ from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.checkpoints import Checkpoints
 from certrack.studies.ensembles.engine import Engine, fastest
 from certrack.studies.ensembles.error_limit import tail_error_limit
-from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.member_table import KEPT_MEMBERS
+from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, Range, band_times, make_plan
 from certrack.studies.ensembles.statistics import LEVELS, Statistics, binomial_interval
 from certrack.systems.system import System
@@ -112,7 +112,9 @@ class Ensemble:
         arrays = None if table is None else table.arrays(self.members)
         if arrays is None:
             remedy = "Call ensemble(..., per_member=True)"
-            raise InputError("per_member", "the metrics of single members were not kept", None, remedy)
+            raise InputError(
+                "per_member", "the metrics of single members were not kept", None, remedy
+            )
         return arrays
 
     def frame(self, *, draws: bool = False) -> pandas.DataFrame:
