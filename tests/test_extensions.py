@@ -178,6 +178,26 @@ def test_discrete_blocks_of_python_control_follow_the_run(make):
     np.testing.assert_allclose(found.states[: system.plant.n, -1], expected, atol=1e-8)
 
 
+def test_a_law_with_the_time_in_it_has_no_exact_edge_of_stability():
+    """The number of the sample grows, which is no instability of the loop."""
+    from certrack.loops.stability import linear_loop
+
+    system = certrack.load("dual-motor-lean")
+    system = system.replace(implementation=certrack.Implementation(period=1e-3))
+
+    @dataclass(frozen=True, kw_only=True)
+    class Ramped(laws.Robust):
+        kind = "ramped"
+
+        def equations(self, s):
+            return Equations(super().equations(s).u + s.t)
+
+    assert linear_loop(system).radius(1e-3, 0.0) < 1
+    law = system.law
+    gains = {"c": law.c, "k": law.k, "p": law.p, "feedforward": law.feedforward}
+    assert linear_loop(system.replace(law=Ramped(**gains))) is None
+
+
 # What is refused, early and in one line.
 
 
