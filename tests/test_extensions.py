@@ -490,15 +490,11 @@ def test_different_members_are_not_compared():
         certrack.paired({"a": few, "b": dropped})
 
 
-@pytest.mark.slow
 def test_a_thousand_pairs_take_two_seconds():
-    """The better of two, for the machine may be busy."""
-    clocks = []
-    for _ in range(2):
-        clock = time.perf_counter()
-        assert len(certrack.paired(two_laws(), 1000).frame()) == 2000
-        clocks.append(time.perf_counter() - clock)
-    assert min(clocks) < 2.0
+    """Of processor time, all threads together: the machine may be busy with other things."""
+    clock = time.process_time()
+    assert len(certrack.paired(two_laws(), 1000).frame()) == 2000
+    assert time.process_time() - clock < 2.0
 
 
 def test_members_of_chunks_on_disk_are_in_the_table(tmp_path):
