@@ -111,6 +111,33 @@ def test_files_hold_them(make, tmp_path):
         np.testing.assert_array_equal(getattr(again, name), getattr(run, name))
 
 
+@pytest.mark.parametrize("name", ["dual-motor-physical", "dual-motor-drive"])
+def test_runs_of_other_plants_and_drives_come_back(name, tmp_path):
+    run = certrack.simulate(certrack.load(name), duration=0.05)
+    run.save(tmp_path / "run.nc")
+    again = certrack.Run.load(tmp_path / "run.nc")
+    assert again.metrics.as_dict() == run.metrics.as_dict()  # NaN is not equal to itself
+    assert again.final_state == run.final_state
+    assert again.system == run.system
+    assert (again.outcome, again.notes) == (run.outcome, run.notes)
+    middle, n = np.array([(run.t[10] + run.t[11]) / 2]), run.system.plant.n
+    found, expected = (each.trajectory.interpolate(middle)[:n] for each in (again, run))
+    np.testing.assert_allclose(found, expected, rtol=0.05, atol=1e-3)
+
+
+def test_what_is_no_saved_run_is_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        certrack.Run.load(tmp_path / "none.nc")
+    (tmp_path / "text.nc").write_text("no data")
+    with pytest.raises(InputError, match=r"text.nc: cannot be read \(it is no NetCDF file\)"):
+        certrack.Run.load(tmp_path / "text.nc")
+    certrack.ensemble(
+        certrack.load("example1").with_settings(duration=1), 4, method="lockstep", limit=1.0
+    ).dataset().to_netcdf(tmp_path / "bands.nc", engine="h5netcdf")
+    with pytest.raises(InputError, match="holds no run of certrack"):
+        certrack.Run.load(tmp_path / "bands.nc")
+
+
 def test_c_passes_its_acceptance_test(make, tmp_path):
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
