@@ -111,6 +111,33 @@ def test_files_hold_them(make, tmp_path):
         np.testing.assert_array_equal(getattr(again, name), getattr(run, name))
 
 
+@pytest.mark.parametrize("name", ["dual-motor-physical", "dual-motor-drive"])
+def test_runs_of_other_plants_and_drives_come_back(name, tmp_path):
+    run = certrack.simulate(certrack.load(name), duration=0.05)
+    run.save(tmp_path / "run.nc")
+    again = certrack.Run.load(tmp_path / "run.nc")
+    assert again.metrics.as_dict() == run.metrics.as_dict()  # NaN is not equal to itself
+    assert again.final_state == run.final_state
+    assert again.system == run.system
+    assert (again.outcome, again.notes) == (run.outcome, run.notes)
+    middle, n = np.array([(run.t[10] + run.t[11]) / 2]), run.system.plant.n
+    found, expected = (each.trajectory.interpolate(middle)[:n] for each in (again, run))
+    np.testing.assert_allclose(found, expected, rtol=0.05, atol=1e-3)
+
+
+def test_what_is_no_saved_run_is_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        certrack.Run.load(tmp_path / "none.nc")
+    (tmp_path / "text.nc").write_text("no data")
+    with pytest.raises(InputError, match=r"text.nc: cannot be read \(it is no NetCDF file\)"):
+        certrack.Run.load(tmp_path / "text.nc")
+    certrack.ensemble(
+        certrack.load("example1").with_settings(duration=1), 4, method="lockstep", limit=1.0
+    ).dataset().to_netcdf(tmp_path / "bands.nc", engine="h5netcdf")
+    with pytest.raises(InputError, match="holds no run of certrack"):
+        certrack.Run.load(tmp_path / "bands.nc")
+
+
 def test_c_passes_its_acceptance_test(make, tmp_path):
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
@@ -176,6 +203,26 @@ def test_discrete_blocks_of_python_control_follow_the_run(make):
     run = certrack.simulate(system, duration=steps * T)
     expected = list(run.final_state.values())[: system.plant.n]
     np.testing.assert_allclose(found.states[: system.plant.n, -1], expected, atol=1e-8)
+
+
+def test_a_law_with_the_time_in_it_has_no_exact_edge_of_stability():
+    """The number of the sample grows, which is no instability of the loop."""
+    from certrack.loops.stability import linear_loop
+
+    system = certrack.load("dual-motor-lean")
+    system = system.replace(implementation=certrack.Implementation(period=1e-3))
+
+    @dataclass(frozen=True, kw_only=True)
+    class Ramped(laws.Robust):
+        kind = "ramped"
+
+        def equations(self, s):
+            return Equations(super().equations(s).u + s.t)
+
+    assert linear_loop(system).radius(1e-3, 0.0) < 1
+    law = system.law
+    gains = {"c": law.c, "k": law.k, "p": law.p, "feedforward": law.feedforward}
+    assert linear_loop(system.replace(law=Ramped(**gains))) is None
 
 
 # What is refused, early and in one line.
@@ -470,15 +517,11 @@ def test_different_members_are_not_compared():
         certrack.paired({"a": few, "b": dropped})
 
 
-@pytest.mark.slow
 def test_a_thousand_pairs_take_two_seconds():
-    """The better of two, for the machine may be busy."""
-    clocks = []
-    for _ in range(2):
-        clock = time.perf_counter()
-        assert len(certrack.paired(two_laws(), 1000).frame()) == 2000
-        clocks.append(time.perf_counter() - clock)
-    assert min(clocks) < 2.0
+    """Of processor time, all threads together: the machine may be busy with other things."""
+    clock = time.process_time()
+    assert len(certrack.paired(two_laws(), 1000).frame()) == 2000
+    assert time.process_time() - clock < 2.0
 
 
 def test_members_of_chunks_on_disk_are_in_the_table(tmp_path):

@@ -3,12 +3,17 @@
 import math
 from dataclasses import replace
 
+import matplotlib
 import numpy as np
 import pytest
+from cycler import cycler
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 
 import certrack
 from certrack import plotting
 from certrack.certificates.tube import Tube
+from certrack.core.errors import InputError
 from certrack.studies.ensembles.statistics import LEVELS
 from certrack.studies.margins import Margin, Margins
 
@@ -140,3 +145,42 @@ def test_the_tube_is_said_to_be_of_the_continuous_law(name, runs):
     said = "continuous law" in made.axes[0].get_title(loc="left")
     (shown, *_) = [text for text in texts(made.axes[0].get_legend()) if "tube" in text]
     assert said == ("continuous law" in shown) == (name == "dual-motor-drive")
+
+
+def styles(ax):
+    """What tells the curves of runs on axes apart."""
+    shown = [line for line in ax.lines if len(line.get_xdata()) > 2 and line.get_label() != "$y_d$"]
+    return [(to_hex(line.get_color()), str(line._dash_pattern)) for line in shown]
+
+
+def test_own_axes_name_the_runs_and_repeat_no_style():
+    """Twelve runs, at once and one after the other, with the colours of the user's own style."""
+    system = certrack.load("example1")
+    simulator = certrack.Simulator(system.with_settings(duration=0.5, tail=None))
+    runs = {
+        f"run {k}": simulator.run(simulator.system.with_settings(x0=(0.1 * k, 0)))
+        for k in range(12)
+    }
+    for named in ({"axes.prop_cycle": cycler(color=["#112233", "#445566"])}, {}):
+        with matplotlib.rc_context(named):
+            together, after = Figure(), Figure()
+            ax = together.subplots()
+            plotting.plot_error(ax, runs)
+            assert len(set(styles(ax))) == 12
+            assert set(runs) < {text.get_text() for text in ax.get_legend().get_texts()}
+            ax = after.subplots()
+            for name, run in runs.items():
+                plotting.plot_error(ax, {name: run})
+            assert len(set(styles(ax))) == 12
+            texts = [text.get_text() for text in ax.get_legend().get_texts()]
+            assert sorted(texts) == sorted({f"{name}: $e_1$" for name in runs} | {texts[1]})
+
+
+def test_a_fan_on_own_axes_refuses_what_is_not_there():
+    system = certrack.load("example1").with_settings(duration=0.5, tail=None)
+    found = certrack.ensemble(system, 8, method="lockstep", limit=0.1)
+    ax = Figure().subplots()
+    plotting.plot_fan(ax, found, "u", color="#aa0000")
+    assert ax.get_ylabel() == "$u$"
+    with pytest.raises(InputError, match="signal: must be one of e_1, x1, x2, u; got x9"):
+        plotting.plot_fan(ax, found, "x9")

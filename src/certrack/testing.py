@@ -48,7 +48,7 @@ from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
 #: What is tried at random, and how far numbers may differ.
-RANDOM_POINTS, MEMBERS, SHORT_RUN = 5, 4, 1.0
+TRIED_POINTS, TRIED_MEMBERS, SHORT_RUN = 5, 4, 1.0
 
 #: Period of the sampled runs where the system has none, s.
 PERIOD_TESTED = 1e-3
@@ -72,8 +72,8 @@ class LawConformance:
         """Times and states of the loop, with the parameters of the current piece."""
         loop, reference = close_loop(self.system), self.system.reference
         values, states = parameter_values(loop, self.system), [s.name for s in loop.states]
-        rng, size = np.random.default_rng(0), (RANDOM_POINTS, len(states))
-        times = rng.uniform(0, self.system.settings.duration, RANDOM_POINTS)
+        rng, size = np.random.default_rng(0), (TRIED_POINTS, len(states))
+        times = rng.uniform(0, self.system.settings.duration, TRIED_POINTS)
         pairs = list(zip(times.tolist(), rng.uniform(0.1, 1.5, size), strict=True))
         if self.points:
             start = dict(zip(states, [*self.system.start, 0.0, 0.0, 0.0], strict=True))
@@ -194,7 +194,8 @@ class LawConformance:
         for name, key in keys_of(law).items():
             value = getattr(law, name)
             if key.kind == "number" and isinstance(value, float):
-                other = replace(law, **{name: value + 1e-3 * (abs(value) or 1.0)})
+                change: dict[str, Any] = {name: value + 1e-3 * (abs(value) or 1.0)}
+                other = replace(law, **change)
                 same = other.design(plant).equations == law.design(plant).equations
                 assert same, f"{name} stands in the formulas as a number"
 
@@ -210,7 +211,7 @@ class LawConformance:
         short = self._sampled
         for system in (short.replace(implementation=None), short):
             together, alone = (
-                ensemble(system, MEMBERS, method=method, limit=1.0).per_member()[0]
+                ensemble(system, TRIED_MEMBERS, method=method, limit=1.0).per_member()[0]
                 for method in ("lockstep", "alone")
             )
             np.testing.assert_allclose(together, alone, rtol=1e-3, atol=1e-5)
@@ -238,8 +239,8 @@ class LawConformance:
         for t, y, p in self._points():
             count = len(loop.states) - len(INTEGRALS)
             expected = np.array(rates(t, y, p), dtype=float)[:count]
-            found = blocks.loop.dynamics(t, y[:count], [])
-            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+            actual = blocks.loop.dynamics(t, y[:count], [])
+            np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
     def test_survives_a_system_file(self) -> None:
         """Saved and loaded, the system is the same (laws that a file can name)."""
@@ -281,8 +282,8 @@ class ReferenceConformance:
         names = [TIME, reference.parameter_symbols, reference.piece_symbols]
         evaluate = numpy_callable(names, reference.formulas(self._order))
         expected = rows(evaluate(t, reference.parameter_values, pieces_at(reference, t)), len(t))
-        found = reference.values(t, self._order)
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+        actual = reference.values(t, self._order)
+        np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
     def test_every_break_is_listed(self) -> None:
         """Between two of them the piece does not change, and derivatives do not jump."""
@@ -326,7 +327,10 @@ class ReferenceConformance:
         runs = [simulate(each) for each in (system, sampled)]
         assert all(run.outcome is Outcome.finished for run in runs)
         np.testing.assert_allclose(runs[0].y_d, self.reference.values(runs[0].t, 0)[0])
-        assert ensemble(system, MEMBERS, limit=1.0).statistics.outcomes["finished"] == MEMBERS
+        assert (
+            ensemble(system, TRIED_MEMBERS, limit=1.0).statistics.outcomes["finished"]
+            == TRIED_MEMBERS
+        )
 
 
 def _constants(system: System) -> set[Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import is_dataclass
 from importlib.metadata import entry_points
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import check_name
@@ -54,7 +54,7 @@ def register_law(law: _L) -> _L:
     """
     if not (isinstance(law, type) and issubclass(law, Law)):
         raise InputError("law", "must be a subclass of certrack.laws.Law", law)
-    parameters = getattr(law, "__dataclass_params__", None)
+    parameters: Any = getattr(law, "__dataclass_params__", None)
     if not is_dataclass(law) or "__dataclass_params__" not in vars(law) or not parameters.frozen:
         remedy = "Write @register above @dataclass(frozen=True, kw_only=True)"
         raise InputError("law", "must be a frozen dataclass", law.__name__, remedy)

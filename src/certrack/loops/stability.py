@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
 from certrack.core.select import Select
 from certrack.loops.controller import (
@@ -141,9 +142,10 @@ def linear_loop(system: System) -> LinearLoop | None:
     Returns
     -------
     LinearLoop or None
-        None also for a law with states of its own, and without an implementation.
+        None also for a law with states of its own or the time in it, and without an implementation.
     """
-    if system.controller.states or system.implementation is None:
+    law = system.controller
+    if law.states or system.implementation is None or law.equations.u.has(TIME):
         return None
     implementation = Implementation(
         system.implementation.period,

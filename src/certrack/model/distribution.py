@@ -29,7 +29,7 @@ EXAMPLE = "For example {uniform = [-1, 1]}, or {norm = {loc = 0, scale = 1}} as 
 
 #: SciPy's distributions are cut off at the quantiles of this probability and of its complement:
 #: certificates, limits and bands need ends, and a normal distribution has none.
-CUT = 1e-9
+TAIL_PROBABILITY = 1e-9
 
 #: More samples of an empirical distribution than this are refused.
 MAX_SAMPLES = 1_000_000
@@ -114,18 +114,18 @@ class Distribution:
         InputError
             If it is none that scipy.stats has by a name.
         """
-        family = getattr(frozen, "dist", None)
+        family: Any = getattr(frozen, "dist", None)
         name = getattr(family, "name", None)
         if name is None or type(_scipy_family(str(name))) is not type(family):
             message = "must be a frozen distribution of scipy.stats"
             raise InputError("distribution", message, frozen, "Use Distribution.empirical(samples)")
         shapes = (family.shapes or "").replace(" ", "").split(",")
         names = [*filter(None, shapes), "loc", *(["scale"] if hasattr(family, "pdf") else [])]
-        given = dict(zip(names, frozen.args, strict=False)) | frozen.kwds
+        stated = dict(zip(names, frozen.args, strict=False)) | frozen.kwds
         if name == "uniform":
-            low = float(given.get("loc", 0.0))
-            return cls("uniform", (low, low + float(given.get("scale", 1.0))))
-        numbers = tuple((key, float(value)) for key, value in given.items())
+            low = float(stated.get("loc", 0.0))
+            return cls("uniform", (low, low + float(stated.get("scale", 1.0))))
+        numbers = tuple((key, float(value)) for key, value in stated.items())
         return cls(str(name), (), numbers or (("loc", 0.0),))
 
     @cached_property
@@ -145,7 +145,9 @@ class Distribution:
     @cached_property
     def _ends(self) -> tuple[float, float]:
         """Smallest and largest value of a distribution of SciPy."""
-        return float(self._frozen.ppf(CUT)), float(self._frozen.ppf(1 - CUT))
+        return float(self._frozen.ppf(TAIL_PROBABILITY)), float(
+            self._frozen.ppf(1 - TAIL_PROBABILITY)
+        )
 
     @property
     def low(self) -> float:
@@ -179,7 +181,7 @@ class Distribution:
             place = np.asarray(np.floor(np.asarray(p) * len(self.values)), dtype=int)
             values = self._sorted[np.minimum(place, len(self.values) - 1)]
         elif self.parameters:
-            values = self._frozen.ppf(np.clip(p, CUT, 1 - CUT))
+            values = self._frozen.ppf(np.clip(p, TAIL_PROBABILITY, 1 - TAIL_PROBABILITY))
         else:
             from scipy.stats import truncnorm
 

@@ -141,4 +141,12 @@ def family_of(population: Population) -> DisturbanceFamily | None:
         return None
     if population.disturbance == Multisine.kind:
         return Multisine(population.sines)
-    return _registered_disturbances[population.disturbance]()
+    family = _registered_disturbances.get(population.disturbance)
+    if family is None:
+        raise InputError(
+            "ensemble.disturbance",
+            "is not registered in this process",
+            population.disturbance,
+            "Put the family into a module that every process imports",
+        )
+    return family()

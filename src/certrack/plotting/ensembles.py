@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import ticker
@@ -117,7 +117,7 @@ def plot_fan(ax: Axes, ensemble: Ensemble, signal: str = "e_1", color: str = BLU
     i, bands = names.index(signal), _finite(ensemble.bands)
     units = ensemble.system.plant.units or ("",) * (len(names) - 1)
     for low, high, label, alpha in BANDS:
-        shade = {"color": color, "alpha": alpha, "lw": 0}
+        shade: dict[str, Any] = {"color": color, "alpha": alpha, "lw": 0}
         ax.fill_between(t, bands[low, i], bands[high, i], label=label, **shade)
     ax.plot(t, bands[len(LEVELS) // 2, i], color=color, lw=1.0, label="median")
     if i == 0 and ensemble.limit is not None:

@@ -135,9 +135,8 @@ def plot_error(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     for k, run in enumerate(runs.values()):
         _curve(ax, runs, k, run.e[0], "$e_1$", named=named)
     band = first.metrics.band
-    ax.axhspan(
-        -band, band, color="#000000", alpha=0.07, lw=0, label=_once(ax, f"band $\\pm${band:.3g}")
-    )
+    if label := _once(ax, f"band $\\pm${band:.3g}"):
+        ax.axhspan(-band, band, color="#000000", alpha=0.07, lw=0, label=label)
     _label_axes(ax, f"tracking error{unit(first, 0)}", runs, named)
 
 
@@ -479,7 +478,7 @@ def _dashes(k: int) -> Any:
     return plain[k] if k < len(plain) else (0, (6, 1.5, *(1, 1.5) * (k - len(plain) + 2)))
 
 
-def _line_style(color: str, k: int) -> dict[str, Any]:
+def _line_style(color: Any, k: int) -> dict[str, Any]:
     """How a signal of this colour is drawn for the k-th of several systems."""
     _, width, light = LINE_STYLES[k % len(LINE_STYLES)]
     end = 1.0 if light > 0 else 0.0
@@ -521,7 +520,7 @@ def _curve(
     if label not in lines:  # the legend shows the plain colour
         plain = {"color": color, "gid": None} if color else _next_style(ax) | {"gid": CURVE_MARK}
         (lines[label],) = ax.plot([], [], label=label, **plain)
-    ax.plot(run.t, values, **_line_style(str(lines[label].get_color()), k))
+    ax.plot(run.t, values, **_line_style(lines[label].get_color(), k))
 
 
 def _short_name(name: str) -> str:
@@ -550,7 +549,7 @@ def _label_axes(ax: Axes, label: str, runs: Runs, named: bool) -> None:
     ax.set_ylabel(label)
     ax.margins(x=0.01)  # a jump at t = 0 stays visible beside the axis
     if len(runs) == 1:
-        ax.legend(ncols=3, loc="best")
+        ax.legend(ncols=1 if named and any(runs) else 3, loc="best")
         return
     handles, labels = ax.get_legend_handles_labels()
     if named:

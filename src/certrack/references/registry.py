@@ -27,7 +27,7 @@ _Maker = TypeVar("_Maker", bound=Callable[..., Any])
 _registered_references: dict[str, ReferenceKind] = {}
 
 #: What a reference must have.
-MEMBERS = tuple(name for name in vars(Reference) if not name.startswith("_"))
+PROTOCOL = tuple(name for name in vars(Reference) if not name.startswith("_"))
 
 #: How symbols of a reference begin.
 SYMBOL_PREFIXES = ("ref_", "piece_")
@@ -74,18 +74,18 @@ def register_reference(kind: str, **keys: Key) -> Callable[[_Maker], _Maker]:
         message = "is that of a shipped reference"
         raise InputError("reference.kind", message, kind, "Choose another name")
 
-    def decorate(maker: _Maker) -> _Maker:
+    def decorate(maker: Any) -> Any:
         if not isinstance(maker, type):
             maker = _with_fields(kind, maker, keys)
             _registered_references[kind] = ReferenceKind(maker, dict(keys))
             return maker
-        parameters = getattr(maker, "__dataclass_params__", None)
+        parameters: Any = getattr(maker, "__dataclass_params__", None)
         if not is_dataclass(maker) or parameters is None or not parameters.frozen:
             remedy = "Write @register(...) above @dataclass(frozen=True)"
             raise InputError("reference", "must be a frozen dataclass", maker.__name__, remedy)
         described = {**keys_of(maker), **keys}
         _require_keys((f.name for f in fields(maker) if f.init and f.default is MISSING), described)
-        _registered_references[kind] = ReferenceKind(maker, described)
+        _registered_references[kind] = ReferenceKind(maker, described)  # type: ignore[arg-type]
         return maker
 
     return decorate
@@ -165,7 +165,7 @@ def check_reference(reference: Any, order: int, duration: float) -> None:
             remedy = "Make it by a function that certrack.references.register decorates"
             raise InputError("reference", "has no kind, so no file can hold it", remedy=remedy)
         return
-    missing = [name for name in MEMBERS if not hasattr(reference, name)]
+    missing = [name for name in PROTOCOL if not hasattr(reference, name)]
     if missing:
         remedy = "Inherit certrack.references.Reference"
         raise InputError("reference", f"lacks {', '.join(missing)}", reference, remedy)
@@ -222,7 +222,7 @@ def _check_values(reference: Any, order: int, duration: float) -> None:
             raise InputError("reference", message, f"{column[i]:g} and {expected[i]:g}")
 
 
-def _expect(member: str, found: Any, wanted: Any) -> None:
-    if found != wanted:
+def _expect(member: str, actual: Any, wanted: Any) -> None:
+    if actual != wanted:
         what = "shape" if isinstance(wanted, tuple) else "count"
-        raise InputError("reference", f"{member} must have the {what} {wanted}", str(found))
+        raise InputError("reference", f"{member} must have the {what} {wanted}", str(actual))

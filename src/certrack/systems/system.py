@@ -60,7 +60,7 @@ class Settings:
         None,
         help="initial controller states, not the prior guesses",
         shape="one number per controller state",
-        otherwise="as the law states, or zero",
+        otherwise="those of the law",
     )
     tolerance: float = keyed(
         "number",

@@ -161,7 +161,15 @@ def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
     elif isinstance(reference, PiecewiseReference):
         values = dict(reference.fields)
     else:  # its fields are its keys
-        return {"kind": kind_of(reference)} | _present(field_values(reference))
+        kind = kind_of(reference)
+        if kind is None:  # registered elsewhere: in the notebook of a cluster, for example
+            raise InputError(
+                "reference",
+                "is of a class that is not registered in this process",
+                type(reference).__name__,
+                "Put it into a module that every process imports",
+            )
+        return {"kind": kind} | _present(field_values(reference))
     return _present(values | {"bound": reference.declared_bound})
 
 

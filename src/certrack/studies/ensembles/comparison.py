@@ -50,7 +50,7 @@ class PairedComparison:
         """
         import pandas
 
-        parts = [found.frame().reset_index().assign(law=name) for name, found in self.ensembles]
+        parts = [each.frame().reset_index().assign(law=name) for name, each in self.ensembles]
         frame = pandas.concat(parts, ignore_index=True)
         return frame[["member", "law", *METRICS, "outcome"]]
 
@@ -76,7 +76,7 @@ class PairedComparison:
         if metric not in METRICS:
             raise InputError("metric", "must be one of " + ", ".join(METRICS), metric)
         row = METRICS.index(metric)
-        values = {name: found.per_member()[0][row] for name, found in self.ensembles}
+        values = {name: each.per_member()[0][row] for name, each in self.ensembles}
         (first, base), *others = values.items()
         table = values | {f"{name} - {first}": value - base for name, value in others}
         return pandas.DataFrame(table, index=pandas.RangeIndex(len(base), name="member"))
@@ -98,10 +98,10 @@ class PairedComparison:
         (_, first), *others = self.ensembles
         base, rows, index = first.per_member()[0], [], []
         for row, metric in enumerate(METRICS):
-            for name, found in others:
-                values = np.array([base[row], found.per_member()[0][row]])
+            for name, each in others:
+                values = np.array([base[row], each.per_member()[0][row]])
                 values = values[:, np.isfinite(values).all(axis=0)]
-                rows.append(_paired_statistics(*values, independent=found.independent))
+                rows.append(_paired_statistics(*values, independent=each.independent))
                 index.append((metric, name))
         names = pandas.MultiIndex.from_tuples(index, names=["metric", "law"])
         return pandas.DataFrame(rows, index=names)
@@ -163,11 +163,11 @@ def paired(
         for name, entry in laws.items()
     )
     (first_name, first), *others = pairs
-    for name, found in others:
-        if reason := _why_not_same_members(first, found):
+    for name, each in others:
+        if reason := _why_not_same_members(first, each):
             raise InputError("laws", f"{first_name} and {name} have different {reason}")
-    for _, found in pairs:
-        found.per_member()
+    for _, each in pairs:
+        each.per_member()
     return PairedComparison(pairs)
 
 

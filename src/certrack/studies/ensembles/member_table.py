@@ -11,7 +11,7 @@ import numpy as np
 KEPT_MEMBERS = 100_000
 
 #: First member, metrics (M, N) and numbers of the outcomes (N,).
-Part = tuple[int, np.ndarray, np.ndarray]
+TablePart = tuple[int, np.ndarray, np.ndarray]
 
 
 @dataclass
@@ -25,7 +25,7 @@ class MemberTable:
         their numbers.
     """
 
-    parts: list[Part] = field(default_factory=list)
+    parts: list[TablePart] = field(default_factory=list)
 
     def add(self, begin: int, metrics: np.ndarray, outcomes: np.ndarray) -> None:
         """Members begin, begin + 1, ..."""

@@ -117,8 +117,8 @@ class Members:
         for k in range(self.system.plant.n):
             names = {name: _disturbance_name(k, name) for name in self._disturbance_names}
             if names and next(iter(names.values())) in draws:
-                own = self.family.adjusted({name: draws[full] for name, full in names.items()})
-                draws |= {_disturbance_name(k, name): values for name, values in own.items()}
+                fitting = self.family.adjusted({name: draws[full] for name, full in names.items()})
+                draws |= {_disturbance_name(k, name): values for name, values in fitting.items()}
         return draws
 
     def member(self, index: int) -> System:
