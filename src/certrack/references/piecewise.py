@@ -313,17 +313,6 @@ def steps(
         Speed of a move, unit of the output per second.
     bound : float, optional
         D of Assumption 2.
-
-    Returns
-    -------
-    PiecewiseReference
-
-    Examples
-    --------
-    >>> import certrack
-    >>> move = certrack.references.steps([1.0], [0.0, 0.5], slope=0.1)
-    >>> move.breaks(0, 10)
-    array([1., 6.])
     """
     times = checks.reals("reference.times", times, None, "times of the moves, s")
     if not times:
@@ -372,16 +361,6 @@ def samples(
         start and end with zero slope, so that holding keeps y_d' continuous (order 2).
     bound : float, optional
         D of Assumption 2.
-
-    Returns
-    -------
-    PiecewiseReference
-
-    Examples
-    --------
-    >>> import certrack
-    >>> certrack.references.samples([0, 1, 2], [0, 1, 0]).order
-    2
     """
     from scipy.interpolate import CubicSpline, PchipInterpolator
 

@@ -153,7 +153,7 @@ def simulate(system: System, *, progress: Progress = silent, **settings: Any) ->
     Examples
     --------
     >>> import certrack
-    >>> run = certrack.simulate(certrack.load("example1"), duration=5)
+    >>> run = certrack.simulate(certrack.load("example1"), duration=30)
     >>> run.outcome.name
     'finished'
     """
