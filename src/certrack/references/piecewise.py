@@ -236,7 +236,7 @@ def trapezoid(
     --------
     >>> import certrack
     >>> certrack.trapezoid(amplitude=1, period=4, rise=1).order
-    1
+    1.0
     """
     if fields is None:
         fields = _fields(
@@ -287,8 +287,8 @@ def triangle(
     Examples
     --------
     >>> import certrack
-    >>> certrack.triangle(amplitude=1, period=4).bounds(1).values
-    (1.0, 1.0)
+    >>> certrack.triangle(amplitude=1, period=4).breaks(0, 8)
+    array([2., 4., 6.])
     """
     fields = _fields("triangle", amplitude=amplitude, period=period, offset=offset, start=start)
     period = checks.real("reference.period", period, above=0)

@@ -105,13 +105,13 @@ MAX_RESTORED = 8
 def _restored(system: System) -> Simulator:
     """The simulator that was pickled; one that is sent again and again is compiled once."""
     try:
-        return _kept(system)
+        return _compiled_for(system)
     except TypeError:  # a reference or a law of the user's that has no hash
         return Simulator(system)
 
 
 @lru_cache(maxsize=MAX_RESTORED)
-def _kept(system: System) -> Simulator:
+def _compiled_for(system: System) -> Simulator:
     return Simulator(system)
 
 
