@@ -11,7 +11,7 @@ import re
 import tomllib
 from importlib import import_module
 from pathlib import Path
-from types import BuiltinFunctionType, GenericAlias
+from types import BuiltinFunctionType, GenericAlias, ModuleType
 from typing import Any
 
 from docutils import nodes
@@ -86,6 +86,12 @@ def public_page() -> str:
     lines += [".. list-table::", "   :widths: 30 70", ""]
     for name in certrack.__all__:
         value = getattr(certrack, name)
+        if isinstance(value, str):
+            continue
+        if isinstance(value, ModuleType):
+            first = (value.__doc__ or "").strip().split("\n\n")[0].replace("\n", " ")
+            lines += [f"   * - :py:mod:`~{value.__name__}`", f"     - {escaped(first)}"]
+            continue
         first = (value.__doc__ or "").strip().split("\n\n")[0].replace("\n", " ")
         target = f"{value.__module__}.{value.__qualname__}"
         lines += [f"   * - :py:obj:`~{target}`", f"     - {escaped(first)}"]

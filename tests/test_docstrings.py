@@ -51,7 +51,9 @@ def public_functions():
 
 @pytest.mark.parametrize("function", list(public_functions()))
 def test_public_functions_say_what_they_return_and_show_it(function):
-    assert {"Returns", "Examples"} <= sections(function)
+    assert "Examples" in sections(function)
+    if inspect.signature(function).return_annotation != "None":
+        assert "Returns" in sections(function)
     named = [name for name in inspect.signature(function).parameters if name != "progress"]
     assert not named or "Parameters" in sections(function), "arguments are described"
 

@@ -28,7 +28,6 @@ from certrack.plotting.runs import (
     plot_states,
     plot_tube,
     tube_figure,
-    unit,
 )
 from certrack.plotting.shared import STYLE, save_figure, style
 
@@ -56,5 +55,4 @@ __all__ = [
     "save_figure",
     "style",
     "tube_figure",
-    "unit",
 ]

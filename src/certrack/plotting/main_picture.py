@@ -22,7 +22,7 @@ from certrack.studies.margins import Margins
 from certrack.systems.system import System
 
 #: Times at which a reference is drawn.
-REFERENCE_POINTS = 2000
+SHOWN_POINTS = 2000
 
 
 def plot(result: Any) -> Figure:
@@ -64,36 +64,36 @@ def _drawn(result: Any) -> Figure:
 
 
 @_drawn.register
-def _(result: Run) -> Figure:
+def _draw_run(result: Run) -> Figure:
     return overview({"": result}, result.system.title)
 
 
 @_drawn.register(Mapping)
-def _(result: Mapping[str, Run]) -> Figure:
+def _draw_runs(result: Mapping[str, Run]) -> Figure:
     if not result or not all(isinstance(run, Run) for run in result.values()):
         raise InputError("plot", "a mapping must hold runs by name", list(result))
     return overview(result)
 
 
 @_drawn.register
-def _(result: Ensemble) -> Figure:
+def _draw_ensemble(result: Ensemble) -> Figure:
     return fan_chart(result)
 
 
 @_drawn.register
-def _(result: Margins) -> Figure:
+def _draw_margins(result: Margins) -> Figure:
     return margin_figure(result, "", None)
 
 
 @_drawn.register
-def _(result: Certificates) -> Figure:
+def _draw_certificates(result: Certificates) -> Figure:
     return certificates_figure(result)
 
 
 @_drawn.register
-def _(result: System) -> Figure:
+def _draw_system(result: System) -> Figure:
     end = result.settings.duration
-    t = np.union1d(np.linspace(0.0, end, REFERENCE_POINTS), result.reference.breaks(0.0, end))
+    t = np.union1d(np.linspace(0.0, end, SHOWN_POINTS), result.reference.breaks(0.0, end))
     units = result.plant.units
     with style():
         drawing = new_figure(PAGE_WIDTH, 1.6)

@@ -38,7 +38,7 @@ def html(result: Any) -> str:
 
 
 @html.register
-def _(result: System) -> str:
+def _show_system(result: System) -> str:
     settings, implementation = result.settings, result.implementation
     design = result.design()
     rows = [
@@ -58,12 +58,12 @@ def _(result: System) -> str:
 
 
 @html.register
-def _(result: Design) -> str:
+def _show_design(result: Design) -> str:
     return _page(result.title, _formulas(result))
 
 
 @html.register
-def _(result: Run) -> str:
+def _show_run(result: Run) -> str:
     metrics = result.metrics.as_dict()
     rows: list[Sequence[object]] = [(v, metrics[k]) for k, v in METRIC_LABELS.items()]
     trajectory = result.trajectory
@@ -76,7 +76,7 @@ def _(result: Run) -> str:
 
 
 @html.register
-def _(result: Certificates) -> str:
+def _show_certificates(result: Certificates) -> str:
     entries = [getattr(result, entry.name) for entry in fields(result)]
     rows = [
         (
@@ -94,7 +94,7 @@ def _(result: Certificates) -> str:
 
 
 @html.register
-def _(result: Ensemble) -> str:
+def _show_ensemble(result: Ensemble) -> str:
     rows = []
     for name, label in METRIC_LABELS.items():
         entries = result.statistics.metrics[name].summary()
@@ -115,7 +115,7 @@ def _(result: Ensemble) -> str:
 
 
 @html.register
-def _(result: Margins) -> str:
+def _show_margins(result: Margins) -> str:
     rows = [
         (label, margin.within, margin.bounded, margin.exact)
         for label, margin in (

@@ -49,24 +49,7 @@ CURVE_MARK = "certrack-curve"
 
 
 def unit(run: Run, index: int) -> str:
-    """Unit of state `index` (the input is last) as a label suffix.
-
-    Parameters
-    ----------
-    run : Run
-    index : int
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> import certrack
-    >>> run = certrack.simulate(certrack.load("example1"))
-    >>> certrack.plotting.unit(run, 0)
-    ''
-    """
+    """Unit of state `index` (the input is last) as a label suffix."""
     units = run.system.plant.units
     return in_brackets(units[index] if units else "")
 
@@ -77,25 +60,15 @@ def plot_output(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     Parameters
     ----------
     ax : Axes
-        To draw on.
     runs : mapping of names to runs
-        The names stand in the legend.
     named : bool
         Whether the legend names the runs.
-
-    Returns
-    -------
-    None
 
     Examples
     --------
     >>> import certrack
-    >>> from matplotlib.figure import Figure
     >>> run = certrack.simulate(certrack.load("example1"))
-    >>> ax = Figure().subplots()
-    >>> certrack.plotting.plot_output(ax, {"example1": run})
-    >>> ax.get_ylabel()
-    'output'
+    >>> certrack.plotting.plot_output(certrack.plot(run).axes[0], {"": run})
     """
     first = next(iter(runs.values()))
     line, width = ("--", 1.0) if len(runs) == 1 else ("-", 0.7)  # dashes tell several runs apart
@@ -111,25 +84,15 @@ def plot_error(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     Parameters
     ----------
     ax : Axes
-        To draw on.
     runs : mapping of names to runs
-        The names stand in the legend.
     named : bool
         Whether the legend names the runs.
-
-    Returns
-    -------
-    None
 
     Examples
     --------
     >>> import certrack
-    >>> from matplotlib.figure import Figure
     >>> run = certrack.simulate(certrack.load("example1"))
-    >>> ax = Figure().subplots()
-    >>> certrack.plotting.plot_error(ax, {"example1": run})
-    >>> ax.get_ylabel()
-    'tracking error'
+    >>> certrack.plotting.plot_error(certrack.plot(run).axes[0], {"": run})
     """
     first = next(iter(runs.values()))
     for k, run in enumerate(runs.values()):
@@ -146,25 +109,15 @@ def plot_states(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     Parameters
     ----------
     ax : Axes
-        To draw on.
     runs : mapping of names to runs
-        The names stand in the legend.
     named : bool
         Whether the legend names the runs.
-
-    Returns
-    -------
-    None
 
     Examples
     --------
     >>> import certrack
-    >>> from matplotlib.figure import Figure
     >>> run = certrack.simulate(certrack.load("example1"))
-    >>> ax = Figure().subplots()
-    >>> certrack.plotting.plot_states(ax, {"example1": run})
-    >>> ax.get_ylabel()
-    'states'
+    >>> certrack.plotting.plot_states(certrack.plot(run).axes[0], {"": run})
     """
     for k, run in enumerate(runs.values()):
         for i, state in enumerate(run.system.plant.states):
@@ -181,23 +134,13 @@ def plot_estimates(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     Parameters
     ----------
     ax : Axes
-        To draw on.
     runs : mapping of names to runs
-        The names stand in the legend.
-
-    Returns
-    -------
-    None
 
     Examples
     --------
     >>> import certrack
-    >>> from matplotlib.figure import Figure
     >>> run = certrack.simulate(certrack.load("example1"))
-    >>> ax = Figure().subplots()
-    >>> certrack.plotting.plot_estimates(ax, {"example1": run})
-    >>> ax.get_ylabel()
-    'estimates'
+    >>> certrack.plotting.plot_estimates(certrack.plot(run).axes[0], {"": run})
     """
     truth = next(iter(runs.values())).system.truth
     names = {state.name for run in runs.values() for state in run.system.controller.states}
@@ -261,25 +204,15 @@ def plot_input(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     Parameters
     ----------
     ax : Axes
-        To draw on.
     runs : mapping of names to runs
-        The names stand in the legend.
     named : bool
         Whether the legend names the runs.
-
-    Returns
-    -------
-    None
 
     Examples
     --------
     >>> import certrack
-    >>> from matplotlib.figure import Figure
     >>> run = certrack.simulate(certrack.load("example1"))
-    >>> ax = Figure().subplots()
-    >>> certrack.plotting.plot_input(ax, {"example1": run})
-    >>> ax.get_ylabel()
-    'input'
+    >>> certrack.plotting.plot_input(certrack.plot(run).axes[0], {"": run})
     """
     first = next(iter(runs.values()))
     for k, run in enumerate(runs.values()):
@@ -309,7 +242,6 @@ def panels_for(runs: Runs) -> dict[str, Panel]:
     Returns
     -------
     dict
-        Panel by name.
 
     Examples
     --------
@@ -330,7 +262,6 @@ def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
     panel : callable
         One of :data:`PANELS`.
     runs : mapping of names to runs
-        The names stand in the legend.
     title : str
 
     Returns
@@ -341,8 +272,7 @@ def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
     --------
     >>> import certrack
     >>> run = certrack.simulate(certrack.load("example1"))
-    >>> len(certrack.plotting.figure(certrack.plotting.plot_error, {"": run}).axes)
-    1
+    >>> drawing = certrack.plotting.figure(certrack.plotting.plot_error, {"": run})
     """
     with style():
         drawing = new_figure(5.0, 3.0)
@@ -359,27 +289,17 @@ def plot_tube(ax: Axes, runs: Runs, tube: Tube, *, named: bool = True) -> None:
     Parameters
     ----------
     ax : Axes
-        To draw on.
     runs : mapping of names to runs
-        The names stand in the legend.
     tube : Tube
     named : bool
         Whether the legend names the runs.
-
-    Returns
-    -------
-    None
 
     Examples
     --------
     >>> import certrack
     >>> system = certrack.load("dual-motor-lean")
-    >>> found = certrack.certify(system)
-    >>> from matplotlib.figure import Figure
-    >>> ax = Figure().subplots()
-    >>> certrack.plotting.plot_tube(ax, {"": certrack.simulate(system)}, found.tube)
-    >>> ax.get_xlabel()
-    'time [s]'
+    >>> run, tube = certrack.simulate(system), certrack.certify(system).tube
+    >>> certrack.plotting.plot_tube(certrack.plot(run).axes[0], {"": run}, tube)
     """
     first = next(iter(runs.values()))
     t = np.unique(np.concatenate([run.t for run in runs.values()]))
@@ -413,9 +333,8 @@ def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
     --------
     >>> import certrack
     >>> system = certrack.load("dual-motor-lean")
-    >>> found = certrack.certify(system)
-    >>> len(certrack.plotting.tube_figure(certrack.simulate(system), found.tube).axes)
-    2
+    >>> run, tube = certrack.simulate(system), certrack.certify(system).tube
+    >>> drawing = certrack.plotting.tube_figure(run, tube)
     """
     with style():
         drawing = new_figure(PAGE_WIDTH, 4.2)
@@ -440,7 +359,6 @@ def overview(runs: Runs, title: str = "") -> Figure:
     Parameters
     ----------
     runs : mapping of names to runs
-        The names stand in the legend.
     title : str
 
     Returns
@@ -451,8 +369,7 @@ def overview(runs: Runs, title: str = "") -> Figure:
     --------
     >>> import certrack
     >>> run = certrack.simulate(certrack.load("example1"))
-    >>> len(certrack.plotting.overview({"": run}).axes)
-    5
+    >>> drawing = certrack.plotting.overview({"example1": run})
     """
     panels = panels_for(runs)
     with style():

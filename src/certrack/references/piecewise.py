@@ -271,7 +271,7 @@ def trapezoid(
     --------
     >>> import certrack
     >>> certrack.trapezoid(amplitude=1, period=4, rise=1).order
-    1
+    1.0
     """
     given = {"amplitude": amplitude, "period": period, "rise": rise, "offset": offset}
     fields = fields or _fields("trapezoid", **given, start=start)
@@ -334,8 +334,8 @@ def triangle(
     Examples
     --------
     >>> import certrack
-    >>> certrack.triangle(amplitude=1, period=4).bounds(1).values
-    (1.0, 1.0)
+    >>> certrack.triangle(amplitude=1, period=4).breaks(0, 8)
+    array([2., 4., 6.])
     """
     fields = _fields("triangle", amplitude=amplitude, period=period, offset=offset, start=start)
     period = checks.real("reference.period", period, above=0)
@@ -360,17 +360,6 @@ def steps(
         Speed of a move, unit of the output per second.
     bound : float, optional
         D of Assumption 2.
-
-    Returns
-    -------
-    PiecewiseReference
-
-    Examples
-    --------
-    >>> import certrack
-    >>> move = certrack.references.steps([1.0], [0.0, 0.5], slope=0.1)
-    >>> move.breaks(0, 10)
-    array([1., 6.])
     """
     times = checks.reals("reference.times", times, None, "times of the moves, s")
     if not times:
@@ -415,16 +404,6 @@ def samples(
         start and end with zero slope, so that holding keeps y_d' continuous (order 2).
     bound : float, optional
         D of Assumption 2.
-
-    Returns
-    -------
-    PiecewiseReference
-
-    Examples
-    --------
-    >>> import certrack
-    >>> certrack.references.samples([0, 1, 2], [0, 1, 0]).order
-    2
     """
     from scipy.interpolate import CubicSpline, PchipInterpolator
 

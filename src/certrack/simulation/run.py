@@ -112,10 +112,10 @@ class Run(ShownInNotebooks):
     def __repr__(self) -> str:
         metrics, trajectory = self.metrics, self.trajectory
         end = f"{self.outcome.name} at {trajectory.end:g} s by {trajectory.method}"
-        found = f"tail error {metrics.tail_error:.5g}, peak input {metrics.peak_input:.5g}"
-        time = metrics.settling_time
-        settled = f"settled after {time:.4g} s" if math.isfinite(time) else "not settled"
-        return f"Run({shorten(self.system.title)!r}: {end}; {found}, {settled})"
+        figures = f"tail error {metrics.tail_error:.5g}, peak input {metrics.peak_input:.5g}"
+        seconds = metrics.settling_time
+        settling = f"settled after {seconds:.4g} s" if math.isfinite(seconds) else "not settled"
+        return f"Run({shorten(self.system.title)!r}: {end}; {figures}, {settling})"
 
     @property
     def final_state(self) -> dict[str, float]:

@@ -104,13 +104,13 @@ MAX_RESTORED = 8
 def _restored(system: System) -> Simulator:
     """The simulator that was pickled; one that is sent again and again is compiled once."""
     try:
-        return _kept(system)
+        return _compiled_for(system)
     except TypeError:  # a reference or a law of the user's that has no hash
         return Simulator(system)
 
 
 @lru_cache(maxsize=MAX_RESTORED)
-def _kept(system: System) -> Simulator:
+def _compiled_for(system: System) -> Simulator:
     return Simulator(system)
 
 
@@ -153,7 +153,7 @@ def simulate(system: System, *, progress: Progress = silent, **settings: Any) ->
     Examples
     --------
     >>> import certrack
-    >>> run = certrack.simulate(certrack.load("example1"), duration=5)
+    >>> run = certrack.simulate(certrack.load("example1"), duration=30)
     >>> run.outcome.name
     'finished'
     """

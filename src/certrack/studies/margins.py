@@ -153,8 +153,8 @@ class Margins(ShownInNotebooks):
 
         period, delay = shown(self.period.within, " s"), shown(self.delay.within, " s")
         lowest = shown(self.saturation.within, "")
-        found = f"period {period}, delay {delay}, saturation {lowest}"
-        return f"Margins(error {self.error:.5g} on {self.members} members: {found})"
+        figures = f"period {period}, delay {delay}, saturation {lowest}"
+        return f"Margins(error {self.error:.5g} on {self.members} members: {figures})"
 
 
 def margins(

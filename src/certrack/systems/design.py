@@ -43,18 +43,18 @@ class Design(ShownInNotebooks):
         -------
         dict
         """
-        found = self.coordinates
-        poles = sorted(found.poles, key=lambda pole: (pole.real, pole.imag))
+        coordinates = self.coordinates
+        poles = sorted(coordinates.poles, key=lambda pole: (pole.real, pole.imag))
         return {
-            "A": found.A,
-            "B": found.B if found.q else found.B[:, 0],
-            "kappa": found.kappa,
-            "eta": found.eta,
-            "d": found.d if found.q else found.d[:, 0],
-            "R": found.R,
-            "nu_x": found.nu_x,
-            "nu_Y": found.nu_Y,
-            "feedforward": found.q,
+            "A": coordinates.A,
+            "B": coordinates.B if coordinates.q else coordinates.B[:, 0],
+            "kappa": coordinates.kappa,
+            "eta": coordinates.eta,
+            "d": coordinates.d if coordinates.q else coordinates.d[:, 0],
+            "R": coordinates.R,
+            "nu_x": coordinates.nu_x,
+            "nu_Y": coordinates.nu_Y,
+            "feedforward": coordinates.q,
             "error_poles": [[pole.real, pole.imag] for pole in poles],
             "law": list(self.formulas),
             "latex": self.latex,

@@ -77,11 +77,11 @@ class Ensemble(ShownInNotebooks):
             "-" if value is None else f"{value:.5g}"
             for value in (tail.quantile(0.5), tail.summary()["max"])
         )
-        found = f"tail error: median {median}, largest {largest}"
+        figures = f"tail error: median {median}, largest {largest}"
         if self.limit is not None:
-            found += f"; {self.statistics.violations} beyond {self.limit:.5g}"
+            figures += f"; {self.statistics.violations} beyond {self.limit:.5g}"
         title = shorten(self.system.title)
-        return f"Ensemble({title!r}: {self.members} members, seed {self.seed}; {found})"
+        return f"Ensemble({title!r}: {self.members} members, seed {self.seed}; {figures})"
 
     @cached_property
     def _members(self) -> Members:
