@@ -287,7 +287,7 @@ def test_what_is_printed_and_written_is_the_best_certificates_tube():
     assert tube["kind"] == "cascade"
     assert math.sqrt(tube["floor"]) == pytest.approx(told["cascade"]["bound"], rel=1e-9)
     rebuilt = Tube(tube["start"], tube["floor"], tube["alpha"], tuple(map(tuple, tube["pieces"])))
-    assert rebuilt(3.0) == tube(
+    assert rebuilt(3.0) == tube_of(
         certrack.load("example1"), certify_cascade(certrack.load("example1"))[1]
     )(3.0)
 

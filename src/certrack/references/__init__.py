@@ -1,7 +1,7 @@
 """References y_d(t): what they are, how smooth, how large, and where they break.
 
 A reference of order m has derivatives 0 ... m that exist piecewise and are bounded, with 0 ... m-1
-continuous. A law with feed-forward order q needs order q + 1 (section "feed-forward" of the
+continuous. A law with feed-forward order q needs order q + 1 (see "feed-forward" in
 theory page); the paper's law needs one derivative only, so a triangle will do.
 
 Whoever writes a reference finds all names here: :class:`Reference`, :class:`Bounds`, :func:`key`,
