@@ -316,13 +316,13 @@ def certificates_table(results: Certificates) -> Table:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = notes[kind] if entry.exists else entry.reason
-        bound = rounded_up(entry.bound, PRINTED_DIGITS) if entry.exists else None
+        bound = rounded_up(entry.bound, BOUND_PRINT_DIGITS) if entry.exists else None
         rows.append([kind, bound, checked, text])
     return table("limsup |e_1| <=", ["certificate", "bound", "verified", "note"], rows)
 
 
 #: Digits of a bound in the table and of what is said about the tube.
-PRINTED_DIGITS = 5
+BOUND_PRINT_DIGITS = 5
 
 #: The error counts as settled in the tube where it is within this part of the bound.
 SETTLED_MARGIN = 0.1
@@ -339,8 +339,8 @@ def certificates_notes(results: Certificates) -> list[str]:
     ]
     if results.tube is not None:
         level = (1 + SETTLED_MARGIN) * math.sqrt(results.tube.floor)
-        start = rounded_up(float(results.tube(0.0)), PRINTED_DIGITS)
-        settled = rounded_up(results.tube.settling_time(level), PRINTED_DIGITS)
+        start = rounded_up(float(results.tube(0.0)), BOUND_PRINT_DIGITS)
+        settled = rounded_up(results.tube.settling_time(level), BOUND_PRINT_DIGITS)
         margin = f"{100 * SETTLED_MARGIN:g} %"
         lines.append(
             f"tube from x0: |e_1| <= {start:.5g} at t = 0, within {margin} of the bound "
@@ -355,7 +355,7 @@ def _strength_text(scale: float) -> str:
         return "none"
     if math.isinf(scale):
         return "unlimited (no term grows with the state)"
-    return _short_number(rounded_down(scale, PRINTED_DIGITS), PRINTED_DIGITS)
+    return _short_number(rounded_down(scale, BOUND_PRINT_DIGITS), BOUND_PRINT_DIGITS)
 
 
 def margin_table(margins: Margins, units: Sequence[str] | None) -> Table:
