@@ -82,7 +82,7 @@ class Distribution:
         if self.kind == "uniform":
             values = low + p * (high - low)
         elif self.kind == "loguniform":
-            values = low * (high / low) ** p
+            values = np.exp((1 - p) * np.log(low) + p * np.log(high))
         else:
             from scipy.stats import truncnorm
 

@@ -7,7 +7,6 @@ other one in continuous time (:mod:`certrack.simulation.continuous`). Only that 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from certrack.core.errors import InputError
@@ -116,6 +115,8 @@ def simulate(system: System, **settings: Any) -> Run:
     -------
     Run
     """
+    if not isinstance(system, System):
+        raise InputError("system", "must be a System", system, "certrack.load makes one")
     if settings:
-        system = replace(system, settings=replace(system.settings, **settings))
+        system = system.with_settings(**settings)
     return Simulator(system).run()

@@ -85,6 +85,8 @@ def load(source: str | os.PathLike[str]) -> System:
     InputError
         If the file cannot be read or anything in it does not fit.
     """
+    if not isinstance(source, (str, os.PathLike)):
+        raise InputError("source", "must be a path or the name of a shipped system", source)
     path = Path(source)
     try:
         if path.suffix == "" and (

@@ -8,7 +8,7 @@ from typing import Any
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.keys import check_fields, keyed, set_fields
+from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.laws.base import Controller, Law
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -154,6 +154,11 @@ class System:
             if not isinstance(part, kind) and not (part is None and name in optional):
                 article = "an" if kind is Implementation else "a"
                 raise InputError(name, f"must be {article} {kind.__name__}", part)
+        duties = [name for name in vars(Reference) if not name.startswith("_")]
+        if isinstance(self.reference, type) or not all(
+            hasattr(self.reference, name) for name in duties
+        ):
+            raise InputError("reference", "must be a Reference", repr(self.reference))
         check_fields(self, "", "title")
 
     def _bind_population(self) -> None:
@@ -205,6 +210,7 @@ class System:
 
     def with_settings(self, **changes: Any) -> System:
         """A copy with some settings replaced."""
+        checks.known_keys("settings", changes, keys_of(Settings))
         return replace(self, settings=replace(self.settings, **changes))
 
     @property

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
+from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.integrators.single.taylor import available
@@ -22,6 +23,9 @@ from certrack.systems.system import System
 
 #: Adversaries in a population: at least and at most.
 MIN_POPULATION, MAX_POPULATION = 32, 96
+
+#: Runs of a search that is asked for by mistake would take years.
+MAX_BUDGET = 10**9
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,8 @@ def falsify(
         If heyoka is missing, a bound of the reference cannot be proven, or the truth has states
         of its own.
     """
+    checks.integer("budget", budget, 1, MAX_BUDGET)
+    checks.integer("seed", seed, 0, 2**63 - 1)
     if system.truth.states:
         raise InputError(
             "truth.states",
