@@ -125,8 +125,8 @@ class Truth:
         gain = _open_formula("truth.input_gain", self.input_gain)
         for name in map(str, gain.expr.free_symbols):
             check_name("truth.input_gain", name)  # a constant of the plant, not t, inf or nan
-        if not gain.expr.free_symbols:
-            checks.real("truth.input_gain", gain, nonzero=True)
+        if not gain.expr.free_symbols and float(gain.expr) == 0:
+            raise InputError("truth.input_gain", "must not be zero", checks.as_written(gain))
         set_fields(self, input_gain=gain)
         self._read_formulas("theta", "omega")
         check_fields(self, "truth", "tau")
