@@ -273,11 +273,22 @@ def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | Non
         raise InputError("reference", "must have a signal or a kind", sorted(table))
     kind = checks.choice("reference.kind", table["kind"], REFERENCE_KINDS)
     entries = dict(table)
-    if kind == "samples" and "file" in entries:
-        entries |= _samples_of_file(entries.pop("file"), folder)
+    file = entries.pop("file", None) if kind == "samples" else None
+    if file is not None:
+        for name in ("times", "values"):
+            if name in entries:
+                raise InputError(f"reference.{name}", "must be left out beside reference.file")
+        entries |= _samples_of_file(file, folder)
     values = _read_values("reference", entries, constants, reference_keys(kind))
     del values["kind"]
-    return REFERENCE_KINDS[kind].make(**values)
+    try:
+        return REFERENCE_KINDS[kind].make(**values)
+    except InputError as problem:
+        row = re.fullmatch(r"reference\.(?:times|values)\[(\d+)\]", problem.key)
+        if file is None or row is None:
+            raise
+        what = f"row {int(row[1]) + 1} of {file}: {problem.expected}"
+        raise InputError("reference.file", what, problem.got) from None
 
 
 def _samples_of_file(name: Any, folder: Path | None) -> dict[str, list[float]]:
