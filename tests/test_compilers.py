@@ -65,6 +65,36 @@ def false_compiler(tmp_path, monkeypatch):
     return install
 
 
+def test_a_library_without_the_function_is_no_traceback(tmp_path, monkeypatch):
+    """A compiler that builds another program than it was given."""
+    real = shutil.which("gcc") or shutil.which("cc")
+    if real is None:
+        pytest.skip("no C compiler")
+    (tmp_path / "other.c").write_text("int other(void) {return 0;}\n")
+    built = tmp_path / "other.so"
+    subprocess.run([real, "-shared", "-fPIC", tmp_path / "other.c", "-o", built], check=True)
+    false = tmp_path / "cc"
+    false.write_text(f"#!/bin/sh\nshift $(($# - 1))\ncat {built} > $1\n")
+    false.chmod(0o755)
+    monkeypatch.setenv("CC", str(false))
+    with pytest.raises(CompilerError, match="what the C compiler built has no function "):
+        simulate_with_c(sampled("example1"))
+    with pytest.raises(Unavailable, match="has no function integrate"):
+        compiled_library("native.c", "")
+
+
+def test_a_relative_compiler_is_found_from_another_folder(tmp_path, monkeypatch):
+    real = shutil.which("gcc") or shutil.which("cc")
+    if real is None:
+        pytest.skip("no C compiler")
+    (tmp_path / "tools").mkdir()
+    (tmp_path / "tools" / "mycc").symlink_to(real)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CC", "tools/mycc")
+    assert c_compilers()[0] == str(tmp_path / "tools" / "mycc")
+    assert shared_library(SOURCES, FLAGS)
+
+
 class TestLookup:
     def tool(self, folder, name):
         path = folder / name

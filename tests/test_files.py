@@ -65,6 +65,25 @@ def test_a_full_disk_leaves_everything_as_it_was(tmp_path, monkeypatch, writer, 
     assert (tmp_path / name).read_text() == "before"
 
 
+@pytest.mark.parametrize("new", ["a", "b", ""])
+def test_a_second_name_that_fails_puts_the_first_file_back(tmp_path, monkeypatch, new):
+    before = {name: f"before {name}" for name in ("a", "b") if name != new}
+    for name, text in before.items():
+        (tmp_path / name).write_text(text)
+    replace, calls = os.replace, []
+
+    def fails_at_second(source, target):
+        calls.append(target)
+        if len(calls) == 2:
+            full()
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", fails_at_second)
+    with pytest.raises(InputError, match="No space left"):
+        files.write_folder(tmp_path, {"a": "1", "b": "2"})
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
+
+
 @linux
 @pytest.mark.parametrize("room", [0, 100_000])
 @pytest.mark.parametrize(

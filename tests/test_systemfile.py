@@ -558,3 +558,25 @@ def test_catalog_lists_every_shipped_file():
     assert tuple(certrack.catalog()) == SHIPPED
     folder = Path(certrack.__file__).parent / "systems" / "catalog"
     assert {path.stem for path in folder.glob("*.toml")} == set(SHIPPED)
+
+
+def test_a_missing_key_points_at_the_header_of_its_table():
+    text = "[plant.ranges]\ninput_gain = [1, 2]\n\n[plant]\nchain = []\n\n[plant.constants]\n"
+    assert line_of(text, "plant.states") == 4
+    assert line_of(text, "plant.ranges.input_gain") == 2
+    assert line_of("[plant.ranges]\n", "plant.states") == 1
+
+
+def test_a_problem_in_a_file_of_samples_names_file_and_row(tmp_path):
+    start = GOOD.index("[reference]")
+    end = GOOD.index("\n[", start + 1)
+    text = f'{GOOD[:start]}[reference]\nkind = "samples"\nfile = "s.csv"\n{GOOD[end:]}'
+    for rows, row in (("0,0\n1,1\n1,2\n", 3), ("0,0\n1,nan\n", 2)):
+        (tmp_path / "s.csv").write_text(rows)
+        with pytest.raises(InputError, match=rf"reference\.file: row {row} of s\.csv: "):
+            loads(text, folder=tmp_path)
+    (tmp_path / "s.csv").write_text("0,0\n1,1\n")
+    loads(text, folder=tmp_path)
+    both = text.replace('file = "s.csv"', 'file = "s.csv"\nvalues = [1, 2]')
+    with pytest.raises(InputError, match=r"reference\.values: must be left out beside"):
+        loads(both, folder=tmp_path)

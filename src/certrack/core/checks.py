@@ -18,8 +18,12 @@ Constants = Mapping[str, Any]
 
 def sequence(key: str, value: Any, length: int | None, what: str) -> list[Any]:
     """A list of the given length (any length if None)."""
-    is_list = isinstance(value, Iterable) and not isinstance(value, (str, bytes, Mapping))
-    entries = list(value) if is_list else None
+    unordered = (str, bytes, Mapping, set, frozenset)
+    is_list = isinstance(value, Iterable) and not isinstance(value, unordered)
+    try:
+        entries = list(value) if is_list else None
+    except TypeError:  # an array without dimensions
+        entries = None
     if entries is None or (length is not None and len(entries) != length):
         count = "a list" if length is None else f"a list of {length}"
         raise InputError(key, f"must be {count}: {what}", as_written(value))
@@ -71,7 +75,7 @@ def real(
     infinite : bool
         Accept ``inf``.
     """
-    if infinite and (value == "inf" or (isinstance(value, float) and value == math.inf)):
+    if infinite and isinstance(value, (str, float)) and value in ("inf", math.inf):
         return math.inf
     plain = type(value) in (float, int) and abs(value) <= MAX_MAGNITUDE
     result = float(value) if plain else float(number(key, value, names).expr)
@@ -133,6 +137,22 @@ def integer(key: str, value: Any, least: int, most: int) -> int:
     if not is_whole or not least <= value <= most:
         raise InputError(key, f"must be a whole number from {least} to {most}", as_written(value))
     return int(value)
+
+
+def name_value_pairs(key: str, constants: Any) -> list[tuple[str, Any]]:
+    """Constants as pairs of different names, from a mapping or from pairs."""
+    is_mapping = isinstance(constants, Mapping)
+    pairs = sequence(key, constants.items() if is_mapping else constants, None, "name and number")
+    if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs):
+        raise InputError(key, "must be a mapping of names to numbers", constants)
+    used: list[str] = []
+    for name, _ in pairs:
+        if not isinstance(name, str):
+            raise InputError(key, "names must be texts", name)
+        if name in used:
+            raise InputError(f"{key}.{name}", "names must be different from each other", name)
+        used.append(name)
+    return [(name, value) for name, value in pairs]
 
 
 def choice(key: str, value: Any, options: Iterable[str]) -> str:

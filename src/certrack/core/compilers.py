@@ -16,6 +16,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 from certrack.core.errors import CertrackError, one_line, shorten
 
@@ -45,7 +46,8 @@ def c_compilers() -> list[str]:
     """
     names = (os.environ.get("CC", ""), *COMPILERS)
     paths = (shutil.which(name) for name in names if name)
-    return list(dict.fromkeys(path for path in paths if path is not None))
+    # absolute, for it runs in another folder than the one that CC or PATH is relative to
+    return list(dict.fromkeys(str(Path(path).absolute()) for path in paths if path is not None))
 
 
 def find_c_compiler() -> str:
@@ -160,6 +162,20 @@ def load_library(
     """
     with _temporary_library(sources, flags, libraries, compiler, timeout) as file:
         return _load(file)
+
+
+def function_of(library: ctypes.CDLL, name: str) -> Any:
+    """A function of a library that was compiled.
+
+    Raises
+    ------
+    CompilerError
+        If it has none of this name: CC may name what is no C compiler.
+    """
+    try:
+        return getattr(library, name)
+    except AttributeError:
+        raise CompilerError(f"what the C compiler built has no function {name}") from None
 
 
 def _load(file: Path) -> ctypes.CDLL:

@@ -12,7 +12,8 @@ import errno
 import io
 import os
 import secrets
-from collections.abc import Iterator, Mapping
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -73,7 +74,12 @@ def write_whole(path: Path, data: bytes | memoryview) -> None:
 
 
 def write_folder(folder: Path, contents: Mapping[str, str | bytes]) -> tuple[Path, ...]:
-    """Write several files of a folder, all or none; returns their paths.
+    """Write several files of a folder, all or none as far as errors go; returns their paths.
+
+    Everything is on the disk before the first file takes its name, and the earlier files are
+    copied aside. Where a file then cannot take its name, those that had are put back or removed; if
+    even that fails, or the process is killed between two names, the folder may hold files of
+    both sets, each of them whole.
 
     Parameters
     ----------
@@ -98,8 +104,8 @@ def write_folder(folder: Path, contents: Mapping[str, str | bytes]) -> tuple[Pat
             temporaries = [stack.enter_context(_temporary_file(folder)) for _ in paths]
             for temporary, data in zip(temporaries, contents.values(), strict=True):
                 _fill(temporary, data.encode() if isinstance(data, str) else data)
-            for temporary, path in zip(temporaries, paths, strict=True):
-                os.replace(temporary, path)  # noqa: PTH105
+            earlier = [stack.enter_context(_copy_aside(path)) for path in paths]
+            _take_names(temporaries, paths, earlier)
     except BaseException as problem:
         for place in missing:
             with suppress(OSError):
@@ -155,6 +161,40 @@ def _temporary_file(folder: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):  # what made the write fail says more
             path.unlink(missing_ok=True)
+
+
+@contextmanager
+def _copy_aside(path: Path) -> Iterator[Path | None]:
+    """A copy of what a path holds, for a while; None if it holds nothing."""
+    if not os.path.lexists(path):
+        yield None
+        return
+    copy = path.parent / f".certrack-{secrets.token_hex(8)}.part"
+    try:
+        shutil.copy2(path, copy, follow_symlinks=False)
+        yield copy
+    finally:
+        with suppress(OSError):
+            copy.unlink(missing_ok=True)
+
+
+def _take_names(
+    temporaries: Sequence[Path], paths: Sequence[Path], earlier: Sequence[Path | None]
+) -> None:
+    """Give every temporary file its name, or put back what these names held."""
+    done = 0
+    try:
+        for temporary, path in zip(temporaries, paths, strict=True):
+            os.replace(temporary, path)  # noqa: PTH105
+            done += 1
+    except BaseException:
+        for path, copy in zip(paths[:done], earlier[:done], strict=True):
+            with suppress(OSError):
+                if copy is None:
+                    path.unlink()
+                else:
+                    os.replace(copy, path)  # noqa: PTH105
+        raise
 
 
 def _fill(path: Path, data: bytes | memoryview) -> None:

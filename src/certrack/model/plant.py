@@ -185,7 +185,7 @@ class Plant:
 
     def _check_uncertainty(self, n: int) -> Uncertainty:
         bounds: Any = self.uncertainty
-        if bounds is None or bounds == UNSTATED:
+        if bounds is None or (isinstance(bounds, Uncertainty) and bounds == UNSTATED):
             return Uncertainty.none(n)
         if isinstance(bounds, Mapping):
             return Uncertainty.from_table(bounds, n, self.constant_values)
@@ -207,7 +207,7 @@ class Plant:
 
     def _check_constants(self, states: tuple[str, ...]) -> tuple[tuple[str, Expression], ...]:
         constants: dict[str, Expression] = {}
-        for name, value in name_value_pairs("plant.constants", self.constants):
+        for name, value in checks.name_value_pairs("plant.constants", self.constants):
             key = f"plant.constants.{name}"
             new_name(key, name, [*states, *constants])
             constants[name] = number(key, value, {k: v.expr for k, v in constants.items()})
@@ -305,16 +305,6 @@ class Plant:
             raise InputError("constants", f"unknown constant {sorted(unknown)[0]!r}")
         sources: Any = {name: values.get(name, value) for name, value in self.constants}
         return replace(self, constants=sources)
-
-
-def name_value_pairs(key: str, constants: Any) -> list[tuple[str, Any]]:
-    """Constants as pairs, from a mapping or from pairs."""
-    if isinstance(constants, Mapping):
-        return list(constants.items())
-    pairs = checks.sequence(key, constants, None, "pairs of name and number")
-    if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs):
-        raise InputError(key, "must be a mapping of names to numbers", constants)
-    return [(name, value) for name, value in pairs]
 
 
 def new_name(key: str, name: Any, used: Sequence[str]) -> str:

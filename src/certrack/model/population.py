@@ -10,8 +10,12 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.model.distribution import Distribution, as_distribution
+<<<<<<< HEAD
 from certrack.model.disturbance import known_disturbances
 from certrack.model.plant import Plant, check_gain, check_within, name_value_pairs
+=======
+from certrack.model.plant import Plant, check_gain, check_within
+>>>>>>> mend3
 from certrack.model.sampling import SAMPLINGS
 from certrack.model.truth import Truth
 
@@ -165,7 +169,7 @@ class Population:
             entry, key = getattr(self, name), f"ensemble.{keys[name].path or name}"
             if entry is not None:
                 values[name] = as_distribution(key, entry)
-        pairs = name_value_pairs("ensemble.constants", self.constants)
+        pairs = checks.name_value_pairs("ensemble.constants", self.constants)
         values["constants"] = tuple(
             (name, as_distribution(f"ensemble.constants.{name}", value)) for name, value in pairs
         )

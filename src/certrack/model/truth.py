@@ -10,14 +10,13 @@ import sympy
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.expressions import Expression, number, parse, symbol
+from certrack.core.expressions import Expression, check_name, number, parse, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.model.plant import (
     MAX_ORDER,
     Plant,
     check_gain,
     check_within,
-    name_value_pairs,
     new_name,
 )
 
@@ -113,7 +112,7 @@ class Truth:
             self._check_plant_form()
         else:
             self._check_own_states()
-        pairs = name_value_pairs("truth.constants", self.constants)
+        pairs = checks.name_value_pairs("truth.constants", self.constants)
         constants = {name: number(f"truth.constants.{name}", value) for name, value in pairs}
         set_fields(self, constants=tuple(constants.items()))
 
@@ -123,7 +122,12 @@ class Truth:
                 raise InputError(f"truth.{name}", "needs truth.states", remedy="Name the states")
         if self.input_gain is None:
             raise InputError("truth.input_gain", "is missing")
-        set_fields(self, input_gain=_open_formula("truth.input_gain", self.input_gain))
+        gain = _open_formula("truth.input_gain", self.input_gain)
+        for name in map(str, gain.expr.free_symbols):
+            check_name("truth.input_gain", name)  # a constant of the plant, not t, inf or nan
+        if not gain.expr.free_symbols and float(gain.expr) == 0:
+            raise InputError("truth.input_gain", "must not be zero", checks.as_written(gain))
+        set_fields(self, input_gain=gain)
         self._read_formulas("theta", "omega")
         check_fields(self, "truth", "tau")
 
@@ -206,7 +210,7 @@ class Truth:
 
 def constants_of_truth(plant: Plant, constants: Any) -> dict[str, sympy.Expr]:
     """Exact values of the plant's constants, the true ones where they differ."""
-    pairs = dict(name_value_pairs("truth.constants", constants))
+    pairs = dict(checks.name_value_pairs("truth.constants", constants))
     for name in pairs:
         if name not in plant.constant_values:
             raise InputError(f"truth.constants.{name}", "is not a constant of the plant")

@@ -273,8 +273,8 @@ def trapezoid(
     >>> certrack.trapezoid(amplitude=1, period=4, rise=1).order
     1.0
     """
-    given = {"amplitude": amplitude, "period": period, "rise": rise, "offset": offset}
-    fields = fields or _fields("trapezoid", **given, start=start)
+    shape = {"amplitude": amplitude, "period": period, "rise": rise, "offset": offset}
+    fields = fields or _fields("trapezoid", **shape, start=start)
     amplitude = checks.real("reference.amplitude", amplitude, nonzero=True)
     period = checks.real("reference.period", period, above=0)
     rise = checks.real("reference.rise", rise, above=0)

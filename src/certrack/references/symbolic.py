@@ -12,7 +12,15 @@ import sympy
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.expressions import TIME, Expression, derivative, number, parse, symbol
+from certrack.core.expressions import (
+    TIME,
+    Expression,
+    check_name,
+    derivative,
+    number,
+    parse,
+    symbol,
+)
 from certrack.core.keys import set_fields
 from certrack.core.lowering import numpy_callable, rows
 from certrack.references.base import Bounds, require_order
@@ -52,9 +60,12 @@ class SymbolicReference:
     constants: tuple[tuple[str, Expression], ...] = ()
 
     def __post_init__(self) -> None:
-        constants = dict(self.constants)
-        pairs = tuple((k, number(f"reference.constants.{k}", v)) for k, v in constants.items())
-        signal = parse("reference.signal", self.signal, ["t", *constants])
+        key, names = "reference.constants", list[str]()
+        pairs = checks.name_value_pairs(key, self.constants)
+        for name, _ in pairs:
+            names.append(check_name(f"{key}.{name}", name))
+        constants = tuple((name, number(f"{key}.{name}", value)) for name, value in pairs)
+        signal = parse("reference.signal", self.signal, ["t", *names])
         if signal.expr.has(*JUMPING):
             raise InputError(
                 "reference.signal",
@@ -62,7 +73,7 @@ class SymbolicReference:
                 signal.text,
                 'Use kind = "steps" with a slope limit, or kind = "samples"',
             )
-        set_fields(self, constants=pairs, signal=signal)
+        set_fields(self, constants=constants, signal=signal)
         if self.bound is not None:
             set_fields(self, bound=checks.real("reference.bound", self.bound, above=0))
         if self.declared is not None:

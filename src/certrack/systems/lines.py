@@ -58,10 +58,10 @@ class _Scanner:
                 return
         self.kind, self.word = "", ""
 
-    def note(self, path: str) -> None:
-        """This path begins on this line."""
+    def note(self, path: str, *, header: bool = False) -> None:
+        """This path begins on this line; its own header says so better than one below it."""
         around = self.key == path or self.key.startswith((f"{path}.", f"{path}["))
-        if around and len(path) > self.length_of_match:
+        if around and len(path) >= self.length_of_match + (not header):
             self.length_of_match, self.line_of_key = len(path), self.line
 
     def scan(self) -> None:
@@ -75,7 +75,7 @@ class _Scanner:
                 if is_list:
                     tables_of_list[table] = tables_of_list.get(table, -1) + 1
                     table = f"{table}[{tables_of_list[table]}]"
-                self.note(table)
+                self.note(table, header=True)
                 while self.kind not in ("newline", ""):
                     self.advance()
             elif self.kind in ("bare", "string"):

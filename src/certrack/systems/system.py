@@ -7,9 +7,14 @@ from functools import cached_property
 from typing import Any
 
 from certrack.core import checks
+<<<<<<< HEAD
 from certrack.core.errors import InputError, shorten
 from certrack.core.keys import check_fields, keyed, set_fields
 from certrack.core.notebook import ShownInNotebooks
+=======
+from certrack.core.errors import InputError
+from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+>>>>>>> mend3
 from certrack.laws.base import Controller, Law
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -157,6 +162,11 @@ class System(ShownInNotebooks):
             if not isinstance(part, kind) and not (part is None and name in optional):
                 article = "an" if kind is Implementation else "a"
                 raise InputError(name, f"must be {article} {kind.__name__}", part)
+        duties = [name for name in vars(Reference) if not name.startswith("_")]
+        if isinstance(self.reference, type) or not all(
+            hasattr(self.reference, name) for name in duties
+        ):
+            raise InputError("reference", "must be a Reference", repr(self.reference))
         check_fields(self, "", "title")
 
     def _bind_population(self) -> None:
@@ -249,6 +259,7 @@ class System(ShownInNotebooks):
         return replace(self, **changes)
 
     def with_settings(self, **changes: Any) -> System:
+<<<<<<< HEAD
         """A copy with some settings replaced.
 
         A stated tail keeps its share of the run where only the duration changes.
@@ -271,6 +282,10 @@ class System(ShownInNotebooks):
         tail, duration = self.settings.tail, changes.get("duration")
         if tail is not None and "tail" not in changes and isinstance(duration, (int, float)):
             changes["tail"] = duration * (tail / self.settings.duration)
+=======
+        """A copy with some settings replaced."""
+        checks.known_keys("settings", changes, keys_of(Settings))
+>>>>>>> mend3
         return replace(self, settings=replace(self.settings, **changes))
 
     @property

@@ -11,7 +11,7 @@ import ctypes
 import numpy as np
 
 from certrack.core.arrays import Array
-from certrack.core.compilers import load_library
+from certrack.core.compilers import function_of, load_library
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
@@ -44,7 +44,7 @@ class CMaps:
         self._maps = maps
         sources = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
         self._library = load_library(sources, STRICT_FLAGS)
-        self._step = getattr(self._library, f"{code.name}_step")
+        self._step = function_of(self._library, f"{code.name}_step")
         self._step.argtypes = [ctypes.c_void_p] * 3
         self._step.restype = ctypes.c_double
         formulas = code.system.reference.formulas(len(code.program.Y) - 1)

@@ -17,8 +17,18 @@ from importlib.resources import files
 import numpy as np
 import sympy
 
+<<<<<<< HEAD
 from certrack.core.compilers import CompilerError, c_compilers, find_c_compiler, load_library
 from certrack.integrators.base import MethodUnavailable
+=======
+from certrack.core.compilers import (
+    CompilerError,
+    c_compilers,
+    find_c_compiler,
+    function_of,
+    load_library,
+)
+>>>>>>> mend3
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.integrators.many.native_source import system_header
 
@@ -88,7 +98,9 @@ def compiled_library(name: str, system: str) -> ctypes.CDLL:
         raise MethodUnavailable(str(problem)) from None
     for more in ([*wide, *math] for wide in (WIDE, []) for math in VECTOR_MATH):
         try:
-            return _compile(path, text, more)
+            library = _compile(path, text, more)
+            function_of(library, "integrate")
+            return library
         except CompilerError as problem:
             reason = problem  # of the fewest flags in the end
     raise MethodUnavailable(str(reason))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
+from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.heyoka import has_heyoka
 from certrack.core.progress import Progress, silent
@@ -25,6 +26,7 @@ from certrack.systems.system import System
 #: multiple of what the integrator runs side by side.
 MIN_POPULATION, MAX_POPULATION = 32, 96
 
+<<<<<<< HEAD
 #: Numbers of differential evolution, within the usual ranges: a difference is scaled by a random
 #: factor of this interval and added, and a candidate takes this share of its numbers from the sum.
 DIFFERENCE_SCALE, CROSSOVER = (0.4, 0.9), 0.8
@@ -34,6 +36,10 @@ MIN_POLISH_RUNS, RUNS_PER_POLISH_RUN = 50, 20
 
 #: The polish ends where numbers and error move less than this.
 POLISHED_POINT, POLISHED_ERROR = 1e-6, 1e-9
+=======
+#: Runs of a search that is asked for by mistake would take years.
+MAX_BUDGET = 10**9
+>>>>>>> mend3
 
 
 @dataclass(frozen=True)
@@ -93,6 +99,8 @@ def falsify(
     >>> bool(result.worst_error <= certrack.certify(certrack.load("dual-motor-lean")).best.bound)
     True
     """
+    checks.integer("budget", budget, 1, MAX_BUDGET)
+    checks.integer("seed", seed, 0, 2**63 - 1)
     if system.truth.states:
         raise InputError(
             "truth.states",
