@@ -79,7 +79,7 @@ def test_a_library_without_the_function_is_no_traceback(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", str(false))
     with pytest.raises(CompilerError, match="what the C compiler built has no function "):
         simulate_with_c(sampled("example1"))
-    with pytest.raises(Unavailable, match="has no function integrate"):
+    with pytest.raises(MethodUnavailable, match="has no function integrate"):
         compiled_library("native.c", "")
 
 

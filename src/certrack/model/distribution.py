@@ -175,18 +175,13 @@ class Distribution:
             return np.full(np.shape(p), low)
         if self.kind == "uniform" and not self.parameters:
             values = low + p * (high - low)
-<<<<<<< HEAD
         elif self.kind == "loguniform" and not self.parameters:
-            values = low * (high / low) ** p
+            values = np.exp((1 - p) * np.log(low) + p * np.log(high))
         elif self.kind == "empirical":
             place = np.asarray(np.floor(np.asarray(p) * len(self.values)), dtype=int)
             values = self._sorted[np.minimum(place, len(self.values) - 1)]
         elif self.parameters:
             values = self._frozen.ppf(np.clip(p, TAIL_PROBABILITY, 1 - TAIL_PROBABILITY))
-=======
-        elif self.kind == "loguniform":
-            values = np.exp((1 - p) * np.log(low) + p * np.log(high))
->>>>>>> mend3
         else:
             from scipy.stats import truncnorm
 

@@ -10,12 +10,8 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.model.distribution import Distribution, as_distribution
-<<<<<<< HEAD
 from certrack.model.disturbance import known_disturbances
-from certrack.model.plant import Plant, check_gain, check_within, name_value_pairs
-=======
 from certrack.model.plant import Plant, check_gain, check_within
->>>>>>> mend3
 from certrack.model.sampling import SAMPLINGS
 from certrack.model.truth import Truth
 

@@ -6,11 +6,7 @@ other one in continuous time (:mod:`certrack.simulation.continuous`). Only that 
 
 from __future__ import annotations
 
-<<<<<<< HEAD
 from functools import lru_cache
-=======
-from collections.abc import Callable
->>>>>>> mend3
 from typing import Any
 
 from certrack.core.errors import InputError
@@ -165,8 +161,4 @@ def simulate(system: System, *, progress: Progress = silent, **settings: Any) ->
         raise InputError("system", "must be a System", system, "certrack.load makes one")
     if settings:
         system = system.with_settings(**settings)
-<<<<<<< HEAD
     return Simulator(system).run(progress=progress)
-=======
-    return Simulator(system).run()
->>>>>>> mend3

@@ -332,33 +332,24 @@ def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | Non
     kinds = known_references()
     kind = checks.choice("reference.kind", table["kind"], kinds)
     entries = dict(table)
-<<<<<<< HEAD
-    if kind == "samples" and "file" in entries:
-        entries |= _samples_of_file(entries.pop("file"), folder)
-    keys = {name: reference_keys(name) for name in kinds}
-    _refuse_keys_of_another("reference", entries, "reference", keys)
-    values = _read_values("reference", entries, constants, keys[kind])
-    del values["kind"]
-    reference: Reference = kinds[kind].make(**values)
-    return reference
-=======
     file = entries.pop("file", None) if kind == "samples" else None
     if file is not None:
         for name in ("times", "values"):
             if name in entries:
                 raise InputError(f"reference.{name}", "must be left out beside reference.file")
         entries |= _samples_of_file(file, folder)
-    values = _read_values("reference", entries, constants, reference_keys(kind))
+    keys = {name: reference_keys(name) for name in kinds}
+    _refuse_keys_of_another("reference", entries, "reference", keys)
+    values = _read_values("reference", entries, constants, keys[kind])
     del values["kind"]
     try:
-        return REFERENCE_KINDS[kind].make(**values)
+        return kinds[kind].make(**values)
     except InputError as problem:
         row = re.fullmatch(r"reference\.(?:times|values)\[(\d+)\]", problem.key)
         if file is None or row is None:
             raise
         what = f"row {int(row[1]) + 1} of {file}: {problem.expected}"
         raise InputError("reference.file", what, problem.got) from None
->>>>>>> mend3
 
 
 def _samples_of_file(name: Any, folder: Path | None) -> dict[str, list[float]]:

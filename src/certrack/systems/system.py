@@ -7,14 +7,9 @@ from functools import cached_property
 from typing import Any
 
 from certrack.core import checks
-<<<<<<< HEAD
 from certrack.core.errors import InputError, shorten
-from certrack.core.keys import check_fields, keyed, set_fields
-from certrack.core.notebook import ShownInNotebooks
-=======
-from certrack.core.errors import InputError
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
->>>>>>> mend3
+from certrack.core.notebook import ShownInNotebooks
 from certrack.laws.base import Controller, Law
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -259,7 +254,6 @@ class System(ShownInNotebooks):
         return replace(self, **changes)
 
     def with_settings(self, **changes: Any) -> System:
-<<<<<<< HEAD
         """A copy with some settings replaced.
 
         A stated tail keeps its share of the run where only the duration changes.
@@ -279,13 +273,10 @@ class System(ShownInNotebooks):
         >>> certrack.load("example1").with_settings(x0=(0, 0)).settings.x0
         (0.0, 0.0)
         """
+        checks.known_keys("settings", changes, keys_of(Settings))
         tail, duration = self.settings.tail, changes.get("duration")
         if tail is not None and "tail" not in changes and isinstance(duration, (int, float)):
             changes["tail"] = duration * (tail / self.settings.duration)
-=======
-        """A copy with some settings replaced."""
-        checks.known_keys("settings", changes, keys_of(Settings))
->>>>>>> mend3
         return replace(self, settings=replace(self.settings, **changes))
 
     @property

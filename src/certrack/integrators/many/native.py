@@ -17,10 +17,6 @@ from importlib.resources import files
 import numpy as np
 import sympy
 
-<<<<<<< HEAD
-from certrack.core.compilers import CompilerError, c_compilers, find_c_compiler, load_library
-from certrack.integrators.base import MethodUnavailable
-=======
 from certrack.core.compilers import (
     CompilerError,
     c_compilers,
@@ -28,7 +24,7 @@ from certrack.core.compilers import (
     function_of,
     load_library,
 )
->>>>>>> mend3
+from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.integrators.many.native_source import system_header
 

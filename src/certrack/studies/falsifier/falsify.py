@@ -26,7 +26,6 @@ from certrack.systems.system import System
 #: multiple of what the integrator runs side by side.
 MIN_POPULATION, MAX_POPULATION = 32, 96
 
-<<<<<<< HEAD
 #: Numbers of differential evolution, within the usual ranges: a difference is scaled by a random
 #: factor of this interval and added, and a candidate takes this share of its numbers from the sum.
 DIFFERENCE_SCALE, CROSSOVER = (0.4, 0.9), 0.8
@@ -36,10 +35,8 @@ MIN_POLISH_RUNS, RUNS_PER_POLISH_RUN = 50, 20
 
 #: The polish ends where numbers and error move less than this.
 POLISHED_POINT, POLISHED_ERROR = 1e-6, 1e-9
-=======
 #: Runs of a search that is asked for by mistake would take years.
 MAX_BUDGET = 10**9
->>>>>>> mend3
 
 
 @dataclass(frozen=True)
