@@ -1,8 +1,8 @@
 """References y_d(t): what they are, how smooth, how large, and where they break.
 
 A reference of order m has derivatives 0 ... m that exist piecewise and are bounded, with 0 ... m-1
-continuous. A law with feed-forward order q needs order q + 1 (see "feed-forward" in
-theory page); the paper's law needs one derivative only, so a triangle will do.
+continuous. A law with feed-forward order q needs order q + 1; the paper's law needs one derivative
+only, so a triangle will do.
 
 Whoever writes a reference finds all names here: :class:`Reference`, :class:`Bounds`, :func:`key`,
 :func:`check_fields`, :func:`symbol`, ``TIME``, :func:`round_up`, and :func:`register`.
@@ -13,9 +13,10 @@ from certrack.core.expressions import TIME, symbol
 from certrack.core.keys import Key, check_fields
 from certrack.core.keys import keyed as key
 from certrack.references.base import Bounds, Reference, pieces_at, require_order, round_up
-from certrack.references.piecewise import PiecewiseReference, samples, steps, trapezoid, triangle
+from certrack.references.piecewise import PiecewiseReference
 from certrack.references.registry import check_reference, known_references
 from certrack.references.registry import register_reference as register
+from certrack.references.shapes import samples, steps, trapezoid, triangle
 from certrack.references.symbolic import SymbolicReference
 
 __all__ = [

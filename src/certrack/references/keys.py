@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from certrack.core.keys import Key
-from certrack.references import piecewise
+from certrack.references import shapes
 from certrack.references.base import Reference
 
 _BOUND = Key(
@@ -44,7 +44,7 @@ class ReferenceKind:
 
 REFERENCE_KINDS: dict[str, ReferenceKind] = {
     "triangle": ReferenceKind(
-        piecewise.triangle,
+        shapes.triangle,
         {
             "amplitude": _AMPLITUDE,
             "period": _PERIOD,
@@ -54,7 +54,7 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
         },
     ),
     "trapezoid": ReferenceKind(
-        piecewise.trapezoid,
+        shapes.trapezoid,
         {
             "amplitude": _AMPLITUDE,
             "period": _PERIOD,
@@ -67,7 +67,7 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
         },
     ),
     "steps": ReferenceKind(
-        piecewise.steps,
+        shapes.steps,
         {
             "times": Key(
                 "numbers",
@@ -86,7 +86,7 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
         },
     ),
     "samples": ReferenceKind(
-        piecewise.samples,
+        shapes.samples,
         {
             "times": Key(
                 "numbers",

@@ -1,0 +1,229 @@
+"""Shapes of piecewise polynomials: triangle, trapezoid, limited steps, samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.references.piecewise import SAME_TIME, PiecewiseReference
+
+#: More samples than this fill the memory of a small machine while the coefficients are computed.
+MAX_REFERENCE_SAMPLES = 1_000_000
+
+
+def trapezoid(
+    amplitude: float,
+    period: float,
+    rise: float,
+    offset: float = 0.0,
+    start: float = 0.0,
+    bound: float | None = None,
+    *,
+    fields: tuple[tuple[str, Any], ...] | None = None,
+) -> PiecewiseReference:
+    """Periodic trapezoid between offset - amplitude and offset + amplitude.
+
+    It rises during [start, start + rise], holds, falls during an equal time, and holds.
+
+    Parameters
+    ----------
+    amplitude : float
+        Half the peak-to-peak swing, unit of the output.
+    period, rise : float, s
+        0 < rise <= period / 2; with rise = period / 2 it is a triangle.
+    offset : float
+        Mean value, unit of the output.
+    start : float, s
+        A time at which a rise begins.
+    bound : float, optional
+        D of Assumption 2.
+
+    Returns
+    -------
+    PiecewiseReference
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.trapezoid(amplitude=1, period=4, rise=1).order
+    1.0
+    """
+    shape = {"amplitude": amplitude, "period": period, "rise": rise, "offset": offset}
+    fields = fields or _fields("trapezoid", **shape, start=start)
+    amplitude = checks.real("reference.amplitude", amplitude, nonzero=True)
+    period = checks.real("reference.period", period, above=0)
+    rise = checks.real("reference.rise", rise, above=0)
+    offset = checks.real("reference.offset", offset)
+    start = checks.real("reference.start", start)
+    if rise > period / 2:
+        raise InputError("reference.rise", f"must not exceed period/2 = {period / 2:g}", rise)
+    low, high, hold = offset - amplitude, offset + amplitude, period / 2 - rise
+    if hold <= SAME_TIME * period:  # a triangle, but for rounding
+        rise, hold = period / 2, 0.0
+    corners = [(0.0, low), (rise, high), (rise + hold, high), (2 * rise + hold, low), (period, low)]
+    if not hold:
+        del corners[2], corners[-2]
+    knots = [start + time for time, _ in corners]
+    rows = _ramps(knots, [level for _, level in corners])
+    return PiecewiseReference(tuple(knots), rows, 1, period, fields, bound)
+
+
+def _ramps(knots: list[float], levels: list[float]) -> tuple[tuple[float, ...], ...]:
+    """Straight lines between the levels at the knots.
+
+    Their slopes are those between the knots as they are rounded, so that no line misses its end.
+    """
+    with np.errstate(all="ignore"):
+        slopes = np.diff(levels) / np.diff(knots)
+    if np.isinf(slopes[np.diff(knots) > 0]).any():
+        raise InputError("reference", "must not be so steep that its slope overflows")
+    slopes = np.where(np.diff(knots) > 0, slopes, 0.0)  # the reference refuses such knots itself
+    return tuple((a, slope, 0.0, 0.0) for a, slope in zip(levels, slopes.tolist(), strict=False))
+
+
+def triangle(
+    amplitude: float,
+    period: float,
+    offset: float = 0.0,
+    start: float = 0.0,
+    bound: float | None = None,
+) -> PiecewiseReference:
+    """Periodic triangle: a :func:`trapezoid` that never holds.
+
+    Parameters
+    ----------
+    amplitude : float
+        Half the peak-to-peak swing, unit of the output.
+    period : float, s
+    offset : float
+        Mean value, unit of the output.
+    start : float, s
+        A time at which a rise begins.
+    bound : float, optional
+        D of Assumption 2.
+
+    Returns
+    -------
+    PiecewiseReference
+
+    Examples
+    --------
+    >>> import certrack
+    >>> certrack.triangle(amplitude=1, period=4).breaks(0, 8)
+    array([2., 4., 6.])
+    """
+    fields = _fields("triangle", amplitude=amplitude, period=period, offset=offset, start=start)
+    period = checks.real("reference.period", period, above=0)
+    return trapezoid(amplitude, period, period / 2, offset, start, bound, fields=fields)
+
+
+def steps(
+    times: tuple[float, ...],
+    levels: tuple[float, ...],
+    slope: float,
+    bound: float | None = None,
+) -> PiecewiseReference:
+    """Moves from level to level with limited slope.
+
+    Parameters
+    ----------
+    times : m increasing times, s
+        When each move begins.
+    levels : m + 1 numbers
+        The level before the first move, then after each move; unit of the output.
+    slope : float
+        Speed of a move, unit of the output per second.
+    bound : float, optional
+        D of Assumption 2.
+    """
+    times = checks.reals("reference.times", times, None, "times of the moves, s")
+    if not times:
+        raise InputError("reference.times", "must be a list of at least one time")
+    levels = checks.reals("reference.levels", levels, len(times) + 1, "one more than times")
+    slope = checks.real("reference.slope", slope, above=0)
+    knots: list[float] = []
+    heights: list[float] = []
+    for i, (begin, a, b) in enumerate(zip(times, levels[:-1], levels[1:], strict=True)):
+        if knots and abs(begin - knots[-1]) <= 1e-9 * max(1.0, abs(begin)):
+            begin = knots[-1]  # contiguous moves, up to rounding
+        if knots and begin < knots[-1]:
+            wanted = f"must not be before the end of the previous move at t = {knots[-1]:g}"
+            raise InputError(f"reference.times[{i}]", wanted, begin, "Raise slope or move later")
+        if a == b:
+            raise InputError(f"reference.levels[{i + 1}]", "must differ from the level before", b)
+        if not knots or begin > knots[-1]:
+            knots.append(begin)
+            heights.append(a)
+        knots.append(begin + abs(b - a) / slope)
+        heights.append(b)
+    fields = _fields("steps", times=list(times), levels=list(levels), slope=slope)
+    rows = _ramps(knots, heights)
+    return PiecewiseReference(tuple(knots), rows, 1, None, fields, bound)
+
+
+def samples(
+    times: tuple[float, ...],
+    values: tuple[float, ...],
+    interpolation: str = "monotone",
+    bound: float | None = None,
+) -> PiecewiseReference:
+    """Interpolated samples, held before the first and after the last.
+
+    Parameters
+    ----------
+    times : m >= 2 increasing times, s
+    values : m numbers
+        y_d at these times, unit of the output.
+    interpolation : {"monotone", "cubic"}
+        Monotone never overshoots the data; cubic has a continuous second derivative inside. Both
+        start and end with zero slope, so that holding keeps y_d' continuous (order 2).
+    bound : float, optional
+        D of Assumption 2.
+    """
+    from scipy.interpolate import CubicSpline, PchipInterpolator
+
+    checks.choice("reference.interpolation", interpolation, ("monotone", "cubic"))
+    times = checks.reals("reference.times", times, None, "sample times, s")
+    values = checks.reals("reference.values", values, len(times), "one value per time")
+    if not 2 <= len(times) <= MAX_REFERENCE_SAMPLES:
+        wanted = f"must be 2 to {MAX_REFERENCE_SAMPLES} samples"
+        raise InputError("reference.times", wanted, len(times))
+    t, y = np.array(times), np.array(values)
+    late = np.flatnonzero(np.diff(t) <= 0)
+    if late.size:
+        i = int(late[0]) + 1
+        raise InputError(f"reference.times[{i}]", "times must increase", times[i])
+    if interpolation == "cubic":
+        slopes = _slopes(lambda: CubicSpline(t, y, bc_type="clamped")(t, 1))
+    else:
+        slopes = _slopes(lambda: PchipInterpolator(t, y)(t, 1))
+        slopes[[0, -1]] = 0.0
+    width, rise = np.diff(t), np.diff(y)
+    a1, b1 = slopes[:-1], slopes[1:]
+    a2 = (3 * rise / width - 2 * a1 - b1) / width  # cubic Hermite
+    a3 = (a1 + b1 - 2 * rise / width) / width**2
+    if not all(np.isfinite(part).all() for part in (a1, a2, a3)):
+        raise InputError(*TOO_CLOSE)
+    rows = tuple(map(tuple, np.column_stack([y[:-1], a1, a2, a3]).tolist()))
+    fields = _fields("samples", times=list(times), values=list(values), interpolation=interpolation)
+    return PiecewiseReference(times, rows, 2, None, fields, bound)
+
+
+TOO_CLOSE = ("reference.times", "must not be so close that the slopes overflow")
+
+
+def _slopes(compute: Callable[[], np.ndarray]) -> np.ndarray:
+    try:
+        with np.errstate(all="ignore"):
+            return np.array(compute())
+    except (ValueError, ArithmeticError):
+        raise InputError(*TOO_CLOSE) from None
+
+
+def _fields(kind: str, **values: Any) -> tuple[tuple[str, Any], ...]:
+    plain = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+    return (("kind", kind), *plain.items())
