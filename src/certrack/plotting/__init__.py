@@ -6,6 +6,7 @@ legend names the runs, and a curve never gets the style of another one on the sa
 """
 
 from certrack.plotting.certificates import certificates_figure
+from certrack.plotting.curves import Runs
 from certrack.plotting.ensembles import (
     ensemble_figures,
     fan_chart,
@@ -17,7 +18,6 @@ from certrack.plotting.margins import margin_figure
 from certrack.plotting.runs import (
     PANELS,
     Panel,
-    Runs,
     figure,
     overview,
     panels_for,

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from certrack.certificates.tube import Tube
 from certrack.core.rounding import rounded_up
+from certrack.plotting.curves import Runs, draw_curve, label_axes, label_once, name_systems
 from certrack.plotting.shared import (
     BLUE,
     PAGE_WIDTH,
@@ -27,12 +25,6 @@ from certrack.plotting.shared import (
 )
 from certrack.simulation.run import Run
 
-#: Longer names of systems are cut in a legend, which has so many letters to an inch.
-MAX_NAME, LETTERS_PER_INCH = 32, 14
-
-#: Letters that the line and the space beside a name take in a legend.
-LINE_LETTERS = 8
-
 #: The estimate of the gain has its own axis, of this colour, where the largest values of it and of
 #: the other estimates differ by more than this factor.
 GAIN_COLOR, SAME_AXIS_RATIO = PURPLE, 10.0
@@ -40,12 +32,6 @@ GAIN_COLOR, SAME_AXIS_RATIO = PURPLE, 10.0
 
 #: Part of the height of two axes that is left free above for their legend.
 LEGEND_ROOM = 0.3
-
-#: Runs by the name that the legend shows.
-Runs = Mapping[str, Run]
-
-#: Marks the curves of runs among the lines of axes, so that no style is drawn twice.
-CURVE_MARK = "certrack-curve"
 
 
 def unit(run: Run, index: int) -> str:
@@ -72,10 +58,10 @@ def plot_output(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     """
     first = next(iter(runs.values()))
     line, width = ("--", 1.0) if len(runs) == 1 else ("-", 0.7)  # dashes tell several runs apart
-    ax.plot(first.t, first.y_d, color="k", ls=line, lw=width, label=_once(ax, "$y_d$"))
+    ax.plot(first.t, first.y_d, color="k", ls=line, lw=width, label=label_once(ax, "$y_d$"))
     for k, run in enumerate(runs.values()):
-        _curve(ax, runs, k, run.x[0], "$y$", named=named)
-    _label_axes(ax, f"output{unit(first, 0)}", runs, named)
+        draw_curve(ax, runs, k, run.x[0], "$y$", named=named)
+    label_axes(ax, f"output{unit(first, 0)}", runs, named)
 
 
 def plot_error(ax: Axes, runs: Runs, *, named: bool = True) -> None:
@@ -96,11 +82,11 @@ def plot_error(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     """
     first = next(iter(runs.values()))
     for k, run in enumerate(runs.values()):
-        _curve(ax, runs, k, run.e[0], "$e_1$", named=named)
+        draw_curve(ax, runs, k, run.e[0], "$e_1$", named=named)
     band = first.metrics.band
-    if label := _once(ax, f"band $\\pm${band:.3g}"):
+    if label := label_once(ax, f"band $\\pm${band:.3g}"):
         ax.axhspan(-band, band, color="#000000", alpha=0.07, lw=0, label=label)
-    _label_axes(ax, f"tracking error{unit(first, 0)}", runs, named)
+    label_axes(ax, f"tracking error{unit(first, 0)}", runs, named)
 
 
 def plot_states(ax: Axes, runs: Runs, *, named: bool = True) -> None:
@@ -121,8 +107,8 @@ def plot_states(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     """
     for k, run in enumerate(runs.values()):
         for i, state in enumerate(run.system.plant.states):
-            _curve(ax, runs, k, run.x[i], math_name(state) + unit(run, i), named=named)
-    _label_axes(ax, "states", runs, named)
+            draw_curve(ax, runs, k, run.x[i], math_name(state) + unit(run, i), named=named)
+    label_axes(ax, "states", runs, named)
 
 
 def plot_estimates(ax: Axes, runs: Runs, *, named: bool = True) -> None:
@@ -156,13 +142,13 @@ def plot_estimates(ax: Axes, runs: Runs, *, named: bool = True) -> None:
             right = apart and state.name == "delta_hat"
             label = math_name(state.name) + (" (right)" if right else "")
             color = GAIN_COLOR if right else None
-            _curve(gain_ax if right else ax, runs, k, run.z[i], label, color, named=named)
+            draw_curve(gain_ax if right else ax, runs, k, run.z[i], label, color, named=named)
     for name, value in true[::-1]:
         right = apart and name == "delta_hat"
-        entry = _once(ax, "true values") if (name, value) == true[-1] else None
+        entry = label_once(ax, "true values") if (name, value) == true[-1] else None
         color = GAIN_COLOR if right else "k"
         (gain_ax if right else ax).axhline(value, color=color, lw=0.8, ls=":", label=entry)
-    _label_axes(ax, "estimates", runs, named)
+    label_axes(ax, "estimates", runs, named)
     if apart:
         _share_legend(ax, gain_ax)
         gain_ax.set_ylabel(math_name("delta_hat"), color=GAIN_COLOR)
@@ -216,8 +202,8 @@ def plot_input(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     """
     first = next(iter(runs.values()))
     for k, run in enumerate(runs.values()):
-        _curve(ax, runs, k, run.u, "$u$", named=named)
-    _label_axes(ax, f"input{unit(first, -1)}", runs, named)
+        draw_curve(ax, runs, k, run.u, "$u$", named=named)
+    label_axes(ax, f"input{unit(first, -1)}", runs, named)
 
 
 Panel = Callable[..., None]
@@ -279,7 +265,7 @@ def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
         ax = drawing.add_subplot()
         panel(ax, runs, named=False)
         ax.set_title(title, loc="left")
-        _name_systems(drawing, runs)
+        name_systems(drawing, runs)
     return drawing
 
 
@@ -309,11 +295,11 @@ def plot_tube(ax: Axes, runs: Runs, tube: Tube, *, named: bool = True) -> None:
     ax.fill_between(t, -bound, bound, color=BLUE, alpha=0.10, lw=0, label=label)
     for k, run in enumerate(runs.values()):
         label = "$e_1$" if run.system.implementation is None else "$e_1$ (sampled run)"
-        _curve(ax, runs, k, run.e[0], label, named=named)
+        draw_curve(ax, runs, k, run.e[0], label, named=named)
     floor = math.sqrt(tube.floor)
     for sign, entry in ((-1, None), (1, f"limsup $|e_1| \\leq$ {rounded_up(floor, 4)}")):
         ax.axhline(sign * floor, color=BLUE, lw=0.9, ls="--", label=entry)
-    _label_axes(ax, f"tracking error{unit(first, 0)}", runs, named)
+    label_axes(ax, f"tracking error{unit(first, 0)}", runs, named)
 
 
 def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
@@ -380,96 +366,5 @@ def overview(runs: Runs, title: str = "") -> Figure:
             ax.label_outer()
         drawing.align_ylabels()
         set_title(drawing, title)
-        _name_systems(drawing, runs)
+        name_systems(drawing, runs)
     return drawing
-
-
-#: How system after system is drawn over the others: line, width, and the share of white (of black
-#: where negative) that is mixed into the colour.
-LINE_STYLES = (("-", 2.4, 0.55), ("--", 1.2, 0.0), (":", 1.2, -0.45), ("-.", 0.8, -0.2))
-
-
-def _dashes(k: int) -> Any:
-    """The k-th line of an endless row: solid, dashed, ..., then a dash and more and more dots."""
-    plain = [line for line, *_ in LINE_STYLES]
-    return plain[k] if k < len(plain) else (0, (6, 1.5, *(1, 1.5) * (k - len(plain) + 2)))
-
-
-def _line_style(color: Any, k: int) -> dict[str, Any]:
-    """How a signal of this colour is drawn for the k-th of several systems."""
-    _, width, light = LINE_STYLES[k % len(LINE_STYLES)]
-    end = 1.0 if light > 0 else 0.0
-    mixed = (1 - abs(light)) * np.array(to_rgb(color)) + abs(light) * end
-    return {"color": tuple(mixed.tolist()), "ls": _dashes(k), "lw": width}
-
-
-def _next_style(ax: Axes) -> dict[str, Any]:
-    """Colour and line of the next curve on the axes: those of no curve that is there."""
-    colors = matplotlib.rcParams["axes.prop_cycle"].by_key().get("color", [BLUE])
-    count = sum(line.get_gid() == CURVE_MARK for line in ax.lines)
-    return {"color": colors[count % len(colors)], "ls": _dashes(count // len(colors))}
-
-
-def _once(ax: Axes, label: str) -> str | None:
-    """The label, unless the legend of the axes has it already."""
-    return None if label in ax.get_legend_handles_labels()[1] else label
-
-
-def _curve(
-    ax: Axes,
-    runs: Runs,
-    k: int,
-    values: np.ndarray,
-    label: str,
-    color: str | None = None,
-    *,
-    named: bool,
-) -> None:
-    """Signal of the k-th run: the signal sets the colour, the run the line."""
-    name, run = list(runs.items())[k]
-    if len(runs) == 1:
-        style_of = _next_style(ax) if color is None else {"color": color}
-        shown = f"{_short_name(name)}: {label}" if named and name else label
-        mark = CURVE_MARK if color is None else None
-        ax.plot(run.t, values, label=shown, gid=mark, **style_of)
-        return
-    lines = {line.get_label(): line for line in ax.lines}
-    if label not in lines:  # the legend shows the plain colour
-        plain = {"color": color, "gid": None} if color else _next_style(ax) | {"gid": CURVE_MARK}
-        (lines[label],) = ax.plot([], [], label=label, **plain)
-    ax.plot(run.t, values, **_line_style(lines[label].get_color(), k))
-
-
-def _short_name(name: str) -> str:
-    return name if len(name) <= MAX_NAME else f"...{name[-MAX_NAME:]}"
-
-
-def _run_lines(runs: Runs) -> tuple[list[Line2D], list[str]]:
-    """What a legend shows of several runs: their lines and names."""
-    lines = [Line2D([], [], **_line_style("#404040", k)) for k in range(len(runs))]
-    return lines, [_short_name(name) for name in runs]
-
-
-def _name_systems(drawing: Figure, runs: Runs) -> None:
-    """One legend of the figure for the systems, where there are several."""
-    if len(runs) == 1:
-        return
-    lines, names = _run_lines(runs)
-    letters = drawing.get_figwidth() * LETTERS_PER_INCH
-    columns = max(1, min(len(names), int(letters / (max(map(len, names)) + LINE_LETTERS))))
-    drawing.legend(lines, names, loc="outside upper center", ncols=columns, handlelength=3)
-
-
-def _label_axes(ax: Axes, label: str, runs: Runs, named: bool) -> None:
-    """Labels, margin and legend; the legend is beside the axes where there are several runs."""
-    ax.set_xlabel("time [s]")
-    ax.set_ylabel(label)
-    ax.margins(x=0.01)  # a jump at t = 0 stays visible beside the axis
-    if len(runs) == 1:
-        ax.legend(ncols=1 if named and any(runs) else 3, loc="best")
-        return
-    handles, labels = ax.get_legend_handles_labels()
-    if named:
-        lines, names = _run_lines(runs)
-        handles, labels = [*handles, *lines], [*labels, *names]
-    ax.legend(handles, labels, loc="center left", bbox_to_anchor=(1.0, 0.5))
