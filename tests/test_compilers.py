@@ -80,7 +80,7 @@ def test_a_library_without_the_function_is_no_traceback(tmp_path, monkeypatch):
     with pytest.raises(CompilerError, match="what the C compiler built has no function "):
         simulate_with_c(sampled("example1"))
     with pytest.raises(MethodUnavailable, match="has no function integrate"):
-        compiled_library("native.c", "")
+        compiled_library("many/native.c", "")
 
 
 def test_a_relative_compiler_is_found_from_another_folder(tmp_path, monkeypatch):

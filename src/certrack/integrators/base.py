@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from certrack.core.errors import CertrackError
 from certrack.core.progress import Progress, silent
 from certrack.references import Reference
 
@@ -24,7 +25,7 @@ ESCAPING = 1e3
 MAX_RECORD_BYTES, USUAL_ORDER = 5e8, 15
 
 
-class MethodUnavailable(Exception):
+class MethodUnavailable(CertrackError):
     """This machine lacks what a method needs: a C compiler that can do it, or heyoka."""
 
 

@@ -73,4 +73,4 @@ def known_laws() -> dict[str, type[Law]]:
     ``certrack.laws``.
     """
     packaged = {point.name: point.load() for point in entry_points(group="certrack.laws")}
-    return packaged | _registered_laws | LAWS
+    return LAWS | packaged | _registered_laws | LAWS  # ours first in messages, and ours in force

@@ -110,6 +110,13 @@ def plot_fan(ax: Axes, ensemble: Ensemble, signal: str = "e_1", color: str = BLU
     ------
     InputError
         If there is no such signal.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> from matplotlib.figure import Figure
+    >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
+    >>> certrack.plotting.plot_fan(Figure().subplots(), result, "x1")
     """
     names, t = ensemble.signals, ensemble.t
     if signal not in names:

@@ -131,7 +131,7 @@ def known_references() -> dict[str, ReferenceKind]:
     """
     for point in entry_points(group="certrack.references"):
         point.load()
-    return _registered_references | REFERENCE_KINDS
+    return REFERENCE_KINDS | _registered_references | REFERENCE_KINDS  # ours come first
 
 
 def kind_of(reference: Reference) -> str | None:
@@ -165,6 +165,8 @@ def check_reference(reference: Any, order: int, duration: float) -> None:
             remedy = "Make it by a function that certrack.references.register decorates"
             raise InputError("reference", "has no kind, so no file can hold it", remedy=remedy)
         return
+    if isinstance(reference, type):
+        raise InputError("reference", "must be a reference, not its class", reference)
     missing = [name for name in PROTOCOL if not hasattr(reference, name)]
     if missing:
         remedy = "Inherit certrack.references.Reference"

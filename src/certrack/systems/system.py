@@ -157,11 +157,6 @@ class System(ShownInNotebooks):
             if not isinstance(part, kind) and not (part is None and name in optional):
                 article = "an" if kind is Implementation else "a"
                 raise InputError(name, f"must be {article} {kind.__name__}", part)
-        duties = [name for name in vars(Reference) if not name.startswith("_")]
-        if isinstance(self.reference, type) or not all(
-            hasattr(self.reference, name) for name in duties
-        ):
-            raise InputError("reference", "must be a Reference", repr(self.reference))
         check_fields(self, "", "title")
 
     def _bind_population(self) -> None:
