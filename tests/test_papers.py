@@ -12,9 +12,10 @@ import pytest
 import certrack
 from certrack.certificates.published import certify_published
 from certrack.cli.papers import print_reproduction
+from certrack.core.rounding import rounded_up
 from certrack.papers.liu2025 import reproduce
 from certrack.papers.liu2025.claim import VERDICTS
-from certrack.papers.liu2025.measures import Response, response_times, upper
+from certrack.papers.liu2025.measures import Response, response_times
 from certrack.papers.liu2025.printed_laws import law_47, law_48, law_54
 from certrack.papers.liu2025.runs import example1_variants, scaled_damping
 from certrack.papers.liu2025.sections import coordinates_by_18, reduction_residual
@@ -158,10 +159,10 @@ def test_figures_show_what_the_paper_describes(result):
 
 
 def test_bounds_are_printed_rounded_up():
-    texts = [upper(value) for value in (0.0270235, 0.25, 3.95351)]
+    texts = [rounded_up(value, 4) for value in (0.0270235, 0.25, 3.95351)]
     assert texts == ["0.02703", "0.25", "3.954"]
     for value in np.random.default_rng(0).lognormal(0, 5, 200):
-        assert value <= float(upper(value)) <= value * (1 + 1e-3)
+        assert value <= float(rounded_up(value, 4)) <= value * (1 + 1e-3)
 
 
 def test_measures_on_signals_that_are_known():

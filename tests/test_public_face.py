@@ -22,8 +22,8 @@ import pytest
 from conftest import SHIPPED
 
 import certrack
-from certrack.certificates.certificate import shown_bound
 from certrack.core.errors import CertrackError, InputError
+from certrack.core.rounding import rounded_up
 from certrack.systems.system import Settings
 
 ROOT = Path(__file__).parents[1]
@@ -176,7 +176,7 @@ def test_html_does_not_trust_the_file():
 @pytest.mark.parametrize("bound", [0.136101, 0.1, 123456.0, 3.00001e-5, 1e-300, 7e250, 99995.0])
 def test_a_bound_is_never_shown_too_small(bound):
     for digits in (1, 4, 8):
-        shown = float(shown_bound(bound, digits))
+        shown = float(rounded_up(bound, digits))
         assert bound <= shown <= bound * (1 + 1.0001 * 10 ** (1 - digits))
 
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from decimal import ROUND_CEILING, Context, Decimal
 
 import numpy as np
 
@@ -49,18 +48,6 @@ class Certificate:
     def exists(self) -> bool:
         """Whether there is a bound at all."""
         return math.isfinite(self.bound)
-
-
-def shown_bound(bound: float, digits: int = 4) -> str:
-    """A bound in so many digits, rounded up: what is shown is a bound too.
-
-    >>> shown_bound(0.136101), shown_bound(0.5), shown_bound(123456.0)
-    ('0.1362', '0.5', '1.235e+05')
-    """
-    if not math.isfinite(bound):
-        return str(bound)
-    upward = Context(prec=digits, rounding=ROUND_CEILING)
-    return f"{float(upward.plus(Decimal(bound))):.{digits}g}"
 
 
 def missing(kind: str, reason: str) -> Certificate:

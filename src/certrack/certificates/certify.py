@@ -10,7 +10,6 @@ from certrack.certificates.certificate import (
     Certificate,
     NoCertificate,
     missing,
-    shown_bound,
     within_floats,
 )
 from certrack.certificates.exact import Proof, prove, proven
@@ -20,6 +19,7 @@ from certrack.certificates.semidefinite import SemidefiniteProgram, best_solutio
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
 from certrack.core.notebook import ShownInNotebooks
+from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
 
 
@@ -52,7 +52,7 @@ class Certificates(ShownInNotebooks):
     def __repr__(self) -> str:
         entries = [getattr(self, entry.name) for entry in fields(self)]
         shown = [
-            f"{entry.kind} {shown_bound(entry.bound)}" + (" (verified)" if entry.verified else "")
+            f"{entry.kind} {rounded_up(entry.bound, 4)}" + (" (verified)" if entry.verified else "")
             for entry in entries
             if isinstance(entry, Certificate) and entry.exists
         ]

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from certrack.certificates.certificate import Certificate, shown_bound
+from certrack.certificates.certificate import Certificate
+from certrack.core.rounding import rounded_up
 from certrack.plotting.shared import BLUE, GRAY, PAGE_WIDTH, new_figure, style
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def certificates_figure(certificates: Certificates) -> Figure:
         colors = [BLUE if entry.verified else GRAY for entry in bounds]
         ax.barh(names, widths, color=colors, height=0.6)
         for name, entry in zip(names, bounds, strict=True):
-            text = f" {shown_bound(entry.bound)}" if entry.exists else " none"
+            text = f" {rounded_up(entry.bound, 4)}" if entry.exists else " none"
             ax.text(entry.bound if entry.exists else 0.0, name, text, va="center", fontsize=8)
         ax.set_xlabel("bound on limsup $|e_1|$")
         ax.set_title("blue: verified exactly", loc="left", fontweight="normal", fontsize=8)

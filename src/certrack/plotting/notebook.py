@@ -14,7 +14,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from certrack.certificates import Certificate, Certificates
-from certrack.certificates.certificate import shown_bound
+from certrack.core.rounding import rounded_up
 from certrack.plotting.main_picture import plot
 from certrack.plotting.shared import style
 from certrack.simulation.metrics import METRIC_LABELS
@@ -81,7 +81,7 @@ def _show_certificates(result: Certificates) -> str:
     rows = [
         (
             entry.kind,
-            shown_bound(entry.bound) if entry.exists else None,
+            rounded_up(entry.bound, 4) if entry.exists else None,
             "exactly" if entry.verified else "no",
             entry.reason,
         )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from decimal import ROUND_CEILING, Decimal
 
 import numpy as np
 
@@ -98,16 +97,6 @@ def response_times(pair: tuple[Response, Response], name: str) -> tuple[float, f
     tolerance = RANGE_MARGIN * max(float(np.ptp(r.signals[name])) for r in pair)
     first, second = (r.response_time(name, tolerance) for r in pair)
     return first, second
-
-
-def upper(bound: float, digits: int = 4) -> str:
-    """A bound as a text that is not below it.
-
-    >>> upper(0.0270235), upper(7.14284, 3), upper(0.25)
-    ('0.02703', '7.15', '0.25')
-    """
-    step = Decimal(1).scaleb(Decimal(bound).adjusted() - digits + 1)
-    return f"{float(Decimal(bound).quantize(step, ROUND_CEILING)):.{digits}g}"
 
 
 def both(pair: tuple[Response, Response], read: Callable[[Response], float]) -> tuple[float, float]:

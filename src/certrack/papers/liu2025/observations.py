@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from certrack.certificates.published import certify_published, collect
+from certrack.core.rounding import rounded_up
 from certrack.papers.liu2025.claim import Observation
 from certrack.papers.liu2025.example1 import LATE
-from certrack.papers.liu2025.measures import both, upper
+from certrack.papers.liu2025.measures import both
 from certrack.papers.liu2025.runs import PaperRuns, scaled_damping
 from certrack.simulation.simulator import simulate
 from certrack.systems.reader import load
@@ -25,9 +26,9 @@ def observations(runs: PaperRuns) -> Iterator[Observation]:
     strong, error = runs.certificates["dual-motor-strong"], runs.motors[1].supremum("e_1", 10)
     yield Observation(
         "Example 2, Figure 4",
-        f"the guarantee (42) behind the figure is {upper(strong.published.bound)}, "
+        f"the guarantee (42) behind the figure is {rounded_up(strong.published.bound, 4)}, "
         f"{strong.published.bound / 0.1:.0f} times the amplitude of y_d; what is seen is "
-        f"{error:.4f}, what is proven exactly {upper(strong.best.bound)}",
+        f"{error:.4f}, what is proven exactly {rounded_up(strong.best.bound, 4)}",
     )
     yield _price_of_small_delta()
     lean = runs.lean.metrics
@@ -58,5 +59,5 @@ def _price_of_small_delta() -> Observation:
         "a smaller Delta has a price: A depends on k and p. With k and p of Example 2 times 0.3, "
         f"mu_1 = {terms.mu1(0):.3g} < 0 (no bound is left) and the input peaks at "
         f"{run.metrics.peak_input:.2g}; in Example 1 (42) goes "
-        f"{', '.join(upper(b, 3) for b in bounds)} with k and p times 1, 0.3, 0.1",
+        f"{', '.join(rounded_up(b, 3) for b in bounds)} with k and p times 1, 0.3, 0.1",
     )

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
-from certrack.papers.liu2025.measures import upper
+from certrack.core.rounding import rounded_up
 from certrack.papers.liu2025.runs import COUNTEREXAMPLE, PaperRuns
 from certrack.papers.liu2025.theorem1 import REFERENCE_PERIOD, energies
 from certrack.plotting.shared import BLUE, GREEN, RED, new_figure, set_title, style
@@ -59,13 +59,13 @@ def counterexample_figure(runs: PaperRuns) -> Figure:
             (certificates.semidefinite.bound, "semidefinite", "-", GREEN),
             (certificates.corrected.bound, "corrected", ":", "k"),
         ):
-            periods.axhline(bound, color=color, ls=line, label=f"{text}: {upper(bound)}")
+            periods.axhline(bound, color=color, ls=line, label=f"{text}: {rounded_up(bound, 4)}")
         periods.set_ylim(1e-5, 100)
         periods.set_ylabel("tracking error")
         periods.set_title("three periods of $y_d$: every time the bound (42) is passed", loc="left")
         periods.legend(ncols=4, loc="upper center")
         pulse.plot(t - peak, np.abs(error), color=BLUE, label="$|e_1|$")
-        pulse.axhline(published, color=RED, ls="--", label=f"(42): {upper(published)}")
+        pulse.axhline(published, color=RED, ls="--", label=f"(42): {rounded_up(published, 4)}")
         pulse.set_ylabel("tracking error")
         pulse.set_title("the pulse of the third period", loc="left")
         energy.plot(t - peak, of_errors + of_estimates, color="k", label="$V$")

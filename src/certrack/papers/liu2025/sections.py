@@ -11,8 +11,8 @@ from certrack.certificates.assumption_1 import check_assumption_1
 from certrack.certificates.published import collect
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
+from certrack.core.rounding import rounded_up
 from certrack.papers.liu2025.claim import NOT_TESTABLE, Claim, judged
-from certrack.papers.liu2025.measures import upper
 from certrack.papers.liu2025.runs import PaperRuns, scaled_damping, triangle_reference
 from certrack.systems.reader import load
 from certrack.systems.system import System
@@ -45,7 +45,7 @@ def section_claims(runs: PaperRuns) -> Iterator[Claim]:
         "none: 'cannot' and 'key' speak of ways to prove; what can be computed is a proof without "
         "the collected terms",
         "dual-motor-lean has no damping term at all and is proven, by (31) and a matrix "
-        f"inequality, to {upper(runs.certificates['dual-motor-lean'].best.bound)}",
+        f"inequality, to {rounded_up(runs.certificates['dual-motor-lean'].best.bound, 4)}",
         NOT_TESTABLE,
     )
 
@@ -54,7 +54,9 @@ def _radius_exists(runs: PaperRuns) -> Claim:
     parts = []
     for name, amplitude in (("example1", 0.2), ("dual-motor", 0.1), ("dual-motor-strong", 0.1)):
         bound = runs.certificates[name].best.bound
-        parts.append(f"{name}: {upper(bound)}, {100 * bound / amplitude:.0f} % of the amplitude")
+        parts.append(
+            f"{name}: {rounded_up(bound, 4)}, {100 * bound / amplitude:.0f} % of the amplitude"
+        )
     return Claim(
         "Abstract; contribution (i)",
         "the tracking error converges to a bounded region",

@@ -15,9 +15,9 @@ import numpy as np
 
 from certrack.certificates.assumption_1 import check_assumption_1
 from certrack.certificates.published import certify_published, collect
+from certrack.core.rounding import rounded_up
 from certrack.laws.adaptive import Adaptive
 from certrack.papers.liu2025.claim import AMBIGUOUS, Claim, judged
-from certrack.papers.liu2025.measures import upper
 from certrack.papers.liu2025.runs import CERTIFIED, COUNTEREXAMPLE, PaperRuns
 from certrack.simulation.run import Run
 from certrack.systems.reader import load
@@ -110,10 +110,10 @@ def _radius(runs: PaperRuns) -> Claim:
         "the tracking error ends within sqrt(Delta_bar/rho_1)",
         "sup |e_1| in each period of y_d of theorem1-counterexample, a system that meets every "
         "premise: a bound on limsup is false if it is passed in every period",
-        f"(42) gives {upper(limit, 5)}; |e_1| reaches {', '.join(f'{v:.4f}' for v in peaks)} in "
-        f"periods 1 to {len(peaks)} ({other:.4f} by SciPy); V {falls} while |e_1| is beyond (42), "
-        f"as (41) says; what is true: corrected {upper(certificates.corrected.bound)}, "
-        f"semidefinite {upper(certificates.semidefinite.bound)}",
+        f"(42) gives {rounded_up(limit, 5)}; |e_1| reaches {', '.join(f'{v:.4f}' for v in peaks)} "
+        f"in periods 1 to {len(peaks)} ({other:.4f} by SciPy); V {falls} while |e_1| is beyond (42), "
+        f"as (41) says; what is true: corrected {rounded_up(certificates.corrected.bound, 4)}, "
+        f"semidefinite {rounded_up(certificates.semidefinite.bound, 4)}",
         judged(max(peaks[1:]) <= limit),
     )
 
@@ -183,7 +183,7 @@ def _last_step() -> Claim:
         "sup |e| in periods 2 to 4 of a linear system with a slow switch, for which the premise "
         "can be checked by hand",
         f"r = 1 and V' < 0 wherever |e_1| > 1, yet |e_1| returns to {worst:.2f} in every period; "
-        f"the corrected bound is {upper(corrected)}",
+        f"the corrected bound is {rounded_up(corrected, 4)}",
         judged(worst <= 1),
     )
 
