@@ -112,7 +112,8 @@ def _radius(runs: PaperRuns) -> Claim:
         "premise: a bound on limsup is false if it is passed in every period",
         f"(42) gives {rounded_up(limit, 5)}; |e_1| reaches {', '.join(f'{v:.4f}' for v in peaks)} "
         f"in periods 1 to {len(peaks)} ({other:.4f} by SciPy); V {falls} while |e_1| is beyond "
-        f"(42), as (41) says; what is true: corrected {rounded_up(certificates.corrected.bound, 4)}, "
+        "(42), as (41) says; what is true: "
+        f"corrected {rounded_up(certificates.corrected.bound, 4)}, "
         f"semidefinite {rounded_up(certificates.semidefinite.bound, 4)}",
         judged(max(peaks[1:]) <= limit),
     )
