@@ -124,8 +124,9 @@ def parse(key: str, text: Any, names: Iterable[str] | Mapping[str, Any] | None =
     text : str, int, float, sympy.Expr or Expression
         The formula. A SymPy expression is taken by its own text, so the same rules hold.
     names : iterable of str, or mapping to numbers, or None
-        Symbols that may occur; with a mapping, each name is replaced by its number. With None any
-        name may occur: for a formula whose names are checked later.
+        Symbols that may occur; with a mapping, each name is replaced by its number (or by its
+        formula, which may contain other symbols). With None any name may occur: for a formula whose
+        names are checked later.
 
     Returns
     -------
@@ -219,7 +220,7 @@ class _Builder:
         }
         for name, value in values.items():
             exact = sympy.nsimplify(value) if isinstance(value, Fraction) else sympy.sympify(value)
-            self.names[name] = (exact, float(value))
+            self.names[name] = (exact, None if exact.free_symbols else float(value))
         self.names["pi"] = (sympy.pi, math.pi)
         self.nodes = 0
 

@@ -33,6 +33,7 @@ KIND_WORDS = {
     "integer": "whole number",
     "interval": "[low, high]",
     "intervals": "list of [low, high]",
+    "intervals by name": "[low, high] per name",
     "metric": "diagonal or matrix",
     "names": "list of names",
     "number": "number",

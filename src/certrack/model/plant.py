@@ -18,6 +18,7 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, check_name, number, parse, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.model.ranges import Range, checked_ranges, dependents, open_constants
 from certrack.model.uncertainty import Uncertainty
 
 MAX_ORDER = 50
@@ -75,6 +76,8 @@ class Plant:
         Names usable in every formula; later ones may use earlier ones.
     input_gain_range, theta_range : intervals, optional
         Ranges for certificates and ensembles.
+    constant_ranges : mapping of constants to intervals, optional
+        Ranges of constants. The law is made with their values in `constants`.
     units : n + 1 texts, optional
         Units of the states and, last, of the input; for labels only.
 
@@ -147,6 +150,13 @@ class Plant:
         path="ranges.theta",
         otherwise="none",
     )
+    constant_ranges: tuple[Range, ...] = keyed(
+        "intervals by name",
+        (),
+        help="range of any constant; the law is made with the value in plant.constants",
+        path="ranges.NAME",
+        otherwise="none",
+    )
     units: tuple[str, ...] | None = keyed(
         "texts",
         None,
@@ -180,6 +190,7 @@ class Plant:
             uncertainty=self._check_uncertainty(n),
         )
         self._check_parameters(values)
+        self._check_ranges(values)
         if self.units is not None:
             set_fields(self, units=keys["units"].checked("plant.units", self.units, count=n + 1))
 
@@ -253,6 +264,24 @@ class Plant:
         if self.theta_range is not None:
             self._check_theta_range(constants)
 
+    def _check_ranges(self, values: Mapping[str, Any]) -> None:
+        written = dict(self.constants)
+        ranges = checked_ranges(self.constant_ranges, written, values)
+        set_fields(self, constant_ranges=ranges)
+        moved = self._moved(written)
+        gain = self.input_gain
+        if self.input_gain_range is not None and gain is not None and _mentions(gain, moved):
+            key, message = "plant.ranges.input_gain", "plant.input_gain already follows its constants"
+            raise InputError(key, message, gain.text, "Leave one of the two ranges out")
+        if self.theta_range is not None and any(_mentions(v, moved) for v in self.theta or ()):
+            key, message = "plant.ranges.theta", "plant.theta already follows its constants"
+            raise InputError(key, message, remedy="Leave one of the two ranges out")
+
+    def _moved(self, written: dict[str, Expression]) -> set[str]:
+        """Names of the constants that are not fixed."""
+        names = {name for name, _, _ in self.constant_ranges}
+        return names | dependents(names, written) if names else names
+
     def _check_theta_range(self, constants: Mapping[str, Any]) -> None:
         key = "plant.ranges.theta"
         box = checks.sequence(key, self.theta_range, None, "[low, high] pairs")
@@ -279,6 +308,18 @@ class Plant:
         return {name: value.expr for name, value in self.constants}
 
     @cached_property
+    def constant_boxes(self) -> dict[str, tuple[float, float]]:
+        """Ranges of constants by name, in floats."""
+        return {
+            name: (float(low.expr), float(high.expr)) for name, low, high in self.constant_ranges
+        }
+
+    @cached_property
+    def open_values(self) -> dict[str, sympy.Expr]:
+        """Every constant as a formula of those that have a range."""
+        return open_constants(dict(self.constants), {name for name, _, _ in self.constant_ranges})
+
+    @cached_property
     def symbols(self) -> tuple[sympy.Symbol, ...]:
         """SymPy symbols of the states."""
         return tuple(symbol(name) for name in self.states)
@@ -297,14 +338,17 @@ class Plant:
         return matrix
 
     def with_constants(self, **values: float | Expression) -> Plant:
-        """The same plant with other values of some constants; derived numbers follow."""
+        """The same plant with other values of some constants; derived numbers follow.
+
+        It is one plant of those that the ranges of the constants admit: it has none itself.
+        """
         if not values:
             return self
         unknown = set(values) - {name for name, _ in self.constants}
         if unknown:
             raise InputError("constants", f"unknown constant {sorted(unknown)[0]!r}")
         sources: Any = {name: values.get(name, value) for name, value in self.constants}
-        return replace(self, constants=sources)
+        return replace(self, constants=sources, constant_ranges=())
 
 
 def new_name(key: str, name: Any, used: Sequence[str]) -> str:
@@ -322,6 +366,11 @@ def refuse_prefix(plant: Plant, prefix: str, who: str) -> None:
             key = "plant.states" if name in plant.states else f"plant.constants.{name}"
             what = f"names that begin with {prefix} are reserved by {who}"
             raise InputError(key, what, name, "Rename it")
+
+
+def _mentions(formula: Expression, names: set[str]) -> bool:
+    """Whether the text of a number contains one of the names."""
+    return bool(set(map(str, parse("", formula, None).expr.free_symbols)) & names)
 
 
 def check_gain(

@@ -215,6 +215,9 @@ def constants_of_truth(plant: Plant, constants: Any) -> dict[str, sympy.Expr]:
         if name not in plant.constant_values:
             raise InputError(f"truth.constants.{name}", "is not a constant of the plant")
     values = {name: number(f"truth.constants.{name}", value) for name, value in pairs.items()}
+    for name, value in values.items():
+        box = plant.constant_boxes.get(name)
+        check_within(f"truth.constants.{name}", float(value.expr), box, name)
     return plant.with_constants(**values).constant_values
 
 

@@ -256,8 +256,7 @@ def _read_plant(table: Any) -> Plant:
     names = list(dict.fromkeys([*TABLES["plant"], *tables]))
     checks.known_keys("plant", table, names, required=("states",))
     values = dict(table)
-    ranges = values.pop("ranges", {})
-    checks.known_keys("plant.ranges", ranges, TABLES["plant.ranges"])
+    ranges = _read_named_values("plant.ranges", values.pop("ranges", {}))
     if "uncertainty" in values:
         keys = TABLES["plant.uncertainty"]
         checks.known_keys("plant.uncertainty", values["uncertainty"], keys, required=keys)
@@ -266,8 +265,9 @@ def _read_plant(table: Any) -> Plant:
     values["constants"] = _read_named_values("plant.constants", values.get("constants", {}))
     return Plant(
         **values,
-        input_gain_range=ranges.get("input_gain"),
-        theta_range=ranges.get("theta"),
+        input_gain_range=ranges.pop("input_gain", None),
+        theta_range=ranges.pop("theta", None),
+        constant_ranges=ranges,
     )
 
 

@@ -136,6 +136,7 @@ def _present(values: Mapping[str, Any]) -> dict[str, Any]:
 def _plant_table(plant: Plant) -> dict[str, Any]:
     values = field_values(plant)
     ranges = {"input_gain": values.pop("input_gain_range"), "theta": values.pop("theta_range")}
+    ranges |= {name: [low, high] for name, low, high in values.pop("constant_ranges")}
     constants = dict(values.pop("constants"))
     uncertainty = field_values(values.pop("uncertainty"))
     table = _present(values) | {"constants": constants}

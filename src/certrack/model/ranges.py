@@ -1,0 +1,102 @@
+"""Ranges of named constants: the uncertainty as a data sheet states it.
+
+A constant p with a range may have any value in it; the law is made with the nominal one, the value
+of ``[plant.constants]``. Constants that are formulas of others follow them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import sympy
+
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.core.expressions import Expression, number, parse, symbol
+
+#: A range: name of the constant, lower and upper end.
+Range = tuple[str, Expression, Expression]
+
+#: Keys of [plant.ranges] that are not names of constants.
+OTHER_RANGES = ("input_gain", "theta")
+
+
+def checked_ranges(
+    ranges: Any, constants: Mapping[str, Expression], values: Mapping[str, sympy.Expr]
+) -> tuple[Range, ...]:
+    """Ranges by name, each around the nominal value of its constant.
+
+    Parameters
+    ----------
+    ranges : mapping of names to pairs, or rows (name, low, high)
+    constants : the plant's, as written
+    values : their nominal values
+
+    Raises
+    ------
+    InputError
+        If a name is no constant, a constant is a formula of one with a range, a range is empty or
+        reversed, or the nominal value lies outside it.
+    """
+    rows = dict(_rows(ranges))
+    checks.known_keys("plant.ranges", rows, constants)
+    found: list[Range] = []
+    for name, pair in rows.items():
+        key = f"plant.ranges.{name}"
+        if name in OTHER_RANGES:
+            message = "a constant of this name cannot have a range: the key means another thing"
+            raise InputError(key, message, remedy="Rename the constant")
+        checks.ordered_pair(key, list(pair), values, strict=True)
+        low, high = (number(f"{key}[{i}]", end, values) for i, end in enumerate(pair))
+        if not (low.expr.is_Rational and high.expr.is_Rational):
+            raise InputError(key, "the ends must be decimals or fractions", [low.text, high.text])
+        if not low.expr <= values[name] <= high.expr:
+            message = f"must contain the constant's own value {float(values[name]):g}"
+            raise InputError(key, message, [low.text, high.text])
+        found.append((name, low, high))
+    _refuse_formulas_of_each_other(rows, constants)
+    return tuple(found)
+
+
+def _rows(ranges: Any) -> list[tuple[str, Any]]:
+    if isinstance(ranges, Mapping):
+        pairs = checks.name_value_pairs("plant.ranges", ranges)
+    else:
+        pairs = [(name, ends) for name, *ends in ranges]
+    return [(name, checks.sequence(f"plant.ranges.{name}", v, 2, "[low, high]")) for name, v in pairs]
+
+
+def _refuse_formulas_of_each_other(
+    ranged: Mapping[str, Any], constants: Mapping[str, Expression]
+) -> None:
+    """Refuse a range for a constant that another ranged one determines."""
+    for name in ranged:
+        depends = dependents({name}, constants)
+        for other in ranged:
+            if other in depends:
+                message = f"is a formula of {name}, which has a range too"
+                raise InputError(f"plant.ranges.{other}", message, constants[other].text)
+
+
+def dependents(names: set[str], constants: Mapping[str, Expression]) -> set[str]:
+    """The constants that are formulas, directly or not, of the named ones."""
+    found: set[str] = set()
+    for name, value in constants.items():
+        used = set(map(str, parse(f"plant.constants.{name}", value, None).expr.free_symbols))
+        if name not in names and used & (names | found):
+            found.add(name)
+    return found
+
+
+def open_constants(
+    constants: Mapping[str, Expression], ranged: set[str]
+) -> dict[str, sympy.Expr]:
+    """Every constant as a formula of those with a range, which stay symbols."""
+    values: dict[str, sympy.Expr] = {}
+    for name, value in constants.items():
+        if name in ranged:
+            values[name] = symbol(name)
+        else:
+            values[name] = parse(f"plant.constants.{name}", value, values).expr
+    return values
