@@ -80,13 +80,13 @@ def prove(problem: ErrorProblem, solution: Solution, target: int = 0) -> Proof |
     for slack in BACK_OFF:
         scale = 1 + slack
         P = scale * (solution.P + solution.P.T) / 2
-        texts = tuple(tuple(_decimal_text(v) for v in row) for row in P)
-        lam = tuple(_decimal_text(v * scale + MULTIPLIER_FLOOR) for v in solution.lam)
+        texts = tuple(tuple(decimal_text(v) for v in row) for row in P)
+        lam = tuple(decimal_text(v * scale + MULTIPLIER_FLOOR) for v in solution.lam)
         nu, k = (
-            tuple(_decimal_text(v * scale**2 + slack * solution.delta) for v in values)
+            tuple(decimal_text(v * scale**2 + slack * solution.delta) for v in values)
             for values in (solution.nu, solution.k)
         )
-        alpha = _decimal_text(solution.alpha * (1 - slack))
+        alpha = decimal_text(solution.alpha * (1 - slack))
         proof = Proof(alpha, texts, lam, nu, k, "0")
         square = squared_bound(problem, proof, target)
         if square is not None:
@@ -172,7 +172,8 @@ def from_text(text: str) -> Any:
     return flint.fmpq(exact.numerator, exact.denominator)
 
 
-def _decimal_text(value: float) -> str:
+def decimal_text(value: float) -> str:
+    """The digits of a float that a proof keeps."""
     return f"{value:.{PROOF_DIGITS}g}"
 
 

@@ -73,30 +73,46 @@ class SemidefiniteProgram:
         In floats.
     target : int
         Which e_i is to be bounded (from 0): P >= e_i e_i^T.
+    scaling : (n,) array and float, optional
+        Sizes of the e_i and of the a-inputs; natural ones if left out.
+
+    Attributes
+    ----------
+    entries : pairs (i, j)
+        The entries of P that may be nonzero: the first variables. Then come lam, nu, k.
+    inequality : two arrays
+        Columns of the matrix inequality (as vectors) without alpha, and their slope in alpha.
+    floor : array and vector
+        Columns and right side of P >= e_i e_i^T.
     """
 
-    def __init__(self, problem: ErrorProblem, target: int = 0) -> None:
+    def __init__(
+        self,
+        problem: ErrorProblem,
+        target: int = 0,
+        scaling: tuple[np.ndarray, float] | None = None,
+    ) -> None:
         self.problem, self.target = problem, target
-        self._scale = _natural_scale(problem)
-        self._reach = float(np.linalg.norm(problem.Xe * self._scale)) or 1.0
-        self._scaled = _rescaled(problem, self._scale, self._reach)
+        self._scale, self._reach = scaling or scaling_of(problem)
+        self._scaled = rescaled(problem, self._scale, self._reach)
         n = problem.n
         self._na, self._nb, self._ny = problem.counts
-        self._entries = self._free_entries(n)
-        base, slope = self._columns()
+        self.entries = self._free_entries(n)
+        base, slope = self.inequality = self._columns()
         size = n + sum(problem.counts)
         self._size = size
-        identity = np.eye(len(self._entries) + sum(problem.counts))
+        identity = np.eye(len(self.entries) + sum(problem.counts))
         unit = np.zeros((n, n))
         unit[target, target] = 1.0
         floor = np.zeros((n * (n + 1) // 2, len(identity)))
         for column, matrix in enumerate(self._units()):
-            floor[:, column] = -_svec(matrix)
-        multipliers = -identity[len(self._entries) :]
+            floor[:, column] = -svec(matrix)
+        self.floor = floor, -svec(unit)
+        multipliers = -identity[len(self.entries) :]
         self._base = np.vstack([base, floor, multipliers])
         self._slope = np.vstack([slope, np.zeros((len(floor) + len(multipliers), len(identity)))])
         self._right = np.concatenate(
-            [np.zeros(size * (size + 1) // 2), -_svec(unit), np.zeros(len(multipliers))]
+            [np.zeros(size * (size + 1) // 2), -svec(unit), np.zeros(len(multipliers))]
         )
         self._cones = [clarabel.PSDTriangleConeT(size), clarabel.PSDTriangleConeT(n)]
         if len(multipliers):
@@ -112,7 +128,7 @@ class SemidefiniteProgram:
     def _units(self) -> list[np.ndarray]:
         """A symmetric matrix with ones in its place for each free entry of P."""
         n, units = self.problem.n, []
-        for i, j in self._entries:
+        for i, j in self.entries:
             matrix = np.zeros((n, n))
             matrix[i, j] = matrix[j, i] = 1.0
             units.append(matrix)
@@ -127,13 +143,13 @@ class SemidefiniteProgram:
         for matrix in self._units():
             first = self._scaled.inequality(matrix, lam, nu, k, 0.0)
             second = self._scaled.inequality(matrix, lam, nu, k, 1.0)
-            base.append(_svec(first))
-            slope.append(_svec(second - first))
+            base.append(svec(first))
+            slope.append(svec(second - first))
         for group, count in enumerate((na, nb, ny)):
             for index in range(count):
                 weights = (np.zeros(na), np.zeros(nb), np.zeros(ny))
                 weights[group][index] = 1.0
-                column = _svec(self._scaled.inequality(zero, *weights, 0.0))
+                column = svec(self._scaled.inequality(zero, *weights, 0.0))
                 base.append(column)
                 slope.append(np.zeros_like(column))
         return np.array(base).T, np.array(slope).T
@@ -155,9 +171,9 @@ class SemidefiniteProgram:
         if leak is None:
             return None
         cost = np.zeros(self._base.shape[1])
-        cost[len(self._entries) + self._na :] = 1.0  # nu and k; the lam cost nothing
+        cost[len(self.entries) + self._na :] = 1.0  # nu and k; the lam cost nothing
         if self.problem.adaptation is not None:
-            cost[len(self._entries) - 1] = leak / self._scale[-1] ** 2
+            cost[len(self.entries) - 1] = leak / self._scale[-1] ** 2
         cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
         variables = self._call(cost, self._base + alpha * self._slope)
         return None if variables is None else self._unscaled(variables, alpha, leak)
@@ -180,10 +196,10 @@ class SemidefiniteProgram:
         return np.array(result.x) if result.status in usable else None
 
     def _unscaled(self, x: np.ndarray, alpha: float, leak: Any) -> Solution:
-        n, count = self.problem.n, len(self._entries)
+        n, count = self.problem.n, len(self.entries)
         P = np.zeros((n, n))
         x = x * self._scale[self.target] ** 2
-        for (i, j), value in zip(self._entries, x[:count], strict=True):
+        for (i, j), value in zip(self.entries, x[:count], strict=True):
             P[i, j] = P[j, i] = value / (self._scale[i] * self._scale[j])
         lam, nu, k = np.split(np.maximum(x[count:], 0.0), [self._na, self._na + self._nb])
         lam = lam / self._reach**2
@@ -218,7 +234,13 @@ def best_solution(program: SemidefiniteProgram) -> Solution | None:
     return min(solutions.values(), key=lambda solution: solution.bound)
 
 
-def _natural_scale(problem: ErrorProblem) -> np.ndarray:
+def scaling_of(problem: ErrorProblem) -> tuple[np.ndarray, float]:
+    """Sizes of the e_i and of the a-inputs by which a program is scaled."""
+    scale = natural_scale(problem)
+    return scale, float(np.linalg.norm(problem.Xe * scale)) or 1.0
+
+
+def natural_scale(problem: ErrorProblem) -> np.ndarray:
     """Typical size of each e_i under unit inputs: root of the Gramian's diagonal."""
     inputs = np.hstack([problem.Ua, problem.Ub, problem.Uy])
     drive = inputs @ inputs.T
@@ -233,7 +255,7 @@ def _natural_scale(problem: ErrorProblem) -> np.ndarray:
     return size
 
 
-def _rescaled(problem: ErrorProblem, scale: np.ndarray, reach: float) -> ErrorProblem:
+def rescaled(problem: ErrorProblem, scale: np.ndarray, reach: float) -> ErrorProblem:
     """The same problem in e_i = scale_i e^_i and a_k = reach a^_k, all of order one.
 
     A can have entries of 1e5; without this the solver sees nothing but the largest.
@@ -249,7 +271,7 @@ def _rescaled(problem: ErrorProblem, scale: np.ndarray, reach: float) -> ErrorPr
     )
 
 
-def _svec(matrix: np.ndarray) -> np.ndarray:
+def svec(matrix: np.ndarray) -> np.ndarray:
     """Upper triangle, column by column, off-diagonals times sqrt 2 (Clarabel's convention)."""
     rows, columns = np.tril_indices(len(matrix))  # (j, i) of the upper triangle, by columns
     entries: np.ndarray = matrix[columns, rows].copy()

@@ -1,0 +1,1 @@
+"""Certificates for ranges of named constants: the loop as a function of them, and its hulls."""

@@ -1,0 +1,239 @@
+"""Certificates by one quadratic function for a whole box of constants.
+
+The matrices of the error system lie in the hull of finitely many points. With one P and one alpha
+and multipliers of its own at every point v, the inequality of :mod:`certrack.certificates.problem`
+at each point gives V_v' <= -alpha V + Delta_v; V' is a mean of these, for constants that stand
+still and for constants that vary in time alike. So limsup |e_1| <= sqrt(2 max Delta_v/alpha).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import clarabel
+import flint
+import numpy as np
+from scipy import sparse
+
+from certrack.certificates.adaptation import Adaptation
+from certrack.certificates.arithmetic import exact_float, rational, solve
+from certrack.certificates.exact import (
+    BACK_OFF,
+    MULTIPLIER_FLOOR,
+    Proof,
+    decimal_text,
+    root_up,
+    squared_bound,
+)
+from certrack.certificates.problem import ErrorProblem
+from certrack.certificates.ranges.loop import RangedLoop, error_form
+from certrack.certificates.ranges.rational import Interval
+from certrack.certificates.semidefinite import (
+    MAX_ITERATIONS,
+    SemidefiniteProgram,
+    natural_scale,
+    rescaled,
+    svec,
+)
+
+
+@dataclass(frozen=True)
+class VertexSolution:
+    """A point of the program, in unscaled coordinates; multipliers (lam, nu, k) point by point."""
+
+    alpha: float
+    P: np.ndarray
+    multipliers: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
+    delta: float
+
+    @property
+    def bound(self) -> float:
+        """limsup |e_1| in floating point, not yet verified."""
+        return math.sqrt(max(0.0, 2 * self.delta / self.alpha))
+
+
+def vertex_problems(
+    loop: RangedLoop, box: Sequence[Interval], adaptation: Adaptation | None
+) -> list[ErrorProblem]:
+    """The error problem at each point of the hull, in exact rationals."""
+    c, plant = loop.coordinates, loop.system.plant
+    n, q = c.n, c.q
+    u, A = plant.uncertainty, c.A
+    tau, gamma, beta = ([rational(v) for v in values] for values in (u.tau, u.gamma, u.beta))
+    Y = [exact_float(v, rational) for v in loop.system.reference.bounds(q + 1).values]
+    Xe = solve(A, np.eye(n, dtype=object))
+    in_a = tuple(k for k in range(n) if tau[k] * gamma[k] != 0)
+    in_b = tuple(k for k in range(n) if tau[k] * beta[k] != 0)
+    Ua = _columns([tau[k] * gamma[k] * A[:, k] for k in in_a], n)
+    outside = [tau[k] * beta[k] * A[:, k] for k in in_b]
+    problems = []
+    for values in loop.entries.points(box):
+        form = error_form(loop, values, Xe)
+        Ub = outside + [
+            A[:, -1] * value * size
+            for value, size in zip(form.brackets, loop.sizes, strict=True)
+            if value != 0
+        ]
+        Uy = [form.W[:, i] * Y[i] for i in range(q + 2)] + [form.offset]
+        Xy = [Xe @ c.B[:, i] * Y[i] for i in range(q + 1)] + [0 * form.offset] * 2
+        acting = [
+            i
+            for i in range(q + 3)
+            if any(v != 0 for v in Uy[i]) or (in_a and any(v != 0 for v in Xy[i]))
+        ]
+        problems.append(
+            ErrorProblem(
+                M=form.M,
+                Ua=Ua,
+                Ub=_columns(Ub, n),
+                Uy=_columns([Uy[i] for i in acting], n),
+                Xe=Xe,
+                Xy=_columns([Xy[i] for i in acting], n),
+                states=(in_a, in_b),
+                derivatives=tuple(acting),
+                adaptation=adaptation,
+            )
+        )
+    return problems
+
+
+def _columns(columns: Sequence[np.ndarray], n: int) -> np.ndarray:
+    return np.array(columns, dtype=object).reshape(len(columns), n).T
+
+
+class VertexProgram:
+    """One semidefinite program for all points of a hull, built once and solved for many alpha.
+
+    Parameters
+    ----------
+    problems : ErrorProblem at each point
+        In floats.
+    target : int
+        Which e_i is to be bounded (from 0).
+    """
+
+    def __init__(self, problems: Sequence[ErrorProblem], target: int = 0) -> None:
+        self.problems, self.target = problems, target
+        first = problems[0]
+        self._scale = natural_scale(first)
+        self._reach = float(np.linalg.norm(first.Xe * self._scale)) or 1.0
+        self._parts = [
+            SemidefiniteProgram(problem, target, scaling=(self._scale, self._reach))
+            for problem in problems
+        ]
+        self._build()
+
+    def _build(self) -> None:
+        """Variables: the entries of P, the largest Delta, then the multipliers of each point."""
+        entries = self._parts[0].entries
+        count = len(entries)
+        sizes = [sum(problem.counts) for problem in self.problems]
+        total = count + 1 + sum(sizes)
+        base, slope, right, cones = [], [], [], []
+        start = count + 1
+        for part, problem, size in zip(self._parts, self.problems, sizes, strict=True):
+            columns = [*range(count), *range(start, start + size)]
+            na = problem.counts[0]
+            height = len(part.inequality[0])
+            here, there = np.zeros((height + size + 1, total)), np.zeros((height + size + 1, total))
+            here[:height, columns], there[:height, columns] = part.inequality
+            here[height : height + size, start : start + size] = -np.eye(size)
+            here[-1, start + na : start + size] = 1.0  # sum nu + sum k <= Delta
+            here[-1, count] = -1.0
+            base.append(here)
+            slope.append(there)
+            right.append(np.zeros(height + size + 1))
+            cones += [
+                clarabel.PSDTriangleConeT(problem.n + size),
+                clarabel.NonnegativeConeT(size + 1),
+            ]
+            start += size
+        floor, unit = self._parts[0].floor
+        rows = np.zeros((len(floor), total))
+        rows[:, :count] = floor[:, :count]
+        base.append(rows)
+        slope.append(np.zeros_like(rows))
+        right.append(unit)
+        cones.append(clarabel.PSDTriangleConeT(self.problems[0].n))
+        self._base, self._slope = sparse.csc_matrix(np.vstack(base)), sparse.csc_matrix(np.vstack(slope))
+        self._right, self._cones = np.concatenate(right), cones
+        self._entries, self._sizes = entries, sizes
+
+    @cached_property
+    def fastest(self) -> float:
+        """Supremum of the alpha for which there may be a certificate, 1/s."""
+        return min(part.fastest for part in self._parts)
+
+    def solve(self, alpha: float) -> VertexSolution | None:
+        """The solution of least bound with this decay rate (1/s); None if there is none."""
+        leak = self.problems[0].leakage(alpha)
+        if leak is None:
+            return None
+        count = len(self._entries)
+        cost = np.zeros(self._base.shape[1])
+        cost[count] = 1.0
+        if self.problems[0].adaptation is not None:
+            cost[count - 1] = leak / self._scale[-1] ** 2
+        cost /= cost.max()
+        settings = clarabel.DefaultSettings()
+        settings.verbose, settings.max_iter = False, MAX_ITERATIONS
+        zero = sparse.csc_matrix((len(cost), len(cost)))
+        matrix = (self._base + alpha * self._slope).tocsc()
+        found = clarabel.DefaultSolver(
+            zero, cost, matrix, self._right, self._cones, settings
+        ).solve()
+        usable = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
+        return self._unscaled(np.array(found.x), alpha, leak) if found.status in usable else None
+
+    def _unscaled(self, x: np.ndarray, alpha: float, leak: Any) -> VertexSolution:
+        n, count = self.problems[0].n, len(self._entries)
+        x = x * self._scale[self.target] ** 2
+        P = np.zeros((n, n))
+        for (i, j), value in zip(self._entries, x[:count], strict=True):
+            P[i, j] = P[j, i] = value / (self._scale[i] * self._scale[j])
+        multipliers, start, delta = [], count + 1, 0.0
+        for problem, size in zip(self.problems, self._sizes, strict=True):
+            na, nb, _ = problem.counts
+            lam, nu, k = np.split(np.maximum(x[start : start + size], 0.0), [na, na + nb])
+            multipliers.append((lam / self._reach**2, nu, k))
+            delta = max(delta, float(nu.sum() + k.sum()))
+            start += size
+        if self.problems[0].adaptation is not None:
+            delta += float(P[-1, -1] * leak)
+        return VertexSolution(alpha, P, tuple(multipliers), delta)
+
+
+def prove_vertices(
+    problems: Sequence[ErrorProblem], solution: VertexSolution, target: int = 0
+) -> tuple[Proof, ...] | None:
+    """Round a solution so that exact arithmetic confirms it at every point; None if it does not.
+
+    Returns
+    -------
+    one Proof per point
+        They share P, alpha and the bound, the largest of all points.
+    """
+    for slack in BACK_OFF:
+        scale = 1 + slack
+        P = scale * (solution.P + solution.P.T) / 2
+        texts = tuple(tuple(decimal_text(v) for v in row) for row in P)
+        alpha = decimal_text(solution.alpha * (1 - slack))
+        largest, proofs = flint.fmpq(0), []
+        for problem, (lam, nu, k) in zip(problems, solution.multipliers, strict=True):
+            rounded = [tuple(decimal_text(v * scale + MULTIPLIER_FLOOR) for v in lam)]
+            extra = slack * solution.delta
+            rounded += [tuple(decimal_text(v * scale**2 + extra) for v in w) for w in (nu, k)]
+            proof = Proof(alpha, texts, *rounded, "0")
+            square = squared_bound(problem, proof, target)
+            if square is None:
+                break
+            largest = max(largest, square)
+            proofs.append(proof)
+        else:
+            bound = root_up(largest)
+            return tuple(replace(proof, bound=bound) for proof in proofs)
+    return None
