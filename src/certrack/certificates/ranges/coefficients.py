@@ -1,0 +1,104 @@
+"""The loop as a centre and one uncertain number for each function of the constants.
+
+    (Acl | Ecl | o)(p) = N_0 + sum_k r_k(p) N_k,   r_k(p) = mid_k + rad_k delta_k,  |delta_k| <= 1
+
+with different functions r_k, such as K_L/J_L: one constant in two entries is one delta. The middle
+of its range goes into the centre, so nothing is lost where the range is not symmetric. N_k is a
+sum of products of a column and a row: each is a channel p = delta_k q.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import flint
+import numpy as np
+import sympy
+
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.ranges.loop import RangedLoop
+from certrack.certificates.ranges.rational import Interval, RationalVector
+
+
+@dataclass(frozen=True)
+class Channels:
+    """x' = centre (x, Y', 1) + sum_k columns_k delta_k (rows_k (x, Y', 1)), |delta_k| <= 1.
+
+    Attributes
+    ----------
+    centre : (n, n + q + 3) array of rationals
+    columns : (n, K) array
+        Scaled with the radii.
+    rows : (K, n + q + 3) array
+    """
+
+    centre: np.ndarray
+    columns: np.ndarray
+    rows: np.ndarray
+
+
+class Coefficients:
+    """The functions of the constants in a loop, and their matrices."""
+
+    def __init__(self, loop: RangedLoop) -> None:
+        self.loop = loop
+        matrices: dict[sympy.Expr, np.ndarray] = {}
+        for i, j in np.ndindex(*loop.matrix.shape):
+            for function, value in _parts(loop.matrix[i, j], loop.symbols):
+                zero = np.full(loop.matrix.shape, flint.fmpq(0), dtype=object)
+                matrices.setdefault(function, zero)[i, j] += value
+        self._fixed = matrices.pop(sympy.S.One, np.full(loop.matrix.shape, flint.fmpq(0)))
+        self.functions = list(matrices)
+        self._matrices = list(matrices.values())
+        self._factors = [_factors(matrix) for matrix in self._matrices]
+
+    @cached_property
+    def _ranges(self) -> list[RationalVector]:
+        return [RationalVector.of([f], self.loop.symbols) for f in self.functions]
+
+    def over(self, box: Sequence[Interval]) -> Channels:
+        """Centre and channels over a box of the constants."""
+        centre, columns, rows = self._fixed.copy(), [], []
+        for ranges, matrix, (left, right) in zip(
+            self._ranges, self._matrices, self._factors, strict=True
+        ):
+            low, high = (end[0] for end in ranges.ends(box))
+            centre = centre + matrix * ((low + high) / 2)
+            if high > low:
+                columns += [column * ((high - low) / 2) for column in left.T]
+                rows += list(right)
+        n, width = centre.shape
+        return Channels(
+            centre,
+            np.array(columns, dtype=object).reshape(len(columns), n).T,
+            np.array(rows, dtype=object).reshape(len(rows), width),
+        )
+
+
+def _parts(
+    entry: sympy.Expr, symbols: Sequence[sympy.Symbol]
+) -> list[tuple[sympy.Expr, Any]]:
+    """The entry as a sum of numbers times functions (with the coefficient 1) of the symbols."""
+    if not entry.free_symbols:
+        return [(sympy.S.One, rational(entry))] if entry != 0 else []
+    top, bottom = sympy.fraction(sympy.cancel(sympy.together(entry)))
+    found = []
+    for term in sympy.Add.make_args(sympy.expand(top)):
+        value, function = sympy.cancel(term / bottom).as_independent(*symbols, as_Add=False)
+        numerator, denominator = sympy.fraction(function)
+        content, denominator = sympy.Poly(denominator, *symbols).primitive()
+        function = numerator / denominator.as_expr()
+        found.append((function, rational(value) / rational(content)))
+    return found
+
+
+def _factors(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows whose products sum to the matrix, as few as its rank."""
+    exact = flint.fmpq_mat(matrix.tolist())
+    reduced, rank = exact.rref()
+    rows = np.array(reduced.tolist(), dtype=object)[:rank]
+    pivots = [next(j for j, v in enumerate(row) if v != 0) for row in rows]
+    return matrix[:, pivots], rows

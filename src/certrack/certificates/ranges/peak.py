@@ -1,0 +1,183 @@
+"""The peak-gain certificate: error bounds from the loop's impulse responses.
+
+e' = M e + sum_j W_j y^(j) + w_o + columns of bounded inputs and channels. For any s <= q + 1 let
+e = sum_{j<s} Pi_j y^(j) + zeta with Pi_j = M^-1 (Pi_{j-1} - W_j), Pi_{-1} = 0: the derivatives
+below s then act through what they leave in the long run, and y^(s) through W_s - Pi_{s-1}. For an
+output z = c e + sum_j d_j y^(j) + d_o
+
+    limsup |z| <= sum_{j<s} |c Pi_j + d_j| Y_j + ||c (W_s - Pi_{s-1})||_1 Y_s
+                + sum_{j>s} ||c W_j||_1 Y_j + sum_{j>=s} |d_j| Y_j + |c e_o + d_o| + sum ||c b||_1
+
+with the peak gains of :mod:`certrack.certificates.ranges.kernels`; the best s counts. The channels'
+outputs q and, where Assumption 1 grows with ||x||, the states are outputs too:
+
+    v = (|q_1|, ..., |x_1|, ...):   a v > F(v), F(v) = c + G v + ..., in every entry
+
+proves limsup |q|, |x| <= v, for F is monotone, and homogeneous but for c.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from certrack.certificates.arithmetic import exact_float, rational, solve
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.exact import float_up
+from certrack.certificates.ranges.coefficients import Coefficients
+from certrack.certificates.ranges.kernels import peak_gains
+from certrack.certificates.ranges.loop import ErrorForm, RangedLoop, error_form
+from certrack.certificates.ranges.rational import Interval
+
+#: The fixed point is widened by this before it is checked, and the roundings of the check are less
+#: than this; iterations until it stands still.
+WIDENED, ROUNDING, ITERATIONS, LEAST = 1e-9, 1e-12, 400, 1e-280
+
+
+@dataclass(frozen=True)
+class PeakBound:
+    """A proven bound.
+
+    Attributes
+    ----------
+    bound : float
+        On limsup |e_1|, rounded up.
+    levels : s of each output: e_1, the channels, the states
+    """
+
+    bound: float
+    levels: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    """z = C e + D (y_d ... y_d^(q+1)) + offset, in rationals."""
+
+    C: np.ndarray
+    D: np.ndarray
+    offset: np.ndarray
+
+
+def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Interval]) -> PeakBound:
+    """Bound on limsup |e_1| for constants that stay in a box, also if they vary in it.
+
+    Raises
+    ------
+    NoCertificate
+        If the centre is not stable, or the channels may destabilise it.
+    """
+    channels = coefficients.over(box)
+    n, c = loop.n, loop.coordinates
+    Xe = solve(c.A, np.eye(n, dtype=object))
+    brackets = _largest_brackets(loop, box)
+    form = error_form(loop, np.concatenate([channels.centre.ravel(), brackets]), Xe)
+    outputs = _outputs(loop, channels.rows, Xe)
+    u = loop.system.plant.uncertainty
+    tau, gamma, beta = ([rational(v) for v in values] for values in (u.tau, u.gamma, u.beta))
+    growing = [k for k in range(n) if tau[k] * gamma[k] != 0]
+    if not growing:
+        count = 1 + len(channels.rows)
+        outputs = _Outputs(outputs.C[:count], outputs.D[:count], outputs.offset[:count])
+    bounded = [tau[k] * beta[k] * c.A[:, k] for k in range(n) if tau[k] * beta[k] != 0]
+    bounded += [
+        c.A[:, -1] * value * size for value, size in zip(brackets, loop.sizes, strict=True)
+    ]
+    Y = [exact_float(v, rational) for v in loop.system.reference.bounds(c.q + 1).values]
+    columns = [
+        *bounded,
+        *(c.A @ channels.columns).T,
+        *(tau[k] * gamma[k] * c.A[:, k] for k in growing),
+    ]
+    constant, gains, levels = _responses(form, outputs, Y, columns)
+    nb, nc = len(bounded), len(channels.rows)
+    constant = constant + gains[:, :nb].sum(axis=1)
+    through, norm = gains[:, nb : nb + nc], gains[:, nb + nc :].sum(axis=1)
+
+    def image(v: np.ndarray) -> np.ndarray:
+        size = float(np.linalg.norm(v[1 + nc :])) if growing else 0.0
+        found: np.ndarray = constant + through @ v[1 : 1 + nc] + norm * size
+        return found
+
+    return PeakBound(_bound(image, len(constant)), tuple(levels))
+
+
+def _largest_brackets(loop: RangedLoop, box: Sequence[Interval]) -> np.ndarray:
+    """Largest magnitudes of the brackets over a box."""
+    count = len(loop.brackets)
+    if not count:
+        return np.zeros(0, dtype=object)
+    low, high = loop.entries.ends(box)
+    pairs = zip(low[-count:], high[-count:], strict=True)
+    return np.array([max(abs(a), abs(b)) for a, b in pairs], dtype=object)
+
+
+def _outputs(loop: RangedLoop, rows: np.ndarray, Xe: np.ndarray) -> _Outputs:
+    """e_1, the channels' rows (x, Y', 1), and the states, in error coordinates."""
+    c, n = loop.coordinates, loop.n
+    width = c.q + 2
+    unit = np.array([[rational(int(j == 0)) for j in range(n)]], dtype=object)
+    zero = rational(0)
+    through_x = np.vstack([rows[:, :n], np.eye(n, dtype=object) + zero])
+    C = np.vstack([unit, through_x @ Xe])
+    D = np.full((len(C), width), zero, dtype=object)
+    D[1:, :-1] = through_x @ (Xe @ c.B)
+    D[1 : 1 + len(rows)] = D[1 : 1 + len(rows)] + rows[:, n:-1]
+    offset = np.full(len(C), zero, dtype=object)
+    offset[1 : 1 + len(rows)] = rows[:, -1]
+    return _Outputs(C, D, offset)
+
+
+def _responses(
+    form: ErrorForm, outputs: _Outputs, Y: Sequence[Any], columns: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, list[int]]:
+    """For each output: the part of reference and offset, and its gains from the columns."""
+    M, W, width = form.M, form.W, len(Y)
+    last, residuals, statics = 0 * form.offset, [], []
+    for s in range(width):
+        residuals.append(W[:, s] - last)
+        last = solve(M, -residuals[-1])  # Pi_s
+        statics.append(last)
+    resting = solve(M, -form.offset)
+    table = [*columns, *residuals, *(W[:, j] for j in range(1, width))]
+    acting = [i for i, column in enumerate(table) if any(v != 0 for v in column)]
+    gains = np.zeros((len(outputs.C), len(table)))
+    if acting:
+        gains[:, acting] = peak_gains(M, outputs.C, np.array([table[i] for i in acting]).T)
+    first, later = len(columns), len(columns) + width
+    sizes = [float_up(v) for v in Y]
+    constant, levels = [], []
+    for row, (C, D, d) in enumerate(zip(outputs.C, outputs.D, outputs.offset, strict=True)):
+        options = []
+        for s in range(width):
+            still = sum((abs(C @ statics[j] + D[j]) * Y[j] for j in range(s)), 0 * d)
+            still += sum((abs(D[j]) * Y[j] for j in range(s, width)), 0 * d)
+            moving = gains[row, first + s] * sizes[s]
+            moving += sum(gains[row, later + j - 1] * sizes[j] for j in range(s + 1, width))
+            options.append(float_up(still + abs(C @ resting + d)) + moving)
+        levels.append(int(np.argmin(options)))
+        constant.append(min(options))
+    return np.array(constant) * (1 + ROUNDING), gains[:, :first], levels
+
+
+def _bound(image: Any, count: int) -> float:
+    """Bound on the first output, from a v with v > image(v) in every other entry.
+
+    The first, e_1, acts on no other.
+    """
+    v = np.zeros(count)
+    for _ in range(ITERATIONS):
+        after = image(v)
+        if not np.isfinite(after).all():
+            break
+        if (after <= v * (1 + WIDENED / 10)).all():
+            break
+        v = after
+    v = v * (1 + WIDENED) + LEAST
+    after = image(v) * (1 + ROUNDING)
+    if not (after[1:] < v[1:]).all() or not math.isfinite(after[0]):
+        raise NoCertificate("the loop's gain through the ranges is not below 1")
+    return float(after[0])
