@@ -68,7 +68,7 @@ def error_problem(system: System, number: ToNumber) -> ErrorProblem:
         Xy=Xy,
         states=(in_a, in_b),
         derivatives=(*in_x, *([q + 1] if residual else [])),
-        adaptation=_adaptation(system, number),
+        adaptation=adaptation_of(system, number),
     )
 
 
@@ -96,7 +96,8 @@ def error_coordinates(system: System, number: ToNumber) -> ErrorCoordinates:
     return carry_out(g, b, c, weights, residual, system.law.order(plant))
 
 
-def _adaptation(system: System, number: ToNumber) -> Adaptation | None:
+def adaptation_of(system: System, number: ToNumber) -> Adaptation | None:
+    """The update laws' data, with what is known of g_n and theta; None without estimates."""
     law, plant, truth = system.law, system.plant, system.truth
     if not isinstance(law, Adaptive):
         return None

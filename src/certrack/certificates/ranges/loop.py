@@ -58,6 +58,9 @@ class RangedLoop:
     brackets : formulas of the symbols
     sizes : rationals
         sup |m_k(x)| over all x.
+    estimated : formulas of g_n and theta, or None
+        Of the adaptive law, where the constants determine them; None in the place of one that has a
+        range of its own.
     """
 
     system: System
@@ -68,6 +71,7 @@ class RangedLoop:
     matrix: sympy.Matrix
     brackets: tuple[sympy.Expr, ...]
     sizes: tuple[Any, ...]
+    estimated: tuple[sympy.Expr | None, tuple[sympy.Expr, ...] | None]
 
     @property
     def n(self) -> int:
@@ -130,6 +134,7 @@ def ranged_loop(system: System) -> RangedLoop:
         matrix,
         tuple(brackets),
         tuple(sizes),
+        design.estimated,
     )
 
 
@@ -145,13 +150,10 @@ class _Design:
         )
         values = [plant.constant_values[str(s)] for s in self.symbols]
         self._constants = {symbol(name): value for name, value in plant.open_values.items()}
-        gain, theta = plant.input_gain or system.truth.input_gain, plant.theta
-        self.theta = [
-            self.number(f"plant.theta[{i}]", value) for i, value in enumerate(theta or ())
-        ]
-        self.gain = sympy.S.One
+        gain, theta = plant.input_gain or system.truth.input_gain, plant.theta or system.truth.theta
+        self.gain = self.number("plant.input_gain", gain)
+        self.theta = [self.number(f"plant.theta[{i}]", value) for i, value in enumerate(theta)]
         if not self.is_adaptive:
-            self.gain = self.number("plant.input_gain", gain)
             values += self._open_gain_and_theta()
         self.nominal = tuple(map(rational, values))
 
@@ -168,6 +170,15 @@ class _Design:
                 values.append(self.theta[i])
                 self.theta[i] = self._opened(f"{THETA}[{i}]", box)
         return values
+
+    @property
+    def estimated(self) -> tuple[sympy.Expr | None, tuple[sympy.Expr, ...] | None]:
+        """What the adaptive law estimates, where the constants determine it."""
+        plant = self.system.plant
+        return (
+            self.gain if plant.input_gain_range is None else None,
+            tuple(self.theta) if plant.theta_range is None else None,
+        )
 
     def _opened(self, name: str, box: tuple[float, float]) -> sympy.Symbol:
         new = sympy.Symbol(name, real=True)

@@ -1,0 +1,117 @@
+"""What a linear loop with constant parameters does at worst, by linear programming.
+
+The reference is a piecewise polynomial of order q + 1 whose derivatives keep their bounds; where
+e_1 is largest at the end of a long horizon is a linear program in its pieces. Bounded inputs act
+with the sign of their kernel. The result is attained but for the grid, so it is a lower estimate of
+the worst case and says how much of a bound could still be gained. It proves nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import linprog
+
+#: Pieces of the reference, and the horizon in slowest time constants.
+PIECES, TIME_CONSTANTS = 160, 12.0
+
+#: Points within a piece at which the derivatives are looked at, to scale the reference down.
+INSIDE = 8
+
+
+@dataclass(frozen=True)
+class Attained:
+    """The worst admissible case of one linear loop.
+
+    Attributes
+    ----------
+    error : float
+        |e_1| at the end of the horizon.
+    by_reference : float
+        The reference's part of it.
+    start : (q+1,) array
+        y_d, y_d' ... y_d^(q) at the beginning.
+    pieces : array
+        y_d^(q+1) on each piece.
+    width : float, s
+        Of a piece.
+    """
+
+    error: float
+    by_reference: float
+    start: np.ndarray
+    pieces: np.ndarray
+    width: float
+
+
+def worst_reference(
+    M: np.ndarray, W: np.ndarray, inputs: np.ndarray, offset: np.ndarray, Y: Sequence[float]
+) -> Attained | None:
+    """Largest |e_1| of e' = M e + W (y ... y^(q+1)) + inputs b + offset, |b_i| <= 1, |y^(j)| <= Y_j.
+
+    Returns
+    -------
+    Attained, or None where the loop is unstable or the program is not solved.
+    """
+    n, width = W.shape
+    q = width - 2
+    values = np.linalg.eigvals(M)
+    slowest = -float(values.real.max())
+    if not slowest > 0:
+        return None
+    sizes = np.maximum(np.asarray(Y, dtype=float), 1e-300)
+    horizon = TIME_CONSTANTS / slowest
+    h = horizon / PIECES
+    A = np.zeros((n + width, n + width))  # states: e, y ... y^(q), and the held y^(q+1)
+    A[:n, :n], A[:n, n:] = M, W * sizes
+    for i in range(q + 1):
+        A[n + i, n + i + 1] = sizes[i + 1] / sizes[i]
+    step = expm(A * h)
+    Ad, bd = step[:-1, :-1], step[:-1, -1]
+    inner = [expm(A * h * (j + 1) / INSIDE) for j in range(INSIDE)]
+    count = q + 1 + PIECES
+    S = np.zeros((n + q + 1, count))
+    S[n:, : q + 1] = np.eye(q + 1)
+    rows, looked_at = [], []
+    for k in range(PIECES):
+        rows.append(S[n:].copy())
+        held = np.zeros((1, count))
+        held[0, q + 1 + k] = 1.0
+        looked_at += [(part @ np.vstack([S, held]))[n:-1] for part in inner]
+        S = Ad @ S
+        S[:, q + 1 + k] += bd
+    table = np.vstack([*rows, S[n:]])
+    found = linprog(
+        -S[0],
+        A_ub=np.vstack([table, -table]),
+        b_ub=np.ones(2 * len(table)),
+        bounds=[(-1, 1)] * count,
+        method="highs",
+    )
+    if found.status != 0:
+        return None
+    largest = max(1.0, float(np.abs(np.vstack(looked_at) @ found.x).max(initial=0.0)))
+    x = found.x / largest
+    reference = float(S[0] @ x)
+    e_o = -np.linalg.solve(M, offset)[0] if offset.any() else 0.0
+    error = reference + _by_inputs(M, inputs, slowest) + abs(float(e_o))
+    return Attained(error, reference, x[: q + 1] * sizes[:-1], x[q + 1 :] * sizes[-1], h)
+
+
+def _by_inputs(M: np.ndarray, inputs: np.ndarray, slowest: float) -> float:
+    """The integral of |e_1's kernels|, from below but for the quadrature."""
+    if not inputs.shape[1]:
+        return 0.0
+    fastest = float(np.abs(np.linalg.eigvals(M)).max())
+    steps = min(20_000, int(TIME_CONSTANTS * 2 / slowest * fastest / 0.02) + 1)
+    h = TIME_CONSTANTS * 2 / slowest / steps
+    E, X, total = expm(M * h), inputs.copy(), 0.0
+    previous = X[0]
+    for _ in range(steps):
+        X = E @ X
+        total += float(np.abs((previous + X[0]) / 2).sum()) * h
+        previous = X[0]
+    return total
