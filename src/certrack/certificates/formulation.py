@@ -6,6 +6,8 @@ file states and not a float near it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import flint
@@ -17,6 +19,7 @@ from certrack.certificates.premises import refuse
 from certrack.certificates.problem import ErrorProblem
 from certrack.laws import Adaptive
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
+from certrack.model.uncertainty import Uncertainty
 from certrack.systems.system import System
 
 
@@ -45,13 +48,10 @@ def error_problem(system: System, number: ToNumber) -> ErrorProblem:
     plant, dtype = system.plant, _dtype(number)
     coordinates = error_coordinates(system, number)
     n, q, A = plant.n, coordinates.q, coordinates.A
-    u = plant.uncertainty
-    tau, gamma, beta = ([number(v) for v in values] for values in (u.tau, u.gamma, u.beta))
+    inputs = uncertain_inputs(plant.uncertainty, A, number)
     bounds = [exact_float(v, number) for v in system.reference.bounds(q + 1).values]
     Xe = solve(A, np.eye(n, dtype=dtype))
-    in_a = tuple(k for k in range(n) if tau[k] * gamma[k] != 0)
-    in_b = tuple(k for k in range(n) if tau[k] * beta[k] != 0)
-    in_x = [i for i in range(q + 1) if in_a and bounds[i] != 0 and any(coordinates.B[:, i] != 0)]
+    in_x = [i for i in range(q + 1) if inputs.a and bounds[i] != 0 and any(coordinates.B[:, i] != 0)]
     residual = bool(bounds[q + 1] != 0 and any(coordinates.R != 0))
     Uy = np.zeros((n, len(in_x) + residual), dtype=dtype)
     Xy = np.zeros((n, len(in_x) + residual), dtype=dtype)
@@ -61,14 +61,62 @@ def error_problem(system: System, number: ToNumber) -> ErrorProblem:
         Uy[:, -1] = -coordinates.R * bounds[q + 1]
     return ErrorProblem(
         M=coordinates.error_matrix,
-        Ua=_columns([tau[k] * gamma[k] * A[:, k] for k in in_a], n, dtype),
-        Ub=_columns([tau[k] * beta[k] * A[:, k] for k in in_b], n, dtype),
+        Ua=columns_of(inputs.a, n, dtype),
+        Ub=columns_of(inputs.b, n, dtype),
         Uy=Uy,
         Xe=Xe,
         Xy=Xy,
-        states=(in_a, in_b),
+        states=inputs.states,
         derivatives=(*in_x, *([q + 1] if residual else [])),
         adaptation=adaptation_of(system, number),
+        selections=inputs.selections,
+    )
+
+
+@dataclass(frozen=True)
+class UncertainInputs:
+    """The columns by which the w_k act on e, and what bounds them.
+
+    Attributes
+    ----------
+    a, b : columns
+        Scaled to |a_i| <= ||x|| (or what `selections` says) and |b_i| <= 1.
+    states : the k of the columns of a, then of b
+    selections : as of :class:`ErrorProblem`
+    """
+
+    a: tuple[np.ndarray, ...]
+    b: tuple[np.ndarray, ...]
+    states: tuple[tuple[int, ...], tuple[int, ...]]
+    selections: tuple[tuple[np.ndarray, np.ndarray | None] | None, ...]
+
+
+def uncertain_inputs(u: Uncertainty, A: np.ndarray, number: ToNumber) -> UncertainInputs:
+    """The uncertain terms in error coordinates e = A x - B Y.
+
+    |w_k| <= gamma_k ||S_k x|| + sum_j Delta_kj |x_j| + beta_k splits, without loss, into an a-input
+    for ||S_k x||, one for each Delta_kj, and a b-input.
+    """
+    n = len(A)
+    a: list[tuple[int, np.ndarray, Any]] = []
+    b: list[tuple[int, np.ndarray]] = []
+    for k in range(n):
+        column = number(u.tau[k]) * A[:, k]
+        if u.tau[k] != 0 and u.gamma[k] != 0:
+            scaled = None if u.S is None else np.diag([number(v) for v in u.S_of(k)])
+            a.append((k, column * number(u.gamma[k]), scaled))
+        for j, entry in enumerate(u.Delta[k] if u.Delta is not None else ()):
+            if u.tau[k] != 0 and entry != 0:
+                unit = np.array([[number(int(i == j)) for i in range(n)]])
+                a.append((k, column * number(entry), unit))
+        if u.tau[k] != 0 and u.beta[k] != 0:
+            b.append((k, column * number(u.beta[k])))
+    plain = all(chosen is None for _, _, chosen in a)
+    return UncertainInputs(
+        tuple(column for _, column, _ in a),
+        tuple(column for _, column in b),
+        (tuple(k for k, _, _ in a), tuple(k for k, _ in b)),
+        () if plain else tuple(None if s is None else (s, None) for _, _, s in a),
     )
 
 
@@ -124,5 +172,6 @@ def _dtype(number: ToNumber) -> Any:
     return object if number is rational else float
 
 
-def _columns(columns: list[np.ndarray], n: int, dtype: Any) -> np.ndarray:
+def columns_of(columns: Sequence[np.ndarray], n: int, dtype: Any = object) -> np.ndarray:
+    """A matrix of n rows with these columns."""
     return np.array(columns, dtype=dtype).reshape(len(columns), n).T

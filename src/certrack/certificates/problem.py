@@ -35,6 +35,9 @@ class ErrorProblem:
     states : indices k (from 0) of the a-inputs, then of the b-inputs
     derivatives : orders i of the reference derivatives that matter
     adaptation : Adaptation or None
+    selections : (S, T) or None for each a-input
+        What bounds it: |a_k| <= ||S x + T y||; ||x|| where there is None, and for all if left out.
+        A T of None is zero.
     """
 
     M: np.ndarray
@@ -46,6 +49,7 @@ class ErrorProblem:
     states: tuple[tuple[int, ...], tuple[int, ...]]
     derivatives: tuple[int, ...]
     adaptation: Adaptation | None
+    selections: tuple[tuple[np.ndarray, np.ndarray | None] | None, ...] = ()
 
     @property
     def n(self) -> int:
@@ -64,6 +68,8 @@ class ErrorProblem:
 
         e^T P (M e + U (a, b, y)) + alpha/2 e^T P e
           + sum lam_k (||x||^2 - a_k^2) - sum nu_k b_k^2 - sum k_i y_i^2
+
+        with ||S_k x + T_k y||^2 in the place of ||x||^2 where something else bounds a_k.
         """
         n, (na, nb, ny) = self.n, self.counts
         size = n + na + nb + ny
@@ -72,15 +78,28 @@ class ErrorProblem:
         PM = P @ self.M
         Q[:n, :n] = (PM + PM.T + alpha * P) / 2
         Q[:n, a], Q[:n, b], Q[:n, y] = P @ self.Ua / 2, P @ self.Ub / 2, P @ self.Uy / 2
-        if na:
-            weight = lam.sum()
-            Q[:n, :n] += weight * (self.Xe.T @ self.Xe)
-            Q[:n, y] += weight * (self.Xe.T @ self.Xy)
-            Q[y, y] += weight * (self.Xy.T @ self.Xy)
+        for weight, (We, Wy) in self._weighted(lam):
+            Q[:n, :n] += weight * (We.T @ We)
+            Q[:n, y] += weight * (We.T @ Wy)
+            Q[y, y] += weight * (Wy.T @ Wy)
         Q[a, :n], Q[b, :n], Q[y, :n] = Q[:n, a].T, Q[:n, b].T, Q[:n, y].T
         diagonal = np.arange(n, size)
         Q[diagonal, diagonal] -= np.concatenate([lam, nu, k])
         return Q
+
+    def _weighted(self, lam: np.ndarray) -> list[tuple[Any, tuple[np.ndarray, np.ndarray]]]:
+        """What bounds the a-inputs, as rows of e and y, with the weight of its square."""
+        if not len(lam):
+            return []
+        chosen = self.selections or (None,) * len(lam)
+        whole = [v for v, part in zip(lam, chosen, strict=True) if part is None]
+        weighted = [(sum(whole[1:], whole[0]), (self.Xe, self.Xy))] if whole else []
+        for v, part in zip(lam, chosen, strict=True):
+            if part is not None:
+                S, T = part
+                Wy = S @ self.Xy
+                weighted.append((v, (S @ self.Xe, Wy if T is None else Wy + T)))
+        return weighted
 
     def leakage(self, alpha: Any) -> Any:
         """q(alpha) of :meth:`Adaptation.leakage_cost`; 0 without estimates."""
@@ -90,8 +109,10 @@ class ErrorProblem:
         """Only the a-inputs, with tau scaled: what decides whether any certificate exists."""
         n = self.n
         none = self.Ub[:, :0]
+        selections = tuple(None if part is None else (part[0], None) for part in self.selections)
         return replace(
             self,
+            selections=selections,
             Ua=self.Ua * strength,
             Ub=none,
             Uy=none,
@@ -106,4 +127,11 @@ class ErrorProblem:
             name: getattr(self, name).astype(float) for name in ("M", "Ua", "Ub", "Uy", "Xe", "Xy")
         }
         adaptation = None if self.adaptation is None else self.adaptation.in_floats()
-        return replace(self, **arrays, adaptation=adaptation)
+
+        def floats(matrix: np.ndarray | None) -> Any:
+            return None if matrix is None else matrix.astype(float)
+
+        selections = tuple(
+            None if part is None else (floats(part[0]), floats(part[1])) for part in self.selections
+        )
+        return replace(self, **arrays, adaptation=adaptation, selections=selections)

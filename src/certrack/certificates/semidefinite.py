@@ -268,6 +268,10 @@ def rescaled(problem: ErrorProblem, scale: np.ndarray, reach: float) -> ErrorPro
         Uy=problem.Uy / scale[:, None],
         Xe=problem.Xe * scale[None, :] / reach,
         Xy=problem.Xy / reach,
+        selections=tuple(
+            None if part is None else (part[0], None if part[1] is None else part[1] / reach)
+            for part in problem.selections
+        ),
     )
 
 

@@ -78,6 +78,16 @@ class Coefficients:
         )
 
 
+def largest_brackets(loop: RangedLoop, box: Sequence[Interval]) -> np.ndarray:
+    """Largest magnitudes of the brackets over a box."""
+    count = len(loop.brackets)
+    if not count:
+        return np.zeros(0, dtype=object)
+    low, high = loop.entries.ends(box)
+    pairs = zip(low[-count:], high[-count:], strict=True)
+    return np.array([max(abs(a), abs(b)) for a, b in pairs], dtype=object)
+
+
 def _parts(
     entry: sympy.Expr, symbols: Sequence[sympy.Symbol]
 ) -> list[tuple[sympy.Expr, Any]]:

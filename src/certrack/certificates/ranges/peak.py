@@ -28,7 +28,7 @@ import numpy as np
 from certrack.certificates.arithmetic import exact_float, rational, solve
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up
-from certrack.certificates.ranges.coefficients import Coefficients
+from certrack.certificates.ranges.coefficients import Coefficients, largest_brackets
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import ErrorForm, RangedLoop, error_form
 from certrack.certificates.ranges.rational import Interval
@@ -73,7 +73,7 @@ def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Inter
     channels = coefficients.over(box)
     n, c = loop.n, loop.coordinates
     Xe = solve(c.A, np.eye(n, dtype=object))
-    brackets = _largest_brackets(loop, box)
+    brackets = largest_brackets(loop, box)
     form = error_form(loop, np.concatenate([channels.centre.ravel(), brackets]), Xe)
     outputs = _outputs(loop, channels.rows, Xe)
     u = loop.system.plant.uncertainty
@@ -103,16 +103,6 @@ def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Inter
         return found
 
     return PeakBound(_bound(image, len(constant)), tuple(levels))
-
-
-def _largest_brackets(loop: RangedLoop, box: Sequence[Interval]) -> np.ndarray:
-    """Largest magnitudes of the brackets over a box."""
-    count = len(loop.brackets)
-    if not count:
-        return np.zeros(0, dtype=object)
-    low, high = loop.entries.ends(box)
-    pairs = zip(low[-count:], high[-count:], strict=True)
-    return np.array([max(abs(a), abs(b)) for a, b in pairs], dtype=object)
 
 
 def _outputs(loop: RangedLoop, rows: np.ndarray, Xe: np.ndarray) -> _Outputs:

@@ -23,9 +23,9 @@ from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
 from certrack.certificates.ranges.peak import peak_bound
 from certrack.certificates.ranges.rational import RationalVector
 from certrack.certificates.ranges.vertices import (
+    ProblemMaker,
     VertexProgram,
     prove_vertices,
-    vertex_problems,
 )
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.semidefinite import best_solution
@@ -65,6 +65,7 @@ class RangeProver:
     def __init__(self, system: System) -> None:
         self.loop: RangedLoop = ranged_loop(system)
         self._coefficients = Coefficients(self.loop)
+        self._problems = ProblemMaker(self.loop)
         self._adaptation = adaptation_of(system, rational)
 
     @property
@@ -80,7 +81,7 @@ class RangeProver:
     def vertices(self, cell: Cell) -> CellProof | None:
         """A proof by one quadratic function, or None if none is found."""
         try:
-            problems = vertex_problems(self.loop, cell, self._leakage(cell))
+            problems = self._problems.at_points(cell, self._leakage(cell))
         except NoCertificate:
             return None
         solution = best_solution(VertexProgram([p.in_floats() for p in problems]))
@@ -107,7 +108,7 @@ class RangeProver:
                 bound = peak_bound(self.loop, self._coefficients, cell).bound
                 holds = rational(Fraction(bound)) <= from_text(proof.bound)
                 return "" if holds else "the bound is smaller than the peak gains give"
-            problems = vertex_problems(self.loop, cell, self._leakage(cell))
+            problems = self._problems.at_points(cell, self._leakage(cell))
         except NoCertificate as refusal:
             return str(refusal)
         if len(problems) != len(proof.points):

@@ -29,8 +29,10 @@ from certrack.certificates.exact import (
     root_up,
     squared_bound,
 )
+from certrack.certificates.formulation import columns_of, uncertain_inputs
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.ranges.loop import RangedLoop, error_form
+from certrack.certificates.ranges.coefficients import Channels, Coefficients, largest_brackets
+from certrack.certificates.ranges.loop import ErrorForm, RangedLoop, error_form
 from certrack.certificates.ranges.rational import Interval
 from certrack.certificates.semidefinite import (
     MAX_ITERATIONS,
@@ -56,53 +58,78 @@ class VertexSolution:
         return math.sqrt(max(0.0, 2 * self.delta / self.alpha))
 
 
-def vertex_problems(
-    loop: RangedLoop, box: Sequence[Interval], adaptation: Adaptation | None
-) -> list[ErrorProblem]:
-    """The error problem at each point of the hull, in exact rationals."""
-    c, plant = loop.coordinates, loop.system.plant
-    n, q = c.n, c.q
-    u, A = plant.uncertainty, c.A
-    tau, gamma, beta = ([rational(v) for v in values] for values in (u.tau, u.gamma, u.beta))
-    Y = [exact_float(v, rational) for v in loop.system.reference.bounds(q + 1).values]
-    Xe = solve(A, np.eye(n, dtype=object))
-    in_a = tuple(k for k in range(n) if tau[k] * gamma[k] != 0)
-    in_b = tuple(k for k in range(n) if tau[k] * beta[k] != 0)
-    Ua = _columns([tau[k] * gamma[k] * A[:, k] for k in in_a], n)
-    outside = [tau[k] * beta[k] * A[:, k] for k in in_b]
-    problems = []
-    for values in loop.entries.points(box):
-        form = error_form(loop, values, Xe)
-        Ub = outside + [
-            A[:, -1] * value * size
-            for value, size in zip(form.brackets, loop.sizes, strict=True)
-            if value != 0
+class ProblemMaker:
+    """Makes the error problems of a loop, in exact rationals."""
+
+    def __init__(self, loop: RangedLoop) -> None:
+        c, u = loop.coordinates, loop.system.plant.uncertainty
+        self.loop, self.Xe = loop, solve(c.A, np.eye(c.n, dtype=object))
+        self._uncertain = uncertain_inputs(u, c.A, rational)
+        self._Y = [exact_float(v, rational) for v in loop.system.reference.bounds(c.q + 1).values]
+
+    def at_points(
+        self, box: Sequence[Interval], adaptation: Adaptation | None
+    ) -> list[ErrorProblem]:
+        """The problem at each point of the hull of a box."""
+        return [
+            self._problem(error_form(self.loop, values, self.Xe), adaptation)
+            for values in self.loop.entries.points(box)
         ]
-        Uy = [form.W[:, i] * Y[i] for i in range(q + 2)] + [form.offset]
-        Xy = [Xe @ c.B[:, i] * Y[i] for i in range(q + 1)] + [0 * form.offset] * 2
+
+    def at_centre(
+        self, coefficients: Coefficients, box: Sequence[Interval], adaptation: Adaptation | None
+    ) -> ErrorProblem:
+        """The problem at the centre of a box, with an a-input for each function of the constants.
+
+        |p_k| <= |q_k|, where q_k = C_k x + E_k Y' + d_k, each with a multiplier of its own: for
+        many constants, where the hull has too many points.
+        """
+        channels, brackets = coefficients.over(box), largest_brackets(self.loop, box)
+        values = np.concatenate([channels.centre.ravel(), brackets])
+        return self._problem(error_form(self.loop, values, self.Xe), adaptation, channels)
+
+    def _problem(
+        self, form: ErrorForm, adaptation: Adaptation | None, channels: Channels | None = None
+    ) -> ErrorProblem:
+        c, n = self.loop.coordinates, self.loop.n
+        inputs, none = self._uncertain, np.zeros((0, n + c.q + 3), dtype=object)
+        rows = none if channels is None else channels.rows
+        Ua = [*inputs.a, *(() if channels is None else (c.A @ channels.columns).T)]
+        Ub = [
+            *inputs.b,
+            *(
+                c.A[:, -1] * value * size
+                for value, size in zip(form.brackets, self.loop.sizes, strict=True)
+                if value != 0
+            ),
+        ]
+        sizes = [*self._Y, rational(1)]
+        Uy = [form.W[:, i] * sizes[i] for i in range(c.q + 2)] + [form.offset]
+        Xy = [self.Xe @ c.B[:, i] * sizes[i] for i in range(c.q + 1)] + [0 * form.offset] * 2
+        T = [rows[:, n + i] * sizes[i] for i in range(c.q + 3)]
         acting = [
             i
-            for i in range(q + 3)
-            if any(v != 0 for v in Uy[i]) or (in_a and any(v != 0 for v in Xy[i]))
+            for i in range(c.q + 3)
+            if _any(Uy[i]) or _any(T[i]) or (Ua and _any(Xy[i]))
         ]
-        problems.append(
-            ErrorProblem(
-                M=form.M,
-                Ua=Ua,
-                Ub=_columns(Ub, n),
-                Uy=_columns([Uy[i] for i in acting], n),
-                Xe=Xe,
-                Xy=_columns([Xy[i] for i in acting], n),
-                states=(in_a, in_b),
-                derivatives=tuple(acting),
-                adaptation=adaptation,
-            )
+        T = columns_of([T[i] for i in acting], len(rows))
+        own = tuple((rows[k : k + 1, :n], T[k : k + 1]) for k in range(len(rows)))
+        return ErrorProblem(
+            M=form.M,
+            Ua=columns_of(Ua, n),
+            Ub=columns_of(Ub, n),
+            Uy=columns_of([Uy[i] for i in acting], n),
+            Xe=self.Xe,
+            Xy=columns_of([Xy[i] for i in acting], n),
+            states=inputs.states,
+            derivatives=tuple(acting),
+            adaptation=adaptation,
+            selections=(*(inputs.selections or (None,) * len(inputs.a)), *own),
         )
-    return problems
 
 
-def _columns(columns: Sequence[np.ndarray], n: int) -> np.ndarray:
-    return np.array(columns, dtype=object).reshape(len(columns), n).T
+def _any(column: np.ndarray) -> bool:
+    return any(v != 0 for v in column)
 
 
 class VertexProgram:
@@ -237,3 +264,4 @@ def prove_vertices(
             bound = root_up(largest)
             return tuple(replace(proof, bound=bound) for proof in proofs)
     return None
+
