@@ -115,6 +115,8 @@ def check(problem: ErrorProblem, proof: Proof, target: int = 0) -> str:
         return "alpha is not positive"
     if any(v < 0 for v in (*lam, *nu, *k)):
         return "a multiplier is negative"
+    if problem.adaptation is not None and not problem.adaptation.gamma_is_positive_definite():
+        return "Gamma is not positive definite"
     leak = problem.leakage(alpha)
     if leak is None:
         return "alpha exceeds what the leakage allows"

@@ -93,9 +93,7 @@ def real(
         return math.inf
     if type(value) is int and abs(value) <= LARGEST_EXACT_INTEGER:
         result = float(value)
-    elif isinstance(value, RationalFloat) or (
-        type(value) is float and abs(value) <= MAX_MAGNITUDE
-    ):
+    elif isinstance(value, RationalFloat) or (type(value) is float and abs(value) <= MAX_MAGNITUDE):
         result = value
     else:
         result = _float_beside(number(key, value, names).expr, side)

@@ -7,6 +7,7 @@ digits. Computations take the nearest float, proofs the rational.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -40,9 +41,9 @@ class RationalFloat(float):
         self.exact = exact
         return self
 
-    def __getnewargs__(self) -> tuple[Fraction]:
+    def __reduce__(self) -> tuple[type[RationalFloat], tuple[Fraction]]:
         """For copies and for pickle."""
-        return (self.exact,)
+        return RationalFloat, (self.exact,)
 
     @property
     def text(self) -> str:
@@ -102,3 +103,20 @@ def _symbolic(value: Any) -> sympy.Expr:
     if isinstance(value, Fraction):
         return sympy.Rational(value.numerator, value.denominator)
     return value
+
+
+def exactly_positive_definite(matrix: Sequence[Sequence[Fraction]]) -> bool:
+    """Whether a symmetric matrix of rationals is positive definite: exactly, by its pivots."""
+    scale = math.lcm(*(entry.denominator for row in matrix for entry in row))
+    rows = [[int(entry * scale) for entry in row] for row in matrix]
+    last = 1  # Bareiss: every division is exact, and a pivot is a leading determinant
+    for k in range(len(rows)):
+        pivot = rows[k][k]
+        if pivot <= 0:
+            return False
+        for i in range(k + 1, len(rows)):
+            rows[i] = [
+                (pivot * rows[i][j] - rows[i][k] * rows[k][j]) // last for j in range(len(rows))
+            ]
+        last = pivot
+    return True

@@ -59,12 +59,7 @@ class Uncertainty:
         """The bounds of a table ``{tau, gamma, beta}`` whose numbers may be formulas."""
         keys = keys_of(cls)
         checks.known_keys("plant.uncertainty", table, keys, required=keys)
-        return cls(
-            **{
-                name: _upper_bounds(name, table[name], constants, n)
-                for name in keys
-            }
-        )
+        return cls(**{name: _upper_bounds(name, table[name], constants, n) for name in keys})
 
     def bound_formula(self, k: int, states: Sequence[str], offset: float) -> str:
         """The bound of w_k as a formula, with a norm that is smooth at zero and never above ||x||.
