@@ -27,7 +27,7 @@ SAME_NUMBERS = 1e-9
 
 
 def stated_error_system(system: System) -> ErrorSystem:
-    """The error system of the law, which its equations have been found to obey.
+    """The error system of the law, which its equations do obey.
 
     Its gains are exact rationals (as SymPy numbers).
 
@@ -78,8 +78,8 @@ def _disagreements(stated: ErrorSystem, equations: Equations, s: Signals) -> Ite
             yield f"the rate of {z} is another"
 
 
-def _identical(found: Any, expected: sympy.Expr) -> bool:
-    difference = sympy.expand(sympy.sympify(found) - expected)
+def _identical(formula: Any, expected: sympy.Expr) -> bool:
+    difference = sympy.expand(sympy.sympify(formula) - expected)
     return difference == 0 or sympy.cancel(sympy.together(difference)) == 0
 
 
@@ -105,9 +105,9 @@ def _compare_recursion(system: System) -> None:
     used = dict(zip(controller.symbols, controller.values, strict=True))
     for name, numbers in expected.items():
         group = controller.signals.all_parameters[name]
-        found = np.array([used[entry] for entry in group])
+        actual = np.array([used[entry] for entry in group])
         numbers = np.ravel(numbers)
-        if np.abs(found - numbers).max() > SAME_NUMBERS * np.abs(numbers).max():
+        if np.abs(actual - numbers).max() > SAME_NUMBERS * np.abs(numbers).max():
             raise NoCertificate(_refusal(system, f"its {name} is not that of the recursion"))
 
 
@@ -124,20 +124,20 @@ def _exact_values(s: Signals, numbers: Mapping[str, Any]) -> dict[sympy.Symbol, 
 
 
 def _with_values(stated: ErrorSystem, values: Mapping[sympy.Symbol, Any]) -> ErrorSystem:
-    def put(formula: Any) -> Any:
+    def substituted(formula: Any) -> Any:
         return sympy.sympify(formula).xreplace(values)
 
     if isinstance(stated, KnownParameters):
-        return KnownParameters(put(stated.g_n), tuple(map(put, stated.theta)))
+        return KnownParameters(substituted(stated.g_n), tuple(map(substituted, stated.theta)))
     return EstimatedParameters(
         delta_hat=stated.delta_hat,
-        gain_rate=put(stated.gain_rate),
-        leak_gain=put(stated.leak_gain),
-        leak_theta=put(stated.leak_theta),
-        delta0=put(stated.delta0),
+        gain_rate=substituted(stated.gain_rate),
+        leak_gain=substituted(stated.leak_gain),
+        leak_theta=substituted(stated.leak_theta),
+        delta0=substituted(stated.delta0),
         theta_hat=stated.theta_hat,
-        theta0=tuple(map(put, stated.theta0)),
-        Gamma=tuple(tuple(map(put, row)) for row in stated.Gamma),
+        theta0=tuple(map(substituted, stated.theta0)),
+        Gamma=tuple(tuple(map(substituted, row)) for row in stated.Gamma),
     )
 
 
