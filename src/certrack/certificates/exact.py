@@ -30,7 +30,8 @@ PROOF_DIGITS = 13
 #: bound by less than 1e-6; where the last fails, the solution is not worth having.
 BACK_OFF = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 
-#: Added to every lam, so that a multiplier the solver put at zero still leaves room in the matrix.
+#: Added to every lam, as part of its natural unit, so that a multiplier the solver put at zero still
+#: leaves room in the matrix.
 MULTIPLIER_FLOOR = 1e-12
 
 #: Digits of a printed bound: it exceeds the exact one by a relative 1e-11 at most.
@@ -81,7 +82,8 @@ def prove(problem: ErrorProblem, solution: Solution, target: int = 0) -> Proof |
         scale = 1 + slack
         P = scale * (solution.P + solution.P.T) / 2
         texts = tuple(tuple(decimal_text(v) for v in row) for row in P)
-        lam = tuple(decimal_text(v * scale + MULTIPLIER_FLOOR) for v in solution.lam)
+        least = MULTIPLIER_FLOOR * solution.lam_unit
+        lam = tuple(decimal_text(v * scale + w) for v, w in zip(solution.lam, least, strict=True))
         nu, k = (
             tuple(decimal_text(v * scale**2 + slack * solution.delta) for v in values)
             for values in (solution.nu, solution.k)
@@ -115,6 +117,8 @@ def check(problem: ErrorProblem, proof: Proof, target: int = 0) -> str:
         return "alpha is not positive"
     if any(v < 0 for v in (*lam, *nu, *k)):
         return "a multiplier is negative"
+    if problem.adaptation is not None and not problem.adaptation.gamma_is_positive_definite():
+        return "Gamma is not positive definite"
     leak = problem.leakage(alpha)
     if leak is None:
         return "alpha exceeds what the leakage allows"

@@ -46,10 +46,17 @@ MAX_ITERATIONS = 100
 #: that one which no input reaches gets a size, too; and the least square of a size.
 SCALING_FLOOR, LEAST_SQUARE = 1e-6, 1e-300
 
+#: Steps that find the sizes, and by which factor the last may still change them among each other:
+#: a step reaches sizes that differ by 1e3.
+SCALING_STEPS, SCALED_ENOUGH = 20, 1.5
+
 
 @dataclass(frozen=True)
 class Solution:
-    """A point of the program, in unscaled coordinates."""
+    """A point of the program, in unscaled coordinates.
+
+    `lam_unit` is what a lam of 1 in the scaled ones is here, for each a-input.
+    """
 
     alpha: float
     P: np.ndarray
@@ -57,6 +64,7 @@ class Solution:
     nu: np.ndarray
     k: np.ndarray
     delta: float
+    lam_unit: np.ndarray
 
     @property
     def bound(self) -> float:
@@ -73,8 +81,8 @@ class SemidefiniteProgram:
         In floats.
     target : int
         Which e_i is to be bounded (from 0): P >= e_i e_i^T.
-    scaling : (n,) array and float, optional
-        Sizes of the e_i and of the a-inputs; natural ones if left out.
+    scaling : Scaling, optional
+        The natural one if left out.
 
     Attributes
     ----------
@@ -90,11 +98,11 @@ class SemidefiniteProgram:
         self,
         problem: ErrorProblem,
         target: int = 0,
-        scaling: tuple[np.ndarray, float] | None = None,
+        scaling: Scaling | None = None,
     ) -> None:
         self.problem, self.target = problem, target
-        self._scale, self._reach = scaling or scaling_of(problem)
-        self._scaled = rescaled(problem, self._scale, self._reach)
+        self.scaling = scaling or Scaling.of(problem)
+        self._scaled = self.scaling.applied(problem)
         n = problem.n
         self._na, self._nb, self._ny = problem.counts
         self.entries = self._free_entries(n)
@@ -106,13 +114,13 @@ class SemidefiniteProgram:
         unit[target, target] = 1.0
         floor = np.zeros((n * (n + 1) // 2, len(identity)))
         for column, matrix in enumerate(self._units()):
-            floor[:, column] = -svec(matrix)
-        self.floor = floor, -svec(unit)
+            floor[:, column] = -_svec(matrix)
+        self.floor = floor, -_svec(unit)
         multipliers = -identity[len(self.entries) :]
         self._base = np.vstack([base, floor, multipliers])
         self._slope = np.vstack([slope, np.zeros((len(floor) + len(multipliers), len(identity)))])
         self._right = np.concatenate(
-            [np.zeros(size * (size + 1) // 2), -svec(unit), np.zeros(len(multipliers))]
+            [np.zeros(size * (size + 1) // 2), -_svec(unit), np.zeros(len(multipliers))]
         )
         self._cones = [clarabel.PSDTriangleConeT(size), clarabel.PSDTriangleConeT(n)]
         if len(multipliers):
@@ -135,7 +143,7 @@ class SemidefiniteProgram:
         return units
 
     def _columns(self) -> tuple[np.ndarray, np.ndarray]:
-        """svec of the inequality for each variable: the part without alpha and its slope."""
+        """_svec of the inequality for each variable: the part without alpha and its slope."""
         na, nb, ny = self._na, self._nb, self._ny
         zero = np.zeros((self.problem.n, self.problem.n))
         lam, nu, k = (np.zeros(count) for count in (na, nb, ny))
@@ -143,13 +151,13 @@ class SemidefiniteProgram:
         for matrix in self._units():
             first = self._scaled.inequality(matrix, lam, nu, k, 0.0)
             second = self._scaled.inequality(matrix, lam, nu, k, 1.0)
-            base.append(svec(first))
-            slope.append(svec(second - first))
+            base.append(_svec(first))
+            slope.append(_svec(second - first))
         for group, count in enumerate((na, nb, ny)):
             for index in range(count):
                 weights = (np.zeros(na), np.zeros(nb), np.zeros(ny))
                 weights[group][index] = 1.0
-                column = svec(self._scaled.inequality(zero, *weights, 0.0))
+                column = _svec(self._scaled.inequality(zero, *weights, 0.0))
                 base.append(column)
                 slope.append(np.zeros_like(column))
         return np.array(base).T, np.array(slope).T
@@ -173,9 +181,9 @@ class SemidefiniteProgram:
         cost = np.zeros(self._base.shape[1])
         cost[len(self.entries) + self._na :] = 1.0  # nu and k; the lam cost nothing
         if self.problem.adaptation is not None:
-            cost[len(self.entries) - 1] = leak / self._scale[-1] ** 2
+            cost[len(self.entries) - 1] = leak * self.scaling.time / self.scaling.sizes[-1] ** 2
         cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
-        variables = self._call(cost, self._base + alpha * self._slope)
+        variables = self._call(cost, self._base + alpha * self.scaling.time * self._slope)
         return None if variables is None else self._unscaled(variables, alpha, leak)
 
     def _call(self, cost: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
@@ -196,17 +204,14 @@ class SemidefiniteProgram:
         return np.array(result.x) if result.status in usable else None
 
     def _unscaled(self, x: np.ndarray, alpha: float, leak: Any) -> Solution:
-        n, count = self.problem.n, len(self.entries)
-        P = np.zeros((n, n))
-        x = x * self._scale[self.target] ** 2
-        for (i, j), value in zip(self.entries, x[:count], strict=True):
-            P[i, j] = P[j, i] = value / (self._scale[i] * self._scale[j])
-        lam, nu, k = np.split(np.maximum(x[count:], 0.0), [self._na, self._na + self._nb])
-        lam = lam / self._reach**2
+        count = len(self.entries)
+        P = self.scaling.unscaled_P(self.entries, x[:count], self.target)
+        lam, nu, k = self.scaling.unscaled_multipliers(self.problem, x[count:], self.target)
+        lam_unit = self.scaling.lam_units(self.problem, self.target)
         delta = float(nu.sum() + k.sum())
         if self.problem.adaptation is not None:
             delta += float(P[-1, -1] * leak)
-        return Solution(alpha, P, lam, nu, k, delta)
+        return Solution(alpha, P, lam, nu, k, delta, lam_unit)
 
 
 def best_solution(program: SemidefiniteProgram) -> Solution | None:
@@ -234,48 +239,133 @@ def best_solution(program: SemidefiniteProgram) -> Solution | None:
     return min(solutions.values(), key=lambda solution: solution.bound)
 
 
-def scaling_of(problem: ErrorProblem) -> tuple[np.ndarray, float]:
-    """Sizes of the e_i and of the a-inputs by which a program is scaled."""
-    scale = natural_scale(problem)
-    return scale, float(np.linalg.norm(problem.Xe * scale)) or 1.0
+@dataclass(frozen=True)
+class Scaling:
+    """Units in which a program is of order one: e_i = sizes_i e^_i, and time in `time` seconds.
+
+    A can have entries of 1e5, and a state can be an angle in radians or in microns; without this
+    the solver sees nothing but the largest.
+
+    Attributes
+    ----------
+    time : float, s
+        In which the slowest pole of the error system decays.
+    sizes : (n,) array
+        Typical size of each e_i.
+    """
+
+    time: float
+    sizes: np.ndarray
+
+    @classmethod
+    def of(cls, problem: ErrorProblem) -> Scaling:
+        """The natural scaling: the sizes are roots of a Gramian's diagonal, under full inputs.
+
+        How large the a-inputs are, which are bounded by ||x||, shows from the size that the others
+        give to x; where there are no others, any size will do.
+        """
+        slowest = -float(np.linalg.eigvals(problem.M).real.max())
+        time = 1 / slowest if slowest > 0 else 1.0
+        timed = _timed(problem, time)
+        bounded = np.hstack([timed.Ub, timed.Uy])
+        sizes = _size_under(timed, bounded) if bounded.any() else np.zeros(problem.n)
+        reached = timed.Ua * _reach(problem, sizes)
+        return cls(time, _size_under(timed, np.hstack([bounded, reached])))
+
+    def applied(self, problem: ErrorProblem) -> ErrorProblem:
+        """The same problem in these units, with a_k in those of what bounds it."""
+        timed, sizes, reach = _timed(problem, self.time), self.sizes, _reach(problem, self.sizes)
+        whole = _norm(problem.Xe * sizes, problem.Xy)
+        selections = tuple(
+            None if part is None else (part[0] * (whole / r), _divided(part[1], r))
+            for part, r in zip(problem.selections, reach, strict=False)
+        )
+        return replace(
+            timed,
+            M=timed.M / sizes[:, None] * sizes[None, :],
+            Ua=timed.Ua * reach / sizes[:, None],
+            Ub=timed.Ub / sizes[:, None],
+            Uy=timed.Uy / sizes[:, None],
+            Xe=timed.Xe * sizes[None, :] / whole,
+            Xy=timed.Xy / whole,
+            selections=selections,
+        )
+
+    def unscaled_P(
+        self, entries: list[tuple[int, int]], values: np.ndarray, target: int
+    ) -> np.ndarray:
+        """P in the problem's units, from the entries of a program whose target is of size 1."""
+        P = np.zeros((len(self.sizes), len(self.sizes)))
+        for (i, j), value in zip(entries, values * self.sizes[target] ** 2, strict=True):
+            P[i, j] = P[j, i] = value / (self.sizes[i] * self.sizes[j])
+        return P
+
+    def unscaled_multipliers(
+        self, problem: ErrorProblem, values: np.ndarray, target: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """lam, nu and k in the problem's units."""
+        na, nb, _ = problem.counts
+        scaled = np.maximum(values, 0.0) * (self.sizes[target] ** 2 / self.time)
+        lam, nu, k = np.split(scaled, [na, na + nb])
+        return lam / _reach(problem, self.sizes) ** 2, nu, k
+
+    def lam_units(self, problem: ErrorProblem, target: int) -> np.ndarray:
+        """What a lam of 1 in a program is in the problem's units."""
+        scale: float = self.sizes[target] ** 2 / self.time
+        units: np.ndarray = scale / _reach(problem, self.sizes) ** 2
+        return units
 
 
-def natural_scale(problem: ErrorProblem) -> np.ndarray:
-    """Typical size of each e_i under unit inputs: root of the Gramian's diagonal."""
-    inputs = np.hstack([problem.Ua, problem.Ub, problem.Uy])
-    drive = inputs @ inputs.T
-    if not np.isfinite(drive).all():
-        raise OverflowError("the squares of the inputs overflow")
-    weight = float(np.trace(drive)) or 1.0
-    drive = drive + SCALING_FLOOR * weight * np.eye(problem.n)
+def _timed(problem: ErrorProblem, unit: float) -> ErrorProblem:
+    """The same problem with rates per `unit` seconds; the estimates' part is scaled as a number."""
+    rates = {name: getattr(problem, name) * unit for name in ("M", "Ua", "Ub", "Uy")}
+    return replace(problem, **rates)
+
+
+def _reach(problem: ErrorProblem, sizes: np.ndarray) -> np.ndarray:
+    """Typical size of what bounds each a-input, where the e_i have these sizes and the y_i are 1."""
+    whole = _norm(problem.Xe * sizes, problem.Xy)
+    reach = np.full(problem.counts[0], whole)
+    for k, part in enumerate(problem.selections):
+        if part is not None:
+            S, T = part
+            through_y = S @ problem.Xy
+            reach[k] = _norm(S @ problem.Xe * sizes, through_y if T is None else through_y + T)
+    return reach
+
+
+def _norm(through_e: np.ndarray, through_y: np.ndarray) -> float:
+    return math.hypot(float(np.linalg.norm(through_e)), float(np.linalg.norm(through_y))) or 1.0
+
+
+def _divided(matrix: np.ndarray | None, by: float) -> np.ndarray | None:
+    return None if matrix is None else matrix / by
+
+
+def _size_under(problem: ErrorProblem, inputs: np.ndarray) -> np.ndarray:
+    """The sizes, found step by step in units of the last ones.
+
+    In one step an e_i that is 1e8 times smaller than another would drown in the roundings.
+    """
+    size = np.ones(problem.n)
     if np.linalg.eigvals(problem.M).real.max() >= 0:
-        return np.ones(problem.n)
-    gramian = solve_continuous_lyapunov(problem.M, -drive)
-    size: np.ndarray = np.sqrt(np.maximum(np.diag(gramian), LEAST_SQUARE))
+        return size
+    for _ in range(SCALING_STEPS):
+        rates, drive = problem.M / size[:, None] * size, inputs / size[:, None]
+        drive = drive @ drive.T
+        if not np.isfinite(drive).all():
+            raise OverflowError("the squares of the inputs overflow")
+        weight = float(np.trace(drive)) or 1.0
+        drive = drive + SCALING_FLOOR * weight * np.eye(problem.n)
+        gramian = np.diag(solve_continuous_lyapunov(rates, -drive))
+        change = np.sqrt(np.maximum(gramian, LEAST_SQUARE))
+        size = size * change
+        if change.max() < SCALED_ENOUGH * change.min():
+            break
     return size
 
 
-def rescaled(problem: ErrorProblem, scale: np.ndarray, reach: float) -> ErrorProblem:
-    """The same problem in e_i = scale_i e^_i and a_k = reach a^_k, all of order one.
-
-    A can have entries of 1e5; without this the solver sees nothing but the largest.
-    """
-    return replace(
-        problem,
-        M=problem.M / scale[:, None] * scale[None, :],
-        Ua=problem.Ua * reach / scale[:, None],
-        Ub=problem.Ub / scale[:, None],
-        Uy=problem.Uy / scale[:, None],
-        Xe=problem.Xe * scale[None, :] / reach,
-        Xy=problem.Xy / reach,
-        selections=tuple(
-            None if part is None else (part[0], None if part[1] is None else part[1] / reach)
-            for part in problem.selections
-        ),
-    )
-
-
-def svec(matrix: np.ndarray) -> np.ndarray:
+def _svec(matrix: np.ndarray) -> np.ndarray:
     """Upper triangle, column by column, off-diagonals times sqrt 2 (Clarabel's convention)."""
     rows, columns = np.tril_indices(len(matrix))  # (j, i) of the upper triangle, by columns
     entries: np.ndarray = matrix[columns, rows].copy()

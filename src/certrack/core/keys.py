@@ -28,6 +28,7 @@ KIND_WORDS = {
     "distribution": "number or distribution",
     "distributions": "list of numbers or distributions",
     "distributions by name": "a number or distribution per name",
+    "flag": "true or false",
     "formula": "formula",
     "formulas": "list of formulas",
     "integer": "whole number",
@@ -189,6 +190,10 @@ class Key:
                 )
             case "metric":
                 return self._metric(key, value, constants)
+            case "flag":
+                if not isinstance(value, bool):
+                    raise InputError(key, "must be true or false", checks.as_written(value))
+                return value
             case "text":
                 return checks.text(key, value)
             case "texts" | "names":

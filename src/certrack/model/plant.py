@@ -187,10 +187,10 @@ class Plant:
             linear=self._check_linear(n, values),
             drift=parse("plant.drift", self.drift, names),
             regressor=tuple(parse(f"plant.regressor[{i}]", v, names) for i, v in enumerate(phi)),
-            uncertainty=self._check_uncertainty(n),
         )
         self._check_parameters(values)
         self._check_ranges(values)
+        set_fields(self, uncertainty=self._check_uncertainty(n))
         if self.units is not None:
             set_fields(self, units=keys["units"].checked("plant.units", self.units, count=n + 1))
 
@@ -199,7 +199,16 @@ class Plant:
         if bounds is None or (isinstance(bounds, Uncertainty) and bounds == UNSTATED):
             return Uncertainty.none(n)
         if isinstance(bounds, Mapping):
-            return Uncertainty.from_table(bounds, n, self.constant_values)
+            moved = self._moved(dict(self.constants))
+            fixed = {k: v for k, v in self.constant_values.items() if k not in moved}
+            try:
+                return Uncertainty.from_table(bounds, n, fixed)
+            except InputError as problem:
+                if not any(f"{name!r}" in problem.expected for name in moved):
+                    raise
+                message = "must not depend on a constant with a range"
+                remedy = "State the largest value that it can have"
+                raise InputError(problem.key, message, problem.got, remedy) from None
         if not isinstance(bounds, Uncertainty):
             raise InputError("plant.uncertainty", "must be an Uncertainty", bounds)
         for name in ("tau", "gamma", "beta"):

@@ -233,7 +233,7 @@ class Population:
             return Distribution("uniform", box)
 
         gain, theta, u = plant.input_gain_range, plant.theta_range, plant.uncertainty
-        disturbed = any(t * (g + b) for t, g, b in zip(u.tau, u.gamma, u.beta, strict=True))
+        disturbed = any(t and u.acts(k) for k, t in enumerate(u.tau))
         return cls(
             input_gain=uniform(gain) if gain else None,
             theta=tuple(uniform(box) for box in theta) if theta else None,

@@ -6,19 +6,30 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.keys import check_fields, keyed, keys_of
+from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 
 
 @dataclass(frozen=True)
 class Uncertainty:
     """Bounds of the uncertain terms: |w_k(t, x)| <= gamma_k ||x|| + beta_k (Assumption 1).
 
+    With `S` and `Delta`, |w_k| <= gamma_k ||S_k x|| + sum_j Delta_kj |x_j| + beta_k. All bounds speak
+    of w_k before it is multiplied with tau_k.
+
     Parameters
     ----------
     tau, gamma, beta : n numbers >= 0
         Strength of w_k in the plant, and its growth and offset bounds.
+    Delta : n rows of n numbers >= 0, optional
+        Growth with each state by itself.
+    S : n numbers >= 0, or n rows of them, optional
+        Weights of the states in the norm of gamma: of all norms, or row k of that of w_k.
+    constants_vary : bool
+        Whether constants with a range may vary in time; otherwise they stand still.
 
     Raises
     ------
@@ -45,8 +56,35 @@ class Uncertainty:
         least=0,
     )
 
+    Delta: tuple[tuple[float, ...], ...] | None = keyed(
+        "rows",
+        None,
+        help="growth with each state by itself: |w_k| <= sum_j Delta_kj |x_j| + ...",
+        shape="n rows of n numbers",
+        least=0,
+        otherwise="none",
+    )
+    S: tuple[float, ...] | tuple[tuple[float, ...], ...] | None = keyed(
+        "any",
+        None,
+        help="weights of the states in the norm, gamma_k ||S_k x||; row k is the diagonal of S_k",
+        shape="n numbers, or n rows of n numbers",
+        least=0,
+        otherwise="one",
+    )
+    constants_vary: bool = keyed(
+        "flag",
+        False,
+        help="whether constants with a range may vary in time",
+    )
+
     def __post_init__(self) -> None:
-        check_fields(self, "plant.uncertainty")
+        for name in ("tau", "gamma", "beta"):
+            set_fields(self, **{name: _upper_bounds(name, getattr(self, name))})
+        n = len(self.tau)
+        for name in ("Delta", "S"):
+            set_fields(self, **{name: _weights(name, getattr(self, name), n)})
+        check_fields(self, "plant.uncertainty", "constants_vary")
         for name in ("gamma", "beta"):
             values = getattr(self, name)
             if len(values) != len(self.tau):
@@ -55,15 +93,36 @@ class Uncertainty:
 
     @classmethod
     def from_table(cls, table: Any, n: int, constants: Mapping[str, Any]) -> Uncertainty:
-        """The bounds of a table ``{tau, gamma, beta}`` whose numbers may be formulas."""
+        """The bounds of a table ``{tau, gamma, beta ...}`` whose numbers may be formulas."""
         keys = keys_of(cls)
-        checks.known_keys("plant.uncertainty", table, keys, required=keys)
-        return cls(
-            **{
-                name: key.checked(f"plant.uncertainty.{name}", table[name], constants, count=n)
-                for name, key in keys.items()
-            }
-        )
+        required = [name for name, key in keys.items() if key.required]
+        checks.known_keys("plant.uncertainty", table, keys, required=required)
+        values = {name: _upper_bounds(name, table[name], constants, n) for name in required}
+        for name in ("Delta", "S"):
+            values |= {name: _weights(name, table[name], n, constants)} if name in table else {}
+        if "constants_vary" in table:
+            values["constants_vary"] = table["constants_vary"]
+        return cls(**values)
+
+    def grows(self, k: int) -> bool:
+        """Whether the bound of w_k grows with the state."""
+        return self.gamma[k] > 0 or (self.Delta is not None and any(self.Delta[k]))
+
+    def acts(self, k: int) -> bool:
+        """Whether w_k may differ from zero."""
+        return self.grows(k) or self.beta[k] > 0
+
+    def norm_weights(self, k: int) -> tuple[float, ...]:
+        """Diagonal of S_k."""
+        if self.S is None:
+            return (1.0,) * len(self.tau)
+        return self.S[k] if isinstance(self.S[0], tuple) else self.S  # type: ignore[return-value]
+
+    def bound(self, k: int, x: np.ndarray) -> np.ndarray:
+        """The bound of w_k at states (n,) or (n, N)."""
+        weighted = (np.array(self.norm_weights(k)) * x.T).T
+        total: np.ndarray = self.gamma[k] * np.linalg.norm(weighted, axis=0) + self.beta[k]
+        return total if self.Delta is None else total + np.array(self.Delta[k]) @ np.abs(x)
 
     def bound_formula(self, k: int, states: Sequence[str], offset: float) -> str:
         """The bound of w_k as a formula, with a norm that is smooth at zero and never above ||x||.
@@ -76,9 +135,15 @@ class Uncertainty:
         offset : float
             The norm is sqrt(x.x + offset^2) - offset.
         """
-        square = " + ".join(f"{x}**2" for x in states)
-        norm = f"(sqrt({square} + {offset**2!r}) - {offset!r})"
+        squares = [
+            f"{x}**2" if weight == 1 else f"{weight!r}**2*{x}**2"
+            for x, weight in zip(states, self.norm_weights(k), strict=True)
+            if weight
+        ]
+        norm = f"(sqrt({' + '.join(squares) or 0} + {offset**2!r}) - {offset!r})"
         parts = [f"{self.gamma[k]!r}*{norm}"] if self.gamma[k] else []
+        for x, entry in zip(states, self.Delta[k] if self.Delta else (), strict=False):
+            parts += [f"{entry!r}*(sqrt({x}**2 + {offset**2!r}) - {offset!r})"] if entry else []
         parts += [repr(self.beta[k])] if self.beta[k] else []
         return " + ".join(parts) or "0"
 
@@ -87,3 +152,29 @@ class Uncertainty:
         """No uncertain terms at all."""
         zeros = (0.0,) * n
         return Uncertainty(zeros, zeros, zeros)
+
+
+def _upper_bounds(
+    name: str, values: Any, constants: Mapping[str, Any] | None = None, count: int | None = None
+) -> tuple[float, ...]:
+    """Numbers >= 0 that stand for the rationals of their texts; irrational ones from above."""
+    shape = keys_of(Uncertainty)[name].shape
+    key = f"plant.uncertainty.{name}"
+    return checks.reals(key, values, count, shape, constants, least=0, side=1)
+
+
+def _weights(
+    name: str, values: Any, count: int, constants: Mapping[str, Any] | None = None
+) -> Any:
+    """Rows of numbers >= 0; for S also one row for all; None if left out."""
+    if values is None:
+        return None
+    key = f"plant.uncertainty.{name}"
+    shape = keys_of(Uncertainty)[name].shape
+    rows = checks.sequence(key, values, count, f"{shape} (n = {count})")
+    if name == "S" and not any(isinstance(row, (list, tuple, np.ndarray)) for row in rows):
+        return checks.reals(key, rows, count, "one number per state", constants, least=0, side=1)
+    return tuple(
+        checks.reals(f"{key}[{k}]", row, count, "one number per state", constants, least=0, side=1)
+        for k, row in enumerate(rows)
+    )

@@ -14,6 +14,7 @@ from certrack.core.checks import number_or_text
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, parse
 from certrack.core.files import write_text
+from certrack.core.rationals import RationalFloat
 from certrack.laws import Law, known_laws
 from certrack.model.distribution import Distribution
 from certrack.model.implementation import Implementation
@@ -118,6 +119,8 @@ def _as_toml(value: Any) -> Any:
         return value.written
     if isinstance(value, Expression):
         return number_or_text(value.text)
+    if isinstance(value, RationalFloat):
+        return value.text
     if isinstance(value, dict):
         return {name: _as_toml(entry) for name, entry in value.items()}
     if isinstance(value, (tuple, list)):
@@ -138,7 +141,9 @@ def _plant_table(plant: Plant) -> dict[str, Any]:
     ranges = {"input_gain": values.pop("input_gain_range"), "theta": values.pop("theta_range")}
     ranges |= {name: [low, high] for name, low, high in values.pop("constant_ranges")}
     constants = dict(values.pop("constants"))
-    uncertainty = field_values(values.pop("uncertainty"))
+    uncertainty = _present(field_values(values.pop("uncertainty")))
+    if not uncertainty["constants_vary"]:
+        del uncertainty["constants_vary"]
     table = _present(values) | {"constants": constants}
     return table | {"ranges": _present(ranges), "uncertainty": uncertainty}
 

@@ -36,10 +36,8 @@ from certrack.certificates.ranges.loop import ErrorForm, RangedLoop, error_form
 from certrack.certificates.ranges.rational import Interval
 from certrack.certificates.semidefinite import (
     MAX_ITERATIONS,
+    Scaling,
     SemidefiniteProgram,
-    natural_scale,
-    rescaled,
-    svec,
 )
 
 
@@ -50,6 +48,7 @@ class VertexSolution:
     alpha: float
     P: np.ndarray
     multipliers: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
+    lam_units: tuple[np.ndarray, ...]
     delta: float
 
     @property
@@ -145,13 +144,8 @@ class VertexProgram:
 
     def __init__(self, problems: Sequence[ErrorProblem], target: int = 0) -> None:
         self.problems, self.target = problems, target
-        first = problems[0]
-        self._scale = natural_scale(first)
-        self._reach = float(np.linalg.norm(first.Xe * self._scale)) or 1.0
-        self._parts = [
-            SemidefiniteProgram(problem, target, scaling=(self._scale, self._reach))
-            for problem in problems
-        ]
+        self._scaling = Scaling.of(problems[0])
+        self._parts = [SemidefiniteProgram(problem, target, self._scaling) for problem in problems]
         self._build()
 
     def _build(self) -> None:
@@ -204,12 +198,12 @@ class VertexProgram:
         cost = np.zeros(self._base.shape[1])
         cost[count] = 1.0
         if self.problems[0].adaptation is not None:
-            cost[count - 1] = leak / self._scale[-1] ** 2
+            cost[count - 1] = leak * self._scaling.time / self._scaling.sizes[-1] ** 2
         cost /= cost.max()
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.max_iter = False, MAX_ITERATIONS
         zero = sparse.csc_matrix((len(cost), len(cost)))
-        matrix = (self._base + alpha * self._slope).tocsc()
+        matrix = (self._base + alpha * self._scaling.time * self._slope).tocsc()
         found = clarabel.DefaultSolver(
             zero, cost, matrix, self._right, self._cones, settings
         ).solve()
@@ -217,21 +211,18 @@ class VertexProgram:
         return self._unscaled(np.array(found.x), alpha, leak) if found.status in usable else None
 
     def _unscaled(self, x: np.ndarray, alpha: float, leak: Any) -> VertexSolution:
-        n, count = self.problems[0].n, len(self._entries)
-        x = x * self._scale[self.target] ** 2
-        P = np.zeros((n, n))
-        for (i, j), value in zip(self._entries, x[:count], strict=True):
-            P[i, j] = P[j, i] = value / (self._scale[i] * self._scale[j])
-        multipliers, start, delta = [], count + 1, 0.0
+        scaling, count = self._scaling, len(self._entries)
+        P = scaling.unscaled_P(self._entries, x[:count], self.target)
+        delta = x[count] * scaling.sizes[self.target] ** 2 / scaling.time
+        multipliers, start = [], count + 1
         for problem, size in zip(self.problems, self._sizes, strict=True):
-            na, nb, _ = problem.counts
-            lam, nu, k = np.split(np.maximum(x[start : start + size], 0.0), [na, na + nb])
-            multipliers.append((lam / self._reach**2, nu, k))
-            delta = max(delta, float(nu.sum() + k.sum()))
+            values = x[start : start + size]
+            multipliers.append(scaling.unscaled_multipliers(problem, values, self.target))
             start += size
         if self.problems[0].adaptation is not None:
             delta += float(P[-1, -1] * leak)
-        return VertexSolution(alpha, P, tuple(multipliers), delta)
+        units = tuple(scaling.lam_units(problem, self.target) for problem in self.problems)
+        return VertexSolution(alpha, P, tuple(multipliers), units, float(delta))
 
 
 def prove_vertices(
@@ -250,8 +241,12 @@ def prove_vertices(
         texts = tuple(tuple(decimal_text(v) for v in row) for row in P)
         alpha = decimal_text(solution.alpha * (1 - slack))
         largest, proofs = flint.fmpq(0), []
-        for problem, (lam, nu, k) in zip(problems, solution.multipliers, strict=True):
-            rounded = [tuple(decimal_text(v * scale + MULTIPLIER_FLOOR) for v in lam)]
+        numbers = zip(problems, solution.multipliers, solution.lam_units, strict=True)
+        for problem, (lam, nu, k), units in numbers:
+            least = MULTIPLIER_FLOOR * units
+            rounded = [
+                tuple(decimal_text(v * scale + w) for v, w in zip(lam, least, strict=True))
+            ]
             extra = slack * solution.delta
             rounded += [tuple(decimal_text(v * scale**2 + extra) for v in w) for w in (nu, k)]
             proof = Proof(alpha, texts, *rounded, "0")

@@ -137,7 +137,7 @@ class Members:
         if self.family is not None:
             numbers = self.family.numbers(population)
             for k in range(plant.n):
-                if u.gamma[k] + u.beta[k] > 0:
+                if u.acts(k):
                     columns |= {_disturbance_name(k, name): d for name, d in numbers.items()}
         return {name: entry for name, entry in columns.items() if entry is not None}
 
@@ -299,7 +299,7 @@ class Members:
         terms = []
         for k in range(plant.n):
             pattern = self._pattern(k, point, written=written)
-            varies = u.gamma[k] + u.beta[k] > 0
+            varies = u.acts(k)
             bound = u.bound_formula(k, plant.states, NORM_OFFSET) if varies else ""
             terms.append(f"({pattern})*({bound})" if varies else "0")
         return tuple(terms)
@@ -313,7 +313,7 @@ class Members:
             return f"({point[full]!r})" if written else full
 
         u = self.system.plant.uncertainty
-        if u.gamma[k] + u.beta[k] == 0:
+        if not u.acts(k):
             return "0"
         return self.family.pattern(number)
 

@@ -317,7 +317,7 @@ class Adversary:
         others: list[AdversaryPart] = [
             DisturbancePattern(k, plant.states, bound(k), fastest)
             for k in range(plant.n)
-            if u.tau[k] * (u.gamma[k] + u.beta[k]) > 0
+            if u.tau[k] > 0 and u.acts(k)
         ]
         if plant.input_gain_range and len(set(plant.input_gain_range)) > 1:
             others.append(TrueGain(plant.n, *plant.input_gain_range))
