@@ -1,0 +1,125 @@
+"""The search for the best bound over the ranges of the constants.
+
+Constants that may vary in time: one quadratic function, or the peak gains, for the whole box.
+Constants that stand still: cells, by peak gains first, for they take a tenth of the time; where the
+estimates of the adaptive law are in the loop, or where it helps, by quadratic functions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from certrack.certificates.ranges.cells import Cell, divided
+from certrack.certificates.ranges.proofs import CellProof, RangeProver
+from certrack.core.progress import Progress, silent
+
+#: Cells at most, by peak gains and by quadratic functions; and the part by which twice as many cells
+#: must lower the bound to be worth their time.
+MOST_CELLS, MOST_VERTEX_CELLS, WORTHWHILE = 64, 16, 0.02
+
+#: Worst cells of a partition by peak gains that are tried once more by a quadratic function.
+RETRIED = 8
+
+
+@dataclass(frozen=True)
+class RangeBounds:
+    """What was proven for the ranges of a system's constants.
+
+    Attributes
+    ----------
+    vertices, peak : CellProof or None
+        For the whole box, by one quadratic function and by peak gains: the constants may vary.
+    cells : tuple of CellProof
+        Of constants that stand still; empty if none were made.
+    """
+
+    vertices: CellProof | None
+    peak: CellProof | None
+    cells: tuple[CellProof, ...] = ()
+
+
+def bound_ranges(
+    prover: RangeProver, *, cells: bool, effort: str = "default", progress: Progress = silent
+) -> RangeBounds:
+    """Prove the best bounds.
+
+    Parameters
+    ----------
+    prover : RangeProver
+    cells : bool
+        Whether the constants stand still.
+    effort : {"fast", "default", "high"}
+        ``fast`` makes no cells, ``high`` four times as many.
+    progress : callable
+        Gets the number of cells, None and the bound so far.
+    """
+    vertices = prover.vertices(prover.box)
+    peak = prover.peak(prover.box) if prover.by_peak_gains else None
+    if not cells or effort == "fast" or not prover.box:
+        return RangeBounds(vertices, peak)
+    many = 4 if effort == "high" else 1
+    search = _Cells(prover, vertices, peak, progress)
+    found: list[tuple[CellProof, ...]] = []
+    if prover.by_peak_gains:
+        found.append(search.by_peak_gains(MOST_CELLS * many))
+    if not prover.by_peak_gains or not found[0]:
+        found.append(search.by_vertices(MOST_VERTEX_CELLS * many))
+    usable = [proofs for proofs in found if proofs]
+    return RangeBounds(vertices, peak, min(usable, key=largest, default=()))
+
+
+def largest(proofs: tuple[CellProof, ...]) -> float:
+    """The bound of a cover, as a float that is near it."""
+    return max(float(proof.bound) for proof in proofs)
+
+
+class _Cells:
+    """Covers of a box by proven cells."""
+
+    def __init__(
+        self,
+        prover: RangeProver,
+        vertices: CellProof | None,
+        peak: CellProof | None,
+        progress: Progress,
+    ) -> None:
+        self._prover, self._progress = prover, progress
+        self._known = {"vertices": vertices, "peak": peak}
+
+    def by_peak_gains(self, most: int) -> tuple[CellProof, ...]:
+        """Cells by peak gains; the worst of them by the better of the two."""
+        proofs = self._cover("peak", most)
+        for _ in range(RETRIED if proofs else 0):
+            worst = max(proofs, key=lambda cell: float(proofs[cell].bound))
+            other = self._prover.vertices(worst)
+            if other is None or float(other.bound) >= float(proofs[worst].bound):
+                break
+            proofs[worst] = other
+        return tuple(proofs.values())
+
+    def by_vertices(self, most: int) -> tuple[CellProof, ...]:
+        """Cells by quadratic functions."""
+        return tuple(self._cover("vertices", most).values())
+
+    def _cover(self, method: str, most: int) -> dict[Cell, CellProof]:
+        """Proven cells; empty where one of them has no proof."""
+        proofs: dict[Cell, CellProof | None] = {self._prover.box: self._known[method]}
+        prove: Callable[[Cell], CellProof | None] = getattr(self._prover, method)
+
+        def bound(cell: Cell) -> float:
+            if cell not in proofs:
+                proofs[cell] = prove(cell)
+            proof = proofs[cell]
+            return math.inf if proof is None else float(proof.bound)
+
+        report = partial(self._report, bound)
+        cells = divided(self._prover.box, bound, most, WORTHWHILE, report)
+        cover = {cell: proof for cell in cells if (proof := proofs[cell]) is not None}
+        return cover if len(cover) == len(cells) else {}
+
+    def _report(self, bound: Callable[[Cell], float], cells: list[Cell]) -> None:
+        largest_bound = max(map(bound, cells))
+        self._progress(len(cells), None, largest_bound if math.isfinite(largest_bound) else None)
