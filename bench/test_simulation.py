@@ -12,7 +12,8 @@ from scipy.integrate import solve_ivp
 import certrack
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
-from certrack.laws.backstepping import Gains, recursion
+from certrack.laws.backstepping import Gains
+from certrack.laws.recursion import recursion
 from certrack.loops.continuous import INTEGRAL_SCALE, close_loop, parameter_values
 from certrack.simulation.metrics import measure
 from certrack.simulation.simulator import Simulator, simulate

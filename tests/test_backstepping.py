@@ -13,7 +13,8 @@ import certrack
 from certrack.core.errors import DesignError, InputError
 from certrack.core.expressions import TIME, symbol
 from certrack.laws import Adaptive, Robust
-from certrack.laws.backstepping import Gains, recursion
+from certrack.laws.backstepping import Gains
+from certrack.laws.recursion import recursion
 from certrack.model.plant import Plant
 from certrack.testing import LawConformance
 

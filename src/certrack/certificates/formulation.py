@@ -19,6 +19,7 @@ from certrack.certificates.premises import refuse
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.stated import stated_error_system
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
+from certrack.laws.balanced import balanced, balancing_weights
 from certrack.model.uncertainty import Uncertainty
 from certrack.laws.error_system import KnownParameters
 from certrack.systems.system import System
@@ -133,6 +134,10 @@ def error_coordinates(system: System, number: ToNumber) -> ErrorCoordinates:
     if dtype is object:
         b = b + flint.fmpq(0)
     c = np.array([number(v) for v in gains.c], dtype=dtype)
+
+    if gains.coupling is not None:
+        weights = balancing_weights(plant.g, gains.c, gains.coupling)
+        return balanced(g, b, c, system.law.order(plant), weights, number)
 
     def weight(k: float) -> Any:
         return number(0) if k == float("inf") else 1 / (4 * number(k))

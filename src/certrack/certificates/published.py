@@ -203,6 +203,8 @@ def uncertainty_terms(system: System, number: ToNumber) -> tuple[Any, Any]:
     """G and H: the damping times the squared gamma-parts and beta-parts [28], [29]."""
     gains, u = system.law.gains(), system.plant.uncertainty
     assert gains.k is not None
+    if gains.coupling is not None:
+        raise NoCertificate("the published proof is of the paper's recursion, without law.coupling")
     if u.Delta is not None or u.S is not None:
         raise NoCertificate(
             "the published proof speaks of |w_k| <= gamma_k ||x|| + beta_k, without Delta and S"

@@ -17,7 +17,7 @@ import sympy
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
-from certrack.laws.backstepping import recursion
+from certrack.laws.recursion import recursion
 from certrack.laws.base import Equations, Signals
 from certrack.laws.error_system import ErrorSystem, EstimatedParameters, KnownParameters
 from certrack.systems.system import System

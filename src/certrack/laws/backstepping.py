@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from certrack.core import checks
-from certrack.core.errors import DesignError, InputError
+from certrack.core.errors import InputError
 from certrack.core.keys import set_fields
 
 #: A design with a larger coefficient is refused: the certificates square the coefficients, and the
@@ -41,11 +41,14 @@ class Gains:
         its beta-part. ``inf`` omits a term; all are omitted if left out (a lean design).
     p : n - 1 positive numbers or inf, optional
         Damping of the reference derivative that is not fed forward.
+    coupling : float > 0, optional
+        rho of the balanced recursion (:mod:`certrack.laws.balanced`); the paper's if left out.
     """
 
     c: tuple[float, ...]
     k: tuple[tuple[float, ...], ...] | None = None
     p: tuple[float, ...] | None = None
+    coupling: float | None = None
 
     def __post_init__(self) -> None:
         c = checks.reals("law.c", self.c, None, "c_1 ... c_n", above=0)
@@ -60,6 +63,15 @@ class Gains:
         )
         p = checks.reals("law.p", p, n - 1, "p_1 ... p_{n-1}", **limits)
         set_fields(self, c=c, k=k, p=p)
+        if self.coupling is not None:
+            set_fields(self, coupling=checks.real("law.coupling", self.coupling, above=0))
+            if not self.is_lean:
+                raise InputError(
+                    "law.coupling",
+                    "needs k and p to be inf: damping belongs to the paper's recursion",
+                    self.coupling,
+                    "Leave out k and p, or coupling",
+                )
 
     @property
     def is_lean(self) -> bool:
@@ -92,6 +104,8 @@ class ErrorCoordinates:
     nu_x, nu_Y : (n,) and (q+2,) arrays
         nu = nu_x . x + nu_Y . (y_d ... y_d^(q+1)) - h(x), the part all laws share: ubar of [25]
         without theta_hat.
+    weights : (n,) array, optional
+        s_1 ... s_n of the balanced recursion; 1 if left out.
     """
 
     A: np.ndarray
@@ -102,6 +116,7 @@ class ErrorCoordinates:
     g: np.ndarray
     nu_x: np.ndarray
     nu_Y: np.ndarray
+    weights: np.ndarray | None = None
 
     @property
     def n(self) -> int:
@@ -135,9 +150,13 @@ class ErrorCoordinates:
         """S - C - K of the error system e' = (S - C - K) e + ...
 
         It is what the open-loop rates [7], [11], [16] and, for e_n, [21] become with the virtual
-        controls and the law in them.
+        controls and the law in them. Balanced: V = sum s_i^2 e_i^2/2, and -g_{i} (s_i/s_{i+1})^2
+        below the diagonal.
         """
-        skew = np.diag(self.g, 1) - np.diag(self.g, -1)
+        below = self.g
+        if self.weights is not None:
+            below = below * (self.weights[:-1] / self.weights[1:]) ** 2
+        skew = np.diag(self.g, 1) - np.diag(below, -1)
         return skew - np.diag(self.c + self.kappa)
 
     @cached_property
@@ -156,57 +175,12 @@ class ErrorCoordinates:
         return float(np.abs(self.poles).max())
 
 
-def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCoordinates:
-    """Carry out the recursion in O(n^3).
-
-    Parameters
-    ----------
-    g : (n-1,) array
-        Virtual control coefficients, nonzero.
-    b : (n-1, n) array
-        Linear couplings b_ij, lower triangular.
-    gains : Gains
-    q : int
-        Feed-forward order, 0 <= q <= n-1.
-
-    Returns
-    -------
-    ErrorCoordinates
-
-    Raises
-    ------
-    InputError
-        If the number of gains or q does not fit the plant.
-    DesignError
-        If the damping terms overflow (they grow doubly exponentially with n).
-    """
-    n = len(g) + 1
-    if gains.n != n:
-        raise InputError("law.c", f"must be a list of {n}: c_1 ... c_n", list(gains.c))
-    q = checks.integer("law.feedforward", q, 0, n - 1)
-    assert gains.k is not None and gains.p is not None
-    weights = [(0.25 / np.array(row)).reshape(-1, 2).sum(axis=1) for row in gains.k]
-    with np.errstate(over="ignore", invalid="ignore"):
-        design = carry_out(
-            np.asarray(g, float), b, np.array(gains.c), weights, 0.25 / np.array(gains.p), q
-        )
-    if not all(map(_is_moderate, (design.kappa, design.nu_x, design.nu_Y, design.A, design.B))):
-        if gains.is_lean:
-            raise DesignError(
-                "law.c", "the design overflows", remedy="Lower c, or scale the states (chain)"
-            )
-        step = int(np.argmin(np.isfinite(design.kappa))) + 1
-        raise DesignError(
-            "law.k",
-            f"the damping overflows at step {step} of {n}: each step squares it",
-            remedy="Raise k and p, or leave them out (a lean design)",
-        )
-    return design
-
-
-def _is_moderate(coefficients: np.ndarray) -> bool:
-    finite = np.isfinite(coefficients).all()
-    return bool(finite and np.abs(coefficients).max() < LARGEST_COEFFICIENT)
+def is_moderate(design: ErrorCoordinates) -> bool:
+    """Whether the coefficients of a design are finite, and their squares too."""
+    parts = (design.kappa, design.nu_x, design.nu_Y, design.A, design.B)
+    return all(
+        bool(np.isfinite(part).all()) and np.abs(part).max() < LARGEST_COEFFICIENT for part in parts
+    )
 
 
 def carry_out(

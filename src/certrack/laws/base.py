@@ -20,7 +20,8 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, check_name, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.supported import check_symbols, normal_form
-from certrack.laws.backstepping import ErrorCoordinates, Gains, recursion
+from certrack.laws.backstepping import ErrorCoordinates, Gains
+from certrack.laws.recursion import recursion
 from certrack.laws.error_system import ErrorSystem
 from certrack.model.plant import MAX_ORDER, Plant
 
@@ -203,6 +204,8 @@ class Law(ABC):
         See :class:`certrack.laws.backstepping.Gains`.
     feedforward : int
         q, how many derivatives of y_d the virtual controls use; needs q + 1 bounded derivatives.
+    coupling : float > 0, optional
+        rho of :mod:`certrack.laws.balanced`; the paper's recursion if left out.
     """
 
     kind: ClassVar[str]
@@ -242,8 +245,16 @@ class Law(ABC):
         most=MAX_ORDER - 1,
     )
 
+    coupling: float | None = keyed(
+        "number",
+        None,
+        help="rho of the balanced recursion: poles set by c and rho alone, in any units",
+        above=0,
+        otherwise="the paper's recursion",
+    )
+
     def __post_init__(self) -> None:
-        gains = Gains(self.c, self.k, self.p)
+        gains = Gains(self.c, self.k, self.p, self.coupling)
         values: dict[str, Any] = {"c": gains.c}
         values |= {"k": gains.k} if self.k is not None else {}
         values |= {"p": gains.p} if self.p is not None else {}
@@ -286,7 +297,7 @@ class Law(ABC):
 
     def gains(self) -> Gains:
         """Gains of the recursion."""
-        return Gains(self.c, self.k, self.p)
+        return Gains(self.c, self.k, self.p, self.coupling)
 
     def coordinates(self, plant: Plant) -> ErrorCoordinates:
         """Carry out the recursion for `plant`."""

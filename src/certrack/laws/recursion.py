@@ -1,0 +1,60 @@
+"""The design of a law: the recursion of the paper, or the balanced one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from certrack.core import checks
+from certrack.core.errors import DesignError, InputError
+from certrack.laws.backstepping import ErrorCoordinates, Gains, carry_out, is_moderate
+from certrack.laws.balanced import balanced, balancing_weights
+
+
+def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCoordinates:
+    """Carry out the recursion in O(n^3).
+
+    Parameters
+    ----------
+    g : (n-1,) array
+        Virtual control coefficients, nonzero.
+    b : (n-1, n) array
+        Linear couplings b_ij, lower triangular.
+    gains : Gains
+    q : int
+        Feed-forward order, 0 <= q <= n-1.
+
+    Returns
+    -------
+    ErrorCoordinates
+
+    Raises
+    ------
+    InputError
+        If the number of gains or q does not fit the plant.
+    DesignError
+        If the damping terms overflow (they grow doubly exponentially with n).
+    """
+    n = len(g) + 1
+    if gains.n != n:
+        raise InputError("law.c", f"must be a list of {n}: c_1 ... c_n", list(gains.c))
+    q = checks.integer("law.feedforward", q, 0, n - 1)
+    assert gains.k is not None and gains.p is not None
+    g, c = np.asarray(g, float), np.array(gains.c)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if gains.coupling is None:
+            weights = [(0.25 / np.array(row)).reshape(-1, 2).sum(axis=1) for row in gains.k]
+            design = carry_out(g, b, c, weights, 0.25 / np.array(gains.p), q)
+        else:
+            design = balanced(g, b, c, q, balancing_weights(g, c, gains.coupling))
+    if not is_moderate(design):
+        if gains.is_lean:
+            raise DesignError(
+                "law.c", "the design overflows", remedy="Lower c, or scale the states (chain)"
+            )
+        step = int(np.argmin(np.isfinite(design.kappa))) + 1
+        raise DesignError(
+            "law.k",
+            f"the damping overflows at step {step} of {n}: each step squares it",
+            remedy="Raise k and p, or leave them out (a lean design)",
+        )
+    return design
