@@ -24,7 +24,7 @@ import numpy as np
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
 
 #: Significant digits of the weights: they are exact decimals, the same for floats and rationals.
-WEIGHT_DIGITS = 9
+WEIGHT_DIGITS = 12
 
 
 def balancing_weights(g: Sequence[float], c: Sequence[float], coupling: float) -> list[Fraction]:

@@ -2,11 +2,10 @@
 
 The exponentials at the ends of blocks of cells are balls (python-flint), rounded to floats whose
 error is known; inside a block the values c F_b E_j b are float products, with the rounding of every
-product counted. In a cell of width h
-
-    int |k| <= h/2 (|k_i| + |k_{i+1}|) + h^3/12 sup |k''|
-
-and |k''| is at most its value at the nearer end plus h/2 sup |k'''|. That, and the tail after the
+product counted. In a cell of width h, k is within h^2/8 sup |k''| of the line between its values at
+the ends. Where k thus keeps its sign, its integral is that of c M^-1 e^{Mt} b between the ends; else
+the integral of |k| is that of the absolute line, plus h^3/12 sup |k''|. |k''| is at most its value
+at the nearer end plus h/2 times the largest third derivative. That, and the tail after the
 last block, come from a P > 0 with (M + mu I)^T P + P (M + mu I) < 0, verified in rationals:
 |c e^{Ms} b| <= e^{-mu s} sqrt(c P^-1 c^T) sqrt(b^T P b). It also proves that M is stable.
 """
@@ -32,11 +31,14 @@ CELLS, FIRST_CELL, LATER_CELLS = 64, 0.05, 1 / 250
 #: The part of the slowest decay rate that the tail is proven with, and what it may add.
 DECAY_PART, TAIL = 0.5, 1e-9
 
+#: A state smaller than this against the first is not scaled.
+LEAST_SIZE = 1e-12
+
 #: Bits of the balls; blocks after which a loop is too stiff for this quadrature.
 PRECISION, MAX_BLOCKS = 256, 2000
 
-#: Unit roundoff of a float, and a bound for what underflows.
-UNIT, TINY = 2.0**-53, 1e-280
+#: Unit roundoff of a float; part of the largest entry that counts as zero; what underflows.
+UNIT, SMALL, TINY = 2.0**-53, 1e-40, 1e-280
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,11 @@ class Decay:
         return _roots(C * self.inverse * C.transpose())
 
 
-def proven_decay(M: np.ndarray) -> Decay:
+def proven_decay(M: np.ndarray, B: np.ndarray) -> Decay:
     """A rate with which e^{Mt} decays, verified in rationals.
+
+    P is made in units in which what the columns of B cause is of one size, so that it says the same
+    in whatever units the states are.
 
     Raises
     ------
@@ -71,8 +76,7 @@ def proven_decay(M: np.ndarray) -> Decay:
     mu = rational(Fraction(DECAY_PART * slowest))
     eye = np.eye(len(M), dtype=object)
     shifted = M + mu * eye
-    # scaled so that the states are of one size, or the floats of P would not do
-    scale = np.sqrt(np.diag(solve_continuous_lyapunov(floats, -np.diag(np.diag(floats) ** 2 + 1))))
+    scale = _sizes(floats, B.astype(float))
     moved = shifted.astype(float) / scale[:, None] * scale[None, :]
     P = solve_continuous_lyapunov(moved.T, -np.eye(len(M))) / np.outer(scale, scale)
     exact = np.vectorize(lambda v: rational(Fraction(float(v))), otypes=[object])((P + P.T) / 2)
@@ -81,6 +85,16 @@ def proven_decay(M: np.ndarray) -> Decay:
         raise NoCertificate("no decay of the loop could be proven for all constants of a cell")
     balls = balls_of(exact)
     return Decay(mu, balls, balls.inv())
+
+
+def _sizes(M: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Sizes of the states relative to the first, under the column that makes them largest."""
+    largest = np.full(len(M), LEAST_SIZE)
+    for b in B.T:
+        gramian = np.diag(solve_continuous_lyapunov(M, -np.outer(b, b)))
+        if gramian[0] > 0:
+            largest = np.fmax(largest, np.sqrt(np.maximum(gramian, 0) / gramian[0]))
+    return np.where(largest > LEAST_SIZE, largest, 1.0)
 
 
 def balls_of(matrix: np.ndarray) -> flint.arb_mat:
@@ -107,19 +121,19 @@ def peak_gains(M: np.ndarray, C: np.ndarray, B: np.ndarray) -> np.ndarray:
     if not B.shape[1]:
         return np.zeros((len(C), 0))
     with flint.ctx.workprec(PRECISION):
-        return _integrals(M, balls_of(M), balls_of(C), balls_of(B))
+        return _integrals(proven_decay(M, B), M, balls_of(C), balls_of(B))
 
 
 def _integrals(
-    exact: np.ndarray, M: flint.arb_mat, C: flint.arb_mat, B: flint.arb_mat
+    decay: Decay, exact: np.ndarray, C: flint.arb_mat, B: flint.arb_mat
 ) -> np.ndarray:
-    decay = proven_decay(exact)
+    M = balls_of(exact)
     eigenvalues = np.linalg.eigvals(exact.astype(float))
     first = FIRST_CELL / float(np.abs(eigenvalues).max())
     columns, right = rounded(B), decay.right(B)
     total = np.zeros((C.nrows(), B.ncols()))
     M2 = M * M
-    M3 = M2 * M
+    M3, integrated = M2 * M, C * M.inv()
     stacks: dict[int, np.ndarray] = {}
     t = flint.fmpq(0)
     for _ in range(MAX_BLOCKS):
@@ -129,10 +143,14 @@ def _integrals(
             stacks[level] = _steps(M, h)
         F = (M * flint.arb(t)).exp()
         rows = C * F
-        k = _values(rounded(rows), stacks[level], columns)
-        bend = _values(rounded(rows * M2), stacks[level], columns)
+        k, error = _values(rounded(rows), stacks[level], columns)
+        area, area_error = _values(rounded(integrated * F), stacks[level], columns)
+        bend, bend_error = _values(rounded(rows * M2), stacks[level], columns)
+        bend = np.abs(bend) + bend_error
         jerk = np.outer(decay.left(rows * M3), right)
-        total += _block(float(h), *k, *bend, jerk)
+        curvature = np.maximum(bend[:-1], bend[1:]) + float(h) / 2 * jerk
+        areas = np.abs(np.diff(area, axis=0)) + area_error[:-1] + area_error[1:]
+        total += _block(float(h), k, error, areas, curvature)
         t += h * CELLS
         tail = np.outer(decay.left(C * (M * flint.arb(t)).exp()), right) / float(decay.mu)
         if (tail <= TAIL * total + TINY).all():
@@ -158,44 +176,51 @@ def _steps(M: flint.arb_mat, h: Any) -> np.ndarray:
 def rounded(balls: flint.arb_mat) -> np.ndarray:
     """Floats of a ball matrix, each within 2 units of roundoff of what is in the ball.
 
+    Where that is (nearly) zero: within SMALL times the largest entry.
+
     Raises
     ------
     NoCertificate
         If a ball is too wide for that.
     """
     found = np.empty((balls.nrows(), balls.ncols()))
-    flat = balls.entries()
-    for i, ball in enumerate(flat):
-        mid = float(ball.mid())
-        if not ball.rad() <= UNIT * abs(ball.mid()) + TINY:
+    for i, ball in enumerate(balls.entries()):
+        found.flat[i] = float(ball.mid())
+    allowed = np.maximum(UNIT * np.abs(found), SMALL * np.abs(found).max(initial=0.0) + TINY)
+    for ball, most in zip(balls.entries(), allowed.flat, strict=True):
+        if not ball.rad() <= most:
             raise NoCertificate("the loop is too stiff for its peak gains to be enclosed")
-        found.flat[i] = mid
     return found
 
 
-def _values(rows: np.ndarray, steps: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """|c F E_j b| for all j, rounded up; and the values with sign. Shapes (j, rows, columns).
+def _values(
+    rows: np.ndarray, steps: np.ndarray, columns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """c F E_j b for all j, and what their roundings are below. Shapes (j, rows, columns).
 
     Each factor is within 2 units of its exact value and each of the two products rounds n times.
     """
     n = steps.shape[1]
-    value = rows @ steps @ columns
     size = np.abs(rows) @ np.abs(steps) @ np.abs(columns)
-    return np.abs(value) + (4 * n + 20) * UNIT * size + TINY, value
+    largest = np.abs(rows).max() * np.abs(steps).max() * np.abs(columns).max()
+    rounding = (4 * n + 20) * UNIT * size + 4 * n * n * SMALL * largest + TINY
+    return rows @ steps @ columns, rounding
 
 
 def _block(
-    h: float,
-    k: np.ndarray,
-    _k: np.ndarray,
-    bend: np.ndarray,
-    _bend: np.ndarray,
-    jerk: np.ndarray,
+    h: float, k: np.ndarray, error: np.ndarray, areas: np.ndarray, curvature: np.ndarray
 ) -> np.ndarray:
-    """Integral over a block, rounded up but for the roundings of the sums."""
-    curvature = np.maximum(bend[:-1], bend[1:]) + h / 2 * jerk
-    cells = h * (k[:-1] + k[1:]) / 2 + h**3 / 12 * curvature
-    total: np.ndarray = cells.sum(axis=0)
+    """Integral of |k| over a block, rounded up but for the roundings of the sums."""
+    size = np.abs(k) + error
+    low, high = size[:-1], size[1:]
+    least = np.minimum(np.abs(k) - error, 1e300)
+    apart = np.minimum(least[:-1], least[1:]) - h**2 / 8 * curvature * (1 + 8 * UNIT)
+    one_sign = (k[:-1] * k[1:] > 0) & (apart > 0)
+    line = np.where(
+        k[:-1] * k[1:] < 0, (low**2 + high**2) / (low + high + TINY), low + high
+    )
+    bent = h * line / 2 + h**3 / 12 * curvature
+    total: np.ndarray = np.where(one_sign, areas, bent).sum(axis=0)
     return total
 
 

@@ -18,7 +18,6 @@ proves limsup |q|, |x| <= v, for F is monotone, and homogeneous but for c.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,6 +31,9 @@ from certrack.certificates.ranges.coefficients import Coefficients, largest_brac
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import ErrorForm, RangedLoop, error_form
 from certrack.certificates.ranges.rational import Interval
+
+#: A value of this size is as good as infinite.
+UNBOUNDED = 1e100
 
 #: The fixed point is widened by this before it is checked, and the roundings of the check are less
 #: than this; iterations until it stands still.
@@ -100,7 +102,7 @@ def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Inter
     def image(v: np.ndarray) -> np.ndarray:
         size = float(np.linalg.norm(v[1 + nc :])) if growing else 0.0
         found: np.ndarray = constant + through @ v[1 : 1 + nc] + norm * size
-        return found
+        return np.minimum(found, UNBOUNDED)
 
     return PeakBound(_bound(image, len(constant)), tuple(levels))
 
@@ -161,13 +163,13 @@ def _bound(image: Any, count: int) -> float:
     v = np.zeros(count)
     for _ in range(ITERATIONS):
         after = image(v)
-        if not np.isfinite(after).all():
+        if after.max() >= UNBOUNDED:
             break
         if (after <= v * (1 + WIDENED / 10)).all():
             break
         v = after
     v = v * (1 + WIDENED) + LEAST
     after = image(v) * (1 + ROUNDING)
-    if not (after[1:] < v[1:]).all() or not math.isfinite(after[0]):
+    if not (after[1:] < v[1:]).all() or after.max() >= UNBOUNDED:
         raise NoCertificate("the loop's gain through the ranges is not below 1")
     return float(after[0])

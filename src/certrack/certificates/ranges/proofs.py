@@ -64,7 +64,7 @@ class RangeProver:
 
     def __init__(self, system: System) -> None:
         self.loop: RangedLoop = ranged_loop(system)
-        self._coefficients = Coefficients(self.loop)
+        self.coefficients = Coefficients(self.loop)
         self._problems = ProblemMaker(self.loop)
         self._adaptation = adaptation_of(system, rational)
 
@@ -93,7 +93,7 @@ class RangeProver:
     def peak(self, cell: Cell) -> CellProof | None:
         """A proof by peak gains, or None if there is none."""
         try:
-            bound = peak_bound(self.loop, self._coefficients, cell).bound
+            bound = peak_bound(self.loop, self.coefficients, cell).bound
         except NoCertificate:
             return None
         return CellProof(texts(cell), rounded_up(bound * (1 + PEAK_SLACK), PEAK_DIGITS))
@@ -105,7 +105,7 @@ class RangeProver:
             if not proof.points:
                 if not self.by_peak_gains:
                     return "peak gains prove nothing with estimates in the loop"
-                bound = peak_bound(self.loop, self._coefficients, cell).bound
+                bound = peak_bound(self.loop, self.coefficients, cell).bound
                 holds = rational(Fraction(bound)) <= from_text(proof.bound)
                 return "" if holds else "the bound is smaller than the peak gains give"
             problems = self._problems.at_points(cell, self._leakage(cell))
