@@ -106,11 +106,11 @@ def test_runs_leave_a_tube_that_is_too_small(mutant, runs, stages):
 
 def e_n_steps(system, stages):
     """Times, and bounds on |e_n| from each on, as the tube of the cascade uses them."""
-    problem, corners = error_problem(system, rational), [system.settings.x0]
-    start, _, alpha = _single_stage(system, problem, stages[0], corners, 1)
+    problem, starts = error_problem(system, rational), [system.settings.x0]
+    start, _, alpha = _single_stage(system, problem, stages[0], starts, 1)
     steps = _fall(start, alpha, problem, stages[0], 1)
     if len(stages) > 2:
-        steps = _centred_steps(system, problem, stages[:-1], corners, steps)
+        steps = _centred_steps(system, problem, stages[:-1], starts, steps)
     times, squares = np.array(steps).T
     return times, np.sqrt(squares) * float(stages[-2].bound)
 
