@@ -14,6 +14,7 @@ from certrack.certificates.certificate import (
 )
 from certrack.certificates.exact import Proof, prove, proven
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.own_multipliers import own_solution
 from certrack.certificates.published import certify_published, critical_strength
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.certificates.strength import critical_semidefinite
@@ -172,12 +173,15 @@ def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
         with within_floats():
             exact = error_problem(system, rational)
             solution = best_solution(SemidefiniteProgram(exact.in_floats()))
-            if solution is None:
+            proof = None if solution is None else prove(exact, solution)
+            if proof is None:
+                own = own_solution(system, exact)
+                proof = None if own is None else prove(exact, own)
+            if proof is None and solution is None:
                 raise NoCertificate(
                     "no certificate found: the uncertainty is too strong for this design; "
                     "lower tau, raise c, or use fewer damping terms"
                 )
-            proof = prove(exact, solution)
             if proof is None:
                 raise NoCertificate(
                     "the solver's certificate did not survive exact verification; rescale the "
