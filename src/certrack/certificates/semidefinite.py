@@ -151,6 +151,11 @@ class SemidefiniteProgram:
                 slope.append(np.zeros_like(column))
         return np.array(base).T, np.array(slope).T
 
+    @property
+    def slowest_pole(self) -> float:
+        """Rate of the slowest pole of the error system, 1/s."""
+        return 1 / self._time
+
     @cached_property
     def fastest(self) -> float:
         """Supremum of the alpha for which there may be a certificate, 1/s."""
