@@ -95,7 +95,9 @@ def test_hulls_contain_what_they_stand_for(texts_, ends):
     points = np.array([p.astype(float) for p in vector.points(box)])
     f = sympy.lambdify([a, b], entries)
     for u, v in itertools.product(np.linspace(0, 1, 4), repeat=2):
-        value = f(*(float(lo) + w * float(hi - lo) for w, (lo, hi) in zip((u, v), box, strict=True)))
+        value = f(
+            *(float(lo) + w * float(hi - lo) for w, (lo, hi) in zip((u, v), box, strict=True))
+        )
         size = np.abs(points).max(axis=0) + 1e-9
         found = linprog(
             np.zeros(len(points)),
@@ -122,7 +124,7 @@ def test_covers_are_recognised(seed):
         i = int(rng.integers(len(cells)))
         cells[i : i + 1] = halved(cells[i], [1, 1])
     assert covers(cells, box)
-    missing = cells[: -1] if len(cells) > 1 else []
+    missing = cells[:-1] if len(cells) > 1 else []
     assert not covers(missing, box)
     (a, b), other = cells[0]
     shrunk = [((a, b - (b - a) / 1000), other), *cells[1:]]
@@ -166,7 +168,7 @@ def test_an_unstable_matrix_has_no_peak_gain():
 def test_the_nominal_loop_is_the_design(name):
     loop = ranged_loop(case(name))
     form = error_form(loop, loop.entries.at(loop.nominal), ProblemMaker(loop).Xe)
-    assert (form.M == loop.coordinates.error_matrix).all()
+    assert (loop.coordinates.error_matrix == form.M).all()
     assert (form.W[:, :-1] == 0).all() and (form.W[:, -1] == -loop.coordinates.R).all()
     assert not form.offset.any()
 
@@ -175,8 +177,17 @@ def random_system(rng, law="robust"):
     """A chain of 2 to 4 states with one to three constants in any rational form."""
     n = int(rng.integers(2, 5))
     names = ["a", "b", "d"][: int(rng.integers(1, 4))]
-    pick = lambda: f"{rng.integers(1, 20) / 10}*" + rng.choice(  # noqa: E731
-        ["a", "1/a", *(["a*b", "a/b", "b"] if len(names) > 1 else []), *(["d/b"] if len(names) > 2 else []), "1"]
+    pick = lambda: (
+        f"{rng.integers(1, 20) / 10}*"
+        + rng.choice(  # noqa: E731
+            [
+                "a",
+                "1/a",
+                *(["a*b", "a/b", "b"] if len(names) > 1 else []),
+                *(["d/b"] if len(names) > 2 else []),
+                "1",
+            ]
+        )
     )
     states = [f"x{i + 1}" for i in range(n)]
     c = (rng.integers(20, 60, n) / 10).tolist()
@@ -192,7 +203,9 @@ def random_system(rng, law="robust"):
     plant = certrack.Plant(
         states=states,
         chain=[pick() for _ in range(n - 1)],
-        linear=[[f"({pick()})*{rng.integers(-10, 10) / 10}" for _ in range(i + 1)] for i in range(n - 1)],
+        linear=[
+            [f"({pick()})*{rng.integers(-10, 10) / 10}" for _ in range(i + 1)] for i in range(n - 1)
+        ],
         drift=drift,
         gain_sign=1,
         input_gain=pick(),
@@ -293,7 +306,9 @@ def test_bounds_of_the_joint_with_three_ranges():
     assert check_cover(system, bounds.cells, bound) == ""
 
 
-@pytest.mark.parametrize("seed", [*range(8), *(pytest.param(s, marks=pytest.mark.slow) for s in range(8, 60))])
+@pytest.mark.parametrize(
+    "seed", [*range(8), *(pytest.param(s, marks=pytest.mark.slow) for s in range(8, 60))]
+)
 def test_no_member_corner_or_reference_exceeds_a_bound(seed):
     rng = np.random.default_rng([seed, 2])
     system = random_system(rng)
@@ -392,7 +407,11 @@ def test_a_true_constant_outside_its_range_is_refused():
     with pytest.raises(InputError, match=r"truth.constants.c0: must lie in plant.ranges.c0"):
         JOINT.replace(truth=replace(JOINT.truth, constants={"c0": 2}))
     with pytest.raises(InputError, match=r"ensemble.constants.c0: must lie in plant.ranges.c0"):
-        JOINT.replace(population=certrack.Population(constants={"c0": certrack.Distribution("uniform", (0.5, 1))}))
+        JOINT.replace(
+            population=certrack.Population(
+                constants={"c0": certrack.Distribution("uniform", (0.5, 1))}
+            )
+        )
 
 
 def test_a_strength_that_follows_a_ranged_constant_is_refused():
@@ -471,7 +490,8 @@ def in_units(system, scale):
     d = [Fraction(str(v)) for v in scale]
     chain = [f"({g.text})*({d[i]})/({d[i + 1]})" for i, g in enumerate(plant.chain)]
     linear = [
-        [f"({b.text})*({d[i]})/({d[j]})" for j, b in enumerate(row)] for i, row in enumerate(plant.linear)
+        [f"({b.text})*({d[i]})/({d[j]})" for j, b in enumerate(row)]
+        for i, row in enumerate(plant.linear)
     ]
     drift = str(plant.drift.expr)
     for name, value in zip(plant.states, d, strict=True):
@@ -492,5 +512,3 @@ def in_units(system, scale):
         ),
         truth=replace(system.truth, input_gain=f"({plant.input_gain.text})*{d[-1]}", tau=None),
     )
-
-

@@ -20,8 +20,8 @@ from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.stated import stated_error_system
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
 from certrack.laws.balanced import balanced, balancing_weights
-from certrack.model.uncertainty import Uncertainty
 from certrack.laws.error_system import KnownParameters
+from certrack.model.uncertainty import Uncertainty
 from certrack.systems.system import System
 
 
@@ -53,7 +53,9 @@ def error_problem(system: System, number: ToNumber) -> ErrorProblem:
     inputs = uncertain_inputs(plant.uncertainty, A, number)
     bounds = [exact_float(v, number) for v in system.reference.bounds(q + 1).values]
     Xe = solve(A, np.eye(n, dtype=dtype))
-    in_x = [i for i in range(q + 1) if inputs.a and bounds[i] != 0 and any(coordinates.B[:, i] != 0)]
+    in_x = [
+        i for i in range(q + 1) if inputs.a and bounds[i] != 0 and any(coordinates.B[:, i] != 0)
+    ]
     residual = bool(bounds[q + 1] != 0 and any(coordinates.R != 0))
     Uy = np.zeros((n, len(in_x) + residual), dtype=dtype)
     Xy = np.zeros((n, len(in_x) + residual), dtype=dtype)

@@ -17,9 +17,9 @@ import sympy
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
-from certrack.laws.recursion import recursion
 from certrack.laws.base import Equations, Signals
 from certrack.laws.error_system import ErrorSystem, EstimatedParameters, KnownParameters
+from certrack.laws.recursion import recursion
 from certrack.systems.system import System
 
 #: Relative difference from the recursion's numbers that is a rounding and not another design.

@@ -21,8 +21,8 @@ from certrack.core.expressions import TIME, check_name, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.supported import check_symbols, normal_form
 from certrack.laws.backstepping import ErrorCoordinates, Gains
-from certrack.laws.recursion import recursion
 from certrack.laws.error_system import ErrorSystem
+from certrack.laws.recursion import recursion
 from certrack.model.plant import MAX_ORDER, Plant
 
 

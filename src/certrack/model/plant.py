@@ -280,7 +280,10 @@ class Plant:
         moved = self._moved(written)
         gain = self.input_gain
         if self.input_gain_range is not None and gain is not None and _mentions(gain, moved):
-            key, message = "plant.ranges.input_gain", "plant.input_gain already follows its constants"
+            key, message = (
+                "plant.ranges.input_gain",
+                "plant.input_gain already follows its constants",
+            )
             raise InputError(key, message, gain.text, "Leave one of the two ranges out")
         if self.theta_range is not None and any(_mentions(v, moved) for v in self.theta or ()):
             key, message = "plant.ranges.theta", "plant.theta already follows its constants"

@@ -64,7 +64,9 @@ def _rows(ranges: Any) -> list[tuple[str, Any]]:
         pairs = checks.name_value_pairs("plant.ranges", ranges)
     else:
         pairs = [(name, ends) for name, *ends in ranges]
-    return [(name, checks.sequence(f"plant.ranges.{name}", v, 2, "[low, high]")) for name, v in pairs]
+    return [
+        (name, checks.sequence(f"plant.ranges.{name}", v, 2, "[low, high]")) for name, v in pairs
+    ]
 
 
 def _refuse_formulas_of_each_other(
@@ -89,9 +91,7 @@ def dependents(names: set[str], constants: Mapping[str, Expression]) -> set[str]
     return found
 
 
-def open_constants(
-    constants: Mapping[str, Expression], ranged: set[str]
-) -> dict[str, sympy.Expr]:
+def open_constants(constants: Mapping[str, Expression], ranged: set[str]) -> dict[str, sympy.Expr]:
     """Every constant as a formula of those with a range, which stay symbols."""
     values: dict[str, sympy.Expr] = {}
     for name, value in constants.items():

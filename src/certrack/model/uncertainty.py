@@ -163,9 +163,7 @@ def _upper_bounds(
     return checks.reals(key, values, count, shape, constants, least=0, side=1)
 
 
-def _weights(
-    name: str, values: Any, count: int, constants: Mapping[str, Any] | None = None
-) -> Any:
+def _weights(name: str, values: Any, count: int, constants: Mapping[str, Any] | None = None) -> Any:
     """Rows of numbers >= 0; for S also one row for all; None if left out."""
     if values is None:
         return None

@@ -88,9 +88,7 @@ def largest_brackets(loop: RangedLoop, box: Sequence[Interval]) -> np.ndarray:
     return np.array([max(abs(a), abs(b)) for a, b in pairs], dtype=object)
 
 
-def _parts(
-    entry: sympy.Expr, symbols: Sequence[sympy.Symbol]
-) -> list[tuple[sympy.Expr, Any]]:
+def _parts(entry: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> list[tuple[sympy.Expr, Any]]:
     """The entry as a sum of numbers times functions (with the coefficient 1) of the symbols."""
     if not entry.free_symbols:
         return [(sympy.S.One, rational(entry))] if entry != 0 else []

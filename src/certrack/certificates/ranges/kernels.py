@@ -124,9 +124,7 @@ def peak_gains(M: np.ndarray, C: np.ndarray, B: np.ndarray) -> np.ndarray:
         return _integrals(proven_decay(M, B), M, balls_of(C), balls_of(B))
 
 
-def _integrals(
-    decay: Decay, exact: np.ndarray, C: flint.arb_mat, B: flint.arb_mat
-) -> np.ndarray:
+def _integrals(decay: Decay, exact: np.ndarray, C: flint.arb_mat, B: flint.arb_mat) -> np.ndarray:
     M = balls_of(exact)
     eigenvalues = np.linalg.eigvals(exact.astype(float))
     first = FIRST_CELL / float(np.abs(eigenvalues).max())
@@ -166,7 +164,12 @@ def _level(t: float, first: float) -> int:
 def _steps(M: flint.arb_mat, h: Any) -> np.ndarray:
     """e^{M h j}, j = 0 ... CELLS, as floats."""
     one = (M * flint.arb(h)).exp()
-    power, found = flint.arb_mat(M.nrows(), M.nrows(), [int(i == j) for i in range(M.nrows()) for j in range(M.nrows())]), []
+    power, found = (
+        flint.arb_mat(
+            M.nrows(), M.nrows(), [int(i == j) for i in range(M.nrows()) for j in range(M.nrows())]
+        ),
+        [],
+    )
     for _ in range(CELLS + 1):
         found.append(rounded(power))
         power = power * one
@@ -216,9 +219,7 @@ def _block(
     least = np.minimum(np.abs(k) - error, 1e300)
     apart = np.minimum(least[:-1], least[1:]) - h**2 / 8 * curvature * (1 + 8 * UNIT)
     one_sign = (k[:-1] * k[1:] > 0) & (apart > 0)
-    line = np.where(
-        k[:-1] * k[1:] < 0, (low**2 + high**2) / (low + high + TINY), low + high
-    )
+    line = np.where(k[:-1] * k[1:] < 0, (low**2 + high**2) / (low + high + TINY), low + high)
     bent = h * line / 2 + h**3 / 12 * curvature
     total: np.ndarray = np.where(one_sign, areas, bent).sum(axis=0)
     return total

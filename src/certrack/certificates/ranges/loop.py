@@ -100,7 +100,11 @@ def ranged_loop(system: System) -> RangedLoop:
     design = _Design(system)
     coordinates = error_coordinates(system, rational)
     n, q = coordinates.n, coordinates.q
-    rho = sympy.S.One if design.is_adaptive else sympy.cancel(design.gain / design.at_nominal(design.gain))
+    rho = (
+        sympy.S.One
+        if design.is_adaptive
+        else sympy.cancel(design.gain / design.at_nominal(design.gain))
+    )
     matrix = sympy.zeros(n, n + q + 3)
     for i in range(n - 1):
         matrix[i, i + 1] += design.number(f"plant.chain[{i}]", system.plant.chain[i])
@@ -113,9 +117,7 @@ def ranged_loop(system: System) -> RangedLoop:
     brackets, sizes = [], []
     states = list(system.plant.symbols)
     for function, coefficient in design.terms().items():
-        bracket = sympy.cancel(
-            sympy.together(coefficient - rho * design.at_nominal(coefficient))
-        )
+        bracket = sympy.cancel(sympy.together(coefficient - rho * design.at_nominal(coefficient)))
         if bracket == 0:
             continue
         if function == 1:
@@ -193,7 +195,9 @@ class _Design:
 
     def at_nominal(self, expr: sympy.Expr) -> sympy.Expr:
         """The formula at the nominal constants."""
-        return expr.xreplace({s: _sympy(v) for s, v in zip(self.symbols, self.nominal, strict=True)})
+        return expr.xreplace(
+            {s: _sympy(v) for s, v in zip(self.symbols, self.nominal, strict=True)}
+        )
 
     def terms(self) -> dict[sympy.Expr, sympy.Expr]:
         """h + phi^T theta (h alone for the adaptive law) as functions of x with coefficients."""

@@ -85,9 +85,7 @@ def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Inter
         count = 1 + len(channels.rows)
         outputs = _Outputs(outputs.C[:count], outputs.D[:count], outputs.offset[:count])
     bounded = [tau[k] * beta[k] * c.A[:, k] for k in range(n) if tau[k] * beta[k] != 0]
-    bounded += [
-        c.A[:, -1] * value * size for value, size in zip(brackets, loop.sizes, strict=True)
-    ]
+    bounded += [c.A[:, -1] * value * size for value, size in zip(brackets, loop.sizes, strict=True)]
     Y = [exact_float(v, rational) for v in loop.system.reference.bounds(c.q + 1).values]
     columns = [
         *bounded,

@@ -14,6 +14,7 @@ from typing import Any
 import sympy
 
 from certrack.certificates.adaptation import Adaptation
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, check, from_text
 from certrack.certificates.formulation import adaptation_of
@@ -27,7 +28,6 @@ from certrack.certificates.ranges.vertices import (
     VertexProgram,
     prove_vertices,
 )
-from certrack.certificates.arithmetic import rational
 from certrack.certificates.semidefinite import best_solution
 from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
@@ -133,7 +133,9 @@ class RangeProver:
                 raise NoCertificate("the input gain may vanish in plant.ranges; narrow them")
             law = replace(law, gains=tuple(dict.fromkeys((abs(low), abs(high)))))
         if theta:
-            law = replace(law, theta_box=tuple(zip(*self._estimated(theta).ends(cell), strict=True)))
+            law = replace(
+                law, theta_box=tuple(zip(*self._estimated(theta).ends(cell), strict=True))
+            )
         return law
 
     def _estimated(self, formulas: Sequence[sympy.Expr]) -> RationalVector:
@@ -175,7 +177,9 @@ def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
 
 def covers(cells: Sequence[Cell], box: Cell) -> bool:
     """Whether every point of the box is in one of the cells."""
-    if any(all(c <= a and b <= d for (a, b), (c, d) in zip(box, cell, strict=True)) for cell in cells):
+    if any(
+        all(c <= a and b <= d for (a, b), (c, d) in zip(box, cell, strict=True)) for cell in cells
+    ):
         return True
     touching = [
         cell

@@ -106,11 +106,7 @@ class ProblemMaker:
         Uy = [form.W[:, i] * sizes[i] for i in range(c.q + 2)] + [form.offset]
         Xy = [self.Xe @ c.B[:, i] * sizes[i] for i in range(c.q + 1)] + [0 * form.offset] * 2
         T = [rows[:, n + i] * sizes[i] for i in range(c.q + 3)]
-        acting = [
-            i
-            for i in range(c.q + 3)
-            if _any(Uy[i]) or _any(T[i]) or (Ua and _any(Xy[i]))
-        ]
+        acting = [i for i in range(c.q + 3) if _any(Uy[i]) or _any(T[i]) or (Ua and _any(Xy[i]))]
         T = columns_of([T[i] for i in acting], len(rows))
         own = tuple((rows[k : k + 1, :n], T[k : k + 1]) for k in range(len(rows)))
         return ErrorProblem(
@@ -180,7 +176,10 @@ class VertexProgram:
         slope.append(np.zeros_like(rows))
         right.append(unit)
         cones.append(clarabel.PSDTriangleConeT(self.problems[0].n))
-        self._base, self._slope = sparse.csc_matrix(np.vstack(base)), sparse.csc_matrix(np.vstack(slope))
+        self._base, self._slope = (
+            sparse.csc_matrix(np.vstack(base)),
+            sparse.csc_matrix(np.vstack(slope)),
+        )
         self._right, self._cones = np.concatenate(right), cones
         self._entries, self._sizes = entries, sizes
 
@@ -244,9 +243,7 @@ def prove_vertices(
         numbers = zip(problems, solution.multipliers, solution.lam_units, strict=True)
         for problem, (lam, nu, k), units in numbers:
             least = MULTIPLIER_FLOOR * units
-            rounded = [
-                tuple(decimal_text(v * scale + w) for v, w in zip(lam, least, strict=True))
-            ]
+            rounded = [tuple(decimal_text(v * scale + w) for v, w in zip(lam, least, strict=True))]
             extra = slack * solution.delta
             rounded += [tuple(decimal_text(v * scale**2 + extra) for v in w) for w in (nu, k)]
             proof = Proof(alpha, texts, *rounded, "0")
@@ -259,4 +256,3 @@ def prove_vertices(
             bound = root_up(largest)
             return tuple(replace(proof, bound=bound) for proof in proofs)
     return None
-
