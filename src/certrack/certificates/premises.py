@@ -17,10 +17,6 @@ def refuse(system: System) -> None:
         raise NoCertificate(f"certificates know the adaptive and the robust law, not {name}")
     if system.truth.states:
         _refuse_unknown_ranges(system)
-    elif system.truth.constants:
-        raise NoCertificate(
-            "truth.constants make the simulated plant differ from the certified one; remove them"
-        )
     if isinstance(law, Robust):
         assert plant.input_gain is not None
         fixed = float(plant.input_gain.expr)
@@ -47,7 +43,7 @@ def _refuse_unknown_ranges(system: System) -> None:
 
 
 def assumptions(system: System) -> list[str]:
-    """What a certificate of `system` rests on, as texts; they are part of the saved certificate."""
+    """What a certificate of `system` rests on, as texts; format 1 of the saved one holds them."""
     plant, truth = system.plant, system.truth
     q = system.law.order(plant)
     bounds = system.reference.bounds(q + 1)
@@ -82,10 +78,14 @@ def assumptions(system: System) -> list[str]:
     return premises + _irrational(system)
 
 
-def _irrational(system: System) -> list[str]:
-    """Numbers that exact arithmetic must take by their floats."""
+def irrational_numbers(system: System) -> list[str]:
+    """Texts of the numbers that exact arithmetic must take by their floats."""
     plant, truth = system.plant, system.truth
     numbers = [*plant.chain, *(v for row in plant.linear or () for v in row), *truth.theta]
     numbers += [*(plant.theta or ()), *filter(None, [truth.input_gain, plant.input_gain])]
-    rounded = sorted({v.text for v in numbers if not v.expr.is_Rational})
+    return sorted({v.text for v in numbers if not v.expr.is_Rational})
+
+
+def _irrational(system: System) -> list[str]:
+    rounded = irrational_numbers(system)
     return [f"irrational numbers rounded to 17 digits: {', '.join(rounded)}"] if rounded else []

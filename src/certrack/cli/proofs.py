@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_implementation, note_violations
+from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_implementation
+from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificate
@@ -19,12 +20,24 @@ if TYPE_CHECKING:
 @click.argument("file")
 @click.option("--out", type=NEW_FILE, help="File for the certificate (JSON).")
 @click.option("--plot", type=FOLDER, help="Folder for the picture of the tube over the response.")
+@click.option(
+    "--effort",
+    type=click.Choice(["fast", "default", "high"]),
+    default="default",
+    show_default=True,
+    help="How long it may take; today all find the same.",
+)
+@click.option("--require", is_flag=True, help="Exit with 1 if nothing is verified.")
 @json_option
-def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> None:
+def certify(
+    file: str, out: Path | None, plot: Path | None, effort: str, require: bool, as_json: bool
+) -> None:
     """Compute guaranteed bounds on the tracking error.
 
-    Bounds that are shown as verified have been checked in exact arithmetic. The exit code is 1 if
-    no certificate exists or none was found.
+    Bounds that are shown as verified have been checked in exact arithmetic. Every premise is shown
+    with its status: proven, checked on samples, assumed, or contradicted by the file's own truth.
+    The exit code is 1 if one is contradicted, for then nothing is verified for this file, and with
+    --require also if there is no verified bound.
 
     \b
     Example: certrack certify dual-motor-lean --out cert.json
@@ -34,9 +47,7 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
     from certrack.systems.reader import load
 
     system = load(file)
-    note_violations(system)
-    note_implementation(system)
-    result = certificates.certify(system)
+    result = certificates.certify(system, effort)
     if out is not None and result.stages:
         certificates.save_certificate(system, result.stages, out)
     if plot is not None and result.tube is not None:
@@ -51,8 +62,13 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
         click.echo(system.title or file)
         report.console().print(report.certificates_table(result))
         report.print_lines(report.certificates_notes(result))
+        report.print_lines(["resting on:", *premise_lines(result.premises)])
+    say_contradicted(result.contradicted)
     if not result.best.exists:
         click.echo(f"certrack: no certificate: {result.semidefinite.reason}", err=True)
+    if out is not None and not result.stages:
+        click.echo(f"certrack: {out} is not written: there is nothing verified", err=True)
+    if result.contradicted or (require and not result.verified):
         raise click.exceptions.Exit(1)
 
 
@@ -62,7 +78,8 @@ def certify(file: str, out: Path | None, plot: Path | None, as_json: bool) -> No
 def verify(certificate: Path, as_json: bool) -> None:
     """Check a saved certificate in exact arithmetic.
 
-    No solver is used. The exit code is 1 if the certificate does not hold.
+    No solver is used. The premises are looked at anew, as `certrack certify` does. The exit code is
+    1 if the certificate does not hold, or the truth of its own system contradicts a premise.
 
     \b
     Example: certrack verify cert.json
@@ -77,7 +94,7 @@ def verify(certificate: Path, as_json: bool) -> None:
         click.echo(report.to_json(asdict(proof)))
     elif proof.verified:
         click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}, resting on")
-        report.print_lines(f"  {line}" for line in proof.assumptions)
+        report.print_lines(premise_lines(proof.premises))
     if not proof.verified:
         click.echo(f"certrack: {certificate}: not verified: {proof.reason}", err=True)
         raise click.exceptions.Exit(1)
