@@ -178,10 +178,11 @@ class UncertainTerm:
             limit = float(self.limit(where)[0])
             remedy = f"rewrite truth.omega[{self.k}]: {condition}"
             return self._violation(where, float("nan"), limit, remedy)
-        where = self.exceeded(points)
-        if where is None:
+        beyond = self.exceeded(points)
+        if beyond is None:
             return None
-        return self._violation(where, float(self.size(where)[0]), float(self.limit(where)[0]), "")
+        size, limit = float(self.size(beyond)[0]), float(self.limit(beyond)[0])
+        return self._violation(beyond, size, limit, "")
 
     def violation_of_domain(self, points: Points) -> bool:
         """Whether it has no value somewhere."""

@@ -163,10 +163,9 @@ class _Search:
         offset, rest = argument.as_coeff_Add()
         if not (offset.is_Rational and offset >= 1 and self._nonnegative(rest)):
             return
-        (extra, *_) = self.of(sympy.log(offset)) or [(None,)]
-        if extra[0] is not None:
-            for majorant in self._below_argument(sympy.log, rest / offset):
-                yield _plus(majorant, (extra[0],))
+        extra = (Fraction(0),) if offset == 1 else (_logarithm_above(offset),)
+        for majorant in self._below_argument(sympy.log, rest / offset):
+            yield _plus(majorant, extra)
 
     def _power(self, f: sympy.Pow) -> Iterator[Majorant]:
         base, exponent = f.args
@@ -248,6 +247,13 @@ def _root(square: Fraction) -> Fraction:
         return Fraction(p, q)
     scaled = (square.numerator << 2 * ROOT_BITS) // square.denominator
     return Fraction(math.isqrt(scaled) + 1, 1 << ROOT_BITS)
+
+
+def _logarithm_above(number: sympy.Rational) -> Fraction:
+    """A fraction not below the logarithm."""
+    end = _exact(iv.log(iv.mpf(int(number.p)) / iv.mpf(int(number.q))).b)
+    assert isinstance(end, Fraction)
+    return end
 
 
 def _root_of(majorant: Majorant) -> Majorant | None:

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_implementation
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
-
-if TYPE_CHECKING:
-    from certrack.certificates import Certificate
-    from certrack.systems.system import System
-
 
 @click.command()
 @click.argument("file")
@@ -117,58 +110,52 @@ def verify(certificate: Path, as_json: bool) -> None:
 def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) -> None:
     """Search for the worst admissible case.
 
-    Disturbance, reference and parameters are varied within what the certificate covers. The worst
-    error found is compared with every certificate: the ratio of bound to error tells how tight a
-    bound is, and one below the error is exceeded. That may happen to the paper's bound, whose proof
-    has a gap.
+    Disturbance, reference and parameters are varied within what the certificate covers; the file's
+    own run is a candidate, too. The worst error found is compared with every certificate: the ratio
+    of bound to error tells how tight a bound is. A run beyond the best verified bound is an alarm,
+    with exit code 1: a premise is broken, or certrack is wrong. The paper's bound, whose proof has
+    a gap, may be exceeded.
 
     \b
     Example: certrack falsify example1 --out worst.toml
     """
-    from certrack.cli import report
+    from certrack.cli import falsified, report
     from certrack.core.rounding import printed_bound
     from certrack.studies.falsifier.falsify import falsify as search
     from certrack.systems.reader import load
     from certrack.systems.writer import save
 
     system = load(file)
-    note_violations(system)
+    note_contradictions(system, file)
     note_implementation(system)
     with report.progress("Searching") as advance:
         result = search(system, budget=budget, seed=seed, progress=advance)
     if out is not None:
         save(result.system, out)
-    certificates = _certificates_of(system)
-    certified = min(c.bound for kind, c in certificates.items() if kind != "published")
-    against = {kind: _comparison(c, result.worst_error) for kind, c in certificates.items()}
-    values = {
-        "worst_error": result.worst_error,
-        "certified": certified,
-        "ratio": certified / result.worst_error if result.worst_error else None,
-        "certificates": against,
-        "runs": result.evaluations,
+    values = falsified.falsification_summary(result) | {
         "seed": seed,
         "file": None if out is None else str(out),
     }
     if as_json:
         click.echo(report.to_json(values))
     else:
-        click.echo(f"worst |e_1| found in {result.evaluations} runs: {result.worst_error:.6g}")
-        click.echo(f"certified limsup |e_1|: {printed_bound(certified)}")
+        own = ", the file's own" if result.own else ""
+        click.echo(f"worst |e_1| found in {result.evaluations} runs{own}: {result.worst_error:.6g}")
+        click.echo(f"certified limsup |e_1|: {printed_bound(values['certified'])}")
         ratio = values["ratio"]
         click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
-        rows = [
-            [kind, bound, "exactly" if entry["verified"] else "-", entry["ratio"], note]
-            for kind, entry in against.items()
-            for bound in [printed_bound(entry["bound"])]
-            for note in ["EXCEEDED by the case found" if entry["exceeded"] else ""]
-        ]
-        columns = ["certificate", "bound", "verified", "ratio", "note"]
-        report.console().print(report.table("", columns, rows))
-        if against["published"]["exceeded"]:
+        report.console().print(falsified.falsification_table(values["certificates"]))
+        if values["certificates"]["published"]["exceeded"]:
             report.print_lines([PUBLISHED_EXCEEDED])
         if out is not None:
             click.echo(f"{out} replays it: certrack simulate {out}")
+    if result.alarm is not None:
+        click.echo(
+            f"certrack: ALARM: a run is beyond the verified bound ({result.alarm}): "
+            f"{result.reason}",
+            err=True,
+        )
+        raise click.exceptions.Exit(1)
 
 
 #: What the user is told where the falsifier passes the paper's bound, which nobody has proven.
@@ -176,26 +163,3 @@ PUBLISHED_EXCEEDED = (
     "The published bound (42) does not hold here: the last step of its proof takes V' < 0 for a "
     "falling |e_1|. No alarm: only a verified bound would raise one."
 )
-
-
-def _certificates_of(system: System) -> dict[str, Certificate]:
-    """Every certificate that `certify` lists, without the critical strengths."""
-    from certrack.certificates import certify_semidefinite
-    from certrack.certificates.cascade import certify_cascade
-    from certrack.certificates.published import certify_published
-
-    return {
-        **certify_published(system),
-        "semidefinite": certify_semidefinite(system)[0],
-        "cascade": certify_cascade(system)[0],
-    }
-
-
-def _comparison(certificate: Certificate, error: float) -> dict[str, Any]:
-    """A bound beside the worst error found; a bound that does not exist is null."""
-    return {
-        "bound": certificate.bound,
-        "verified": certificate.verified,
-        "ratio": certificate.bound / error if error else math.inf,
-        "exceeded": error > certificate.bound,
-    }
