@@ -80,7 +80,7 @@ def _beyond(
     system: System, case: System, run: Run, against: Certificate, stages: tuple[Proof, ...]
 ) -> bool:
     """Whether |e_1| passes the tube from the run's start."""
-    if run.outcome is Outcome.escaped:
+    if run.outcome in (Outcome.escaped, Outcome.undefined):
         return True
     error = np.abs(run.e[0])
     slack = RUN_ROUNDING * case.settings.tolerance * max(1.0, float(np.abs(run.x[0]).max()))

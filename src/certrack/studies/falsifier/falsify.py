@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
 from certrack.certificates import Certificate, Proof, certify_semidefinite
 from certrack.certificates.cascade import certify_cascade
+from certrack.certificates.premise import contradicted
+from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.published import certify_published
 from certrack.core import checks
 from certrack.core.errors import InputError
@@ -58,9 +60,9 @@ class Falsification:
     evaluations : int
         Runs spent.
     certificates : mapping of str to Certificate
-        What the error is held against, by kind; bounds of the design if a premise is contradicted.
+        What the error is held against, by kind; not verified if a premise is contradicted.
     against : Certificate or None
-        The best verified of them.
+        The tightest that is proven of the design, whether or not the file keeps the premises.
     alarm : {None, "premise", "defect"}
         Whether the worst case is beyond what `against` certifies from its start: then a premise is
         broken, or certrack is wrong.
@@ -153,7 +155,7 @@ def falsify(
         errors[worst],
         cases[worst],
         search.evaluations + 1,
-        {kind: certificate for kind, (certificate, _) in certificates.items()},
+        _of_this_file(system, certificates),
         against,
         None if found is None else found.kind,
         "" if found is None else found.reason,
@@ -170,6 +172,17 @@ def all_certificates(system: System) -> dict[str, tuple[Certificate, tuple[Proof
         **found,
         "semidefinite": (semidefinite, () if proof is None else (proof,)),
         "cascade": (cascade, stages or ()),
+    }
+
+
+def _of_this_file(
+    system: System, certificates: Mapping[str, tuple[Certificate, tuple[Proof, ...]]]
+) -> dict[str, Certificate]:
+    """The certificates, none of them verified where the file's truth breaks a premise."""
+    broken = contradicted(premises(system))
+    return {
+        kind: replace(entry, verified=entry.verified and not broken)
+        for kind, (entry, _) in certificates.items()
     }
 
 
