@@ -21,6 +21,9 @@ COVER_DIGITS, COVER_ROUNDING = 2, 1e-9
 #: taken for infinite: a power of ||x|| beyond the first, or s log s.
 GROWTH, FARTHER = 1.02, 1e4
 
+#: Share of the largest ||x|| beyond which a slope is that of large states.
+FAR_SHARE = 1e-2
+
 #: Steps of the search that polishes the largest ratio.
 POLISHING_STEPS = 300
 
@@ -111,8 +114,7 @@ class _Search:
         def ratio(points: Points) -> np.ndarray:
             above = self.size(points) - beta * (1 + COVER_ROUNDING)
             with np.errstate(all="ignore"):
-                slopes = np.where(above > 0, above / points.norm, 0.0)
-            return slopes
+                return np.where(above > 0, above / points.norm, 0.0)
 
         return self._supremum(ratio, self.near, self.far)
 
@@ -127,11 +129,11 @@ class _Search:
 
     def far_growth(self) -> float:
         """|w|/||x|| where ||x|| is large."""
-        with np.errstate(all="ignore"):
-            slopes = [
-                float(np.nan_to_num(self.size(p) / p.norm, nan=0.0).max())
-                for p in (self.far, Points(self.base.t, self.base.x * FARTHER**2))
-            ]
+        slopes = []
+        for factor in (FARTHER, FARTHER**2):
+            points = Points(self.base.t, self.base.x * factor)
+            away = points.norm > FAR_SHARE * points.norm.max()
+            slopes.append(float((self.size(points)[away] / points.norm[away]).max()))
         return slopes[0] if slopes[1] <= GROWTH * slopes[0] else math.inf
 
     def _supremum(self, f: Callable[[Points], np.ndarray], *beyond: Points) -> float:

@@ -1,8 +1,8 @@
 """The saved certificate: everything a third party needs to check it, and the checker.
 
 The file is JSON. `verify` rebuilds the problem from the system text in exact rationals and checks
-the inequality; that uses no solver and no floating point. Then it looks at the premises as `certify`
-does, and refuses a file whose own truth contradicts one. See docs/certificate-file.md.
+the inequality; that uses no solver and no floating point. Then it looks at the premises as
+`certify` does, and refuses a file whose own truth contradicts one. See docs/certificate-file.md.
 """
 
 from __future__ import annotations

@@ -208,7 +208,7 @@ class _Search:
             yield result
 
     def _root_less_offset(self, f: sympy.Expr) -> tuple[Fraction, list[Majorant]]:
-        """sqrt(z + d) = sqrt(d) + r with 0 <= r <= sqrt(z), where z >= 0 and sqrt(d) is rational."""
+        """sqrt(z + d) = sqrt(d) + r, 0 <= r <= sqrt(z), where z >= 0 and sqrt(d) is rational."""
         if isinstance(f, sympy.Pow) and f.exp == sympy.S.Half:
             d, z = f.base.as_coeff_Add()
             root = sympy.sqrt(d) if d.is_Rational and d > 0 else None

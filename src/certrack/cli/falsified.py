@@ -50,8 +50,13 @@ def _beside(certificate: Certificate, error: float) -> dict[str, Any]:
 def falsification_table(entries: Mapping[str, Mapping[str, Any]]) -> Table:
     """Every certificate beside the worst error."""
     rows = [
-        [kind, printed_bound(entry["bound"]), "exactly" if entry["verified"] else "-"]
-        + [entry["ratio"], "EXCEEDED by the case found" if entry["exceeded"] else ""]
+        (
+            kind,
+            printed_bound(entry["bound"]),
+            "exactly" if entry["verified"] else "-",
+            entry["ratio"],
+            "EXCEEDED by the case found" if entry["exceeded"] else "",
+        )
         for kind, entry in entries.items()
     ]
     return table("", ["certificate", "bound", "verified", "ratio", "note"], rows)

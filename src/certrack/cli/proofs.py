@@ -9,6 +9,7 @@ import click
 from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_implementation
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
 
+
 @click.command()
 @click.argument("file")
 @click.option("--out", type=NEW_FILE, help="File for the certificate (JSON).")
@@ -30,7 +31,7 @@ def certify(
     Bounds that are shown as verified have been checked in exact arithmetic. Every premise is shown
     with its status: proven, checked on samples, assumed, or contradicted by the file's own truth.
     The exit code is 1 if one is contradicted, for then nothing is verified for this file, and with
-    --require also if there is no verified bound.
+    --require or --out also if there is no verified bound.
 
     \b
     Example: certrack certify dual-motor-lean --out cert.json
@@ -61,7 +62,7 @@ def certify(
         click.echo(f"certrack: no certificate: {result.semidefinite.reason}", err=True)
     if out is not None and not result.stages:
         click.echo(f"certrack: {out} is not written: there is nothing verified", err=True)
-    if result.contradicted or (require and not result.verified):
+    if result.contradicted or ((require or out is not None) and not result.verified):
         raise click.exceptions.Exit(1)
 
 

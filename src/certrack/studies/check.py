@@ -1,4 +1,4 @@
-"""What can be said of a system without a solver: its premises, its period, its quanta, its units."""
+"""What can be said of a system without a solver: of its premises, period, quanta and units."""
 
 from __future__ import annotations
 
@@ -255,7 +255,8 @@ def _input_quantum(system: System, implementation: Implementation) -> Iterator[F
     effect = _input_gain(system) * quantum / 2
     allowed = u.tau[n - 1] * u.beta[n - 1]
     detail = (
-        f"half a step acts as a disturbance g_n q/2 = {effect:.4g} beside tau_n beta_n = {allowed:.4g}"
+        f"half a step acts as a disturbance g_n q/2 = {effect:.4g} beside "
+        f"tau_n beta_n = {allowed:.4g}"
     )
     if effect > allowed:
         remedy = f"a finer converter, or beta[{n - 1}] that covers it"

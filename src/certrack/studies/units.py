@@ -69,4 +69,6 @@ def _per_second(unit: str) -> str:
     rest = "*".join(s if p == 1 else f"{s}^{p}" for s, p in parts.items() if s != "s") or "1"
     if power == 0:
         return rest
-    return f"{rest}/s" if power == -1 else f"{rest}/s^{-power}" if power < 0 else f"{rest}*s^{power}"
+    return (
+        f"{rest}/s" if power == -1 else f"{rest}/s^{-power}" if power < 0 else f"{rest}*s^{power}"
+    )

@@ -147,8 +147,7 @@ def falsify(
     found = None
     if against is not None:
         alarms = (
-            alarm(system, case, run, against, stages)
-            for case, run in zip(cases, runs, strict=True)
+            alarm(system, case, run, against, stages) for case, run in zip(cases, runs, strict=True)
         )
         found = next(filter(None, alarms), None)
     return Falsification(
