@@ -80,7 +80,17 @@ def test_page_names_what_exists():
 #: Public names that several modules define, and why that is one meaning.
 ONE_MEANING = {
     **dict.fromkeys(
-        ("certify", "design", "ensemble", "falsify", "fmu", "reproduce", "simulate", "verify"),
+        (
+            "certify",
+            "check",
+            "design",
+            "ensemble",
+            "falsify",
+            "fmu",
+            "reproduce",
+            "simulate",
+            "verify",
+        ),
         "the verb of the command line, and what it calls",
     ),
 }

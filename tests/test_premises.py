@@ -386,7 +386,7 @@ def test_efforts_find_the_same_today():
 def test_a_long_transient_is_no_alarm():
     system = LEAN.with_settings(x0=(5.0, 0.0, 0.0, 0.0), duration=3.0, tail=0.2)
     found = falsify(system, budget=100)
-    assert found.own and found.worst_error > found.against.bound
+    assert found.own_run and found.worst_error > found.against.bound
     assert found.alarm is None
 
 
@@ -432,10 +432,10 @@ def test_check_knows_the_period():
         return {finding.name: finding.status for finding in found.findings}, found
 
     status, found = findings()
-    assert found.passed and status["poles x period"] == status["sampled stability"] == "fine"
+    assert found.sound and status["poles x period"] == status["sampled stability"] == "fine"
     status, found = findings(period=0.1)
     assert status["poles x period"] == "warning"
-    assert status["sampled stability"] == "fault" and not found.passed
+    assert status["sampled stability"] == "fault" and not found.sound
     loop, delay = linear_loop(drive), drive.implementation.delay
     edge = brentq(lambda period: loop.radius(period, delay) - 1, 0.01, 0.1)
     assert findings(period=0.98 * edge)[0]["sampled stability"] == "fine"
@@ -450,7 +450,7 @@ def test_check_knows_leaks_and_quanta():
     leak = names["leak x period", "fault"]
     assert "= 2.5 > 2" in leak.detail and "exact_leak" in leak.remedy
     exact = system.replace(implementation=replace(implementation, update="exact_leak"))
-    assert certrack.check(exact).passed
+    assert certrack.check(exact).sound
     quantum = names["quantum of u", "warning"]
     assert "0.5" in quantum.detail  # g_n q/2 = 2 x 0.25
     coarse = replace(implementation, measurement_quantum=(0.1, 0.0))

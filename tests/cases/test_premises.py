@@ -144,7 +144,7 @@ def test_the_files_own_run_is_a_candidate_of_the_falsifier():
     system = certrack.load(path("slow.toml"))
     found = falsify(system, budget=200)
     assert found.worst_error == pytest.approx(0.04, rel=1e-3)
-    assert found.own and found.system == system.replace(implementation=None)
+    assert found.own_run and found.system == system.replace(implementation=None)
     assert found.alarm is None
     assert found.against.bound > found.worst_error
 

@@ -95,7 +95,7 @@ def check_assumption_1(system: System, seed: int = 0) -> list[Violation]:
     if not terms:
         return []
     points = random_points(system.plant.n, system.settings.duration, seed)
-    return [found for term in terms if (found := term.violation(points)) is not None]
+    return [violation for term in terms if (violation := term.violation(points)) is not None]
 
 
 def uncertain_terms(system: System) -> list[UncertainTerm]:
@@ -196,14 +196,14 @@ class UncertainTerm:
         """A point beyond the bound, clearly if there is one, of the smallest ||x|| found."""
         excess = self.excess(points)
         worst = int(np.argmax(excess / (1 + points.norm)))
-        found = nearest_failure(
+        where = nearest_failure(
             points, lambda p: self._fails(p) & (self.excess(p) > CLEAR_EXCESS * self.limit(p))
         )
-        if found is None or not self.confirmed(found):
-            found = nearest_failure(points, self._fails)
-        if found is None:
-            found = nearest_failure(self._polished(points[worst]), self._fails)
-        return found if found is not None and self.confirmed(found) else None
+        if where is None or not self.confirmed(where):
+            where = nearest_failure(points, self._fails)
+        if where is None:
+            where = nearest_failure(self._polished(points[worst]), self._fails)
+        return where if where is not None and self.confirmed(where) else None
 
     def _fails(self, points: Points) -> np.ndarray:
         above: np.ndarray = self.excess(points) > ROUNDING * points.norm
@@ -241,8 +241,8 @@ class UncertainTerm:
 
         start = np.concatenate([point.t, point.x[:, 0]])
         options = {"maxiter": POLISHING_STEPS}
-        found = minimize(objective, start, method="Nelder-Mead", options=options).x
-        return Points(np.abs(found[:1]), found[1:, None])
+        top = minimize(objective, start, method="Nelder-Mead", options=options).x
+        return Points(np.abs(top[:1]), top[1:, None])
 
     @cached_property
     def _function(self) -> NumpyFunction:

@@ -130,7 +130,7 @@ def certify(system: System, effort: str = "default") -> Certificates:
     semidefinite, proof = certify_semidefinite(system)
     cascade, cascade_proof = certify_cascade(system)
     stages = tightest(semidefinite, proof, cascade, cascade_proof)
-    found = premises(system)
+    rests_on = premises(system)
     result = Certificates(
         **classical,
         semidefinite=semidefinite,
@@ -139,8 +139,8 @@ def certify(system: System, effort: str = "default") -> Certificates:
         cascade_proof=cascade_proof,
         critical_published=critical_strength(system),
         critical_semidefinite=critical_semidefinite(system, semidefinite),
-        tube=tube(system, stages) if stages and not contradicted(found) else None,
-        premises=found,
+        tube=tube(system, stages) if stages and not contradicted(rests_on) else None,
+        premises=rests_on,
     )
     return _unverified(result) if result.contradicted else result
 

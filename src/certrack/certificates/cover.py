@@ -25,7 +25,7 @@ GROWTH, FARTHER = 1.02, 1e4
 FAR_SHARE = 1e-2
 
 #: Steps of the search that polishes the largest ratio.
-POLISHING_STEPS = 300
+SUPREMUM_STEPS = 300
 
 #: Times a proposal is raised by a unit of its last digit when the samples still break it.
 MAX_RAISES = 5
@@ -70,7 +70,7 @@ def smallest_cover(term: UncertainTerm, points: Points) -> Cover:
         return Cover(term.name, 0.0, 0.0, None, proven=True)
     if not term.tau or term.violation_of_domain(points):
         return Cover(term.name, None, None, None, proven=False)
-    search = _Search(term, points)
+    search = _Suprema(term, points)
     gamma = search.smallest(search.gamma_needed(float(term.beta)), None, term.beta)
     beta = search.smallest(search.beta_needed(float(term.gamma)), term.gamma, None)
     both = None
@@ -78,8 +78,8 @@ def smallest_cover(term: UncertainTerm, points: Points) -> Cover:
         growth = search.far_growth()
         if math.isfinite(growth):
             slope = Fraction(_short(growth))
-            rest = search.smallest(search.beta_needed(float(slope)), slope, None)
-            both = None if rest is None else (float(slope), float(rest))
+            offset = search.smallest(search.beta_needed(float(slope)), slope, None)
+            both = None if offset is None else (float(slope), float(offset))
     pairs = [(gamma, term.beta), (term.gamma, beta), both or (None, None)]
     stated = [(Fraction(g), Fraction(b)) for g, b in pairs if g is not None and b is not None]
     proven = bool(stated) and all(term.proven_with(g, b) for g, b in stated)
@@ -94,7 +94,7 @@ def _short(value: float) -> str:
     return rounded_up(value * (1 - COVER_ROUNDING), COVER_DIGITS)
 
 
-class _Search:
+class _Suprema:
     """Suprema over the samples, also scaled up and down."""
 
     def __init__(self, term: UncertainTerm, points: Points) -> None:
@@ -121,11 +121,11 @@ class _Search:
     def beta_needed(self, gamma: float) -> float:
         """sup |w| - gamma ||x||."""
 
-        def rest(points: Points) -> np.ndarray:
+        def beyond(points: Points) -> np.ndarray:
             above: np.ndarray = self.size(points) - gamma * (1 + COVER_ROUNDING) * points.norm
             return np.maximum(above, 0.0)
 
-        return self._supremum(rest, self.far)
+        return self._supremum(beyond, self.far)
 
     def far_growth(self) -> float:
         """|w|/||x|| where ||x|| is large."""
@@ -150,9 +150,9 @@ class _Search:
             return -float(f(where)[0]) if inside else 0.0
 
         start = np.concatenate([best.t, best.x[:, 0]])
-        options = {"maxiter": POLISHING_STEPS}
-        found = minimize(objective, start, method="Nelder-Mead", options=options)
-        return max(top, -float(found.fun))
+        options = {"maxiter": SUPREMUM_STEPS}
+        polished = minimize(objective, start, method="Nelder-Mead", options=options)
+        return max(top, -float(polished.fun))
 
     def smallest(
         self, value: float, gamma: Fraction | None, beta: Fraction | None
@@ -161,10 +161,10 @@ class _Search:
         if not math.isfinite(value):
             return None
         for _ in range(MAX_RAISES):
-            found = Fraction(_short(value))
-            g, b = (found if gamma is None else gamma), (found if beta is None else beta)
+            proposal = Fraction(_short(value))
+            g, b = (proposal if gamma is None else gamma), (proposal if beta is None else beta)
             wider = replace(self.term, gamma=g, beta=b)
             if wider.proven or wider.exceeded(self.base) is None:
-                return found
-            value = float(found) * (1 + 10.0**-COVER_DIGITS)
+                return proposal
+            value = float(proposal) * (1 + 10.0**-COVER_DIGITS)
         return None

@@ -18,7 +18,7 @@ from typing import Any
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.exact import Proof, check, from_text
+from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises import assumptions
@@ -186,7 +186,11 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
             return Verdict(False, proof.bound, "the claim is not that of the proof")
         system = loads(body["system"], "system")
         exact = error_problem(system, rational)
-        reason = check(exact, proof) if len(stages) == 1 else check_cascade(system, exact, stages)
+        reason = (
+            failed_condition(exact, proof)
+            if len(stages) == 1
+            else check_cascade(system, exact, stages)
+        )
         if reason:
             return Verdict(False, proof.bound, reason)
         return _rests_on(system, body, proof.bound)
@@ -203,15 +207,15 @@ def _not_centred(stages: tuple[Proof, ...]) -> tuple[Proof, ...]:
 
 def _rests_on(system: System, body: dict[str, Any], bound: str) -> Verdict:
     """The verdict on a proof that holds: do the premises, and are they those that are written?"""
-    found = premises(system)
-    if broken := contradicted(found):
+    rests_on = premises(system)
+    if broken := contradicted(rests_on):
         return Verdict(False, bound, f"a premise is contradicted: {broken[0]}", broken)
     if body["format"] == FORMAT_1:
         if body["assumptions"] != assumptions(system):
             return Verdict(False, bound, "the assumptions are not those of the system")
-    elif body["premises"] != [premise.record() for premise in found]:
+    elif body["premises"] != [premise.record() for premise in rests_on]:
         return Verdict(False, bound, "the premises are not those of the system")
-    return Verdict(True, bound, "", found)
+    return Verdict(True, bound, "", rests_on)
 
 
 def _read_document(path: Path) -> dict[str, Any]:

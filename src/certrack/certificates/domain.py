@@ -67,9 +67,9 @@ class Condition:
                 return g <= 0
             return g < 0 if self.must_be == NONNEGATIVE else g == 0
 
-        found = nearest_failure(points, fails)
-        if found is not None:
-            return found if self._confirmed(states, found) else None
+        failing = nearest_failure(points, fails)
+        if failing is not None:
+            return failing if self._confirmed(states, failing) else None
         return _zero_between(points, value) if self.must_be == NONZERO else None
 
     def _confirmed(self, states: Sequence[sympy.Symbol], where: Points) -> bool:

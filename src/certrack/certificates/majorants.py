@@ -52,10 +52,10 @@ def interval_ends(
 ) -> tuple[float | Fraction, float | Fraction]:
     """Ends between which the formula lies on the box, infinite where no rule bounds it."""
     try:
-        found = enclosure(formula, box)
+        values = enclosure(formula, box)
     except (ArithmeticError, ValueError, TypeError, NotImplementedError):
         return -math.inf, math.inf
-    return _exact(found.a), _exact(found.b)
+    return _exact(values.a), _exact(values.b)
 
 
 def _exact(end: Any) -> float | Fraction:
@@ -83,21 +83,24 @@ def majorants(formula: sympy.Expr, states: Sequence[sympy.Symbol]) -> list[Major
     >>> majorants(3 * x[0] + 4 * x[1], x)
     [(Fraction(0, 1), Fraction(5, 1))]
     """
-    return _Search(states).of(formula)
+    return _Majorants(states).of(formula)
 
 
 def covers(
-    found: Sequence[Majorant], gamma: Fraction, beta: Fraction, strength: Fraction = Fraction(1)
+    candidates: Sequence[Majorant],
+    gamma: Fraction,
+    beta: Fraction,
+    strength: Fraction = Fraction(1),
 ) -> bool:
     """Whether one of the majorants, times the strength, proves |f| <= gamma s + beta."""
     limits = (beta, gamma)
     return any(
         all(strength * c <= (limits[i] if i < 2 else 0) for i, c in enumerate(majorant))
-        for majorant in found
+        for majorant in candidates
     )
 
 
-class _Search:
+class _Majorants:
     """Majorants of the parts of one formula."""
 
     def __init__(self, states: Sequence[sympy.Symbol]) -> None:
@@ -160,11 +163,11 @@ class _Search:
 
     def _logarithm(self, argument: sympy.Expr) -> Iterator[Majorant]:
         """log(c + z) <= log(c) + log(1 + z/c) for c >= 1, z >= 0."""
-        offset, rest = argument.as_coeff_Add()
-        if not (offset.is_Rational and offset >= 1 and self._nonnegative(rest)):
+        offset, z = argument.as_coeff_Add()
+        if not (offset.is_Rational and offset >= 1 and self._nonnegative(z)):
             return
         extra = (Fraction(0),) if offset == 1 else (_logarithm_above(offset),)
-        for majorant in self._below_argument(sympy.log, rest / offset):
+        for majorant in self._below_argument(sympy.log, z / offset):
             yield _plus(majorant, extra)
 
     def _power(self, f: sympy.Pow) -> Iterator[Majorant]:
@@ -185,24 +188,26 @@ class _Search:
         squares = constant = Fraction(0)
         others: list[list[Majorant]] = []
         for term in f.args:
-            number, rest = term.as_coeff_Mul()
+            number, factor = term.as_coeff_Mul()
             if not number.is_Rational:
-                number, rest = sympy.S.One, term
+                number, factor = sympy.S.One, term
             c = Fraction(int(number.p), int(number.q))
-            if rest == 1:
+            if factor == 1:
                 constant += c
-            elif (state := rest.args[0] if isinstance(rest, sympy.Abs) else rest) in self.states:
+            elif (
+                state := factor.args[0] if isinstance(factor, sympy.Abs) else factor
+            ) in self.states:
                 linear[state] = linear.get(state, Fraction(0)) + abs(c)
-            elif isinstance(rest, sympy.Pow) and rest.exp == 2 and rest.base in self.states:
+            elif isinstance(factor, sympy.Pow) and factor.exp == 2 and factor.base in self.states:
                 squares = max(squares, abs(c))
             else:
-                offset, found = self._root_less_offset(rest)
+                offset, candidates = self._root_less_offset(factor)
                 constant += c * offset
-                others.append([_times((abs(c),), majorant) for majorant in found])
+                others.append([_times((abs(c),), majorant) for majorant in candidates])
         norm = _root(sum((c**2 for c in linear.values()), Fraction(0)))
-        own: Majorant = (abs(constant), norm, squares)
+        direct: Majorant = (abs(constant), norm, squares)
         for parts in _combinations(others):
-            result = own
+            result = direct
             for part in parts:
                 result = _plus(result, part)
             yield result
@@ -270,13 +275,13 @@ def _root_of(majorant: Majorant) -> Majorant | None:
     return (_root(b), slope)
 
 
-def _best(found: list[Majorant]) -> list[Majorant]:
+def _best(candidates: list[Majorant]) -> list[Majorant]:
     """Without those that another one beats in every coefficient; the lowest degrees first."""
-    kept: list[Majorant] = []
-    for majorant in sorted({_trimmed(m) for m in found}, key=lambda m: (len(m), m[::-1])):
-        if not any(_below(other, majorant) for other in kept):
-            kept.append(majorant)
-    return kept[:MAX_KEPT]
+    best: list[Majorant] = []
+    for majorant in sorted({_trimmed(m) for m in candidates}, key=lambda m: (len(m), m[::-1])):
+        if not any(_below(other, majorant) for other in best):
+            best.append(majorant)
+    return best[:MAX_KEPT]
 
 
 def _trimmed(majorant: Majorant) -> Majorant:

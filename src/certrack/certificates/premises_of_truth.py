@@ -27,7 +27,7 @@ from certrack.systems.system import System
 SEED = 0
 
 #: Names that are not of a state, in the order of the list.
-PLANT, GAIN, THETA, DOMAIN, REFERENCE, IRRATIONAL, CONTINUOUS = (
+PLANT, GAIN, THETA, DOMAIN, REFERENCE, IRRATIONAL, CONTINUOUS_LAW = (
     "plant",
     "input gain",
     "theta",
@@ -84,7 +84,7 @@ def _premises(system: System) -> Iterator[Premise]:
         yield Premise(IRRATIONAL, ASSUMED, f"rounded to 17 digits: {', '.join(rounded)}")
     if system.implementation is not None:
         yield Premise(
-            CONTINUOUS,
+            CONTINUOUS_LAW,
             ASSUMED,
             "the law runs in continuous time on exact states; sampling, delay, limits and sensors "
             "of [implementation] are left out",
@@ -201,20 +201,20 @@ def _term(term: UncertainTerm, points: Points) -> Premise:
     bound = f"{tau} <= {_number(term.tau * term.gamma)} ||x|| + {_number(term.tau * term.beta)}"
     if term.proven:
         return Premise(name, PROVEN, f"{bound} for all t and x (Assumption 1)")
-    found = term.violation(points)
-    if found is None:
+    violation = term.violation(points)
+    if violation is None:
         how = f"no point beyond it among {RANDOM_POINTS} random ones, the worst polished"
         return Premise(name, CHECKED, f"{bound} (Assumption 1): {how}")
-    place = {"t": found.t, "x": list(found.x)}
-    value = None if math.isnan(found.value) else found.value
-    point = f"t = {found.t:.4g}, x = {_listed(found.x)}"
+    place = {"t": violation.t, "x": list(violation.x)}
+    value = None if math.isnan(violation.value) else violation.value
+    point = f"t = {violation.t:.4g}, x = {_listed(violation.x)}"
     if value is None:
-        detail, remedy = f"{name} has no value at {point}", found.remedy
+        detail, remedy = f"{name} has no value at {point}", violation.remedy
     else:
-        detail = f"{tau} = {value:.6g} > {found.limit:.6g} at {point} (Assumption 1)"
+        detail = f"{tau} = {value:.6g} > {violation.limit:.6g} at {point} (Assumption 1)"
         remedy = widening(term, smallest_cover(term, points))
     return Premise(
-        name, CONTRADICTED, detail, {**place, "value": value, "limit": found.limit}, remedy
+        name, CONTRADICTED, detail, {**place, "value": value, "limit": violation.limit}, remedy
     )
 
 
@@ -223,12 +223,12 @@ def widening(term: UncertainTerm, cover: Cover) -> str:
     k = term.k
     if not term.tau:
         return f"set plant.uncertainty.tau[{k}] to {_number(term.strength)}, with gamma and beta"
-    ways = [] if cover.gamma is None else [f"widen gamma[{k}] to {cover.gamma:g}"]
-    ways += [] if cover.beta is None else [f"widen beta[{k}] to {cover.beta:g}"]
+    options = [] if cover.gamma is None else [f"widen gamma[{k}] to {cover.gamma:g}"]
+    options += [] if cover.beta is None else [f"widen beta[{k}] to {cover.beta:g}"]
     if cover.both is not None:
-        ways = [f"widen gamma[{k}] to {cover.both[0]:g} and beta[{k}] to {cover.both[1]:g}"]
-    if ways:
-        return " or ".join(ways)
+        options = [f"widen gamma[{k}] to {cover.both[0]:g} and beta[{k}] to {cover.both[1]:g}"]
+    if options:
+        return " or ".join(options)
     return (
         f"no gamma and beta were found to cover it: {term.name} grows faster than ||x||. Bound "
         f"truth.omega[{k}] (tanh, min, max), or move its known part into plant.drift"
@@ -246,9 +246,9 @@ def _domain(system: System, points: Points) -> Premise:
     unproven = False
     for key, formula in formulas.items():
         exact = _numeric(formula, plant.constant_values)
-        found = undefined_at(exact, plant.symbols, points)
-        if found is not None:
-            condition, where = found
+        undefined = undefined_at(exact, plant.symbols, points)
+        if undefined is not None:
+            condition, where = undefined
             x = where.x[:, 0].tolist()
             return Premise(
                 DOMAIN,
@@ -322,7 +322,7 @@ def _proves(reference: Any, limits: Sequence[float], declared: Sequence[int]) ->
     if not isinstance(reference, SymbolicReference):
         return False
     try:
-        own = replace(reference, declared=None, bound=None).bounds(max(declared)).values
+        proven_bounds = replace(reference, declared=None, bound=None).bounds(max(declared)).values
     except InputError:
         return False
-    return all(own[i] <= limits[i] for i in declared)
+    return all(proven_bounds[i] <= limits[i] for i in declared)

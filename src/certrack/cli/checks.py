@@ -30,34 +30,34 @@ def check(file: str, as_json: bool) -> None:
     Example: certrack check dual-motor-drive
     """
     from certrack.cli import report
-    from certrack.studies.check import check as look
+    from certrack.studies.check import check as check_system
     from certrack.systems.reader import load
 
     system = load(file)
-    found = look(system)
+    result = check_system(system)
     if as_json:
-        click.echo(report.to_json(found.summary()))
+        click.echo(report.to_json(result.summary()))
     else:
         click.echo(system.title or file)
-        report.print_lines(["premises:", *premise_lines(found.premises)])
-        report.print_lines(_lines(system, found))
-    say_contradicted(found.contradicted)
-    for finding in found.faults:
+        report.print_lines(["premises:", *premise_lines(result.premises)])
+        report.print_lines(_lines(system, result))
+    say_contradicted(result.contradicted)
+    for finding in result.faults:
         click.echo(f"certrack: {finding.name}: {finding.detail}; {finding.remedy}", err=True)
-    if not found.passed:
+    if not result.sound:
         raise click.exceptions.Exit(1)
 
 
-def _lines(system: System, found: Check) -> Iterator[str]:
+def _lines(system: System, result: Check) -> Iterator[str]:
     u = system.plant.uncertainty
-    covers = [cover for cover in found.covers if cover.gamma != 0 or cover.beta != 0]
+    covers = [cover for cover in result.covers if cover.gamma != 0 or cover.beta != 0]
     if covers:
         yield "smallest bounds that cover truth.omega, tau as it is:"
-    for k, cover in enumerate(found.covers):
+    for k, cover in enumerate(result.covers):
         if cover in covers:
             yield f"  {cover.term}: {_cover_text(cover, u.gamma[k], u.beta[k])}"
     yield "findings:"
-    for finding in found.findings:
+    for finding in result.findings:
         remedy = f"; {finding.remedy}" if finding.remedy else ""
         yield f"  {finding.status:<7}  {finding.name}: {finding.detail}{remedy}"
 
@@ -66,6 +66,6 @@ def _cover_text(cover: Cover, gamma: float, beta: float) -> str:
     how = "proven" if cover.proven else "on samples"
     if cover.both is not None:
         return f"gamma = {cover.both[0]:g} with beta = {cover.both[1]:g} ({how})"
-    ways = [f"gamma = {cover.gamma:g} with beta = {beta:g}"] if cover.gamma is not None else []
-    ways += [f"beta = {cover.beta:g} with gamma = {gamma:g}"] if cover.beta is not None else []
-    return f"{' or '.join(ways)} ({how})" if ways else "none was found"
+    options = [f"gamma = {cover.gamma:g} with beta = {beta:g}"] if cover.gamma is not None else []
+    options += [f"beta = {cover.beta:g} with gamma = {gamma:g}"] if cover.beta is not None else []
+    return f"{' or '.join(options)} ({how})" if options else "none was found"

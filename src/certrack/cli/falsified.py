@@ -31,7 +31,7 @@ def falsification_summary(result: Falsification) -> dict[str, Any]:
         else {"method": against.kind, "bound": against.bound, "loop": "continuous"},
         "alarm": result.alarm,
         "alarm_reason": result.reason or None,
-        "own_run": result.own,
+        "own_run": result.own_run,
         "certificates": {kind: _beside(c, error) for kind, c in result.certificates.items()},
         "runs": result.evaluations,
     }

@@ -140,8 +140,10 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     if as_json:
         click.echo(report.to_json(values))
     else:
-        own = ", the file's own" if result.own else ""
-        click.echo(f"worst |e_1| found in {result.evaluations} runs{own}: {result.worst_error:.6g}")
+        origin = ", the file's own" if result.own_run else ""
+        click.echo(
+            f"worst |e_1| found in {result.evaluations} runs{origin}: {result.worst_error:.6g}"
+        )
         click.echo(f"certified limsup |e_1|: {printed_bound(values['certified'])}")
         ratio = values["ratio"]
         click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")

@@ -323,8 +323,8 @@ def new_name(key: str, name: Any, used: Sequence[str]) -> str:
 
 #: What to do where a coefficient of the rows 1 ... n-1 depends on states.
 ROW_REMEDY = (
-    "Rows 1 ... n-1 must be x_i' = g_i x_{i+1} + sum b_ij x_j + tau_i w_i with constant g_i and b_ij: "
-    "take x_i' itself as the next state, or put the difference from a constant into w_i"
+    "Rows 1 ... n-1 must be x_i' = g_i x_{i+1} + sum b_ij x_j + tau_i w_i with constant g_i and "
+    "b_ij: take x_i' itself as the next state, or put the difference from a constant into w_i"
 )
 
 #: The same for g_n.

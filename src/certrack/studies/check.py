@@ -83,7 +83,7 @@ class Check:
         return tuple(finding for finding in self.findings if finding.status == FAULT)
 
     @property
-    def passed(self) -> bool:
+    def sound(self) -> bool:
         """Whether no premise is contradicted and nothing is a fault."""
         return not self.contradicted and not self.faults
 
@@ -98,10 +98,10 @@ class Check:
         --------
         >>> import certrack
         >>> list(certrack.check(certrack.load("example1")).summary())
-        ['passed', 'premises', 'covers', 'findings']
+        ['sound', 'premises', 'covers', 'findings']
         """
         return {
-            "passed": self.passed,
+            "sound": self.sound,
             "premises": [premise.record() for premise in self.premises],
             "covers": [vars(cover) for cover in self.covers],
             "findings": [vars(finding) for finding in self.findings],
@@ -123,7 +123,7 @@ def check(system: System) -> Check:
     --------
     >>> import certrack
     >>> found = certrack.check(certrack.load("example1"))
-    >>> found.passed, found.covers[0].gamma
+    >>> found.sound, found.covers[0].gamma
     (True, 0.5)
     """
     points = random_points(system.plant.n, system.settings.duration, SEED)
@@ -139,7 +139,7 @@ def _findings(system: System) -> Iterator[Finding]:
         yield Finding("poles", NOTE, detail)
     else:
         yield _pole_period(system, implementation)
-        yield from _edge(system, implementation)
+        yield from _sampled_stability(system, implementation)
         yield from _leaks(system, implementation)
         yield from _sensor_quanta(system, implementation)
         yield from _input_quantum(system, implementation)
@@ -161,7 +161,7 @@ def _pole_period(system: System, implementation: Implementation) -> Finding:
     return Finding("poles x period", FINE, detail)
 
 
-def _edge(system: System, implementation: Implementation) -> Iterator[Finding]:
+def _sampled_stability(system: System, implementation: Implementation) -> Iterator[Finding]:
     """The eigenvalues of one period, where the loop is linear."""
     loop = linear_loop(system)
     if loop is None:

@@ -51,7 +51,7 @@ def misfits(units: Sequence[str], chain: Sequence[float]) -> list[tuple[int, str
     list of (i, text)
         i from 0, and the unit that is expected for x_{i+1}.
     """
-    found = []
+    wrong = []
     for i, g in enumerate(chain):
         here, after = powers(units[i]), powers(units[i + 1])
         if g != 1 or here is None or after is None:
@@ -59,16 +59,20 @@ def misfits(units: Sequence[str], chain: Sequence[float]) -> list[tuple[int, str
         expected = dict(here)
         expected["s"] = expected.get("s", Fraction(0)) - 1
         if {symbol: power for symbol, power in expected.items() if power} != after:
-            found.append((i, _per_second(units[i])))
-    return found
+            wrong.append((i, _per_second(units[i])))
+    return wrong
 
 
 def _per_second(unit: str) -> str:
     parts = powers(unit) or {}
     power = parts.get("s", Fraction(0)) - 1
-    rest = "*".join(s if p == 1 else f"{s}^{p}" for s, p in parts.items() if s != "s") or "1"
+    others = "*".join(s if p == 1 else f"{s}^{p}" for s, p in parts.items() if s != "s") or "1"
     if power == 0:
-        return rest
+        return others
     return (
-        f"{rest}/s" if power == -1 else f"{rest}/s^{-power}" if power < 0 else f"{rest}*s^{power}"
+        f"{others}/s"
+        if power == -1
+        else f"{others}/s^{-power}"
+        if power < 0
+        else f"{others}*s^{power}"
     )

@@ -62,9 +62,9 @@ def alarm(
     """
     if not _beyond(system, case, run, against, stages):
         return None
-    own = case.truth.omega == system.truth.omega
+    file_omega = case.truth.omega == system.truth.omega
     for premise in contradicted(premises(system)):
-        if own or not premise.name.startswith("w_"):
+        if file_omega or not premise.name.startswith("w_"):
             return Alarm(PREMISE, f"{premise.name}: {premise.detail}; {premise.remedy}")
     broken = _broken_on_the_way(case, run)
     if broken:

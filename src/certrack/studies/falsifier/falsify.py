@@ -79,7 +79,7 @@ class Falsification:
     against: Certificate | None
     alarm: str | None
     reason: str
-    own: bool
+    own_run: bool
 
 
 def falsify(
@@ -144,21 +144,21 @@ def falsify(
     errors = list(map(_error, runs))
     worst = int(np.argmax(errors))
     against, stages = _best_verified(certificates)
-    found = None
+    raised = None
     if against is not None:
         alarms = (
             alarm(system, case, run, against, stages) for case, run in zip(cases, runs, strict=True)
         )
-        found = next(filter(None, alarms), None)
+        raised = next(filter(None, alarms), None)
     return Falsification(
         errors[worst],
         cases[worst],
         search.evaluations + 1,
         _of_this_file(system, certificates),
         against,
-        None if found is None else found.kind,
-        "" if found is None else found.reason,
-        own=worst == 1,
+        None if raised is None else raised.kind,
+        "" if raised is None else raised.reason,
+        own_run=worst == 1,
     )
 
 
@@ -166,9 +166,9 @@ def all_certificates(system: System) -> dict[str, tuple[Certificate, tuple[Proof
     """Every certificate of the system and its proof, where it has one, by kind."""
     semidefinite, proof = certify_semidefinite(system)
     cascade, stages = certify_cascade(system)
-    found = {kind: (entry, ()) for kind, entry in certify_published(system).items()}
+    published = {kind: (entry, ()) for kind, entry in certify_published(system).items()}
     return {
-        **found,
+        **published,
         "semidefinite": (semidefinite, () if proof is None else (proof,)),
         "cascade": (cascade, stages or ()),
     }
