@@ -211,6 +211,7 @@ def test_public_surface_is_frozen():
         "load",
         "loads",
         "margins",
+        "member",
         "paired",
         "plot",
         "plotting",
