@@ -12,14 +12,16 @@ import numpy as np
 import sympy
 
 from certrack.certificates.assumption_1 import UncertainTerm, uncertain_terms
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.cover import Cover, smallest_cover
 from certrack.certificates.domain import NONNEGATIVE, NONZERO, Condition, conditions, undefined_at
 from certrack.certificates.premise import ASSUMED, CHECKED, CONTRADICTED, PROVEN, Premise
 from certrack.certificates.premises import irrational_numbers
 from certrack.certificates.sampling import RANDOM_POINTS, Points, random_points
+from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
 from certrack.core.rounding import rounded_up
-from certrack.laws import Robust
+from certrack.laws.error_system import KnownParameters
 from certrack.references import SymbolicReference
 from certrack.systems.system import System
 
@@ -145,6 +147,14 @@ def _equal(a: sympy.Expr, b: sympy.Expr, states: Sequence[sympy.Symbol]) -> bool
     return True
 
 
+def _knows_parameters(system: System) -> bool:
+    """Whether the law uses the plant's g_n and theta themselves, by the error system it states."""
+    try:
+        return isinstance(stated_error_system(system), KnownParameters)
+    except NoCertificate:
+        return False
+
+
 def _input_gain(system: System) -> Premise:
     plant, truth = system.plant, system.truth
     assert truth.input_gain is not None
@@ -152,7 +162,7 @@ def _input_gain(system: System) -> Premise:
     if plant.input_gain_range is not None:  # the loader refuses a truth outside
         low, high = plant.input_gain_range
         return Premise(GAIN, PROVEN, f"every g_n in [{low:g}, {high:g}], the true one among them")
-    if not isinstance(system.law, Robust):
+    if not _knows_parameters(system):
         return Premise(GAIN, PROVEN, f"the true g_n = {true} (the file gives no range)")
     assert plant.input_gain is not None
     if _equal(true.expr, plant.input_gain.expr, ()):
@@ -173,7 +183,7 @@ def _theta(system: System) -> Premise:
     if plant.theta_range is not None:
         return Premise(THETA, PROVEN, "every theta in its range, the true one among them")
     true = [value.expr for value in truth.theta]
-    if not isinstance(system.law, Robust):
+    if not _knows_parameters(system):
         return Premise(THETA, PROVEN, "the true theta of the file (it gives no range)")
     known = [value.expr for value in plant.theta or ()]
     if all(_equal(a, b, ()) for a, b in zip(true, known, strict=True)):
