@@ -108,7 +108,7 @@ def test_a_declared_bound_is_proven_checked_or_contradicted():
     assert with_reference("t*exp(-t)", (0.5, 1.0)).status in ("checked", "proven")
     late = with_reference("0.001*t/(1 + 0.0001*t)", (5.1, 1.0))  # 5 at 1e4 s, later up to 10
     assert late.contradicted and late.witness["t"] > 1e4
-    assert late.witness["value"] > late.witness["limit"] == 5.1
+    assert late.witness["value"] > late.witness["limit"] >= 5.1
 
 
 def test_irrational_numbers_are_named():

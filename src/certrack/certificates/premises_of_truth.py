@@ -41,7 +41,7 @@ PLANT, GAIN, THETA, DOMAIN, REFERENCE, IRRATIONAL, CONTINUOUS_LAW = (
 
 #: Random states at which two formulas are compared, digits of the comparison, and what they may
 #: differ by: they differ in a constant, or not at all.
-COMPARED_POINTS, COMPARED_DIGITS, SAME = 5, 40, 1e-30
+COMPARED_POINTS, FORMULA_DIGITS, SAME = 5, 40, 1e-30
 
 #: Times at which a declared bound is held against the reference, beyond those of the loader, s.
 LATE_TIMES = np.geomspace(1e4, 1e9, 20_001)
@@ -141,7 +141,7 @@ def _equal(a: sympy.Expr, b: sympy.Expr, states: Sequence[sympy.Symbol]) -> bool
     random = np.random.default_rng(SEED)
     for _ in range(COMPARED_POINTS):
         place = {s: sympy.Rational(int(random.integers(1, 10**6)), 10**5) for s in states}
-        gap = sympy.N((a - b).xreplace(place), COMPARED_DIGITS)
+        gap = sympy.N((a - b).xreplace(place), FORMULA_DIGITS)
         if not gap.is_number or abs(gap) > SAME * (1 + abs(sympy.N(a.xreplace(place), 20))):
             return False
     return True
