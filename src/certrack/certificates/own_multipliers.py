@@ -58,6 +58,6 @@ def own_solution(system: System, exact: ErrorProblem) -> Solution | None:
             leak = problem.leakage(alpha)
             delta = float(nu.sum() + k.sum() + (leak or 0.0))
             slowest = float(np.abs(np.diag(problem.M)).min())
-            return Solution(alpha, np.eye(problem.n), lam, nu, k, delta, slowest)
+            return Solution(alpha, np.eye(problem.n), lam, nu, k, delta, np.full(len(lam), slowest))
     except NoCertificate:
         return None
