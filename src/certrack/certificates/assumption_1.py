@@ -107,8 +107,12 @@ def uncertain_terms(system: System) -> list[UncertainTerm]:
         exact = {s: constants[s.name] for s in w.expr.free_symbols if s.name in constants}
         assert truth.tau is not None
         u = plant.uncertainty
-        numbers = (_fraction(v[k]) for v in (truth.tau, u.tau, u.gamma, u.beta))
-        terms.append(UncertainTerm(k, w.expr.xreplace(exact), plant.symbols, *numbers))
+        strength, tau, gamma, beta = (_fraction(v[k]) for v in (truth.tau, u.tau, u.gamma, u.beta))
+        weights = tuple(map(_fraction, u.norm_weights(k)))
+        single = tuple(map(_fraction, u.Delta[k])) if u.Delta else ()
+        formula = w.expr.xreplace(exact)
+        term = UncertainTerm(k, formula, plant.symbols, strength, tau, gamma, beta, weights, single)
+        terms.append(term)
     return terms
 
 
@@ -131,7 +135,11 @@ class UncertainTerm:
     strength : Fraction
         The true tau_k.
     tau, gamma, beta : Fraction
-        Of the design: tau_true |w_k| <= tau (gamma ||x|| + beta) is the assumption.
+        Of the design: tau_true |w_k| <= tau (gamma ||S x|| + Delta |x| + beta) is the assumption.
+    weights : n Fractions
+        Diagonal of S.
+    single : n Fractions, or none
+        Row of Delta.
     """
 
     k: int
@@ -141,6 +149,8 @@ class UncertainTerm:
     tau: Fraction
     gamma: Fraction
     beta: Fraction
+    weights: tuple[Fraction, ...] = ()
+    single: tuple[Fraction, ...] = ()
 
     @property
     def name(self) -> str:
@@ -164,8 +174,8 @@ class UncertainTerm:
         return self.proven_with(self.gamma, self.beta)
 
     def proven_with(self, gamma: Fraction, beta: Fraction) -> bool:
-        """The same for another gamma and beta."""
-        tau = self.tau
+        """The same for another gamma and beta; Delta is left out, and S taken by its least."""
+        tau, gamma = self.tau, gamma * min(self.weights, default=Fraction(1))
         return self.zero or covers(self.majorants, tau * gamma, tau * beta, self.strength)
 
     def violation(self, points: Points) -> Violation | None:
@@ -217,8 +227,24 @@ class UncertainTerm:
 
     def limit(self, points: Points) -> np.ndarray:
         """What the design allows."""
-        allowed: np.ndarray = float(self.tau * self.gamma) * points.norm
+        norm = points.norm
+        if self.weights:
+            norm = np.linalg.norm(
+                np.array(list(map(float, self.weights)))[:, None] * points.x, axis=0
+            )
+        allowed: np.ndarray = float(self.tau * self.gamma) * norm
+        if self.single:
+            allowed = allowed + np.array([float(self.tau * v) for v in self.single]) @ abs(points.x)
         return allowed + float(self.tau * self.beta)
+
+    @property
+    def allowance(self) -> str:
+        """What the design allows, in words."""
+        norm = "||x||" if all(w == 1 for w in self.weights) else "||S x||"
+        text = f"{float(self.tau * self.gamma):.6g} {norm}"
+        if any(self.single):
+            text += " + tau Delta |x|"
+        return f"{text} + {float(self.tau * self.beta):.6g}"
 
     def excess(self, points: Points) -> np.ndarray:
         """tau |w_k| above what is allowed; -inf where it has no value."""

@@ -16,19 +16,26 @@ from certrack.certificates.exact import Proof, prove, proven
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.own_multipliers import own_solution
 from certrack.certificates.premise import Premise, contradicted
+from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.published import certify_published, critical_strength
+from certrack.certificates.ranges.certify import certify_ranges, without_ranges
+from certrack.certificates.ranges.proofs import CellProof
 from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
 from certrack.core import checks
 from certrack.core.notebook import ShownInNotebooks
+from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
 
 #: How long `certify` may take: the closed forms, the semidefinite program and the cascade are in
 #: all of them.
 EFFORTS = ("fast", "default", "high")
+
+#: Steps of which `certify` reports: closed forms, semidefinite, cascade, ranges, and the rest.
+STEPS = 5
 
 
 @dataclass(frozen=True)
@@ -38,8 +45,15 @@ class Certificates(ShownInNotebooks):
     Attributes
     ----------
     published, corrected, rate, semidefinite, cascade : Certificate
+        Of the nominal loop; none where constants have ranges.
+    vertices, peak, cells : Certificate
+        For all constants in their ranges: one quadratic function, peak gains, cells.
     proof, cascade_proof
         The exactly verified numbers behind the semidefinite bound and the cascade.
+    cover : cells with their proofs
+        Behind the best of vertices, peak and cells.
+    attainable : float or None
+        What the linear loop reaches at the worst corner of the ranges; no proof.
     critical_published, critical_semidefinite : float
         Largest common scale of tau with a certificate; the second is verified exactly.
     tube : Tube or None
@@ -55,12 +69,17 @@ class Certificates(ShownInNotebooks):
     rate: Certificate
     semidefinite: Certificate
     cascade: Certificate
+    vertices: Certificate
+    peak: Certificate
+    cells: Certificate
     proof: Proof | None
     cascade_proof: tuple[Proof, ...] | None
     critical_published: float
     critical_semidefinite: float
     tube: Tube | None
     premises: tuple[Premise, ...] = ()
+    cover: tuple[CellProof, ...] = ()
+    attainable: float | None = None
 
     def __repr__(self) -> str:
         entries = [getattr(self, entry.name) for entry in fields(self)]
@@ -74,7 +93,8 @@ class Certificates(ShownInNotebooks):
     @property
     def best(self) -> Certificate:
         """The tightest certificate among the verified ones."""
-        sound = (self.semidefinite, self.cascade, self.rate, self.corrected)
+        nominal = (self.semidefinite, self.cascade, self.rate, self.corrected)
+        sound = (*nominal, self.cells, self.vertices, self.peak)
         verified = [c for c in sound if c.verified]
         return min(verified, key=lambda c: c.bound) if verified else self.semidefinite
 
@@ -89,25 +109,32 @@ class Certificates(ShownInNotebooks):
         return self.best.verified and not self.contradicted
 
     @property
-    def stages(self) -> tuple[Proof, ...]:
-        """Proof of the tightest verified bound: one stage, or the two or three of the cascade.
+    def stages(self) -> tuple[Proof, ...] | tuple[CellProof, ...]:
+        """Proof of the tightest verified bound: one stage, the two or three of the cascade, cells.
 
         Empty where there is none, and where a premise is contradicted.
         """
         if self.contradicted:
             return ()
-        return tightest(self.semidefinite, self.proof, self.cascade, self.cascade_proof)
+        return self.cover or tightest(
+            self.semidefinite, self.proof, self.cascade, self.cascade_proof
+        )
 
 
-def certify(system: System, effort: str = "default") -> Certificates:
-    """Certify `system` by every method: published, corrected, rate, semidefinite and cascade.
+def certify(system: System, effort: str = "default", progress: Progress = silent) -> Certificates:
+    """Certify `system` by every method.
+
+    Published, corrected, rate, semidefinite and cascade speak of the nominal loop; where constants
+    have ranges, vertices, peak and cells cover them.
 
     Parameters
     ----------
     system : System
     effort : {"fast", "default", "high"}
-        How long it may take. Today the three find the same: closed forms, semidefinite program and
-        cascade; slower methods will join the second and the third.
+        How long it may take: ``fast`` cuts no ranges of constants into cells, ``high`` cuts them
+        into four times as many as the default.
+    progress : callable
+        Gets the number of the step that begins, their number and, for ranges, the bound so far.
 
     Returns
     -------
@@ -128,22 +155,38 @@ def certify(system: System, effort: str = "default") -> Certificates:
     (True, {'proven'})
     """
     checks.choice("effort", effort, EFFORTS)
+    progress(0, STEPS, None)
     classical = certify_published(system)
+    progress(1, STEPS, None)
     semidefinite, proof = certify_semidefinite(system)
+    progress(2, STEPS, None)
     cascade, cascade_proof = certify_cascade(system)
     stages = tightest(semidefinite, proof, cascade, cascade_proof)
+    progress(3, STEPS, None)
+    ranges = (
+        certify_ranges(system, effort, lambda _, __, best: progress(3, STEPS, best))
+        if has_ranges(system)
+        else without_ranges()
+    )
+    progress(4, STEPS, None)
     rests_on = premises(system)
     result = Certificates(
         **classical,
         semidefinite=semidefinite,
         cascade=cascade,
+        vertices=ranges.vertices,
+        peak=ranges.peak,
+        cells=ranges.cells,
         proof=proof,
         cascade_proof=cascade_proof,
         critical_published=critical_strength(system),
         critical_semidefinite=critical_semidefinite(system, semidefinite),
         tube=tube(system, stages) if stages and not contradicted(rests_on) else None,
         premises=rests_on,
+        cover=ranges.proof,
+        attainable=ranges.attainable,
     )
+    progress(STEPS, STEPS, None)
     return _unverified(result) if result.contradicted else result
 
 
@@ -190,6 +233,8 @@ def best_sound_bound(system: System) -> float:
     >>> certrack.certificates.best_sound_bound(system) == found.best.bound
     True
     """
+    if has_ranges(system):
+        return certify_ranges(system).best.bound
     classical = certify_published(system)
     semidefinite, _ = certify_semidefinite(system)
     cascade, _ = certify_cascade(system)

@@ -23,6 +23,9 @@ from certrack.certificates.formulation import error_problem
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises import assumptions
 from certrack.certificates.premises_of_truth import premises
+from certrack.certificates.ranges.certify import cover_bound
+from certrack.certificates.ranges.proofs import MAX_CELLS, CellProof, check_cover, numbers
+from certrack.certificates.ranges.rational import MAX_POINTS
 from certrack.core.errors import InputError, shorten
 from certrack.core.files import write_text
 from certrack.core.rounding import rounded_up
@@ -76,14 +79,15 @@ class Verdict:
         return rounded_up(self.bound, 6)
 
 
-def to_document(system: System, *stages: Proof) -> dict[str, Any]:
+def to_document(system: System, *stages: Proof | CellProof) -> dict[str, Any]:
     """The certificate as a JSON-ready dictionary.
 
     Parameters
     ----------
     system : System
     *stages : Proof
-        One for a semidefinite bound, two or three for a cascade.
+        One for a semidefinite bound, two or three for a cascade, or the cells of a cover of the
+        ranges of constants.
 
     Returns
     -------
@@ -107,11 +111,12 @@ def to_document(system: System, *stages: Proof) -> dict[str, Any]:
         raise InputError("premises", f"the truth contradicts one: {broken[0]}")
     if not stages:
         raise InputError("stages", "there is no proof to save")
-    proof = stages[-1]
+    cells = tuple(stage for stage in stages if isinstance(stage, CellProof))
+    bound = cover_bound(cells) if cells else stages[-1].bound
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
-        "claim": f"limsup |e_1(t)| <= {proof.bound}",
+        "claim": f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
         "proof": [json.loads(json.dumps(asdict(stage))) for stage in stages],
@@ -119,7 +124,9 @@ def to_document(system: System, *stages: Proof) -> dict[str, Any]:
     return body | {"sha256": _digest(body)}
 
 
-def save_certificate(system: System, stages: Sequence[Proof], path: str | os.PathLike[str]) -> None:
+def save_certificate(
+    system: System, stages: Sequence[Proof | CellProof], path: str | os.PathLike[str]
+) -> None:
     """Write the certificate to `path`; a failure leaves what was there.
 
     Parameters
@@ -175,6 +182,8 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     name = "certificate" if isinstance(source, dict) else str(source)
     try:
         body = source if isinstance(source, dict) else _read_document(Path(source))
+        if _is_cover(body):
+            return _verify_cover(body)
         stages = _stages(body)
         proof = stages[-1]
         if body["sha256"] != _digest(body):
@@ -194,6 +203,56 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
         return Verdict(False, "", str(refusal))
     except InputError as problem:
         raise problem.within(name) from None
+
+
+def _is_cover(body: dict[str, Any]) -> bool:
+    """Whether a body claims a bound by cells of the ranges of constants."""
+    if not isinstance(body, dict):
+        return False
+    proof = body.get("proof")
+    return (
+        isinstance(proof, list)
+        and bool(proof)
+        and all(isinstance(entry, dict) and "cell" in entry for entry in proof)
+    )
+
+
+def _verify_cover(body: dict[str, Any]) -> Verdict:
+    """Check a proof by cells."""
+    _check_layout(body)
+    if body["format"] != FORMAT:
+        raise InputError("format", f"must be {FORMAT} for a proof by cells", body["format"])
+    if len(body["proof"]) > MAX_CELLS:
+        raise InputError("proof", f"must have at most {MAX_CELLS} cells")
+    cells = tuple(_cell(entries) for entries in body["proof"])
+    bound = cover_bound(cells)
+    if body["sha256"] != _digest(body):
+        return Verdict(False, bound, "the file was changed after it was made")
+    if any(stage.shift != NO_SHIFT for cell in cells for stage in cell.points):
+        return Verdict(False, bound, "a shift stands in a stage that does not use it")
+    if body["claim"] != f"limsup |e_1(t)| <= {bound}":
+        return Verdict(False, bound, "the claim is not that of the proof")
+    system = loads(body["system"], "system")
+    if reason := check_cover(system, cells, bound):
+        return Verdict(False, bound, reason)
+    return _rests_on(system, body, bound)
+
+
+def _cell(entries: Any) -> CellProof:
+    """One cell of a proof, well formed."""
+    if not isinstance(entries, dict) or set(entries) != {"cell", "bound", "points"}:
+        raise InputError("proof", "a cell must have cell, bound and points")
+    points = entries["points"]
+    if not isinstance(points, list) or len(points) > MAX_POINTS:
+        raise InputError("proof", f"points must be a list of at most {MAX_POINTS} stages")
+    try:
+        (bound,) = _decimal_texts([entries["bound"]])
+        cell = tuple((str(low), str(high)) for low, high in entries["cell"])
+        if not all(low < high for low, high in numbers(cell)):
+            raise ValueError("an interval is empty")
+    except (TypeError, ValueError, ZeroDivisionError) as problem:
+        raise InputError("proof", f"must hold decimal texts ({problem})") from None
+    return CellProof(cell, bound, tuple(map(_proof, points)))
 
 
 def _not_centred(stages: tuple[Proof, ...]) -> tuple[Proof, ...]:
@@ -245,8 +304,8 @@ def _no_number(text: str) -> Any:
     raise InputError("", f"is not a certificate: {text} is not JSON")
 
 
-def _stages(body: dict[str, Any]) -> tuple[Proof, ...]:
-    """The proof's one to three stages, well formed."""
+def _check_layout(body: dict[str, Any]) -> None:
+    """Refuse a body that has not the keys of its format, or no texts where they belong."""
     if not isinstance(body, dict) or not isinstance(body.get("format"), str):
         raise InputError(
             "", "is not a certificate: it must have " + ", ".join(DOCUMENT_KEYS[FORMAT])
@@ -258,6 +317,11 @@ def _stages(body: dict[str, Any]) -> tuple[Proof, ...]:
         raise InputError("", "is not a certificate: it must have " + ", ".join(keys))
     if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
         raise InputError("", "is not a certificate: texts expected")
+
+
+def _stages(body: dict[str, Any]) -> tuple[Proof, ...]:
+    """The proof's one to three stages, well formed."""
+    _check_layout(body)
     if not isinstance(body["proof"], list) or len(body["proof"]) not in (1, 2, 3):
         raise InputError("proof", "must be a list of one to three stages")
     return tuple(_proof(entries) for entries in body["proof"])

@@ -138,8 +138,8 @@ def error_coordinates(system: System, number: ToNumber) -> ErrorCoordinates:
     c = np.array([number(v) for v in gains.c], dtype=dtype)
 
     if gains.coupling is not None:
-        weights = balancing_weights(plant.g, gains.c, gains.coupling)
-        return balanced(g, b, c, system.law.order(plant), weights, number)
+        s = balancing_weights(plant.g, gains.c, gains.coupling)
+        return balanced(g, b, c, system.law.order(plant), s, number)
 
     def weight(k: float) -> Any:
         return number(0) if k == float("inf") else 1 / (4 * number(k))

@@ -10,22 +10,46 @@ from certrack.systems.system import System
 
 
 def refuse(system: System) -> None:
-    """Raise NoCertificate, with the reason, where no certificate of this room can hold."""
-    plant, stated = system.plant, stated_error_system(system)
+    """Raise NoCertificate, with the reason, where no certificate of the nominal loop can hold."""
+    stated = refuse_unknown(system)
+    ranged = [name for name, _, _ in system.plant.constant_ranges]
+    if isinstance(stated, KnownParameters) and _open_parameters(system, stated):
+        ranged += _open_parameters(system, stated)
+    if ranged:
+        raise NoCertificate(
+            f"plant.ranges lets {', '.join(ranged)} vary: the bounds vertices, cells and peak cover it"
+        )
+
+
+def refuse_unknown(system: System) -> ErrorSystem:
+    """Raise NoCertificate where no certificate of this room can hold; what the law states."""
+    stated = stated_error_system(system)
     if system.truth.states:
         _refuse_unknown_ranges(system, stated)
-    if isinstance(stated, KnownParameters):
-        used = (stated.g_n, *stated.theta)
-        ranges = (plant.input_gain_range, *(plant.theta_range or (None,) * plant.r))
-        if any(
-            rational(end) != rational(value)
-            for value, box in zip(used, ranges, strict=True)
-            for end in box or ()
-        ):
-            raise NoCertificate(
-                "the robust law is proven for the exact input_gain and theta it uses, but "
-                "plant.ranges lets them vary; use the adaptive law"
-            )
+    return stated
+
+
+def has_ranges(system: System) -> bool:
+    """Whether a certificate must cover more than the nominal loop."""
+    if system.plant.constant_ranges:
+        return True
+    try:
+        stated = stated_error_system(system)
+    except NoCertificate:
+        return False
+    return isinstance(stated, KnownParameters) and bool(_open_parameters(system, stated))
+
+
+def _open_parameters(system: System, stated: KnownParameters) -> list[str]:
+    """What the robust law takes for known, although it has a range."""
+    plant = system.plant
+    names = ["input_gain", *(f"theta[{i}]" for i in range(plant.r))]
+    boxes = (plant.input_gain_range, *(plant.theta_range or (None,) * plant.r))
+    return [
+        name
+        for name, value, box in zip(names, (stated.g_n, *stated.theta), boxes, strict=True)
+        if any(rational(end) != rational(value) for end in box or ())
+    ]
 
 
 def _refuse_unknown_ranges(system: System, stated: ErrorSystem) -> None:

@@ -22,6 +22,7 @@ from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
 from certrack.core.rounding import rounded_up
 from certrack.laws.error_system import KnownParameters
+from certrack.model.plant import Plant
 from certrack.references import SymbolicReference
 from certrack.systems.system import System
 
@@ -105,7 +106,12 @@ def _plant(system: System) -> Premise:
             remedy="certrack ensemble and certrack falsify may refute it",
         )
     design = plant.constant_values
-    stated = {name: value for name, value in truth.constants if value.expr != design[name]}
+    ranged = plant.constant_boxes
+    stated = {
+        name: value
+        for name, value in truth.constants
+        if value.expr != design[name] and name not in ranged
+    }
     built = plant.with_constants(**stated)
     named = {"chain": built.chain, "linear": [v for row in built.linear or () for v in row]}
     named |= {"drift": [built.drift], "regressor": built.regressor}
@@ -124,7 +130,19 @@ def _plant(system: System) -> Premise:
                     f"remove truth.constants, or set plant.constants to {names}; a difference may "
                     "also be written into truth.omega and covered by gamma and beta",
                 )
-    return Premise(PLANT, PROVEN, "chain, linear, drift and regressor exactly as in the file")
+    detail = "chain, linear, drift and regressor exactly as in the file"
+    if ranged:
+        varying = "varying in time" if plant.uncertainty.constants_vary else "standing still"
+        named_ranges = ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in ranged.items())
+        detail += f", with {named_ranges}, {varying}; the true values among them"
+    return Premise(PLANT, PROVEN, detail)
+
+
+def _as_built(system: System) -> Plant:
+    """The design's plant with the true values of the constants that have a range."""
+    plant = system.plant
+    true = {name: v for name, v in system.truth.constants if name in plant.constant_boxes}
+    return plant.with_constants(**true)
 
 
 def _numeric(formula: sympy.Expr, constants: dict[str, sympy.Expr]) -> sympy.Expr:
@@ -164,9 +182,12 @@ def _input_gain(system: System) -> Premise:
         return Premise(GAIN, PROVEN, f"every g_n in [{low:g}, {high:g}], the true one among them")
     if not _knows_parameters(system):
         return Premise(GAIN, PROVEN, f"the true g_n = {true} (the file gives no range)")
-    assert plant.input_gain is not None
-    if _equal(true.expr, plant.input_gain.expr, ()):
-        return Premise(GAIN, PROVEN, f"g_n = {plant.input_gain} exactly as the law uses it")
+    built = _as_built(system).input_gain
+    assert plant.input_gain is not None and built is not None
+    if _equal(true.expr, built.expr, ()):
+        known = f"g_n = {plant.input_gain}"
+        how = "of the constants in their ranges" if plant.constant_ranges else "as the law uses it"
+        return Premise(GAIN, PROVEN, f"{known} exactly {how}")
     values = {"true": float(true.expr), "assumed": float(plant.input_gain.expr)}
     return Premise(
         GAIN,
@@ -185,9 +206,10 @@ def _theta(system: System) -> Premise:
     true = [value.expr for value in truth.theta]
     if not _knows_parameters(system):
         return Premise(THETA, PROVEN, "the true theta of the file (it gives no range)")
-    known = [value.expr for value in plant.theta or ()]
+    known = [value.expr for value in _as_built(system).theta or ()]
     if all(_equal(a, b, ()) for a, b in zip(true, known, strict=True)):
-        return Premise(THETA, PROVEN, "theta exactly as the law uses it")
+        how = "of the constants in their ranges" if plant.constant_ranges else "as the law uses it"
+        return Premise(THETA, PROVEN, f"theta exactly {how}")
     values = {"true": [float(v) for v in true], "assumed": [float(v) for v in known]}
     return Premise(
         THETA,
@@ -208,7 +230,7 @@ def _term(term: UncertainTerm, points: Points) -> Premise:
     name, tau = term.name, f"tau |{term.name}|"
     if term.zero:
         return Premise(name, PROVEN, f"{tau} = 0")
-    bound = f"{tau} <= {_number(term.tau * term.gamma)} ||x|| + {_number(term.tau * term.beta)}"
+    bound = f"{tau} <= {term.allowance}"
     if term.proven:
         return Premise(name, PROVEN, f"{bound} for all t and x (Assumption 1)")
     violation = term.violation(points)

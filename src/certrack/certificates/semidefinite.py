@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import clarabel
 import numpy as np
@@ -211,11 +211,34 @@ class SemidefiniteProgram:
         return Solution(alpha, P, lam, nu, k, delta, lam_unit)
 
 
-def best_solution(program: SemidefiniteProgram) -> Solution | None:
+class Bounded(Protocol):
+    """What a program of this room returns."""
+
+    @property
+    def bound(self) -> float:
+        """limsup |e_1| in floating point, not yet verified."""
+
+
+_Found = TypeVar("_Found", bound=Bounded)
+_Out = TypeVar("_Out", bound=Bounded, covariant=True)
+
+
+class Program(Protocol[_Out]):
+    """A program that is solved for one alpha at a time."""
+
+    @property
+    def fastest(self) -> float:
+        """Supremum of the alpha for which there may be a certificate, 1/s."""
+
+    def solve(self, alpha: float) -> _Out | None:
+        """The solution of least bound with this decay rate (1/s); None if there is none."""
+
+
+def best_solution(program: Program[_Found]) -> _Found | None:
     """The solution of least bound over alpha, None if there is none: a grid, then a refinement."""
     if not program.fastest > 0:
         return None
-    solutions: dict[float, Solution] = {}
+    solutions: dict[float, _Found] = {}
 
     def bound(log_alpha: float) -> float:
         alpha = math.exp(log_alpha)

@@ -251,6 +251,9 @@ def _replaced_omega(ensemble: Ensemble) -> list[str]:
 #: Certificates, in the order in which they are shown.
 CERTIFICATE_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade")
 
+#: Those that cover ranges of constants; shown where there are some.
+RANGE_KINDS = ("vertices", "peak", "cells")
+
 
 def certificates_summary(results: Certificates) -> dict[str, Any]:
     """All certificates, ready for JSON; a bound that does not exist is null."""
@@ -265,7 +268,8 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
         }
 
     return {
-        **{kind: entries(getattr(results, kind)) for kind in CERTIFICATE_KINDS},
+        **{kind: entries(getattr(results, kind)) for kind in (*CERTIFICATE_KINDS, *RANGE_KINDS)},
+        "attainable": results.attainable,
         "verified": results.verified,
         "best": _best(results),
         "critical_strength": {
@@ -303,9 +307,13 @@ def certificates_table(results: Certificates) -> Table:
         "rate": "V' <= -alpha V + Delta",
         "semidefinite": "best Lyapunov function",
         "cascade": "e_n first, then e_1 with e_n as bounded input",
+        "vertices": "one Lyapunov function for all constants, which may vary",
+        "peak": "peak gains for all constants, which may vary",
+        "cells": f"{len(results.cover)} cells of constants that stand still",
     }
     rows = []
-    for kind in CERTIFICATE_KINDS:
+    ranged = any(getattr(results, kind).exists for kind in RANGE_KINDS)
+    for kind in RANGE_KINDS if ranged else CERTIFICATE_KINDS:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = notes[kind] if entry.exists else entry.reason
@@ -326,6 +334,19 @@ SETTLED_MARGIN = 0.1
 
 def certificates_notes(results: Certificates) -> list[str]:
     """Critical strengths, tube and assumptions in words."""
+    if results.cover:
+        attained = results.attainable
+        return [
+            "the nominal certificates do not cover plant.ranges",
+            *(
+                []
+                if attained is None
+                else [
+                    f"attainable at the worst corner of the ranges: {rounded_down(attained, 5)} "
+                    "(a linear program over references; no proof)"
+                ]
+            ),
+        ]
     lines = [
         "critical strength (common scale of tau): published "
         f"{_strength_text(results.critical_published)}, semidefinite "

@@ -27,7 +27,9 @@ from certrack.laws.backstepping import ErrorCoordinates, carry_out
 WEIGHT_DIGITS = 12
 
 
-def balancing_weights(g: Sequence[float], c: Sequence[float], coupling: float) -> list[Fraction]:
+def balancing_weights(
+    g: Sequence[float] | np.ndarray, c: Sequence[float] | np.ndarray, coupling: float
+) -> list[Fraction]:
     """s_1 ... s_n.
 
     Parameters

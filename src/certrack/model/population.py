@@ -199,8 +199,8 @@ class Population:
         _check_count("tau", self.tau, plant.n, "one per state")
         for name, entry in self.constants:
             for end in (entry.low, entry.high):
-                key, box = f"ensemble.constants.{name}", plant.constant_boxes.get(name)
-                check_within(key, end, box, name)
+                within = plant.constant_boxes.get(name)
+                check_within(f"ensemble.constants.{name}", end, within, name)
             if name not in (*plant.constant_values, *dict(truth.constants)):
                 message = "is not a constant of the plant or of the truth"
                 raise InputError(f"ensemble.constants.{name}", message)
@@ -237,7 +237,7 @@ class Population:
         return cls(
             input_gain=uniform(gain) if gain else None,
             theta=tuple(uniform(box) for box in theta) if theta else None,
-            constants={name: uniform(box) for name, box in plant.constant_boxes.items()},
+            constants=tuple((k, uniform(box)) for k, box in plant.constant_boxes.items()),
             disturbance="multisine" if disturbed else "file",
         )
 

@@ -97,7 +97,9 @@ class Uncertainty:
         keys = keys_of(cls)
         required = [name for name, key in keys.items() if key.required]
         checks.known_keys("plant.uncertainty", table, keys, required=required)
-        values = {name: _upper_bounds(name, table[name], constants, n) for name in required}
+        values: dict[str, Any] = {
+            name: _upper_bounds(name, table[name], constants, n) for name in required
+        }
         for name in ("Delta", "S"):
             values |= {name: _weights(name, table[name], n, constants)} if name in table else {}
         if "constants_vary" in table:

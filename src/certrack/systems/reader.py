@@ -265,12 +265,10 @@ def _read_plant(table: Any) -> Plant:
     if "gain_sign" not in values:
         raise InputError("plant.gain_sign", "is missing", remedy="State 1 or -1")
     values["constants"] = _read_named_values("plant.constants", values.get("constants", {}))
-    return Plant(
-        **values,
-        input_gain_range=ranges.pop("input_gain", None),
-        theta_range=ranges.pop("theta", None),
-        constant_ranges=ranges,
-    )
+    values["input_gain_range"] = ranges.pop("input_gain", None)
+    values["theta_range"] = ranges.pop("theta", None)
+    values["constant_ranges"] = ranges
+    return Plant(**values)
 
 
 def _read_truth(table: Any, plant: Plant) -> Truth:

@@ -29,10 +29,11 @@ from mpmath import iv, mp
 from certrack.certificates.arithmetic import exact_float, rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
+from certrack.certificates.premises import refuse_unknown
 from certrack.certificates.ranges.rational import Interval, RationalVector
 from certrack.core.expressions import Expression, parse, symbol
-from certrack.laws import Adaptive
 from certrack.laws.backstepping import ErrorCoordinates
+from certrack.laws.error_system import EstimatedParameters
 from certrack.references.supremum import enclosure
 from certrack.systems.system import System
 
@@ -97,7 +98,8 @@ def ranged_loop(system: System) -> RangedLoop:
     NoCertificate
         If a constant with a range stands where no certificate covers it; the reason names it.
     """
-    design = _Design(system)
+    stated = refuse_unknown(system)
+    design = _Design(system, isinstance(stated, EstimatedParameters))
     coordinates = error_coordinates(system, rational)
     n, q = coordinates.n, coordinates.q
     rho = (
@@ -143,9 +145,9 @@ def ranged_loop(system: System) -> RangedLoop:
 class _Design:
     """The plant's formulas with the ranged constants left open."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, is_adaptive: bool) -> None:
         plant = system.plant
-        self.system, self.is_adaptive = system, isinstance(system.law, Adaptive)
+        self.system, self.is_adaptive = system, is_adaptive
         self.symbols = tuple(symbol(name) for name, _, _ in plant.constant_ranges)
         self.box: tuple[Interval, ...] = tuple(
             (rational(low), rational(high)) for _, low, high in plant.constant_ranges

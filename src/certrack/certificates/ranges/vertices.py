@@ -34,9 +34,9 @@ from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.ranges.coefficients import Channels, Coefficients, largest_brackets
 from certrack.certificates.ranges.loop import ErrorForm, RangedLoop, error_form
 from certrack.certificates.ranges.rational import Interval
+from certrack.certificates.scaling import Scaling
 from certrack.certificates.semidefinite import (
     MAX_ITERATIONS,
-    Scaling,
     SemidefiniteProgram,
 )
 
@@ -105,9 +105,11 @@ class ProblemMaker:
         sizes = [*self._Y, rational(1)]
         Uy = [form.W[:, i] * sizes[i] for i in range(c.q + 2)] + [form.offset]
         Xy = [self.Xe @ c.B[:, i] * sizes[i] for i in range(c.q + 1)] + [0 * form.offset] * 2
-        T = [rows[:, n + i] * sizes[i] for i in range(c.q + 3)]
-        acting = [i for i in range(c.q + 3) if _any(Uy[i]) or _any(T[i]) or (Ua and _any(Xy[i]))]
-        T = columns_of([T[i] for i in acting], len(rows))
+        through = [rows[:, n + i] * sizes[i] for i in range(c.q + 3)]
+        acting = [
+            i for i in range(c.q + 3) if _any(Uy[i]) or _any(through[i]) or (Ua and _any(Xy[i]))
+        ]
+        T = columns_of([through[i] for i in acting], len(rows))
         own = tuple((rows[k : k + 1, :n], T[k : k + 1]) for k in range(len(rows)))
         return ErrorProblem(
             M=form.M,
@@ -243,10 +245,10 @@ def prove_vertices(
         numbers = zip(problems, solution.multipliers, solution.lam_units, strict=True)
         for problem, (lam, nu, k), units in numbers:
             least = MULTIPLIER_FLOOR * units
-            rounded = [tuple(decimal_text(v * scale + w) for v, w in zip(lam, least, strict=True))]
             extra = slack * solution.delta
-            rounded += [tuple(decimal_text(v * scale**2 + extra) for v in w) for w in (nu, k)]
-            proof = Proof(alpha, texts, *rounded, "0")
+            weights = tuple(decimal_text(v * scale + w) for v, w in zip(lam, least, strict=True))
+            nus, ks = (tuple(decimal_text(v * scale**2 + extra) for v in w) for w in (nu, k))
+            proof = Proof(alpha, texts, weights, nus, ks, "0")
             square = squared_bound(problem, proof, target)
             if square is None:
                 break

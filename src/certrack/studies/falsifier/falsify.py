@@ -16,8 +16,10 @@ from scipy.optimize import differential_evolution, minimize
 from certrack.certificates import Certificate, Proof, certify_semidefinite
 from certrack.certificates.cascade import certify_cascade
 from certrack.certificates.premise import contradicted
+from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.published import certify_published
+from certrack.certificates.ranges.certify import certify_ranges
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.heyoka import has_heyoka
@@ -164,6 +166,10 @@ def falsify(
 
 def all_certificates(system: System) -> dict[str, tuple[Certificate, tuple[Proof, ...]]]:
     """Every certificate of the system and its proof, where it has one, by kind."""
+    if has_ranges(system):
+        found = certify_ranges(system)
+        kinds = {"cells": found.cells, "vertices": found.vertices, "peak": found.peak}
+        return {kind: (entry, ()) for kind, entry in kinds.items()}
     semidefinite, proof = certify_semidefinite(system)
     cascade, stages = certify_cascade(system)
     published = {kind: (entry, ()) for kind, entry in certify_published(system).items()}
@@ -189,7 +195,7 @@ def _best_verified(
     certificates: Mapping[str, tuple[Certificate, tuple[Proof, ...]]],
 ) -> tuple[Certificate | None, tuple[Proof, ...]]:
     """The tightest bound that exact arithmetic has confirmed."""
-    verified = [pair for pair in certificates.values() if pair[0].verified and pair[1]]
+    verified = [pair for pair in certificates.values() if pair[0].verified]
     return min(verified, key=lambda pair: pair[0].bound, default=(None, ()))
 
 

@@ -1,0 +1,168 @@
+"""The certificates of a system whose constants have ranges."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from certrack.certificates.certificate import (
+    Certificate,
+    NoCertificate,
+    missing,
+    within_floats,
+)
+from certrack.certificates.exact import float_down, float_up, from_text
+from certrack.certificates.premises import assumptions
+from certrack.certificates.ranges.attainable import worst_reference
+from certrack.certificates.ranges.loop import error_form
+from certrack.certificates.ranges.proofs import CellProof, RangeProver
+from certrack.certificates.ranges.search import RangeBounds, bound_ranges
+from certrack.certificates.ranges.vertices import ProblemMaker
+from certrack.core.progress import Progress, silent
+from certrack.systems.system import System
+
+#: Corners at which the attainable error is looked for.
+MAX_CORNERS = 64
+
+
+@dataclass(frozen=True)
+class RangeCertificates:
+    """What was proven for a box of constants.
+
+    Attributes
+    ----------
+    vertices : Certificate
+        One quadratic function for the whole box; the constants may vary in time.
+    peak : Certificate
+        Peak gains for the whole box; the constants may vary in time.
+    cells : Certificate
+        The box cut into cells; the constants stand still.
+    proof : cells with their proofs
+        Of the smallest bound; empty if there is none.
+    attainable : float or None
+        What the linear loop reaches at the worst corner: an estimate from below, not a proof.
+    """
+
+    vertices: Certificate
+    peak: Certificate
+    cells: Certificate
+    proof: tuple[CellProof, ...]
+    attainable: float | None
+
+    @property
+    def best(self) -> Certificate:
+        """The smallest bound."""
+        return min((self.cells, self.vertices, self.peak), key=lambda c: c.bound)
+
+
+def certify_ranges(
+    system: System, effort: str = "default", progress: Progress = silent
+) -> RangeCertificates:
+    """Certify a system for all values of its constants in their ranges.
+
+    Parameters
+    ----------
+    system : System
+    effort : {"fast", "default", "high"}
+        ``fast`` makes no cells.
+    progress : callable
+        Gets the number of cells, None and the bound so far.
+
+    Returns
+    -------
+    RangeCertificates
+    """
+    varies = system.plant.uncertainty.constants_vary
+    try:
+        with within_floats():
+            prover = RangeProver(system)
+            if varies and not prover.by_peak_gains:
+                raise NoCertificate(
+                    "constants_vary = true has no certificate with the adaptive law, whose V "
+                    "contains g_n; use the robust law, or let the constants stand still"
+                )
+            found = bound_ranges(prover, cells=not varies, effort=effort, progress=progress)
+            attainable = attainable_error(prover)
+    except NoCertificate as refusal:
+        return _nothing(str(refusal))
+    return _certificates(system, found, attainable, varies, effort)
+
+
+def without_ranges() -> RangeCertificates:
+    """What is said of a system whose constants have none."""
+    return _nothing("no constant has a range: the nominal certificates are all there is")
+
+
+def _nothing(reason: str) -> RangeCertificates:
+    vertices, peak, cells = (missing(kind, reason) for kind in ("vertices", "peak", "cells"))
+    return RangeCertificates(vertices, peak, cells, (), None)
+
+
+def _certificates(
+    system: System, found: RangeBounds, attainable: float | None, varies: bool, effort: str
+) -> RangeCertificates:
+    options = {
+        "vertices": () if found.vertices is None else (found.vertices,),
+        "peak": () if found.peak is None else (found.peak,),
+        "cells": found.cells,
+    }
+    reasons = {
+        "vertices": "no quadratic function was found for the whole box; narrow plant.ranges",
+        "peak": "the gain through the ranges is not below 1 on the whole box",
+        "cells": "constants_vary = true: cells are for constants that stand still"
+        if varies
+        else ("cells take more time: --effort default" if effort == "fast" else "no cells found"),
+    }
+    made = {
+        kind: _certificate(kind, system, proofs) if proofs else missing(kind, reasons[kind])
+        for kind, proofs in options.items()
+    }
+    order = ("cells", "vertices", "peak")
+    best = min(order, key=lambda kind: made[kind].bound)
+    return RangeCertificates(**made, proof=options[best], attainable=attainable)
+
+
+def _certificate(kind: str, system: System, proofs: tuple[CellProof, ...]) -> Certificate:
+    bound = from_text(cover_bound(proofs))
+    rates = [from_text(proof.points[0].alpha) for proof in proofs if proof.points]
+    alpha = min(rates) if len(rates) == len(proofs) else None
+    return Certificate(
+        kind,
+        float_up(bound),
+        math.nan if alpha is None else float_down(alpha),
+        math.nan if alpha is None else float_up(bound**2 * alpha / 2),
+        True,
+        assumptions=tuple(assumptions(system)),
+    )
+
+
+def cover_bound(proofs: tuple[CellProof, ...]) -> str:
+    """The largest of the cells' bounds, as its text."""
+    return max((proof.bound for proof in proofs), key=from_text)
+
+
+def attainable_error(prover: RangeProver) -> float | None:
+    """The largest error that linear programs over references find at the corners of the box.
+
+    None for a loop that is not linear, or is unstable at a corner.
+    """
+    loop = prover.loop
+    if not prover.by_peak_gains or loop.brackets:
+        return None
+    u, A = loop.system.plant.uncertainty, loop.coordinates.A.astype(float)
+    inputs = [A[:, k] * u.tau[k] * u.beta[k] for k in range(loop.n) if u.tau[k] * u.beta[k]]
+    columns = np.array(inputs, dtype=float).reshape(len(inputs), loop.n).T
+    Y, Xe = loop.system.reference.bounds(loop.coordinates.q + 1).values, ProblemMaker(loop).Xe
+    largest = 0.0
+    for corner in itertools.islice(itertools.product(*prover.box), MAX_CORNERS):
+        form = error_form(loop, loop.entries.at(corner), Xe)
+        found = worst_reference(
+            form.M.astype(float), form.W.astype(float), columns, form.offset.astype(float), Y
+        )
+        if found is None:
+            return None
+        largest = max(largest, found.error)
+    return largest
