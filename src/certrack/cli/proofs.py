@@ -151,7 +151,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         ratio = values["ratio"]
         click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
         report.console().print(falsified.falsification_table(values["certificates"]))
-        if values["certificates"]["published"]["exceeded"]:
+        if values["certificates"].get("published", {}).get("exceeded"):
             report.print_lines([PUBLISHED_EXCEEDED])
         if out is not None:
             click.echo(f"{out} replays it: certrack simulate {out}")

@@ -241,7 +241,8 @@ def _largest(function: sympy.Expr, states: Sequence[sympy.Symbol], bracket: symp
 
 
 def _sympy(value: Any) -> sympy.Rational:
-    return sympy.Rational(int(value.p), int(value.q))
+    exact = Fraction(str(value))
+    return sympy.Rational(exact.numerator, exact.denominator)
 
 
 def _rationalised(expr: sympy.Expr) -> sympy.Expr:
