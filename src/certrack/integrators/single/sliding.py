@@ -1,0 +1,440 @@
+"""Loops that switch and slide: one driver above the Taylor method and SciPy's.
+
+A method follows the smooth rates of one mode (:mod:`certrack.loops.switching`). After every step
+the driver looks, on the dense output, whether the mode still held; the first time at which it did
+not ends the step there, and :class:`~certrack.integrators.switching.Surfaces` says what holds next.
+So steps are as long as the method's own between two events, and the order of the method is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from certrack.core.expressions import TIME
+from certrack.core.heyoka import quiet_heyoka
+from certrack.core.lowering import extract_switches, jacobian, numpy_callable, to_heyoka
+from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
+from certrack.integrators.single.scipy import (
+    MAX_EVALUATIONS,
+    MIN_RELATIVE_TOLERANCE,
+    SteppedOutput,
+)
+from certrack.integrators.single.switches import Switches
+from certrack.integrators.single.taylor import TaylorSeries, _safe_step, _StepRecord
+from certrack.integrators.switching import ModeRecord, Refused, Rush, Surfaces
+from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
+from certrack.loops.switching import Switching
+
+#: A step is at most this part of the run, so that formulas of time that hold a stuck state are seen.
+LONGEST_STEP = 1 / 50
+
+#: A step is looked at in this many parts; again in halves, up to `MAX_HALVINGS` times, while every
+#: other sample differs from the cubic through its neighbours by `UNRESOLVED` of the range.
+PARTS, MAX_HALVINGS, UNRESOLVED = 16, 8, 0.1
+
+#: Iterations that locate an event; each at least every third halves the interval.
+MAX_ITERATIONS = 120
+
+#: An event's interval is this part of the time at last.
+TIME_ROUNDING = 4e-16
+
+
+class Stepper(Protocol):
+    """A method that follows smooth rates step by step and keeps what it needs of every step."""
+
+    method: str
+
+    def begin(self, problem: Problem) -> None:
+        """Forget the run before."""
+
+    def restart(self, t: float, stop: float, x: np.ndarray, p: np.ndarray, m: np.ndarray) -> None:
+        """Go on from a state with parameters p in modes m, at most until `stop`."""
+
+    def step(self, left: float) -> tuple[float, Outcome]:
+        """Try a step of at most `left`; its length, and why there is none."""
+
+    def states(self, since: np.ndarray) -> np.ndarray:
+        """States on the last step, (S, N), at times since its begin."""
+
+    def kinks(self, since: np.ndarray) -> np.ndarray:
+        """What is negative on the last step after a kink that the method cannot cross, (L, N)."""
+
+    def keep(self, length: float) -> bool:
+        """Keep the last step until `length`; whether more steps are allowed."""
+
+    def dense(self) -> Callable[[np.ndarray], np.ndarray]:
+        """The solution so far."""
+
+
+class SlidingIntegrator:
+    """A closed loop with switching surfaces; an :class:`~certrack.integrators.base.Integrator`.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    switching : Switching
+        Of the loop's rates.
+    method : {"taylor", "scipy", "implicit"}
+    tolerance : float
+        Of the Taylor method.
+    """
+
+    def __init__(
+        self, loop: ClosedLoop, switching: Switching, method: str, tolerance: float
+    ) -> None:
+        self._surfaces = Surfaces(switching, [TIME, loop.states, loop.parameters])
+        self._stepper: Stepper = (
+            _TaylorStepper(loop, switching, tolerance)
+            if method == "taylor"
+            else _ScipyStepper(loop, switching, implicit=method == "implicit")
+        )
+
+    def integrate(self, problem: Problem) -> Trajectory:
+        """Solve `problem`, from event to event."""
+        stepper, surfaces = self._stepper, self._surfaces
+        stepper.begin(problem)
+        x, K = np.array(problem.start, dtype=float), surfaces.count
+        modes = np.concatenate([np.ones(K), np.zeros(K)])
+        times, record = [0.0], [(0.0, modes)]
+        outcome, rush = Outcome.finished, Rush()
+        for begin, stop in problem.segments:
+            p = np.concatenate([problem.parameters, problem.reference.piece_values(begin)])
+            t, reached = begin, ()
+            while outcome is Outcome.finished and t < stop:
+                try:
+                    x, modes = surfaces.settled([t, x, p], modes, reached)
+                except Refused:
+                    outcome = Outcome.chattering
+                    break
+                record.append((t, modes))
+                stepper.restart(t, stop, x, p, modes)
+                t, x, reached, outcome = self._follow(t, stop, p, modes, problem, times)
+                if reached:
+                    try:
+                        rush.add(t)
+                    except Refused:
+                        outcome = Outcome.chattering
+            if outcome is not Outcome.finished:
+                break
+        begins = np.array([t for t, _ in record])
+        last = np.append(begins[1:] > begins[:-1], True)  # of several at a time the last one
+        kept = ModeRecord(surfaces.names, begins[last], np.array([m for _, m in record])[last])
+        return Trajectory(
+            np.array(times), stepper.dense(), outcome, stepper.method, modes=kept
+        )
+
+    def _follow(
+        self,
+        t: float,
+        stop: float,
+        p: np.ndarray,
+        modes: np.ndarray,
+        problem: Problem,
+        times: list[float],
+    ) -> tuple[float, np.ndarray, tuple[int, ...], Outcome]:
+        """Step in one mode until an event or `stop`; time, state, surfaces reached, outcome."""
+        stepper, surfaces, n = self._stepper, self._surfaces, problem.plant_order
+        longest = problem.duration * LONGEST_STEP
+        x = stepper.states(np.zeros(1))[:, 0]
+        limit = surfaces.threshold([t, x, p], modes)
+        while t < stop:
+            left = min(stop - t, longest)
+            length, outcome = stepper.step(left)
+            if outcome is not Outcome.finished:
+                return t, x, (), outcome
+            begin = t
+
+            def holds(since: np.ndarray, begin: float = begin) -> np.ndarray:
+                """What is negative where the mode or a kink's side holds no more."""
+                states = stepper.states(since)
+                rows = surfaces.watch([begin + since, states, p], modes, len(since))
+                kinks = stepper.kinks(since) + limit.max(initial=0.0)
+                return np.vstack([rows + limit[:, None], kinks])
+
+            event = first_event(holds, length, TIME_ROUNDING * max(abs(begin), length))
+            if event is not None:
+                length, row = event
+            more = stepper.keep(length)
+            t = stop if event is None and length == stop - begin else begin + length
+            times.append(t)
+            x = stepper.states(np.array([length]))[:, 0]
+            problem.progress(t, problem.duration, None)
+            if not np.abs(x[:n]).max() <= problem.max_state:
+                return t, x, (), Outcome.escaped
+            if not more:
+                return t, x, (), Outcome.step_limit
+            if event is not None:
+                reached = (row,) if row < surfaces.count and not modes[surfaces.count + row] else ()
+                return t, x, reached or (-1,), Outcome.finished
+        return t, x, (), Outcome.finished
+
+
+def first_event(
+    holds: Callable[[np.ndarray], np.ndarray], length: float, rounding: float, begin: float = 0.0,
+    halvings: int = MAX_HALVINGS,
+) -> tuple[float, int] | None:
+    """The first time after which a row is negative, within `rounding`, and the row; or None."""
+    since = begin + (length - begin) * np.arange(PARTS + 1) / PARTS
+    values = holds(since)
+    if halvings and _unresolved(values):
+        middle = (begin + length) / 2
+        for a, b in ((begin, middle), (middle, length)):
+            event = first_event(holds, b, rounding, a, halvings - 1)
+            if event is not None:
+                return event
+        return None
+    found: tuple[float, int] | None = None
+    for row, samples in enumerate(values):
+        event_time = _first_root(lambda at, row=row: float(holds(np.array([at]))[row, 0]), since, samples, rounding)  # type: ignore[misc]
+        if event_time is not None and (found is None or event_time < found[0]):
+            found = event_time, row
+    return found
+
+
+def _unresolved(values: np.ndarray) -> bool:
+    """Whether samples vary too much between their neighbours to be trusted."""
+    middle = values[:, 3:-3:2]
+    cubic = (9 * (values[:, 2:-4:2] + values[:, 4:-2:2]) - values[:, :-6:2] - values[:, 6::2]) / 16
+    span = values.max(axis=1) - values.min(axis=1)
+    with np.errstate(all="ignore"):
+        excess = np.abs(middle - cubic).max(axis=1) > UNRESOLVED * span
+    return bool((excess & (span > 1e-9 * np.abs(values).max(axis=1))).any())
+
+
+def _first_root(
+    value: Callable[[float], float], since: np.ndarray, samples: np.ndarray, rounding: float
+) -> float | None:
+    """When a row first gets negative."""
+    negative = np.flatnonzero(samples < 0.0)
+    first = int(negative[0]) if negative.size else len(samples)
+    inner = samples[1:-1]
+    dips = np.flatnonzero((inner < samples[:-2]) & (inner <= samples[2:])) + 1
+    for j in dips[dips < first]:  # between three samples it may touch zero unseen
+        rise = samples[j - 1] - 2 * samples[j] + samples[j + 1]
+        if samples[j] > rise:
+            continue
+        at, low = _lowest(value, float(since[j - 1]), float(since[j + 1]))
+        if low < 0.0:
+            return _root(value, float(since[j - 1]), at, rounding)
+    if not negative.size:
+        return None
+    if first == 0:
+        return float(since[0]) + rounding
+    return _root(value, float(since[first - 1]), float(since[first]), rounding)
+
+
+def _lowest(value: Callable[[float], float], a: float, b: float) -> tuple[float, float]:
+    """The lowest point between a and b, by golden sections; stops where it is negative."""
+    ratio = 0.6180339887498949
+    c, d = b - ratio * (b - a), a + ratio * (b - a)
+    fc, fd = value(c), value(d)
+    for _ in range(40):
+        if min(fc, fd) < 0.0:
+            break
+        if fc < fd:
+            b, d, fd = d, c, fc
+            c = b - ratio * (b - a)
+            fc = value(c)
+        else:
+            a, c, fc = c, d, fd
+            d = a + ratio * (b - a)
+            fd = value(d)
+    return (c, fc) if fc < fd else (d, fd)
+
+
+def _root(value: Callable[[float], float], a: float, b: float, rounding: float) -> float:
+    """The end of an interval of length `rounding` at whose end the value is negative."""
+    fa, fb = value(a), value(b)
+    side = 0
+    for i in range(MAX_ITERATIONS):  # Illinois, and every third time the middle
+        if b - a <= rounding:
+            break
+        c = (a + b) / 2 if i % 3 == 2 or not fa > fb else (a * fb - b * fa) / (fb - fa)
+        c = min(max(c, a + rounding / 2), b - rounding / 2)
+        fc = value(c)
+        if fc < 0.0:
+            b, fb = c, fc
+            fa, side = (fa / 2 if side == 1 else fa), 1
+        else:
+            a, fa = c, fc
+            fb, side = (fb / 2 if side == -1 else fb), -1
+    return b
+
+
+class _TaylorStepper:
+    """heyoka's Taylor method; kinks of abs, min and max are switches of it besides."""
+
+    method = "taylor"
+
+    def __init__(self, loop: ClosedLoop, switching: Switching, tolerance: float) -> None:
+        hy = quiet_heyoka()
+        rates, kinks = extract_switches(switching.rates)
+        functions = [inside for _, inside in kinks]
+        everything = [*loop.parameters, *switching.modes, *(symbol for symbol, _ in kinks)]
+        used = set().union(*(f.free_symbols for f in (*rates, *functions)))
+        self._used = np.array([i for i, name in enumerate(everything) if name in used], dtype=int)
+        parameters = [everything[i] for i in self._used]
+        self._count = len(loop.parameters) + len(switching.modes)
+        self._switches: Switches | None = None
+        if kinks:
+            self._switches = Switches(loop.states, everything, rates, functions)
+        names = [state.name for state in loop.states]
+        variables = [hy.expression(name) for name in names]
+        known = {symbol: hy.par[i] for i, symbol in enumerate(parameters)}
+        known |= dict(zip(loop.states, variables, strict=True))
+        self._ta = hy.taylor_adaptive(
+            list(zip(variables, to_heyoka(rates, known), strict=True)),
+            [0.0] * len(variables),
+            tol=tolerance,
+            pars=[0.0] * len(parameters),
+        )
+        self._moving = len(loop.states) - len(INTEGRALS)
+        self._all = np.zeros(len(everything))
+        self._all[self._count :] = 1.0
+        self._fresh = True
+
+    def begin(self, problem: Problem) -> None:
+        self._steps = _StepRecord(self._ta.tc.shape)
+        self._max_steps, self._start = problem.max_steps, problem.start
+        self._all[self._count :] = 1.0
+
+    def restart(self, t: float, stop: float, x: np.ndarray, p: np.ndarray, m: np.ndarray) -> None:
+        ta = self._ta
+        ta.state[:], ta.time = x, t
+        self._all[: self._count] = np.concatenate([p, m])
+        self.time, self.state, self.pars = t, x, self._all
+        if self._switches is not None:
+            self._switches.set(self)
+            self._all = self.pars
+        ta.pars[:] = self._all[self._used]
+        self._begin, self._fresh = t, True
+
+    def step(self, left: float) -> tuple[float, Outcome]:
+        ta = self._ta
+        self._begin = begin = ta.time
+        outcome, length = ta.step(left, True)
+        if length == length and length > (safe := _safe_step(ta.tc[: self._moving], length)):
+            ta.state[:], ta.time = ta.tc[:, 0], begin
+            outcome, length = ta.step(safe, True)
+        self._fresh = False
+        if length != length or begin + length == begin:
+            large = np.abs(ta.tc[: self._moving, 0]).max() > ESCAPING
+            return 0.0, Outcome.escaped if large else Outcome.undefined
+        return length, Outcome.finished
+
+    def states(self, since: np.ndarray) -> np.ndarray:
+        if self._fresh:
+            return np.repeat(self._ta.state[:, None], len(since), axis=1)
+        tc = self._ta.tc
+        value = np.repeat(tc[:, -1:], len(since), axis=1)
+        for order in range(tc.shape[1] - 2, -1, -1):
+            value = value * since + tc[:, order : order + 1]
+        return value
+
+    def kinks(self, since: np.ndarray) -> np.ndarray:
+        if self._switches is None:
+            return np.empty((0, len(since)))
+        return self._switches.held(self._begin + since, self.states(since), self._all)
+
+    def keep(self, length: float) -> bool:
+        steps = self._steps
+        if steps.count == len(steps.starts):
+            steps.grow()
+        steps.starts[steps.count], steps.table[steps.count] = self._begin, self._ta.tc
+        steps.count += 1
+        return steps.count < self._max_steps
+
+    def dense(self) -> Callable[[np.ndarray], np.ndarray]:
+        count = self._steps.count
+        if not count:
+            return TaylorSeries(np.zeros(1), self._start[None, :, None])
+        return TaylorSeries(self._steps.starts[:count], self._steps.table[:count])
+
+
+class _ScipyStepper:
+    """DOP853 or Radau of SciPy; its error control follows the kinks of abs, min and max."""
+
+    def __init__(self, loop: ClosedLoop, switching: Switching, *, implicit: bool) -> None:
+        arguments = [TIME, loop.states, loop.parameters, switching.modes]
+        self.method = "implicit" if implicit else "scipy"
+        self._rates = numpy_callable(arguments, switching.rates)
+        self._jacobian = (
+            numpy_callable(arguments, jacobian(switching.rates, loop.states)) if implicit else None
+        )
+
+    def begin(self, problem: Problem) -> None:
+        self._problem, self._evaluations = problem, 0
+        self._times: list[float] = [0.0]
+        self._pieces: list[Any] = []
+        self._last = np.array(problem.start, dtype=float)
+        self._absolute = np.full(len(self._last), problem.tolerance)
+        self._absolute[-len(INTEGRALS) :] /= INTEGRAL_SCALE
+
+    def restart(self, t: float, stop: float, x: np.ndarray, p: np.ndarray, m: np.ndarray) -> None:
+        from scipy.integrate import DOP853, Radau
+
+        problem, size = self._problem, len(x)
+        compiled = self._jacobian
+
+        def rates(t: float, y: np.ndarray) -> np.ndarray:
+            with np.errstate(all="ignore"):
+                return np.array(self._rates(t, y, p, m), dtype=float)
+
+        def slopes(t: float, y: np.ndarray) -> np.ndarray:
+            assert compiled is not None
+            with np.errstate(all="ignore"):
+                entries = np.array(compiled(t, y, p, m), dtype=float)
+            return np.nan_to_num(entries.reshape(size, size))
+
+        self._last, self._dense, self._now = x, None, t
+        self._defined = bool(np.isfinite(rates(t, x)).all())
+        if not self._defined:
+            return
+        options: dict[str, Any] = {
+            "rtol": max(problem.tolerance, MIN_RELATIVE_TOLERANCE),
+            "atol": self._absolute,
+            "max_step": problem.duration * LONGEST_STEP,
+        }
+        if compiled is None:  # its interpolant is poor on steps that only stability limits
+            options["max_step"] = min(options["max_step"], 1.0 / problem.fastest_pole)
+        else:
+            options["jac"] = slopes
+        with np.errstate(all="ignore"):
+            self._solver = (Radau if compiled else DOP853)(rates, t, x, stop, **options)
+        self._counted = 0
+
+    def step(self, left: float) -> tuple[float, Outcome]:
+        if not self._defined:
+            return 0.0, Outcome.undefined
+        solver = self._solver
+        self._now = begin = solver.t
+        with np.errstate(all="ignore"):
+            solver.step()
+        if solver.status == "failed":
+            large = np.abs(solver.y[: self._problem.plant_order]).max() > ESCAPING
+            return 0.0, Outcome.escaped if large else Outcome.undefined
+        self._dense = solver.dense_output()
+        return solver.t - begin, Outcome.finished
+
+    def states(self, since: np.ndarray) -> np.ndarray:
+        if self._dense is None:
+            return np.repeat(self._last[:, None], len(since), axis=1)
+        states: np.ndarray = self._dense(self._now + since)
+        return states
+
+    def kinks(self, since: np.ndarray) -> np.ndarray:
+        return np.empty((0, len(since)))
+
+    def keep(self, length: float) -> bool:
+        self._times.append(self._now + length)
+        self._pieces.append(self._dense)
+        self._last = self.states(np.array([length]))[:, 0]
+        self._evaluations += self._solver.nfev - self._counted
+        self._counted = self._solver.nfev
+        return self._evaluations <= MAX_EVALUATIONS
+
+    def dense(self) -> Callable[[np.ndarray], np.ndarray]:
+        return SteppedOutput(self._times, self._pieces, self._last)
