@@ -169,19 +169,16 @@ class Surfaces:
     ) -> np.ndarray:
         """The state moved onto surfaces that it is close to, by a Newton step on all of them."""
         x = np.array(arguments[self.place], dtype=float)
-        parts = self._parts(arguments, modes)
-        near = [k for k in close if np.isfinite(parts[0][k])]
-        if near:
-            for k in near:  # of their own state exactly
-                (own,) = np.nonzero(parts[5][k])
-                if len(own) == 1 and self.switching.surfaces[k] in self.switching.states:
-                    x[own[0]] = 0.0
-            f, slopes = parts[0][near], parts[5][near]
-            rest = [i for i, k in enumerate(near) if self.switching.surfaces[k] not in self.switching.states]
-            if rest:
-                with np.errstate(all="ignore"):
-                    shift = np.linalg.lstsq(slopes[rest], f[rest], rcond=None)[0]
-                x = x - shift if np.isfinite(shift).all() else x
+        f, *_, slopes = self._parts(arguments, modes)
+        others = []
+        for k in close:
+            if self.switching.surfaces[k] in self.switching.states:  # exactly
+                x[self.switching.states.index(self.switching.surfaces[k])] = 0.0
+            elif np.isfinite(f[k]):
+                others.append(k)
+        if others:
+            shift = np.linalg.lstsq(slopes[others], f[others], rcond=None)[0]
+            x[: len(shift)] -= np.where(np.isfinite(shift), shift, 0.0)
         return x
 
     def settled(
@@ -288,7 +285,7 @@ class Surfaces:
         """The modes of two surfaces that interact, where the state is on both."""
         K = self.count
         _, s, rest, own, crossed, _ = self._parts(arguments, modes)
-        base = np.array([rest[i] - crossed[i] * 0.0, rest[j]])
+        base = np.array([rest[i], rest[j]])
         base -= np.array([crossed[i] * s[j], crossed[j] * s[i]])
         matrix = np.array([[own[i], crossed[i]], [crossed[j], own[j]]])
         for choice in product((0.0, 1.0, -1.0), repeat=2):

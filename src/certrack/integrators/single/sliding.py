@@ -17,6 +17,7 @@ from certrack.core.expressions import TIME
 from certrack.core.heyoka import quiet_heyoka
 from certrack.core.lowering import extract_switches, jacobian, numpy_callable, to_heyoka
 from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
+from certrack.integrators.event_location import TIME_ROUNDING, first_event
 from certrack.integrators.single.scipy import (
     MAX_EVALUATIONS,
     MIN_RELATIVE_TOLERANCE,
@@ -30,16 +31,6 @@ from certrack.loops.switching import Switching
 
 #: A step is at most this part of the run, so that formulas of time that hold a stuck state are seen.
 LONGEST_STEP = 1 / 50
-
-#: A step is looked at in this many parts; again in halves, up to `MAX_HALVINGS` times, while every
-#: other sample differs from the cubic through its neighbours by `UNRESOLVED` of the range.
-PARTS, MAX_HALVINGS, UNRESOLVED = 16, 8, 0.1
-
-#: Iterations that locate an event; each at least every third halves the interval.
-MAX_ITERATIONS = 120
-
-#: An event's interval is this part of the time at last.
-TIME_ROUNDING = 4e-16
 
 
 class Stepper(Protocol):
@@ -170,98 +161,6 @@ class SlidingIntegrator:
                 reached = (row,) if row < surfaces.count and not modes[surfaces.count + row] else ()
                 return t, x, reached or (-1,), Outcome.finished
         return t, x, (), Outcome.finished
-
-
-def first_event(
-    holds: Callable[[np.ndarray], np.ndarray], length: float, rounding: float, begin: float = 0.0,
-    halvings: int = MAX_HALVINGS,
-) -> tuple[float, int] | None:
-    """The first time after which a row is negative, within `rounding`, and the row; or None."""
-    since = begin + (length - begin) * np.arange(PARTS + 1) / PARTS
-    values = holds(since)
-    if halvings and _unresolved(values):
-        middle = (begin + length) / 2
-        for a, b in ((begin, middle), (middle, length)):
-            event = first_event(holds, b, rounding, a, halvings - 1)
-            if event is not None:
-                return event
-        return None
-    found: tuple[float, int] | None = None
-    for row, samples in enumerate(values):
-        event_time = _first_root(lambda at, row=row: float(holds(np.array([at]))[row, 0]), since, samples, rounding)  # type: ignore[misc]
-        if event_time is not None and (found is None or event_time < found[0]):
-            found = event_time, row
-    return found
-
-
-def _unresolved(values: np.ndarray) -> bool:
-    """Whether samples vary too much between their neighbours to be trusted."""
-    middle = values[:, 3:-3:2]
-    cubic = (9 * (values[:, 2:-4:2] + values[:, 4:-2:2]) - values[:, :-6:2] - values[:, 6::2]) / 16
-    span = values.max(axis=1) - values.min(axis=1)
-    with np.errstate(all="ignore"):
-        excess = np.abs(middle - cubic).max(axis=1) > UNRESOLVED * span
-    return bool((excess & (span > 1e-9 * np.abs(values).max(axis=1))).any())
-
-
-def _first_root(
-    value: Callable[[float], float], since: np.ndarray, samples: np.ndarray, rounding: float
-) -> float | None:
-    """When a row first gets negative."""
-    negative = np.flatnonzero(samples < 0.0)
-    first = int(negative[0]) if negative.size else len(samples)
-    inner = samples[1:-1]
-    dips = np.flatnonzero((inner < samples[:-2]) & (inner <= samples[2:])) + 1
-    for j in dips[dips < first]:  # between three samples it may touch zero unseen
-        rise = samples[j - 1] - 2 * samples[j] + samples[j + 1]
-        if samples[j] > rise:
-            continue
-        at, low = _lowest(value, float(since[j - 1]), float(since[j + 1]))
-        if low < 0.0:
-            return _root(value, float(since[j - 1]), at, rounding)
-    if not negative.size:
-        return None
-    if first == 0:
-        return float(since[0]) + rounding
-    return _root(value, float(since[first - 1]), float(since[first]), rounding)
-
-
-def _lowest(value: Callable[[float], float], a: float, b: float) -> tuple[float, float]:
-    """The lowest point between a and b, by golden sections; stops where it is negative."""
-    ratio = 0.6180339887498949
-    c, d = b - ratio * (b - a), a + ratio * (b - a)
-    fc, fd = value(c), value(d)
-    for _ in range(40):
-        if min(fc, fd) < 0.0:
-            break
-        if fc < fd:
-            b, d, fd = d, c, fc
-            c = b - ratio * (b - a)
-            fc = value(c)
-        else:
-            a, c, fc = c, d, fd
-            d = a + ratio * (b - a)
-            fd = value(d)
-    return (c, fc) if fc < fd else (d, fd)
-
-
-def _root(value: Callable[[float], float], a: float, b: float, rounding: float) -> float:
-    """The end of an interval of length `rounding` at whose end the value is negative."""
-    fa, fb = value(a), value(b)
-    side = 0
-    for i in range(MAX_ITERATIONS):  # Illinois, and every third time the middle
-        if b - a <= rounding:
-            break
-        c = (a + b) / 2 if i % 3 == 2 or not fa > fb else (a * fb - b * fa) / (fb - fa)
-        c = min(max(c, a + rounding / 2), b - rounding / 2)
-        fc = value(c)
-        if fc < 0.0:
-            b, fb = c, fc
-            fa, side = (fa / 2 if side == 1 else fa), 1
-        else:
-            a, fa = c, fc
-            fb, side = (fb / 2 if side == -1 else fb), -1
-    return b
 
 
 class _TaylorStepper:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from certrack.integrators.base import MethodUnavailable
+from certrack.loops.continuous import INTEGRALS, ClosedLoop
+from certrack.loops.switching import switching
 from certrack.studies.ensembles.statistics import Bands
 
 
@@ -48,3 +51,15 @@ class Method(ABC):
     @abstractmethod
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         """Compute the members begin ... end-1 and count their signals in the bands."""
+
+
+def refuse_sliding(loop: ClosedLoop) -> None:
+    """Members side by side share their steps, which a motion that sticks and slides cannot.
+
+    Raises
+    ------
+    MethodUnavailable
+        If the rates contain the sign of a state.
+    """
+    if switching(loop.rates, loop.states, smooth_rates=len(INTEGRALS)) is not None:
+        raise MethodUnavailable("sign() of a state makes members slide: each is run by itself")

@@ -14,7 +14,7 @@ from certrack.integrators.many.native import (
 )
 from certrack.integrators.registers import GROUP_SIZE
 from certrack.studies.ensembles.build_flow import build_flow, shown_signals
-from certrack.studies.ensembles.methods.base import MemberResults, Method
+from certrack.studies.ensembles.methods.base import MemberResults, Method, refuse_sliding
 from certrack.studies.ensembles.metric_formulas import INTEGRAL_METRICS, MEMORY_METRICS
 from certrack.studies.ensembles.problem import EnsembleProblem
 from certrack.studies.ensembles.statistics import BAND_BITS, BINS_PER_SIDE, Bands, counts_shape
@@ -41,6 +41,7 @@ class NativeContinuous(Method):
 
     def __init__(self, problem: EnsembleProblem, threads: int) -> None:
         self._problem, self._threads = problem, threads
+        refuse_sliding(problem.members.loop)
         self._flow = build_flow(problem.members, problem.varying)
         signals = shown_signals(self._flow, problem.members.loop)
         self._native = Native(self._flow, signals)
