@@ -59,8 +59,8 @@ class SampledSimulator:
         around: Callable[[SampledMaps, SampledLoop], SampledMaps] | None = None,
         controller: SampledController | None = None,
     ) -> None:
-        loop, self.surfaces = with_modes(sample_loop(system, controller=controller))
-        self.loop: SampledLoop = loop
+        self.loop: SampledLoop = sample_loop(system, controller=controller)
+        loop, self.surfaces = with_modes(self.loop)
         integrator = system.settings.integrator
         if integrator == "implicit":
             raise InputError(
@@ -73,8 +73,8 @@ class SampledSimulator:
         maps: SampledMaps = NumpyMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
         self.maps = maps if around is None else around(maps, loop)
         self.outputs = outputs_of(self.loop)
-        names = [TIME, self.loop.plant.states, INPUT, [*self.loop.parameters, *self.loop.pieces]]
-        self._rates = numpy_callable(names, [*self.loop.plant.rates, self.loop.e_1])
+        names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
+        self._rates = numpy_callable(names, [*loop.plant.rates, loop.e_1])
 
     def run(self, system: System, progress: Progress = silent) -> Run:
         """Simulate `system`; `progress` gets the time reached."""

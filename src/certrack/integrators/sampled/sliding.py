@@ -88,18 +88,22 @@ class Crossing:
         """States and totals of all members at `end`."""
         run, h = self._run, end - begin
         x, u, p = run.x, run.u, run.parameters
-        count = x.shape[1]
-        start, modes = self._watched(begin, x, u, p)
-        size = ON_SURFACE * (1.0 + np.abs(x).max(axis=0))
-        stays = np.where(modes[self._surfaces.count :] > 0, start >= 0.0, start > size).all(axis=0)
-        step = run.step_map
+        count, step = x.shape[1], run.step_map
         half, _, _ = step(begin, h / 2, run.allowed, x, u, run.totals, p)
         after, totals, error = step(begin, h, run.allowed, x, u, run.totals, p)
-        middle, _ = self._watched(begin + h / 2, half, u, p)
-        last, _ = self._watched(end, after, u, p)
+        rest, modes = self._split(p)
+        three = np.concatenate([x, half, after], axis=1)
+        t = np.repeat([begin, begin + h / 2, end], count)
+        kept = self._surfaces.watch(
+            [t, three, np.tile(u, 3), np.tile(rest, 3)], np.tile(modes, 3), 3 * count
+        ).reshape(-1, 3, count)
+        start, middle, last = kept[:, 0], kept[:, 1], kept[:, 2]
+        nothing = np.where(
+            modes[self._surfaces.count :] > 0, 0.0, ON_SURFACE * (1.0 + np.abs(x).max(axis=0))
+        )
         curve = start - 2 * middle + last
         dips = (middle < start) & (middle < last) & (middle <= curve)
-        stays &= ((middle >= 0.0) & (last >= 0.0) & ~dips).all(axis=0)
+        stays = ((start >= nothing) & (middle >= 0.0) & (last >= 0.0) & ~dips).all(axis=0)
         alone = np.flatnonzero(~(stays & (error <= 1.0)) & run.alive)
         if on_step is not None and not (len(alone) and alone[0] == 0):
             self._note(begin, p[:, 0])
@@ -109,13 +113,7 @@ class Crossing:
             after[:, i], totals[:, i] = np.nan, np.nan
             if done is not None:
                 after[:, i], totals[:, i] = done
-        assert count == after.shape[1]
         return after, totals
-
-    def _watched(self, t: float, x: Array, u: Array, p: Array) -> tuple[Array, Array]:
-        """What is negative where a mode does not hold, and the modes."""
-        rest, modes = self._split(p)
-        return self._surfaces.watch([t, x, u, rest], modes, x.shape[1]), modes
 
     def _note(self, t: float, p: Array) -> None:
         modes = self._split(p)[1]
