@@ -29,8 +29,9 @@ from certrack.integrators.switching import ModeRecord, Refused, Rush, Surfaces
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
 from certrack.loops.switching import Switching
 
-#: A step is at most this part of the run, so that formulas of time that hold a stuck state are seen.
-LONGEST_STEP = 1 / 50
+#: A step is at most this part of the run and this many time constants of the fastest error pole: so
+#: formulas of time that pull at a stuck state, whose own rates are zero, are seen.
+LONGEST_STEP, TIME_CONSTANTS = 1 / 50, 2.0
 
 
 class Stepper(Protocol):
@@ -128,7 +129,7 @@ class SlidingIntegrator:
     ) -> tuple[float, np.ndarray, tuple[int, ...], Outcome]:
         """Step in one mode until an event or `stop`; time, state, surfaces reached, outcome."""
         stepper, surfaces, n = self._stepper, self._surfaces, problem.plant_order
-        longest = problem.duration * LONGEST_STEP
+        longest = min(problem.duration * LONGEST_STEP, TIME_CONSTANTS / problem.fastest_pole)
         x = stepper.states(np.zeros(1))[:, 0]
         limit = surfaces.threshold([t, x, p], modes)
         while t < stop:
