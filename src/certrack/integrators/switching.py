@@ -73,7 +73,9 @@ class ModeRecord:
         held = self.modes[:, len(self.surfaces) + k] > 0
         change = np.diff(held.astype(int), prepend=0, append=0)
         times = np.append(self.begins, end)
-        pairs = zip(times[change > 0].tolist(), times[change[: len(times)] < 0].tolist(), strict=True)
+        pairs = zip(
+            times[change > 0].tolist(), times[change[: len(times)] < 0].tolist(), strict=True
+        )
         return [(a, b) for a, b in pairs if b > a]
 
 
@@ -92,7 +94,7 @@ def sticking_notes(modes: ModeRecord, end: float) -> list[str]:
             rest = f" and {more} more times" if more > 0 else ""
             total = sum(b - a for a, b in found)
             notes.append(
-                f"Stuck where {name} = 0 (sign({name}) switches): {shown}{rest}; {total:.6g} s in all."
+                f"Stuck at {name} = 0 (sign() there): {shown}{rest}; {total:.6g} s in all."
             )
     return notes
 
@@ -279,9 +281,7 @@ class Surfaces:
         value = float(parts[0][k])
         return value if abs(value) > blur else 0.0
 
-    def _pair(
-        self, arguments: Sequence[Any], modes: np.ndarray, i: int, j: int
-    ) -> np.ndarray:
+    def _pair(self, arguments: Sequence[Any], modes: np.ndarray, i: int, j: int) -> np.ndarray:
         """The modes of two surfaces that interact, where the state is on both."""
         K = self.count
         _, s, rest, own, crossed, _ = self._parts(arguments, modes)

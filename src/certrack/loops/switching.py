@@ -128,7 +128,9 @@ def switching(
         if partner is None:
             rest = normal[k].xreplace({s[k]: sympy.S.Zero}).xreplace(on_sides)
             own = slopes[k][k].xreplace(on_sides)
-            values.append((1 - stuck[k]) * sides[k] - stuck[k] * rest / (stuck[k] * own + 1 - stuck[k]))
+            values.append(
+                (1 - stuck[k]) * sides[k] - stuck[k] * rest / (stuck[k] * own + 1 - stuck[k])
+            )
         else:
             values.append(_of_pair(k, partner, normal, slopes, s, sides, stuck))
     known = dict(zip(s, values, strict=True))
@@ -160,9 +162,7 @@ def switching(
 class _Signs:
     """The signs that have been met, a symbol each; sign(f) and sign(-c f) are one surface."""
 
-    def __init__(
-        self, states: Sequence[sympy.Symbol], known: Sequence[sympy.Expr] = ()
-    ) -> None:
+    def __init__(self, states: Sequence[sympy.Symbol], known: Sequence[sympy.Expr] = ()) -> None:
         self.surfaces: list[sympy.Expr] = list(known)
         self._states = frozenset(states)
 
@@ -216,7 +216,11 @@ def _partner(
     if any(other in pair for pair in bound - {near[0]}):
         return None
     pair = {s[k], s[other]}
-    if any((surfaces[i].free_symbols | slopes[i][j].free_symbols) & pair for i in near[0] for j in near[0]):
+    if any(
+        (surfaces[i].free_symbols | slopes[i][j].free_symbols) & pair
+        for i in near[0]
+        for j in near[0]
+    ):
         return None
     return other
 

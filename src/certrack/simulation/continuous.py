@@ -81,9 +81,7 @@ class ContinuousSimulator:
         self._has_kinks = any(rate.has(*KINKED_FUNCTIONS) for rate in self.loop.rates)
         self._parameters = parameter_values(self.loop, system)
         arguments, u = [TIME, self.loop.states, self.loop.parameters], self.loop.u
-        self._switching = switching(
-            self.loop.rates, self.loop.states, smooth_rates=len(INTEGRALS)
-        )
+        self._switching = switching(self.loop.rates, self.loop.states, smooth_rates=len(INTEGRALS))
         if self._switching is not None:
             arguments.append(self._switching.modes)
             (u,) = self._switching.resolved([u])
@@ -172,7 +170,6 @@ class ContinuousSimulator:
             yield integrator
         finally:
             idle.append(integrator)
-
 
     def _compiled(self, method: str, tolerance: float) -> Integrator:
         """A new integrator; loops that may slide have a driver above the method."""

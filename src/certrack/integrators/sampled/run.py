@@ -34,6 +34,7 @@ from certrack.integrators.switching import Surfaces
 from certrack.model.implementation import Implementation
 from certrack.model.noise import normal
 
+
 @dataclass(frozen=True)
 class SampledProblem:
     """Initial value problem of members under a sampled controller.

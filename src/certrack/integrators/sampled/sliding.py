@@ -82,9 +82,7 @@ class Crossing:
         """Parameters and pieces, and modes."""
         return p[: -self._end], p[-self._end :]
 
-    def cross(
-        self, begin: float, end: float, on_step: OnStep | None
-    ) -> tuple[Array, Array]:
+    def cross(self, begin: float, end: float, on_step: OnStep | None) -> tuple[Array, Array]:
         """States and totals of all members at `end`."""
         run, h = self._run, end - begin
         x, u, p = run.x, run.u, run.parameters
@@ -109,10 +107,12 @@ class Crossing:
             self._note(begin, p[:, 0])
             on_step(end, after, totals, u)
         for i in alone.tolist():
-            done = self._alone(i, begin, end, on_step)
-            after[:, i], totals[:, i] = np.nan, np.nan
-            if done is not None:
-                after[:, i], totals[:, i] = done
+            try:
+                after[:, i], totals[:, i] = self._alone(i, begin, end, on_step)
+            except _Lost as lost:
+                after[:, i], totals[:, i] = np.nan, np.nan
+                run.outcomes[i] = Outcome.escaped if lost.wild else lost.outcome
+                run.run_alone[i] = not lost.wild
         return after, totals
 
     def _note(self, t: float, p: Array) -> None:
@@ -122,34 +122,22 @@ class Crossing:
 
     def _alone(
         self, i: int, begin: float, end: float, on_step: OnStep | None
-    ) -> tuple[Array, Array] | None:
-        """One member from event to event; None where it is given up."""
+    ) -> tuple[Array, Array]:
+        """One member from event to event: its state and totals at `end`."""
         run, surfaces = self._run, self._surfaces
-        one = _Member(run, i)
-        rush, t, h, reached = Rush(), begin, end - begin, ()
-        shortest = SHORTEST_STEP * end
+        one, rush = _Member(run, i), Rush()
+        t, h = begin, end - begin
+        reached: tuple[int, ...] = ()
         for _ in range(MAX_INTERVAL_STEPS):
-            rest, modes = self._split(one.p)
-            try:
-                place = [t, one.x, one.u, rest]
-                state, modes = surfaces.settled(place, modes, reached)
-            except Refused:
-                return self._given_up(one, i, Outcome.chattering)
-            one.x, one.p[-self._end :] = state, modes
-            limit = surfaces.threshold([t, one.x, one.u, rest], modes)
+            self._settle(one, t, reached)
             if on_step is not None and not i:
                 self._note(t, one.p)
-            reached = ()
-            while True:  # a step that is accurate
-                final = t + h >= end * (1 - END_ROUNDING)
-                h = end - t if final else max(h, shortest)
-                x, totals, error = one.step(t, h)
-                factor = float(next_factor(np.array(error), MAX_FACTOR))
-                if error <= (1.0 if h > shortest else 1.0 / ERROR_SHARE):
-                    break
-                if h <= shortest:
-                    return self._given_up(one, i, Outcome.undefined)
-                h *= factor
+            if t >= end:
+                run.parameters[-self._end :, i] = one.p[-self._end :]
+                return one.x, one.totals
+            h, x, totals, longer = one.accurate_step(t, h, end)
+            rest, modes = self._split(one.p)
+            limit = surfaces.threshold([t, one.x, one.u, rest], modes)
 
             def holds(since: float, t: float = t, limit: Array = limit) -> Array:
                 state = one.step(t, since)[0] if since else one.x
@@ -158,35 +146,34 @@ class Crossing:
                 return kept + limit
 
             event = self._event(holds, h, TIME_ROUNDING * end)
-            if event is not None:
+            reached = ()
+            if event is None:
+                t, h = (end if t + h >= end * (1 - END_ROUNDING) else t + h), longer
+            else:
                 at, row = event
                 if at < h:
                     x, totals, _ = one.step(t, at)
+                reached = () if modes[surfaces.count + row] else (row,)
+                t = min(t + at, end)
+                h = end - t
                 try:
                     rush.add(t)
                 except Refused:
-                    return self._given_up(one, i, Outcome.chattering)
-                reached = () if modes[surfaces.count + row] else (row,)
-                t = min(t + at, end)
-            else:
-                t = end if final else t + h
-                h *= factor
+                    raise _Lost(one, Outcome.chattering) from None
             one.x, one.totals = x, totals
             if on_step is not None and not i:
                 on_step(t, x[:, None], totals[:, None], run.u)
-            if t >= end:
-                if event is not None:
-                    rest, modes = self._split(one.p)
-                    try:
-                        place = [t, one.x, one.u, rest]
-                        one.x, one.p[-self._end :] = surfaces.settled(place, modes, reached)
-                    except Refused:
-                        return self._given_up(one, i, Outcome.chattering)
-                run.parameters[-self._end :, i] = one.p[-self._end :]
-                return one.x, one.totals
-            if event is not None:
-                h = end - t
-        return self._given_up(one, i, Outcome.step_limit)
+        raise _Lost(one, Outcome.step_limit)
+
+    def _settle(self, one: _Member, t: float, reached: Sequence[int]) -> None:
+        """Put a member into the mode that holds from now on."""
+        rest, modes = self._split(one.p)
+        try:
+            one.x, one.p[-self._end :] = self._surfaces.settled(
+                [t, one.x, one.u, rest], modes, reached
+            )
+        except Refused:
+            raise _Lost(one, Outcome.chattering) from None
 
     @staticmethod
     def _event(holds: Any, h: float, rounding: float) -> tuple[float, int] | None:
@@ -200,10 +187,12 @@ class Crossing:
                 found = at, row
         return found
 
-    def _given_up(self, one: _Member, i: int, reason: Outcome) -> None:
-        wild = np.abs(one.x).max() > ESCAPING
-        self._run.outcomes[i] = Outcome.escaped if wild else reason
-        self._run.run_alone[i] = not wild
+
+class _Lost(Exception):
+    """A member that cannot go on."""
+
+    def __init__(self, one: _Member, outcome: Outcome) -> None:
+        self.wild, self.outcome = bool(np.abs(one.x).max() > ESCAPING), outcome
 
 
 class _Member:
@@ -211,8 +200,8 @@ class _Member:
 
     def __init__(self, run: SampledRun, i: int) -> None:
         self._run = run
-        self.x, self.totals, self.p = run.x[:, i].copy(), run.totals[:, i].copy(), run.parameters[:, i].copy()
-        self.u = run.u[i]
+        self.x, self.totals = run.x[:, i].copy(), run.totals[:, i].copy()
+        self.p, self.u = run.parameters[:, i].copy(), run.u[i]
         self._lanes = 1 if run.x.shape[1] == 1 else len(whole_registers(1))
 
     def step(self, t: float, h: float) -> tuple[Array, Array, float]:
@@ -221,22 +210,29 @@ class _Member:
         def column(values: Array) -> Array:
             return np.repeat(values[:, None], self._lanes, axis=1)
 
-        run = self._run
+        run, u = self._run, np.full(self._lanes, self.u)
         x, totals, error = run.step_map(
-            t,
-            h,
-            run.allowed,
-            column(self.x),
-            np.full(self._lanes, self.u),
-            column(self.totals),
-            column(self.p),
+            t, h, run.allowed, column(self.x), u, column(self.totals), column(self.p)
         )
         return x[:, 0].copy(), totals[:, 0].copy(), float(error[0])
 
+    def accurate_step(self, t: float, h: float, end: float) -> tuple[float, Array, Array, float]:
+        """Length, state and totals of a step of at most h that is accurate; the next length."""
+        shortest = SHORTEST_STEP * end
+        while True:
+            final = t + h >= end * (1 - END_ROUNDING)
+            h = end - t if final else max(h, shortest)
+            x, totals, error = self.step(t, h)
+            factor = float(next_factor(np.array(error), MAX_FACTOR))
+            if error <= (1.0 if h > shortest else 1.0 / ERROR_SHARE):
+                return h, x, totals, h * factor
+            if h <= shortest:
+                raise _Lost(self, Outcome.undefined)
+            h *= factor
 
-def values_of(problem_pieces: Sequence[float], surfaces: Surfaces | None) -> Array:
+
+def values_of(pieces: Array, surfaces: Surfaces | None) -> Array:
     """Piece values followed by the modes at the start."""
-    pieces = np.asarray(problem_pieces, dtype=float)
     if surfaces is None:
         return pieces
     return np.concatenate([pieces, np.ones(surfaces.count), np.zeros(surfaces.count)])

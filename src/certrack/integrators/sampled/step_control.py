@@ -1,4 +1,4 @@
-"""Which steps between two events of a sampled loop are accurate enough, and how long the next is."""
+"""Which steps between two events of a sampled loop are accurate enough, how long the next is."""
 
 from __future__ import annotations
 

@@ -94,7 +94,8 @@ class SlidingIntegrator:
         outcome, rush = Outcome.finished, Rush()
         for begin, stop in problem.segments:
             p = np.concatenate([problem.parameters, problem.reference.piece_values(begin)])
-            t, reached = begin, ()
+            t = begin
+            reached: tuple[int, ...] = ()
             while outcome is Outcome.finished and t < stop:
                 try:
                     x, modes = surfaces.settled([t, x, p], modes, reached)
@@ -114,9 +115,7 @@ class SlidingIntegrator:
         begins = np.array([t for t, _ in record])
         last = np.append(begins[1:] > begins[:-1], True)  # of several at a time the last one
         kept = ModeRecord(surfaces.names, begins[last], np.array([m for _, m in record])[last])
-        return Trajectory(
-            np.array(times), stepper.dense(), outcome, stepper.method, modes=kept
-        )
+        return Trajectory(np.array(times), stepper.dense(), outcome, stepper.method, modes=kept)
 
     def _follow(
         self,
@@ -215,10 +214,10 @@ class _TaylorStepper:
     def step(self, left: float) -> tuple[float, Outcome]:
         ta = self._ta
         self._begin = begin = ta.time
-        outcome, length = ta.step(left, True)
+        _, length = ta.step(left, True)
         if length == length and length > (safe := _safe_step(ta.tc[: self._moving], length)):
             ta.state[:], ta.time = ta.tc[:, 0], begin
-            outcome, length = ta.step(safe, True)
+            _, length = ta.step(safe, True)
         self._fresh = False
         if length != length or begin + length == begin:
             large = np.abs(ta.tc[: self._moving, 0]).max() > ESCAPING
