@@ -6,15 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-#: A step is looked at in this many parts; again in halves, up to `MAX_HALVINGS` times, while every
-#: other sample differs from the cubic through its neighbours by `UNRESOLVED` of the range.
-PARTS, MAX_HALVINGS, UNRESOLVED = 16, 8, 0.1
+#: A step is looked at in this many parts; again in halves, up to `MAX_BISECTIONS` times, while
+#: every other sample differs from the cubic through its neighbours by `UNRESOLVED` of the range.
+LOOKS_PER_STEP, MAX_BISECTIONS, UNRESOLVED = 16, 8, 0.1
 
 #: Iterations that locate an event; each at least every third halves the interval.
-MAX_ITERATIONS = 120
+MAX_TRIALS = 120
 
 #: An event's interval is this part of the time at last.
-TIME_ROUNDING = 4e-16
+EVENT_TIME_ROUNDING = 4e-16
 
 
 def first_event(
@@ -22,10 +22,10 @@ def first_event(
     length: float,
     rounding: float,
     begin: float = 0.0,
-    halvings: int = MAX_HALVINGS,
+    halvings: int = MAX_BISECTIONS,
 ) -> tuple[float, int] | None:
     """The first time after which a row is negative, within `rounding`, and the row; or None."""
-    since = begin + (length - begin) * np.arange(PARTS + 1) / PARTS
+    since = begin + (length - begin) * np.arange(LOOKS_PER_STEP + 1) / LOOKS_PER_STEP
     values = holds(since)
     if halvings and _unresolved(values):
         middle = (begin + length) / 2
@@ -34,16 +34,16 @@ def first_event(
             if event is not None:
                 return event
         return None
-    found: tuple[float, int] | None = None
+    earliest: tuple[float, int] | None = None
     for row, samples in enumerate(values):
 
         def value(at: float, row: int = row) -> float:
             return float(holds(np.array([at]))[row, 0])
 
         at = first_root(value, since, samples, rounding)
-        if at is not None and (found is None or at < found[0]):
-            found = at, row
-    return found
+        if at is not None and (earliest is None or at < earliest[0]):
+            earliest = at, row
+    return earliest
 
 
 def _unresolved(values: np.ndarray) -> bool:
@@ -101,7 +101,7 @@ def _root(value: Callable[[float], float], a: float, b: float, rounding: float) 
     """The end of an interval of length `rounding` at whose end the value is negative."""
     fa, fb = value(a), value(b)
     side = 0
-    for i in range(MAX_ITERATIONS):  # Illinois, and every third time the middle
+    for i in range(MAX_TRIALS):  # Illinois, and every third time the middle
         if b - a <= rounding:
             break
         c = (a + b) / 2 if i % 3 == 2 or not fa > fb else (a * fb - b * fa) / (fb - fa)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from certrack.core.errors import CertrackError
 from certrack.core.lowering import numpy_callable, rows
 from certrack.loops.switching import Switching
 
@@ -36,7 +37,7 @@ MAX_RUSH, RUSH = 60, 1e-7
 At = Callable[[Any, np.ndarray, np.ndarray], np.ndarray]
 
 
-class Refused(Exception):
+class SlidingRefused(CertrackError):
     """A motion on surfaces that is not simulated."""
 
 
@@ -87,14 +88,14 @@ def sticking_notes(modes: ModeRecord, end: float) -> list[str]:
     """What a run notes of the surfaces that it slid along, one line each."""
     notes = []
     for k, name in enumerate(modes.surfaces):
-        found = modes.intervals(k, end)
-        if found:
-            shown = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in found[:NOTED_INTERVALS])
-            more = len(found) - NOTED_INTERVALS
-            rest = f" and {more} more times" if more > 0 else ""
-            total = sum(b - a for a, b in found)
+        spans = modes.intervals(k, end)
+        if spans:
+            shown = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b in spans[:NOTED_INTERVALS])
+            more = len(spans) - NOTED_INTERVALS
+            others = f" and {more} more times" if more > 0 else ""
+            total = sum(b - a for a, b in spans)
             notes.append(
-                f"Stuck at {name} = 0 (sign() there): {shown}{rest}; {total:.6g} s in all."
+                f"Stuck at {name} = 0 (sign() there): {shown}{others}; {total:.6g} s in all."
             )
     return notes
 
@@ -147,8 +148,8 @@ class Surfaces:
         with np.errstate(all="ignore"):
             values = rows(self._signals(*arguments, modes), count)
         sides, stuck = modes[:K].reshape(K, -1), modes[K:].reshape(K, -1)
-        kept: np.ndarray = np.where(stuck > 0, 1.0 - np.abs(values[K:]), sides * values[:K])
-        return kept
+        signals: np.ndarray = np.where(stuck > 0, 1.0 - np.abs(values[K:]), sides * values[:K])
+        return signals
 
     def threshold(self, arguments: Sequence[Any], modes: np.ndarray) -> np.ndarray:
         """How far below zero :meth:`watch` may be by rounding, (K,)."""
@@ -159,7 +160,7 @@ class Surfaces:
         return limit
 
     def _parts(self, arguments: Sequence[Any], modes: np.ndarray) -> list[np.ndarray]:
-        """f, s, rest, own, crossed (K each) and the gradients (K, S), at one state."""
+        """f, s, drift, own, crossed (K each) and the gradients (K, S), at one state."""
         K = self.count
         with np.errstate(all="ignore"):
             values = np.array(self._details(*arguments, modes), dtype=float)
@@ -202,7 +203,7 @@ class Surfaces:
 
         Raises
         ------
-        Refused
+        SlidingRefused
             If the motion from here is one that is not simulated.
         """
         K, modes, place = self.count, modes.copy(), self.place
@@ -239,15 +240,15 @@ class Surfaces:
     def _single(self, arguments: Sequence[Any], modes: np.ndarray, k: int) -> np.ndarray:
         """The mode of a surface that the state is on."""
         K = self.count
-        _, _, rest, own, *_ = self._parts(arguments, modes)
-        up, down = rest[k] + own[k], rest[k] - own[k]
+        _, _, drift, own, *_ = self._parts(arguments, modes)
+        up, down = drift[k] + own[k], drift[k] - own[k]
         modes = modes.copy()
         if up <= 0.0 <= down and own[k] < 0.0:  # both sides lead to it
             modes[K + k] = 1.0
             return modes
         modes[K + k] = 0.0
         if own[k] > 0.0 and up > 0.0 > down:  # both lead away: towards where the mean leads
-            modes[k] = 1.0 if rest[k] >= 0.0 else -1.0
+            modes[k] = 1.0 if drift[k] >= 0.0 else -1.0
         elif up > 0.0 or down < 0.0:
             modes[k] = 1.0 if up > 0.0 else -1.0
         else:
@@ -264,7 +265,7 @@ class Surfaces:
         if leads[0] == leads[1] == 0.0:
             return float(modes[k])  # it rests
         if max(leads) < 0.0:
-            raise Refused("both sides turn back to the surface, by their second derivatives")
+            raise SlidingRefused("both sides turn back to the surface, by their second derivatives")
         return 1.0 if leads[0] >= leads[1] else -1.0
 
     def _ahead(self, arguments: Sequence[Any], modes: np.ndarray, k: int) -> float:
@@ -284,8 +285,8 @@ class Surfaces:
     def _pair(self, arguments: Sequence[Any], modes: np.ndarray, i: int, j: int) -> np.ndarray:
         """The modes of two surfaces that interact, where the state is on both."""
         K = self.count
-        _, s, rest, own, crossed, _ = self._parts(arguments, modes)
-        base = np.array([rest[i], rest[j]])
+        _, s, drift, own, crossed, _ = self._parts(arguments, modes)
+        base = np.array([drift[i], drift[j]])
         base -= np.array([crossed[i] * s[j], crossed[j] * s[i]])
         matrix = np.array([[own[i], crossed[i]], [crossed[j], own[j]]])
         for choice in product((0.0, 1.0, -1.0), repeat=2):
@@ -302,10 +303,10 @@ class Surfaces:
                     continue
             speed = base + matrix @ value
             if (np.abs(value) <= 1.0).all() and (slides | (value * speed > 0)).all():
-                found = modes.copy()
+                chosen = modes.copy()
                 for k, side, held in zip((i, j), value, slides, strict=True):
-                    found[k], found[K + k] = (modes[k], 1.0) if held else (side, 0.0)
-                return found
+                    chosen[k], chosen[K + k] = (modes[k], 1.0) if held else (side, 0.0)
+                return chosen
         return self._single(arguments, self._single(arguments, modes, i), j)
 
     def _refuse_many(self, modes: np.ndarray) -> None:
@@ -314,7 +315,7 @@ class Surfaces:
         for pair in self.switching.bound:
             i, j = pair
             if modes[K + i] and modes[K + j] and partners[i] != j:
-                raise Refused("more than two surfaces that interact")
+                raise SlidingRefused("more than two surfaces that interact")
 
 
 class Rush:
@@ -328,8 +329,8 @@ class Rush:
 
         Raises
         ------
-        Refused
+        SlidingRefused
         """
         self._times = [*self._times[-MAX_RUSH:], t]
         if len(self._times) > MAX_RUSH and t - self._times[0] <= RUSH * max(1.0, abs(t)):
-            raise Refused("its events have no end")
+            raise SlidingRefused("its events have no end")

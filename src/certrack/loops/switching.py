@@ -72,9 +72,9 @@ class Switching:
 
     def resolved(self, formulas: Sequence[sympy.Expr]) -> tuple[sympy.Expr, ...]:
         """Other formulas, such as the input, with their sign(f_k) replaced by :attr:`values`."""
-        found = _Signs(self.states, self.surfaces)
-        written = [found.written(formula) for formula in formulas]
-        known = dict(zip(found.symbols, self.values, strict=True))
+        signs = _Signs(self.states, self.surfaces)
+        written = [signs.written(formula) for formula in formulas]
+        known = dict(zip(signs.symbols, self.values, strict=True))
         return tuple(formula.xreplace(known) for formula in written)
 
 
@@ -100,9 +100,9 @@ def switching(
     """
     if not any(rate.has(sympy.sign) for rate in rates):
         return None
-    found = _Signs(states)
-    written = [found.written(rate) for rate in rates]
-    surfaces, s = found.surfaces, found.symbols
+    signs = _Signs(states)
+    written = [signs.written(rate) for rate in rates]
+    surfaces, s = signs.surfaces, signs.symbols
     if not surfaces:
         return None
     moving = len(rates) - smooth_rates
@@ -126,10 +126,10 @@ def switching(
     values = []
     for k, partner in enumerate(partners):
         if partner is None:
-            rest = normal[k].xreplace({s[k]: sympy.S.Zero}).xreplace(on_sides)
+            drift = normal[k].xreplace({s[k]: sympy.S.Zero}).xreplace(on_sides)
             own = slopes[k][k].xreplace(on_sides)
             values.append(
-                (1 - stuck[k]) * sides[k] - stuck[k] * rest / (stuck[k] * own + 1 - stuck[k])
+                (1 - stuck[k]) * sides[k] - stuck[k] * drift / (stuck[k] * own + 1 - stuck[k])
             )
         else:
             values.append(_of_pair(k, partner, normal, slopes, s, sides, stuck))

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from certrack.core.arrays import Array
+from certrack.core.errors import CertrackError
 from certrack.core.expressions import TIME
 from certrack.integrators.base import ESCAPING, Outcome
-from certrack.integrators.event_location import TIME_ROUNDING, first_root
+from certrack.integrators.event_location import EVENT_TIME_ROUNDING, first_root
 from certrack.integrators.registers import whole_registers
 from certrack.integrators.sampled.step_control import (
     END_ROUNDING,
@@ -26,7 +27,7 @@ from certrack.integrators.sampled.step_control import (
     SHORTEST_STEP,
     next_factor,
 )
-from certrack.integrators.switching import ON_SURFACE, ModeRecord, Refused, Rush, Surfaces
+from certrack.integrators.switching import ON_SURFACE, ModeRecord, Rush, SlidingRefused, Surfaces
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop
 from certrack.loops.switching import switching
@@ -48,14 +49,14 @@ def with_modes(loop: SampledLoop) -> tuple[SampledLoop, Surfaces | None]:
         The same where the plant does not switch.
     surfaces : Surfaces or None
     """
-    found = switching(loop.plant.rates, loop.plant.states)
-    if found is None:
+    switched = switching(loop.plant.rates, loop.plant.states)
+    if switched is None:
         return loop, None
     names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
-    (slope,) = found.resolved([loop.slope])
-    plant = replace(loop.plant, rates=found.rates)
-    moded = replace(loop, plant=plant, slope=slope, pieces=(*loop.pieces, *found.modes))
-    return moded, Surfaces(found, names)
+    (slope,) = switched.resolved([loop.slope])
+    plant = replace(loop.plant, rates=switched.rates)
+    moded = replace(loop, plant=plant, slope=slope, pieces=(*loop.pieces, *switched.modes))
+    return moded, Surfaces(switched, names)
 
 
 class Crossing:
@@ -89,13 +90,13 @@ class Crossing:
         count, step = x.shape[1], run.step_map
         half, _, _ = step(begin, h / 2, run.allowed, x, u, run.totals, p)
         after, totals, error = step(begin, h, run.allowed, x, u, run.totals, p)
-        rest, modes = self._split(p)
+        others, modes = self._split(p)
         three = np.concatenate([x, half, after], axis=1)
         t = np.repeat([begin, begin + h / 2, end], count)
-        kept = self._surfaces.watch(
-            [t, three, np.tile(u, 3), np.tile(rest, 3)], np.tile(modes, 3), 3 * count
+        signals = self._surfaces.watch(
+            [t, three, np.tile(u, 3), np.tile(others, 3)], np.tile(modes, 3), 3 * count
         ).reshape(-1, 3, count)
-        start, middle, last = kept[:, 0], kept[:, 1], kept[:, 2]
+        start, middle, last = signals[:, 0], signals[:, 1], signals[:, 2]
         nothing = np.where(
             modes[self._surfaces.count :] > 0, 0.0, ON_SURFACE * (1.0 + np.abs(x).max(axis=0))
         )
@@ -111,8 +112,8 @@ class Crossing:
                 after[:, i], totals[:, i] = self._alone(i, begin, end, on_step)
             except _Lost as lost:
                 after[:, i], totals[:, i] = np.nan, np.nan
-                run.outcomes[i] = Outcome.escaped if lost.wild else lost.outcome
-                run.run_alone[i] = not lost.wild
+                run.outcomes[i] = lost.outcome
+                run.run_alone[i] = lost.outcome is not Outcome.escaped
         return after, totals
 
     def _note(self, t: float, p: Array) -> None:
@@ -136,16 +137,16 @@ class Crossing:
                 run.parameters[-self._end :, i] = one.p[-self._end :]
                 return one.x, one.totals
             h, x, totals, longer = one.accurate_step(t, h, end)
-            rest, modes = self._split(one.p)
-            limit = surfaces.threshold([t, one.x, one.u, rest], modes)
+            others, modes = self._split(one.p)
+            limit = surfaces.threshold([t, one.x, one.u, others], modes)
 
             def holds(since: float, t: float = t, limit: Array = limit) -> Array:
                 state = one.step(t, since)[0] if since else one.x
-                rest, modes = self._split(one.p)
-                kept: Array = surfaces.watch([t + since, state, one.u, rest], modes, 1)[:, 0]
-                return kept + limit
+                others, modes = self._split(one.p)
+                signals: Array = surfaces.watch([t + since, state, one.u, others], modes, 1)[:, 0]
+                return signals + limit
 
-            event = self._event(holds, h, TIME_ROUNDING * end)
+            event = self._event(holds, h, EVENT_TIME_ROUNDING * end)
             reached = ()
             if event is None:
                 t, h = (end if t + h >= end * (1 - END_ROUNDING) else t + h), longer
@@ -158,41 +159,47 @@ class Crossing:
                 h = end - t
                 try:
                     rush.add(t)
-                except Refused:
-                    raise _Lost(one, Outcome.chattering) from None
+                except SlidingRefused:
+                    raise _lost(one, Outcome.chattering) from None
             one.x, one.totals = x, totals
             if on_step is not None and not i:
                 on_step(t, x[:, None], totals[:, None], run.u)
-        raise _Lost(one, Outcome.step_limit)
+        raise _lost(one, Outcome.step_limit)
 
     def _settle(self, one: _Member, t: float, reached: Sequence[int]) -> None:
         """Put a member into the mode that holds from now on."""
-        rest, modes = self._split(one.p)
+        others, modes = self._split(one.p)
         try:
             one.x, one.p[-self._end :] = self._surfaces.settled(
-                [t, one.x, one.u, rest], modes, reached
+                [t, one.x, one.u, others], modes, reached
             )
-        except Refused:
-            raise _Lost(one, Outcome.chattering) from None
+        except SlidingRefused:
+            raise _lost(one, Outcome.chattering) from None
 
     @staticmethod
     def _event(holds: Any, h: float, rounding: float) -> tuple[float, int] | None:
         """The first time in a step at which a mode ends, and the surface."""
         since = np.array([0.0, h / 2, h])
         values = np.array([holds(at) for at in since.tolist()]).T
-        found: tuple[float, int] | None = None
+        earliest: tuple[float, int] | None = None
         for row, samples in enumerate(values):
             at = first_root(lambda at, row=row: float(holds(at)[row]), since, samples, rounding)  # type: ignore[misc]
-            if at is not None and (found is None or at < found[0]):
-                found = at, row
-        return found
+            if at is not None and (earliest is None or at < earliest[0]):
+                earliest = at, row
+        return earliest
 
 
-class _Lost(Exception):
+class _Lost(CertrackError):
     """A member that cannot go on."""
 
-    def __init__(self, one: _Member, outcome: Outcome) -> None:
-        self.wild, self.outcome = bool(np.abs(one.x).max() > ESCAPING), outcome
+    outcome = Outcome.step_limit
+
+
+def _lost(one: _Member, outcome: Outcome) -> _Lost:
+    """The error that ends a member where it is; large states are escaping."""
+    error = _Lost(outcome.value)
+    error.outcome = Outcome.escaped if np.abs(one.x).max() > ESCAPING else outcome
+    return error
 
 
 class _Member:
@@ -227,7 +234,7 @@ class _Member:
             if error <= (1.0 if h > shortest else 1.0 / ERROR_SHARE):
                 return h, x, totals, h * factor
             if h <= shortest:
-                raise _Lost(self, Outcome.undefined)
+                raise _lost(self, Outcome.undefined)
             h *= factor
 
 

@@ -17,7 +17,7 @@ from certrack.core.expressions import TIME
 from certrack.core.heyoka import quiet_heyoka
 from certrack.core.lowering import extract_switches, jacobian, numpy_callable, to_heyoka
 from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
-from certrack.integrators.event_location import TIME_ROUNDING, first_event
+from certrack.integrators.event_location import EVENT_TIME_ROUNDING, first_event
 from certrack.integrators.single.scipy import (
     MAX_EVALUATIONS,
     MIN_RELATIVE_TOLERANCE,
@@ -25,7 +25,7 @@ from certrack.integrators.single.scipy import (
 )
 from certrack.integrators.single.switches import Switches
 from certrack.integrators.single.taylor import TaylorSeries, _safe_step, _StepRecord
-from certrack.integrators.switching import ModeRecord, Refused, Rush, Surfaces
+from certrack.integrators.switching import ModeRecord, Rush, SlidingRefused, Surfaces
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
 from certrack.loops.switching import Switching
 
@@ -99,7 +99,7 @@ class SlidingIntegrator:
             while outcome is Outcome.finished and t < stop:
                 try:
                     x, modes = surfaces.settled([t, x, p], modes, reached)
-                except Refused:
+                except SlidingRefused:
                     outcome = Outcome.chattering
                     break
                 record.append((t, modes))
@@ -108,14 +108,18 @@ class SlidingIntegrator:
                 if reached:
                     try:
                         rush.add(t)
-                    except Refused:
+                    except SlidingRefused:
                         outcome = Outcome.chattering
             if outcome is not Outcome.finished:
                 break
         begins = np.array([t for t, _ in record])
         last = np.append(begins[1:] > begins[:-1], True)  # of several at a time the last one
-        kept = ModeRecord(surfaces.names, begins[last], np.array([m for _, m in record])[last])
-        return Trajectory(np.array(times), stepper.dense(), outcome, stepper.method, modes=kept)
+        mode_record = ModeRecord(
+            surfaces.names, begins[last], np.array([m for _, m in record])[last]
+        )
+        return Trajectory(
+            np.array(times), stepper.dense(), outcome, stepper.method, modes=mode_record
+        )
 
     def _follow(
         self,
@@ -145,7 +149,7 @@ class SlidingIntegrator:
                 kinks = stepper.kinks(since) + limit.max(initial=0.0)
                 return np.vstack([rows + limit[:, None], kinks])
 
-            event = first_event(holds, length, TIME_ROUNDING * max(abs(begin), length))
+            event = first_event(holds, length, EVENT_TIME_ROUNDING * max(abs(begin), length))
             if event is not None:
                 length, row = event
             more = stepper.keep(length)
