@@ -121,8 +121,8 @@ class Surfaces:
             [
                 *switching.surfaces,
                 *switching.values,
-                *switching.rests,
-                *switching.own,
+                *switching.drifts,
+                *switching.effects,
                 *switching.crossed,
                 *switching.gradients,
             ],
@@ -160,7 +160,7 @@ class Surfaces:
         return limit
 
     def _parts(self, arguments: Sequence[Any], modes: np.ndarray) -> list[np.ndarray]:
-        """f, s, drift, own, crossed (K each) and the gradients (K, S), at one state."""
+        """f, s, drift, effect, crossed (K each) and the gradients (K, S), at one state."""
         K = self.count
         with np.errstate(all="ignore"):
             values = np.array(self._details(*arguments, modes), dtype=float)
@@ -240,14 +240,14 @@ class Surfaces:
     def _single(self, arguments: Sequence[Any], modes: np.ndarray, k: int) -> np.ndarray:
         """The mode of a surface that the state is on."""
         K = self.count
-        _, _, drift, own, *_ = self._parts(arguments, modes)
-        up, down = drift[k] + own[k], drift[k] - own[k]
+        _, _, drift, effect, *_ = self._parts(arguments, modes)
+        up, down = drift[k] + effect[k], drift[k] - effect[k]
         modes = modes.copy()
-        if up <= 0.0 <= down and own[k] < 0.0:  # both sides lead to it
+        if up <= 0.0 <= down and effect[k] < 0.0:  # both sides lead to it
             modes[K + k] = 1.0
             return modes
         modes[K + k] = 0.0
-        if own[k] > 0.0 and up > 0.0 > down:  # both lead away: towards where the mean leads
+        if effect[k] > 0.0 and up > 0.0 > down:  # both lead away: towards where the mean leads
             modes[k] = 1.0 if drift[k] >= 0.0 else -1.0
         elif up > 0.0 or down < 0.0:
             modes[k] = 1.0 if up > 0.0 else -1.0
@@ -285,10 +285,10 @@ class Surfaces:
     def _pair(self, arguments: Sequence[Any], modes: np.ndarray, i: int, j: int) -> np.ndarray:
         """The modes of two surfaces that interact, where the state is on both."""
         K = self.count
-        _, s, drift, own, crossed, _ = self._parts(arguments, modes)
+        _, s, drift, effect, crossed, _ = self._parts(arguments, modes)
         base = np.array([drift[i], drift[j]])
         base -= np.array([crossed[i] * s[j], crossed[j] * s[i]])
-        matrix = np.array([[own[i], crossed[i]], [crossed[j], own[j]]])
+        matrix = np.array([[effect[i], crossed[i]], [crossed[j], effect[j]]])
         for choice in product((0.0, 1.0, -1.0), repeat=2):
             value = np.array(choice)
             slides = value == 0.0

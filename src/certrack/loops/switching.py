@@ -6,7 +6,7 @@ surface s_k is the side, +1 or -1. Where the rates on both sides point towards i
 slides along it (Filippov): F is the convex combination of both sides, which is F with an s_k
 between -1 and 1, and it is the one that stays,
 
-    0 = f_k' = d f_k/dt + grad f_k . F(x, s),       s_k = -rest_k/own_k,
+    0 = f_k' = d f_k/dt + grad f_k . F(x, s),       s_k = -drift_k/effect_k,
 
 linear in s_k (the equivalent control). The solution leaves where s_k leaves [-1, 1].
 
@@ -42,8 +42,8 @@ class Switching:
         What stands for sign(f_k): the side, or the equivalent control.
     gradients : formulas
         Of every surface by every state, row-major.
-    rests, own : formulas
-        f_k' = rest_k + own_k s_k, the other s_j being as they are.
+    drifts, effects : formulas
+        f_k' = drift_k + effect_k s_k, the other s_j being as they are.
     crossed : formulas
         What s of the partner adds to f_k', per unit; 0 without a partner.
     partners : numbers, or None
@@ -59,8 +59,8 @@ class Switching:
     rates: tuple[sympy.Expr, ...]
     values: tuple[sympy.Expr, ...]
     gradients: tuple[sympy.Expr, ...]
-    rests: tuple[sympy.Expr, ...]
-    own: tuple[sympy.Expr, ...]
+    drifts: tuple[sympy.Expr, ...]
+    effects: tuple[sympy.Expr, ...]
     crossed: tuple[sympy.Expr, ...]
     partners: tuple[int | None, ...]
     bound: frozenset[frozenset[int]]
@@ -127,9 +127,9 @@ def switching(
     for k, partner in enumerate(partners):
         if partner is None:
             drift = normal[k].xreplace({s[k]: sympy.S.Zero}).xreplace(on_sides)
-            own = slopes[k][k].xreplace(on_sides)
+            effect = slopes[k][k].xreplace(on_sides)
             values.append(
-                (1 - stuck[k]) * sides[k] - stuck[k] * drift / (stuck[k] * own + 1 - stuck[k])
+                (1 - stuck[k]) * sides[k] - stuck[k] * drift / (stuck[k] * effect + 1 - stuck[k])
             )
         else:
             values.append(_of_pair(k, partner, normal, slopes, s, sides, stuck))
@@ -146,10 +146,10 @@ def switching(
         ),
         values=tuple(values),
         gradients=tuple(g.xreplace(known) for row in gradients for g in row),
-        rests=tuple(
+        drifts=tuple(
             normal[k].xreplace({s[k]: sympy.S.Zero}).xreplace(others[k]) for k in range(count)
         ),
-        own=tuple(slopes[k][k].xreplace(others[k]) for k in range(count)),
+        effects=tuple(slopes[k][k].xreplace(others[k]) for k in range(count)),
         crossed=tuple(
             sympy.S.Zero if partner is None else slopes[k][partner]
             for k, partner in enumerate(partners)
@@ -238,7 +238,7 @@ def _of_pair(
     nothing = {s[k]: sympy.S.Zero, s[other]: sympy.S.Zero}
 
     def row(i: int, j: int) -> tuple[sympy.Expr, sympy.Expr, sympy.Expr]:
-        """Of the equations of both: m_i (rest + own s_i + cross s_j) + (1 - m_i)(s_i - side)."""
+        """Of the equations of both: m_i (drift + effect s_i + cross s_j) + (1 - m_i)(s_i - side)."""
         m = stuck[i]
         right = (1 - m) * sides[i] - m * normal[i].xreplace(nothing)
         return m * slopes[i][i] + 1 - m, m * slopes[i][j], right

@@ -307,7 +307,7 @@ class _ScipyStepper:
             options["jac"] = slopes
         with np.errstate(all="ignore"):
             self._solver = (Radau if compiled else DOP853)(rates, t, x, stop, **options)
-        self._counted = 0
+        self._evaluated = 0
 
     def step(self, left: float) -> tuple[float, Outcome]:
         if not self._defined:
@@ -335,8 +335,8 @@ class _ScipyStepper:
         self._times.append(self._now + length)
         self._pieces.append(self._dense)
         self._last = self.states(np.array([length]))[:, 0]
-        self._evaluations += self._solver.nfev - self._counted
-        self._counted = self._solver.nfev
+        self._evaluations += self._solver.nfev - self._evaluated
+        self._evaluated = self._solver.nfev
         return self._evaluations <= MAX_EVALUATIONS
 
     def dense(self) -> Callable[[np.ndarray], np.ndarray]:
