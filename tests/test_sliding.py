@@ -447,6 +447,14 @@ def test_members_are_what_they_are_alone(implementation):
             assert value == pytest.approx(getattr(run.metrics, name), rel=share), name
 
 
+def test_members_on_surfaces_that_interact_are_run_alone():
+    system = moving(STACKED, (0.3, 0, -0.2, 0), 2.0)
+    with pytest.raises(certrack.InputError, match="each is run by itself"):
+        certrack.ensemble(system, 2, method="native", limit=1)
+    found = certrack.ensemble(system, 2, limit=1)
+    assert found.summary()["outcomes"] == {"finished": 2}
+
+
 def test_sampled_converges_to_the_continuous_loop():
     system = certrack.load("stiction").with_settings(duration=4, tail=2)
     t = np.array([1.0, 2.5, 4.0])

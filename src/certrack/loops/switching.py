@@ -238,7 +238,7 @@ def _of_pair(
     nothing = {s[k]: sympy.S.Zero, s[other]: sympy.S.Zero}
 
     def row(i: int, j: int) -> tuple[sympy.Expr, sympy.Expr, sympy.Expr]:
-        """Of the equations of both: m_i (drift + effect s_i + cross s_j) + (1 - m_i)(s_i - side)."""
+        """Of both equations m_i (drift + effect s_i + cross s_j) + (1 - m_i)(s_i - side) = 0."""
         m = stuck[i]
         right = (1 - m) * sides[i] - m * normal[i].xreplace(nothing)
         return m * slopes[i][i] + 1 - m, m * slopes[i][j], right

@@ -53,13 +53,26 @@ class Method(ABC):
         """Compute the members begin ... end-1 and count their signals in the bands."""
 
 
-def refuse_sliding(loop: ClosedLoop) -> None:
-    """Members side by side share their steps, which a motion that sticks and slides cannot.
+def modes_of(loop: ClosedLoop, *, side_by_side: bool) -> tuple[float, ...]:
+    """The modes with which members start; none where the loop does not switch.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    side_by_side : bool
+        Whether members that stick can be followed side by side, if their surfaces are states of
+        their own that do not interact.
 
     Raises
     ------
     MethodUnavailable
-        If the rates contain the sign of a state.
+        If each member has to be run by itself.
     """
-    if switching(loop.rates, loop.states, smooth_rates=len(INTEGRALS)) is not None:
+    switched = switching(loop.rates, loop.states, smooth_rates=len(INTEGRALS))
+    if switched is None:
+        return ()
+    alone = switched.bound or not set(switched.surfaces) <= set(loop.states[: loop.n])
+    if alone or not side_by_side:
         raise MethodUnavailable("sign() of a state makes members slide: each is run by itself")
+    count = len(switched.surfaces)
+    return (1.0,) * count + (0.0,) * count
