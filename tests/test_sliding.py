@@ -449,6 +449,7 @@ def test_members_are_what_they_are_alone(implementation):
 
 def test_members_on_surfaces_that_interact_are_run_alone():
     system = moving(STACKED, (0.3, 0, -0.2, 0), 2.0)
+    system = system.replace(population=replace(system.varied, disturbance="file"))
     with pytest.raises(certrack.InputError, match="each is run by itself"):
         certrack.ensemble(system, 2, method="native", limit=1)
     found = certrack.ensemble(system, 2, limit=1)
