@@ -46,14 +46,14 @@ class Outcome(Enum):
         "The step limit was reached: the loop is too stiff for this method. Try the implicit "
         "integrator, lower c, or replace a steep tanh() by sign()."
     )
+    kink_missed = (
+        "The switching of abs, sign, min or max could not be followed: the loop slides along a "
+        "kink. Replace sign(x) by tanh(x/0.01)."
+    )
     chattering = (
         "Switches by sign() follow one another without end here, at more than two surfaces that "
         "interact or by contact of higher order: this sliding is not simulated. Replace sign(x) by "
         "tanh(x/0.01)."
-    )
-    kink_missed = (
-        "The switching of abs, sign, min or max could not be followed: the loop slides along a "
-        "kink. Replace sign(x) by tanh(x/0.01)."
     )
 
 
