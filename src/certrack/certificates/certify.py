@@ -268,8 +268,8 @@ def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
             solution = best_solution(program)
             proof = None if solution is None else prove(exact, solution)
             if proof is None:
-                own = own_solution(system, exact)
-                proof = None if own is None else prove(exact, own)
+                damped = own_solution(system, exact)
+                proof = None if damped is None else prove(exact, damped)
             if proof is None:
                 raise NoCertificate(_why_none(program, solution))
     except NoCertificate as problem:
