@@ -26,6 +26,7 @@ settings.register_profile(
 settings.load_profile("certrack")
 
 SHIPPED = (
+    "axis",
     "dual-motor",
     "dual-motor-drive",
     "dual-motor-lean",
@@ -33,6 +34,7 @@ SHIPPED = (
     "dual-motor-strong",
     "example1",
     "example1-classic",
+    "flexible-joint",
     "stiction",
     "theorem1-counterexample",
 )

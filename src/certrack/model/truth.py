@@ -12,12 +12,12 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, check_name, number, parse, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.model.names import new_name
 from certrack.model.plant import (
     MAX_ORDER,
     Plant,
     check_gain,
     check_within,
-    new_name,
     refuse_varying_gain,
 )
 

@@ -21,7 +21,8 @@ from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
 from certrack.loops.plant import true_constants
 from certrack.model.distribution import Distribution
 from certrack.model.disturbance import Multisine, family_of
-from certrack.model.plant import Plant, refuse_prefix
+from certrack.model.names import refuse_prefix
+from certrack.model.plant import Plant
 from certrack.model.sampling import probabilities
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from certrack.model.plant import refuse_prefix
+from certrack.model.names import refuse_prefix
 from certrack.references import SymbolicReference
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
 from certrack.systems.system import System
