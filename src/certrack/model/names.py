@@ -38,38 +38,6 @@ def new_name(key: str, name: Any, used: Sequence[str]) -> str:
     return str(name)
 
 
-#: What to do where a coefficient of the rows 1 ... n-1 depends on states.
-ROW_REMEDY = (
-    "Rows 1 ... n-1 must be x_i' = g_i x_{i+1} + sum b_ij x_j + tau_i w_i with constant g_i and "
-    "b_ij: take x_i' itself as the next state, or put the difference from a constant into w_i"
-)
-
-#: The same for g_n.
-GAIN_REMEDY = (
-    "The last row must be x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n, affine in u with a "
-    "constant g_n: take the whole term with the input as a new input v, with input_gain = 1 or "
-    "another constant, and let the drive compute its command from v and the measured states"
-)
-
-
-def _refuse_states(key: str, value: Any, states: Sequence[str], remedy: str) -> None:
-    """Refuse a coefficient that depends on states, and say what the class of plants is."""
-    if not isinstance(value, (str, Expression)):
-        return
-    names = {str(s) for s in parse(key, value, None).expr.free_symbols}
-    for name in states:
-        if name in names:
-            text = value if isinstance(value, str) else value.text
-            raise InputError(
-                key, f"unknown name {name!r}: a state, where a constant is needed", text, remedy
-            )
-
-
-def refuse_varying_gain(key: str, value: Any, states: Sequence[str]) -> None:
-    """Refuse an input gain that depends on states, and say which change of the input helps."""
-    _refuse_states(key, value, states, GAIN_REMEDY)
-
-
 def refuse_prefix(plant: Plant, prefix: str, who: str) -> None:
     """Refuse a plant with names that begin as those that `who` gives to constants of its own."""
     for name in (*plant.states, *plant.constant_values):

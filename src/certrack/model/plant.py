@@ -6,7 +6,7 @@ x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n(t, x)                          
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -18,6 +18,12 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, number, parse, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.model.coefficients import (
+    ROW_REMEDY,
+    check_gain,
+    refuse_states,
+    refuse_varying_gain,
+)
 from certrack.model.names import new_name
 from certrack.model.ranges import Range, checked_ranges, dependents, open_constants
 from certrack.model.uncertainty import Uncertainty
@@ -160,7 +166,7 @@ class Plant:
             f"{keys['chain'].shape} (n = {n}, the number of states)",
         )
         for i, value in enumerate(coefficients):
-            _refuse_states(f"plant.chain[{i}]", value, states, ROW_REMEDY)
+            refuse_states(f"plant.chain[{i}]", value, states, ROW_REMEDY)
             checks.real(f"plant.chain[{i}]", value, values, nonzero=True)
         names = [*states, *values]
         phi = checks.sequence("plant.regressor", self.regressor, None, keys["regressor"].shape)
@@ -235,7 +241,7 @@ class Plant:
         ]
         for i, row in enumerate(lengths):
             for j, value in enumerate(row):
-                _refuse_states(f"{key}[{i}][{j}]", value, states, ROW_REMEDY)
+                refuse_states(f"{key}[{i}][{j}]", value, states, ROW_REMEDY)
         return tuple(
             tuple(number(f"{key}[{i}][{j}]", v, constants) for j, v in enumerate(row))
             for i, row in enumerate(lengths)
@@ -354,19 +360,3 @@ class Plant:
 def _mentions(formula: Expression, names: set[str]) -> bool:
     """Whether the text of a number contains one of the names."""
     return bool(set(map(str, parse("", formula, None).expr.free_symbols)) & names)
-
-
-def check_gain(
-    key: str, value: Any, gain_sign: int, constants: Mapping[str, Any] | None = None
-) -> float:
-    """A nonzero input gain of the stated sign."""
-    gain = checks.real(key, value, constants, nonzero=True)
-    if gain * gain_sign < 0:
-        raise InputError(key, f"must have the sign of plant.gain_sign = {gain_sign}", gain)
-    return gain
-
-
-def check_within(key: str, value: float, box: tuple[float, float] | None, name: str) -> None:
-    """Refuse a true value outside the range that the designer states."""
-    if box is not None and not box[0] <= value <= box[1]:
-        raise InputError(key, f"must lie in plant.ranges.{name} = [{box[0]:g}, {box[1]:g}]", value)

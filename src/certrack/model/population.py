@@ -9,9 +9,10 @@ from typing import Any
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.model.coefficients import check_gain, check_within
 from certrack.model.distribution import Distribution, as_distribution
 from certrack.model.disturbance import known_disturbances
-from certrack.model.plant import Plant, check_gain, check_within
+from certrack.model.plant import Plant
 from certrack.model.sampling import SAMPLINGS
 from certrack.model.truth import Truth
 

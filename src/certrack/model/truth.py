@@ -12,14 +12,9 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, check_name, number, parse, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.model.coefficients import check_gain, check_within, refuse_varying_gain
 from certrack.model.names import new_name
-from certrack.model.plant import (
-    MAX_ORDER,
-    Plant,
-    check_gain,
-    check_within,
-    refuse_varying_gain,
-)
+from certrack.model.plant import MAX_ORDER, Plant
 
 #: What a truth with states of its own has no place for.
 PLANT_FORM = ("input_gain", "theta", "omega", "tau")
