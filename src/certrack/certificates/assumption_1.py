@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
+from certrack.core.powers import put_in
 from certrack.systems.system import System
 
 #: Random points per term; the search takes about 0.05 s, and a violation on a thousandth of
@@ -85,7 +86,7 @@ def check_assumption_1(system: System, seed: int = 0) -> list[Violation]:
     violations = []
     for k, w in enumerate(truth.omega or ()):
         exact = {s: constants[s.name] for s in w.expr.free_symbols if s.name in constants}
-        excess = _Excess(system, k, w.expr.subs(exact))
+        excess = _Excess(system, k, put_in(w.expr, exact))
         size = excess(t, x) / (1 + np.linalg.norm(x, axis=0))
         i = int(np.argmax(size))
         best = np.concatenate([[t[i]], x[:, i]])

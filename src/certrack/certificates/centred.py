@@ -28,6 +28,7 @@ from certrack.certificates.exact import Proof, from_text, root_up
 from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.problem import ErrorProblem
 from certrack.core.expressions import symbol
+from certrack.core.powers import put_in
 from certrack.references.supremum import enclosure
 from certrack.systems.system import System
 
@@ -99,8 +100,8 @@ def remainder_bound(system: System, problem: ErrorProblem) -> Callable[[Proof], 
     assert law is not None
     AB, Y = _reference_part(system, problem)
     exact = {symbol(name): value for name, value in plant.constant_values.items()}
-    drift = plant.drift.expr.xreplace(exact)
-    regressor = [phi.expr.xreplace(exact) for phi in plant.regressor]
+    drift = put_in(plant.drift.expr, exact)
+    regressor = [put_in(phi.expr, exact) for phi in plant.regressor]
 
     def bound(reached: Proof) -> Any:
         P = np.array([[from_text(v) for v in row] for row in reached.P], dtype=object)
