@@ -271,8 +271,7 @@ class System(ShownInNotebooks):
         """
         checks.known_keys("settings", changes, keys_of(Settings))
         tail, duration = self.settings.tail, changes.get("duration")
-        is_number = isinstance(duration, numbers.Real) and not isinstance(duration, bool)
-        if tail is not None and "tail" not in changes and is_number:
+        if tail is not None and "tail" not in changes and isinstance(duration, numbers.Real):
             changes["tail"] = float(duration) * (tail / self.settings.duration)
         return replace(self, settings=replace(self.settings, **changes))
 

@@ -24,7 +24,6 @@ from certrack.references import PiecewiseReference, Reference, SymbolicReference
 from certrack.references.registry import kind_of
 from certrack.systems.system import System
 
-
 #: Lists of numbers from this length on are written as one item.
 LONG_LIST = 200
 
