@@ -171,7 +171,10 @@ def collect(system: System, *, critical: bool = False) -> Terms:
     problem = error_problem(system, decimal)
     coordinates, adaptation = system.controller.coordinates, problem.adaptation
     G, H = uncertainty_terms(system, decimal)
-    reference2, last = _reference_terms(system, problem.Xe @ coordinates.B)
+    residual = _residual_damping(system)
+    reference2, last = 0.0, 0.0
+    if G or residual:
+        reference2, last = _reference_terms(system, problem.Xe @ coordinates.B)
     leak, gains = 0.0, (1.0,)
     if adaptation is not None:
         gains = adaptation.gains
@@ -183,7 +186,7 @@ def collect(system: System, *, critical: bool = False) -> Terms:
         A_norm2=float((problem.Xe**2).sum()),
         G=G,
         reference2=reference2,
-        residual=_residual_damping(system) * last**2,
+        residual=residual * last**2,
         H=H,
         leak=leak,
         gains=gains,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import sympy
-from flint import arb
+from flint import arb, arb_poly, fmpq, fmpq_poly
 
 from certrack.core.expressions import TIME, without_minmax
 from certrack.core.powers import put_in
@@ -43,6 +43,15 @@ class Stretch:
     end: sympy.Expr
     formula: sympy.Expr
 
+    def supremum(self, i: int) -> float | None:
+        """Upper bound of |f^(i)|; None where none was found."""
+        ends = (self.begin, self.end)
+        if self.formula.is_polynomial(TIME) and all(end.is_Rational for end in ends):
+            poly = sympy.Poly(self.formula, TIME)
+            if all(factor.is_Rational for factor in poly.coeffs()):
+                return _of_polynomial(poly, i, *map(constant, ends))
+        return supremum(self.bounded(), i)
+
     def bounded(self) -> Formula:
         """The formula with its times rounded outward."""
         begin = max(0.0, -_above(-self.begin))
@@ -68,7 +77,7 @@ class Smoothness:
         """Upper bound of |f^(i)| over t >= 0, i at most the order; None where none was found."""
         largest = 0.0
         for stretch in self.stretches:
-            bound = supremum(stretch.bounded(), i)
+            bound = stretch.supremum(i)
             if bound is None:
                 return None
             largest = max(largest, bound)
@@ -163,6 +172,21 @@ def _simpler(stretch: Stretch) -> Stretch:
     since = sympy.Poly(stretch.formula, TIME).compose(sympy.Poly(TIME + stretch.begin, TIME))
     terms = (factor * (TIME - stretch.begin) ** k for (k,), factor in since.terms())
     return Stretch(stretch.begin, stretch.end, sympy.Add(*terms))
+
+
+def _of_polynomial(poly: sympy.Poly, i: int, begin: fmpq, end: fmpq) -> float:
+    """The largest |p^(i)| on [begin, end]: at the ends, or where p^(i+1) is zero."""
+    p = fmpq_poly([constant(factor) for factor in reversed(poly.all_coeffs())])
+    p, end = p(fmpq_poly([begin, 1])), end - begin  # of the time since the beginning
+    for _ in range(i):
+        p = p.derivative()
+    points = [arb(0), arb(end)]
+    slope = p.derivative().numer()
+    for root, _ in slope.complex_roots() if slope.degree() > 0 else []:
+        inside = not (root.real < 0 or root.real > end)
+        if inside and root.imag.contains(0):
+            points.append(root.real)
+    return max(float_above(arb_poly(p)(point).abs_upper()) for point in points)
 
 
 def _order(stretches: tuple[Stretch, ...]) -> float:

@@ -26,7 +26,7 @@ from certrack.core.powers import put_in
 from certrack.references.base import Bounds, require_order
 from certrack.references.enclosures import Undefined
 from certrack.references.smoothness import Smoothness, smoothness
-from certrack.references.supremum import sinusoid_supremum
+from certrack.references.supremum import is_sum_of_sinusoids, sinusoid_supremum
 
 #: Functions that may jump.
 JUMPING = (sympy.sign, sympy.atan2)
@@ -205,7 +205,8 @@ class SymbolicReference:
         if self.declared is not None and i < len(self.declared):
             return self.declared[i], "declared"
         if i not in self._bounds:
-            wave = sinusoid_supremum(self._numeric(i)[i])
+            waves = is_sum_of_sinusoids(self.numeric)
+            wave = sinusoid_supremum(self._numeric(i)[i]) if waves else None
             self._bounds[i] = wave or (self.smoothness.supremum(i), False)
         bound, exact = self._bounds[i]
         if bound is None:
@@ -213,7 +214,7 @@ class SymbolicReference:
                 "reference.bounds",
                 f"the bound Y_{i} of |y_d^({i})| could not be proven for this formula",
                 self.signal.text,
-                f"State it: bounds = [Y_0, ..., Y_{i}]",
+                f"State it: bounds = [{'Y_0' if i == 0 else f'Y_0, ..., Y_{i}'}]",
             )
         return bound, "exact" if exact else "proven"
 
