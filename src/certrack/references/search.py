@@ -31,8 +31,8 @@ from certrack.references.taylor import Evaluation, constant
 #: A bound this much above a value that is reached is good enough.
 LOOSENESS = 1e-4
 
-#: Operations on coefficients for one bound: about a second.
-MAX_WORK = 200_000
+#: Operations on coefficients for one bound: a second or two.
+MAX_WORK = 1_000_000
 
 #: Cuts of a piece without a bound until none is expected, and narrowest phases, in turns.
 MAX_CUTS_UNBOUNDED, NARROWEST_PHASE = 30, 2.0**-14

@@ -98,13 +98,14 @@ def smoothness(expr: sympy.Expr) -> Smoothness:
         Where it may have no value, or jump.
     """
     whole = (Stretch(sympy.S.Zero, sympy.oo, expr),)
+    # on the formula as it is: (t - 1)/|t - 1| is a constant on both sides of its jump
+    prove_defined(whole[0].bounded(), smooth=False)
     kinks = expr.has(sympy.Abs, sympy.Min, sympy.Max)
     stretches = _cut(Stretch(sympy.S.Zero, sympy.oo, without_minmax(expr))) if kinks else whole
     try:
         for stretch in stretches or whole:
             prove_defined(stretch.bounded(), smooth=True)
     except Undefined:
-        prove_defined(whole[0].bounded(), smooth=False)
         return Smoothness(1.0, whole)
     if stretches is None:
         return Smoothness(1.0, whole)
@@ -197,7 +198,7 @@ def _order(stretches: tuple[Stretch, ...]) -> float:
         for i in range(MAX_COMPARED):
             gap = sympy.expand(put_in(before - after, {TIME: right.begin}))
             if not gap.is_zero:
-                order = min(order, max(i, 1))
+                order = min(order, max(i, 1))  # y_d itself is continuous, which is proven
                 break
             before, after = before.diff(TIME), after.diff(TIME)
             if before == after:

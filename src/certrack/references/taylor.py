@@ -67,8 +67,8 @@ class Evaluation:
     def work(self) -> int:
         """About how many operations it took."""
         coefficients = (value for series in self._known.values() for value in series)
-        terms = (len(v.terms) if isinstance(v, Enclosure) else 1 for v in coefficients)
-        return (self.order + 1) * sum(1 + count**2 for count in terms)
+        costs = (8 + 8 * len(v.terms) ** 2 if isinstance(v, Enclosure) else 2 for v in coefficients)
+        return (self.order + 1) * sum(costs)
 
     def _padded(self, head: Series) -> Series:
         return [*head, *[fmpq(0)] * (self.order + 1 - len(head))]
