@@ -17,7 +17,7 @@ from functools import cached_property
 import sympy
 from flint import arb
 
-from certrack.core.expressions import TIME
+from certrack.core.expressions import TIME, without_minmax
 from certrack.references.enclosures import (
     INFINITE,
     LINEAR,
@@ -32,7 +32,7 @@ from certrack.references.taylor import Evaluation, constant
 LOOSENESS = 1e-4
 
 #: Operations on coefficients for one bound: a second or two.
-MAX_WORK = 1_000_000
+MAX_WORK = 600_000
 
 #: Cuts of a piece without a bound until none is expected, and narrowest phases, in turns.
 MAX_CUTS_UNBOUNDED, NARROWEST_PHASE = 30, 2.0**-14
@@ -101,9 +101,10 @@ class Formula:
     """
 
     def __init__(self, expr: sympy.Expr, begin: float = 0.0, end: float = math.inf) -> None:
-        self.expr, self.begin = expr, begin
+        has_extremes = expr.has(sympy.Max, sympy.Min)  # written by abs, once
+        self.expr = without_minmax(expr) if has_extremes else expr
+        self.begin = begin
         self.end = min(end, begin + self._period)
-        self.size = sum(1 for _ in sympy.preorder_traversal(expr))
 
     @cached_property
     def _period(self) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 import sympy
 from flint import arb, fmpq
 
-from certrack.core.expressions import TIME, without_minmax
+from certrack.core.expressions import TIME
 from certrack.core.powers import ConstantPower
 from certrack.references.enclosures import Enclosure, Undefined, ball, sech2
 
@@ -27,7 +27,7 @@ ONE = ball(-1, 1)
 
 @dataclass
 class Evaluation:
-    """Coefficients of formulas on one interval.
+    """Coefficients of formulas, with min and max written by abs, on one interval.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Evaluation:
     def work(self) -> int:
         """About how many operations it took."""
         coefficients = (value for series in self._known.values() for value in series)
-        costs = (8 + 8 * len(v.terms) ** 2 if isinstance(v, Enclosure) else 2 for v in coefficients)
+        costs = (8 + 8 * len(v.terms) ** 2 if isinstance(v, Enclosure) else 1 for v in coefficients)
         return (self.order + 1) * sum(costs)
 
     def _padded(self, head: Series) -> Series:
@@ -78,8 +78,6 @@ class Evaluation:
             return self._padded([constant(expr)])
         if isinstance(expr, sympy.Pow):
             return self._power(*expr.args)
-        if isinstance(expr, (sympy.Max, sympy.Min)):
-            return self.series(without_minmax(expr))
         parts = [self.series(arg) for arg in expr.args]
         if isinstance(expr, sympy.Add):
             return [sum(column[1:], column[0]) for column in zip(*parts, strict=True)]
