@@ -22,6 +22,9 @@ LINEAR: Growth = (fmpq(1), fmpq(0))
 
 INFINITE = arb(float("inf"))
 
+#: Slower rates count as none, and faster ones as this fast, so that no number has endless digits.
+SLOWEST, FASTEST = 2.0**-40, 2**40
+
 #: Terms of a sum; more are merged.
 MAX_TERMS = 6
 
@@ -36,6 +39,13 @@ class Undefined(ArithmeticError):
 def ball(low: Any, high: Any) -> arb:
     """The interval from low to high, each perhaps itself an interval, or infinite."""
     return arb(low).union(arb(high))
+
+
+def _rate(slope: arb) -> fmpq:
+    """A rational that is not above a positive point, of few digits; zero if there is none."""
+    if not (slope > SLOWEST):
+        return fmpq(0)
+    return fmpq(FASTEST) if slope > FASTEST else slope.fmpq()
 
 
 def sech2(x: arb) -> arb:
@@ -250,9 +260,9 @@ class Enclosure:
         low, high = rest.ends()
         if isinstance(rate, fmpq) and low.is_finite() and high.is_finite():
             return Enclosure(self.span, {(fmpq(0), rate): ball(low, high).exp()})
-        slope = self._per_time().ends()[1]
-        if slope < 0 and slope.is_finite():
-            return Enclosure(self.span, {(fmpq(0), slope.fmpq()): ball(0, 1)})
+        decay = _rate(-self._per_time().ends()[1])
+        if decay:
+            return Enclosure(self.span, {(fmpq(0), -decay): ball(0, 1)})
         top = self.ends()[1]
         return self._constant(ball(0, top.exp().upper() if top.is_finite() else INFINITE))
 
@@ -294,17 +304,16 @@ class Enclosure:
         """tanh f, near 1 or -1 where f grows."""
         low, high = self._per_time().ends()
         for sign, slope in ((1, low), (-1, -high)):
-            if slope > 0 and slope.is_finite():  # 1 - 2/(1 + e^2f) >= 1 - 2 e^(-2 slope t)
-                near = Enclosure(self.span, {(fmpq(0), -2 * slope.fmpq()): ball(0, 2)})
+            if rate := _rate(slope):  # 1 - 2/(1 + e^2f) >= 1 - 2 e^(-2 rate t)
+                near = Enclosure(self.span, {(fmpq(0), -2 * rate): ball(0, 2)})
                 return sign * (1 - near)
         return self.monotone(arb.tanh)
 
     def sech2(self) -> Enclosure:
         """1/cosh^2 f."""
         low, high = self._per_time().ends()
-        slope = _largest([low, -high])
-        if slope > 0 and slope.is_finite():  # <= 4 e^(-2 slope t)
-            return Enclosure(self.span, {(fmpq(0), -2 * slope.fmpq()): ball(0, 4)})
+        if rate := _rate(low) or _rate(-high):  # <= 4 e^(-2 rate t)
+            return Enclosure(self.span, {(fmpq(0), -2 * rate): ball(0, 4)})
         low, high = self.ends()
         near = arb(0) if not self.nonzero() else _least([abs(low), abs(high)])
         far = _largest([abs(low), abs(high)])
