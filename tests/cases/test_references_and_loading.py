@@ -1,4 +1,4 @@
-"""References that jump or need no bound, files of samples, and systems that were refused or hung."""
+"""References that jump or need no bound, files of samples, systems that were refused or hung."""
 
 import pickle
 import time

@@ -105,11 +105,11 @@ def power(base: sympy.Expr, exponent: sympy.Expr) -> sympy.Expr:
         return base**exponent
     if not base.free_symbols:
         return ConstantPower(base, exponent) if base.is_positive is not False else base**exponent
-    factor, rest = base.as_coeff_Mul()
+    factor, remainder = base.as_coeff_Mul()
     if factor in (1, -1):
         return base**exponent
     size = abs(factor)
-    return power(size, exponent) * power(sympy.sign(factor) * rest, exponent)
+    return power(size, exponent) * power(sympy.sign(factor) * remainder, exponent)
 
 
 def exponential(argument: sympy.Expr) -> sympy.Expr:

@@ -14,6 +14,8 @@ from typing import Any
 
 from flint import arb, fmpq
 
+from certrack.core.errors import CertrackError
+
 #: A power of t and a rate, of t^k e^(r t).
 Growth = tuple[fmpq, fmpq]
 
@@ -32,7 +34,7 @@ MAX_TERMS = 6
 LOG_POWER = fmpq(1, 8)
 
 
-class Undefined(ArithmeticError):
+class Undefined(CertrackError, ArithmeticError):
     """A function may have no value on the interval, or jump there; the text says which."""
 
 
@@ -198,10 +200,10 @@ class Enclosure:
         """1/f; Undefined where f may be zero."""
         if not self.span.is_endless and self.nonzero():
             return self._constant(1 / self.interval())
-        (k, r), rest = self._leading()
-        if rest is None or not (rest > 0 or rest < 0):
+        (k, r), remainder = self._leading()
+        if remainder is None or not (remainder > 0 or remainder < 0):
             raise Undefined("a denominator may be zero")
-        return Enclosure(self.span, {(-k, -r): 1 / rest})
+        return Enclosure(self.span, {(-k, -r): 1 / remainder})
 
     def _leading(self) -> tuple[Growth, arb | None]:
         """f = t^k e^(r t) B with the fastest growth of f: that growth, and the interval B."""
@@ -229,9 +231,9 @@ class Enclosure:
         """A lower and an upper bound, perhaps infinite."""
         if self._ends is None:
             low, high = self._sum(self.terms)
-            growth, rest = self._leading()
-            if len(self.terms) > 1 and rest is not None:
-                least, most = _times(rest, *self.span.range_of(growth))
+            growth, remainder = self._leading()
+            if len(self.terms) > 1 and remainder is not None:
+                least, most = _times(remainder, *self.span.range_of(growth))
                 low = least if least > low else low
                 high = most if most < high else high
             self._ends = low, high
@@ -256,8 +258,8 @@ class Enclosure:
     def exp(self) -> Enclosure:
         """e^f."""
         rate = self.terms.get(LINEAR, fmpq(0))
-        rest = Enclosure(self.span, {g: v for g, v in self.terms.items() if g != LINEAR})
-        low, high = rest.ends()
+        remainder = Enclosure(self.span, {g: v for g, v in self.terms.items() if g != LINEAR})
+        low, high = remainder.ends()
         if isinstance(rate, fmpq) and low.is_finite() and high.is_finite():
             return Enclosure(self.span, {(fmpq(0), rate): ball(low, high).exp()})
         decay = _rate(-self._per_time().ends()[1])
@@ -272,14 +274,14 @@ class Enclosure:
 
     def log(self) -> Enclosure:
         """log f of a positive f."""
-        (k, r), rest = self._leading()
-        if rest is None or not rest > 0:
+        (k, r), remainder = self._leading()
+        if remainder is None or not remainder > 0:
             if self.ends()[0] > 0:
                 low, high = self.ends()
                 top = high.log().upper() if high.is_finite() else INFINITE
                 return self._constant(ball(low.log().lower(), top))
             raise Undefined("the argument of log may be zero or negative")
-        total = Enclosure(self.span, {CONSTANT: rest.log(), LINEAR: r})
+        total = Enclosure(self.span, {CONSTANT: remainder.log(), LINEAR: r})
         if not k:
             return total
         if not self.span.is_endless and self.span.begin > 0:
@@ -291,9 +293,9 @@ class Enclosure:
 
     def power(self, exponent: fmpq) -> Enclosure:
         """f^exponent of a positive f."""
-        (k, r), rest = self._leading()
-        if rest is not None and rest > 0:
-            factor = (arb(exponent) * rest.log()).exp()
+        (k, r), remainder = self._leading()
+        if remainder is not None and remainder > 0:
+            factor = (arb(exponent) * remainder.log()).exp()
             return Enclosure(self.span, {(k * exponent, r * exponent): factor})
         low, high = self.ends()
         if not (low > 0 and high.is_finite()):

@@ -112,7 +112,7 @@ class Formula:
         if len(self._tables) != 1:
             return math.inf
         base, turns = self._tables[0]
-        if not all(rest.is_number for _, rest in turns.values()):
+        if not all(offset.is_number for _, offset in turns.values()):
             return math.inf
         mark = sympy.Symbol("wave")
         waves = {f(arg): mark for arg in turns for f in (sympy.sin, sympy.cos)}
@@ -127,20 +127,20 @@ class Formula:
         for wave in self.expr.atoms(sympy.sin, sympy.cos):
             arg = wave.args[0]
             w = sympy.expand(arg).coeff(TIME, 1)
-            rest = sympy.expand(arg - w * TIME)
+            offset = sympy.expand(arg - w * TIME)
             if not w.is_number or w == 0:
                 continue
             for first, members in groups:
                 ratio = w / first
                 if ratio.is_Rational:
-                    members[arg] = (ratio, rest)
+                    members[arg] = (ratio, offset)
                     break
             else:
-                groups.append((w, {arg: (sympy.S.One, rest)}))
+                groups.append((w, {arg: (sympy.S.One, offset)}))
         tables = []
         for first, members in groups[:MAX_PHASES]:
             common = sympy.gcd_list([ratio for ratio, _ in members.values()])
-            turns = {arg: (int(ratio / common), rest) for arg, (ratio, rest) in members.items()}
+            turns = {arg: (int(ratio / common), offset) for arg, (ratio, offset) in members.items()}
             if max(abs(n) for n, _ in turns.values()) <= MAX_TURNS:
                 tables.append((first * common, turns))
         return tables
@@ -173,13 +173,13 @@ class Formula:
         is_long = math.isinf(piece.end) or piece.end - piece.begin > self._turn
         return piece if is_long else replace(piece, phases=None)
 
-    def halves(self, piece: Piece) -> list[list[Piece]]:
-        """The ways to cut a piece in two: in its phases, and last in time."""
-        ways = [list(map(self._settled, piece.in_time()))]
+    def possible_cuts(self, piece: Piece) -> list[list[Piece]]:
+        """Each possible cut of a piece in two: in its phases, and last in time."""
+        cuts = [list(map(self._settled, piece.in_time()))]
         if piece.phases is not None and math.isinf(piece.end):
             wide = [i for i, (a, b) in enumerate(piece.phases) if b - a > NARROWEST_PHASE]
-            ways = [list(piece.in_phase(i)) for i in wide] + ways
-        return ways
+            cuts = [list(piece.in_phase(i)) for i in wide] + cuts
+        return cuts
 
     def evaluation(self, piece: Piece, order: int, *, smooth: bool = False) -> Evaluation:
         """Taylor coefficients on a piece."""
@@ -187,9 +187,9 @@ class Formula:
             return Evaluation(ball(piece.begin, piece.end), order, smooth=smooth)
         span = Span(arb(piece.begin), INFINITE if math.isinf(piece.end) else arb(piece.end))
         phases = {
-            arg: (2 * arb.pi() * n * ball(*turn), rest)
+            arg: (2 * arb.pi() * n * ball(*turn), offset)
             for turn, (_, turns) in zip(piece.phases, self._tables, strict=True)
-            for arg, (n, rest) in turns.items()
+            for arg, (n, offset) in turns.items()
         }
         return Evaluation(Enclosure(span, {LINEAR: ONE_EXACTLY}), order, phases, smooth)
 
@@ -221,12 +221,12 @@ def prove_defined(formula: Formula, *, smooth: bool) -> None:
         except Undefined as problem:
             if piece.cuts >= MAX_CUTS or piece.end - piece.begin < 1e-9 * max(1.0, piece.begin):
                 raise Undefined(f"{problem} near t = {piece.begin:.6g}") from None
-            ways = formula.halves(piece)
-            waiting += ways[piece.cuts % len(ways)][::-1]
+            cuts = formula.possible_cuts(piece)
+            waiting += cuts[piece.cuts % len(cuts)][::-1]
     raise Undefined("it has too many pieces")
 
 
-def supremum(formula: Formula, order: int) -> float | None:
+def derivative_bound(formula: Formula, order: int) -> float | None:
     """Upper bound of |f^(order)| on all times of the formula, or None.
 
     Parameters
@@ -267,10 +267,10 @@ class _Search:
         return close or piece.cuts >= (MAX_CUTS_UNBOUNDED if math.isinf(largest) else MAX_CUTS)
 
     def cut(self) -> None:
-        """Cut the piece with the largest bound, in the way that lowers it most."""
+        """Cut the piece with the largest bound so that it lowers the bound most."""
         _, _, piece = heapq.heappop(self.heap)
-        ways = [[(half, self.bound(half)) for half in way] for way in self.formula.halves(piece)]
-        *in_phase, in_time = ways
+        cuts = self.formula.possible_cuts(piece)
+        *in_phase, in_time = [[(half, self.bound(half)) for half in cut] for cut in cuts]
         if in_phase:  # of phases that are equally good, each in its turn
             turn = piece.cuts % len(in_phase)
             in_phase = in_phase[turn:] + in_phase[:turn]
@@ -323,8 +323,8 @@ class _Search:
         return self._derivative(Evaluation(t, self.order), self.order)
 
 
-def _largest_of(way: list[tuple[Piece, float]]) -> float:
-    return max(bound for _, bound in way)
+def _largest_of(halves: list[tuple[Piece, float]]) -> float:
+    return max(bound for _, bound in halves)
 
 
 def _closer(a: arb, b: arb) -> arb:

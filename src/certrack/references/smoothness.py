@@ -18,7 +18,7 @@ from flint import arb, arb_poly, fmpq, fmpq_poly
 from certrack.core.expressions import TIME, without_minmax
 from certrack.core.powers import put_in
 from certrack.references.enclosures import Undefined
-from certrack.references.search import Formula, float_above, prove_defined, supremum
+from certrack.references.search import Formula, derivative_bound, float_above, prove_defined
 from certrack.references.taylor import constant
 
 #: More stretches than this are not told apart.
@@ -43,14 +43,14 @@ class Stretch:
     end: sympy.Expr
     formula: sympy.Expr
 
-    def supremum(self, i: int) -> float | None:
+    def bound(self, i: int) -> float | None:
         """Upper bound of |f^(i)|; None where none was found."""
         ends = (self.begin, self.end)
         if self.formula.is_polynomial(TIME) and all(end.is_Rational for end in ends):
             poly = sympy.Poly(self.formula, TIME)
             if all(factor.is_Rational for factor in poly.coeffs()):
                 return _of_polynomial(poly, i, *map(constant, ends))
-        return supremum(self.bounded(), i)
+        return derivative_bound(self.bounded(), i)
 
     def bounded(self) -> Formula:
         """The formula with its times rounded outward."""
@@ -73,11 +73,11 @@ class Smoothness:
     order: float
     stretches: tuple[Stretch, ...]
 
-    def supremum(self, i: int) -> float | None:
+    def bound(self, i: int) -> float | None:
         """Upper bound of |f^(i)| over t >= 0, i at most the order; None where none was found."""
         largest = 0.0
         for stretch in self.stretches:
-            bound = stretch.supremum(i)
+            bound = stretch.bound(i)
             if bound is None:
                 return None
             largest = max(largest, bound)
@@ -97,18 +97,18 @@ def smoothness(expr: sympy.Expr) -> Smoothness:
     Undefined
         Where it may have no value, or jump.
     """
-    whole = (Stretch(sympy.S.Zero, sympy.oo, expr),)
+    entire = (Stretch(sympy.S.Zero, sympy.oo, expr),)
     # on the formula as it is: (t - 1)/|t - 1| is a constant on both sides of its jump
-    prove_defined(whole[0].bounded(), smooth=False)
+    prove_defined(entire[0].bounded(), smooth=False)
     kinks = expr.has(sympy.Abs, sympy.Min, sympy.Max)
-    stretches = _cut(Stretch(sympy.S.Zero, sympy.oo, without_minmax(expr))) if kinks else whole
+    stretches = _cut(Stretch(sympy.S.Zero, sympy.oo, without_minmax(expr))) if kinks else entire
     try:
-        for stretch in stretches or whole:
+        for stretch in stretches or entire:
             prove_defined(stretch.bounded(), smooth=True)
     except Undefined:
-        return Smoothness(1.0, whole)
+        return Smoothness(1.0, entire)
     if stretches is None:
-        return Smoothness(1.0, whole)
+        return Smoothness(1.0, entire)
     return Smoothness(_order(stretches), stretches)
 
 

@@ -207,7 +207,7 @@ class SymbolicReference:
         if i not in self._bounds:
             waves = is_sum_of_sinusoids(self.numeric)
             wave = sinusoid_supremum(self._numeric(i)[i]) if waves else None
-            self._bounds[i] = wave or (self.smoothness.supremum(i), False)
+            self._bounds[i] = wave or (self.smoothness.bound(i), False)
         bound, exact = self._bounds[i]
         if bound is None:
             raise InputError(

@@ -100,8 +100,8 @@ class Evaluation:
         return [_dot(a[: k + 1], b[: k + 1][::-1]) for k in range(self.order + 1)]
 
     def _square(self, a: Series) -> Series:
-        rest = [_dot(a[: k + 1], a[: k + 1][::-1]) for k in range(1, self.order + 1)]
-        return [_integer_power(a[0], 2), *rest]
+        others = [_dot(a[: k + 1], a[: k + 1][::-1]) for k in range(1, self.order + 1)]
+        return [_integer_power(a[0], 2), *others]
 
     def _quotient(self, a: Series, b: Series) -> Series:
         over = _inverse(b[0])
@@ -176,8 +176,8 @@ class Evaluation:
     def _sine_and_cosine(self, a: Series, arg: sympy.Expr) -> tuple[Series, Series]:
         angle = _value(a[0])
         if arg in self.phases:
-            phase, rest = self.phases[arg]
-            angle = phase + self.series(rest)[0]
+            phase, offset = self.phases[arg]
+            angle = phase + self.series(offset)[0]
         if isinstance(angle, Enclosure):
             angle = angle.interval()
         s, c = ([v] if v.is_finite() else [ONE] for v in (angle.sin(), angle.cos()))
