@@ -31,6 +31,7 @@ from certrack.core.expressions import TIME
 from certrack.core.heyoka import has_heyoka
 from certrack.core.keys import keys_of
 from certrack.core.lowering import extract_switches, numpy_callable, rows, to_heyoka
+from certrack.core.powers import put_in
 from certrack.export.c.export import c_files
 from certrack.export.c.software_in_the_loop import difference_from_python, simulate_with_c
 from certrack.export.c.source import c_code
@@ -127,9 +128,9 @@ class LawConformance:
         known = {name: float(v) for name, v in plant.constant_values.items()}
         exact = {symbol: known[symbol.name] for symbol in _constants(system)}
         unknown = numpy_callable(
-            names, [w.expr.subs(exact) for w in (*(truth.omega or ()), *plant.regressor)]
+            names, [put_in(w.expr, exact) for w in (*(truth.omega or ()), *plant.regressor)]
         )
-        drift = numpy_callable(names, [plant.drift.expr.subs(exact)])
+        drift = numpy_callable(names, [put_in(plant.drift.expr, exact)])
         theta = np.array([float(value.expr) for value in truth.theta])
         A, B = coordinates.A, coordinates.B
         for t, y, p in self._points():

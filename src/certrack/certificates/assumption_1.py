@@ -19,6 +19,7 @@ from certrack.certificates.majorants import Majorant, covers, majorants
 from certrack.certificates.sampling import Points, nearest_failure, random_points
 from certrack.core.expressions import TIME
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
+from certrack.core.powers import put_in
 from certrack.systems.system import System
 
 #: Relative excess that is not reported: the evaluation of a formula rounds.
@@ -108,7 +109,7 @@ def uncertain_terms(system: System) -> list[UncertainTerm]:
         assert truth.tau is not None
         u = plant.uncertainty
         numbers = (_fraction(v[k]) for v in (truth.tau, u.tau, u.gamma, u.beta))
-        terms.append(UncertainTerm(k, w.expr.xreplace(exact), plant.symbols, *numbers))
+        terms.append(UncertainTerm(k, put_in(w.expr, exact), plant.symbols, *numbers))
     return terms
 
 

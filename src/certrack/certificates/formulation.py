@@ -18,6 +18,7 @@ from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.stated import stated_error_system
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
 from certrack.laws.error_system import KnownParameters
+from certrack.references.base import bound_of
 from certrack.systems.system import System
 
 
@@ -48,12 +49,14 @@ def error_problem(system: System, number: ToNumber) -> ErrorProblem:
     n, q, A = plant.n, coordinates.q, coordinates.A
     u = plant.uncertainty
     tau, gamma, beta = ([number(v) for v in values] for values in (u.tau, u.gamma, u.beta))
-    bounds = [exact_float(v, number) for v in system.reference.bounds(q + 1).values]
     Xe = solve(A, np.eye(n, dtype=dtype))
     in_a = tuple(k for k in range(n) if tau[k] * gamma[k] != 0)
     in_b = tuple(k for k in range(n) if tau[k] * beta[k] != 0)
-    in_x = [i for i in range(q + 1) if in_a and bounds[i] != 0 and any(coordinates.B[:, i] != 0)]
-    residual = bool(bounds[q + 1] != 0 and any(coordinates.R != 0))
+    used = [i for i in range(q + 1) if in_a and any(coordinates.B[:, i] != 0)]
+    used += [q + 1] if any(coordinates.R != 0) else []
+    bounds = {i: exact_float(bound_of(system.reference, i)[0], number) for i in used}
+    in_x = [i for i in used if i <= q and bounds[i] != 0]
+    residual = bool(bounds.get(q + 1, 0) != 0)
     Uy = np.zeros((n, len(in_x) + residual), dtype=dtype)
     Xy = np.zeros((n, len(in_x) + residual), dtype=dtype)
     for column, i in enumerate(in_x):

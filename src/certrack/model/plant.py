@@ -6,7 +6,7 @@ x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n(t, x)                          
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -208,10 +208,12 @@ class Plant:
 
     def _check_constants(self, states: tuple[str, ...]) -> tuple[tuple[str, Expression], ...]:
         constants: dict[str, Expression] = {}
+        values: dict[str, Any] = {}
         for name, value in checks.name_value_pairs("plant.constants", self.constants):
             key = f"plant.constants.{name}"
-            new_name(key, name, [*states, *constants])
-            constants[name] = number(key, value, {k: v.expr for k, v in constants.items()})
+            new_name(key, name, constants if name in constants else states)
+            constants[name] = number(key, value, values)
+            values[name] = constants[name].expr
         return tuple(constants.items())
 
     def _check_linear(
@@ -313,7 +315,7 @@ class Plant:
         return replace(self, constants=sources)
 
 
-def new_name(key: str, name: Any, used: Sequence[str]) -> str:
+def new_name(key: str, name: Any, used: Iterable[str]) -> str:
     """A name that is not used yet, neither here nor by the language nor by the closed loop."""
     check_name(key, name, used)
     if name in LOOP_SIGNALS or name.startswith(LOOP_PREFIXES):

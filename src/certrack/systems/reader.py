@@ -7,17 +7,13 @@ reads like the loaded one.
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import tomllib
-import warnings
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path, PurePosixPath
 from typing import Any
-
-import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
@@ -31,6 +27,7 @@ from certrack.model.truth import Truth, constants_of_truth
 from certrack.references import Reference, SymbolicReference, known_references
 from certrack.systems.keys import TABLES, law_keys, reference_keys
 from certrack.systems.lines import line_of
+from certrack.systems.samples_file import SamplesFile, check_time_unit, read_samples
 from certrack.systems.system import Settings, System
 
 #: Largest file that is read: a million samples of a reference fit.
@@ -215,12 +212,13 @@ def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
     checks.known_keys("", tables, SECTIONS, required=REQUIRED_SECTIONS)
     plant = _read_plant(tables["plant"])
     constants = plant.constant_values
+    settings = Settings(**_read_values("simulation", tables["simulation"], constants))
     return System(
         plant=plant,
         law=_read_law(tables["law"], constants),
-        reference=_read_reference(tables["reference"], constants, folder),
+        reference=_read_reference(tables["reference"], constants, folder, settings.duration),
         truth=_read_truth(tables["truth"], plant),
-        settings=Settings(**_read_values("simulation", tables["simulation"], constants)),
+        settings=settings,
         title=checks.text("title", tables.get("title", "")),
         population=_read_population(tables.get("ensemble"), constants),
         implementation=_read_implementation(tables.get("implementation"), constants),
@@ -317,7 +315,9 @@ def _refuse_keys_of_another(
     )
 
 
-def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | None) -> Reference:
+def _read_reference(
+    table: Any, constants: Mapping[str, Any], folder: Path | None, duration: float
+) -> Reference:
     if not isinstance(table, dict):
         raise InputError("reference", "must be a table [reference]", table)
     if "signal" in table:
@@ -338,7 +338,10 @@ def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | Non
         for name in ("times", "values"):
             if name in entries:
                 raise InputError(f"reference.{name}", "must be left out beside reference.file")
-        entries |= _samples_of_file(file, folder)
+        samples = _samples_of_file(file, folder)
+        if "time_unit" not in entries:
+            check_time_unit(str(file), samples, duration)
+        entries |= {"times": samples.times, "values": samples.values}
     keys = {name: reference_keys(name) for name in kinds}
     _refuse_keys_of_another("reference", entries, "reference", keys)
     values = _read_values("reference", entries, constants, keys[kind])
@@ -349,11 +352,11 @@ def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | Non
         row = re.fullmatch(r"reference\.(?:times|values)\[(\d+)\]", problem.key)
         if file is None or row is None:
             raise
-        what = f"row {int(row[1]) + 1} of {file}: {problem.expected}"
+        what = f"row {samples.rows[int(row[1])]} of {file}: {problem.expected}"
         raise InputError("reference.file", what, problem.got) from None
 
 
-def _samples_of_file(name: Any, folder: Path | None) -> dict[str, list[float]]:
+def _samples_of_file(name: Any, folder: Path | None) -> SamplesFile:
     """Times and values from a CSV file beside the system file."""
     key = "reference.file"
     relative = PurePosixPath(checks.text(key, name))
@@ -365,17 +368,7 @@ def _samples_of_file(name: Any, folder: Path | None) -> dict[str, list[float]]:
         raise InputError(
             key, f"cannot be read ({problem.strerror}) in {folder.resolve()}", name
         ) from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an empty file is refused below
-            table = np.loadtxt(io.StringIO(data.decode("utf-8")), delimiter=",", ndmin=2)
-    except ValueError:
-        raise InputError(
-            key, "must have two numeric columns: time, y_d (no header, or a # line)", name
-        ) from None
-    if table.shape[1] != 2:
-        raise InputError(key, "must have two columns: time, y_d", f"{table.shape[1]} columns")
-    return {"times": table[:, 0].tolist(), "values": table[:, 1].tolist()}
+    return read_samples(str(relative), data)
 
 
 def _read_population(table: Any, constants: Mapping[str, Any]) -> Population | None:

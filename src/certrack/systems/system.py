@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -270,8 +271,8 @@ class System(ShownInNotebooks):
         """
         checks.known_keys("settings", changes, keys_of(Settings))
         tail, duration = self.settings.tail, changes.get("duration")
-        if tail is not None and "tail" not in changes and isinstance(duration, (int, float)):
-            changes["tail"] = duration * (tail / self.settings.duration)
+        if tail is not None and "tail" not in changes and isinstance(duration, numbers.Real):
+            changes["tail"] = float(duration) * (tail / self.settings.duration)
         return replace(self, settings=replace(self.settings, **changes))
 
     @property
