@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sympy
 from conftest import relative, systems
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certrack
@@ -70,7 +70,17 @@ def test_error_system_holds_for_random_plants(system):
     """Both sides of e' = (S - C - K) e + T w - R y_d^(q+1) + ... evaluated, n = 1 ... 8."""
     kit = LawConformance()
     kit.system = system
-    kit.test_obeys_the_error_system()
+    kit.test_loop_holds_the_plant_and_the_input()
+
+
+@settings(max_examples=12)
+@given(systems(orders=st.integers(1, 5)))
+def test_random_nominal_loops_are_as_the_laws_claim(system):
+    """With w = 0 and the law's input: e' = (S - C - K) e - R y_d^(q+1) + mismatch, and V'."""
+    kit = LawConformance()
+    kit.system = system
+    kit.test_obeys_its_error_system()
+    kit.test_its_energy_falls_as_claimed()
 
 
 def symbolic_backstepping(plant, gains, q):

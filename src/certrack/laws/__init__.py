@@ -3,7 +3,7 @@
 Whoever writes a law finds all names here: :class:`Law` with :class:`Equations` and
 :class:`Signals`, the fields :func:`gain`, :func:`theta_vector` and :func:`theta_metric` with the
 values :func:`vector` and :func:`metric`, :func:`symbol`, :func:`dot`, :class:`Plant`, the errors,
-and :func:`register`.
+:func:`register`, and what a law claims of its loop: :class:`ErrorSystem`, :class:`NominalPlant`.
 """
 
 from certrack.core.errors import DesignError, InputError
@@ -22,6 +22,7 @@ from certrack.laws.base import (
     vector,
 )
 from certrack.laws.classic import Classic
+from certrack.laws.error_system import ErrorSystem, NominalPlant
 from certrack.laws.registry import LAWS, known_laws
 from certrack.laws.registry import register_law as register
 from certrack.laws.robust import Robust
@@ -35,8 +36,10 @@ __all__ = [
     "Controller",
     "DesignError",
     "Equations",
+    "ErrorSystem",
     "InputError",
     "Law",
+    "NominalPlant",
     "Plant",
     "Robust",
     "Signals",

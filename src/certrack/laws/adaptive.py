@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from certrack.core.expressions import symbol
@@ -17,6 +17,13 @@ from certrack.laws.base import (
     theta_metric,
     theta_vector,
     vector,
+)
+from certrack.laws.error_system import (
+    ErrorSystem,
+    NominalPlant,
+    estimation_errors,
+    recursion_errors,
+    with_estimates,
 )
 from certrack.model.plant import Plant
 
@@ -77,3 +84,22 @@ class Adaptive(Law):
             "theta0": vector("law.theta0", self.theta0, plant.r),
             "Gamma": metric("law.Gamma", self.Gamma, plant.r),
         }
+
+    def error_system(self, s: Signals, nominal: NominalPlant) -> ErrorSystem:
+        plain = recursion_errors(s.x, s.Y, nominal.coordinates)
+        Gamma = metric("law.Gamma", self.Gamma, s.r)
+        claim = with_estimates(plain, s, nominal, self.gain_rate, Gamma)
+        delta_error, theta_error = estimation_errors(s.r, nominal)
+        theta0 = vector("law.theta0", self.theta0, s.r).tolist()
+        apart = [
+            true - error - guess
+            for true, error, guess in zip(nominal.theta, theta_error, theta0, strict=True)
+        ]
+        leak = (
+            abs(nominal.g_n)
+            * self.leak_gain
+            * delta_error
+            * (1 / nominal.g_n - delta_error - self.delta0)
+        )
+        leak += self.leak_theta * dot(theta_error, apart)
+        return replace(claim, V_rate=claim.V_rate + leak)  # [24], [27] before Young's inequality

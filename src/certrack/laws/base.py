@@ -21,6 +21,7 @@ from certrack.core.expressions import TIME, check_name, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.supported import check_symbols, normal_form
 from certrack.laws.backstepping import ErrorCoordinates, Gains, recursion
+from certrack.laws.error_system import ErrorSystem, NominalPlant
 from certrack.model.plant import MAX_ORDER, Plant
 
 
@@ -185,12 +186,13 @@ class Law(ABC):
        names A_n, B_n, nu_x, nu_Y and sign_g are taken;
     5. pass ``certrack.testing.LawConformance``.
 
-    Optional: another feed-forward order (:meth:`order`); a reason in `no_certificate`; initial
-    values of the own states (:meth:`initial_states`), which ``simulation.estimates`` overrides;
-    and, so that system files can name the law, :func:`certrack.laws.register` or an entry point
-    ``kind = "package:Class"`` of the group ``certrack.laws``. Where the input is saturated, a
-    sampled controller keeps of the rates only the terms of gains and own states alone, the
-    forgetting; own states that are no estimates are listed in ``Equations.filters`` and move on.
+    Optional: what it claims of its loop, for the kit (:meth:`error_system`); another feed-forward
+    order (:meth:`order`); a reason in `no_certificate`; initial values of the own states
+    (:meth:`initial_states`), which ``simulation.estimates`` overrides; and, so that system
+    files can name the law, :func:`certrack.laws.register` or an entry point ``kind =
+    "package:Class"`` of the group ``certrack.laws``. Where the input is saturated, a sampled
+    controller keeps of the rates only the terms of gains and own states alone, the forgetting; own
+    states that are no estimates are listed in ``Equations.filters`` and move on.
 
     A certificate is a theorem about the equations of one law. A new law has none, and says so,
     until a certificate is written for it (:mod:`certrack.certificates`).
@@ -270,6 +272,10 @@ class Law(ABC):
     def initial_states(self, plant: Plant) -> Mapping[str, float]:
         """Initial values of the law's own states, by name; zero for those that are left out."""
         return {}
+
+    def error_system(self, s: Signals, nominal: NominalPlant) -> ErrorSystem | None:
+        """What the law claims of its loop where w = 0, written without u; None: nothing."""
+        return None
 
     def order(self, plant: Plant) -> int:
         """Feed-forward order q on this plant, 0 <= q <= n - 1; y_d needs q + 1 derivatives."""

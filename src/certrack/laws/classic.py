@@ -9,6 +9,12 @@ from typing import Any
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.laws.base import Equations, Law, Signals, dot, gain, metric, theta_metric
+from certrack.laws.error_system import (
+    ErrorSystem,
+    NominalPlant,
+    recursion_errors,
+    with_estimates,
+)
 from certrack.model.plant import Plant
 
 
@@ -69,3 +75,8 @@ class Classic(Law):
             "gain_rate": self.gain_rate,
             "Gamma": metric("law.Gamma", self.Gamma, plant.r),
         }
+
+    def error_system(self, s: Signals, nominal: NominalPlant) -> ErrorSystem:
+        plain = recursion_errors(s.x, s.Y, nominal.coordinates)
+        Gamma = metric("law.Gamma", self.Gamma, s.r)
+        return with_estimates(plain, s, nominal, self.gain_rate, Gamma)

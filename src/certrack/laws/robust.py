@@ -8,6 +8,7 @@ from typing import Any
 
 from certrack.core.errors import DesignError
 from certrack.laws.base import Equations, Law, Signals, dot
+from certrack.laws.error_system import ErrorSystem, NominalPlant, recursion_errors
 from certrack.model.plant import Plant
 
 
@@ -35,6 +36,9 @@ class Robust(Law):
             )
         theta = [float(value.expr) for value in plant.theta or ()]
         return {"g_n": float(plant.input_gain.expr), "theta": theta}
+
+    def error_system(self, s: Signals, nominal: NominalPlant) -> ErrorSystem:
+        return recursion_errors(s.x, s.Y, nominal.coordinates)
 
 
 _REMEDY_FOR_UNKNOWN = 'State it, or use kind = "adaptive"'
