@@ -13,9 +13,8 @@ import certrack
 from certrack import references
 from certrack.laws import (
     Equations,
-    ErrorSystem,
     Law,
-    NominalPlant,
+    OwnErrors,
     Plant,
     Signals,
     dot,
@@ -49,12 +48,13 @@ class DynamicSurface(Law):
         u = (-c[1] * (s.x[1] - held) - g * z_1 + rate - drift) / g_n
         return Equations(u, ((held, rate),), filters=(held,))
 
-    def error_system(self, s: Signals, nominal: NominalPlant) -> ErrorSystem:
-        held, (g,), b = symbol("alpha_filter"), nominal.coordinates.g, s.plant.linear[0][0].expr
-        z_1, z_2 = s.x[0] - s.Y[0], s.x[1] - held
+    def error_system(self, s: Signals) -> OwnErrors:
+        g, b = s.plant.chain[0].expr, s.plant.linear[0][0].expr
+        held, z_1 = symbol("alpha_filter"), s.x[0] - s.Y[0]
+        z_2 = s.x[1] - held
         alpha = (-self.c[0] * z_1 - b * s.x[0] + s.Y[1]) / g
         z_1_rate = -self.c[0] * z_1 + g * (z_2 + held - alpha)
-        return ErrorSystem((z_1, z_2), (z_1_rate, -self.c[1] * z_2 - g * z_1))
+        return OwnErrors((z_1, z_2), (z_1_rate, -self.c[1] * z_2 - g * z_1))
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
         return {

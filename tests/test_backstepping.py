@@ -75,12 +75,12 @@ def test_error_system_holds_for_random_plants(system):
 
 @settings(max_examples=12)
 @given(systems(orders=st.integers(1, 5)))
-def test_random_nominal_loops_are_as_the_laws_claim(system):
+def test_random_nominal_loops_are_as_the_laws_state(system):
     """With w = 0 and the law's input: e' = (S - C - K) e - R y_d^(q+1) + mismatch, and V'."""
     kit = LawConformance()
     kit.system = system
     kit.test_obeys_its_error_system()
-    kit.test_its_energy_falls_as_claimed()
+    kit.test_its_energy_falls_as_stated()
 
 
 def symbolic_backstepping(plant, gains, q):

@@ -60,9 +60,10 @@ class Certificates(ShownInNotebooks):
 
     @property
     def best(self) -> Certificate:
-        """The tightest sound certificate."""
+        """The tightest certificate among the verified ones."""
         sound = (self.semidefinite, self.cascade, self.rate, self.corrected)
-        return min(sound, key=lambda c: c.bound)
+        verified = [c for c in sound if c.verified]
+        return min(verified, key=lambda c: c.bound) if verified else self.semidefinite
 
     @property
     def stages(self) -> tuple[Proof, ...]:

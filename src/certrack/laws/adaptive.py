@@ -3,28 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import (
-    Equations,
-    Law,
-    Signals,
-    dot,
-    gain,
-    metric,
-    theta_metric,
-    theta_vector,
-    vector,
-)
-from certrack.laws.error_system import (
-    ErrorSystem,
-    NominalPlant,
-    estimation_errors,
-    recursion_errors,
-    with_estimates,
-)
+from certrack.laws.base import Equations, Law, Signals, dot, gain, theta_metric, theta_vector
+from certrack.laws.error_system import EstimatedParameters
+from certrack.laws.numbers import metric, vector
 from certrack.model.plant import Plant
 
 
@@ -75,6 +60,19 @@ class Adaptive(Law):
         update = ((delta_hat, delta_rate), *zip(theta_hat, theta_rate, strict=True))
         return Equations(u=delta_hat * ubar, update=update)
 
+    def error_system(self, s: Signals) -> EstimatedParameters:
+        Gamma = s.parameters("Gamma", s.r, s.r)
+        return EstimatedParameters(
+            delta_hat=symbol("delta_hat"),
+            gain_rate=s.parameter("gain_rate"),
+            leak_gain=s.parameter("leak_gain"),
+            leak_theta=s.parameter("leak_theta"),
+            delta0=s.parameter("delta0"),
+            theta_hat=[symbol(f"theta_hat_{i + 1}") for i in range(s.r)],
+            theta0=s.parameters("theta0", s.r),
+            Gamma=[Gamma[i * s.r : (i + 1) * s.r] for i in range(s.r)],
+        )
+
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
         return {
             "gain_rate": self.gain_rate,
@@ -84,22 +82,3 @@ class Adaptive(Law):
             "theta0": vector("law.theta0", self.theta0, plant.r),
             "Gamma": metric("law.Gamma", self.Gamma, plant.r),
         }
-
-    def error_system(self, s: Signals, nominal: NominalPlant) -> ErrorSystem:
-        plain = recursion_errors(s.x, s.Y, nominal.coordinates)
-        Gamma = metric("law.Gamma", self.Gamma, s.r)
-        claim = with_estimates(plain, s, nominal, self.gain_rate, Gamma)
-        delta_error, theta_error = estimation_errors(s.r, nominal)
-        theta0 = vector("law.theta0", self.theta0, s.r).tolist()
-        apart = [
-            true - error - guess
-            for true, error, guess in zip(nominal.theta, theta_error, theta0, strict=True)
-        ]
-        leak = (
-            abs(nominal.g_n)
-            * self.leak_gain
-            * delta_error
-            * (1 / nominal.g_n - delta_error - self.delta0)
-        )
-        leak += self.leak_theta * dot(theta_error, apart)
-        return replace(claim, V_rate=claim.V_rate + leak)  # [24], [27] before Young's inequality

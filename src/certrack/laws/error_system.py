@@ -1,110 +1,139 @@
-"""What a law claims: the error system of its nominal loop, and the energy that falls there.
+"""The error system that a law states: what a certificate of the law is a theorem about.
 
-In the nominal loop the uncertain terms are zero, w = 0; all else is as the law believes. A claim
-contains no input u: it is what the author derived by hand, so that the conformance kit can compare
-it with what the law's formulas do in the loop.
+In the error coordinates, every law of the recursion gives
+
+    e' = (S - C - K) e + T w - R y_d^(q+1) + (0 ... 0, g_n u + phi^T theta - nu)
+
+The last entry is the mismatch, and a law that can be certified is one that says which:
+
+    KnownParameters      0, for the g_n and theta that the law uses                [Corollary 1]
+    EstimatedParameters  phi^T theta_tilde - g_n delta_tilde ubar, and the update laws cancel it
+                         in V' but for the leakage                                 [25], [26]
+
+A law with errors of its own states them, their rates and, if it has one, a Lyapunov function
+(OwnErrors). No certificate is made of that; the conformance kit checks every kind in the nominal
+loop, where w = 0.
+
+The statement is a claim of the law's author. Which equations would obey it is written here, and
+whoever certifies the law compares them with those it has: a subclass with other equations inherits
+the claim, but does not keep it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
 
-import numpy as np
 import sympy
 
-from certrack.core.expressions import symbol
-from certrack.laws.backstepping import ErrorCoordinates
-
-if TYPE_CHECKING:
-    from certrack.laws.base import Signals
+#: Which formula of the law, what it is, what it would be.
+Comparison = tuple[str, sympy.Expr, sympy.Expr]
 
 
 @dataclass(frozen=True)
-class NominalPlant:
-    """What a claim may use besides the signals.
+class KnownParameters:
+    """The law uses g_n and theta themselves, so nothing is left of the mismatch.
 
-    Attributes
+    Parameters
     ----------
-    coordinates : ErrorCoordinates
-        Of the law, for the plant.
-    g_n : number
-        The input gain: the law's own where it knows one, else the true one.
-    theta : r numbers
-        The parameters, likewise.
+    g_n : formula of the law's gains
+    theta : r formulas
     """
 
-    coordinates: ErrorCoordinates
     g_n: sympy.Expr
-    theta: tuple[sympy.Expr, ...]
+    theta: Sequence[sympy.Expr] = ()
+
+    @property
+    def estimates(self) -> tuple[sympy.Symbol, ...]:
+        """Own states that the law must have, in this order."""
+        return ()
+
+    def input(self, nu: sympy.Expr, phi: Sequence[sympy.Expr]) -> sympy.Expr:
+        """u that obeys it."""
+        return (nu - _dot(phi, self.theta)) / self.g_n
+
+    def rates(
+        self, nu: sympy.Expr, phi: Sequence[sympy.Expr], e_n: sympy.Expr, sign_g: sympy.Expr
+    ) -> tuple[sympy.Expr, ...]:
+        """Rates of the own states that obey it."""
+        return ()
 
 
 @dataclass(frozen=True)
-class ErrorSystem:
-    """The claim: e' in the nominal loop, and a bound on V'.
+class EstimatedParameters:
+    """The law estimates 1/g_n and theta, and its update laws have leakage.
 
-    Attributes
+        u          = delta_hat ubar,     ubar = nu - phi^T theta_hat                          [25]
+        delta_hat' = -gbar sign(g_n) ubar e_n - gbar gbar1 (delta_hat - delta_0)              [26]
+        theta_hat' =  Gamma phi e_n        - Gamma gbar2 (theta_hat - theta_0)                [26]
+
+    Parameters
+    ----------
+    delta_hat, theta_hat : own states of the law
+    gain_rate, leak_gain, leak_theta : formulas of the law's gains
+        gbar, gbar1, gbar2.
+    delta0 : formula
+    theta0 : r formulas
+    Gamma : r rows of r formulas
+    """
+
+    delta_hat: sympy.Symbol
+    gain_rate: sympy.Expr
+    leak_gain: sympy.Expr
+    leak_theta: sympy.Expr
+    delta0: sympy.Expr
+    theta_hat: Sequence[sympy.Symbol] = ()
+    theta0: Sequence[sympy.Expr] = ()
+    Gamma: Sequence[Sequence[sympy.Expr]] = field(default=())
+
+    @property
+    def estimates(self) -> tuple[sympy.Symbol, ...]:
+        """Own states that the law must have, in this order."""
+        return (self.delta_hat, *self.theta_hat)
+
+    def input(self, nu: sympy.Expr, phi: Sequence[sympy.Expr]) -> sympy.Expr:
+        """u that obeys it [25]."""
+        return self.delta_hat * (nu - _dot(phi, self.theta_hat))
+
+    def rates(
+        self, nu: sympy.Expr, phi: Sequence[sympy.Expr], e_n: sympy.Expr, sign_g: sympy.Expr
+    ) -> tuple[sympy.Expr, ...]:
+        """Rates of the own states that obey it [26]."""
+        ubar = nu - _dot(phi, self.theta_hat)
+        forgotten = self.leak_gain * (self.delta_hat - self.delta0)
+        delta_rate = -self.gain_rate * (sign_g * ubar * e_n + forgotten)
+        drive = [
+            phi[i] * e_n - self.leak_theta * (self.theta_hat[i] - self.theta0[i])
+            for i in range(len(self.theta_hat))
+        ]
+        return (delta_rate, *(_dot(row, drive) for row in self.Gamma))
+
+
+@dataclass(frozen=True)
+class OwnErrors:
+    """Errors of the law's own, and what they do where w = 0; derived by hand, without u.
+
+    Parameters
     ----------
     errors : formulas
-        e_1, e_2 ..., in the states, own states, t and y_d ... y_d^(q).
+        In states, own states, t, gains and y_d ... y_d^(q).
     rates : formulas
-        Their derivatives, one per error. They contain no u, and y_d^(q+1) at most.
+        Their derivatives, one per error; they may contain y_d^(q+1), too.
     V : formula, optional
-        Lyapunov function of the errors and of the own states, positive where they are not zero.
+        Lyapunov function of the errors, positive where they are not zero.
     V_rate : formula, optional
-        V' is at most this; it must be negative where errors and own states are large.
+        V' is at most this; it must be negative where the states are large.
     """
 
-    errors: tuple[sympy.Expr, ...]
-    rates: tuple[sympy.Expr, ...]
+    errors: Sequence[sympy.Expr]
+    rates: Sequence[sympy.Expr]
     V: sympy.Expr | None = None
     V_rate: sympy.Expr | None = None
 
 
-def recursion_errors(x: Sequence[Any], Y: Sequence[Any], design: ErrorCoordinates) -> ErrorSystem:
-    """e = A x - B Y with e' = (S - C - K) e - R y_d^(q+1), and V = |e|^2/2.
-
-    So it is under the law for known parameters, g_n u + phi^T theta = nu. S is skew: it has no part
-    in V'.
-    """
-    n, q = design.n, design.q
-    A, B, M, R = (m.tolist() for m in (design.A, design.B, design.error_matrix, design.R))
-    errors = tuple(_row(A[m], x) - _row(B[m], Y[: q + 1]) for m in range(n))
-    rates = tuple(_row(M[m], errors) - R[m] * Y[q + 1] for m in range(n))
-    decay = (design.c + design.kappa).tolist()
-    V_rate = -_row(decay, [e**2 for e in errors]) - _row(R, errors) * Y[q + 1]
-    return ErrorSystem(errors, rates, _row(errors, errors) / 2, V_rate)
+#: What a law may state.
+ErrorSystem = KnownParameters | EstimatedParameters | OwnErrors
 
 
-def with_estimates(
-    claim: ErrorSystem, s: Signals, nominal: NominalPlant, gbar: float, Gamma: np.ndarray
-) -> ErrorSystem:
-    """The claim where delta_hat and theta_hat stand for 1/g_n and theta [22], [23], [26].
-
-    On the last row there remains phi^T theta_tilde - g_n delta_tilde ubar, which the update laws
-    without leakage cancel in V'.
-    """
-    g_n, delta_error, theta_error = nominal.g_n, *estimation_errors(s.r, nominal)
-    ubar = s.nu - _row(s.phi, estimates(s.r)[1])
-    mismatch = _row(s.phi, theta_error) - g_n * delta_error * ubar
-    weighted = [_row(row, theta_error) for row in np.linalg.inv(Gamma).tolist()]
-    V = claim.V + abs(g_n) * delta_error**2 / (2 * gbar) + _row(theta_error, weighted) / 2
-    return replace(claim, rates=(*claim.rates[:-1], claim.rates[-1] + mismatch), V=V)
-
-
-def estimates(r: int) -> tuple[sympy.Symbol, list[sympy.Symbol]]:
-    """delta_hat and theta_hat."""
-    return symbol("delta_hat"), [symbol(f"theta_hat_{i + 1}") for i in range(r)]
-
-
-def estimation_errors(r: int, nominal: NominalPlant) -> tuple[sympy.Expr, list[sympy.Expr]]:
-    """delta_tilde = 1/g_n - delta_hat and theta_tilde = theta - theta_hat [22]."""
-    delta_hat, theta_hat = estimates(r)
-    pairs = zip(nominal.theta, theta_hat, strict=True)
-    return 1 / nominal.g_n - delta_hat, [theta - guess for theta, guess in pairs]
-
-
-def _row(coefficients: Sequence[Any], values: Sequence[Any]) -> Any:
-    pairs = zip(coefficients, values, strict=True)
-    return sum((a * v for a, v in pairs), sympy.Integer(0))
+def _dot(a: Sequence[sympy.Expr], b: Sequence[sympy.Expr]) -> sympy.Expr:
+    return sympy.Add(*(left * right for left, right in zip(a, b, strict=True)))

@@ -15,7 +15,7 @@ barrier, say) states the points at which it is tested::
 
 :class:`ReferenceConformance` does the same for a reference, :class:`DisturbanceConformance` for a
 family of disturbances, :class:`DistributionConformance` for a distribution. What cannot be tested
-where it runs (no heyoka, no compiler, a law that claims nothing) is skipped, and says so.
+where it runs (no heyoka, no compiler, a law that states nothing) is skipped, and says so.
 """
 
 from certrack.testing.distribution import DistributionConformance

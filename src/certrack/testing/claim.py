@@ -1,4 +1,4 @@
-"""A law's claim about its nominal loop, evaluated beside what the loop does."""
+"""The error system that a law states, evaluated beside what its nominal loop does."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import sympy
 
 from certrack.core.expressions import TIME, symbol
 from certrack.core.lowering import numpy_callable
-from certrack.laws.error_system import ErrorSystem, NominalPlant
+from certrack.laws import EstimatedParameters, KnownParameters, OwnErrors, Signals, dot
+from certrack.laws.backstepping import ErrorCoordinates
 from certrack.loops.continuous import close_loop
 from certrack.model.truth import Truth
 from certrack.systems.system import System
@@ -27,7 +28,9 @@ def nominal_system(system: System) -> System:
     if gain is None or len(theta) != plant.r:
         skip("the file states no g_n and theta of the nominal plant")
     x0 = (0.0,) * plant.n if truth.states else settings.x0
-    numbers: Any = tuple(float(value.expr.subs(truth_constants(system))) for value in (gain, *theta))
+    numbers: Any = tuple(
+        float(value.expr.subs(truth_constants(system))) for value in (gain, *theta)
+    )
     nominal = Truth(numbers[0], numbers[1:])
     return system.replace(
         truth=nominal,
@@ -58,19 +61,21 @@ class TestedClaim:
     system: System
 
     @cached_property
-    def formulas(self) -> ErrorSystem:
-        """The claim; skips the test if the law claims nothing."""
+    def formulas(self) -> OwnErrors:
+        """Errors, their rates, V and V' as stated; skips the test if the law states nothing."""
         system, truth = self.system, self.system.truth
+        s = system.controller.signals
+        stated = system.law.error_system(s)
+        if stated is None:
+            skip(f"the {system.law.kind} law states no error system")
+        if isinstance(stated, OwnErrors):
+            return stated
+        recursive = recursion_errors(s, system.controller.coordinates)
+        if isinstance(stated, KnownParameters):
+            return recursive
         assert truth.input_gain is not None
-        nominal = NominalPlant(
-            system.controller.coordinates,
-            truth.input_gain.expr,
-            tuple(value.expr for value in truth.theta),
-        )
-        claim = system.law.error_system(system.controller.signals, nominal)
-        if claim is None:
-            skip(f"the {system.law.kind} law claims no error system")
-        return claim
+        theta = [value.expr for value in truth.theta]
+        return with_estimates(recursive, stated, s, truth.input_gain.expr, theta)
 
     @cached_property
     def _loop(self) -> Callable[..., Any]:
@@ -111,3 +116,46 @@ class TestedClaim:
         """A formula of the claim at a time, states and parameters."""
         compared = self.compare((), (formula,))
         return lambda t, y, p: float(compared(t, y, p)[1][0])
+
+
+def recursion_errors(s: Signals, design: ErrorCoordinates) -> OwnErrors:
+    """e = A x - B Y with e' = (S - C - K) e - R y_d^(q+1), and V = |e|^2/2.
+
+    So it is where g_n u + phi^T theta = nu. S is skew: it has no part in V'.
+    """
+    n, q = design.n, design.q
+    A, B, M, R = (m.tolist() for m in (design.A, design.B, design.error_matrix, design.R))
+    errors = tuple(dot(A[m], s.x) - dot(B[m], s.Y[: q + 1]) for m in range(n))
+    rates = tuple(dot(M[m], errors) - R[m] * s.Y[q + 1] for m in range(n))
+    decay = (design.c + design.kappa).tolist()
+    V_rate = -dot(decay, [e**2 for e in errors]) - dot(R, errors) * s.Y[q + 1]
+    return OwnErrors(errors, rates, dot(errors, errors) / 2, V_rate)
+
+
+def with_estimates(
+    recursive: OwnErrors,
+    stated: EstimatedParameters,
+    s: Signals,
+    g_n: sympy.Expr,
+    theta: Sequence[sympy.Expr],
+) -> OwnErrors:
+    """The same with estimates [22], [23]: the mismatch, and the leakage in V'."""
+    assert recursive.V is not None and recursive.V_rate is not None
+    pairs = zip(theta, stated.theta_hat, strict=True)
+    delta_error, theta_error = 1 / g_n - stated.delta_hat, [true - hat for true, hat in pairs]
+    ubar = s.nu - dot(s.phi, stated.theta_hat)
+    mismatch = dot(s.phi, theta_error) - g_n * delta_error * ubar
+    energy = abs(g_n) * delta_error**2 / (2 * stated.gain_rate)
+    if s.r:
+        Gamma = sympy.Matrix([list(row) for row in stated.Gamma])
+        errors = sympy.Matrix(theta_error)
+        energy += (errors.T * Gamma.inv() * errors)[0] / 2
+    apart = [hat - guess for hat, guess in zip(stated.theta_hat, stated.theta0, strict=True)]
+    leakage = abs(g_n) * stated.leak_gain * delta_error * (stated.delta_hat - stated.delta0)
+    leakage += stated.leak_theta * dot(theta_error, apart)
+    return OwnErrors(
+        errors=recursive.errors,
+        rates=(*recursive.rates[:-1], recursive.rates[-1] + mismatch),
+        V=recursive.V + energy,
+        V_rate=recursive.V_rate + leakage,
+    )

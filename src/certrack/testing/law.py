@@ -111,7 +111,7 @@ class LawConformance:
         assert len(controller.values) == len(controller.symbols)
 
     def test_obeys_its_error_system(self) -> None:
-        """The errors change in the nominal loop as the law claims, whatever its u is."""
+        """The errors change in the nominal loop as the law states, whatever its u is."""
         nominal = nominal_system(self.system)
         claim = TestedClaim(nominal)
         errors, rates = claim.formulas.errors, claim.formulas.rates
@@ -122,11 +122,11 @@ class LawConformance:
             wrong = np.abs(actual - claimed) > CLAIM_TOLERANCE * size
             assert not wrong.any(), (
                 f"e_{int(np.argmax(wrong)) + 1}' is {actual[wrong][0]:.6g} in the loop at "
-                f"t = {t:.4g}, the law claims {claimed[wrong][0]:.6g}"
+                f"t = {t:.4g}, the law states {claimed[wrong][0]:.6g}"
             )
 
-    def test_its_energy_falls_as_claimed(self) -> None:
-        """V > 0, V' in the nominal loop is at most what the law claims, which is negative far away.
+    def test_its_energy_falls_as_stated(self) -> None:
+        """V > 0, V' in the nominal loop is at most what the law states, which is negative far away.
 
         Far away is not asked where the law states `points`, since it may be undefined there.
         """
@@ -134,12 +134,12 @@ class LawConformance:
         claim = TestedClaim(nominal)
         V, V_rate = claim.formulas.V, claim.formulas.V_rate
         if V is None or V_rate is None:
-            skip(f"the {nominal.law.kind} law claims no Lyapunov function")
+            skip(f"the {nominal.law.kind} law states no Lyapunov function")
         compare, energy = claim.compare((V,), (V_rate,)), claim.value(V)
         for t, y, p in self._points(nominal):
             (actual,), (claimed,), size = compare(t, y, p)
             assert actual <= claimed + CLAIM_TOLERANCE * size, (
-                f"V' is {actual:.6g} at t = {t:.4g}, the law claims {claimed:.6g} at most"
+                f"V' is {actual:.6g} at t = {t:.4g}, the law states {claimed:.6g} at most"
             )
             assert energy(t, y, p) > 0, "V is not positive"
             if not self.points:
@@ -242,6 +242,14 @@ class LawConformance:
                 other = replace(law, **change)
                 same = other.design(plant).equations == law.design(plant).equations
                 assert same, f"{name} stands in the formulas as a number"
+
+    def test_gains_are_those_of_the_fields(self) -> None:
+        """A number that `parameters` returns under the name of a field is that of the field."""
+        law = self.system.law
+        numbers = law.parameters(self.system.plant)
+        for name, key in keys_of(law).items():
+            if key.kind == "number" and name in numbers:
+                assert float(numbers[name]) == float(getattr(law, name)), name
 
     def test_runs_sampled(self) -> None:
         """The sampled loop reaches its end."""
