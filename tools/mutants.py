@@ -1,6 +1,6 @@
 """Mutation testing: small changes of the source that the tests must notice.
 
-    python tools/mutants.py [GROUP ...] [--count 30] [--seed 0]
+    python tools/mutants.py [GROUP ...] [--count 20] [--seed 0]
 
 Each group is a few modules and the narrowest tests that should notice a change in them. Of all
 changes that the operators below allow, a seeded sample is tried; each runs the tests of its group
@@ -46,11 +46,16 @@ class Group:
 
 GROUPS = {
     "backstepping": Group(
-        ("laws/backstepping.py",), ("tests/test_backstepping.py", "tests/test_lyapunov.py")
+        ("laws/backstepping.py",), ("tests/test_backstepping.py", "-k", "not random_nominal")
     ),
     "laws": Group(
         ("laws/base.py", "laws/robust.py", "laws/adaptive.py", "laws/classic.py"),
-        ("tests/test_laws.py", "tests/test_testing.py", "tests/test_extensions.py"),
+        (
+            *("tests/test_laws.py", "tests/test_testing.py", "tests/test_backstepping.py", "-k"),
+            "(FullGamma and (its or immutable or symbols or fields or survives or sampled))"
+            " or (Robust and its) or (TestClassic and its) or adaptive_laws or robust_law"
+            " or refused or must_know or refuses or smooth or initial or user",
+        ),
     ),
     "certificates": Group(
         (
@@ -60,7 +65,9 @@ GROUPS = {
         ),
         (
             *("tests/test_certificate_data.py", "tests/test_rounding.py"),
-            *("tests/test_independent_checker.py", "tests/test_certificates.py"),
+            *("tests/test_independent_checker.py", "tests/test_certificates.py", "-k"),
+            "not falsif and not random_systems and not tube and not critical and not classical"
+            " and not rate_is and not lean_bounds",
         ),
     ),
     "references": Group(
@@ -68,17 +75,33 @@ GROUPS = {
             f"references/{name}.py"
             for name in ("shapes", "piecewise", "polynomials", "symbolic", "supremum")
         ),
-        ("tests/test_references.py",),
+        (
+            *("tests/test_references.py", "tests/test_testing.py", "-k"),
+            "not many_samples and not duties and not wrong and not law",
+        ),
     ),
     "metrics": Group(("simulation/metrics.py",), ("tests/test_metrics.py",)),
     "sampled": Group(
         ("loops/controller.py", "loops/sampled.py", "integrators/sampled/run.py"),
-        ("tests/test_sampled.py",),
+        (
+            *("tests/test_sampled.py", "-k"),
+            "by_hand or limits_are or projection or quantised or saturation or differenced or leak"
+            " or forget or noise or breaks or rounding or escape or integrals or longer or period_map",
+        ),
     ),
-    "statistics": Group(("studies/ensembles/statistics.py",), ("tests/test_ensembles.py",)),
+    "statistics": Group(
+        ("studies/ensembles/statistics.py",),
+        (
+            *("tests/test_statistics.py", "tests/test_ensembles.py", "-k"),
+            "statistics or clopper or counts or bins or (brute and lockstep)",
+        ),
+    ),
     "c-printers": Group(
         ("export/c/printer.py", "export/c/source.py", "core/printing.py"),
-        ("tests/test_printing.py", "tests/test_export_c.py"),
+        (
+            *("tests/test_printing.py", "tests/test_export_c.py", "-k"),
+            "printing or wrong_number or plain or limits or text",
+        ),
         texts=True,
     ),
 }
@@ -158,7 +181,7 @@ def replacements(node: ast.AST, texts: bool) -> Iterator[ast.AST]:
 Place = tuple[tuple[str, int | None], ...]
 
 
-def places(node: ast.AST, here: Place = ()) -> Iterator[tuple[Place, ast.AST]]:
+def places(node: ast.AST, texts: bool, here: Place = ()) -> Iterator[tuple[Place, ast.AST]]:
     """Every node that a change could begin at: no annotations, messages, docstrings."""
     yield here, node
     for name, value in ast.iter_fields(node):
@@ -171,7 +194,9 @@ def places(node: ast.AST, here: Place = ()) -> Iterator[tuple[Place, ast.AST]]:
                 continue  # a docstring
             if isinstance(child, ast.FunctionDef) and child.name == "__repr__":
                 continue
-            yield from places(child, (*here, (name, i if isinstance(value, list) else None)))
+            if isinstance(child, ast.JoinedStr) and not texts:
+                continue  # a message
+            yield from places(child, texts, (*here, (name, i if isinstance(value, list) else None)))
 
 
 def at(tree: ast.AST, place: Place) -> ast.AST:
@@ -206,7 +231,7 @@ def mutants(module: str, texts: bool) -> list[Mutant]:
     """Every mutant of a module."""
     source = (SOURCE / module).read_text()
     tree, found, seen = ast.parse(source), [], {}
-    for place, node in places(tree):
+    for place, node in places(tree, texts):
         for other in replacements(node, texts):
             twin = copy.deepcopy(tree)
             put(twin, place, copy.deepcopy(other))
@@ -308,7 +333,7 @@ def explained() -> dict[str, str]:
 def try_group(name: str, count: int, seed: int) -> int:
     """Try a sample of a group, print its survivors and its score; how many are unexplained."""
     group, reasons = GROUPS[name], explained()
-    tests = tuple(t for t in group.tests if (ROOT / t.partition("::")[0]).exists())
+    tests = tuple(t for t in group.tests if "/" not in t or (ROOT / t).exists())
     everything = [m for module in group.modules for m in mutants(module, group.texts)]
     sample = random.Random(f"{seed} {name}").sample(everything, min(count, len(everything)))
     _, usual = run(tests, None, 1e9)
@@ -332,7 +357,7 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("groups", nargs="*", choices=[*GROUPS, []], help="all if left out")
-    parser.add_argument("--count", type=int, default=30, help="mutants per group")
+    parser.add_argument("--count", type=int, default=20, help="mutants per group")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     os.chdir(ROOT)
