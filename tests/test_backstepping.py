@@ -196,3 +196,22 @@ def test_bad_gains_are_named(gains, key):
     with pytest.raises(InputError) as caught:
         Adaptive(**gains).design(plant)
     assert str(caught.value).startswith(f"{key}: ")
+
+
+def test_the_slowest_and_the_fastest_pole():
+    """[[-c_1, g], [-g, -c_2]], solved by hand."""
+    plant = Plant(states=["x1", "x2"], chain=[0.5], input_gain=1)
+    found = Robust(c=(1.0, 4.0)).coordinates(plant)
+    half, root = 2.5, math.sqrt(1.5**2 - 0.5**2)
+    assert found.slowest_pole == pytest.approx(half - root)
+    assert found.fastest_pole == pytest.approx(half + root)
+
+
+@pytest.mark.parametrize("step", [2, 3])
+def test_the_step_whose_damping_overflows_is_named(step):
+    k = [[math.inf] * (2 * m) for m in range(1, 4)]
+    k[0] = [1e-130, 1]
+    k[step - 1][0] = 1e-60  # times eta^2, which is (1e130)^2 after step 1
+    plant = Plant(states=["x1", "x2", "x3"], chain=[1, 1], input_gain=1)
+    with pytest.raises(DesignError, match=f"overflows at step {step} of 3"):
+        recursion(plant.g, plant.b, Gains((1, 1, 1), k))

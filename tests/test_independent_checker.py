@@ -274,7 +274,12 @@ def hunt(documents, count, seed):
         first = verified(document)
         if first is not None:
             second = accepted(document)
-            assert first == second, (i, first, second, differences(documents[i % len(documents)], document))
+            assert first == second, (
+                i,
+                first,
+                second,
+                differences(documents[i % len(documents)], document),
+            )
         held += bool(first)
     return held
 

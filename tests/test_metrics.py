@@ -5,7 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from certrack.simulation.metrics import _crossing, _integral_of_magnitude, measure, supremum
+import certrack
+from certrack.simulation.metrics import (
+    _crossing,
+    _integral_of_magnitude,
+    measure,
+    settling_band,
+    supremum,
+)
 
 
 def order(error, counts=(200, 400, 800)):
@@ -82,3 +89,31 @@ def test_no_parabola_reaches_across_a_jump_between_steps():
     assert supremum(t[1:], u[1:], per_step=3, offset=1) == 4.77
     smooth = np.array([0.0, 0.9, 1.0, 1.0, 0.9, 0.0])
     assert 1.0 <= supremum(np.array([0, 1, 2, 2, 3, 4.0]), smooth, per_step=3) < 1.1
+
+
+def test_a_crossing_between_samples_that_do_not_fall_is_that_of_the_line():
+    """Where the samples before it rise, or those after it are equal, no inverse exists."""
+    t = np.array([0.0, 1.0, 3.0, 4.0])
+    assert _crossing(t, np.array([3.0, 2.0, -1.0, -1.0]), 1) == pytest.approx(1 + 2 * 2 / 3)
+    assert _crossing(t, np.array([2.0, 2.0, -1.0, -3.0]), 1) == pytest.approx(1 + 2 * 2 / 3)
+    assert _crossing(t, np.array([1.0, 2.0, -1.0, -2.0]), 1) == pytest.approx(1 + 2 * 2 / 3)
+    t, zero = np.arange(4.0), (math.sqrt(2) - 1) / 0.2
+    f = 2.5 - t - 0.1 * t**2  # and otherwise of a cubic, t as a function of f
+    assert abs(_crossing(t, f, 2) - zero) < 1e-3 < abs(2 + f[2] / (f[2] - f[3]) - zero)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_peak_of_the_neighbouring_step_counts(order):
+    """The largest sample ends one step (or begins it); the parabola beside it reaches higher."""
+    t = np.array([0.0, 1, 2, 2, 3, 4])
+    f = np.array([0.0, 0.5, 1.0, 0.99, 0.99, 0.5])
+    t, f = (t, f) if order == 1 else (4 - t[::-1], f[::-1])
+    assert supremum(t, f, per_step=3) == pytest.approx(0.99 + 0.06125)
+
+
+def test_the_settling_band_is_a_share_of_the_largest_reference():
+    system = certrack.load("example1").with_settings(band=None)
+    for text, size in (("0.3*sin(5*t)", 0.3), ("0.1*cos(t) + 1", 1.1), ("0*t", 1.0)):
+        reference = certrack.SymbolicReference(text)
+        assert settling_band(system.settings, reference) == pytest.approx(0.05 * size, rel=1e-6)
+    assert settling_band(system.with_settings(band=0.2).settings, reference) == 0.2

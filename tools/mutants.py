@@ -159,8 +159,9 @@ def replacements(node: ast.AST, texts: bool) -> Iterator[ast.AST]:
         yield changed(value=node.value + 1)
         yield changed(value=node.value - 1)
     elif isinstance(node, ast.Constant) and isinstance(node.value, float):
-        yield changed(value=2 * node.value + (node.value == 0))
-        yield changed(value=node.value / 2)
+        yield changed(value=2 * node.value or 1.0)
+        if node.value:
+            yield changed(value=node.value / 2)
     elif isinstance(node, ast.Constant) and isinstance(node.value, str) and texts:
         for i, character in enumerate(node.value):
             if character in SWAPPED_CHARACTERS:
