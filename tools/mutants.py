@@ -86,7 +86,8 @@ GROUPS = {
         (
             *("tests/test_sampled.py", "-k"),
             "by_hand or limits_are or projection or quantised or saturation or differenced or leak"
-            " or forget or noise or breaks or rounding or escape or integrals or longer or period_map",
+            " or forget or noise or breaks or rounding or escape or integrals or longer"
+            " or period_map",
         ),
     ),
     "statistics": Group(
