@@ -646,6 +646,8 @@ def check(document, stated_bounds=None):
     basis = FORMATS.get(document.get("format"))
     keys = {"format", "made_by", "claim", "system", "proof", "sha256", basis}
     demand(basis is not None and set(document) == keys, "the file has other keys or formats")
+    texts = ("made_by", "claim", "system", "sha256")
+    demand(all(isinstance(document[key], str) for key in texts), "a text is missing")
     body = {key: value for key, value in document.items() if key != "sha256"}
     digest = hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
     demand(digest == document["sha256"], "the file was changed")

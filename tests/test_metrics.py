@@ -109,6 +109,15 @@ def test_the_peak_of_the_neighbouring_step_counts(order):
     f = np.array([0.0, 0.5, 1.0, 0.99, 0.99, 0.5])
     t, f = (t, f) if order == 1 else (4 - t[::-1], f[::-1])
     assert supremum(t, f, per_step=3) == pytest.approx(0.99 + 0.06125)
+    if order == 1:  # seen from the second sample of its step on
+        assert supremum(t[1:], f[1:], per_step=3, offset=1) == pytest.approx(0.99 + 0.06125)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_peak_beside_the_largest_sample_counts(order):
+    """The parabola around the next sample, on either side, may be the one that reaches highest."""
+    f = np.array([0.98, 1.0, 0.99, 0.3])[::order]
+    assert supremum(np.arange(4.0), f) == pytest.approx(0.99 + 0.35**2 / (2 * 0.68))
 
 
 def test_the_settling_band_is_a_share_of_the_largest_reference():
