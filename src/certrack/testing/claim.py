@@ -139,7 +139,7 @@ def with_estimates(
     g_n: sympy.Expr,
     theta: Sequence[sympy.Expr],
 ) -> OwnErrors:
-    """The same with estimates [22], [23]: the mismatch, and the leakage in V'."""
+    """The same with estimates of 1/g_n and theta: the mismatch, and the leakage in V'."""
     assert recursive.V is not None and recursive.V_rate is not None
     pairs = zip(theta, stated.theta_hat, strict=True)
     delta_error, theta_error = 1 / g_n - stated.delta_hat, [true - hat for true, hat in pairs]
