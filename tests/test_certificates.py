@@ -413,7 +413,11 @@ def test_saved_certificate_is_verified_and_tampering_refused(tmp_path):
         "stage": lambda d: d["proof"].append(d["proof"][0]),
         "system": lambda d: d.update(system=d["system"].replace("0.01", "0.02")),
         "claim": lambda d: d.update(claim="limsup |e_1(t)| <= 0"),
-        "assumptions": lambda d: d.update(assumptions=[]),
+        "premises": lambda d: d.update(premises=[]),
+        "a premise left out": lambda d: d["premises"].pop(0),
+        "a status": lambda d: d["premises"][0].update(status="assumed"),
+        "a detail": lambda d: d["premises"][3].update(detail="tau |w_2| = 0"),
+        "a shift that no stage uses": lambda d: d["proof"][0].update(shift="1"),
         "made_by": lambda d: d.update(made_by="someone"),
     }
     for name, change in changes.items():

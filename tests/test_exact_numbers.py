@@ -234,6 +234,27 @@ def test_the_smallest_eigenvalue_is_bounded_from_below():
             assert float(below) == pytest.approx(float(true), rel=1e-8)
 
 
+def test_an_eigenvalue_that_floats_make_too_large_is_not_taken():
+    """0.1 d - 0.09 is 1e-26 here, and eigvalsh gives 1e-17."""
+    tiny = flint.fmpq(1, 10**25)
+    exact = np.array([[rational(v) for v in row] for row in [[0.1, 0.3], [0.3, 0.9]]], dtype=object)
+    exact[1, 1] += tiny
+    assert np.linalg.eigvalsh(exact.astype(float)).min() > 0
+    with pytest.raises(certrack.NoCertificate, match="too near to a singular matrix"):
+        _smallest_eigenvalue(exact)
+
+
+def test_times_of_settling_are_not_too_early():
+    """Against 50 digits, for levels near the floor, where floats lose all digits of the gap."""
+    tube = Tube(2.0, 0.01, 0.7)
+    with mp.workdps(50):
+        for excess in (1e-11, 1e-9, 1e-6, 1e-3, 0.1, 1.0):
+            level = math.sqrt(0.01 * (1 + excess))
+            limit, floor = mp.mpf(level) ** 2, mp.mpf(0.01)
+            exact = mp.log((2 - floor) / (limit - floor)) / mp.mpf(0.7)
+            assert exact <= tube.settling_time(level) <= exact * (1 + mp.mpf(10) ** -11)
+
+
 def test_a_bound_that_is_not_verified_is_never_the_best():
     found = certify(certrack.load("dual-motor-lean"))
     fake = replace(found.rate, bound=1e-9, verified=False)

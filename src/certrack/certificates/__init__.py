@@ -20,7 +20,8 @@ build on, so the author of a new method must:
 3. round outward wherever a float stands for a real number: bounds of the reference, intervals and
    the printed bound up, a rate down. tests/test_rounding.py shows for every such step what would be
    claimed without it; a new step joins it;
-4. list in ``premises.assumptions`` what the claim rests on beyond what is there already;
+4. list in :mod:`premises_of_truth` what the claim rests on beyond what is there already, each with
+   what is known of it, and name it in docs/certificate-file.md;
 5. write into the document all that a third party needs, and check there what was proven, from the
    text of the system alone and with no solver: ``to_document`` and ``verify``. Another layout of
    the proof is another FORMAT, described in docs/certificate-file.md, and files of the old one stay
@@ -40,18 +41,22 @@ from certrack.certificates.certify import (
 )
 from certrack.certificates.document import Verdict, save_certificate, to_document, verify
 from certrack.certificates.exact import Proof
+from certrack.certificates.premise import Premise
+from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.tube import Tube, tube
 
 __all__ = [
     "Certificate",
     "Certificates",
     "NoCertificate",
+    "Premise",
     "Proof",
     "Tube",
     "Verdict",
     "best_sound_bound",
     "certify",
     "certify_semidefinite",
+    "premises",
     "save_certificate",
     "to_document",
     "tube",

@@ -14,10 +14,6 @@ def refuse(system: System) -> None:
     plant, stated = system.plant, stated_error_system(system)
     if system.truth.states:
         _refuse_unknown_ranges(system, stated)
-    elif system.truth.constants:
-        raise NoCertificate(
-            "truth.constants make the simulated plant differ from the certified one; remove them"
-        )
     if isinstance(stated, KnownParameters):
         used = (stated.g_n, *stated.theta)
         ranges = (plant.input_gain_range, *(plant.theta_range or (None,) * plant.r))
@@ -44,7 +40,7 @@ def _refuse_unknown_ranges(system: System, stated: ErrorSystem) -> None:
 
 
 def assumptions(system: System) -> list[str]:
-    """What a certificate of `system` rests on, as texts; they are part of the saved certificate."""
+    """What a certificate of `system` rests on, as texts; format 1 of the saved one holds them."""
     plant, truth = system.plant, system.truth
     q = system.law.order(plant)
     bounds = system.reference.bounds(q + 1)
@@ -79,10 +75,14 @@ def assumptions(system: System) -> list[str]:
     return premises + _irrational(system)
 
 
-def _irrational(system: System) -> list[str]:
-    """Numbers that exact arithmetic must take by their floats."""
+def irrational_numbers(system: System) -> list[str]:
+    """Texts of the numbers that exact arithmetic must take by their floats."""
     plant, truth = system.plant, system.truth
     numbers = [*plant.chain, *(v for row in plant.linear or () for v in row), *truth.theta]
     numbers += [*(plant.theta or ()), *filter(None, [truth.input_gain, plant.input_gain])]
-    rounded = sorted({v.text for v in numbers if not v.expr.is_Rational})
+    return sorted({v.text for v in numbers if not v.expr.is_Rational})
+
+
+def _irrational(system: System) -> list[str]:
+    rounded = irrational_numbers(system)
     return [f"irrational numbers rounded to 17 digits: {', '.join(rounded)}"] if rounded else []

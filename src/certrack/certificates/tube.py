@@ -63,6 +63,12 @@ TUBE_ROUNDING = 1 + 1e-12
 #: Factor on every link of the chain of pieces, for a handful of float operations.
 PIECE_ROUNDING = 1 + 1e-14
 
+#: And for those of the exponent alpha t, which e^{-alpha t} multiplies by it.
+LAPSED_ROUNDING = 4 * float(np.finfo(float).eps)
+
+#: Beyond this exponent the decay is no float.
+LONGEST_DECAY = 800.0
+
 #: e^{-alpha t} is not taken smaller than this: the smallest float of full precision.
 SMALLEST_DECAY = float(np.finfo(float).tiny)
 
@@ -116,18 +122,16 @@ class Tube:
 
     def settling_time(self, level: float) -> float:
         """Time after which |e_1| <= level is guaranteed, s; inf if it never is."""
-        limit, chain = level**2, self._chain
-        if max(chain[-1][1], self.floor) <= limit:
-            chain = (*chain, (math.inf, limit, limit))
-        elif limit <= self.floor * TUBE_ROUNDING:
+        limit, chain = Fraction(level) ** 2, self._chain
+        if max(chain[-1][1], self.floor) > limit and limit <= self.floor * TUBE_ROUNDING:
             return math.inf
-        else:
-            chain = (*chain, (math.inf, self.floor, self.floor))
+        chain = (*chain, (math.inf, self.floor, self.floor))
         for (time, square, floor), (end, after, _) in reversed(list(pairwise(chain))):
-            if after > limit:
+            if after > limit or (square > limit and floor >= limit):
                 return end
             if square > limit:
-                fall = math.log((square - floor) / (limit - floor)) / self.alpha
+                ratio = (Fraction(square) - Fraction(floor)) / (limit - Fraction(floor))
+                fall = math.log(math.nextafter(float(ratio), math.inf)) / self.alpha
                 return min(time + fall * TUBE_ROUNDING, end)
         return 0.0
 
@@ -228,8 +232,9 @@ def _level(square: Any, share: Any, ratio: float) -> float:
 
 def _later(square: float, floor: float, alpha: float, lapsed: float) -> float:
     """2 V after some time, rounded up."""
-    decay = math.exp(-alpha * lapsed)
-    return (square * decay - floor * math.expm1(-alpha * lapsed)) * PIECE_ROUNDING
+    decay = max(math.exp(-alpha * lapsed), SMALLEST_DECAY)
+    rounding = PIECE_ROUNDING + LAPSED_ROUNDING * min(alpha * lapsed, LONGEST_DECAY)
+    return (square * decay - floor * math.expm1(-alpha * lapsed)) * rounding
 
 
 def _fall(

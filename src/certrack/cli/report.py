@@ -212,7 +212,7 @@ def ensemble_table(ensemble: Ensemble) -> Table:
 def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
     """Outcomes, violations and the worst member in words."""
     outcomes = ", ".join(f"{n} {name}" for name, n in sorted(ensemble.statistics.outcomes.items()))
-    lines = [f"outcomes: {outcomes}"]
+    lines = [f"outcomes: {outcomes}", *_replaced_omega(ensemble)]
     unsettled = ensemble.statistics.metrics["settling_time"].missing
     if unsettled:
         lines.append(f"{unsettled} of {ensemble.members} members are never settled within the band")
@@ -236,6 +236,18 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
     return lines
 
 
+def _replaced_omega(ensemble: Ensemble) -> list[str]:
+    """Say where the members have other disturbances than the file's."""
+    disturbance = ensemble.system.varied.disturbance
+    omega = ensemble.system.truth.omega or ()
+    if disturbance == "file" or not any(w.expr != 0 for w in omega):
+        return []
+    return [
+        f"disturbances: random admissible ones ({disturbance}) in the place of truth.omega; "
+        'ensemble.disturbance = "file" keeps it'
+    ]
+
+
 #: Certificates, in the order in which they are shown.
 CERTIFICATE_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade")
 
@@ -254,7 +266,8 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
 
     return {
         **{kind: entries(getattr(results, kind)) for kind in CERTIFICATE_KINDS},
-        "verified": results.best.verified,
+        "verified": results.verified,
+        "best": _best(results),
         "critical_strength": {
             "published": min(results.critical_published, LARGEST_STRENGTH),
             "semidefinite": min(results.critical_semidefinite, LARGEST_STRENGTH),
@@ -270,8 +283,16 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
             "pieces": results.tube.pieces,
             "verified": results.tube.verified,
         },
-        "assumptions": list(results.best.assumptions),
+        "premises": [premise.record() for premise in results.premises],
     }
+
+
+def _best(results: Certificates) -> dict[str, Any] | None:
+    """The tightest bound if it is verified for this file; None else."""
+    if not results.verified:
+        return None
+    best = results.best
+    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": "continuous"}
 
 
 def certificates_table(results: Certificates) -> Table:
@@ -319,9 +340,7 @@ def certificates_notes(results: Certificates) -> list[str]:
             f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound "
             f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
         )
-    if not results.best.exists:
-        return lines
-    return [*lines, "resting on:", *(f"  {line}" for line in results.best.assumptions)]
+    return lines
 
 
 def _strength_text(scale: float) -> str:
