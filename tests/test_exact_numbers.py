@@ -388,6 +388,26 @@ class OtherRecursion(Robust):
 
 
 @dataclass(frozen=True, kw_only=True)
+class OtherController(Robust):
+    """Its equations are right, and not what runs."""
+
+    kind = "other-controller"
+
+    def normal_equations(self, s):
+        equations = super().normal_equations(s)
+        return Equations(u=equations.u / 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherValues(Adaptive):
+    kind = "other-values"
+
+    def design(self, plant):
+        controller = super().design(plant)
+        return replace(controller, values=1.1 * controller.values)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Silent(Robust):
     kind = "silent"
     error_system = states_nothing
@@ -448,6 +468,8 @@ def test_a_law_is_certified_by_its_equations_whatever_its_class():
         ("dual-motor-lean", WrongSign, "its u is another"),
         ("dual-motor-lean", OtherNumbers, "plant.input_gain"),
         ("dual-motor-lean", OtherRecursion, "its nu_x is not that of the recursion"),
+        ("dual-motor-lean", OtherController, "what runs as u is another"),
+        ("example1", OtherValues, "has another number"),
         ("dual-motor-lean", Silent, "state their error system, not silent"),
         ("example1", Flipped, "the rate of delta_hat is another"),
         ("example1", TwiceTheLeak, "the rate of delta_hat is another"),

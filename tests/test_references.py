@@ -443,3 +443,25 @@ def test_a_declared_bound_is_kept_if_it_holds():
 def test_slopes_that_overflow_are_refused_as_too_steep():
     with pytest.raises(InputError, match="so steep that its slope overflows"):
         trapezoid(1e299, 1e-9, 1e-10)
+
+
+@pytest.mark.parametrize(
+    ("text", "bound"),
+    [
+        ("sin(0.2*tanh(t))", math.sin(0.2)),  # by intervals: of sin, not of cos
+        ("1 - cos(0.2*tanh(t))", 1 - math.cos(0.2)),
+        ("sqrt(abs(sin(t)))", 1.0),  # of what may be zero
+        ("cos(2*t) - cos(-2*t) + 0.1", 0.1),
+        ("sin(2*t + 1) + sin(-2*t - 1) + 0.1", 0.1),
+    ],
+)
+def test_bounds_by_intervals_are_near_what_is_reached(text, bound):
+    (found,) = SymbolicReference(text).bounds(0).values
+    assert bound * (1 - 1e-9) <= found <= bound * 1.02
+
+
+def test_an_irrational_constant_is_enclosed():
+    """The nearest double of pi is below pi."""
+    (found,) = SymbolicReference("pi*tanh(t)").bounds(0).values
+    assert sympy.Rational(found) >= sympy.pi
+    assert found < math.pi * (1 + 1e-12)

@@ -91,6 +91,14 @@ def test_a_little_more_on_the_diagonal_makes_every_one_of_them_positive_definite
         assert error_problem(system, rational).adaptation.gamma_is_positive_definite()
 
 
+def test_a_nearly_singular_gamma_has_no_bound_for_the_true_reason():
+    nearly = with_gamma("singular-gamma", [["0.1", "0.3"], ["0.3", "0.9" + "0" * 24 + "1"]])
+    found, _ = certify_semidefinite(certrack.loads(nearly))
+    assert "forget too slowly" in found.reason
+    wider = with_gamma("singular-gamma", [["0.1", "0.3"], ["0.3", "0.90001"]])
+    assert certify_semidefinite(certrack.loads(wider))[0].verified
+
+
 def test_the_exact_check_refuses_an_indefinite_gamma():
     """A proof for a good Gamma is none for a bad one, and none is found for a bad one."""
     good = certrack.loads(with_gamma("singular-gamma", [["1.0", "0.3"], ["0.3", "0.9"]]))

@@ -14,10 +14,11 @@ from certrack.certificates.certificate import (
 )
 from certrack.certificates.exact import Proof, prove, proven
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.own_multipliers import own_solution
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.published import certify_published, critical_strength
-from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
+from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
 from certrack.core import checks
@@ -218,18 +219,36 @@ def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
     try:
         with within_floats():
             exact = error_problem(system, rational)
-            solution = best_solution(SemidefiniteProgram(exact.in_floats()))
-            if solution is None:
-                raise NoCertificate(
-                    "no certificate found: the uncertainty is too strong for this design; "
-                    "lower tau, raise c, or use fewer damping terms"
-                )
-            proof = prove(exact, solution)
+            program = SemidefiniteProgram(exact.in_floats())
+            solution = best_solution(program)
+            proof = None if solution is None else prove(exact, solution)
             if proof is None:
-                raise NoCertificate(
-                    "the solver's certificate did not survive exact verification; rescale the "
-                    "states or use fewer damping terms"
-                )
+                damped = own_solution(system, exact)
+                proof = None if damped is None else prove(exact, damped)
+            if proof is None:
+                raise NoCertificate(_why_none(program, solution))
     except NoCertificate as problem:
         return missing("semidefinite", str(problem)), None
     return proven("semidefinite", system, proof), proof
+
+
+#: The leakage is said to be too slow below this part of the slowest pole.
+SLOWEST_LEAKAGE = 1e-9
+
+
+def _why_none(program: SemidefiniteProgram, solution: Solution | None) -> str:
+    """Why there is no proof, and the remedy."""
+    if program.fastest < SLOWEST_LEAKAGE * program.slowest_pole:
+        return (
+            "the estimates forget too slowly for a bound to be found: raise gain_rate leak_gain, "
+            "or the smallest eigenvalue of Gamma, which may be nearly singular, times leak_theta"
+        )
+    if solution is None:
+        return (
+            "no certificate found: the uncertainty is too strong for this design; "
+            "lower tau, raise c, or use fewer damping terms"
+        )
+    return (
+        "the solver's certificate did not survive exact verification; rescale the states or use "
+        "fewer damping terms"
+    )

@@ -199,7 +199,7 @@ def collect(system: System, number: ToNumber = decimal, *, critical: bool = Fals
         A_norm2=(problem.Xe**2).sum(),
         G=G,
         reference2=reference2,
-        residual=_residual_damping(system, coordinates, number) * last**2,
+        residual=residual_damping(system, coordinates, number) * last**2,
         H=H,
         leak=leak,
         gains=gains,
@@ -256,9 +256,12 @@ def _smallest_eigenvalue(Gamma: np.ndarray) -> Any:
     )
 
 
-def _residual_damping(system: System, coordinates: ErrorCoordinates, number: ToNumber) -> Any:
+def residual_damping(
+    system: System, coordinates: ErrorCoordinates | None = None, number: ToNumber = decimal
+) -> Any:
     """Sum of the p_m of the steps that the derivative not fed forward enters [29]."""
     gains = system.law.gains()
+    coordinates = system.controller.coordinates if coordinates is None else coordinates
     assert gains.p is not None
     total = number(0)
     for step in range(system.plant.n - 1):
@@ -279,6 +282,11 @@ def _reference_terms(system: System, AB: np.ndarray, number: ToNumber) -> tuple[
         return (AB**2).sum() * D**2, D
     Y = np.array([exact_float(v, number) for v in system.reference.bounds(q + 1).values])
     return ((np.abs(AB) @ Y[: q + 1]) ** 2).sum(), Y[q + 1]
+
+
+def best_eps(terms: Terms) -> float:
+    """The eps of the best rate form."""
+    return _minimise(lambda eps: 2 * terms.dbar(eps) / terms.alpha(eps), terms)
 
 
 def _minimise(square: Callable[[float], float], terms: Terms) -> float:

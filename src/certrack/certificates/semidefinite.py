@@ -23,7 +23,7 @@ from typing import Any
 import clarabel
 import numpy as np
 from scipy import sparse
-from scipy.linalg import solve_continuous_lyapunov
+from scipy.linalg import lapack, schur
 from scipy.optimize import minimize_scalar
 
 from certrack.certificates.problem import ErrorProblem
@@ -43,12 +43,15 @@ NO_BOUND = 1e30
 MAX_ITERATIONS = 100
 
 #: Part of the inputs' size that is added in every direction when the coordinates are scaled, so
-#: that one which no input reaches gets a size, too; and the least square of a size.
-SCALING_FLOOR, LEAST_SQUARE = 1e-6, 1e-300
+#: that one which no input reaches gets a size, too.
+SCALING_FLOOR = 1e-6
 
 #: Steps that find the sizes, and by which factor the last may still change them among each other:
 #: a step reaches sizes that differ by 1e3.
 SCALING_STEPS, SCALED_ENOUGH = 20, 1.5
+
+#: How much larger than the geometric mean of two rates a scaled coupling may be.
+COUPLING = 2.0
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,11 @@ class SemidefiniteProgram:
                 base.append(column)
                 slope.append(np.zeros_like(column))
         return np.array(base).T, np.array(slope).T
+
+    @property
+    def slowest_pole(self) -> float:
+        """Rate of the slowest pole of the error system, 1/s."""
+        return 1 / self._time
 
     @cached_property
     def fastest(self) -> float:
@@ -273,12 +281,36 @@ def _size_under(problem: ErrorProblem, inputs: np.ndarray) -> np.ndarray:
         if not np.isfinite(drive).all():
             raise OverflowError("the squares of the inputs overflow")
         weight = float(np.trace(drive)) or 1.0
-        drive = drive + SCALING_FLOOR * weight * np.eye(problem.n)
-        gramian = np.diag(solve_continuous_lyapunov(rates, -drive))
-        change = np.sqrt(np.maximum(gramian, LEAST_SQUARE))
-        size = size * change
+        gramian = _gramian_diagonal(rates, drive + SCALING_FLOOR * weight * np.eye(problem.n))
+        if not (np.isfinite(gramian).all() and gramian.min() > 0):
+            break
+        change = np.sqrt(gramian)
+        size = _not_slaved(problem.M, size * change)
         if change.max() < SCALED_ENOUGH * change.min():
             break
+    return size
+
+
+def _gramian_diagonal(M: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Diagonal of the solution X of M X + X M^T = -drive, by the real Schur form."""
+    form, basis = schur(M)
+    solution, scale, _ = lapack.dtrsyl(form, form, -basis.T @ drive @ basis, tranb="T")
+    diagonal: np.ndarray = np.diag(basis @ solution @ basis.T) * scale
+    return diagonal
+
+
+def _not_slaved(M: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """The sizes, raised where an e_i only follows another: P, which is near one, must damp both.
+
+    Their coupling must not be much larger than the geometric mean of their rates; where it is so
+    in any unit, nothing helps, and their sizes are made equal.
+    """
+    rates = np.abs(np.diag(M))
+    coupling = np.abs(M - np.diag(np.diag(M)))
+    limit = np.maximum(COUPLING * np.sqrt(np.outer(rates, rates)), coupling)
+    ratio = np.where(coupling > 0, coupling / np.where(limit > 0, limit, 1.0), 0.0)
+    for _ in range(len(size)):
+        size = np.maximum(size, (ratio * size).max(axis=1))
     return size
 
 

@@ -7,6 +7,7 @@ B are exact rationals here, and x and the reference at t = 0 are balls.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,7 +19,7 @@ from certrack.certificates.balls import ball_of, ball_precision, enclosing_ball,
 from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.problem import ErrorProblem
 from certrack.core.expressions import TIME, symbol
-from certrack.loops.plant import measured, true_constants
+from certrack.loops.plant import measured
 from certrack.references.base import ROUNDED_UNITS
 from certrack.systems.system import System
 
@@ -63,8 +64,13 @@ def states_at_start(system: System) -> tuple[list[Any], bool]:
     if not truth.states:
         return [ball_of(v) for v in x0], True
     try:
-        values = {symbol(name): ball_of(v) for name, v in true_constants(system).items()}
-        values |= {symbol(name): ball_of(v) for name, v in zip(truth.states, x0, strict=True)}
+        plant, true = system.plant, dict(truth.constants)
+        shared = {name: v for name, v in true.items() if name in plant.constant_values}
+        numbers = {name: v.expr for name, v in true.items()}
+        numbers |= plant.with_constants(**shared).constant_values
+        values = {symbol(name): enclosing_ball(v, {}) for name, v in numbers.items()}
+        starts = zip(truth.states, x0, strict=True)
+        values |= {symbol(name): flint.arb(rational(v)) for name, v in starts}
         outputs = truth.outputs or ()
         return [_with_its_float(enclosing_ball(f.expr, values)) for f in outputs], True
     except ValueError:
@@ -73,8 +79,9 @@ def states_at_start(system: System) -> tuple[list[Any], bool]:
 
 
 def _with_its_float(ball: Any) -> Any:
-    """The ball, wide enough for the float that a run takes."""
-    return ball + flint.arb(0, abs(ball).upper() * 2.0**-52)
+    """The ball, wide enough for the float that is nearest to it."""
+    nearest = float(ball.mid())
+    return ball + flint.arb(0, math.ulp(nearest) if nearest else 0)
 
 
 def _unproven(value: float) -> Any:

@@ -48,6 +48,7 @@ def stated_error_system(system: System) -> KnownParameters | EstimatedParameters
     equations = law.equations(signals)
     for what in _disagreements(stated, equations, signals):
         raise NoCertificate(_refusal(system, what))
+    _compare_controller(system, equations, signals)
     _compare_recursion(system)
     values = _exact_values(signals, law.parameters(plant))
     exact = _with_values(stated, values)
@@ -82,6 +83,8 @@ def _disagreements(
 
 
 def _identical(formula: Any, expected: sympy.Expr) -> bool:
+    if formula == expected:
+        return True
     difference = sympy.expand(sympy.sympify(formula) - expected)
     return difference == 0 or sympy.cancel(sympy.together(difference)) == 0
 
@@ -92,6 +95,21 @@ def _refusal(system: System, what: str) -> str:
         "certificates cover laws whose equations are those of the error system that they state, "
         f"not {name}: {what}"
     )
+
+
+def _compare_controller(system: System, equations: Equations, bare: Signals) -> None:
+    """Refuse a law whose controller has other formulas or numbers than the law's own."""
+    law, plant, controller = system.law, system.plant, system.controller
+    full = Signals(plant, bare.q)
+    parts = dict(zip((bare.nu, bare.e_n, *bare.phi), (full.nu, full.e_n, *full.phi), strict=True))
+    runs = controller.equations.formulas
+    for name, formula in equations.formulas.items():
+        if name not in runs or not _identical(runs[name], sympy.sympify(formula).xreplace(parts)):
+            raise NoCertificate(_refusal(system, f"what runs as {name} is another"))
+    used = dict(zip(map(str, controller.symbols), controller.values, strict=True))
+    for name, value in _exact_values(bare, law.parameters(plant)).items():
+        if used.get(str(name)) != float(value):
+            raise NoCertificate(_refusal(system, f"what runs with {name} has another number"))
 
 
 def _compare_recursion(system: System) -> None:

@@ -6,9 +6,9 @@ In the error coordinates, every law of the recursion gives
 
 The last entry is the mismatch, and a law that can be certified is one that says which:
 
-    KnownParameters      0, for the g_n and theta that the law uses                [Corollary 1]
+    KnownParameters      0, for the g_n and theta that the law uses (the robust law)
     EstimatedParameters  phi^T theta_tilde - g_n delta_tilde ubar, and the update laws cancel it
-                         in V' but for the leakage                                 [25], [26]
+                         in V' but for the leakage (the adaptive law)
 
 A law with errors of its own states them, their rates and, if it has one, a Lyapunov function
 (OwnErrors). No certificate is made of that; the conformance kit checks every kind in the nominal
@@ -63,9 +63,9 @@ class KnownParameters:
 class EstimatedParameters:
     """The law estimates 1/g_n and theta, and its update laws have leakage.
 
-        u          = delta_hat ubar,     ubar = nu - phi^T theta_hat                          [25]
-        delta_hat' = -gbar sign(g_n) ubar e_n - gbar gbar1 (delta_hat - delta_0)              [26]
-        theta_hat' =  Gamma phi e_n        - Gamma gbar2 (theta_hat - theta_0)                [26]
+        u          = delta_hat ubar,     ubar = nu - phi^T theta_hat
+        delta_hat' = -gbar sign(g_n) ubar e_n - gbar gbar1 (delta_hat - delta_0)
+        theta_hat' =  Gamma phi e_n        - Gamma gbar2 (theta_hat - theta_0)
 
     Parameters
     ----------
@@ -92,13 +92,13 @@ class EstimatedParameters:
         return (self.delta_hat, *self.theta_hat)
 
     def input(self, nu: sympy.Expr, phi: Sequence[sympy.Expr]) -> sympy.Expr:
-        """u that obeys it [25]."""
+        """u that obeys it."""
         return self.delta_hat * (nu - _dot(phi, self.theta_hat))
 
     def rates(
         self, nu: sympy.Expr, phi: Sequence[sympy.Expr], e_n: sympy.Expr, sign_g: sympy.Expr
     ) -> tuple[sympy.Expr, ...]:
-        """Rates of the own states that obey it [26]."""
+        """Rates of the own states that obey it."""
         ubar = nu - _dot(phi, self.theta_hat)
         forgotten = self.leak_gain * (self.delta_hat - self.delta0)
         delta_rate = -self.gain_rate * (sign_g * ubar * e_n + forgotten)
