@@ -215,3 +215,11 @@ def test_the_step_whose_damping_overflows_is_named(step):
     plant = Plant(states=["x1", "x2", "x3"], chain=[1, 1], input_gain=1)
     with pytest.raises(DesignError, match=f"overflows at step {step} of 3"):
         recursion(plant.g, plant.b, Gains((1, 1, 1), k))
+
+
+def test_a_design_whose_coefficients_have_no_square_is_refused():
+    """They are finite, but the certificates square them."""
+    plant = Plant(states=["x1", "x2"], chain=[1], input_gain=1)
+    with pytest.raises(DesignError, match="the design overflows"):
+        recursion(plant.g, plant.b, Gains((1e160, 1.0)))
+    assert recursion(plant.g, plant.b, Gains((1e140, 1.0))).n == 2
