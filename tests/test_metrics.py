@@ -71,6 +71,7 @@ def test_settling_and_tail():
     assert found.integral_abs_error == pytest.approx(1 - math.exp(-10))
     assert found.rms_error == pytest.approx(math.sqrt(0.05 * (1 - math.exp(-20))))
     assert found.input_energy == 10
+    assert found.integral_squared_error == pytest.approx(0.5 - 0.5 * math.exp(-20))
     assert found.input_variation == 0
 
 
@@ -126,3 +127,11 @@ def test_the_settling_band_is_a_share_of_the_largest_reference():
         reference = certrack.SymbolicReference(text)
         assert settling_band(system.settings, reference) == pytest.approx(0.05 * size, rel=1e-6)
     assert settling_band(system.with_settings(band=0.2).settings, reference) == 0.2
+
+
+@pytest.mark.parametrize("start", [0.5, 1.7, 3.9])
+def test_a_tail_that_begins_between_samples_begins_on_their_cubic(start):
+    t = np.arange(5.0)
+    e = 70 - t**3 + 0.5 * t
+    found = measure(t, e, t, np.zeros((3, 5)), band=1.0, tail_start=start)
+    assert found.tail_error == pytest.approx(70 - start**3 + 0.5 * start, rel=1e-12)
