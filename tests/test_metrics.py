@@ -123,7 +123,12 @@ def test_the_peak_beside_the_largest_sample_counts(order):
 
 def test_the_settling_band_is_a_share_of_the_largest_reference():
     system = certrack.load("example1").with_settings(band=None)
-    for text, size in (("0.3*sin(5*t)", 0.3), ("0.1*cos(t) + 1", 1.1), ("0*t", 1.0)):
+    for text, size in (
+        ("0.3*sin(5*t)", 0.3),
+        ("0.1*cos(t) + 1", 1.1),
+        ("0*t", 1.0),
+        ("exp(-3*t)", 1.0),
+    ):
         reference = certrack.SymbolicReference(text)
         assert settling_band(system.settings, reference) == pytest.approx(0.05 * size, rel=1e-6)
     assert settling_band(system.with_settings(band=0.2).settings, reference) == 0.2
@@ -135,3 +140,21 @@ def test_a_tail_that_begins_between_samples_begins_on_their_cubic(start):
     e = 70 - t**3 + 0.5 * t
     found = measure(t, e, t, np.zeros((3, 5)), band=1.0, tail_start=start)
     assert found.tail_error == pytest.approx(70 - start**3 + 0.5 * start, rel=1e-12)
+
+
+def test_a_tail_that_begins_inside_a_step_keeps_the_steps_apart():
+    t = np.array([0.0, 1, 2, 2, 3, 4])
+    e = np.array([0.0, 0.5, 1.0, 0.99, 0.99, 0.5])
+    found = measure(t, e, e, np.zeros((3, 6)), band=2.0, tail_start=1.0, per_step=3)
+    assert found.tail_error == pytest.approx(0.99 + 0.06125)
+
+
+def test_the_band_itself_is_inside():
+    t, e = np.arange(4.0), np.array([2.0, 0.5, 0.5, 0.5])
+    assert measure(t, e, t, np.zeros((3, 4)), band=0.5, tail_start=0).settling_time == 1.0
+
+
+def test_the_nearest_samples_make_the_cubic():
+    t = np.arange(8.0)
+    found = measure(t, 3000 - t**4, t, np.zeros((3, 8)), band=1.0, tail_start=2.5)
+    assert abs(found.tail_error - (3000 - 2.5**4)) <= 0.57
