@@ -50,6 +50,13 @@ SCALING_FLOOR = 1e-6
 #: a step reaches sizes that differ by 1e3.
 SCALING_STEPS, SCALED_ENOUGH = 20, 1.5
 
+#: A scaled input below this is none for the solver, whose accuracy is 1e-8.
+NEGLIGIBLE = 1e-14
+
+#: So many bits the solver gets of a number, about 12 digits: the program of a system in other
+#: units is then the same one, and not one that differs in what the solver's noise grows from.
+KEPT_BITS = 42
+
 #: How much larger than the geometric mean of two rates a scaled coupling may be.
 COUPLING = 2.0
 
@@ -175,9 +182,9 @@ class SemidefiniteProgram:
         cost = np.zeros(self._base.shape[1])
         cost[len(self._entries) + self._na :] = 1.0  # nu and k; the lam cost nothing
         if self.problem.adaptation is not None:
-            cost[len(self._entries) - 1] = leak * self._time / self._scale[-1] ** 2
+            cost[len(self._entries) - 1] = _rounded(leak * self._time / self._scale[-1] ** 2)
         cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
-        variables = self._call(cost, self._base + alpha * self._time * self._slope)
+        variables = self._call(cost, self._base + _rounded(alpha * self._time) * self._slope)
         return None if variables is None else self._unscaled(variables, alpha, leak)
 
     def _call(self, cost: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
@@ -317,17 +324,28 @@ def _not_slaved(M: np.ndarray, size: np.ndarray) -> np.ndarray:
 def _rescaled(problem: ErrorProblem, scale: np.ndarray, reach: float) -> ErrorProblem:
     """The same problem in e_i = scale_i e^_i and a_k = reach a^_k, all of order one.
 
-    A can have entries of 1e5; without this the solver sees nothing but the largest.
+    A can have entries of 1e5; without this the solver sees nothing but the largest. Inputs that
+    are lost in its roundings are left out, and the last digits of all numbers: they depend on the
+    units. The exact proof has them, and room for them.
     """
-    return replace(
-        problem,
-        M=problem.M / scale[:, None] * scale[None, :],
-        Ua=problem.Ua * reach / scale[:, None],
-        Ub=problem.Ub / scale[:, None],
-        Uy=problem.Uy / scale[:, None],
-        Xe=problem.Xe * scale[None, :] / reach,
-        Xy=problem.Xy / reach,
-    )
+    numbers = {
+        "M": problem.M / scale[:, None] * scale[None, :],
+        "Ua": problem.Ua * reach / scale[:, None],
+        "Ub": problem.Ub / scale[:, None],
+        "Uy": problem.Uy / scale[:, None],
+        "Xe": problem.Xe * scale[None, :] / reach,
+        "Xy": problem.Xy / reach,
+    }
+    numbers = {name: _rounded(values) for name, values in numbers.items()}
+    for name in ("Ua", "Ub", "Uy", "Xy"):
+        numbers[name] = np.where(np.abs(numbers[name]) < NEGLIGIBLE, 0.0, numbers[name])
+    return replace(problem, **numbers)
+
+
+def _rounded(values: Any) -> np.ndarray:
+    """The numbers without their last bits."""
+    mantissa, exponent = np.frexp(values)
+    return np.ldexp(np.round(mantissa * 2.0**KEPT_BITS) / 2.0**KEPT_BITS, exponent)
 
 
 def _svec(matrix: np.ndarray) -> np.ndarray:
