@@ -93,7 +93,7 @@ ONE_MEANING = {
         ),
         "the verb of the command line, and what it calls",
     ),
-    "check": "look at what is stated: a file, by the verb and what it calls, or the numbers of a proof",
+    "check": "look at what is stated: a file (the verb and what it calls), or a proof",
 }
 
 

@@ -328,6 +328,8 @@ class _Builder:
             raise self.fail(f"an exponent is larger than {MAX_POWER}")
         if va is not None:
             value = self.checked(lambda: math.pow(va, vb))
+            if b.is_Rational and b.q > MAX_POWER:  # SymPy would factor huge powers of it
+                return sympy.Rational(repr(value)), value
             return self.exact(a**b), value
         if vb < 0 and a == 0:
             raise self.fail("divides by zero")
