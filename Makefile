@@ -3,13 +3,14 @@
 # make slow   runs the slow tail of the tests
 # make docs   builds the site, in build/site
 # make bench  measures speed, as ratios within one run
+# make mutants changes the source a little, and sees which changes no test notices
 # make keys   writes what docs and starter file say of each key of a system file
 PYTHON ?= python3
 BIN := .venv/bin
 COVERAGE := --cov --cov-report=term
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test slow bench keys clean
+.PHONY: demo test slow bench mutants keys clean
 
 demo: .venv/installed
 	$(BIN)/certrack reproduce --out reproduction
@@ -29,6 +30,9 @@ docs: .venv/documented
 
 bench: .venv/benched
 	$(BIN)/pytest bench
+
+mutants: .venv/tested
+	nice -n 10 $(BIN)/python tools/mutants.py $(GROUPS)
 
 keys: .venv/installed
 	$(BIN)/python -m certrack.systems.documentation docs/system-file.md src/certrack/systems/starter.toml

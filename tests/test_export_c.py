@@ -295,6 +295,13 @@ def test_many_random_controllers_agree(tmp_path_factory, drawn):
 HOSTILE = 'ends here */ int x; /* ??/ // \\\\ "quoted"'
 
 
+@pytest.mark.parametrize(("name", "functions"), [("dual-motor-lean", False), ("example1", True)])
+def test_only_what_is_used_is_included_and_comments_are_of_c90(name, functions):
+    code = c_code(certrack.load(name), "kept", period=0.001)
+    assert ("#include <math.h>" in code.source) == functions
+    assert "//" not in code.header + code.source
+
+
 class TestText:
     def test_a_template_and_its_values_fit(self):
         values = dict.fromkeys(("name", "token", "kept", "period", "start"), "v")

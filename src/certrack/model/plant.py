@@ -6,7 +6,7 @@ x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n(t, x)                          
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
