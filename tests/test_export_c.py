@@ -33,7 +33,7 @@ from certrack.export.golden_vectors import GOLDEN_TOLERANCE, golden_vectors
 from certrack.export.identifiers import C_RESERVED, free_name, stem
 from certrack.export.program import sampled_system
 from certrack.export.templates import fill_template
-from certrack.laws import Adaptive
+from certrack.laws import Adaptive, leakage
 from certrack.loops import controller as loops_controller
 from certrack.loops import sampled as loops_sampled
 from certrack.systems.writer import field_values
@@ -474,7 +474,7 @@ class TestCommand:
                     monkeypatch.setattr(other, name, function)
 
         counted(loops_controller, "sampled_controller")
-        counted(loops_controller, "leak_jacobian")
+        counted(leakage, "leak_matrix")
         counted(loops_sampled, "sample_loop")
         counted(program_module, "controller_program")
         counted(export_module, "golden_vectors")
@@ -487,7 +487,7 @@ class TestCommand:
             "golden_vectors",
             "readme",
         }
-        assert built == Counter(once | ({"leak_jacobian"} if real == "float" else set()))
+        assert built == Counter(once | ({"leak_matrix"} if real == "float" else set()))
 
     def test_period_of_the_command_wins(self, tmp_path):
         system = certrack.load("example1").replace(implementation=FULL)

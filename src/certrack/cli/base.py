@@ -75,6 +75,14 @@ def note_implementation(system: System) -> None:
         )
 
 
+def note_unlikely(system: System) -> None:
+    """Say what makes the file's implementation unlikely to work, before it is used."""
+    from certrack.simulation.implementation_notes import implementation_notes
+
+    for note in implementation_notes(system):
+        click.echo(f"certrack: note: {note}", err=True)
+
+
 def draw(runs: dict[str, Run], folder: Path, title: str) -> list[Path]:
     """Write every panel as a picture of its own, and all of them together; returns the paths."""
     from certrack import plotting
@@ -92,6 +100,6 @@ def diagnose(*runs: Run) -> None:
             click.echo(f"certrack: note: {note}", err=True)
         if run.outcome.name != "finished":
             t = run.trajectory.end
-            click.echo(f"certrack: stopped at t = {t:.6g} s: {run.outcome.value}", err=True)
+            click.echo(f"certrack: stopped at t = {t:.6g} s: {run.message}", err=True)
     if any(run.outcome.name != "finished" for run in runs):
         raise click.exceptions.Exit(1)

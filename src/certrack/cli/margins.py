@@ -46,7 +46,7 @@ def margin(
     \b
     Example: certrack margin dual-motor-lean --plot pictures
     """
-    from certrack.cli import report
+    from certrack.cli import margin_report, report
     from certrack.studies.margins import margins
     from certrack.systems.reader import load
 
@@ -63,10 +63,6 @@ def margin(
         click.echo(report.to_json(result.summary()))
     else:
         click.echo(system.title or file)
-        report.console().print(report.margin_table(result, system.plant.units))
-        report.print_lines(report.margin_notes(result))
-        if any(one.unlimited for one in (result.period, result.delay, result.saturation)):
-            report.print_lines(
-                ["where nothing failed, the value shown is the end of the range, no edge"]
-            )
+        report.console().print(margin_report.margin_table(result, system.plant.units))
+        report.print_lines(margin_report.margin_notes(result))
     tell_written(as_json, *pictures)

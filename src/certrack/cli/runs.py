@@ -15,6 +15,7 @@ from certrack.cli.base import (
     draw,
     json_option,
     naming,
+    note_unlikely,
     tell_written,
 )
 
@@ -204,6 +205,7 @@ def ensemble(
 
     from certrack.cli import report
     from certrack.studies.ensembles import workers
+    from certrack.studies.ensembles.all_lost import AllMembersLost
     from certrack.studies.ensembles.ensemble import ensemble as run_ensemble
     from certrack.systems.reader import load
 
@@ -212,6 +214,7 @@ def ensemble(
     system = load(file)
     if any(index >= members for index in keep):
         raise click.UsageError("--keep must be below --members", click.get_current_context())
+    note_unlikely(system)
     try:
         with (
             workers.connect(cluster) if cluster is not None else nullcontext() as client,
@@ -228,6 +231,9 @@ def ensemble(
                 client=client,
                 progress=advance,
             )
+    except AllMembersLost as problem:
+        click.echo(f"certrack: {problem}", err=True)
+        raise click.exceptions.Exit(1) from None
     except KeyboardInterrupt:
         if out is not None:
             click.echo(f"certrack: {out} keeps what is done; the same command goes on", err=True)

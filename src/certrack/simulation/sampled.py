@@ -23,6 +23,7 @@ from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop, loop_values, sample_loop
 from certrack.model.noise import keys
 from certrack.references import Reference, pieces_at
+from certrack.simulation.implementation_notes import implementation_notes
 from certrack.simulation.run import Run
 from certrack.systems.system import System
 
@@ -114,7 +115,7 @@ class SampledSimulator:
         solution = record.solution(slopes, run.u[0])
         parts = PARTS if len(solution.ends) <= MAX_FINE_STEPS else COARSE_PARTS
         trajectory = Trajectory(times, solution, outcome, "sampled", parts)
-        return Run(system, trajectory, solution.input_at)
+        return Run(system, trajectory, solution.input_at, implementation_notes(system))
 
 
 @dataclass(frozen=True)
