@@ -16,6 +16,10 @@ from certrack.simulation.metrics import settling_band
 from certrack.systems.system import System
 
 
+#: Below this part of the period at which the fastest pole fails, no loop is looked at closer.
+SURELY_SHORT = 0.05
+
+
 def implementation_notes(system: System) -> tuple[str, ...]:
     """Notes on the implementation of a system; none where it has none or all is well.
 
@@ -85,6 +89,8 @@ def _speed_notes(system: System, implementation: Implementation) -> tuple[str, .
     period, delay = implementation.period, implementation.delay
     pole = system.controller.coordinates.fastest_pole
     longest = longest_speed_period(pole, delay)
+    if period < SURELY_SHORT * longest:
+        return ()
     loop = linear_loop(system)
     if loop is not None:
         radius = loop.radius(period, delay)

@@ -15,8 +15,9 @@ from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.progress import Progress, silent
 from certrack.integrators.base import Outcome, Trajectory
 from certrack.integrators.sampled.events import event_timeline
-from certrack.integrators.sampled.maps import HeyokaMaps, NumpyMaps, SampledMaps
+from certrack.integrators.sampled.maps import HeyokaMaps, SampledMaps
 from certrack.integrators.sampled.run import SampledProblem, SampledRun
+from certrack.integrators.sampled.scalar_maps import ScalarMaps
 from certrack.loops.continuous import INTEGRAL_SCALE
 from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
@@ -69,7 +70,7 @@ class SampledSimulator:
             )
         by_numpy = integrator == "scipy" or not has_heyoka()
         loop = self.loop
-        maps: SampledMaps = NumpyMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
+        maps: SampledMaps = ScalarMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
         self.maps = maps if around is None else around(maps, loop)
         self.outputs = outputs_of(self.loop)
         names = [TIME, self.loop.plant.states, INPUT, [*self.loop.parameters, *self.loop.pieces]]
