@@ -75,6 +75,20 @@ def note_implementation(system: System) -> None:
         )
 
 
+def note_engine(*, compiled: bool = True) -> None:
+    """Say that NumPy computes where nothing compiles; with `compiled`, a C compiler would do."""
+    from certrack.core.compilers import c_compilers
+    from certrack.core.heyoka import has_heyoka
+
+    if not has_heyoka() and not (compiled and c_compilers()):
+        missing = "neither heyoka nor a C compiler is" if compiled else "heyoka is not"
+        click.echo(
+            f"certrack: note: {missing} installed: computed by NumPy, which is about 50 times "
+            "slower",
+            err=True,
+        )
+
+
 def note_unlikely(system: System) -> None:
     """Say what makes the file's implementation unlikely to work, before it is used."""
     from certrack.simulation.implementation_notes import implementation_notes

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from certrack.cli.base import FOLDER, MEMBER_SEED, json_option, naming, tell_written
+from certrack.cli.base import FOLDER, MEMBER_SEED, json_option, naming, note_engine, tell_written
 
 
 @click.command()
@@ -51,6 +51,7 @@ def margin(
     from certrack.systems.reader import load
 
     system = load(file)
+    note_engine()
     with naming(file, "margin"), report.progress("Margins, values tried") as advance:
         result = margins(system, error=error, members=members, seed=seed, progress=advance)
     pictures: list[Path] = []

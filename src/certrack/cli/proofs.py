@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_implementation, note_violations
+from certrack.cli.base import (
+    FOLDER,
+    NEW_FILE,
+    json_option,
+    note_engine,
+    note_implementation,
+    note_violations,
+)
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificate
@@ -115,6 +122,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     from certrack.systems.writer import save
 
     system = load(file)
+    note_engine(compiled=False)
     note_violations(system)
     note_implementation(system)
     with report.progress("Searching") as advance:

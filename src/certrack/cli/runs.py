@@ -15,6 +15,7 @@ from certrack.cli.base import (
     draw,
     json_option,
     naming,
+    note_engine,
     note_unlikely,
     tell_written,
 )
@@ -215,6 +216,7 @@ def ensemble(
     if any(index >= members for index in keep):
         raise click.UsageError("--keep must be below --members", click.get_current_context())
     note_unlikely(system)
+    note_engine()
     try:
         with (
             workers.connect(cluster) if cluster is not None else nullcontext() as client,

@@ -6,7 +6,6 @@ A step of one member costs NumPy as much as a step of a hundred: nearly all of i
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,14 +14,11 @@ from certrack.core.expressions import TIME
 from certrack.core.scalar import NotOrdinary, ScalarFunction
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.sampled.maps import PAIR, NumpyMaps, Scalar
+from certrack.integrators.scalar_step import ScalarPair
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
 
-#: Non-zero weights of every stage but the first, then those of the end, and of the error.
-STAGES = [[(j, float(a)) for j, a in enumerate(row) if a] for row in PAIR.A[1 : PAIR.stages]]
-END = [(j, float(b)) for j, b in enumerate(PAIR.B) if b]
-ERROR = [(j, float(w)) for j, w in enumerate(PAIR.errors[0]) if w]
-NODES = [float(c) for c in PAIR.C[1 : PAIR.stages]]
+SCALAR_PAIR = ScalarPair(PAIR)
 
 
 class ScalarMaps:
@@ -79,22 +75,17 @@ class ScalarMaps:
         totals: list[float],
         p: list[float],
     ) -> tuple[list[float], list[float], float]:
-        rates, n = self._rates, self._n
-        slopes = [rates(t, x, u, p)]
-        for node, row in zip(NODES, STAGES, strict=True):
-            slopes.append(rates(t + node * h, _moved(x, h, row, slopes), u, p))
-        end = _moved(x, h, END, slopes)
-        slopes.append(rates(t + h, end, u, p))
+        pair, n = SCALAR_PAIR, self._n
+        slopes, end = pair.step(h, x, lambda c, inner: self._rates(t + c * h, inner, u, p))
         e = [slope[n] for slope in slopes]
         (begin_slope,), (end_slope,) = self._slope(t, x, u, p), self._slope(t + h, end, u, p)
-        square = h * sum(b * e[j] * e[j] for j, b in END)
-        area = h * sum(b * e[j] for j, b in END)
+        square = h * sum(b * e[j] * e[j] for j, b in pair.end)
+        area = h * sum(b * e[j] for j, b in pair.end)
         sides = [e[0], e[-1], begin_slope, end_slope]
         after = self._totals(t, h, sides, square, area, u, totals, p)
         total = 0.0
         for i, (a, b) in enumerate(zip([*x, e[0]], [*end, e[-1]], strict=True)):
-            error = h * sum(w * slopes[j][i] for j, w in ERROR)
-            total += (error / (allowed * (1.0 + max(abs(a), abs(b))))) ** 2
+            total += (pair.error_of(h, slopes, i) / (allowed * (1.0 + max(abs(a), abs(b))))) ** 2
         return end, after, math.sqrt(total / n)
 
 
@@ -107,10 +98,3 @@ def _numbers(column: Array) -> list[float]:
     if not math.isfinite(sum(values)):
         raise NotOrdinary("not a finite number")
     return values
-
-
-def _moved(
-    x: list[float], h: float, weights: Sequence[tuple[int, float]], slopes: list[list[float]]
-) -> list[float]:
-    """States after a step along the weighted slopes."""
-    return [v + h * sum(w * slopes[j][i] for j, w in weights) for i, v in enumerate(x)]
