@@ -419,7 +419,7 @@ class TestCommand:
             main(["export", "c", *map(str, arguments)])
         return stopped.value.code, *capsys.readouterr()
 
-    def test_writes_four_files(self, tmp_path, capsys):
+    def test_writes_five_files(self, tmp_path, capsys):
         out = tmp_path / "new" / "firmware"
         code, said, errors = self.go(
             capsys, "example1", "--period", 1e-3, "--real", "float", "--out", out, "--json"
@@ -427,7 +427,7 @@ class TestCommand:
         assert (code, errors) == (0, "")
         found = json.loads(said)
         assert found["name"] == "example1"
-        wanted = {"example1.h", "example1.c", "example1_test.c", "README.md"}
+        wanted = {"example1.h", "example1.c", "example1_guard.h", "example1_test.c", "README.md"}
         assert {path.name for path in out.iterdir()} == wanted
         assert self.go(capsys, "example1", "--period", 1e-3, "--out", out)[0] == 0  # again
 
