@@ -298,7 +298,7 @@ HOSTILE = 'ends here */ int x; /* ??/ // \\\\ "quoted"'
 class TestText:
     def test_a_template_and_its_values_fit(self):
         values = dict.fromkeys(("name", "token", "kept", "period", "start"), "v")
-        assert "#define model_step v_step" in fill_template("fmu/templates/model.h", **values)
+        assert "#define model_init v_init" in fill_template("fmu/templates/model.h", **values)
         with pytest.raises(KeyError, match="no place for other"):
             fill_template("fmu/templates/model.h", **values, other=1)
         del values["token"]

@@ -67,7 +67,10 @@ def test_c_holds_the_command_and_the_state(real, options):
     for x, y in zip(xs[1:], ys[1:], strict=True):
         kept = list(guarded.state)
         for i in range(len(x) + len(y)):
-            for value in (*BAD, 1e38):  # the last is finite: the answer overflows, in float at least
+            for value in (
+                *BAD,
+                1e38,
+            ):  # the last is finite: the answer overflows, in float at least
                 both = np.concatenate([x, y])
                 both[i] = value
                 bad = both[: len(x)], both[len(x) :]
@@ -102,7 +105,11 @@ def test_the_acceptance_test_notices_a_guard_that_lets_everything_pass(tmp_path)
         "drive_valid": ("if (drive_valid(x, y_d)) {", "if (largest > 0.0) {"),
         "results": ("((u >= -largest) && (u <= largest))", "true"),
     }
-    for changes, passes in ((("drive_valid",), True), (("drive_valid", "results"), False), ((), True)):
+    for changes, passes in (
+        (("drive_valid",), True),
+        (("drive_valid", "results"), False),
+        ((), True),
+    ):
         text = files["drive_guard.h"]
         for change in changes:
             old, new = hole[change]
@@ -122,7 +129,9 @@ def test_the_acceptance_test_notices_a_guard_that_lets_everything_pass(tmp_path)
 @pytest.mark.skipif(shutil.which("cppcheck") is None, reason="NOT TESTED: cppcheck is missing")
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_the_guard_is_misra_clean(tmp_path, real):
-    for name, text in c_files(c_code(sampled("example1", **EVERYTHING), "drive", real=real)).items():
+    for name, text in c_files(
+        c_code(sampled("example1", **EVERYTHING), "drive", real=real)
+    ).items():
         (tmp_path / name).write_text(text)
     (tmp_path / "use.c").write_text('#include "drive_guard.h"\n')
     done = subprocess.run(

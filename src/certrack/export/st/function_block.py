@@ -101,7 +101,9 @@ def structured_text(
         *_variable_section(
             "VAR CONSTANT", (_declaration(names[s], v) for s, v in program.constants.items())
         ),
-        *_variable_section("VAR_TEMP", map(_declaration, (*computed, *variables.temporary, *kept.values()))),
+        *_variable_section(
+            "VAR_TEMP", map(_declaration, (*computed, *variables.temporary, *kept.values()))
+        ),
         *_reset_statements(start),
         *guarded(inputs, kept, statements.lines),
         "END_FUNCTION_BLOCK",
