@@ -263,7 +263,8 @@ def test_reset_starts_again():
 def test_interface():
     block = FunctionBlock(structured_text(sampled("dual-motor-lean"), "dual-motor-lean"))
     assert "FUNCTION_BLOCK dual_motor_lean\n" in block.tree.root_node.text.decode()
-    assert block.sections["VAR_INPUT"] == ["X1", "X2", "X3", "X4", "Y_D", "Y_D_1", "Y_D_2", "RESET", "GUARD"]
+    expected = "X1 X2 X3 X4 Y_D Y_D_1 Y_D_2 RESET GUARD"
+    assert block.sections["VAR_INPUT"] == expected.split()
     assert block.sections["VAR_OUTPUT"] == ["U"]
 
 

@@ -1,4 +1,4 @@
-"""Broken surroundings: one line, no half file, no folder left; and machines without heyoka or gcc."""
+"""Broken surroundings: one line, no half file; and machines without heyoka or a compiler."""
 
 import json
 import os
@@ -152,7 +152,7 @@ class TestPlainNumbers:
 
     @pytest.mark.parametrize(("x", "y"), [(-0.5, 1.0), (0.5, 0.0), (1e200, 1e200)])
     def test_what_is_not_ordinary_is_left_to_numpy(self, x, y):
-        """A root of a negative number, a division by zero, an overflow: no complex number, no crash."""
+        """A root of a negative number, a division by zero, an overflow: nothing complex."""
         a, b = symbol("x"), symbol("y")
         import sympy
 
@@ -179,7 +179,8 @@ class TestPlainNumbers:
         numpy = SampledSimulator(system, around=lambda _, loop: NumpyMaps(loop)).run(system)
         run = SampledSimulator(system).run(system)
         assert run.outcome is numpy.outcome
-        assert run.trajectory.end == numpy.trajectory.end
+        # the loop grows by what rounding left, too
+        assert run.trajectory.end == pytest.approx(numpy.trajectory.end, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", ["dual-motor-lean", "example1"])
@@ -270,8 +271,10 @@ def newest_python():
     """The newest Python of this machine above the running one that has what the core needs."""
     home = Path.home() / ".pyenv" / "versions"
     found = [shutil.which(f"python3.{minor}") for minor in range(30, sys.version_info.minor, -1)]
+    found.insert(0, os.environ.get("NEWEST_PYTHON"))  # of an environment made for it
     found += sorted((str(path) for path in home.glob("3.*/bin/python3")), reverse=True)
-    needed = "import sys, numpy, scipy, sympy, click, pytest, hypothesis, xarray; print(*sys.version_info[:2])"
+    modules = "sys, numpy, scipy, sympy, click, pytest, hypothesis, xarray, flint, heyoka"
+    needed = f"import {modules}; print(*sys.version_info[:2])"
     best = None
     for path in filter(None, found):
         done = subprocess.run([path, "-c", needed], capture_output=True, text=True, check=False)

@@ -24,7 +24,6 @@ from certrack.cli.runs import compare, ensemble, simulate
 from certrack.cli.surroundings import (
     REFUSALS,
     TERMINATED_CODE,
-    Terminated,
     ended_by_exception,
     flushed,
     trouble,
@@ -97,7 +96,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except BrokenPipeError:  # the reader of our output went away
         flushed(sys.stdout)
         return 1
-    except Terminated:
+    except SystemExit:  # SIGTERM
         _say("terminated")
         return TERMINATED_CODE
     except REFUSALS as problem:

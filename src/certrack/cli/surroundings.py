@@ -29,13 +29,9 @@ WRITE_ERRORS = {errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EBADF, errno.EDQUOT}
 REFUSALS = (OSError, MemoryError, ImportError, SyntaxError)
 
 
-class Terminated(BaseException):
-    """The system asks the process to end; no `except Exception` on the way stops it."""
-
-
 @contextmanager
 def ended_by_exception() -> Iterator[None]:
-    """SIGTERM raises :class:`Terminated` meanwhile, so that everything is cleaned up."""
+    """SIGTERM raises SystemExit meanwhile, so that everything is cleaned up."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -47,7 +43,7 @@ def ended_by_exception() -> Iterator[None]:
 
 
 def _terminate(_signal: int, _frame: FrameType | None) -> None:
-    raise Terminated
+    raise SystemExit(TERMINATED_CODE)
 
 
 def trouble(problem: BaseException) -> str:

@@ -17,7 +17,7 @@ from certrack.core.errors import CertrackError
 from certrack.core.select import by_selections
 
 #: What Python's arithmetic raises where NumPy gives inf or NaN; NameError: a function of NumPy's.
-REFUSALS = (ArithmeticError, ValueError, TypeError, NameError)
+ARITHMETIC_ERRORS = (ArithmeticError, ValueError, TypeError, NameError)
 
 
 class NotOrdinary(CertrackError):
@@ -51,7 +51,7 @@ class ScalarFunction:
         """
         try:
             results = list(map(float, self._function(*values)))
-        except REFUSALS:
+        except ARITHMETIC_ERRORS:
             raise NotOrdinary("not a finite number") from None
         if not math.isfinite(sum(results)):
             raise NotOrdinary("not a finite number")

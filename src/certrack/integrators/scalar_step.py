@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from certrack.integrators.pairs import Pair
+import numpy as np
+
+from certrack.integrators.pairs import DORMAND_PRINCE, Pair
 
 #: Pairs (stage, weight), without those of weight zero.
 Weights = Sequence[tuple[int, float]]
@@ -45,7 +47,7 @@ class ScalarPair:
         return h * sum(w * slopes[j][row] for j, w in self.error)
 
 
-def _weights(row: Sequence[float]) -> Weights:
+def _weights(row: np.ndarray) -> Weights:
     return [(j, float(weight)) for j, weight in enumerate(row) if weight]
 
 
@@ -53,3 +55,7 @@ def _moved(
     x: Sequence[float], h: float, weights: Weights, slopes: list[list[float]]
 ) -> list[float]:
     return [v + h * sum(w * slopes[j][i] for j, w in weights) for i, v in enumerate(x)]
+
+
+#: That of Dormand and Prince.
+SCALAR_DORMAND_PRINCE = ScalarPair(DORMAND_PRINCE)

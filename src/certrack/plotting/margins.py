@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 #: Errors beyond this many times the admitted one are marked at the top, as lost ones are.
 TOP = 1e3
 
-#: Something happens between two values tried where the error changes by more than this part; so many
-#: values at rest are shown before and after, and this much room.
+#: Something happens between two values tried where the error changes by more than this part; so
+#: many values at rest are shown before and after, and this much room.
 CHANGE, AT_REST, ROOM = 0.05, 2, 1.12
 
 LOST, EDGE = "lost, or off the scale", "exact edge of stability"

@@ -15,7 +15,6 @@ from certrack.model.implementation import Implementation
 from certrack.simulation.metrics import settling_band
 from certrack.systems.system import System
 
-
 #: Below this part of the period at which the fastest pole fails, no loop is looked at closer.
 SURELY_SHORT = 0.05
 
@@ -85,7 +84,7 @@ def quantum_error(system: System) -> float:
 
 
 def _speed_notes(system: System, implementation: Implementation) -> tuple[str, ...]:
-    """The exact verdict where the loop is linear, else the fastest error pole against the period."""
+    """The exact verdict where the loop is linear, else the fastest error pole by the period."""
     period, delay = implementation.period, implementation.delay
     pole = system.controller.coordinates.fastest_pole
     longest = longest_speed_period(pole, delay)

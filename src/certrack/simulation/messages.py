@@ -1,4 +1,4 @@
-"""How a run ended, in words for its user: a sampled loop has other remedies than a continuous one."""
+"""How a run ended, in words: a sampled loop has other remedies than a continuous one."""
 
 from __future__ import annotations
 

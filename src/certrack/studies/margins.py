@@ -23,6 +23,7 @@ from certrack.core.progress import Progress, silent
 from certrack.laws.leakage import longest_euler_period
 from certrack.loops.stability import linear_loop
 from certrack.model.implementation import MAX_DELAY, MAX_RUN_SAMPLES, Implementation
+from certrack.simulation.metrics import REFERENCE_POINTS
 from certrack.studies.edge_search import VALUE_RATIO, Sweep, last_before_failure, stability_edge
 from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.error_limit import tail_error_limit
@@ -40,12 +41,9 @@ MIN_RUN_SAMPLES, LAST_RUN_SAMPLES = 100, 20
 #: members finish. 2^-10 of it serves a loop some thousand times as fast as its fastest pole.
 MAX_PERIOD_HALVINGS = 10
 
-#: A loop counts as bounded while its error stays below the largest |y_d|: an output at rest would do
-#: as well. Where y_d is no larger than the admitted error, so many times that instead.
+#: A loop counts as bounded while its error stays below the largest |y_d|: an output at rest would
+#: do as well. Where y_d is no larger than the admitted error, so many times that instead.
 BOUNDED_FACTOR = 10.0
-
-#: Times at which the largest |y_d| is looked for.
-REFERENCE_POINTS = 4001
 
 #: A first period leaves Euler's step of the leakage this part of the period at which it diverges.
 LEAK_PERIOD_SHARE = 0.25
@@ -196,7 +194,7 @@ def margins(
     --------
     >>> import certrack
     >>> found = certrack.margins(certrack.load("dual-motor-lean"), members=8)
-    >>> found.period.within < found.period.bounded
+    >>> found.period.within < found.period.exact
     True
     """
     checks.integer("members", members, 1, 100_000)

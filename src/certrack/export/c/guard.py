@@ -8,7 +8,7 @@ from certrack.export.program import read_symbols
 from certrack.export.templates import fill_template
 
 #: The largest finite number of a type, in <float.h>.
-LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
+LARGEST_NUMBERS = {"double": "DBL_MAX", "float": "FLT_MAX"}
 
 
 def guard_header(code: CCode) -> str:
@@ -27,7 +27,7 @@ def guard_header(code: CCode) -> str:
         "c/templates/controller_guard.h",
         name=name,
         guard=f"{name.upper()}_GUARD_H",
-        largest=LARGEST[code.real],
+        largest=LARGEST_NUMBERS[code.real],
         inputs=_all_finite(inputs),
         unused="".join(unused),
         results=_all_finite(results),

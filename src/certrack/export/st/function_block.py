@@ -87,7 +87,7 @@ def structured_text(
     variables = Variables(names)
     statements = _statements(program, variables)
     results = [names[COMMAND], *(names[state] for state in program.states)]
-    kept = {name: unused_name(f"kept_{name}", used_names) for name in results}
+    saved = {name: unused_name(f"saved_{name}", used_names) for name in results}
     read = read_symbols(program)
     inputs = [names[s] for s in (*program.measured, *program.Y) if s in read]
     lines = [
@@ -102,10 +102,10 @@ def structured_text(
             "VAR CONSTANT", (_declaration(names[s], v) for s, v in program.constants.items())
         ),
         *_variable_section(
-            "VAR_TEMP", map(_declaration, (*computed, *variables.temporary, *kept.values()))
+            "VAR_TEMP", map(_declaration, (*computed, *variables.temporary, *saved.values()))
         ),
         *_reset_statements(start),
-        *guarded(inputs, kept, statements.lines),
+        *guarded(inputs, saved, statements.lines),
         "END_FUNCTION_BLOCK",
     ]
     return "\n".join(lines) + "\n"

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from certrack.export.st.statements import INDENT, st_literal
 
 #: Beyond it a number counts as not finite; LREAL ends at 1.797E308.
-LARGEST = 1.0e308
+LARGEST_LREAL = 1.0e308
 
 #: The input that asks for the guard.
 GUARD = "GUARD"
@@ -26,8 +26,8 @@ def guarded(
         Output and states, and the temporary variable that keeps each of them meanwhile.
     statements : texts
     """
-    keep = [f"{kept} := {name};" for name, kept in results.items()]
-    back = [f"{INDENT}{name} := {kept};" for name, kept in results.items()]
+    keep = [f"{saved} := {name};" for name, saved in results.items()]
+    back = [f"{INDENT}{name} := {saved};" for name, saved in results.items()]
     return [
         "",
         "(* with GUARD = TRUE a sample that is not finite holds the last u and all states *)",
@@ -41,7 +41,7 @@ def guarded(
 
 def _condition(start: str, names: Sequence[str]) -> list[str]:
     """A condition that all numbers are finite: no comparison holds for what is not a number."""
-    number = st_literal(LARGEST)
+    number = st_literal(LARGEST_LREAL)
     tests = [f"({name} >= -{number}) AND ({name} <= {number})" for name in names] or ["TRUE"]
     lines = [f"{INDENT}{test} AND" for test in tests[:-1]]
     return [f"{start} (", *lines, f"{INDENT}{tests[-1]}) THEN"]

@@ -16,24 +16,20 @@ from certrack.core.expressions import TIME
 from certrack.core.lowering import extract_switches, numpy_callable, rows
 from certrack.core.scalar import NotOrdinary, ScalarFunction
 from certrack.integrators.base import ESCAPING
+from certrack.integrators.many.taylor_batch import MAX_STEPS
 from certrack.integrators.pairs import DORMAND_PRINCE, numpy_step
-from certrack.integrators.scalar_step import ScalarPair
+from certrack.integrators.scalar_step import SCALAR_DORMAND_PRINCE
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
-
-PAIR, SCALAR_PAIR = DORMAND_PRINCE, ScalarPair(DORMAND_PRINCE)
 
 #: The shortest step, and the longest, as parts of the time that is integrated over: members that
 #: need shorter ones have left all that is admitted.
-SHORTEST_STEP, FIRST_STEP = 1e-9, 1e-4
+LEAST_PART, FIRST_PART = 1e-9, 1e-4
 
 #: See :mod:`certrack.integrators.sampled.run`.
-SAFETY, MIN_FACTOR, MAX_FACTOR = 0.9, 0.2, 4.0
+STEP_SAFETY, LEAST_FACTOR, LARGEST_FACTOR = 0.9, 0.2, 4.0
 
 #: Dense output is a cubic: a step is no longer than so many points of the grid.
 POINTS_PER_STEP = 2
-
-#: Steps of all members together; a run takes hundreds.
-MAX_STEPS = 20_000
 
 
 class NumpyBatch:
@@ -75,7 +71,7 @@ class NumpyBatch:
         states[0] = starts
         alive, escaped = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
         t, end, x, shown = 0.0, float(times[-1]), starts.astype(float), 1
-        h, longest = FIRST_STEP * end, POINTS_PER_STEP * float(np.diff(times)[-1])
+        h, longest = FIRST_PART * end, POINTS_PER_STEP * float(np.diff(times)[-1])
         for _ in range(max_steps):
             if shown == len(times) or not alive.any():
                 break
@@ -83,8 +79,8 @@ class NumpyBatch:
             h = min(h, limit, end - t) if t + h < end * (1 - 1e-12) else end - t
             after, slopes, error = self._step(t, h, x[:, alive], parameters[:, alive])
             worst = float(np.nan_to_num(error, nan=np.inf).max())
-            if worst > 1.0 and h > SHORTEST_STEP * end:
-                h *= max(MIN_FACTOR, SAFETY * worst ** (-1 / PAIR.order))
+            if worst > 1.0 and h > LEAST_PART * end:
+                h *= max(LEAST_FACTOR, STEP_SAFETY * worst ** (-1 / DORMAND_PRINCE.order))
                 continue
             lost = ~(error <= 1.0) | ~(np.abs(after).max(axis=0) < ESCAPING**2)
             k = np.searchsorted(times, t + h * (1 + 1e-12), side="right")
@@ -96,7 +92,11 @@ class NumpyBatch:
             if lost.any():
                 members = np.flatnonzero(alive)[lost]
                 escaped[members], alive[members] = True, False
-            h *= min(MAX_FACTOR, SAFETY * max(worst, 1e-9) ** (-1 / PAIR.order)) if worst < 1 else 1
+            h *= (
+                min(LARGEST_FACTOR, STEP_SAFETY * max(worst, 1e-9) ** (-1 / DORMAND_PRINCE.order))
+                if worst < 1
+                else 1
+            )
         on_batch(states, escaped, slice(0, count))
 
     def _step(
@@ -111,9 +111,12 @@ class NumpyBatch:
                 pass
         with np.errstate(all="ignore"):
             slopes, end = numpy_step(
-                PAIR, h, x, lambda node, inner: rows(self._rates(t + node * h, inner, p), count)
+                DORMAND_PRINCE,
+                h,
+                x,
+                lambda node, inner: rows(self._rates(t + node * h, inner, p), count),
             )
-            error = h * np.einsum("s,sij->ij", PAIR.errors[0], slopes)[: self._judged]
+            error = h * np.einsum("s,sij->ij", DORMAND_PRINCE.errors[0], slopes)[: self._judged]
             size = 1.0 + np.maximum(np.abs(x), np.abs(end))[: self._judged]
             return end, slopes, np.abs(error / (self._tolerance * size)).max(axis=0)
 
@@ -121,9 +124,11 @@ class NumpyBatch:
         self, t: float, h: float, x: list[float], p: list[float]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same for one member, ten times as fast."""
-        slopes, end = SCALAR_PAIR.step(h, x, lambda c, inner: self._one(t + c * h, inner, p))
+        slopes, end = SCALAR_DORMAND_PRINCE.step(
+            h, x, lambda c, inner: self._one(t + c * h, inner, p)
+        )
         worst = max(
-            abs(SCALAR_PAIR.error_of(h, slopes, i)) / (1.0 + max(abs(x[i]), abs(end[i])))
+            abs(SCALAR_DORMAND_PRINCE.error_of(h, slopes, i)) / (1.0 + max(abs(x[i]), abs(end[i])))
             for i in range(self._judged)
         )
         error = np.array([worst / self._tolerance])

@@ -13,12 +13,10 @@ from certrack.core.arrays import Array
 from certrack.core.expressions import TIME
 from certrack.core.scalar import NotOrdinary, ScalarFunction
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
-from certrack.integrators.sampled.maps import PAIR, NumpyMaps, Scalar
-from certrack.integrators.scalar_step import ScalarPair
+from certrack.integrators.sampled.maps import NumpyMaps, Scalar
+from certrack.integrators.scalar_step import SCALAR_DORMAND_PRINCE
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
-
-SCALAR_PAIR = ScalarPair(PAIR)
 
 
 class ScalarMaps:
@@ -75,7 +73,7 @@ class ScalarMaps:
         totals: list[float],
         p: list[float],
     ) -> tuple[list[float], list[float], float]:
-        pair, n = SCALAR_PAIR, self._n
+        pair, n = SCALAR_DORMAND_PRINCE, self._n
         slopes, end = pair.step(h, x, lambda c, inner: self._rates(t + c * h, inner, u, p))
         e = [slope[n] for slope in slopes]
         (begin_slope,), (end_slope,) = self._slope(t, x, u, p), self._slope(t + h, end, u, p)

@@ -1,4 +1,4 @@
-"""Which integrator runs the adversaries side by side: heyoka's lanes, or NumPy where it is missing."""
+"""Which integrator runs the adversaries side by side: heyoka's lanes, or else NumPy."""
 
 from __future__ import annotations
 

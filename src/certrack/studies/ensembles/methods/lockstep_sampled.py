@@ -25,7 +25,6 @@ from certrack.studies.ensembles.methods.sampled_base import (
 )
 from certrack.studies.ensembles.problem import EnsembleProblem
 
-
 #: Fewer members than this are faster one by one in Python than together in NumPy (measured).
 SINGLE_MEMBERS = 6
 
@@ -51,16 +50,16 @@ class LockstepSampled(SampledMethod):
         """Each member by itself; what is shown is handed over for all of them at once."""
         count, points = group.x.shape[1], int((group.timeline.marks >= 0).sum())
         shown = np.full((points, len(self.shown), count), np.nan)
-        counted = np.zeros((points, count), dtype=bool)
+        valid = np.zeros((points, count), dtype=bool)
         parts = []
         for i in range(count):
 
             def keep(k: int, values: np.ndarray, is_counted: np.ndarray, i: int = i) -> None:
-                shown[k, :, i], counted[k, i] = values[:, 0], is_counted[0]
+                shown[k, :, i], valid[k, i] = values[:, 0], is_counted[0]
 
             parts.append(self._together(self._one, _member(group, i), keep))
         for k in range(points):
-            on_grid_point(k, shown[k], counted[k])
+            on_grid_point(k, shown[k], valid[k])
         return GroupResults(
             {name: np.concatenate([part.totals[name] for part in parts]) for name in TOTALS},
             np.concatenate([part.ends for part in parts]),
