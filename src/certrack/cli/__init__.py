@@ -96,7 +96,9 @@ def _run(arguments: Sequence[str] | None) -> int:
     except BrokenPipeError:  # the reader of our output went away
         flushed(sys.stdout)
         return 1
-    except SystemExit:  # SIGTERM
+    except SystemExit as end:  # by SIGTERM; or click's, where the reader of our output went away
+        if end.code != TERMINATED_CODE:
+            return 1
         _say("terminated")
         return TERMINATED_CODE
     except REFUSALS as problem:
