@@ -18,8 +18,8 @@ OF_SAMPLED_LOOPS = {
         "a division). Check the formulas near this state."
     ),
     Outcome.step_limit: (
-        "One interval between two samples took too many steps: the plant is too stiff for it, or "
-        "sign() makes it slide. Replace sign(x) by tanh(x/0.01), or raise simulation.tolerance."
+        "One interval between two samples took too many steps: the plant is too stiff for them. "
+        "Raise simulation.tolerance, or replace a steep tanh() by sign()."
     ),
 }
 
