@@ -44,8 +44,8 @@ def _margin_text(value: float | None, margin: Margin, limit: float, sign: str) -
 def margin_notes(margins: Margins) -> list[str]:
     """What the margins refer to, in words."""
     lines = [
-        f"admitted tail error: {margins.error:.5g} ({margins.origin}); {margins.members} members "
-        "tried at every value, not proven",
+        f"admitted tail error: {report.limit_text(margins.error, margins.origin)}; "
+        f"{margins.members} members tried at every value, not proven",
         f"bounded: tail error up to {margins.bounded_error:.5g}, the largest |y_d| (or ten times "
         "the admitted one, where y_d is smaller than it)",
         f"delay and saturation at a period of {margins.at:.4g} s; the rest is as in the file",

@@ -211,7 +211,7 @@ def ensemble_table(ensemble: Ensemble) -> Table:
 def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
     """Outcomes, violations and the worst member in words."""
     outcomes = ", ".join(f"{n} {name}" for name, n in sorted(ensemble.statistics.outcomes.items()))
-    lines = [f"outcomes: {outcomes}"]
+    lines = [f"outcomes: {outcomes}", *_replaced_omega(ensemble)]
     unsettled = ensemble.statistics.metrics["settling_time"].missing
     if unsettled:
         lines.append(f"{unsettled} of {ensemble.members} members are never settled within the band")
@@ -220,7 +220,7 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
         lines.append(f"no limit: {ensemble.limit_origin}")
     else:
         text = (
-            f"tail error beyond {violations['limit']:.5g} ({violations['origin']}): "
+            f"tail error beyond {limit_text(violations['limit'], violations['origin'])}: "
             f"{violations['count']} of {ensemble.members} members"
         )
         if violations["interval"] is not None:
@@ -233,6 +233,18 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
         f"  certrack simulate {file} --member {index} --seed {ensemble.seed}",
     ]
     return lines
+
+
+def _replaced_omega(ensemble: Ensemble) -> list[str]:
+    """Say where the members have other disturbances than the file's."""
+    disturbance = ensemble.system.varied.disturbance
+    omega = ensemble.system.truth.omega or ()
+    if disturbance == "file" or not any(w.expr != 0 for w in omega):
+        return []
+    return [
+        f"disturbances: random admissible ones ({disturbance}) in the place of truth.omega; "
+        'ensemble.disturbance = "file" keeps it'
+    ]
 
 
 #: Certificates, in the order in which they are shown.
@@ -253,10 +265,12 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
 
     return {
         **{kind: entries(getattr(results, kind)) for kind in CERTIFICATE_KINDS},
-        "verified": results.best.verified,
+        "verified": results.verified,
+        "best": _best(results),
         "critical_strength": {
-            "published": results.critical_published,
-            "semidefinite": results.critical_semidefinite,
+            "published": min(results.critical_published, LARGEST_STRENGTH),
+            "semidefinite": min(results.critical_semidefinite, LARGEST_STRENGTH),
+            "beyond": math.isinf(results.critical_semidefinite),
         },
         "tube": None
         if results.tube is None
@@ -266,9 +280,18 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
             "alpha": results.tube.alpha,
             "kind": "cascade" if len(results.stages) > 1 else "semidefinite",
             "pieces": results.tube.pieces,
+            "verified": results.tube.verified,
         },
-        "assumptions": list(results.best.assumptions),
+        "premises": [premise.record() for premise in results.premises],
     }
+
+
+def _best(results: Certificates) -> dict[str, Any] | None:
+    """The tightest bound if it is verified for this file; None else."""
+    if not results.verified:
+        return None
+    best = results.best
+    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": "continuous"}
 
 
 def certificates_table(results: Certificates) -> Table:
@@ -293,14 +316,15 @@ def certificates_table(results: Certificates) -> Table:
 #: Digits of a bound in the table and of what is said about the tube.
 BOUND_TEXT_DIGITS = 5
 
+#: What stands for a critical strength without limit.
+LARGEST_STRENGTH = 1e9
+
 #: The error counts as settled in the tube where it is within this part of the bound.
 SETTLED_MARGIN = 0.1
 
 
 def certificates_notes(results: Certificates) -> list[str]:
     """Critical strengths, tube and assumptions in words."""
-    if not results.best.exists:
-        return []
     lines = [
         "critical strength (common scale of tau): published "
         f"{_strength_text(results.critical_published)}, semidefinite "
@@ -313,9 +337,9 @@ def certificates_notes(results: Certificates) -> list[str]:
         margin = f"{100 * SETTLED_MARGIN:g} %"
         lines.append(
             f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound "
-            f"after {settled} s"
+            f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
         )
-    return [*lines, "resting on:", *(f"  {line}" for line in results.best.assumptions)]
+    return lines
 
 
 def _strength_text(scale: float) -> str:
@@ -323,5 +347,12 @@ def _strength_text(scale: float) -> str:
     if not scale:
         return "none"
     if math.isinf(scale):
-        return "unlimited (no term grows with the state)"
+        return f"> {LARGEST_STRENGTH:.0e} (no term grows with the state)".replace("e+0", "e")
     return rounded_down(scale, BOUND_TEXT_DIGITS)
+
+
+def limit_text(limit: float, origin: str) -> str:
+    """A limit of the tail error and its origin; a certified bound is rounded up."""
+    certified = "certifi" in origin
+    number = printed_bound(limit, BOUND_TEXT_DIGITS) if certified else f"{limit:.5g}"
+    return f"{number} ({origin})"

@@ -19,6 +19,7 @@ from certrack.cli.base import (
     note_unlikely,
     tell_written,
 )
+from certrack.cli.premises import note_contradictions
 
 if TYPE_CHECKING:
     from certrack.studies.ensembles.ensemble import Ensemble
@@ -79,6 +80,7 @@ def simulate(
         from certrack.studies.ensembles.members import member as member_of
 
         system = member_of(system, member, seed=seed or 0)
+    note_contradictions(system, file)
     changes = {"integrator": integrator, "tolerance": tolerance}
     system = system.with_settings(**{name: v for name, v in changes.items() if v is not None})
     if with_c:
@@ -126,6 +128,8 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
     from certrack.systems.reader import load
 
     systems = {file: load(file) for file in files}
+    for file, system in systems.items():
+        note_contradictions(system, file)
     runs = {file: run_system(system) for file, system in systems.items()}
     pictures = [] if plot is None else draw(runs, plot, "")
     summaries = {file: run.summary() for file, run in runs.items()}
@@ -215,6 +219,7 @@ def ensemble(
     system = load(file)
     if any(index >= members for index in keep):
         raise click.UsageError("--keep must be below --members", click.get_current_context())
+    note_contradictions(system, file, replaced=system.varied.disturbance != "file")
     note_unlikely(system)
     note_engine()
     try:
