@@ -26,10 +26,10 @@ def leak_jacobian(controller: Controller) -> tuple[sympy.Expr, ...]:
 
 def leak_matrix(controller: Controller) -> np.ndarray:
     """L, the leak as numbers, (s, s) for a law with s states of its own."""
-    return _numbers(controller)
+    return _leak_numbers(controller)
 
 
-def _numbers(controller: Controller) -> np.ndarray:
+def _leak_numbers(controller: Controller) -> np.ndarray:
     count = len(controller.states)
     if not count:
         return np.zeros((0, 0))
@@ -49,7 +49,7 @@ def longest_euler_period(controller: Controller) -> float:
     float
         The least 2 |Re l|/|l|^2 of the decaying eigenvalues l of L: there |1 + T l| = 1.
     """
-    leak = _numbers(controller)
+    leak = _leak_numbers(controller)
     if not leak.size or not np.isfinite(leak).all():
         return np.inf
     poles = np.linalg.eigvals(leak)
