@@ -55,6 +55,12 @@ class Outcome(Enum):
         "interact or by contact of higher order: this sliding is not simulated. Replace sign(x) by "
         "tanh(x/0.01)."
     )
+    controller_diverged = (
+        "The controller diverges, not the plant: the command or an estimate outgrows every "
+        "useful number. Lower Gamma, gain_rate or the leakage, start the estimates closer "
+        "(simulation.estimates), check h and phi at the measured states; if sampled, shorten "
+        "implementation.period or bound the estimates by implementation.projection."
+    )
 
 
 class MemberOutcome(IntEnum):

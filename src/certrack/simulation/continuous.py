@@ -11,7 +11,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy
@@ -155,7 +155,14 @@ class ContinuousSimulator:
     def _integrated(self, method: str, problem: Problem) -> Trajectory:
         """The solution by a method, whose integrator is taken from the idle ones."""
         with self._integrator(method, problem.tolerance) as integrator:
-            return integrator.integrate(problem)
+            trajectory = integrator.integrate(problem)
+        if trajectory.outcome is not Outcome.undefined:
+            return trajectory
+        last = trajectory.interpolate(np.array([trajectory.end]))[:, 0]
+        estimates = np.abs(last[problem.plant_order : -len(INTEGRALS)])
+        if (estimates <= problem.max_state).all():
+            return trajectory
+        return replace(trajectory, outcome=Outcome.controller_diverged)
 
     @contextmanager
     def _integrator(self, method: str, tolerance: float) -> Iterator[Integrator]:

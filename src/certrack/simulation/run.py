@@ -19,6 +19,7 @@ from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.single.taylor import TaylorSeries
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.plant import measured
+from certrack.simulation.messages import outcome_message
 from certrack.simulation.metrics import Metrics, measure, settling_band
 from certrack.systems.reader import loads
 from certrack.systems.system import System
@@ -55,6 +56,11 @@ class Run(ShownInNotebooks):
     def outcome(self) -> Outcome:
         """How the run ended."""
         return self.trajectory.outcome
+
+    @property
+    def message(self) -> str:
+        """How it ended, in words, with what can be done."""
+        return outcome_message(self.outcome, self.system)
 
     @cached_property
     def t(self) -> np.ndarray:
@@ -142,7 +148,7 @@ class Run(ShownInNotebooks):
             "final_time": self.trajectory.end,
             "final_state": self.final_state,
             "outcome": self.outcome.name,
-            "message": self.outcome.value,
+            "message": self.message,
             "integrator": self.trajectory.method,
             "steps": len(self.trajectory.times) - 1,
             "notes": list(self.notes),

@@ -15,8 +15,9 @@ from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.progress import Progress, silent
 from certrack.integrators.base import Outcome, Trajectory
 from certrack.integrators.sampled.events import event_timeline
-from certrack.integrators.sampled.maps import HeyokaMaps, NumpyMaps, SampledMaps
+from certrack.integrators.sampled.maps import HeyokaMaps, SampledMaps
 from certrack.integrators.sampled.run import SampledProblem, SampledRun
+from certrack.integrators.sampled.scalar_maps import ScalarMaps
 from certrack.integrators.sampled.sliding import with_modes
 from certrack.integrators.switching import ModeRecord, sticking_notes
 from certrack.loops.continuous import INTEGRAL_SCALE
@@ -25,6 +26,7 @@ from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop, loop_values, sample_loop
 from certrack.model.noise import keys
 from certrack.references import Reference, pieces_at
+from certrack.simulation.implementation_notes import implementation_notes
 from certrack.simulation.run import Run
 from certrack.systems.system import System
 
@@ -70,7 +72,7 @@ class SampledSimulator:
                 "Use auto or scipy",
             )
         by_numpy = integrator == "scipy" or not has_heyoka()
-        maps: SampledMaps = NumpyMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
+        maps: SampledMaps = ScalarMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
         self.maps = maps if around is None else around(maps, loop)
         self.outputs = outputs_of(self.loop)
         names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
@@ -121,6 +123,7 @@ class SampledSimulator:
         parts = PARTS if len(solution.ends) <= MAX_FINE_STEPS else COARSE_PARTS
         trajectory = Trajectory(times, solution, outcome, "sampled", parts, modes)
         notes = [] if modes is None else sticking_notes(modes, trajectory.end)
+        notes += implementation_notes(system)
         return Run(system, trajectory, solution.input_at, tuple(notes))
 
 

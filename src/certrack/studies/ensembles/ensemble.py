@@ -18,6 +18,7 @@ from certrack.integrators.base import MethodUnavailable, Outcome
 from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
 from certrack.studies.ensembles import workers
+from certrack.studies.ensembles.all_lost import probe_first, require_survivors
 from certrack.studies.ensembles.checkpoints import Checkpoints
 from certrack.studies.ensembles.engine import Engine, fastest
 from certrack.studies.ensembles.error_limit import tail_error_limit
@@ -342,6 +343,8 @@ def ensemble(
     ------
     InputError
         If an argument does not fit or the folder cannot be written.
+    AllMembersLost
+        If none of the first 256 members finishes, and more were asked for.
 
     Examples
     --------
@@ -374,7 +377,8 @@ def ensemble(
     if engine is None:
         results = workers.on_cluster(plan, missing, client)
     else:
-        results = workers.in_this_process(engine, missing, total if checkpoints is None else None)
+        parts = missing if checkpoints else list(probe_first(missing))
+        results = workers.in_this_process(engine, parts, total if checkpoints is None else None)
     for span, statistics, spent in results if missing else ():
         if statistics is not total:
             total.merge(statistics)
@@ -384,6 +388,7 @@ def ensemble(
             checkpoints.save(span, statistics.packed())
             checkpoints.gather(total, covered)
         progress(total.members, members, _largest(total))
+        require_survivors(total, members, system)
     return Ensemble(system, seed, total, limit, origin, wanted, seconds)
 
 

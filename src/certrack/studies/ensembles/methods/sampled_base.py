@@ -91,13 +91,18 @@ class SampledMethod(Method):
         self._timeline = self._timeline_under(self._implementation)
         self._outputs = outputs_of(self.loop)
 
+    #: Whether the maps want whole vector registers of members.
+    whole_registers = True
+
     @abstractmethod
     def integrate(self, group: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
         """Integrate members to their end; any number of threads may do so at once."""
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         """Whole groups of lanes are computed, the members begin ... end-1 are counted."""
-        first, last = begin - begin % LANES, -(-end // LANES) * LANES
+        first, last = begin, end
+        if self.whole_registers:
+            first, last = begin - begin % LANES, -(-end // LANES) * LANES
         part = slice(begin - first, end - first)
 
         def on_grid_point(k: int, values: np.ndarray, is_counted: np.ndarray) -> None:
@@ -130,8 +135,9 @@ class SampledMethod(Method):
         numbers = self._numbers(implementation)
 
         def of_group(first: int) -> tuple[float, float]:
-            starts, table = self.problem.starts_and_parameters(first, first + size)
-            table |= {name: np.full(size, value) for name, value in numbers.items()}
+            last = first + size if self.whole_registers else min(first + size, members)
+            starts, table = self.problem.starts_and_parameters(first, last)
+            table |= {name: np.full(last - first, value) for name, value in numbers.items()}
             group = self._group_problem(first, starts, table, implementation)
             results = self.integrate(group, lambda *_: None)
             part = slice(0, members - first)
