@@ -16,7 +16,7 @@ import numpy as np
 
 from certrack.core.errors import CertrackError
 from certrack.core.progress import Progress, silent
-from certrack.references import Reference
+from certrack.loops.schedule import Pieces
 
 #: A state larger than this where the solution ceases to exist is escaping, not leaving a domain.
 ESCAPING = 1e3
@@ -70,8 +70,8 @@ class Problem:
         Initial plant and controller states and integrals.
     parameters : (P,) array
         Without those of the reference's piece.
-    reference : Reference
-        Gives break points and pieces.
+    schedule : Pieces
+        Break points, and the values of the piece's symbols from each on.
     duration : float, s
     tolerance : float
     plant_order : int
@@ -85,7 +85,7 @@ class Problem:
 
     start: np.ndarray
     parameters: np.ndarray
-    reference: Reference
+    schedule: Pieces
     duration: float
     tolerance: float
     plant_order: int
@@ -100,8 +100,8 @@ class Problem:
 
     @property
     def segments(self) -> list[tuple[float, float]]:
-        """Intervals between break points of the reference."""
-        inner = self.reference.breaks(0.0, self.duration)
+        """Intervals between break points."""
+        inner = self.schedule.breaks(0.0, self.duration)
         times = [0.0, *map(float, inner), self.duration]
         return list(pairwise(times))
 
@@ -138,17 +138,17 @@ class Integrator(Protocol):
     """An integrator of one run, compiled for a closed loop.
 
     The constructor takes a :class:`~certrack.loops.continuous.ClosedLoop` (its states, rates and
-    parameters as SymPy formulas; the last `pieces` parameters belong to the reference) and whatever
+    parameters as SymPy formulas; the last `pieces` parameters change at breaks) and whatever
     options the method has, and does all that does not depend on numbers. The author's duties:
 
     1. :meth:`integrate` solves x' = rates(t, x, parameters) from ``problem.start`` at t = 0 to
        ``problem.duration``, for any numbers, without compiling again.
-    2. No step crosses an end of ``problem.segments``: there the reference's pieces change. On each
-       segment the parameters are those of the problem, followed by
-       ``problem.reference.piece_values(begin)``.
+    2. No step crosses an end of ``problem.segments``: there the reference's pieces and the switches
+       of time change. On each segment the parameters are those of the problem, followed by
+       ``problem.schedule.piece_values(begin)``.
     3. The local error is about ``problem.tolerance``, relative and absolute; the last
        ``len(INTEGRALS)`` states are integrals, scaled by ``INTEGRAL_SCALE``.
-    4. Where the rates have kinks (abs, sign, min, max), the accuracy holds or the outcome says that
+    4. Where the rates have kinks of the state (abs, sign, min, max), the accuracy holds or the outcome says that
        it does not: ``kink_missed`` or ``step_limit``. It is never lost silently.
     5. It stops at the first of these, and says which in ``Trajectory.outcome``: the end of the run
        (``finished``); one of the first ``problem.plant_order`` states beyond ``problem.max_state``,

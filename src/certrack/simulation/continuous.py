@@ -25,7 +25,8 @@ from certrack.integrators.base import Integrator, Outcome, Problem, Trajectory
 from certrack.integrators.single.scipy import ScipyIntegrator
 from certrack.integrators.single.taylor import TaylorIntegrator
 from certrack.loops.continuous import INTEGRALS, ClosedLoop, close_loop, parameter_values
-from certrack.references import Reference, pieces_at
+from certrack.loops.schedule import Schedule, make_schedule
+from certrack.loops.time_switches import switched_loop
 from certrack.simulation.run import Run
 from certrack.systems.system import System
 
@@ -74,10 +75,12 @@ class ContinuousSimulator:
     def __init__(self, system: System) -> None:
         self.system = system
         self.loop: ClosedLoop = close_loop(system)
+        self._switched, self._switches = switched_loop(self.loop)
         self._idle: dict[tuple[str, float], list[Integrator]] = {}
-        self._has_kinks = any(rate.has(*KINKED_FUNCTIONS) for rate in self.loop.rates)
+        self._has_kinks = any(rate.has(*KINKED_FUNCTIONS) for rate in self._switched.rates)
         self._parameters = parameter_values(self.loop, system)
-        self._input = numpy_callable([TIME, self.loop.states, self.loop.parameters], [self.loop.u])
+        loop = self._switched
+        self._input = numpy_callable([TIME, loop.states, loop.parameters], [loop.u])
 
     def run(self, system: System, progress: Progress = silent) -> Run:
         """Simulate a system whose loop is the compiled one in other numbers."""
@@ -85,10 +88,17 @@ class ContinuousSimulator:
         parameters = (
             self._parameters if system is self.system else parameter_values(self.loop, system)
         )
+        schedule = make_schedule(
+            system.reference,
+            self._switches,
+            dict(zip(self.loop.parameters, parameters.tolist(), strict=False)),
+            settings.duration,
+            settings.tolerance,
+        )
         problem = Problem(
             start=np.concatenate([system.start, np.zeros(len(INTEGRALS))]),
             parameters=parameters,
-            reference=system.reference,
+            schedule=schedule,
             duration=settings.duration,
             tolerance=settings.tolerance,
             plant_order=self.loop.n,
@@ -98,6 +108,7 @@ class ContinuousSimulator:
         )
         progress(0.0, settings.duration, None)
         method, notes = self._choose_method(system)
+        notes.extend(schedule.notes)
         trajectory = self._integrated(method, problem)
         retry = RETRIES.get((method, trajectory.outcome)) if settings.integrator == "auto" else None
         if retry:
@@ -106,7 +117,7 @@ class ContinuousSimulator:
             again = self._integrated(method, problem)
             missed = trajectory.outcome is Outcome.kink_missed
             trajectory = again if missed or again.end >= trajectory.end else trajectory
-        inputs = InputOf(self._input, system.reference, parameters)
+        inputs = InputOf(self._input, schedule, parameters)
         progress(settings.duration, settings.duration, None)
         smooth = method == "taylor" or not self._has_kinks
         return Run(system, trajectory, inputs, tuple(notes), smooth)
@@ -129,7 +140,7 @@ class ContinuousSimulator:
             return "implicit", [
                 f"The design is stiff (fastest error pole {fastest:.3g} /s): implicit method used."
             ]
-        if any(rate.has(*BRANCHING_FUNCTIONS) for rate in self.loop.rates):
+        if any(rate.has(*BRANCHING_FUNCTIONS) for rate in self._switched.rates):
             return "scipy", [
                 "asin, acos, atan2, tan have branch points unseen by Taylor steps: SciPy."
             ]
@@ -155,9 +166,9 @@ class ContinuousSimulator:
             integrator = idle.pop()  # in one step: no other thread gets the same
         except IndexError:
             integrator = (
-                TaylorIntegrator(self.loop, tolerance)
+                TaylorIntegrator(self._switched, tolerance)
                 if method == "taylor"
-                else ScipyIntegrator(self.loop, implicit=method == "implicit")
+                else ScipyIntegrator(self._switched, implicit=method == "implicit")
             )
         try:
             yield integrator
@@ -172,17 +183,17 @@ class InputOf:
     Attributes
     ----------
     law : NumpyFunction
-        u as a function of time, states, and parameters with the pieces of the reference.
-    reference : Reference
+        u as a function of time, states, and parameters with those of the piece.
+    schedule : Schedule
     parameters : (P,) array
     """
 
     law: NumpyFunction
-    reference: Reference
+    schedule: Schedule
     parameters: np.ndarray
 
     def __call__(self, t: np.ndarray, states: np.ndarray) -> np.ndarray:
-        pieces = pieces_at(self.reference, t)
+        pieces = self.schedule.pieces_at(t)
         with np.errstate(all="ignore"):
             values = self.law(t, states, [*self.parameters.tolist(), *pieces])
         return rows(values, len(t))[0]

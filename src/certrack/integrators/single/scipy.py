@@ -50,7 +50,7 @@ class ScipyIntegrator:
         absolute = np.full(self._size, problem.tolerance)
         absolute[-len(INTEGRALS) :] /= INTEGRAL_SCALE
         for begin, stop in problem.segments:
-            p = np.concatenate([problem.parameters, problem.reference.piece_values(begin)])
+            p = np.concatenate([problem.parameters, problem.schedule.piece_values(begin)])
 
             def rates(t: float, y: np.ndarray, p: np.ndarray = p) -> np.ndarray:
                 with np.errstate(all="ignore"):

@@ -104,7 +104,7 @@ class TaylorIntegrator:
         if switches is not None:
             switches.begin()
         for begin, stop in problem.segments:
-            ta.pars[self._piece] = problem.reference.piece_values(begin)
+            ta.pars[self._piece] = problem.schedule.piece_values(begin)
             ta.time = begin
             if switches is not None:
                 switches.set(ta)
@@ -164,7 +164,7 @@ class TaylorIntegrator:
 
 
 # heyoka takes the step h from the last two Taylor coefficients c_p and c_{p-1} alone, such that
-# |c_j| h^j ~ |x| exp(-2 j) there. Where these two happen to vanish, as from x = 0 in x' = 1 + x^3
+# |c_j| h^j ~ max(1, |x|) exp(-2 j) there: at rest x = 0 counts as 1, too. Where these two happen to vanish, as from x = 0 in x' = 1 + x^3
 # whose series has only every third term, the step is far too long. So the few coefficients before
 # them are held to the same rule, with some slack because they usually exceed it a little.
 SLACK = 100.0
@@ -182,13 +182,13 @@ def _orders(count: int) -> range:
 
 
 def _excess(steps: _StepRecord, moving: int, lengths: np.ndarray) -> float:
-    """Largest |c_j| h^j / (|x| exp(-2 j)) over all steps."""
+    """Largest |c_j| h^j / (max(1, |x|) exp(-2 j)) over all steps."""
     table = steps.table[: len(lengths), :moving]
     orders = _orders(table.shape[2])
     begin, late = table[:, :, :2], table[:, :, orders.start : orders.stop]
     with np.errstate(all="ignore"):  # an escape overflows; an event may end a step at its begin
         squares = np.einsum("sij,sij->sj", begin, begin)  # Euclidean norms: several times faster
-        size = np.maximum(squares[:, 0], squares[:, 1] * lengths**2) + 1e-300  # not 0/0
+        size = np.maximum(1.0, np.maximum(squares[:, 0], squares[:, 1] * lengths**2))
         reach = np.log(lengths) + 2.0
         growth = np.exp(2.0 * reach[:, None] * np.arange(orders.start, orders.stop))
         terms = np.einsum("sij,sij->sj", late, late) * growth
@@ -198,7 +198,7 @@ def _excess(steps: _StepRecord, moving: int, lengths: np.ndarray) -> float:
 def _safe_step(coefficients: np.ndarray, length: float) -> float:
     """Longest step by the rule above."""
     table = np.abs(coefficients)
-    size = max(table[:, 0].max(), table[:, 1].max() * length)
+    size = max(1.0, table[:, 0].max(), table[:, 1].max() * length)
     j = np.array(_orders(table.shape[1]))
     with np.errstate(divide="ignore"):
         limits = (SLACK * size / table[:, j].max(axis=0)) ** (1.0 / j) * np.exp(-2.0)
