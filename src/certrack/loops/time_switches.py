@@ -45,12 +45,15 @@ class TimeSwitches:
         of roots, asin, acos and atan2.
     formulas : formulas
         Largest formulas of t alone, written by the switches; each has t in it.
+    own : formulas
+        Switches of t and of numbers that differ between members: left where they are.
     """
 
     symbols: tuple[sympy.Symbol, ...] = ()
     functions: tuple[sympy.Expr, ...] = ()
     branches: tuple[sympy.Expr, ...] = ()
     formulas: tuple[sympy.Expr, ...] = ()
+    own: tuple[sympy.Expr, ...] = ()
 
     @property
     def numbers(self) -> frozenset[sympy.Symbol]:
@@ -88,7 +91,9 @@ def switched_loop(
 
 
 def switched_sampled_loop(
-    loop: SampledLoop, numbers: Iterable[sympy.Symbol] | None = None
+    loop: SampledLoop,
+    numbers: Iterable[sympy.Symbol] | None = None,
+    varying: Iterable[sympy.Symbol] = (),
 ) -> tuple[SampledLoop, TimeSwitches]:
     """The same for a loop with a sampled controller.
 
@@ -97,7 +102,7 @@ def switched_sampled_loop(
     if numbers is None:
         numbers = loop.parameters
     plant = loop.plant
-    formulas, switches = take_switches([*plant.rates, loop.e_1, loop.slope], numbers)
+    formulas, switches = take_switches([*plant.rates, loop.e_1, loop.slope], numbers, varying)
     *rates, e_1, slope = formulas
     changed = replace(
         loop,
@@ -110,7 +115,9 @@ def switched_sampled_loop(
 
 
 def take_switches(
-    formulas: Sequence[sympy.Expr], numbers: Iterable[sympy.Symbol]
+    formulas: Sequence[sympy.Expr],
+    numbers: Iterable[sympy.Symbol],
+    varying: Iterable[sympy.Symbol] = (),
 ) -> tuple[list[sympy.Expr], TimeSwitches]:
     """Replace switches of t and `numbers` by symbols.
 
@@ -118,6 +125,8 @@ def take_switches(
     ----------
     formulas : sequence of sympy.Expr
     numbers : symbols
+    varying : symbols
+        Numbers that differ between members.
 
     Returns
     -------
@@ -125,6 +134,8 @@ def take_switches(
     switches : TimeSwitches
     """
     known = frozenset(numbers) | {TIME}
+    members = known | frozenset(varying)
+    own: dict[sympy.Expr, None] = {}
     symbols: dict[sympy.Expr, sympy.Symbol] = {}
     branches: dict[sympy.Expr, None] = {}
     memory: dict[sympy.Expr, sympy.Expr] = {}
@@ -145,6 +156,8 @@ def take_switches(
         if not expr.args:
             return expr
         if not (expr.free_symbols and expr.free_symbols <= known):
+            if isinstance(expr, _SWITCHING) and TIME in expr.free_symbols <= members:
+                own[expr] = None
             return expr.func(*map(smooth, expr.args))
         if isinstance(expr, (sympy.Max, sympy.Min)):
             upwards = 1 if isinstance(expr, sympy.Max) else -1
@@ -174,7 +187,7 @@ def take_switches(
     used = frozenset().union(*(formula.free_symbols for formula in changed))
     inner = [function for function, symbol in symbols.items() if symbol not in used]
     kept = {symbol: function for function, symbol in symbols.items() if symbol in used}
-    switches = TimeSwitches(tuple(kept), tuple(kept.values()), (*inner, *branches), parts)
+    switches = TimeSwitches(tuple(kept), tuple(kept.values()), (*inner, *branches), parts, tuple(own))
     return changed, switches
 
 

@@ -21,8 +21,9 @@ from certrack.loops.continuous import INTEGRAL_SCALE
 from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop, loop_values, sample_loop
+from certrack.loops.schedule import Schedule, make_schedule
+from certrack.loops.time_switches import TimeSwitches, switched_sampled_loop
 from certrack.model.noise import keys
-from certrack.references import Reference, pieces_at
 from certrack.simulation.run import Run
 from certrack.systems.system import System
 
@@ -35,7 +36,7 @@ MAX_FINE_STEPS, COARSE_PARTS = 20_000, 2
 #: Samples after which the progress is reported: often enough to be seen, too rarely to cost time.
 SAMPLES_PER_REPORT = 500
 
-#: Takes a time at a break of the reference to the piece that begins there, whatever its rounding.
+#: Takes a time at a break to the piece that begins there, whatever its rounding.
 JUST_AFTER = 1 + 1e-12
 
 
@@ -49,6 +50,15 @@ class SampledSimulator:
         Gets the compiled maps and the loop; the run uses the maps that it returns.
     controller : SampledController, optional
         That of the system, where it has been made before.
+    with_switches : bool
+        Whether switches of time are symbols of the piece; otherwise the error control follows them.
+
+    Attributes
+    ----------
+    loop : SampledLoop
+        As :func:`~certrack.loops.sampled.sample_loop` makes it.
+    maps : SampledMaps
+        Of the loop with its switches of time.
     """
 
     def __init__(
@@ -56,8 +66,12 @@ class SampledSimulator:
         system: System,
         around: Callable[[SampledMaps, SampledLoop], SampledMaps] | None = None,
         controller: SampledController | None = None,
+        with_switches: bool = True,
     ) -> None:
         self.loop: SampledLoop = sample_loop(system, controller=controller)
+        loop, self._switches = self.loop, TimeSwitches()
+        if with_switches:
+            loop, self._switches = switched_sampled_loop(loop)
         integrator = system.settings.integrator
         if integrator == "implicit":
             raise InputError(
@@ -67,20 +81,23 @@ class SampledSimulator:
                 "Use auto or scipy",
             )
         by_numpy = integrator == "scipy" or not has_heyoka()
-        loop = self.loop
         maps: SampledMaps = NumpyMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
         self.maps = maps if around is None else around(maps, loop)
         self.outputs = outputs_of(self.loop)
-        names = [TIME, self.loop.plant.states, INPUT, [*self.loop.parameters, *self.loop.pieces]]
-        self._rates = numpy_callable(names, [*self.loop.plant.rates, self.loop.e_1])
+        names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
+        self._rates = numpy_callable(names, [*loop.plant.rates, loop.e_1])
 
     def run(self, system: System, progress: Progress = silent) -> Run:
         """Simulate `system`; `progress` gets the time reached."""
         implementation, settings = system.implementation, system.settings
         assert implementation is not None
-        breaks = system.reference.breaks(0.0, settings.duration)
-        line = event_timeline(implementation, settings.duration, breaks, np.empty(0))
         parameters = loop_values(self.loop, system)[:, None]
+        numbers = dict(zip(self.loop.parameters, parameters[:, 0].tolist(), strict=True))
+        schedule = make_schedule(
+            system.reference, self._switches, numbers, settings.duration, settings.tolerance
+        )
+        breaks = schedule.breaks(0.0, settings.duration)
+        line = event_timeline(implementation, settings.duration, breaks, np.empty(0))
         problem = SampledProblem(
             x=np.array(settings.x0)[:, None],
             states=starting_state(self.loop.controller, system.estimates, implementation)[:, None],
@@ -89,7 +106,7 @@ class SampledSimulator:
             implementation=implementation,
             timeline=line,
             outputs=self.outputs,
-            pieces=system.reference.piece_values,
+            pieces=schedule.piece_values,
             keys=keys(implementation.seed, implementation.stream, 1),
             tolerance=settings.tolerance,
             max_state=settings.max_state,
@@ -110,11 +127,11 @@ class SampledSimulator:
         if outcome is not Outcome.finished:
             record.drop_from(settings.max_state)
         times = np.array(record.ends)
-        slopes = Slopes(self._rates, system.reference, parameters[:, 0])
+        slopes = Slopes(self._rates, schedule, parameters[:, 0])
         solution = record.solution(slopes, run.u[0])
         parts = PARTS if len(solution.ends) <= MAX_FINE_STEPS else COARSE_PARTS
         trajectory = Trajectory(times, solution, outcome, "sampled", parts)
-        return Run(system, trajectory, solution.input_at)
+        return Run(system, trajectory, solution.input_at, schedule.notes)
 
 
 @dataclass(frozen=True)
@@ -125,16 +142,16 @@ class Slopes:
     ----------
     rates : NumpyFunction
         Those of the states, and e_1.
-    reference : Reference
+    schedule : Schedule
     parameters : (P,) array
     """
 
     rates: NumpyFunction
-    reference: Reference
+    schedule: Schedule
     parameters: Array
 
     def __call__(self, t: Array, x: Array, u: Array, begins: Array) -> Array:
-        pieces = pieces_at(self.reference, begins * JUST_AFTER)
+        pieces = self.schedule.pieces_at(begins * JUST_AFTER)
         with np.errstate(all="ignore"):
             rates = rows(self.rates(t, x, u, [*self.parameters, *pieces]), len(t))
         e = rates[-1]

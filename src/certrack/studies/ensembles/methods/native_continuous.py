@@ -41,7 +41,9 @@ class NativeContinuous(Method):
 
     def __init__(self, problem: EnsembleProblem, threads: int) -> None:
         self._problem, self._threads = problem, threads
-        self._flow = build_flow(problem.members, problem.varying)
+        self._flow, switches = build_flow(problem.members, problem.varying)
+        problem.refuse_own_times(switches)
+        self._segments = problem.segments(switches)
         signals = shown_signals(self._flow, problem.members.loop)
         self._native = Native(self._flow, signals)
         self._native.reserve(threads, counts_shape(len(signals), len(problem.times)))
@@ -62,7 +64,7 @@ class NativeContinuous(Method):
 
     def _integrate(self, begin: int, end: int, bands: Bands) -> tuple[NativeResult, slice]:
         """Whole groups, and where the members begin ... end-1 are among them; these are counted."""
-        problem, segments = self._problem, self._problem.segments
+        problem, segments = self._problem, self._segments
         first = begin - begin % GROUP_SIZE
         starts, table = problem.starts_and_parameters(first, -(-end // GROUP_SIZE) * GROUP_SIZE)
         parameters = np.array([table[name] for name in self._flow.parameters])

@@ -17,6 +17,7 @@ from certrack.integrators.sampled.run import SampledProblem
 from certrack.loops.controller import controller_values, sampled_controller, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import loop_values, sample_loop
+from certrack.loops.time_switches import switched_sampled_loop
 from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.sampled import outputs_of
@@ -82,7 +83,10 @@ class SampledMethod(Method):
         general = sample_loop(system, sampled_totals())
         base = zip(general.parameters, loop_values(general, system).tolist(), strict=True)
         fixed = {name: sympy.Float(value) for name, value in base if name not in free}
-        loop = general.with_numbers(fixed)
+        loop, switches = switched_sampled_loop(general.with_numbers(fixed), (), problem.varying)
+        if not adjustable:
+            problem.refuse_own_times(switches)
+        self.segments = problem.segments(switches)
         pieces = (IN_TAIL, *loop.pieces)
         self.loop = replace(loop, parameters=(*loop.parameters, SETTLING_BAND), pieces=pieces)
         self.shown = (loop.e_1, *loop.plant.outputs, INPUT)
@@ -151,7 +155,7 @@ class SampledMethod(Method):
     def _timeline_under(self, implementation: Implementation) -> EventTimeline:
         """All events under an implementation: the same for all members."""
         problem = self.problem
-        duration, breaks = problem.system.settings.duration, problem.segments.edges[1:-1]
+        duration, breaks = problem.system.settings.duration, self.segments.edges[1:-1]
         return event_timeline(implementation, duration, breaks, problem.times)
 
     def _group_problem(
@@ -179,7 +183,7 @@ class SampledMethod(Method):
             implementation=implementation,
             timeline=events,
             outputs=self._outputs,
-            pieces=self.problem.segments.at,
+            pieces=self.segments.at,
             keys=keys(self.problem.members.seed, first, count),
             tolerance=self.problem.tolerance,
             max_state=self._system.settings.max_state,
