@@ -21,8 +21,16 @@ from certrack.loops.schedule import Pieces
 #: A state larger than this where the solution ceases to exist is escaping, not leaving a domain.
 ESCAPING = 1e3
 
-#: Memory for the steps of a run, and the order of the Taylor method at usual tolerances.
-MAX_RECORD_BYTES, USUAL_ORDER = 5e8, 15
+#: Memory for the steps of a run and what is made of them: with the compiled code, which takes 0.1 GB,
+#: it is half a gigabyte. The order of the Taylor method at usual tolerances.
+MAX_RECORD_BYTES, USUAL_ORDER = 4e8, 15
+
+#: Into so many parts a step is cut where extremes are looked for. A run of more steps than
+#: MAX_FINE_STEPS is cut into COARSE_PARTS each, so that it fits into memory.
+PARTS, MAX_FINE_STEPS, COARSE_PARTS = 8, 20_000, 4
+
+#: Numbers that metrics keep of every sample, besides the states.
+NUMBERS_PER_SAMPLE = 25
 
 
 class MethodUnavailable(CertrackError):
@@ -95,8 +103,10 @@ class Problem:
 
     @property
     def max_steps(self) -> int:
-        """As many steps as half a gigabyte of Taylor coefficients allows."""
-        return int(MAX_RECORD_BYTES / (8 * USUAL_ORDER * len(self.start)))
+        """As many steps as the memory for coefficients, samples and metrics allows."""
+        samples = COARSE_PARTS + 1
+        numbers = (USUAL_ORDER + samples) * len(self.start) + samples * NUMBERS_PER_SAMPLE
+        return int(MAX_RECORD_BYTES / (8 * numbers))
 
     @property
     def segments(self) -> list[tuple[float, float]]:
@@ -126,12 +136,17 @@ class Trajectory:
     interpolate: Callable[[np.ndarray], np.ndarray]
     outcome: Outcome
     method: str
-    parts: int = 8
+    parts: int = PARTS
 
     @property
     def end(self) -> float:
         """Last time reached, s."""
         return float(self.times[-1])
+
+
+def parts_of(steps: int) -> int:
+    """Into how many parts each of so many steps is cut."""
+    return PARTS if steps <= MAX_FINE_STEPS else COARSE_PARTS
 
 
 class Integrator(Protocol):

@@ -205,7 +205,8 @@ def _from_dense(
         dense, 0, t[change], t[change + 1], np.where(e[change] < 0, -1.0, 1.0)
     )
     running = integrals[2]
-    marks = np.concatenate([running[:1], dense(zeros)[2], running[-1:]])
+    inner = dense(zeros)[2] if len(zeros) else zeros
+    marks = np.concatenate([running[:1], inner, running[-1:]])
     return (
         settling,
         _dense_tail_supremum(t, e, tail_start, per_step, dense, smooth),

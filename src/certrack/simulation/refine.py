@@ -112,6 +112,8 @@ def refine_extremes(
         Whether Newton's step may be taken: no kink lies inside.
     """
     begins, ends, signs = where.begins, where.ends, where.signs
+    if not len(begins):
+        return Found(begins, begins)
     best_time, best = begins, np.full(len(begins), -np.inf)
     grid = values = np.empty((len(begins), len(POINTS)))
     every = np.arange(len(begins))
@@ -124,7 +126,7 @@ def refine_extremes(
         best_time = np.where(better, grid[every, top], best_time)
         inner = np.clip(top, 1, len(POINTS) - 2)
         begins, ends = grid[every, inner - 1], grid[every, inner + 1]
-    if smooth and len(every):
+    if smooth:
         inner = np.clip(np.argmax(values, axis=1), 1, len(POINTS) - 2)
         f = values[every[:, None], inner[:, None] + np.array([-1, 0, 1])]
         h = grid[:, 1] - grid[:, 0]
@@ -147,6 +149,8 @@ def refine_crossings(
     level: float = 0.0,
 ) -> np.ndarray:
     """Where sign * signal, above the level at the begin of an interval, falls to it for good."""
+    if not len(begins):
+        return begins
     every = np.arange(len(begins))
     for _ in range(ROUNDS + 1):
         grid = begins[:, None] + (ends - begins)[:, None] * POINTS

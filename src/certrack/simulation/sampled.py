@@ -13,7 +13,7 @@ from certrack.core.expressions import TIME
 from certrack.core.heyoka import has_heyoka
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.progress import Progress, silent
-from certrack.integrators.base import Outcome, Trajectory
+from certrack.integrators.base import Outcome, Trajectory, parts_of
 from certrack.integrators.sampled.events import event_timeline
 from certrack.integrators.sampled.maps import HeyokaMaps, NumpyMaps, SampledMaps
 from certrack.integrators.sampled.run import SampledProblem, SampledRun
@@ -26,12 +26,6 @@ from certrack.loops.time_switches import TimeSwitches, switched_sampled_loop
 from certrack.model.noise import keys
 from certrack.simulation.run import Run
 from certrack.systems.system import System
-
-#: Parts of a step between which a run is sampled: enough for the metrics to refine a peak.
-PARTS = 8
-
-#: A run of more steps is sampled at their ends and middles only, so that it fits into memory.
-MAX_FINE_STEPS, COARSE_PARTS = 20_000, 2
 
 #: Samples after which the progress is reported: often enough to be seen, too rarely to cost time.
 SAMPLES_PER_REPORT = 500
@@ -129,7 +123,7 @@ class SampledSimulator:
         times = np.array(record.ends)
         slopes = Slopes(self._rates, schedule, parameters[:, 0])
         solution = record.solution(slopes, run.u[0])
-        parts = PARTS if len(solution.ends) <= MAX_FINE_STEPS else COARSE_PARTS
+        parts = parts_of(len(solution.ends) - 1)
         trajectory = Trajectory(times, solution, outcome, "sampled", parts)
         return Run(system, trajectory, solution.input_at, schedule.notes)
 

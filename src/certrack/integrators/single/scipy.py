@@ -10,7 +10,7 @@ import numpy as np
 
 from certrack.core.expressions import TIME
 from certrack.core.lowering import jacobian, numpy_callable
-from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
+from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory, parts_of
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
 
 #: Evaluations of the rates in one segment of the reference; a run with more would take minutes.
@@ -70,7 +70,8 @@ class ScipyIntegrator:
             y = solver.y
             if outcome is not Outcome.finished:
                 break
-        return Trajectory(np.array(times), SteppedOutput(times, pieces, y), outcome, method)
+        output, parts = SteppedOutput(times, pieces, y), parts_of(len(pieces))
+        return Trajectory(np.array(times), output, outcome, method, parts)
 
     def _jacobian_at(self, t: float, y: np.ndarray, p: np.ndarray) -> np.ndarray:
         assert self._jacobian is not None
@@ -93,7 +94,7 @@ def _advance(solver: Any, problem: Problem, times: list[float], pieces: list[Any
         times.append(solver.t)
         if not np.abs(solver.y[:n]).max() <= problem.max_state:
             return Outcome.escaped
-        if solver.nfev > MAX_EVALUATIONS:
+        if solver.nfev > MAX_EVALUATIONS or len(pieces) >= problem.max_steps:
             return Outcome.step_limit
     return Outcome.finished
 
