@@ -144,7 +144,7 @@ def take_switches(
         if not function.free_symbols:
             return sympy.sign(function)
         if function not in symbols:
-            symbols[function] = sympy.Symbol(f"time_switch_{len(symbols)}", real=True)
+            symbols[function] = sympy.Symbol(f"switch_time_{len(symbols)}", real=True)
         return symbols[function]
 
     def smooth(expr: sympy.Expr) -> sympy.Expr:
