@@ -218,3 +218,35 @@ def by_hand(seed: int):
     drawn = draw(seed)
     system = certrack.loads(drawn.text)
     return system, ByHand(drawn, system)
+
+
+def lean_chain(duration: float = 20_000.0):
+    """An adaptive chain of twelve states without damping, in a run too long for its steps."""
+    n = 12
+    text = f"""
+[plant]
+states = {[f"x{i + 1}" for i in range(n)]}
+chain = {[1] * (n - 1)}
+drift = "0"
+regressor = ["sin(x1)"]
+gain_sign = 1
+[plant.uncertainty]
+tau = {[0] * (n - 1) + [1]}
+gamma = {[0] * n}
+beta = {[0] * (n - 1) + [0.1]}
+[truth]
+input_gain = 1
+theta = [0.5]
+omega = {["0"] * (n - 1) + ["0.1*sin(t)"]}
+[reference]
+signal = "0.2*sin(t)"
+[law]
+kind = "adaptive"
+c = {[2.0] * n}
+delta0 = 1
+[simulation]
+x0 = {[0] * n}
+duration = {duration}
+integrator = "taylor"
+"""
+    return certrack.loads(text.replace("'", '"'))

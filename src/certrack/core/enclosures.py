@@ -289,18 +289,18 @@ def _power(x: Enclosure, exponent: sympy.Expr) -> Enclosure:
         defined = (low > 0) | (high < 0)
     else:
         defined = low > 0
-    ends = np.array([low**p, high**p])
+    ends = np.array([np.where(defined, low, high) ** p, high**p])
+    bounded = defined if exponent.is_Integer or p < 0 else high >= 0
+    first = np.where(defined, ends.min(axis=0), 0.0)  # a root begins at zero
     value = _of_bounds(
-        np.where(defined, ends.min(axis=0), np.nan),
-        x.order,
-        np.where(defined, ends.max(axis=0), np.nan),
+        np.where(bounded, first, np.nan), x.order, np.where(bounded, ends.max(axis=0), np.nan)
     )
     smallest = np.fmin(abs(low), abs(high))
     for k in range(1, x.order + 1):  # k x_0 y_k = sum_j (p j - (k - j)) x_j y_{k-j}
         weights = [abs(p * j - (k - j)) for j in range(1, k + 1)]
         terms = sum(w * x.sizes[j + 1] * value.sizes[k - j - 1] for j, w in enumerate(weights))
         value.sizes[k] = np.where(defined, terms / (k * smallest), np.inf)
-    value.sizes[0] = np.where(defined, value.sizes[0], np.inf)
+    value.sizes[0] = np.where(bounded, value.sizes[0], np.inf)
     slopes = np.array([p * ends[0] / low, p * ends[1] / high])
     bounds = _times((slopes.min(axis=0), slopes.max(axis=0)), (x.low[1], x.high[1]))
     value.low[1], value.high[1] = (np.where(defined, bound, np.nan) for bound in bounds)

@@ -13,12 +13,13 @@ import sympy
 
 from certrack.core.arrays import Array
 from certrack.core.enclosures import Enclosure, Known, enclose
+from certrack.core.errors import InputError
 
 #: Intervals are halved down to this part of the time.
 RESOLUTION = 1e-13
 
-#: More intervals than this at once: the formula is zero, but for rounding, on a whole interval, or
-#: its changes of sign are too many. They are then looked at by their ends only.
+#: More intervals than this at once: the changes of sign are too many, or the formula is zero, but
+#: for rounding, for a while.
 MAX_INTERVALS = 100_000
 
 #: Halvings that take any interval to neighbouring floats.
@@ -37,6 +38,11 @@ def sign_changes(formula: sympy.Expr, nodes: Array, known: Known) -> Array:
         Increasing; from the begin to the end of the search.
     known : mapping
         Numbers of all symbols but t.
+
+    Raises
+    ------
+    InputError
+        If they are too many.
 
     Returns
     -------
@@ -58,8 +64,13 @@ def sign_changes(formula: sympy.Expr, nodes: Array, known: Known) -> Array:
         begins, ends = begins[rest], ends[rest]
         middle = (begins + ends) / 2
         if 2 * len(begins) > MAX_INTERVALS:
-            found.append(_bracketed(formula, begins, ends, known))
-            break
+            raise InputError(
+                "simulation.duration",
+                f"holds more than {MAX_INTERVALS // 2} changes of sign of a formula of t under "
+                "abs, sign, min or max, or the formula is zero but for rounding",
+                sympy.sstr(formula),
+                "Shorten the run, or write the formula smoother",
+            )
         begins, ends = np.concatenate([begins, middle]), np.concatenate([middle, ends])
     times = np.unique(np.concatenate(found))
     inside = (times > nodes[0]) & (times < nodes[-1])
@@ -78,9 +89,10 @@ def _tightened(formula: sympy.Expr, begins: Array, ends: Array, known: Known) ->
     middle = (begins + ends) / 2
     centre = enclose(formula, middle, middle, known, 1)
     reach = np.maximum(np.abs(enclosure.low[1]), np.abs(enclosure.high[1]))
-    reach = reach * (1 + 1e-15) + 1e-16 * centre.sizes[0]
-    low = np.fmax(enclosure.low[0], centre.low[0] - reach)
-    high = np.fmin(enclosure.high[0], centre.high[0] + reach)
+    with np.errstate(invalid="ignore"):  # infinity less infinity: nothing is known
+        reach = reach * (1 + 1e-15) + 1e-16 * centre.sizes[0]
+        low = np.fmax(enclosure.low[0], centre.low[0] - reach)
+        high = np.fmin(enclosure.high[0], centre.high[0] + reach)
     return Enclosure(
         np.array([low, enclosure.low[1]]), np.array([high, enclosure.high[1]]), enclosure.sizes
     )
@@ -89,7 +101,7 @@ def _tightened(formula: sympy.Expr, begins: Array, ends: Array, known: Known) ->
 def _bracketed(formula: sympy.Expr, begins: Array, ends: Array, known: Known) -> Array:
     """The change of sign on each interval whose ends differ in it, and ends that are zero."""
     first, last = (_values(formula, times, known) for times in (begins, ends))
-    zeros = np.concatenate([begins[first == 0], ends[last == 0]])
+    zeros = np.concatenate([begins[(first == 0) & (last != 0)], ends[(last == 0) & (first != 0)]])
     change = first * last < 0
     a, b, rising = begins[change], ends[change], first[change] < 0
     for _ in range(BISECTIONS):
@@ -103,5 +115,6 @@ def _bracketed(formula: sympy.Expr, begins: Array, ends: Array, known: Known) ->
 def _values(formula: sympy.Expr, times: Array, known: Known) -> Array:
     """The formula at times: the middle of its enclosure there."""
     point = enclose(formula, times, times, known, 1)
-    middle: Array = np.nan_to_num((point.low[0] + point.high[0]) / 2)
+    with np.errstate(invalid="ignore"):
+        middle: Array = np.nan_to_num((point.low[0] + point.high[0]) / 2)
     return middle

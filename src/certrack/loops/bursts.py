@@ -98,7 +98,9 @@ def scan(
         enclosure = enclose(formula, begins, ends, values, ORDER)
         width = ends - begins
         allowed = tolerance * (1 + enclosure.sizes[0])
-        fine = enclosure.sizes[ORDER] * width <= allowed
+        known_well = np.isfinite(enclosure.sizes[ORDER])
+        fine = known_well & (enclosure.sizes[ORDER] * width <= allowed)
+        fine |= enclosure.sizes[0] * width <= tolerance  # whatever it does there
         tiny = width <= SHORTEST_CELL * duration
         full = count + len(begins) > MAX_CELLS
         unresolved |= bool((~fine & (tiny | full)).any())
@@ -112,7 +114,9 @@ def scan(
     edges = np.append(np.sort(np.concatenate(done)), nodes[-1])
     marks = _marks(edges)
     shortest = float(np.diff(edges).min())
-    return Scan(marks, count, shortest, _note(formula, count, shortest, len(marks), unresolved))
+    numbers = {symbol: sympy.Float(float(value)) for symbol, value in known.items()}
+    text = sympy.sstr(formula.xreplace(numbers), full_prec=False)
+    return Scan(marks, count, shortest, _note(text, count, shortest, len(marks), unresolved))
 
 
 def _marks(edges: Array) -> Array:
@@ -128,8 +132,7 @@ def _marks(edges: Array) -> Array:
     return found
 
 
-def _note(formula: sympy.Expr, cells: int, shortest: float, marks: int, unresolved: bool) -> str:
-    text = str(formula)
+def _note(text: str, cells: int, shortest: float, marks: int, unresolved: bool) -> str:
     text = text if len(text) <= 60 else f"{text[:57]}..."
     if unresolved:
         return (

@@ -18,14 +18,10 @@ import numpy as np
 import sympy
 
 from certrack.core.arrays import Array
-from certrack.core.errors import InputError
 from certrack.core.sign_changes import sign_changes, signs
 from certrack.loops.bursts import Scan, scan
 from certrack.loops.time_switches import TimeSwitches
 from certrack.references import Reference, pieces_at
-
-#: More switches of time than this in a run are refused: each is a stop of the integrator.
-MAX_SWITCHES = 200_000
 
 #: Two times closer than this part of the run are one: rounding separated them.
 SAME_TIME = 1e-13
@@ -152,13 +148,6 @@ def _found(
     for function in (*switches.branches, *switches.functions):
         new = sign_changes(function, nodes, known)
         nodes = np.union1d(nodes, new)
-        if len(nodes) > MAX_SWITCHES:
-            raise InputError(
-                "simulation.duration",
-                f"holds more than {MAX_SWITCHES} switches of a formula of t",
-                duration,
-                "Shorten the run, or write the formula smoother",
-            )
     distinct = np.concatenate([[True], np.diff(nodes) > SAME_TIME * duration])
     nodes = np.append(nodes[:-1][distinct[:-1]], duration)
     middles = (nodes[:-1] + nodes[1:]) / 2

@@ -37,16 +37,9 @@ STIFF_TIME_CONSTANTS = 2e5
 #: ... and if its fastest pole is so many times its slowest; else every method needs short steps.
 STIFF_POLE_RATIO = 1e3
 
-#: Functions with kinks that show as switches.
-KINKED_FUNCTIONS = (
-    sympy.Abs,
-    sympy.sign,
-    sympy.Min,
-    sympy.Max,
-    sympy.asin,
-    sympy.acos,
-    sympy.atan2,
-)
+#: Functions whose jumps and branch points may lie inside a step of SciPy's methods; at other kinks
+#: they stop.
+UNSEEN_KINKS = (sympy.sign, sympy.asin, sympy.acos, sympy.atan2)
 
 #: Functions with jumps or branch points that do not show as switches.
 BRANCHING_FUNCTIONS = (sympy.asin, sympy.acos, sympy.atan2, sympy.tan)
@@ -77,7 +70,7 @@ class ContinuousSimulator:
         self.loop: ClosedLoop = close_loop(system)
         self._switched, self._switches = switched_loop(self.loop)
         self._idle: dict[tuple[str, float], list[Integrator]] = {}
-        self._has_kinks = any(rate.has(*KINKED_FUNCTIONS) for rate in self._switched.rates)
+        self._has_kinks = any(rate.has(*UNSEEN_KINKS) for rate in self._switched.rates)
         self._parameters = parameter_values(self.loop, system)
         loop = self._switched
         self._input = numpy_callable([TIME, loop.states, loop.parameters], [loop.u])

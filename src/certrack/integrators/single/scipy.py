@@ -25,9 +25,9 @@ KINK_SAMPLES = np.linspace(0.0, 1.0, 6)
 #: ends.
 KINK_BISECTIONS, AT_BEGIN = 50, 1e-10
 
-#: The explicit method gets this part of the tolerance: its error between the ends of a step is some
-#: 30 times that at the ends.
-EXPLICIT_SHARE = 0.03
+#: The methods get this part of the tolerance. The error of the explicit one between the ends of a
+#: step is some 30 times that at the ends; the errors of the many steps of the implicit one add up.
+EXPLICIT_SHARE, IMPLICIT_SHARE = 0.03, 0.05
 
 #: SciPy refuses smaller relative tolerances (100 times the rounding of a double).
 MIN_RELATIVE_TOLERANCE = 3e-14
@@ -63,7 +63,7 @@ class ScipyIntegrator:
         times: list[float] = [0.0]
         pieces: list[Any] = []
         y, outcome = np.array(problem.start, dtype=float), Outcome.finished
-        tolerance = problem.tolerance * (1.0 if self.implicit else EXPLICIT_SHARE)
+        tolerance = problem.tolerance * (IMPLICIT_SHARE if self.implicit else EXPLICIT_SHARE)
         absolute = np.full(self._size, tolerance)
         absolute[-len(INTEGRALS) :] /= INTEGRAL_SCALE
         for begin, stop in problem.segments:
