@@ -179,7 +179,7 @@ class ByHand:
         times = np.unique(times)
         return times[(times >= 0) & (times <= DURATION)]
 
-    def solve(self, grid: np.ndarray, tolerance: float = 3e-13) -> np.ndarray:
+    def solve(self, grid: np.ndarray, tolerance: float = 1e-12) -> np.ndarray:
         """Plant states on a grid."""
         y, columns = np.array(self.system.start, dtype=float), []
         nodes = self.nodes()
