@@ -44,8 +44,10 @@ def draw(seed: int) -> Draw:
     signal = ["smooth", "kinked", "triangle", "trapezoid", "steps", "samples"]
     reference = "smooth" if kind == "classic" and n > 1 else str(rng.choice(signal))
     g = [round(rng.uniform(0.7, 1.5), 3) for _ in range(n)]
-    b = [[round(rng.uniform(-0.4, 0.4), 3) * (rng.random() < 0.4) for _ in range(i + 1)]
-         for i in range(n - 1)]
+    b = [
+        [round(rng.uniform(-0.4, 0.4), 3) * (rng.random() < 0.4) for _ in range(i + 1)]
+        for i in range(n - 1)
+    ]
     drifts = ["0", "-0.3*x1", "0.2*sin(x1)", "-0.2*abs(x1)*x1", "0.2*x1/(1 + x1**2)"]
     drift = str(rng.choice(drifts))
     regressor = [["sin(x1)"], ["x1"], []][int(rng.integers(3))]
@@ -59,7 +61,7 @@ def draw(seed: int) -> Draw:
     lines = _reference(rng, reference, switches)
     smooth = reference == "smooth"
     feedforward = int(rng.integers(n)) if smooth and kind != "classic" else 0
-    law = ['[law]', f'kind = "{kind}"', f"c = {[round(rng.uniform(1, 2.5), 2) for _ in range(n)]}"]
+    law = ["[law]", f'kind = "{kind}"', f"c = {[round(rng.uniform(1, 2.5), 2) for _ in range(n)]}"]
     if kind != "classic":
         law.append(f"feedforward = {feedforward}")
     if kind == "adaptive":
@@ -68,11 +70,30 @@ def draw(seed: int) -> Draw:
     x0 = [0.0] * n if rest else [round(rng.uniform(-0.3, 0.3), 3) for _ in range(n)]
     known = [f"input_gain = {g[-1]}", f"theta = {theta}"] if kind == "robust" else []
     text = "\n".join(
-        ["[plant]", f"states = {[f'x{i + 1}' for i in range(n)]}", f"chain = {g[:-1]}",
-         f"linear = {b}", f'drift = "{drift}"', f"regressor = {regressor}", "gain_sign = 1",
-         *known, "[plant.uncertainty]", f"tau = {tau}", f"gamma = {[0] * n}", f"beta = {[9] * n}",
-         "[truth]", f"input_gain = {g[-1]}", f"theta = {theta}", f"omega = {omega}",
-         *lines, *law, "[simulation]", f"x0 = {x0}", f"duration = {DURATION}", "tail = 1"]
+        [
+            "[plant]",
+            f"states = {[f'x{i + 1}' for i in range(n)]}",
+            f"chain = {g[:-1]}",
+            f"linear = {b}",
+            f'drift = "{drift}"',
+            f"regressor = {regressor}",
+            "gain_sign = 1",
+            *known,
+            "[plant.uncertainty]",
+            f"tau = {tau}",
+            f"gamma = {[0] * n}",
+            f"beta = {[9] * n}",
+            "[truth]",
+            f"input_gain = {g[-1]}",
+            f"theta = {theta}",
+            f"omega = {omega}",
+            *lines,
+            *law,
+            "[simulation]",
+            f"x0 = {x0}",
+            f"duration = {DURATION}",
+            "tail = 1",
+        ]
     ).replace("'", '"')
     return Draw(text, n, g, b, drift, regressor, theta, omega, tau, switches, bumps)
 
@@ -124,11 +145,20 @@ def _reference(rng, kind, switches) -> list[str]:
         shape = [f"amplitude = {a}", f"period = {period}", f"rise = {round(period / 5, 3)}"]
         return ["[reference]", 'kind = "trapezoid"', *shape]
     if kind == "steps":
-        return ["[reference]", 'kind = "steps"', "times = [0.7, 2.1]", f"levels = [0, {a}, 0]",
-                "slope = 2"]
+        return [
+            "[reference]",
+            'kind = "steps"',
+            "times = [0.7, 2.1]",
+            f"levels = [0, {a}, 0]",
+            "slope = 2",
+        ]
     values = [0.0, *(round(v, 3) for v in rng.uniform(-a, a, 4)), 0.0]
-    return ["[reference]", 'kind = "samples"', "times = [0, 1, 2.3, 3, 4.5, 7]",
-            f"values = {[float(value) for value in values]}"]
+    return [
+        "[reference]",
+        'kind = "samples"',
+        "times = [0, 1, 2.3, 3, 4.5, 7]",
+        f"values = {[float(value) for value in values]}",
+    ]
 
 
 class ByHand:
@@ -136,8 +166,15 @@ class ByHand:
 
     def __init__(self, drawn: Draw, system) -> None:
         self.drawn, self.system = drawn, system
-        names = {"abs": abs, "sign": lambda v: float(v > 0) - float(v < 0), "min": min, "max": max,
-                 "sin": math.sin, "cos": math.cos, "exp": math.exp}
+        names = {
+            "abs": abs,
+            "sign": lambda v: float(v > 0) - float(v < 0),
+            "min": min,
+            "max": max,
+            "sin": math.sin,
+            "cos": math.cos,
+            "exp": math.exp,
+        }
         states = [f"x{i + 1}" for i in range(drawn.n)]
 
         def function(text):
@@ -160,8 +197,10 @@ class ByHand:
         n, x, z = d.n, y[: d.n].tolist(), y[d.n :].tolist()
         Y = self.system.reference.values(np.array([t + shift]), self.derivatives)[:, 0].tolist()
         u, *updates = self.law(x, Y, z)
-        rates = [d.g[i] * x[i + 1] + sum(b * v for b, v in zip(d.b[i], x, strict=False))
-                 for i in range(n - 1)]
+        rates = [
+            d.g[i] * x[i + 1] + sum(b * v for b, v in zip(d.b[i], x, strict=False))
+            for i in range(n - 1)
+        ]
         last = d.g[-1] * u + self.h(t, *x)
         last += sum(p * f(t, *x) for p, f in zip(d.theta, self.phi, strict=True))
         rates.append(last)

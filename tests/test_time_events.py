@@ -97,7 +97,9 @@ def test_no_change_of_sign_is_lost(text, times):
     times = np.sort(times)
     assert len(found) >= len(times)
     for t in times:
-        assert np.abs(found - t).min() < 1e-9 if "0.9999" in text else np.abs(found - t).min() < 1e-11
+        assert (
+            np.abs(found - t).min() < 1e-9 if "0.9999" in text else np.abs(found - t).min() < 1e-11
+        )
     extra = [t for t in found if len(times) == 0 or np.abs(times - t).min() > 1e-6]
     assert extra == []
 
@@ -209,7 +211,9 @@ def pulsed(omega, **changes):
 
 
 @pytest.mark.parametrize("integrator", ["auto", "scipy"])
-@pytest.mark.parametrize("shape", ["3*(sign(t-10.013)-sign(t-10.014))/2", "3*exp(-((t-10.013)/0.0005)**2)"])
+@pytest.mark.parametrize(
+    "shape", ["3*(sign(t-10.013)-sign(t-10.014))/2", "3*exp(-((t-10.013)/0.0005)**2)"]
+)
 def test_pulses_between_two_samples_are_not_missed(shape, integrator):
     system = pulsed(shape, implementation=certrack.Implementation(period=0.05))
     run = certrack.simulate(system, integrator=integrator)

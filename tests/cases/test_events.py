@@ -31,7 +31,9 @@ def double_integrator(disturbance, nodes, *, c=(2.0, 2.0), start=(0.0, 0.0), sin
             y_d, rate = sine * np.sin(t), sine * np.cos(t)
             return [x[1], -a0 * (x[0] - y_d) - a1 * x[1] + c[0] * rate + w(t)]
 
-        found = solve_ivp(rates, (begin, end), y, "DOP853", rtol=1e-12, atol=1e-13, dense_output=True)
+        found = solve_ivp(
+            rates, (begin, end), y, "DOP853", rtol=1e-12, atol=1e-13, dense_output=True
+        )
         y = found.y[:, -1]
         if end > 9.0:
             t = np.linspace(begin, end, 40_001)

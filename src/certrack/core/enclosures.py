@@ -230,7 +230,9 @@ def _waves(x: Enclosure) -> tuple[Enclosure, Enclosure]:
 
 def _tanh(x: Enclosure) -> Enclosure:
     low, high = _monotone(np.tanh, x)
-    nearest = np.where((x.low[0] <= 0) & (x.high[0] >= 0), 0.0, np.fmin(abs(x.low[0]), abs(x.high[0])))
+    nearest = np.where(
+        (x.low[0] <= 0) & (x.high[0] >= 0), 0.0, np.fmin(abs(x.low[0]), abs(x.high[0]))
+    )
     steepest = (1 / np.cosh(np.minimum(nearest, 700.0))) ** 2  # 1 - tanh^2 would cancel
     flattest = (1 / np.cosh(np.minimum(x.sizes[0], 700.0))) ** 2
     value = _of_bounds(low, x.order, high)

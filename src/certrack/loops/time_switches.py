@@ -10,8 +10,9 @@ What depends on the state, too, stays where it is.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import sympy
 
@@ -20,7 +21,7 @@ from certrack.loops.continuous import ClosedLoop
 from certrack.loops.sampled import SampledLoop
 
 #: Functions with branch points, and where these are: at zeros of the formulas of the arguments.
-_BRANCHES = {
+_BRANCHES: dict[Any, Callable[..., tuple[sympy.Expr, ...]]] = {
     sympy.asin: lambda x: (x - 1, x + 1, derivative(x, TIME)),
     sympy.acos: lambda x: (x - 1, x + 1, derivative(x, TIME)),
     sympy.atan2: lambda y, _: (y,),
@@ -187,7 +188,9 @@ def take_switches(
     used = frozenset().union(*(formula.free_symbols for formula in changed))
     inner = [function for function, symbol in symbols.items() if symbol not in used]
     kept = {symbol: function for function, symbol in symbols.items() if symbol in used}
-    switches = TimeSwitches(tuple(kept), tuple(kept.values()), (*inner, *branches), parts, tuple(own))
+    switches = TimeSwitches(
+        tuple(kept), tuple(kept.values()), (*inner, *branches), parts, tuple(own)
+    )
     return changed, switches
 
 

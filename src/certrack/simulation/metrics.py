@@ -17,10 +17,10 @@ from certrack.references import Reference
 from certrack.simulation.refine import (
     MAX_REFINED,
     Candidates,
+    Crossings,
     Dense,
     candidates,
-    refine_crossings,
-    refine_extremes,
+    refine,
 )
 from certrack.systems.system import Settings
 
@@ -188,30 +188,32 @@ def _from_dense(
     """The same from dense output."""
     peaks = candidates(t, u, per_step)
     peaks = _most_promising(peaks, peaks.estimates - peaks.sampled, MAX_EXTREMES)
-    refined = refine_extremes(dense, 1, peaks, smooth)
-    gains = np.maximum(peaks.signs * refined.values - peaks.sampled, 0.0)
-    peak = max(float(np.abs(u).max(initial=0.0)), float(np.abs(refined.values).max(initial=0.0)))
-    size = np.abs(e)
-    outside = np.flatnonzero(size > band)
-    if not outside.size:
-        settling = 0.0
-    elif outside[-1] == len(t) - 1:
-        settling = math.nan
-    else:
-        i = outside[-1:]
-        settling = float(refine_crossings(dense, 0, t[i], t[i + 1], np.sign(e[i]), band)[0])
+    tail, late = _tail_candidates(t, e, tail_start, per_step)
+    outside = np.flatnonzero(np.abs(e) > band)
+    settles = outside[-1:] if outside.size and outside[-1] < len(t) - 1 else outside[:0]
     change = np.flatnonzero((e[1:] < 0) != (e[:-1] < 0))
-    zeros = refine_crossings(
-        dense, 0, t[change], t[change + 1], np.where(e[change] < 0, -1.0, 1.0)
+    signs = np.where(e < 0, -1.0, 1.0)
+    (tops, errors), (zeros, settled) = refine(
+        dense,
+        [(1, peaks), (0, late)],
+        [
+            (0, Crossings(t[change], t[change + 1], signs[change])),
+            (0, Crossings(t[settles], t[settles + 1], signs[settles], band)),
+        ],
+        smooth=smooth,
     )
+    begins_inside = t[0] < tail_start <= t[-1]
+    marked = dense(np.append(zeros, tail_start if begins_inside else t[0]))
+    if begins_inside:
+        tail = max(tail, abs(float(marked[0, -1])))
     running = integrals[2]
-    inner = dense(zeros)[2] if len(zeros) else zeros
-    marks = np.concatenate([running[:1], inner, running[-1:]])
+    marks = np.concatenate([running[:1], marked[2, :-1], running[-1:]])
+    gains = np.maximum(tops - peaks.sampled, 0.0)
     return (
-        settling,
-        _dense_tail_supremum(t, e, tail_start, per_step, dense, smooth),
+        float(settled[0]) if settles.size else math.nan if outside.size else 0.0,
+        max(tail, float(errors.max(initial=0.0))),
         float(np.abs(np.diff(marks)).sum()),
-        peak,
+        max(float(np.abs(u).max(initial=0.0)), float(np.abs(tops).max(initial=0.0))),
         float(np.abs(np.diff(u)).sum() + 2 * gains.sum()),
     )
 
@@ -223,21 +225,18 @@ def _most_promising(found: Candidates, merit: np.ndarray, count: int) -> Candida
     return found.only(np.argsort(-merit)[:count])
 
 
-def _dense_tail_supremum(
-    t: np.ndarray, e: np.ndarray, start: float, per_step: int, dense: Dense, smooth: bool
-) -> float:
-    """Largest |e| from `start` on."""
-    first = int(np.searchsorted(t, start))
+def _tail_candidates(
+    t: np.ndarray, e: np.ndarray, start: float, per_step: int
+) -> tuple[float, Candidates]:
+    """Largest sample of |e| from `start` on, and where |e| may be larger."""
+    first, found = int(np.searchsorted(t, start)), candidates(t, e, per_step)
     if first == len(t):
-        return math.nan
-    best = float(max(np.abs(e[first:]).max(), abs(dense(np.array([start]))[0, 0])))
-    peaks = candidates(t, e, per_step)
-    reach = 2 * peaks.estimates - peaks.sampled  # twice the gain that a parabola promises
-    late = peaks.only((peaks.ends > start) & (reach > best))
+        return math.nan, found.only(np.zeros(len(found.begins), dtype=bool))
+    best = float(np.abs(e[first:]).max())
+    reach = 2 * found.estimates - found.sampled  # twice the gain that a parabola promises
+    late = found.only((found.ends > start) & (reach > best))
     late = _most_promising(late, late.estimates, MAX_EXTREMES)
-    begins = np.maximum(late.begins, start)
-    refined = refine_extremes(dense, 0, replace(late, begins=begins), smooth)
-    return max(best, float((late.signs * refined.values).max(initial=0.0)))
+    return best, replace(late, begins=np.maximum(late.begins, start))
 
 
 def supremum(

@@ -7,7 +7,7 @@ is Newton's on the slopes of the last grid. So metrics are as accurate as the ru
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,101 +65,104 @@ def candidates(t: np.ndarray, f: np.ndarray, per_step: int) -> Candidates:
         nothing = np.empty(0)
         return Candidates(nothing, nothing, nothing, nothing, nothing)
     ts, fs = t.reshape(-1, per_step), f.reshape(-1, per_step)
-    h = np.diff(ts, axis=1)
     with np.errstate(all="ignore"):
-        slopes = np.diff(fs, axis=1) / h
-        left, right, h0, h1 = slopes[:, :-1], slopes[:, 1:], h[:, :-1], h[:, 1:]
-        bend = (right - left) / (h0 + h1)
-        slope = (left * h1 + right * h0) / (h0 + h1)
-        shift = -slope / (2 * bend)
-        sharp = (np.abs(bend) > 0) & (np.abs(fs[:, 1:-1]) < MAX_REFINED)
-        top = fs[:, 1:-1] + slope * shift / 2
-        turns = (left * right <= 0) & (left != right)
-        turns[:, 0] |= ((shift < 0) & (shift >= -h0))[:, 0]
-        turns[:, -1] |= ((shift > 0) & (shift <= h1))[:, -1]
-    step, k = np.nonzero(turns & sharp)
-    signs = np.where(bend[step, k] < 0, 1.0, -1.0)
-    sampled = np.max(signs * np.array([fs[step, k + j] for j in range(3)]), axis=0, initial=-np.inf)
-    return Candidates(ts[step, k], ts[step, k + 2], signs, sampled, signs * top[step, k])
+        rises = fs[:, 1:] - fs[:, :-1]  # samples of a step are equidistant
+        turns = rises[:, :-1] * rises[:, 1:] <= 0
+        for edge, inner in ((0, 1), (-1, -2)):  # the vertex lies between the last two samples
+            sums = rises[:, edge] + rises[:, inner]
+            bends = 2 * (rises[:, inner] - rises[:, edge])
+            turns[:, edge] |= (sums * bends > 0) & (np.abs(sums) <= np.abs(bends))
+        step, k = np.nonzero(turns)
+        f0, f1, f2 = (fs[step, k + j] for j in range(3))
+        bend = f0 - 2 * f1 + f2
+        sharp = (bend != 0) & (np.abs(f1) < MAX_REFINED)
+        step, k, f0, f1, f2, bend = (part[sharp] for part in (step, k, f0, f1, f2, bend))
+        signs = np.where(bend < 0, 1.0, -1.0)
+        top = signs * (f1 - (f2 - f0) ** 2 / (8 * bend))
+    sampled = np.maximum(np.maximum(signs * f0, signs * f1), signs * f2)
+    return Candidates(ts[step, k], ts[step, k + 2], signs, sampled, top)
 
 
 @dataclass(frozen=True)
-class Found:
-    """Where and how large, for each search.
+class Crossings:
+    """Intervals on which sign * signal falls from above a level to it.
 
     Attributes
     ----------
-    times, values : (C,) arrays
-        Values of the signal at extremes; of no meaning at crossings.
+    begins, ends : (C,) arrays, s
+    signs : (C,) array
+    level : float
     """
 
-    times: np.ndarray
-    values: np.ndarray
+    begins: np.ndarray
+    ends: np.ndarray
+    signs: np.ndarray
+    level: float = 0.0
 
 
-def refine_extremes(
-    dense: Dense, row: int, where: Candidates, smooth: bool
-) -> Found:
-    """The extreme on each interval.
+def refine(
+    dense: Dense,
+    extremes: Sequence[tuple[int, Candidates]],
+    crossings: Sequence[tuple[int, Crossings]],
+    *,
+    smooth: bool,
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Refine all searches together, so that the dense output is asked only a few times.
 
     Parameters
     ----------
     dense : callable
-    row : int
-        Number of the signal.
-    where : Candidates
+    extremes : pairs of the number of a signal and where it may have extremes
+    crossings : pairs of the number of a signal and where it crosses
     smooth : bool
-        Whether Newton's step may be taken: no kink lies inside.
+        Whether no kink lies inside a step, so that Newton's step may be taken.
+
+    Returns
+    -------
+    extremes : list of (C,) arrays
+        Largest sign * signal on each interval.
+    crossings : list of (C,) arrays, s
+        The last times at which it is above the level.
     """
-    begins, ends, signs = where.begins, where.ends, where.signs
-    if not len(begins):
-        return Found(begins, begins)
-    best_time, best = begins, np.full(len(begins), -np.inf)
-    grid = values = np.empty((len(begins), len(POINTS)))
-    every = np.arange(len(begins))
+    searches = [*extremes, *crossings]
+    sizes = [len(where.begins) for _, where in searches]
+    peaks, total = sum(sizes[: len(extremes)]), sum(sizes)
+    if not total:
+        nothing = [np.empty(0) for _ in searches]
+        return nothing[: len(extremes)], nothing[len(extremes) :]
+    rows = np.repeat([row for row, _ in searches], sizes)
+    begins = np.concatenate([where.begins for _, where in searches])
+    ends = np.concatenate([where.ends for _, where in searches])
+    signs = np.concatenate([where.signs for _, where in searches])
+    levels = np.repeat([0.0] * len(extremes) + [where.level for _, where in crossings], sizes)
+    every, best = np.arange(total), np.full(total, -np.inf)
+    grid = values = np.empty((total, len(POINTS)))
     for _ in range(ROUNDS):
         grid = begins[:, None] + (ends - begins)[:, None] * POINTS
-        values = signs[:, None] * dense(grid.ravel())[row].reshape(grid.shape)
-        top = np.argmax(values, axis=1)
-        better = values[every, top] > best
-        best = np.where(better, values[every, top], best)
-        best_time = np.where(better, grid[every, top], best_time)
-        inner = np.clip(top, 1, len(POINTS) - 2)
-        begins, ends = grid[every, inner - 1], grid[every, inner + 1]
-    if smooth:
-        inner = np.clip(np.argmax(values, axis=1), 1, len(POINTS) - 2)
-        f = values[every[:, None], inner[:, None] + np.array([-1, 0, 1])]
-        h = grid[:, 1] - grid[:, 0]
-        with np.errstate(all="ignore"):
-            bend = f[:, 0] - 2 * f[:, 1] + f[:, 2]
-            shift = (f[:, 0] - f[:, 2]) / (2 * bend)
-            vertex = f[:, 1] + (f[:, 2] - f[:, 0]) * shift / 4
-            valid = (bend < 0) & (np.abs(shift) <= 1) & (vertex > best)
-        best = np.where(valid, vertex, best)
-        best_time = np.where(valid, grid[every, inner] + h * shift, best_time)
-    return Found(best_time, signs * best)
-
-
-def refine_crossings(
-    dense: Dense,
-    row: int,
-    begins: np.ndarray,
-    ends: np.ndarray,
-    signs: np.ndarray,
-    level: float = 0.0,
-) -> np.ndarray:
-    """Where sign * signal, above the level at the begin of an interval, falls to it for good."""
-    if not len(begins):
-        return begins
-    every = np.arange(len(begins))
-    for _ in range(ROUNDS + 1):
-        grid = begins[:, None] + (ends - begins)[:, None] * POINTS
-        values = signs[:, None] * dense(grid.ravel())[row].reshape(grid.shape) - level
+        table = dense(grid.ravel()).reshape(-1, *grid.shape)
+        values = signs[:, None] * table[rows, every] - levels[:, None]
+        best = np.maximum(best, values.max(axis=1))
+        top = np.clip(np.argmax(values, axis=1), 1, len(POINTS) - 2)
         last = len(POINTS) - 2 - np.argmax((values > 0)[:, -2::-1], axis=1)
-        begins, ends = grid[every, last], grid[every, last + 1]
-        above, below = values[every, last], values[every, last + 1]
+        is_peak = every < peaks
+        begins = grid[every, np.where(is_peak, top - 1, last)]
+        ends = grid[every, np.where(is_peak, top + 1, last + 1)]
+    if smooth:
+        best = np.maximum(best, _vertices(values))
+    above, below = values[every, last], values[every, last + 1]
     with np.errstate(all="ignore"):
-        share = above / (above - below)
-    share = np.where((above > 0) & (below <= 0), share, 1.0)
-    times: np.ndarray = begins + (ends - begins) * share
-    return times
+        share = np.where((above > 0) & (below <= 0), above / (above - below), 1.0)
+    results = np.where(is_peak, best, begins + (ends - begins) * share)
+    parts = np.split(results, np.cumsum(sizes)[:-1])
+    return parts[: len(extremes)], parts[len(extremes) :]
+
+
+def _vertices(values: np.ndarray) -> np.ndarray:
+    """Newton's step from the largest of equidistant values, by their slopes; else -inf."""
+    inner = np.clip(np.argmax(values, axis=1), 1, values.shape[1] - 2)
+    f0, f1, f2 = (values[np.arange(len(values)), inner + k] for k in (-1, 0, 1))
+    with np.errstate(all="ignore"):
+        bend = f0 - 2 * f1 + f2
+        shift = (f0 - f2) / (2 * bend)
+        valid = (bend < 0) & (np.abs(shift) <= 1)
+        return np.where(valid, f1 + (f2 - f0) * shift / 4, -np.inf)
