@@ -1,4 +1,4 @@
-"""Enclosures, changes of sign, switches and bursts of time; random systems against a loop by hand."""
+"""Enclosures, changes of sign, switches and bursts of time; random systems and a loop by hand."""
 
 import math
 import subprocess
@@ -9,8 +9,8 @@ import mpmath
 import numpy as np
 import pytest
 import sympy
-from scipy.integrate import simpson
 from random_systems import DURATION, amplification, by_hand, draw
+from scipy.integrate import simpson
 
 import certrack
 from certrack.core.enclosures import enclose

@@ -21,8 +21,8 @@ from certrack.loops.schedule import Pieces
 #: A state larger than this where the solution ceases to exist is escaping, not leaving a domain.
 ESCAPING = 1e3
 
-#: Memory for the steps of a run and what is made of them: with the compiled code, which takes 0.1 GB,
-#: it is half a gigabyte. The order of the Taylor method at usual tolerances.
+#: Memory for the steps of a run and what is made of them: with the compiled code, which takes
+#: 0.1 GB, it is half a gigabyte. The order of the Taylor method at usual tolerances.
 MAX_RECORD_BYTES, USUAL_ORDER = 4e8, 15
 
 #: Into so many parts a step is cut where extremes are looked for. A run of more steps than
@@ -163,8 +163,8 @@ class Integrator(Protocol):
        ``problem.schedule.piece_values(begin)``.
     3. The local error is about ``problem.tolerance``, relative and absolute; the last
        ``len(INTEGRALS)`` states are integrals, scaled by ``INTEGRAL_SCALE``.
-    4. Where the rates have kinks of the state (abs, sign, min, max), the accuracy holds or the outcome says that
-       it does not: ``kink_missed`` or ``step_limit``. It is never lost silently.
+    4. Where the rates have kinks of the state (abs, sign, min, max), the accuracy holds or the
+       outcome says that it does not: ``kink_missed`` or ``step_limit``. It is never lost silently.
     5. It stops at the first of these, and says which in ``Trajectory.outcome``: the end of the run
        (``finished``); one of the first ``problem.plant_order`` states beyond ``problem.max_state``,
        or beyond :data:`ESCAPING` where the solution ceases to exist (``escaped``); rates that are

@@ -124,7 +124,7 @@ def refine(
     crossings : list of (C,) arrays, s
         The last times at which it is above the level.
     """
-    searches = [*extremes, *crossings]
+    searches: list[tuple[int, Candidates | Crossings]] = [*extremes, *crossings]
     sizes = [len(where.begins) for _, where in searches]
     peaks, total = sum(sizes[: len(extremes)]), sum(sizes)
     if not total:

@@ -177,9 +177,10 @@ class TaylorIntegrator:
 
 
 # heyoka takes the step h from the last two Taylor coefficients c_p and c_{p-1} alone, such that
-# |c_j| h^j ~ max(1, |x|) exp(-2 j) there: at rest x = 0 counts as 1, too. Where these two happen to vanish, as from x = 0 in x' = 1 + x^3
-# whose series has only every third term, the step is far too long. So the few coefficients before
-# them are held to the same rule, with some slack because they usually exceed it a little.
+# |c_j| h^j ~ max(1, |x|) exp(-2 j) there: at rest x = 0 counts as 1, too. Where these two happen to
+# vanish, as from x = 0 in x' = 1 + x^3 whose series has only every third term, the step is far too
+# long. So the few coefficients before them are held to the same rule, with some slack because they
+# usually exceed it a little.
 SLACK = 100.0
 
 #: Coefficients before the last two that are looked at.
