@@ -75,9 +75,9 @@ def enclose(formula: sympy.Expr, begins: Array, ends: Array, known: Known, order
         return _of_bounds(np.broadcast_to(np.asarray(value, dtype=float), half.shape), order)
 
     def time() -> Enclosure:
-        found = _of_bounds(begins, order, ends)
-        found.low[1], found.high[1], found.sizes[1] = half, half, half
-        return found
+        linear = _of_bounds(begins, order, ends)
+        linear.low[1], linear.high[1], linear.sizes[1] = half, half, half
+        return linear
 
     def walk(expr: sympy.Basic) -> Enclosure:
         if expr not in memory:
@@ -101,12 +101,12 @@ def enclose(formula: sympy.Expr, begins: Array, ends: Array, known: Known, order
         raise TypeError(f"no enclosure of {type(expr).__name__}")
 
     with np.errstate(all="ignore"):
-        found = walk(formula)
-        unknown = np.isnan(found.low) | np.isnan(found.high)
+        value = walk(formula)
+        unknown = np.isnan(value.low) | np.isnan(value.high)
         return Enclosure(
-            np.where(unknown, -np.inf, found.low),
-            np.where(unknown, np.inf, found.high),
-            np.where(np.isnan(found.sizes), np.inf, found.sizes),
+            np.where(unknown, -np.inf, value.low),
+            np.where(unknown, np.inf, value.high),
+            np.where(np.isnan(value.sizes), np.inf, value.sizes),
         )
 
 
@@ -337,7 +337,7 @@ def _abs(x: Enclosure) -> Enclosure:
     return _larger(x, _scaled(x, -1.0))
 
 
-def _sign(x: Enclosure) -> Enclosure:
+def _enclosed_sign(x: Enclosure) -> Enclosure:
     value = _of_bounds(np.sign(x.low[0]), x.order, np.sign(x.high[0]))
     jumps = value.low[0] < value.high[0]
     value.low[1], value.high[1] = np.where(jumps, -np.inf, 0.0), np.where(jumps, np.inf, 0.0)
@@ -386,5 +386,5 @@ _FUNCTIONS: dict[Any, Callable[..., Enclosure]] = {
     sympy.acos: _acos,
     sympy.atan2: _atan2,
     sympy.Abs: _abs,
-    sympy.sign: _sign,
+    sympy.sign: _enclosed_sign,
 }

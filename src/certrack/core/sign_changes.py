@@ -51,7 +51,7 @@ def sign_changes(formula: sympy.Expr, nodes: Array, known: Known) -> Array:
     """
     begins, ends = nodes[:-1], nodes[1:]
     shortest = RESOLUTION * max(abs(nodes[0]), abs(nodes[-1]))
-    found = [np.empty(0)]
+    parts = [np.empty(0)]
     while len(begins):
         enclosure = _tightened(formula, begins, ends, known)
         low, high = enclosure.low, enclosure.high
@@ -59,9 +59,9 @@ def sign_changes(formula: sympy.Expr, nodes: Array, known: Known) -> Array:
         monotone = (low[1] >= 0) | (high[1] <= 0)
         tiny = (ends - begins) <= shortest
         settled = open_ & (monotone | tiny)
-        found.append(_bracketed(formula, begins[settled], ends[settled], known))
-        rest = open_ & ~settled
-        begins, ends = begins[rest], ends[rest]
+        parts.append(_bracketed(formula, begins[settled], ends[settled], known))
+        undecided = open_ & ~settled
+        begins, ends = begins[undecided], ends[undecided]
         middle = (begins + ends) / 2
         if 2 * len(begins) > MAX_INTERVALS:
             raise InputError(
@@ -72,7 +72,7 @@ def sign_changes(formula: sympy.Expr, nodes: Array, known: Known) -> Array:
                 "Shorten the run, or write the formula smoother",
             )
         begins, ends = np.concatenate([begins, middle]), np.concatenate([middle, ends])
-    times = np.unique(np.concatenate(found))
+    times = np.unique(np.concatenate(parts))
     inside = (times > nodes[0]) & (times < nodes[-1])
     return times[inside]
 

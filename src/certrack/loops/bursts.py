@@ -128,8 +128,8 @@ def _marks(edges: Array) -> Array:
     marked = np.zeros(len(edges), dtype=bool)
     for k in range(MARKED_CELLS):
         marked[np.minimum(begins + k, len(edges) - 1)] = True
-    found: Array = edges[marked]
-    return found
+    marks: Array = edges[marked]
+    return marks
 
 
 def _note(text: str, cells: int, shortest: float, marks: int, unresolved: bool) -> str:

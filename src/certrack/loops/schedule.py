@@ -24,7 +24,7 @@ from certrack.loops.time_switches import TimeSwitches
 from certrack.references import Reference, pieces_at
 
 #: Two times closer than this part of the run are one: rounding separated them.
-SAME_TIME = 1e-13
+BREAK_BLUR = 1e-13
 
 
 class Pieces(Protocol):
@@ -64,12 +64,12 @@ class Schedule:
 
     def breaks(self, start: float, end: float) -> Array:
         """All breaks; one of the reference holds where two are the same but for rounding."""
-        own = self.times[(self.times > start) & (self.times < end)]
+        of_time = self.times[(self.times > start) & (self.times < end)]
         stated = np.asarray(self.reference.breaks(start, end), dtype=float)
-        if not len(own):
+        if not len(of_time):
             return stated
-        near = _nearest(own, np.concatenate([[start, end], stated]))
-        return np.union1d(stated, own[np.abs(near - own) > self.blur])
+        near = _nearest(of_time, np.concatenate([[start, end], stated]))
+        return np.union1d(stated, of_time[np.abs(near - of_time) > self.blur])
 
     def piece_values(self, t: float) -> Array:
         """Values of the reference's piece and of the switches on the piece that begins at t."""
@@ -122,8 +122,8 @@ def make_schedule(
     """
     known = tuple(sorted((s.name, float(numbers[s])) for s in switches.numbers))
     stated = tuple(np.asarray(reference.breaks(0.0, duration), dtype=float).tolist())
-    times, values, scans = _found(switches, known, stated, duration, tolerance)
-    return Schedule(reference, switches, times, values, scans, SAME_TIME * duration)
+    times, values, scans = _searched(switches, known, stated, duration, tolerance)
+    return Schedule(reference, switches, times, values, scans, BREAK_BLUR * duration)
 
 
 def _nearest(times: Array, others: Array) -> Array:
@@ -135,7 +135,7 @@ def _nearest(times: Array, others: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _found(
+def _searched(
     switches: TimeSwitches,
     numbers: tuple[tuple[str, float], ...],
     stated: tuple[float, ...],
@@ -148,7 +148,7 @@ def _found(
     for function in (*switches.branches, *switches.functions):
         new = sign_changes(function, nodes, known)
         nodes = np.union1d(nodes, new)
-    distinct = np.concatenate([[True], np.diff(nodes) > SAME_TIME * duration])
+    distinct = np.concatenate([[True], np.diff(nodes) > BREAK_BLUR * duration])
     nodes = np.append(nodes[:-1][distinct[:-1]], duration)
     middles = (nodes[:-1] + nodes[1:]) / 2
     values = np.array([signs(function, middles, known) for function in switches.functions])
@@ -158,7 +158,7 @@ def _found(
         for formula in switches.formulas
     )
     marks = np.concatenate([np.empty(0), *(entry.marks for entry in scans)])
-    marks = marks[np.abs(_nearest(marks, nodes) - marks) > SAME_TIME * duration]
+    marks = marks[np.abs(_nearest(marks, nodes) - marks) > BREAK_BLUR * duration]
     times = np.union1d(nodes[1:-1], marks)
     owner = np.searchsorted(nodes[1:-1], np.concatenate([[0.0], times]), side="right")
     values = values[:, owner]

@@ -46,7 +46,7 @@ class TimeSwitches:
         of roots, asin, acos and atan2.
     formulas : formulas
         Largest formulas of t alone, written by the switches; each has t in it.
-    own : formulas
+    of_members : formulas
         Switches of t and of numbers that differ between members: left where they are.
     """
 
@@ -54,7 +54,7 @@ class TimeSwitches:
     functions: tuple[sympy.Expr, ...] = ()
     branches: tuple[sympy.Expr, ...] = ()
     formulas: tuple[sympy.Expr, ...] = ()
-    own: tuple[sympy.Expr, ...] = ()
+    of_members: tuple[sympy.Expr, ...] = ()
 
     @property
     def numbers(self) -> frozenset[sympy.Symbol]:
@@ -136,7 +136,7 @@ def take_switches(
     """
     known = frozenset(numbers) | {TIME}
     members = known | frozenset(varying)
-    own: dict[sympy.Expr, None] = {}
+    of_members: dict[sympy.Expr, None] = {}
     symbols: dict[sympy.Expr, sympy.Symbol] = {}
     branches: dict[sympy.Expr, None] = {}
     memory: dict[sympy.Expr, sympy.Expr] = {}
@@ -158,7 +158,7 @@ def take_switches(
             return expr
         if not (expr.free_symbols and expr.free_symbols <= known):
             if isinstance(expr, _SWITCHING) and TIME in expr.free_symbols <= members:
-                own[expr] = None
+                of_members[expr] = None
             return expr.func(*map(smooth, expr.args))
         if isinstance(expr, (sympy.Max, sympy.Min)):
             upwards = 1 if isinstance(expr, sympy.Max) else -1
@@ -187,9 +187,9 @@ def take_switches(
     parts = _largest_of_time(changed, known | set(symbols.values()))
     used = frozenset().union(*(formula.free_symbols for formula in changed))
     inner = [function for function, symbol in symbols.items() if symbol not in used]
-    kept = {symbol: function for function, symbol in symbols.items() if symbol in used}
+    used_ones = {symbol: function for function, symbol in symbols.items() if symbol in used}
     switches = TimeSwitches(
-        tuple(kept), tuple(kept.values()), (*inner, *branches), parts, tuple(own)
+        tuple(used_ones), tuple(used_ones.values()), (*inner, *branches), parts, tuple(of_members)
     )
     return changed, switches
 
@@ -198,21 +198,21 @@ def _largest_of_time(
     formulas: Sequence[sympy.Expr], known: frozenset[sympy.Symbol]
 ) -> tuple[sympy.Expr, ...]:
     """Largest subexpressions in t and known symbols alone, in which t occurs."""
-    found: dict[sympy.Expr, None] = {}
+    parts: dict[sympy.Expr, None] = {}
 
     def walk(expr: sympy.Expr) -> None:
         free = expr.free_symbols
         if TIME not in free:
             return
         if free <= known:
-            found[expr] = None
+            parts[expr] = None
             return
         if expr.is_Add or expr.is_Mul:
-            own = [arg for arg in expr.args if arg.free_symbols <= known]
-            if any(TIME in arg.free_symbols for arg in own):
-                found[expr.func(*own)] = None
+            timely = [arg for arg in expr.args if arg.free_symbols <= known]
+            if any(TIME in arg.free_symbols for arg in timely):
+                parts[expr.func(*timely)] = None
             for arg in expr.args:
-                if arg not in own:
+                if arg not in timely:
                     walk(arg)
             return
         for arg in expr.args:
@@ -220,4 +220,4 @@ def _largest_of_time(
 
     for formula in formulas:
         walk(formula)
-    return tuple(found)
+    return tuple(parts)

@@ -137,10 +137,10 @@ def measure(
     """
     span = float(t[-1])
     if dense is None or per_step is None:
-        found = _from_samples(t, e, u, integrals, band, tail_start, per_step)
+        five = _from_samples(t, e, u, integrals, band, tail_start, per_step)
     else:
-        found = _from_dense(t, e, u, integrals, band, tail_start, per_step, dense, smooth)
-    settling_time, tail_error, integral_abs_error, peak_input, input_variation = found
+        five = _from_dense(t, e, u, integrals, band, tail_start, per_step, dense, smooth)
+    settling_time, tail_error, integral_abs_error, peak_input, input_variation = five
     return Metrics(
         settling_time=settling_time,
         tail_error=tail_error,
@@ -218,23 +218,23 @@ def _from_dense(
     )
 
 
-def _most_promising(found: Candidates, merit: np.ndarray, count: int) -> Candidates:
+def _most_promising(where: Candidates, merit: np.ndarray, count: int) -> Candidates:
     """At most `count` of the candidates, those of the largest merit."""
     if len(merit) <= count:
-        return found
-    return found.only(np.argsort(-merit)[:count])
+        return where
+    return where.only(np.argsort(-merit)[:count])
 
 
 def _tail_candidates(
     t: np.ndarray, e: np.ndarray, start: float, per_step: int
 ) -> tuple[float, Candidates]:
     """Largest sample of |e| from `start` on, and where |e| may be larger."""
-    first, found = int(np.searchsorted(t, start)), candidates(t, e, per_step)
+    first, peaks = int(np.searchsorted(t, start)), candidates(t, e, per_step)
     if first == len(t):
-        return math.nan, found.only(np.zeros(len(found.begins), dtype=bool))
+        return math.nan, peaks.only(np.zeros(len(peaks.begins), dtype=bool))
     best = float(np.abs(e[first:]).max())
-    reach = 2 * found.estimates - found.sampled  # twice the gain that a parabola promises
-    late = found.only((found.ends > start) & (reach > best))
+    reach = 2 * peaks.estimates - peaks.sampled  # twice the gain that a parabola promises
+    late = peaks.only((peaks.ends > start) & (reach > best))
     late = _most_promising(late, late.estimates, MAX_EXTREMES)
     return best, replace(late, begins=np.maximum(late.begins, start))
 

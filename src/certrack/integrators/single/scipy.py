@@ -155,7 +155,7 @@ def _first_kink(
     near = AT_BEGIN * max(1.0, abs(end))
     times = begin + (end - begin) * KINK_SAMPLES
     values = kinks(times, dense(times))
-    found = []
+    crossings = []
     for k, j in np.argwhere(values[:, :-1] * values[:, 1:] < 0).tolist():
         low, high, rising = times[j], times[j + 1], values[k, j] < 0
         for _ in range(KINK_BISECTIONS):
@@ -163,8 +163,8 @@ def _first_kink(
             above = kinks(middle, dense(middle))[k, 0] > 0
             low, high = (low, middle[0]) if above == rising else (middle[0], high)
         if begin + near < high < end - near:
-            found.append(float(high))
-    return min(found, default=None)
+            crossings.append(float(high))
+    return min(crossings, default=None)
 
 
 @dataclass(frozen=True)

@@ -285,13 +285,13 @@ class TaylorSeries:
         series = fractions(parts) ** np.arange(orders)[:, None]
         states = np.empty((size, steps, parts + 1))
         for first in range(0, steps, STEPS_AT_ONCE):
-            some = slice(first, first + STEPS_AT_ONCE)
-            table = self.table[some]
+            part = slice(first, first + STEPS_AT_ONCE)
+            table = self.table[part]
             powers = np.empty((len(table), 1, orders))  # h^k, by products: pow() is slow
-            powers[:, 0, 0], powers[:, 0, 1:] = 1.0, np.diff(times)[some, None]
+            powers[:, 0, 0], powers[:, 0, 1:] = 1.0, np.diff(times)[part, None]
             np.multiply.accumulate(powers, axis=2, out=powers)
             values = (table * powers).reshape(-1, orders) @ series  # all steps at once
-            states[:, some] = values.reshape(len(table), size, parts + 1).transpose(1, 0, 2)
+            states[:, part] = values.reshape(len(table), size, parts + 1).transpose(1, 0, 2)
         states[:, 0, 0] = self.table[0, :, 0]
         states[:, -1, -1] = (self.table[-1] * powers[-1]).sum(axis=1)
         return states.reshape(size, -1)

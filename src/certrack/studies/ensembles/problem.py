@@ -92,7 +92,7 @@ class EnsembleProblem:
         ------
         MethodUnavailable
         """
-        if switches.own:
+        if switches.of_members:
             raise MethodUnavailable(
                 "members switch at times of their own (a formula of t and of drawn numbers under "
                 "abs, sign, min or max), so each is run alone"
