@@ -17,6 +17,8 @@ from certrack.integrators.base import Outcome, Trajectory, parts_of
 from certrack.integrators.sampled.events import event_timeline
 from certrack.integrators.sampled.maps import HeyokaMaps, NumpyMaps, SampledMaps
 from certrack.integrators.sampled.run import SampledProblem, SampledRun
+from certrack.integrators.sampled.sliding import with_modes
+from certrack.integrators.switching import ModeRecord, sticking_notes
 from certrack.loops.continuous import INTEGRAL_SCALE
 from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
@@ -66,6 +68,7 @@ class SampledSimulator:
         loop, self._switches = self.loop, TimeSwitches()
         if with_switches:
             loop, self._switches = switched_sampled_loop(loop)
+        loop, self.surfaces = with_modes(loop)
         integrator = system.settings.integrator
         if integrator == "implicit":
             raise InputError(
@@ -104,6 +107,7 @@ class SampledSimulator:
             keys=keys(implementation.seed, implementation.stream, 1),
             tolerance=settings.tolerance,
             max_state=settings.max_state,
+            surfaces=self.surfaces,
         )
         record = RunRecord(problem.x, problem.totals, len(system.controller.states))
 
@@ -121,11 +125,17 @@ class SampledSimulator:
         if outcome is not Outcome.finished:
             record.drop_from(settings.max_state)
         times = np.array(record.ends)
-        slopes = Slopes(self._rates, schedule, parameters[:, 0])
+        modes = None
+        if run.crossing is not None:
+            modes = run.crossing.modes()
+        slopes = Slopes(self._rates, schedule, parameters[:, 0], modes)
         solution = record.solution(slopes, run.u[0])
         parts = parts_of(len(solution.ends) - 1)
-        trajectory = Trajectory(times, solution, outcome, "sampled", parts)
-        return Run(system, trajectory, solution.input_at, schedule.notes)
+        trajectory = Trajectory(times, solution, outcome, "sampled", parts, modes)
+        notes = [*schedule.notes]
+        if modes is not None:
+            notes += sticking_notes(modes, trajectory.end)
+        return Run(system, trajectory, solution.input_at, tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -138,14 +148,19 @@ class Slopes:
         Those of the states, and e_1.
     schedule : Schedule
     parameters : (P,) array
+    modes : ModeRecord, optional
+        Of the run; the last of the rates' parameters.
     """
 
     rates: NumpyFunction
     schedule: Schedule
     parameters: Array
+    modes: ModeRecord | None = None
 
     def __call__(self, t: Array, x: Array, u: Array, begins: Array) -> Array:
-        pieces = self.schedule.pieces_at(begins * JUST_AFTER)
+        pieces = [*self.schedule.pieces_at(begins * JUST_AFTER)]
+        if self.modes is not None:
+            pieces += [*self.modes.at(begins)]
         with np.errstate(all="ignore"):
             rates = rows(self.rates(t, x, u, [*self.parameters, *pieces]), len(t))
         e = rates[-1]

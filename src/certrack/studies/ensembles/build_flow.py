@@ -13,6 +13,7 @@ import sympy
 from certrack.core.expressions import TIME, derivative, symbol
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
+from certrack.loops.switching import switching
 from certrack.loops.time_switches import TimeSwitches, take_switches
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.metric_formulas import (
@@ -43,10 +44,14 @@ def build_flow(
     }
     states = loop.states[: -len(INTEGRALS)]
     outputs = _computed_outputs(loop)
-    formulas = [f.xreplace(fixed) for f in (*loop.rates[: len(states)], loop.e_1, loop.u, *outputs)]
+    formulas = [f.xreplace(fixed) for f in (*loop.rates, loop.e_1, loop.u, *outputs)]
     formulas, switches = take_switches(formulas, (), free)
-    rates, others = formulas[: len(states)], formulas[len(states) :]
+    rates, others = formulas[: len(loop.states)], formulas[len(loop.states) :]
     e, u, *outputs = others
+    switched = switching(rates, loop.states, smooth_rates=len(INTEGRALS))
+    if switched is not None:
+        rates, (u,) = list(switched.rates), switched.resolved([u])
+    rates = rates[: len(states)]
     slopes = tuple(symbol(f"kept_rate_of_{state.name}") for state in states)
     rate_of = dict(zip(states, slopes, strict=True)) | {TIME: sympy.Integer(1)}
     signals = tuple(
@@ -61,7 +66,11 @@ def build_flow(
     flow = AugmentedFlow(
         states=states,
         rates=tuple(rates),
-        parameters=(*(name for name in loop.parameters if name in used & free), SETTLING_BAND),
+        parameters=(
+            *(name for name in loop.parameters if name in used & free),
+            SETTLING_BAND,
+            *(() if switched is None else switched.modes),
+        ),
         integrands=(e**2, u**2),
         signals=(*signals, *outputs),
         slopes=slopes,
@@ -69,6 +78,10 @@ def build_flow(
         sides=sides,
         watched=loop.n,
         shared=(IN_TAIL, *pieces, *switches.symbols),
+        held=() if switched is None else tuple(map(states.index, switched.surfaces)),
+        surfaces=()
+        if switched is None
+        else (*switched.values, *switched.drifts, *switched.effects),
     )
     return flow, switches
 
