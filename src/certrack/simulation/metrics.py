@@ -142,7 +142,7 @@ def measure(
         five = _from_dense(t, e, u, integrals, band, tail_start, per_step, dense, smooth)
     settling_time, tail_error, integral_abs_error, peak_input, input_variation = five
     return Metrics(
-        settling_time=settling_time,
+        settling_time=settling_time if span > 0 else math.nan,
         tail_error=tail_error,
         rms_error=math.sqrt(integrals[1, -1] / span) if span > 0 else math.nan,
         integral_abs_error=integral_abs_error,

@@ -22,6 +22,7 @@ import numpy as np
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.keys import Key
+from certrack.core.rationals import decimal_float
 from certrack.laws import Law, known_laws
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -200,7 +201,7 @@ def _decoded(text: str | bytes) -> str:
 
 def _parsed(text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text, parse_float=decimal_float)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
         error = InputError("", f"is not TOML: {problem}")
         place = re.search(r"at line (\d+)", str(problem))
