@@ -112,8 +112,16 @@ class Run(ShownInNotebooks):
             integrals,
             settling_band(settings, self.system.reference),
             settings.tail_start,
-            per_step=self.trajectory.parts + 1 if self.smooth_steps else 1,
+            per_step=self.trajectory.parts + 1,
+            dense=self._signals,
+            smooth=self.smooth_steps,
         )
+
+    def _signals(self, t: np.ndarray) -> np.ndarray:
+        """e_1, u and the integral of e_1 at any times, a row each."""
+        states = self.trajectory.interpolate(t)
+        error = measured(self.system, states)[0] - self.system.reference.values(t, 0)[0]
+        return np.array([error, self.input_of(t, states), states[-1] * INTEGRAL_SCALE])
 
     def __repr__(self) -> str:
         metrics, trajectory = self.metrics, self.trajectory
