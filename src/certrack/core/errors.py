@@ -62,7 +62,7 @@ class InputError(CertrackError, ValueError):
 
     def __str__(self) -> str:
         file = self.file if self.line is None else f"{self.file}:{self.line}"
-        where = ": ".join(part for part in (file, self.key) if part)
+        where = ": ".join(part for part in (file, shorten(self.key, 200)) if part)
         text = f"{where}: {self.expected}"
         if self.got is not None:
             text += f"; got {shorten(self.got)}"

@@ -31,6 +31,7 @@ from certrack.references import Reference, SymbolicReference, known_references
 from certrack.systems.keys import TABLES, law_keys, reference_keys
 from certrack.systems.lines import line_of
 from certrack.systems.system import Settings, System
+from certrack.systems.toml import parse_toml
 
 #: Largest file that is read: a million samples of a reference fit.
 MAX_FILE_BYTES = 20_000_000
@@ -183,7 +184,7 @@ def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -
     except InputError as problem:
         raise problem.within(name) from None
     try:
-        return _read_system(_parsed(decoded), folder)
+        return _read_system(parse_toml(decoded), folder)
     except InputError as problem:
         raise problem.within(name, problem.line or line_of(decoded, problem.key)) from None
 
@@ -196,18 +197,6 @@ def _decoded(text: str | bytes) -> str:
     if not decoded.strip():
         raise InputError("", "is empty", remedy="certrack new NAME.toml writes a starter file")
     return decoded
-
-
-def _parsed(text: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, ValueError) as problem:
-        error = InputError("", f"is not TOML: {problem}")
-        place = re.search(r"at line (\d+)", str(problem))
-        error.line = int(place[1]) if place else None
-        raise error from None
-    except RecursionError:
-        raise InputError("", "is not TOML: nested too deeply") from None
 
 
 def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
