@@ -5,12 +5,6 @@ KINDS = ("systems", "expressions", "certificates", "samples", "chunks")
 
 def fuzzer(kind):
     """The fuzzer of a kind."""
-    from fuzz import certificates, chunks, expressions, samples, systems
+    from importlib import import_module
 
-    return {
-        "systems": systems.Systems,
-        "expressions": expressions.Expressions,
-        "certificates": certificates.Certificates,
-        "samples": samples.Samples,
-        "chunks": chunks.Chunks,
-    }[kind]()
+    return getattr(import_module(f"fuzz.{kind}"), kind.capitalize())()

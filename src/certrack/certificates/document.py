@@ -20,6 +20,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, check, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.premises import assumptions
+from certrack.core.budget import within_budget
 from certrack.core.errors import InputError
 from certrack.core.files import write_text
 from certrack.core.rounding import rounded_up
@@ -32,6 +33,9 @@ FORMAT = "certrack-certificate/1"
 
 #: A certificate of order 100 has less than 1 MB; reading stops here, whatever a stranger sends.
 MAX_CERTIFICATE_BYTES = 20_000_000
+
+#: What checking may take: orders of 50 take a tenth of it. See core/budget.py.
+VERIFY_SECONDS, VERIFY_MEGABYTES = 300, 2000
 
 DOCUMENT_KEYS = ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256")
 
@@ -149,6 +153,15 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     """
     name = "certificate" if isinstance(source, dict) else str(source)
     try:
+        return within_budget(
+            lambda: _verify(source), what="", seconds=VERIFY_SECONDS, megabytes=VERIFY_MEGABYTES
+        )
+    except InputError as problem:
+        raise problem.within(name) from None
+
+
+def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
+    try:
         body = source if isinstance(source, dict) else _read_document(Path(source))
         stages = _stages(body)
         proof = stages[-1]
@@ -163,8 +176,6 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
         reason = check(exact, proof) if len(stages) == 1 else check_cascade(system, exact, stages)
     except NoCertificate as refusal:
         return Verdict(False, "", str(refusal), ())
-    except InputError as problem:
-        raise problem.within(name) from None
     return Verdict(not reason, proof.bound, reason, tuple(body["assumptions"]))
 
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from certrack.core import checks
+from certrack.core.budget import within_budget
 from certrack.core.errors import InputError
 from certrack.core.keys import Key
 from certrack.laws import Law, known_laws
@@ -35,6 +36,9 @@ from certrack.systems.toml import parse_toml
 
 #: Largest file that is read: a million samples of a reference fit.
 MAX_FILE_BYTES = 20_000_000
+
+#: What loading may take: ten times what a million samples take. See core/budget.py.
+LOAD_SECONDS, LOAD_MEGABYTES = 60, 2000
 
 #: Tables of the file, and those that it must have.
 SECTIONS = (
@@ -180,9 +184,18 @@ def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -
     True
     """
     try:
-        decoded = _decoded(text)
+        return within_budget(
+            lambda: _loads(text, name, folder),
+            what="",
+            seconds=LOAD_SECONDS,
+            megabytes=LOAD_MEGABYTES,
+        )
     except InputError as problem:
-        raise problem.within(name) from None
+        raise problem if problem.file else problem.within(name) from None
+
+
+def _loads(text: str | bytes, name: str, folder: Path | None) -> System:
+    decoded = _decoded(text)
     try:
         return _read_system(parse_toml(decoded), folder)
     except InputError as problem:
