@@ -198,6 +198,7 @@ def test_public_surface_is_frozen():
         "load",
         "loads",
         "margins",
+        "member",
         "paired",
         "plot",
         "plotting",

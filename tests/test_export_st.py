@@ -8,6 +8,7 @@ import pytest
 import tree_sitter
 import tree_sitter_iec61131_3_st as grammar
 from exported import EVERYTHING, PythonController, along_a_run, sampled
+from extensions import dynamic_surface, prescribed_performance, spline
 from test_cli import invoke, result
 
 import certrack
@@ -154,6 +155,15 @@ def compare(system, name="example1"):
 )
 def test_computes_what_python_does(name, implementation):
     worst, _ = compare(sampled(name, **implementation))
+    assert worst < 1e-13
+
+
+@pytest.mark.parametrize("make", [dynamic_surface, prescribed_performance, spline])
+@pytest.mark.parametrize("limits", [{}, {"saturation": (-30.0, 30.0), "rate_limit": 5000.0}])
+def test_laws_and_references_of_others_compute_what_python_does(make, limits):
+    """Own states with initial values, filters, the time in a formula, samples of a spline."""
+    system = make(implementation=certrack.Implementation(period=1e-3, **limits))
+    worst, _ = compare(system.with_settings(duration=1), "mine")
     assert worst < 1e-13
 
 

@@ -577,7 +577,7 @@ def latex_problems(text):
     return problems + open_
 
 
-def test_tables_are_latex():
+def test_tables_are_latex(tmp_path):
     import pandas
 
     frame = pandas.DataFrame(
@@ -592,7 +592,9 @@ def test_tables_are_latex():
     assert latex_problems(certrack.paired(two_laws(), 16).latex("Two laws", "tab:two")) == []
     if compiler := shutil.which("pdflatex"):
         page = rf"\documentclass{{article}}\begin{{document}}{text}\end{{document}}"
-        subprocess.run([compiler, "-halt-on-error"], input=page.encode(), check=True)
+        (tmp_path / "page.tex").write_text(page)
+        command = [compiler, "-halt-on-error", "-interaction=batchmode", "page.tex"]
+        subprocess.run(command, cwd=tmp_path, capture_output=True, check=True)
 
 
 @pytest.mark.parametrize(

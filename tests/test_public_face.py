@@ -378,7 +378,16 @@ def test_long_calls_report_in_one_way(name, tmp_path):
     assert bool(best) == (name in ("ensemble", "falsify"))
 
 
-@pytest.mark.parametrize("name", CALLS)
+#: These do not know beforehand how much they will do.
+OPEN_ENDED = {
+    "margins": lambda progress, _: certrack.margins(
+        certrack.load("dual-motor-lean"), members=1, progress=progress
+    ),
+    "reproduce": lambda progress, _: certrack.reproduce(progress, budget=100),
+}
+
+
+@pytest.mark.parametrize("name", CALLS | OPEN_ENDED)
 def test_another_thread_stops_a_call(name, tmp_path):
     waiting, go_on, caught = threading.Event(), threading.Event(), []
 
@@ -390,7 +399,7 @@ def test_another_thread_stops_a_call(name, tmp_path):
 
     def work():
         try:
-            CALLS[name](stop, tmp_path / "out")
+            (CALLS | OPEN_ENDED)[name](stop, tmp_path / "out")
         except certrack.Cancelled as problem:
             caught.append(problem)
 

@@ -58,6 +58,7 @@ from .studies.ensembles.comparison import PairedComparison as PairedComparison
 from .studies.ensembles.comparison import paired as paired
 from .studies.ensembles.ensemble import Ensemble as Ensemble
 from .studies.ensembles.ensemble import ensemble as ensemble
+from .studies.ensembles.members import member as member
 from .studies.falsifier.falsify import Falsification as Falsification
 from .studies.falsifier.falsify import falsify as falsify
 from .studies.margins import Margin as Margin

@@ -74,9 +74,9 @@ def simulate(
         raise click.UsageError("--seed needs --member", click.get_current_context())
     system = load(file)
     if member is not None:
-        from certrack.studies.ensembles.members import Members
+        from certrack.studies.ensembles.members import member as member_of
 
-        system = Members(system, seed or 0).member(member)
+        system = member_of(system, member, seed=seed or 0)
     changes = {"integrator": integrator, "tolerance": tolerance}
     system = system.with_settings(**{name: v for name, v in changes.items() if v is not None})
     if with_c:

@@ -51,6 +51,42 @@ def _disturbance_name(k: int, name: str) -> str:
     return f"{DISTURBANCE_PREFIX}{k}_{name}"
 
 
+def member(system: System, index: int, *, seed: int = 0) -> System:
+    """One member of a system's population, as a system of its own.
+
+    The member that :func:`certrack.ensemble` simulates under this index, whatever the number of
+    members: it is a pure function of seed and index.
+
+    Parameters
+    ----------
+    system : System
+    index : int
+        From 0.
+    seed : int
+        Of the ensemble.
+
+    Returns
+    -------
+    System
+        With every drawn number written out; it can be simulated, falsified and saved.
+
+    Raises
+    ------
+    InputError
+        If the index is negative or beyond the sequence, or the population cannot be drawn.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> replayed = certrack.member(certrack.load("example1"), 4188)
+    >>> replayed.title.split(" of:")[0]
+    'Member 4188 (seed 0)'
+    >>> certrack.simulate(replayed).outcome.name
+    'finished'
+    """
+    return Members(system, seed).member(index)
+
+
 class Members:
     """All members of a system's population for one seed.
 
