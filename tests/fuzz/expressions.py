@@ -8,6 +8,7 @@ are defined; and it must not accept what is no arithmetic.
 import ast
 import math
 import random
+from typing import Any
 
 import mpmath
 import sympy
@@ -19,6 +20,9 @@ from fuzz.runner import Finding
 NAMES = ("x1", "x2", "t")
 POINTS = ({"x1": 0.7, "x2": -1.3, "t": 2.1}, {"x1": -2.2, "x2": 0.4, "t": 0.3})
 RELATIVE_ERROR = 1e-9
+
+#: Larger numbers are not followed: their digits are more than the precision has.
+LARGEST = mpmath.mpf("1e50")
 
 ONE_ARGUMENT = (
     "sin cos tan asin acos atan sinh cosh tanh exp log sqrt abs sign".split()  # white list
@@ -200,50 +204,84 @@ def mangled(rng: random.Random, text: str) -> str:
 
 def compared(tree: ast.AST, expr: sympy.Expr, point: dict[str, float]) -> str:
     """Compare at one point; a word for the result."""
+    with mpmath.workdps(400):
+        exact = {name: mpmath.mpf(repr(value)) for name, value in point.items()}
     try:
-        value = expr.xreplace({symbol(k): sympy.Float(repr(v), 60) for k, v in point.items()})
+        with mpmath.workdps(60):
+            expected = float(evaluated(tree, exact))
+        value = expr.xreplace({symbol(k): sympy.Float(repr(v), 400) for k, v in point.items()})
         found = float(value.evalf(30))
-    except (TypeError, ValueError, ArithmeticError):
-        return "undefined"  # complex, or infinite
-    if not math.isfinite(found):
+    except Undefined:
         return "undefined"
-    for digits in (60, 400):
-        with mpmath.workdps(digits):
-            try:
-                value = evaluated(tree, {k: mpmath.mpf(repr(v)) for k, v in point.items()})
-                expected = float(value)
-            except (ArithmeticError, ValueError, Undefined):
-                return "defined only for the product"
-        if abs(found - expected) <= RELATIVE_ERROR * max(1.0, abs(expected)):
-            return "compared"
+    except (TypeError, ValueError, ArithmeticError):
+        return "undefined for the product"  # complex, or infinite
+    if not math.isfinite(found) or near(found, expected):
+        return "compared" if math.isfinite(found) else "undefined for the product"
+    rng = random.Random(0)
+    try:
+        with mpmath.workdps(400):
+            if near(found, float(evaluated(tree, exact))):
+                return "compared"
+        with mpmath.workdps(60):
+            noisy = [float(evaluated(tree, exact, lambda v: noise(rng, v))) for _ in range(8)]
+    except Undefined:
+        return "ill-conditioned"
+    if not all(near(value, noisy[0]) for value in noisy):
+        return "ill-conditioned"  # the sign of what is zero, for example
     raise Finding("another value than mpmath's")
+
+
+def near(a: float, b: float) -> bool:
+    return abs(a - b) <= RELATIVE_ERROR * max(1.0, abs(b))
+
+
+def noise(rng: random.Random, value: mpmath.mpf) -> mpmath.mpf:
+    """A value with an error in the 50th digit."""
+    return value * (1 + mpmath.mpf(rng.uniform(-1, 1)) * mpmath.mpf("1e-50"))
 
 
 class Undefined(Exception):
     """No real number."""
 
 
-def evaluated(node: ast.AST, values: dict[str, mpmath.mpf]) -> mpmath.mpf:
+def real(value: mpmath.mpf) -> mpmath.mpf:
+    """The value, if it is a real number of a size whose sine can be computed."""
+    if isinstance(value, mpmath.mpc) or not mpmath.isfinite(value) or abs(value) > LARGEST:
+        raise Undefined
+    return value
+
+
+def evaluated(node: ast.AST, values: dict[str, mpmath.mpf], rounded: Any = real) -> mpmath.mpf:
     """The value of a syntax tree; a finding if it is no arithmetic of the white list."""
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return mpmath.mpf(repr(number))
         case ast.Name(id="pi"):
-            return +mpmath.pi
+            return rounded(+mpmath.pi)
         case ast.Name(id=name) if name in values:
             return values[name]
         case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return -evaluated(operand, values)
+            return -evaluated(operand, values, rounded)
         case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-            return evaluated(operand, values)
+            return evaluated(operand, values, rounded)
         case ast.BinOp(left=left, op=op, right=right):
-            return real(operation(op, evaluated(left, values), evaluated(right, values)))
+            a, b = evaluated(left, values, rounded), evaluated(right, values, rounded)
+            return rounded(real(operation(op, a, b)))
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
-            return real(call(name, [evaluated(arg, values) for arg in args]))
+            numbers = [evaluated(arg, values, rounded) for arg in args]
+            return rounded(real(call(name, numbers)))
     raise Finding(f"accepted {type(node).__name__}, which is no arithmetic")
 
 
 def operation(op: ast.operator, a: mpmath.mpf, b: mpmath.mpf) -> mpmath.mpf:
+    """An operation, or undefined."""
+    try:
+        return _operation(op, a, b)
+    except (ArithmeticError, ValueError):
+        raise Undefined from None
+
+
+def _operation(op: ast.operator, a: mpmath.mpf, b: mpmath.mpf) -> mpmath.mpf:
     match op:
         case ast.Add():
             return a + b
@@ -259,12 +297,20 @@ def operation(op: ast.operator, a: mpmath.mpf, b: mpmath.mpf) -> mpmath.mpf:
 
 
 def call(name: str, args: list[mpmath.mpf]) -> mpmath.mpf:
+    """A function, or undefined."""
+    try:
+        return _call(name, args)
+    except (ArithmeticError, ValueError):
+        raise Undefined from None
+
+
+def _call(name: str, args: list[mpmath.mpf]) -> mpmath.mpf:
     match name, args:
         case "sign", [a]:
             return mpmath.sign(a)
         case "abs", [a]:
             return abs(a)
-        case ("min" | "max"), [_, *_]:
+        case (("min" | "max"), [_, *_]):
             return (min if name == "min" else max)(args)
         case "atan2", [a, b]:
             if a == 0 and b == 0:
@@ -273,9 +319,3 @@ def call(name: str, args: list[mpmath.mpf]) -> mpmath.mpf:
         case _, [a] if name in ONE_ARGUMENT:
             return getattr(mpmath, name)(a)
     raise Finding(f"accepted {name} of {len(args)} arguments")
-
-
-def real(value: mpmath.mpf) -> mpmath.mpf:
-    if isinstance(value, mpmath.mpc) or not mpmath.isfinite(value):
-        raise Undefined
-    return value

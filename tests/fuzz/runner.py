@@ -115,7 +115,7 @@ def place(problem: BaseException) -> str:
     return f"in {Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else ""
 
 
-class alarm:  # noqa: N801 - reads as a statement
+class alarm:
     """Break off after some processor time, where the system can."""
 
     def __init__(self, seconds: float) -> None:

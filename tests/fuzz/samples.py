@@ -11,10 +11,12 @@ from certrack.core.errors import CertrackError
 from fuzz.runner import Finding
 
 GOOD = b"# time, y_d\n0,0\n0.5,0.1\n1,0.3\n2,-0.1\n3,0\n"
-PIECES = (
-    b"nan inf -inf 1e400 1e-400 , \n \r \x00 \xff \" 1_0 0x1p3 1j # \n\n 1,2,3\n 1\n \xef\xbb\xbf ; "
-    b"1e300,1e300\n 1e9,1e308\n True 0,5;1,2\n t;y\n 1e-300,1\n ms '' \t"
-).split(b" ") + ["١,1\n".encode(), b"9" * 5000, b" ", b"time,y\n", b"0,0\n" * 300]
+PIECES = [
+    *(b"nan", b"inf", b"-inf", b"1e400", b"1e-400", b",", b"\n", b"\r", b"\x00", b"\xff", b'"'),
+    *(b"1_0", b"0x1p3", b"1j", b"#", b"\n\n", b"1,2,3\n", b"1\n", b"\xef\xbb\xbf", b";", b" "),
+    *(b"1e300,1e300\n", b"1e9,1e308\n", b"True", b"0,5;1,2\n", b"t;y\n", b"1e-300,1\n", b"ms"),
+    *(b"''", b"\t", "\u0661,1\n".encode(), b"9" * 5000, b"time,y\n", b"0,0\n" * 300, b"1 2\n"),
+]
 
 SYSTEM = """
 [plant]

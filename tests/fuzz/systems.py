@@ -86,7 +86,7 @@ TEXTS = (
     *("exp(exp(exp(9)))", "9**9**9", "sin(x1)", "x1**0.5", "sqrt(x1)", "log(x1)", "1/x1"),
     *("max(x1,x2,1)", "sign(x1)", "x1**64", "((((1))))", "(lambda:1)()", "x1.__class__"),
     *('__import__("os").system("true")', "a b", "\u0661", "1_000", "0x10", "1j", "True"),
-    *("None", "[1]", "x1 if x1 else 2", 'f"{1}"', "*", "é", "ｘ1", "x1;x2", "x1\n+1", "\x00"),
+    *("None", "[1]", "x1 if x1 else 2", 'f"{1}"', "*", "é", "\uff581", "x1;x2", "x1\n+1", "\x00"),
     *("x1-x1", "0*x1", "x1/x1", "tan(x1)", "atan2(x1,0)", "atan2(0,0)", "acos(2)", "asin(x1)"),
     *("cosh(x1)", "min(x1)", "x" * 11000, "(" * 101 + ")" * 101, "-" * 150 + "1", "uniform"),
     *("latin", "sobol", "adaptive", "robust", "classic", "samples", "cubic", "taylor", "scipy"),
@@ -104,7 +104,7 @@ KEYS = (
     "rate_limit input_quantum measurement_quantum noise seed stream velocity velocity_filter "
     "update anti_windup projection initial_input disturbance sines frequencies sampling points "
     "limit frequency __class__ __init__ self"
-).split() + [""]
+).split()
 SUFFIXES = (
     *("+1", "*2", "**2", "/3", "+abs(x1)", "*sin(x1)", " + t", "*0", "/0", "(", ")", "^2"),
     *("+x9", "*1e300", "**99", "**0.0000001"),
@@ -168,7 +168,7 @@ class Systems:
             elif kind < 0.85:
                 del around[key]
             elif isinstance(around, dict):
-                around[rng.choice(KEYS)] = value(rng)
+                around[rng.choice([*KEYS, ""])] = value(rng)
             else:
                 around.append(value(rng))
         return tables
@@ -232,7 +232,7 @@ def value(rng: random.Random, depth: int = 0) -> Any:
         return [value(rng, depth + 1) for _ in range(count)]
     if depth < 3:
         return {
-            rng.choice(KEYS + list(TEXTS[:8])): value(rng, depth + 1) for _ in range(rng.randrange(3))
+            rng.choice([*KEYS, *TEXTS[:8]]): value(rng, depth + 1) for _ in range(rng.randrange(3))
         }
     return rng.uniform(-10, 10)
 
@@ -259,7 +259,7 @@ def tweaked(rng: random.Random, old: Any) -> Any:
             return f"{function}({old})"
         if kind < 0.7 and old:
             i = rng.randrange(len(old))
-            return old[:i] + rng.choice('()*/+-x1. e\\"\'_é\x00') + old[i + 1 :]
+            return old[:i] + rng.choice("()*/+-x1. e\\\"'_é\x00") + old[i + 1 :]
         return rng.choice(TEXTS)
     if isinstance(old, list):
         return shuffled_list(rng, old, lambda: value(rng, 1))

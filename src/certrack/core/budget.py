@@ -1,10 +1,10 @@
 """A budget of processor time and memory for work on a stranger's file.
 
-Sizes are checked wherever a file is read, so that nothing grows without bound. This is the last line
-of defence, for what nobody thought of. A second thread watches the one that works and, when its
-budget is spent, raises an exception in it. That works on every system, needs no right and touches no
-limit of the process; but a single operation inside a C library is not interrupted, only what
-follows it.
+Sizes are checked wherever a file is read, so that nothing grows without bound. This is the last
+line of defence, for what nobody thought of. A second thread watches the one that works and, when
+its budget is spent, raises an exception in it. That works on every system, needs no right and
+touches no limit of the process; but a single operation inside a C library is not interrupted, only
+what follows it.
 """
 
 from __future__ import annotations

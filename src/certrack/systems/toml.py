@@ -1,9 +1,9 @@
 """TOML text to tables, within limits of size and nesting.
 
-``tomllib`` keeps about a kilobyte for every table and for every prefix of a dotted key, so a file of
-40 kB could fill gigabytes. A pass of regular expressions, each of which takes time in proportion to
-the text, therefore measures the text first. A system file has three levels and some hundred keys; the
-limits are far above that, and far below what would be felt.
+``tomllib`` keeps about a kilobyte for every table and for every prefix of a dotted key, so a file
+of 40 kB could fill gigabytes. A pass of regular expressions, each of which takes time in proportion
+to the text, therefore measures the text first. A system file has three levels and some hundred
+keys; the limits are far above that, and far below what would be felt.
 """
 
 from __future__ import annotations
