@@ -21,7 +21,7 @@ from certrack.core.version import version
 from certrack.model.sampling import MAX_MEMBERS
 from certrack.studies.ensembles.plan import REVISION, Plan, Range
 from certrack.studies.ensembles.statistics import Statistics
-from certrack.studies.ensembles.stored import read_stored
+from certrack.studies.ensembles.stored import read_stored, sealed
 from certrack.systems.writer import to_text
 
 #: So many chunk files are merged into one.
@@ -45,6 +45,7 @@ class Checkpoints:
         self.folder = folder
         self._plan = plan
         self._keep_merged = False  # it belongs to a larger run
+        self._run = self._manifest()
         self._lock = FileLock(folder / LOCK_NAME, timeout=0)
 
     def __enter__(self) -> Checkpoints:
@@ -82,7 +83,7 @@ class Checkpoints:
 
     def _claim(self) -> None:
         """Write what is run, or refuse a folder of something else."""
-        manifest, text = self.folder / "ensemble.toml", self._manifest().encode()
+        manifest, text = self.folder / "ensemble.toml", self._run.encode()
         if not os.path.lexists(manifest):
             self._write(manifest, text)
             return
@@ -129,15 +130,14 @@ class Checkpoints:
 
     def save(self, span: Range, arrays: dict[str, np.ndarray]) -> None:
         """Write one chunk."""
-        self._save(self.folder / f"chunk-{span[0]:010d}-{span[1]:010d}.npz", arrays)
+        self._save(self.folder / f"chunk-{span[0]:010d}-{span[1]:010d}.npz", arrays, [span])
 
     def gather(self, total: Statistics, covered: list[Range]) -> None:
         """Replace many chunk files by one."""
         chunks = self._chunks()
         if len(chunks) < MAX_CHUNK_FILES or self._keep_merged:
             return
-        ranges = np.array(sorted(covered), dtype=np.int64)
-        self._save(self.folder / "merged.npz", total.packed() | {"ranges": ranges})
+        self._save(self.folder / "merged.npz", total.packed(), sorted(covered))
         for path, span in chunks:
             if _overlaps(span, covered):
                 path.unlink(missing_ok=True)
@@ -153,16 +153,12 @@ class Checkpoints:
     def _read(self, path: Path, span: Range | None = None) -> tuple[Statistics | None, list[Range]]:
         """Statistics in a file, whole or not at all, and the members that they count."""
         try:
-            return read_stored(path, self._plan, span)
+            return read_stored(path, self._plan, self._run, span)
         except Exception:  # whatever is wrong with it, its members are computed again
             return None, []
 
-    def _save(self, path: Path, arrays: dict[str, np.ndarray]) -> None:
-        import io
-
-        buffer = io.BytesIO()
-        np.savez(buffer, **arrays)  # type: ignore[arg-type]
-        self._write(path, buffer.getbuffer())
+    def _save(self, path: Path, arrays: dict[str, np.ndarray], ranges: list[Range]) -> None:
+        self._write(path, sealed(arrays, ranges, self._run))
 
     def _write(self, path: Path, data: bytes | memoryview) -> None:
         try:

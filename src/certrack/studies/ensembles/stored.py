@@ -1,13 +1,14 @@
-"""Read the statistics of a file of chunks, and believe nothing of it.
+"""Write the statistics of members to a file, and believe nothing of what is read back.
 
-The file may be torn, of another program, or made to do harm. So it is read without pickle and
-without decompression, every array must have its type and shape, and the numbers must agree with
-each other: every table counts every member once, and where the metrics of single members are
+The file may be torn, of another ensemble, or made to do harm. So it is read without pickle and
+without decompression, a digest binds its arrays to the members and to what is run, every array
+must have its type and shape, and the numbers must agree with each other: every table counts every member once, and where the metrics of single members are
 kept, all else is counted again from them.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -41,13 +42,15 @@ ARRAYS: dict[str, tuple[str, int]] = {
     **{f"{name}_extremes": ("f8", 1) for name in METRICS},
 }
 
-#: Of a file that keeps the metrics of single members, and of a merged one.
+#: Of a file that keeps the metrics of single members.
 TABLE_ARRAYS = {
     "table_parts": ("i8", 2),
     "table_metrics": ("f8", 2),
     "table_outcomes": ("i1", 1),
 }
-RANGES = {"ranges": ("i8", 2)}
+
+#: Which members are counted, and what binds all arrays together.
+SEALS = {"ranges": ("i8", 2), "digest": ("u1", 1)}
 
 #: Bytes of a file besides those of the bands and the members, and of a member that is kept.
 MAX_OVERHEAD, BYTES_PER_MEMBER = 10_000_000, 100
@@ -63,8 +66,36 @@ class Unusable(ValueError):
     """A file that does not hold what it should; its members are computed again."""
 
 
+def sealed(statistics: Mapping[str, np.ndarray], ranges: Sequence[Range], run: str) -> bytes:
+    """The contents of a file.
+
+    Parameters
+    ----------
+    statistics : mapping
+        Packed.
+    ranges : pairs (begin, end)
+        Members that they count.
+    run : str
+        What is run.
+    """
+    arrays = {**statistics, "ranges": np.array(ranges, dtype=np.int64).reshape(-1, 2)}
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays, digest=digest(arrays, run))
+    return buffer.getvalue()
+
+
+def digest(arrays: Mapping[str, np.ndarray], run: str) -> np.ndarray:
+    """SHA-256 of named arrays and of what is run."""
+    state = hashlib.sha256(run.encode())
+    for name in sorted(set(arrays) - {"digest"}):
+        array = arrays[name]
+        state.update(f"{name} {array.dtype.str} {array.shape} ".encode())
+        state.update(np.ascontiguousarray(array).tobytes())
+    return np.frombuffer(state.digest(), np.uint8)
+
+
 def read_stored(
-    path: Path, plan: Plan, span: Range | None = None
+    path: Path, plan: Plan, run: str, span: Range | None = None
 ) -> tuple[Statistics, list[Range]]:
     """The statistics in a file of `plan`, and the members that they count.
 
@@ -72,8 +103,10 @@ def read_stored(
     ----------
     path : path
     plan : Plan
+    run : str
+        What is run.
     span : (begin, end), optional
-        The members of a chunk; without it the file is a merged one and says them itself.
+        The members of a chunk; a merged file says its own.
 
     Raises
     ------
@@ -87,7 +120,9 @@ def read_stored(
         data = stream.read(largest + 1)
     require(len(data) <= largest, "the file is too long")
     arrays = read_arrays(data)
-    ranges = [span] if span is not None else _ranges(arrays)
+    ranges = _ranges(arrays)
+    require(span is None or ranges == [span], "members of another chunk")
+    require(np.array_equal(digest(arrays, run), arrays["digest"]), "the arrays were changed")
     check_arrays(arrays, plan, ranges)
     statistics = plan.empty()
     statistics.add_packed(arrays)
@@ -96,7 +131,7 @@ def read_stored(
 
 def read_arrays(data: bytes) -> dict[str, np.ndarray]:
     """The arrays of an ``.npz`` file that is not compressed."""
-    known = ARRAYS | TABLE_ARRAYS | RANGES
+    known = ARRAYS | TABLE_ARRAYS | SEALS
     arrays: dict[str, np.ndarray] = {}
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
