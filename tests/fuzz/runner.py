@@ -8,11 +8,13 @@ keeping move to tests/data/corpus, which the tests replay.
 
 import hashlib
 import random
+import re
 import signal
 import sys
 import time
 import traceback
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -74,11 +76,11 @@ def run(fuzzer: Fuzzer, seed: int, count: int, keep: Path | None = None) -> Repo
     for i in range(count):
         data = fuzzer.make(random.Random(f"{fuzzer.name} {seed} {i}"))
         word, spent = outcome(fuzzer, data)
-        report.counts[word.partition(":")[0]] += 1
         report.slowest = max(report.slowest, spent)
         report.megabytes = max(report.megabytes, peak_megabytes())
-        if report.megabytes > MAX_MEGABYTES:
+        if peak_megabytes() > MAX_MEGABYTES:
             word = "FINDING: memory"
+        report.counts[word.partition(":")[0]] += 1
         if word.startswith("FINDING") and word not in report.findings:
             report.findings[word] = data
             print(f"{fuzzer.name} {seed} {i}: {word}", file=sys.stderr, flush=True)
@@ -92,6 +94,7 @@ def run(fuzzer: Fuzzer, seed: int, count: int, keep: Path | None = None) -> Repo
 
 def outcome(fuzzer: Fuzzer, data: bytes) -> tuple[str, float]:
     """The word for what happened to one input, and the processor time that it took, s."""
+    forget_peak()
     begin = time.process_time()
     try:
         with alarm(PATIENCE * MAX_SECONDS):
@@ -136,8 +139,22 @@ class alarm:
         raise TooLong
 
 
+STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+
+
+def forget_peak() -> None:
+    """Measure the most memory from now on, where the system can."""
+    with suppress(OSError):
+        CLEAR.write_text("5")
+
+
 def peak_megabytes() -> float:
-    """Most memory that this process had, MB; 0 where the system does not say."""
+    """Most memory that this process had since the input began, MB.
+
+    Since the process began where the system cannot forget; 0 where it does not say.
+    """
+    if CLEAR.exists() and (peak := re.search(r"VmHWM:\s+(\d+) kB", STATUS.read_text())):
+        return int(peak[1]) / 1000
     if resource is None:
         return 0.0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -118,6 +118,8 @@ class _Watch:
         with self._lock:
             self._done.set()
             _raise_in(self._owner, None)
+        if self._thread.is_alive():
+            self._thread.join()  # a process with one thread may fork
 
     def _look(self) -> None:
         raised = -AGAIN_AFTER

@@ -37,7 +37,7 @@ from certrack.systems.toml import parse_toml
 #: Largest file that is read: a million samples of a reference fit.
 MAX_FILE_BYTES = 20_000_000
 
-#: What loading may take: ten times what a million samples take. See core/budget.py.
+#: What loading may take: about five times what a million samples take. See core/budget.py.
 LOAD_SECONDS, LOAD_MEGABYTES = 60, 2000
 
 #: Tables of the file, and those that it must have.
