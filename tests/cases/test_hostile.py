@@ -105,3 +105,23 @@ def test_python_does_not_limit_what_is_checked():
     with pytest.raises(InputError, match="is not TOML") as refused:
         certrack.loads("a = " + "9" * (digits + 100))
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "drift",
+    [
+        "abs(exp(acos(x2/9)))",
+        "tan(x1 + 1 + pi/2)",
+        "abs(exp(asin(x1/9))*x2)",
+        "1/tan(pi/2 - x1/9 - 1)",
+    ],
+)
+def test_what_sympy_rewrites_in_functions_of_its_own_is_not_refused(drift):
+    """Found by the fuzzer of system files: valid formulas had no compiled form."""
+    system = certrack.loads(certrack.starter().replace('drift = "-d/J*x2"', f'drift = "{drift}"'))
+    short = system.with_settings(duration=0.01, tail=None)
+    ends = [
+        certrack.simulate(short.with_settings(integrator=name)).metrics.tail_error
+        for name in ("scipy", "implicit")
+    ]
+    assert ends[0] == pytest.approx(ends[1], rel=1e-5)

@@ -48,9 +48,9 @@ class Certificates:
 
     name, suffix = "certificates", ".json"
 
-    def __init__(self) -> None:
+    def __init__(self, names: tuple[str, ...] = HONEST) -> None:
         self.honest: list[dict[str, Any]] = []
-        for name in HONEST:
+        for name in names:
             system = certrack.load(name)
             found = certrack.certify(system)
             self.honest.append(json.loads(json.dumps(to_document(system, *found.stages))))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import pickle
 from typing import Any
 
-
 #: Characters of a key and of a sentence in a message: they may quote a name of the user's.
 MAX_KEY, MAX_SENTENCE = 200, 1000
 

@@ -60,6 +60,9 @@ ALLOWED_FUNCTIONS: dict[str, tuple[Any, Callable[..., float], int, int]] = {
     "max": (sympy.Max, max, 1, MAX_ARGUMENTS),
 }
 
+#: What SymPy makes of some of them, and nothing else of certrack knows.
+FOREIGN = (sympy.re, sympy.im, sympy.arg, sympy.cot, sympy.sec, sympy.csc, sympy.coth, sympy.sech)
+
 RESERVED_NAMES = frozenset(ALLOWED_FUNCTIONS) | {"t", "pi", "inf", "nan"}
 
 _ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
@@ -352,7 +355,12 @@ class _Builder:
             return build(*exprs), self.checked(lambda: compute(*values))
         if name in ("min", "max") and len(exprs) > 1:  # SymPy would compare all pairs
             return build(*exprs, evaluate=False), None
-        return build(*exprs), None
+        built = build(*exprs)
+        if built.has(
+            *FOREIGN
+        ):  # |exp(acos(x))| becomes exp(re(acos(x))), tan(x + pi/2) a cotangent
+            built = build(*exprs, evaluate=False)
+        return built, None
 
     def constant_value(self, expr: sympy.Expr, value: float | None) -> float | None:
         """The value of a part whose names have cancelled (x1 - x1), before SymPy computes on it."""

@@ -1,9 +1,9 @@
 """Write the statistics of members to a file, and believe nothing of what is read back.
 
 The file may be torn, of another ensemble, or made to do harm. So it is read without pickle and
-without decompression, a digest binds its arrays to the members and to what is run, every array
-must have its type and shape, and the numbers must agree with each other: every table counts every member once, and where the metrics of single members are
-kept, all else is counted again from them.
+without decompression; a digest binds its arrays to the members and to what is run; every array must
+have its type and shape; and the numbers must agree with each other: every table counts every member
+once, and where the metrics of single members are kept, all else is counted again from them.
 """
 
 from __future__ import annotations
