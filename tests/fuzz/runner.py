@@ -31,6 +31,10 @@ MAX_SECONDS, MAX_MEGABYTES = 2.0, 1000
 PATIENCE = 5
 
 
+#: What happened to a system that was simulated, which may take any time.
+UNTIMED = "loaded, simulated"
+
+
 class Finding(Exception):
     """Something that must never happen."""
 
@@ -106,6 +110,8 @@ def outcome(fuzzer: Fuzzer, data: bytes) -> tuple[str, float]:
     except Exception as problem:
         word = f"FINDING: {type(problem).__name__} {place(problem)}"
     spent = time.process_time() - begin
+    if word == UNTIMED:
+        return word, 0.0
     if spent > MAX_SECONDS and not word.startswith("FINDING"):
         word = f"FINDING: slow, {word}"
     return word, spent
