@@ -160,6 +160,14 @@ def number(key: str, text: Any, names: Mapping[str, Any] | None = None) -> Expre
     return expression
 
 
+def has_fine_root(expr: sympy.Expr) -> bool:
+    """Whether a formula has a power such as x**0.123456789 in it.
+
+    SymPy may take it for a polynomial in the 10^9th root, whose coefficients fill the memory.
+    """
+    return any(power.exp.is_Rational and power.exp.q > MAX_POWER for power in expr.atoms(sympy.Pow))
+
+
 def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
     """Classical derivative where it exists; kinks (abs, min, max) give their one-sided slopes."""
     signs: dict[sympy.Symbol, sympy.Expr] = {}
@@ -355,10 +363,8 @@ class _Builder:
             return build(*exprs), self.checked(lambda: compute(*values))
         if name in ("min", "max") and len(exprs) > 1:  # SymPy would compare all pairs
             return build(*exprs, evaluate=False), None
-        built = build(*exprs)
-        if built.has(
-            *FOREIGN
-        ):  # |exp(acos(x))| becomes exp(re(acos(x))), tan(x + pi/2) a cotangent
+        # |exp(acos(x))| would become exp(re(acos(x))), and tan(x + pi/2) a cotangent
+        if any(map(has_fine_root, exprs)) or (built := build(*exprs)).has(*FOREIGN):
             built = build(*exprs, evaluate=False)
         return built, None
 
