@@ -53,7 +53,7 @@ def test_work_that_catches_everything_is_refused_in_the_end():
 
 def test_no_exception_comes_after_the_work(monkeypatch):
     """Not even where the work ends at the moment when its budget does."""
-    monkeypatch.setattr(budget, "LOOK_EVERY", 0.001)
+    monkeypatch.setattr(budget, "POLL_INTERVAL", 0.001)
     refused = 0
     for i in range(60):
         begin, length = time.thread_time(), 0.02 * (0.9 + i / 200)

@@ -25,12 +25,12 @@ FACTOR_VARIABLE = "CERTRACK_BUDGET"
 
 #: How often the watching thread looks, s, and how long it waits before it raises once more: a
 #: library may have caught the first exception.
-LOOK_EVERY, AGAIN_AFTER = 0.05, 1.0
+POLL_INTERVAL, RAISE_INTERVAL = 0.05, 1.0
 
 Result = TypeVar("Result")
 
 
-class _Spent(BaseException):
+class _BudgetExceeded(BaseException):
     """Raised in the watched thread. No handler of ordinary errors catches it."""
 
 
@@ -70,14 +70,14 @@ def within_budget(
             result = work()
         finally:
             watch.stop()
-    except _Spent:
+    except _BudgetExceeded:
         _stop_surely(watch)
     except MemoryError:
         raise InputError(what, "needs more memory than this machine gives") from None
-    if watch.spent:
+    if watch.exceeded:
         raise InputError(
             what,
-            f"is given up: it needs more than {watch.spent}",
+            f"is given up: it needs more than {watch.exceeded}",
             remedy=f"Make it simpler or set the environment variable {FACTOR_VARIABLE} to a factor",
         )
     return result
@@ -98,13 +98,13 @@ class _Watch:
     """A second thread that looks at what the present one has used."""
 
     def __init__(self, seconds: float, megabytes: float) -> None:
-        self.spent = ""  # of what; empty while within the budget
+        self.exceeded = ""  # of what; empty while within the budget
         self._seconds, self._megabytes = seconds, megabytes
         self._owner = threading.get_ident()
         self._clock = _clock_of(self._owner)
         self._begin, self._memory = self._clock(), resident_megabytes()
         self._lock, self._done = threading.RLock(), threading.Event()
-        self._thread = threading.Thread(target=self._look, name="certrack budget", daemon=True)
+        self._thread = threading.Thread(target=self._poll, name="certrack budget", daemon=True)
 
     def start(self) -> None:
         """Begin to look, where there can be another thread at all."""
@@ -121,15 +121,15 @@ class _Watch:
         if self._thread.is_alive():
             self._thread.join()  # a process with one thread may fork
 
-    def _look(self) -> None:
-        raised = -AGAIN_AFTER
-        while not self._done.wait(LOOK_EVERY):
-            self.spent = self.spent or self._overspent()
-            if self.spent and time.monotonic() - raised >= AGAIN_AFTER:
+    def _poll(self) -> None:
+        raised = -RAISE_INTERVAL
+        while not self._done.wait(POLL_INTERVAL):
+            self.exceeded = self.exceeded or self._overspent()
+            if self.exceeded and time.monotonic() - raised >= RAISE_INTERVAL:
                 raised = time.monotonic()
                 with self._lock:
                     if not self._done.is_set():
-                        _raise_in(self._owner, _Spent)
+                        _raise_in(self._owner, _BudgetExceeded)
 
     def _overspent(self) -> str:
         if self._clock() - self._begin > self._seconds:
@@ -145,7 +145,7 @@ def _stop_surely(watch: _Watch) -> None:
         try:
             watch.stop()
             return
-        except _Spent:
+        except _BudgetExceeded:
             continue
 
 

@@ -80,7 +80,7 @@ def sealed(statistics: Mapping[str, np.ndarray], ranges: Sequence[Range], run: s
     """
     arrays = {**statistics, "ranges": np.array(ranges, dtype=np.int64).reshape(-1, 2)}
     buffer = io.BytesIO()
-    np.savez(buffer, **arrays, digest=digest(arrays, run))
+    np.savez(buffer, **arrays, digest=digest(arrays, run))  # type: ignore[arg-type]
     return buffer.getvalue()
 
 
