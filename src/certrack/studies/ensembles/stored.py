@@ -279,9 +279,9 @@ def _check_table(arrays: Mapping[str, np.ndarray], plan: Plan, ranges: Sequence[
     require(codes.shape == (members,), "a table of another shape")
     require(((codes >= 0) & (codes < len(Outcome))).all(), "an outcome that nobody knows")
     names = [outcome.name for outcome in Outcome]
-    counted = {names[code]: count for code, count in enumerate(np.bincount(codes)) if count}
+    occurred = {names[code]: count for code, count in enumerate(np.bincount(codes)) if count}
     stored = dict(zip(arrays["outcomes"].tolist(), arrays["outcome_counts"].tolist(), strict=True))
-    require(counted == stored, "outcomes of others")
+    require(occurred == stored, "outcomes of others")
     for name, values in zip(METRICS, metrics, strict=True):
         tally = Tally()
         tally.observe(values)
