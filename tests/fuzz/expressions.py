@@ -276,11 +276,13 @@ def real(value: mpmath.mpf) -> mpmath.mpf:
     return value
 
 
-def evaluated(node: ast.AST, values: dict[str, mpmath.mpf], rounded: Any = real) -> mpmath.mpf:
+def evaluated(
+    node: ast.AST, values: dict[str, mpmath.mpf], rounded: Any = lambda v: v
+) -> mpmath.mpf:
     """The value of a syntax tree; a finding if it is no arithmetic of the white list."""
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-            return mpmath.mpf(repr(number))
+            return rounded(mpmath.mpf(repr(number)))
         case ast.Name(id="pi"):
             return rounded(+mpmath.pi)
         case ast.Name(id=name) if name in values:
