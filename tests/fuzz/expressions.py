@@ -282,7 +282,8 @@ def evaluated(
     """The value of a syntax tree; a finding if it is no arithmetic of the white list."""
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-            return rounded(mpmath.mpf(repr(number)))
+            value = mpmath.mpf(repr(number))
+            return rounded(value) if value > 1e15 else value  # an exponent stays what it is
         case ast.Name(id="pi"):
             return rounded(+mpmath.pi)
         case ast.Name(id=name) if name in values:
