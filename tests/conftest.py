@@ -33,6 +33,7 @@ SHIPPED = (
     "dual-motor-strong",
     "example1",
     "example1-classic",
+    "stiction",
     "theorem1-counterexample",
 )
 

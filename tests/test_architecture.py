@@ -80,9 +80,20 @@ def test_page_names_what_exists():
 #: Public names that several modules define, and why that is one meaning.
 ONE_MEANING = {
     **dict.fromkeys(
-        ("certify", "design", "ensemble", "falsify", "fmu", "reproduce", "simulate", "verify"),
+        (
+            "certify",
+            "check",
+            "design",
+            "ensemble",
+            "falsify",
+            "fmu",
+            "reproduce",
+            "simulate",
+            "verify",
+        ),
         "the verb of the command line, and what it calls",
     ),
+    "check": "look at what is stated: a file (the verb and what it calls), or a proof",
 }
 
 
@@ -146,6 +157,7 @@ def test_public_surface_is_frozen():
         "Certificate",
         "Certificates",
         "CertrackError",
+        "Check",
         "Claim",
         "Classic",
         "CompilerError",
@@ -171,6 +183,7 @@ def test_public_surface_is_frozen():
         "PairedComparison",
         "Plant",
         "Population",
+        "Premise",
         "Reproduction",
         "Robust",
         "Run",
@@ -186,6 +199,7 @@ def test_public_surface_is_frozen():
         "catalog",
         "certificates",
         "certify",
+        "check",
         "check_assumption_1",
         "design",
         "ensemble",

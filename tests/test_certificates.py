@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+import sys
 from dataclasses import dataclass, replace
 
 import cvxpy
@@ -142,6 +143,29 @@ def test_modelling_layer_finds_the_same_optimum():
     problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum(nu) + cvxpy.sum(k)), [Q << 0, P - floor >> 0])
     problem.solve(solver=cvxpy.CLARABEL)
     assert ours.delta == pytest.approx(problem.value, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["example1", "dual-motor", "theorem1-counterexample"])
+def test_the_designs_own_multipliers_prove_the_rate_form_without_a_solver(name, monkeypatch):
+    module = sys.modules["certrack.certificates.certify"]
+    monkeypatch.setattr(module, "best_solution", lambda _: None)
+    system = certrack.load(name)
+    found, proof = certify_semidefinite(system)
+    assert found.verified
+    assert check(error_problem(system, rational), proof) == ""
+    assert found.bound <= certify_published(system)["rate"].bound * (1 + 1e-4)
+
+
+def test_damping_terms_of_any_size_are_proven():
+    """kappa_5 = 2e30: the solver sees nothing but it."""
+    n, k = 5, 0.5
+    plant = Plant(states=[f"x{i + 1}" for i in range(n)], chain=[1] * (n - 1), input_gain=1)
+    damping = {"k": [[k] * (2 * m) for m in range(1, n + 1)], "p": [k] * (n - 1)}
+    law, start = Robust(c=[1.3] * n, **damping), Settings([0] * n, 1)
+    system = System(plant, law, SymbolicReference("0.3*cos(t)"), Truth(1), start)
+    found, _ = certify_semidefinite(system)
+    assert found.verified
+    assert found.bound <= certify_published(system)["rate"].bound
 
 
 def test_inequality_is_the_derivative_of_v():
@@ -413,7 +437,11 @@ def test_saved_certificate_is_verified_and_tampering_refused(tmp_path):
         "stage": lambda d: d["proof"].append(d["proof"][0]),
         "system": lambda d: d.update(system=d["system"].replace("0.01", "0.02")),
         "claim": lambda d: d.update(claim="limsup |e_1(t)| <= 0"),
-        "assumptions": lambda d: d.update(assumptions=[]),
+        "premises": lambda d: d.update(premises=[]),
+        "a premise left out": lambda d: d["premises"].pop(0),
+        "a status": lambda d: d["premises"][0].update(status="assumed"),
+        "a detail": lambda d: d["premises"][3].update(detail="tau |w_2| = 0"),
+        "a shift that no stage uses": lambda d: d["proof"][0].update(shift="1"),
         "made_by": lambda d: d.update(made_by="someone"),
     }
     for name, change in changes.items():

@@ -174,9 +174,15 @@ def test_certify_and_verify(capfd, tmp_path):
     code, _, err = invoke(capfd, "verify", str(path))
     assert code == 2
     assert "proof: must have" in err
-    code, _, err = invoke(capfd, "certify", "example1-classic")
+    code, _, err = invoke(capfd, "certify", "example1-classic", "--require")
     assert code == 1
     assert "without leakage" in err
+    code, _, err = invoke(capfd, "certify", "example1-classic")
+    assert code == 0, "nothing was asked for"
+    assert "without leakage" in err
+    code, _, err = invoke(capfd, "certify", "example1-classic", "--out", str(tmp_path / "none.json"))
+    assert code == 1 and not (tmp_path / "none.json").exists()
+    assert "is not written" in err
 
 
 def test_tampered_certificate_is_exit_1(capfd, tmp_path):
@@ -286,7 +292,7 @@ def test_bad_calls_are_exit_2_and_one_line(capfd, arguments, message):
     "verb",
     [
         *("list", "new", "design", "simulate", "compare", "ensemble", "margin", "certify"),
-        *("verify", "falsify", "reproduce", "export c", "export st", "export fmu"),
+        *("check", "verify", "falsify", "reproduce", "export c", "export st", "export fmu"),
     ],
 )
 def test_help_has_an_example_that_is_right(capfd, verb):

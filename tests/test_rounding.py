@@ -20,12 +20,13 @@ from mpmath import iv, mp
 import certrack
 from certrack.certificates import certify_semidefinite
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.balls import ball_precision
 from certrack.certificates.cascade import _prove_stage, certify_cascade
 from certrack.certificates.centred import _enclose, centred_problem
 from certrack.certificates.exact import float_up, from_text, root_up, squared_bound
 from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.published import certify_published
-from certrack.certificates.tube import _energy, _entry_errors
+from certrack.certificates.start import reference_at_start, starting_energy, states_at_start
 from certrack.cli import cli
 from certrack.core.rounding import rounded_up
 from certrack.laws import Robust
@@ -174,14 +175,18 @@ def test_tube_of_a_damped_design_starts_above_the_exact_energy(n, k):
     law = Robust(c=[1.3] * n, **damping)
     system = System(plant, law, SymbolicReference("0.3*cos(t)"), Truth(1), Settings([0] * n, 1))
     problem, exact = error_problem(system, rational), error_coordinates(system, rational)
-    floats, errors = system.controller.coordinates, _entry_errors(system)
+    floats = system.controller.coordinates
     rng = np.random.default_rng(0)
     for decade in np.linspace(-12, 3, 20):
         apart = rng.normal(size=n) * 10**decade
         x = np.linalg.solve(floats.A, floats.B[:, 0] * 0.3 + apart)
         start = np.array([rational(Fraction(v)) for v in x], dtype=object)
         e = exact.A @ start - exact.B[:, 0] * rational(Fraction(0.3))
-        found = _energy(system, problem, np.eye(n), errors, tuple(x.tolist()))
+        at = system.with_settings(x0=x.tolist(), max_state=1e300)
+        with ball_precision():
+            balls = [(states_at_start(at)[0], reference_at_start(at, 0)[0])]
+        identity = np.eye(n, dtype=object) + flint.fmpq(0)
+        found = starting_energy(at, problem, identity, balls)
         assert exactly(found) >= exactly(e @ e) / 2
 
 

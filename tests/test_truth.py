@@ -471,7 +471,7 @@ def test_the_command_line(capfd, tmp_path):
     certificate = tmp_path / "cert.json"
     result(capfd, "certify", str(path), "--out", str(certificate), "--plot", str(plots))
     assert result(capfd, "verify", str(certificate))["verified"] is True
-    assert "states of its own" in json.loads(certificate.read_text())["assumptions"][3]
+    assert "states of its own" in json.loads(certificate.read_text())["premises"][0]["detail"]
     code, text, err = invoke(capfd, "falsify", str(path))
     assert (code, text) == (2, "")
     assert err == (

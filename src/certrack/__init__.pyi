@@ -8,6 +8,7 @@ from . import testing as testing
 from .certificates import Certificate as Certificate
 from .certificates import Certificates as Certificates
 from .certificates import NoCertificate as NoCertificate
+from .certificates import Premise as Premise
 from .certificates import Tube as Tube
 from .certificates import Verdict as Verdict
 from .certificates import certify as certify
@@ -54,6 +55,8 @@ from .simulation.metrics import Metrics as Metrics
 from .simulation.run import Run as Run
 from .simulation.simulator import Simulator as Simulator
 from .simulation.simulator import simulate as simulate
+from .studies.check import Check as Check
+from .studies.check import check as check
 from .studies.ensembles.comparison import PairedComparison as PairedComparison
 from .studies.ensembles.comparison import paired as paired
 from .studies.ensembles.ensemble import Ensemble as Ensemble

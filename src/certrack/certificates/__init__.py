@@ -2,10 +2,11 @@
 
 Each method is a file: `published` (the paper's, and two sound forms of it), `semidefinite`,
 `cascade` with its `centred` stage. They share `problem` (the error system as a matrix inequality)
-and `adaptation` (the update laws' part), which `formulation` fills from a system, `exact`
+and `adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys
+the error system that it states (`stated`), `own_multipliers` (a proof without a solver), `exact`
 (verification), `strength` (up to which scale of tau there is one), `document` (the saved
-certificate and its checker) and `tube` (the bound for every t). A bound is a claim that others
-build on, so the author of a new method must:
+certificate and its checker) and `tube` (the bound for every t, from the `start` in `balls`). A
+bound is a claim that others build on, so the author of a new method must:
 
 1. take a :class:`~certrack.systems.system.System` and nothing else, and build its data by
    ``error_problem(system, rational)`` (`decimal` where it claims no exactness), which refuses the
@@ -15,12 +16,13 @@ build on, so the author of a new method must:
 2. optimise as it likes, in floats (``problem.in_floats()``), and treat what a solver returns as a
    guess. Round it to decimals and check **every** condition of the theorem in exact rationals:
    signs, P >= e_1 e_1^T, the inequality, the leakage, and that bound^2 is not below what they give.
-   Only then is ``verified`` true (``exact.prove`` and ``exact.proven``). A method whose bound is
-   only computed in floats says ``verified = False``, like those of `published`;
+   Only then is ``verified`` true (``exact.prove`` and ``exact.proven``). A bound that nobody has
+   proven says ``verified = False``, like the paper's, and never becomes the best;
 3. round outward wherever a float stands for a real number: bounds of the reference, intervals and
    the printed bound up, a rate down. tests/test_rounding.py shows for every such step what would be
    claimed without it; a new step joins it;
-4. list in ``premises.assumptions`` what the claim rests on beyond what is there already;
+4. list in :mod:`premises_of_truth` what the claim rests on beyond what is there already, each with
+   what is known of it, and name it in docs/certificate-file.md;
 5. write into the document all that a third party needs, and check there what was proven, from the
    text of the system alone and with no solver: ``to_document`` and ``verify``. Another layout of
    the proof is another FORMAT, described in docs/certificate-file.md, and files of the old one stay
@@ -40,18 +42,22 @@ from certrack.certificates.certify import (
 )
 from certrack.certificates.document import Verdict, save_certificate, to_document, verify
 from certrack.certificates.exact import Proof
+from certrack.certificates.premise import Premise
+from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.tube import Tube, tube
 
 __all__ = [
     "Certificate",
     "Certificates",
     "NoCertificate",
+    "Premise",
     "Proof",
     "Tube",
     "Verdict",
     "best_sound_bound",
     "certify",
     "certify_semidefinite",
+    "premises",
     "save_certificate",
     "to_document",
     "tube",

@@ -84,8 +84,20 @@ class Adaptation:
         corners = product(*(dict.fromkeys(pair) for pair in box))
         return [np.array(c, dtype=self.theta0.dtype) - self.theta0 for c in corners]
 
+    def gamma_is_positive_definite(self) -> bool:
+        """Whether V is positive definite in theta_tilde; without it nothing follows from V.
+
+        Decided in exact rationals only: floats, which only guess, take it for granted.
+        """
+        if self.Gamma.dtype != object:
+            return True
+        return bool((self.Gamma == self.Gamma.T).all()) and positive_definite(self.Gamma)
+
     def leakage_cost(self, alpha: Any) -> Any:
-        """q(alpha): what the prior guesses cost, worst over the ranges; None if alpha is too large.
+        """q(alpha): what the prior guesses cost, worst over the ranges.
+
+        None if alpha is too large, or Gamma is not positive definite.
+
 
         -|g| gbar1 (s1 d^2 - d (delta - delta_0)) and its theta counterpart, maximised over the
         estimation errors; s1 = 1 - alpha/(2 gbar gbar1), and W = gbar2 I - alpha/2 Gamma^{-1}.
@@ -96,6 +108,8 @@ class Adaptation:
         cost = max(g * self.leak_gain * d**2 / (4 * s1) for g, d in self.delta_offsets())
         r = len(self.Gamma)
         if r:
+            if not self.gamma_is_positive_definite():
+                return None
             inverse = solve(self.Gamma, np.eye(r, dtype=self.Gamma.dtype))
             W = self.leak_theta * np.eye(r, dtype=self.Gamma.dtype) - alpha / 2 * inverse
             if not positive_definite(W):

@@ -11,19 +11,20 @@ import numpy as np
 import sympy
 
 from certrack.core.expressions import Expression
+from certrack.core.rationals import exact_rational
 
 #: Turns a number or formula into the arithmetic at hand: :func:`rational` or :func:`decimal`.
 ToNumber = Callable[[Any], Any]
 
 
 def rational(value: Any) -> Any:
-    """Exact rational of a number's decimal text (floats), of a formula, or of a Fraction."""
+    """Exact rational of what a float stands for, of a formula, or of a Fraction."""
     if isinstance(value, Expression):
         value = value.expr
     if isinstance(value, sympy.Rational):
         return flint.fmpq(int(value.p), int(value.q))
     if isinstance(value, (float, np.floating, sympy.Expr)):  # an irrational by its float
-        value = Fraction(repr(float(value)))
+        value = exact_rational(value if isinstance(value, float) else float(value))
     exact = Fraction(value)
     return flint.fmpq(exact.numerator, exact.denominator)
 

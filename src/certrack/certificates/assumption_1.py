@@ -1,44 +1,53 @@
-"""Assumption 1 put to the test: does the file's omega obey |w_k| <= gamma_k ||x|| + beta_k?"""
+"""Assumption 1 put to the test: does the file's omega obey |w_k| <= gamma_k ||x|| + beta_k?
+
+First by majorants, which prove it; else by samples, which can only refute it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
 
 import numpy as np
 import sympy
 from scipy.optimize import minimize
 
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.domain import always_defined, more_digits, undefined_at
+from certrack.certificates.majorants import Majorant, covers, majorants
+from certrack.certificates.sampling import Points, nearest_failure, random_points
 from certrack.core.expressions import TIME
-from certrack.core.lowering import numpy_callable, rows
+from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.systems.system import System
-
-#: Random points per term; the search takes about 0.05 s, and a violation on a thousandth of
-#: them is missed with a probability of 1e-17.
-RANDOM_POINTS = 40_000
 
 #: Relative excess that is not reported: the evaluation of a formula rounds.
 VIOLATION_TOLERANCE = 1e-9
 
+#: Part of ||x|| by which a formula that is zero may seem to be none.
+ROUNDING = 1e-13
+
+#: Relative excess of the point that is shown, where there is one: it can be seen with a calculator.
+CLEAR_EXCESS = 1e-3
+
 #: Steps of the Nelder-Mead search that polishes the worst point.
 POLISHING_STEPS = 400
-
-#: Powers of ten between which the random states lie; part of them that lies on an axis, where a
-#: term of one state is largest against the norm; part of the times at 0, where a transient starts.
-RANDOM_MAGNITUDES, AXIS_SHARE, START_SHARE = (-3, 4), 0.3, 0.05
 
 
 @dataclass(frozen=True)
 class Violation:
-    """A point at which an uncertain term exceeds its bound.
+    """A point at which an uncertain term exceeds its bound, or has no value.
 
     Attributes
     ----------
     term : str
         E.g. ``"w_2"``.
     t, x
-        Where.
+        Where: of the points found, the one with the smallest ||x||.
     value, limit : float
-        |tau w| there, and what the uncertainty allows for it.
+        |tau w| there (NaN where the formula has no value), and what the uncertainty allows for it.
+    remedy : str
+        What would make the assumption hold.
     """
 
     term: str
@@ -46,21 +55,24 @@ class Violation:
     x: tuple[float, ...]
     value: float
     limit: float
+    remedy: str = "raise gamma or beta"
 
     def __str__(self) -> str:
         point = ", ".join(f"{v:.4g}" for v in self.x)
-        return (
-            f"Assumption 1 does not hold: tau |{self.term}| = {self.value:.6g} > {self.limit:.6g} "
-            f"at t = {self.t:.4g}, x = ({point}); raise gamma or beta"
-        )
+        where = f"at t = {self.t:.4g}, x = ({point})"
+        if np.isnan(self.value):
+            what = f"{self.term} has no value"
+        else:
+            what = f"tau |{self.term}| = {self.value:.6g} > {self.limit:.6g}"
+        return f"Assumption 1 does not hold: {what} {where}; {self.remedy}"
 
 
 def check_assumption_1(system: System, seed: int = 0) -> list[Violation]:
     """Search for points where the truth's omega breaks its bound.
 
-    Random states of all magnitudes and directions over the run's duration, the worst of each term
-    polished. No violation is evidence, not proof. A truth with states of its own has no omega to
-    evaluate.
+    Random states of all magnitudes and directions, the worst of each term polished, unless the
+    bound is proven. No violation is evidence, not proof: :func:`certrack.check` says which of the
+    two. A truth with states of its own has no omega to evaluate.
 
     Parameters
     ----------
@@ -79,59 +91,159 @@ def check_assumption_1(system: System, seed: int = 0) -> list[Violation]:
     >>> certrack.check_assumption_1(certrack.load("example1"))
     []
     """
+    terms = [term for term in uncertain_terms(system) if not term.proven]
+    if not terms:
+        return []
+    points = random_points(system.plant.n, system.settings.duration, seed)
+    return [violation for term in terms if (violation := term.violation(points)) is not None]
+
+
+def uncertain_terms(system: System) -> list[UncertainTerm]:
+    """The terms w_1 ... w_n of the truth; none for a truth with states of its own."""
     plant, truth = system.plant, system.truth
-    t, x = _random_points(plant.n, system.settings.duration, seed)
     constants = {**plant.constant_values, **{name: v.expr for name, v in truth.constants}}
-    violations = []
+    terms = []
     for k, w in enumerate(truth.omega or ()):
         exact = {s: constants[s.name] for s in w.expr.free_symbols if s.name in constants}
-        excess = _Excess(system, k, w.expr.subs(exact))
-        size = excess(t, x) / (1 + np.linalg.norm(x, axis=0))
-        i = int(np.argmax(size))
-        best = np.concatenate([[t[i]], x[:, i]])
-        steps = {"maxiter": POLISHING_STEPS}
-        polished = minimize(excess.objective, best, method="Nelder-Mead", options=steps)
-        if -polished.fun > size[i]:
-            best = np.concatenate([[abs(polished.x[0])], polished.x[1:]])
-        gap = float(excess(best[:1], best[1:, None])[0])
-        if gap > VIOLATION_TOLERANCE:
-            limit = float(excess.limit(best[1:, None])[0])
-            point = tuple(best[1:].tolist())
-            violations.append(Violation(f"w_{k + 1}", float(best[0]), point, gap + limit, limit))
-    return violations
+        assert truth.tau is not None
+        u = plant.uncertainty
+        numbers = (_fraction(v[k]) for v in (truth.tau, u.tau, u.gamma, u.beta))
+        terms.append(UncertainTerm(k, w.expr.xreplace(exact), plant.symbols, *numbers))
+    return terms
 
 
-class _Excess:
-    """tau_k |w_k| minus what the uncertainty allows, as a function of time and state."""
+def _fraction(value: object) -> Fraction:
+    exact = rational(value)
+    return Fraction(int(exact.p), int(exact.q))
 
-    def __init__(self, system: System, k: int, formula: sympy.Expr) -> None:
-        u = system.plant.uncertainty
-        assert system.truth.tau is not None
-        self.strength = system.truth.tau[k]
-        self.gamma, self.beta = u.tau[k] * u.gamma[k], u.tau[k] * u.beta[k]
-        self._w = numpy_callable([TIME, system.plant.symbols], [formula])
 
-    def limit(self, x: np.ndarray) -> np.ndarray:
-        return self.gamma * np.linalg.norm(x, axis=0) + self.beta
+@dataclass(frozen=True)
+class UncertainTerm:
+    """One w_k of the truth beside what the design allows for it.
 
-    def __call__(self, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    Attributes
+    ----------
+    k : int
+        From 0.
+    formula : sympy.Expr
+        omega_k of t and the states.
+    states : symbols
+    strength : Fraction
+        The true tau_k.
+    tau, gamma, beta : Fraction
+        Of the design: tau_true |w_k| <= tau (gamma ||x|| + beta) is the assumption.
+    """
+
+    k: int
+    formula: sympy.Expr
+    states: tuple[sympy.Symbol, ...]
+    strength: Fraction
+    tau: Fraction
+    gamma: Fraction
+    beta: Fraction
+
+    @property
+    def name(self) -> str:
+        """E.g. ``w_2``."""
+        return f"w_{self.k + 1}"
+
+    @property
+    def zero(self) -> bool:
+        """Whether there is nothing to bound."""
+        return not self.strength or self.formula == 0
+
+    @cached_property
+    def majorants(self) -> list[Majorant]:
+        """Polynomials in ||x|| that the formula never exceeds; none if it may have no value."""
+        known = always_defined(self.formula, self.states)
+        return majorants(self.formula, self.states) if known else []
+
+    @property
+    def proven(self) -> bool:
+        """Whether the bound holds for all t >= 0 and x, by exact arithmetic."""
+        return self.proven_with(self.gamma, self.beta)
+
+    def proven_with(self, gamma: Fraction, beta: Fraction) -> bool:
+        """The same for another gamma and beta."""
+        tau = self.tau
+        return self.zero or covers(self.majorants, tau * gamma, tau * beta, self.strength)
+
+    def violation(self, points: Points) -> Violation | None:
+        """A point where it exceeds its bound or has no value, of those given and near them."""
+        if self.zero:
+            return None
+        undefined = undefined_at(self.formula, self.states, points)
+        if undefined is not None:
+            condition, where = undefined
+            limit = float(self.limit(where)[0])
+            remedy = f"rewrite truth.omega[{self.k}]: {condition}"
+            return self._violation(where, float("nan"), limit, remedy)
+        beyond = self.exceeded(points)
+        if beyond is None:
+            return None
+        size, limit = float(self.size(beyond)[0]), float(self.limit(beyond)[0])
+        return self._violation(beyond, size, limit, "")
+
+    def violation_of_domain(self, points: Points) -> bool:
+        """Whether it has no value somewhere."""
+        return undefined_at(self.formula, self.states, points) is not None
+
+    def _violation(self, where: Points, value: float, limit: float, remedy: str) -> Violation:
+        t, x = float(where.t[0]), tuple(where.x[:, 0].tolist())
+        return Violation(self.name, t, x, value, limit, remedy or "raise gamma or beta")
+
+    def exceeded(self, points: Points) -> Points | None:
+        """A point beyond the bound, clearly if there is one, of the smallest ||x|| found."""
+        excess = self.excess(points)
+        worst = int(np.argmax(excess / (1 + points.norm)))
+        where = nearest_failure(
+            points, lambda p: self._fails(p) & (self.excess(p) > CLEAR_EXCESS * self.limit(p))
+        )
+        if where is None or not self.confirmed(where):
+            where = nearest_failure(points, self._fails)
+        if where is None:
+            where = nearest_failure(self._polished(points[worst]), self._fails)
+        return where if where is not None and self.confirmed(where) else None
+
+    def _fails(self, points: Points) -> np.ndarray:
+        above: np.ndarray = self.excess(points) > ROUNDING * points.norm
+        return above
+
+    def size(self, points: Points) -> np.ndarray:
+        """tau |w_k|."""
         with np.errstate(all="ignore"):
-            value = self.strength * np.abs(rows(self._w(t, x), len(t))[0])
-        return np.nan_to_num(value - self.limit(x) * (1 + VIOLATION_TOLERANCE), nan=-np.inf)
+            w = rows(self._function(points.t, points.x), len(points.t))[0]
+        return float(self.strength) * np.abs(w)
 
-    def objective(self, point: np.ndarray) -> float:
-        gap = self(np.abs(point[:1]), point[1:, None])[0]
-        return -float(gap) / (1 + float(np.linalg.norm(point[1:])))
+    def limit(self, points: Points) -> np.ndarray:
+        """What the design allows."""
+        allowed: np.ndarray = float(self.tau * self.gamma) * points.norm
+        return allowed + float(self.tau * self.beta)
 
+    def excess(self, points: Points) -> np.ndarray:
+        """tau |w_k| above what is allowed; -inf where it has no value."""
+        gap = self.size(points) - self.limit(points) * (1 + VIOLATION_TOLERANCE)
+        return np.nan_to_num(gap, nan=-np.inf)
 
-def _random_points(n: int, duration: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times and states of all magnitudes, in random directions and along the axes."""
-    rng = np.random.default_rng(seed)
-    x = rng.normal(size=(n, RANDOM_POINTS))
-    axes = rng.random(RANDOM_POINTS) < AXIS_SHARE
-    x[:, axes] *= np.arange(n)[:, None] == rng.integers(0, n, RANDOM_POINTS)[axes]
-    x *= 10.0 ** rng.uniform(*RANDOM_MAGNITUDES, RANDOM_POINTS) / np.linalg.norm(x, axis=0)
-    x[:, :1] = 0.0
-    t = rng.uniform(0, duration, RANDOM_POINTS)
-    t[: int(START_SHARE * RANDOM_POINTS)] = 0.0
-    return t, x
+    def confirmed(self, where: Points) -> bool:
+        """Whether more digits than a float's say the same: no overflow, no cancellation."""
+        value = more_digits(self.formula, self.states, where)
+        if not value.is_real:
+            return bool(value.is_infinite)
+        return bool(float(self.strength) * abs(value) > float(self.limit(where)[0]))
+
+    def _polished(self, point: Points) -> Points:
+        """The point after a search around it for the largest excess."""
+
+        def objective(z: np.ndarray) -> float:
+            where = Points(np.abs(z[:1]), z[1:, None])
+            return -float(self.excess(where)[0]) / (1 + float(where.norm[0]))
+
+        start = np.concatenate([point.t, point.x[:, 0]])
+        options = {"maxiter": POLISHING_STEPS}
+        top = minimize(objective, start, method="Nelder-Mead", options=options).x
+        return Points(np.abs(top[:1]), top[1:, None])
+
+    @cached_property
+    def _function(self) -> NumpyFunction:
+        return numpy_callable([TIME, self.states], [self.formula])

@@ -27,7 +27,8 @@ class Certificate:
     bound : float
         Rounded up; ``inf`` if there is no certificate. Unit of the output.
     alpha, delta : float
-        V' <= -alpha V + delta, to a few roundings (1/s; NaN where the method does not give them).
+        V' <= -alpha V + delta; alpha is rounded down and delta up (1/s; NaN where the method does
+        not give them).
     verified : bool
         Whether exact arithmetic has confirmed it.
     reason : str

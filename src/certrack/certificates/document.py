@@ -1,7 +1,8 @@
 """The saved certificate: everything a third party needs to check it, and the checker.
 
 The file is JSON. `verify` rebuilds the problem from the system text in exact rationals and checks
-the inequality; it uses no solver and no floating point. See docs/certificate-file.md.
+the inequality; that uses no solver and no floating point. Then it looks at the premises as
+`certify` does, and refuses a file whose own truth contradicts one. See docs/certificate-file.md.
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, check, from_text
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises import assumptions
+from certrack.certificates.premises_of_truth import premises
 from certrack.core.budget import within_budget
-from certrack.core.errors import InputError
+from certrack.core.errors import InputError, shorten
 from certrack.core.files import write_text
 from certrack.core.rounding import rounded_up
 from certrack.core.version import version
@@ -29,7 +32,10 @@ from certrack.systems.reader import loads
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
-FORMAT = "certrack-certificate/1"
+FORMAT = "certrack-certificate/2"
+
+#: Of files before premises had a status: a list of texts, ``assumptions``, in their place.
+FORMAT_1 = "certrack-certificate/1"
 
 #: A certificate of order 100 has less than 1 MB; reading stops here, whatever a stranger sends.
 MAX_CERTIFICATE_BYTES = 20_000_000
@@ -37,7 +43,14 @@ MAX_CERTIFICATE_BYTES = 20_000_000
 #: What checking may take: orders of 50 take a tenth of it. See core/budget.py.
 VERIFY_SECONDS, VERIFY_MEGABYTES = 300, 2000
 
-DOCUMENT_KEYS = ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256")
+#: Keys of the file, `premises` or `assumptions` among them.
+DOCUMENT_KEYS = {
+    FORMAT: ("format", "made_by", "claim", "premises", "system", "proof", "sha256"),
+    FORMAT_1: ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256"),
+}
+
+#: The shift of a stage that is not the centred one, the second of three.
+NO_SHIFT = "0"
 
 
 @dataclass(frozen=True)
@@ -51,13 +64,15 @@ class Verdict:
         The claimed bound on limsup |e_1|, decimal.
     reason : str
         The first condition that fails; empty if verified.
-    assumptions : texts
+    premises : tuple of Premise
+        What the claim rests on, and whether the truth of the same file keeps it. Empty if not
+        verified, but for contradicted ones.
     """
 
     verified: bool
     bound: str
     reason: str
-    assumptions: tuple[str, ...]
+    premises: tuple[Premise, ...] = ()
 
     @property
     def printed_bound(self) -> str:
@@ -78,20 +93,30 @@ def to_document(system: System, *stages: Proof) -> dict[str, Any]:
     -------
     dict
 
+    Raises
+    ------
+    InputError
+        If the system's own truth contradicts a premise, or there is no proof.
+
     Examples
     --------
     >>> import certrack
     >>> system = certrack.load("dual-motor-lean")
     >>> found = certrack.certify(system)
     >>> certrack.certificates.to_document(system, *found.stages)["format"]
-    'certrack-certificate/1'
+    'certrack-certificate/2'
     """
+    rests_on = premises(system)
+    if broken := contradicted(rests_on):
+        raise InputError("premises", f"the truth contradicts one: {broken[0]}")
+    if not stages:
+        raise InputError("stages", "there is no proof to save")
     proof = stages[-1]
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
         "claim": f"limsup |e_1(t)| <= {proof.bound}",
-        "assumptions": assumptions(system),
+        "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
         "proof": [json.loads(json.dumps(asdict(stage))) for stage in stages],
     }
@@ -166,17 +191,38 @@ def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
         stages = _stages(body)
         proof = stages[-1]
         if body["sha256"] != _digest(body):
-            return Verdict(False, proof.bound, "the file was changed after it was made", ())
+            return Verdict(False, proof.bound, "the file was changed after it was made")
+        if any(stage.shift != NO_SHIFT for stage in _not_centred(stages)):
+            reason = "a shift stands in a stage that does not use it"
+            return Verdict(False, proof.bound, reason)
+        if body["claim"] != f"limsup |e_1(t)| <= {proof.bound}":
+            return Verdict(False, proof.bound, "the claim is not that of the proof")
         system = loads(body["system"], "system")
         exact = error_problem(system, rational)
-        if body["assumptions"] != assumptions(system):
-            return Verdict(False, proof.bound, "the assumptions are not those of the system", ())
-        if body["claim"] != f"limsup |e_1(t)| <= {proof.bound}":
-            return Verdict(False, proof.bound, "the claim is not that of the proof", ())
         reason = check(exact, proof) if len(stages) == 1 else check_cascade(system, exact, stages)
+        if reason:
+            return Verdict(False, proof.bound, reason)
+        return _rests_on(system, body, proof.bound)
     except NoCertificate as refusal:
-        return Verdict(False, "", str(refusal), ())
-    return Verdict(not reason, proof.bound, reason, tuple(body["assumptions"]))
+        return Verdict(False, "", str(refusal))
+
+
+def _not_centred(stages: tuple[Proof, ...]) -> tuple[Proof, ...]:
+    """All stages but the second of three."""
+    return stages if len(stages) < 3 else (stages[0], *stages[2:])
+
+
+def _rests_on(system: System, body: dict[str, Any], bound: str) -> Verdict:
+    """The verdict on a proof that holds: do the premises, and are they those that are written?"""
+    rests_on = premises(system)
+    if broken := contradicted(rests_on):
+        return Verdict(False, bound, f"a premise is contradicted: {broken[0]}", broken)
+    if body["format"] == FORMAT_1:
+        if body["assumptions"] != assumptions(system):
+            return Verdict(False, bound, "the assumptions are not those of the system")
+    elif body["premises"] != [premise.record() for premise in rests_on]:
+        return Verdict(False, bound, "the premises are not those of the system")
+    return Verdict(True, bound, "", rests_on)
 
 
 def _read_document(path: Path) -> dict[str, Any]:
@@ -185,7 +231,9 @@ def _read_document(path: Path) -> dict[str, Any]:
             data = stream.read(MAX_CERTIFICATE_BYTES + 1)
         if len(data) > MAX_CERTIFICATE_BYTES:
             raise InputError("", f"is larger than {MAX_CERTIFICATE_BYTES // 1_000_000} MB")
-        body = json.loads(data.decode("utf-8"))
+        body = json.loads(
+            data.decode("utf-8"), object_pairs_hook=_unique_keys, parse_constant=_no_number
+        )
     except OSError as problem:
         raise InputError("", f"cannot be read ({problem.strerror})") from None
     except InputError:
@@ -195,12 +243,30 @@ def _read_document(path: Path) -> dict[str, Any]:
     return body if isinstance(body, dict) else {}
 
 
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object in which no key stands twice."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        twice = next(key for i, (key, _) in enumerate(pairs) if key in dict(pairs[:i]))
+        raise InputError("", f"is not a certificate: the key {shorten(twice)!r} stands twice")
+    return table
+
+
+def _no_number(text: str) -> Any:
+    raise InputError("", f"is not a certificate: {text} is not JSON")
+
+
 def _stages(body: dict[str, Any]) -> tuple[Proof, ...]:
     """The proof's one to three stages, well formed."""
-    if not isinstance(body, dict) or tuple(sorted(body)) != tuple(sorted(DOCUMENT_KEYS)):
-        raise InputError("", "is not a certificate: it must have " + ", ".join(DOCUMENT_KEYS))
-    if body["format"] != FORMAT:
-        raise InputError("format", f"must be {FORMAT}", body["format"])
+    if not isinstance(body, dict) or not isinstance(body.get("format"), str):
+        raise InputError(
+            "", "is not a certificate: it must have " + ", ".join(DOCUMENT_KEYS[FORMAT])
+        )
+    if body["format"] not in DOCUMENT_KEYS:
+        raise InputError("format", f"must be {FORMAT} or {FORMAT_1}", body["format"])
+    keys = DOCUMENT_KEYS[body["format"]]
+    if sorted(map(str, body)) != sorted(keys):
+        raise InputError("", "is not a certificate: it must have " + ", ".join(keys))
     if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
         raise InputError("", "is not a certificate: texts expected")
     if not isinstance(body["proof"], list) or len(body["proof"]) not in (1, 2, 3):

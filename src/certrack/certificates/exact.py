@@ -30,7 +30,8 @@ PROOF_DIGITS = 13
 #: bound by less than 1e-6; where the last fails, the solution is not worth having.
 BACK_OFF = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 
-#: Added to every lam, so that a multiplier the solver put at zero still leaves room in the matrix.
+#: Added to every lam, as part of its natural unit, so that a multiplier the solver put at zero
+#: still leaves room in the matrix.
 MULTIPLIER_FLOOR = 1e-12
 
 #: Digits of a printed bound: it exceeds the exact one by a relative 1e-11 at most.
@@ -81,7 +82,8 @@ def prove(problem: ErrorProblem, solution: Solution, target: int = 0) -> Proof |
         scale = 1 + slack
         P = scale * (solution.P + solution.P.T) / 2
         texts = tuple(tuple(_decimal_text(v) for v in row) for row in P)
-        lam = tuple(_decimal_text(v * scale + MULTIPLIER_FLOOR) for v in solution.lam)
+        least = MULTIPLIER_FLOOR * solution.lam_unit
+        lam = tuple(_decimal_text(v * scale + least) for v in solution.lam)
         nu, k = (
             tuple(_decimal_text(v * scale**2 + slack * solution.delta) for v in values)
             for values in (solution.nu, solution.k)
@@ -96,9 +98,10 @@ def prove(problem: ErrorProblem, solution: Solution, target: int = 0) -> Proof |
 
 def proven(kind: str, system: System, proof: Proof) -> Certificate:
     """The certificate that `proof` allows to print: its bound as a float, rounded up."""
-    alpha, bound = float(from_text(proof.alpha)), float_up(from_text(proof.bound))
+    exact, bound = from_text(proof.alpha), from_text(proof.bound)
+    alpha, delta = float_down(exact), float_up(bound**2 * exact / 2)
     premises = tuple(assumptions(system))
-    return Certificate(kind, bound, alpha, bound**2 * alpha / 2, True, assumptions=premises)
+    return Certificate(kind, float_up(bound), alpha, delta, True, assumptions=premises)
 
 
 def check(problem: ErrorProblem, proof: Proof, target: int = 0) -> str:
@@ -115,6 +118,8 @@ def check(problem: ErrorProblem, proof: Proof, target: int = 0) -> str:
         return "alpha is not positive"
     if any(v < 0 for v in (*lam, *nu, *k)):
         return "a multiplier is negative"
+    if problem.adaptation is not None and not problem.adaptation.gamma_is_positive_definite():
+        return "Gamma is not positive definite"
     leak = problem.leakage(alpha)
     if leak is None:
         return "alpha exceeds what the leakage allows"
@@ -209,3 +214,8 @@ def float_up(value: Any) -> float:
     while near < math.inf and flint.fmpq(*near.as_integer_ratio()) < value:
         near = math.nextafter(near, math.inf)
     return near
+
+
+def float_down(value: Any) -> float:
+    """Largest float not above a rational."""
+    return -float_up(-value)

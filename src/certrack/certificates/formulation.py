@@ -15,8 +15,9 @@ from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import ToNumber, exact_float, rational, solve
 from certrack.certificates.premises import refuse
 from certrack.certificates.problem import ErrorProblem
-from certrack.laws import Adaptive
+from certrack.certificates.stated import stated_error_system
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
+from certrack.laws.error_system import KnownParameters
 from certrack.systems.system import System
 
 
@@ -97,14 +98,14 @@ def error_coordinates(system: System, number: ToNumber) -> ErrorCoordinates:
 
 
 def _adaptation(system: System, number: ToNumber) -> Adaptation | None:
-    law, plant, truth = system.law, system.plant, system.truth
-    if not isinstance(law, Adaptive):
+    plant, truth = system.plant, system.truth
+    law = stated_error_system(system)
+    if isinstance(law, KnownParameters):
         return None
     dtype = _dtype(number)
     gains = plant.input_gain_range or (truth.input_gain,)
-    numbers = law.parameters(plant)
-    theta0 = np.array([number(v) for v in numbers["theta0"]], dtype=dtype)
-    Gamma = np.array([[number(v) for v in row] for row in numbers["Gamma"]], dtype=dtype)
+    theta0 = np.array([number(v) for v in law.theta0], dtype=dtype)
+    Gamma = np.array([[number(v) for v in row] for row in law.Gamma], dtype=dtype)
     box: Any = plant.theta_range or tuple((v, v) for v in truth.theta)
     return Adaptation(
         gain_rate=number(law.gain_rate),

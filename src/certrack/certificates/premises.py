@@ -2,44 +2,37 @@
 
 from __future__ import annotations
 
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
-from certrack.laws import Adaptive, Robust
+from certrack.certificates.stated import stated_error_system
+from certrack.laws.error_system import ErrorSystem, EstimatedParameters, KnownParameters
 from certrack.systems.system import System
 
 
 def refuse(system: System) -> None:
     """Raise NoCertificate, with the reason, where no certificate of this room can hold."""
-    law, plant = system.law, system.plant
-    if law.no_certificate:
-        raise NoCertificate(law.no_certificate)
-    if type(law) not in (Adaptive, Robust):  # a subclass may have other equations
-        name = type(law).__name__ if isinstance(law, (Adaptive, Robust)) else law.kind
-        raise NoCertificate(f"certificates know the adaptive and the robust law, not {name}")
+    plant, stated = system.plant, stated_error_system(system)
     if system.truth.states:
-        _refuse_unknown_ranges(system)
-    elif system.truth.constants:
-        raise NoCertificate(
-            "truth.constants make the simulated plant differ from the certified one; remove them"
-        )
-    if isinstance(law, Robust):
-        assert plant.input_gain is not None
-        fixed = float(plant.input_gain.expr)
-        box = plant.input_gain_range or (fixed, fixed)
-        theta = [float(v.expr) for v in plant.theta or ()]
-        ranges = plant.theta_range or tuple((v, v) for v in theta)
-        exact = all(low == high == v for (low, high), v in zip(ranges, theta, strict=True))
-        if box != (fixed, fixed) or not exact:
+        _refuse_unknown_ranges(system, stated)
+    if isinstance(stated, KnownParameters):
+        used = (stated.g_n, *stated.theta)
+        ranges = (plant.input_gain_range, *(plant.theta_range or (None,) * plant.r))
+        if any(
+            rational(end) != rational(value)
+            for value, box in zip(used, ranges, strict=True)
+            for end in box or ()
+        ):
             raise NoCertificate(
                 "the robust law is proven for the exact input_gain and theta it uses, but "
                 "plant.ranges lets them vary; use the adaptive law"
             )
 
 
-def _refuse_unknown_ranges(system: System) -> None:
+def _refuse_unknown_ranges(system: System, stated: ErrorSystem) -> None:
     """A truth with states of its own tells the adaptive law no true g_n and theta."""
     plant = system.plant
     ranged = plant.input_gain_range and (plant.theta_range or not plant.r)
-    if isinstance(system.law, Adaptive) and not ranged:
+    if isinstance(stated, EstimatedParameters) and not ranged:
         raise NoCertificate(
             "a truth with states of its own has no g_n and theta to be certified for; state "
             "plant.ranges"
@@ -47,7 +40,7 @@ def _refuse_unknown_ranges(system: System) -> None:
 
 
 def assumptions(system: System) -> list[str]:
-    """What a certificate of `system` rests on, as texts; they are part of the saved certificate."""
+    """What a certificate of `system` rests on, as texts; format 1 of the saved one holds them."""
     plant, truth = system.plant, system.truth
     q = system.law.order(plant)
     bounds = system.reference.bounds(q + 1)
@@ -65,7 +58,7 @@ def assumptions(system: System) -> list[str]:
             "the simulated plant, which has states of its own, differing from the design's by no "
             "more than w, that is within gamma and beta; nothing here checks this"
         )
-    if isinstance(system.law, Robust):
+    if isinstance(stated_error_system(system), KnownParameters):
         premises.append("g_n and theta exactly as the law uses them")
         return premises + _irrational(system)
     if plant.input_gain_range:
@@ -82,10 +75,14 @@ def assumptions(system: System) -> list[str]:
     return premises + _irrational(system)
 
 
-def _irrational(system: System) -> list[str]:
-    """Numbers that exact arithmetic must take by their floats."""
+def irrational_numbers(system: System) -> list[str]:
+    """Texts of the numbers that exact arithmetic must take by their floats."""
     plant, truth = system.plant, system.truth
     numbers = [*plant.chain, *(v for row in plant.linear or () for v in row), *truth.theta]
     numbers += [*(plant.theta or ()), *filter(None, [truth.input_gain, plant.input_gain])]
-    rounded = sorted({v.text for v in numbers if not v.expr.is_Rational})
+    return sorted({v.text for v in numbers if not v.expr.is_Rational})
+
+
+def _irrational(system: System) -> list[str]:
+    rounded = irrational_numbers(system)
     return [f"irrational numbers rounded to 17 digits: {', '.join(rounded)}"] if rounded else []

@@ -13,7 +13,9 @@ principle V <= V(0) e^{-rho1 t/rho2} + (rho2/rho1) Dbar (1 - e^{-rho1 t/rho2}) [
     corrected  sqrt(2 rho2 Dbar/rho1)     what [40] does imply, for e_1^2 <= 2 V
     rate       sqrt(2 Dbar/alpha)         alpha = min(2 mu1, gbar2 lambda_min(Gamma), gbar gbar1)
 
-All three are in floating point, rounded up by a relative 1e-9; eps is free and optimised.
+eps is free and optimised in floating point; then the formulas are evaluated in exact rationals and
+the root is rounded up. So the last two are proven, but for lambda_min(Gamma), for which stands a
+rational below it. The first is the paper's, and nobody has proven it where rho2 > 1/2.
 """
 
 from __future__ import annotations
@@ -21,13 +23,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from certrack.certificates.adaptation import Adaptation
-from certrack.certificates.arithmetic import ToNumber, decimal, rational
+from certrack.certificates.arithmetic import (
+    ToNumber,
+    decimal,
+    exact_float,
+    positive_definite,
+    rational,
+)
 from certrack.certificates.certificate import (
     OUT_OF_RANGE,
     Certificate,
@@ -35,14 +44,18 @@ from certrack.certificates.certificate import (
     missing,
     within_floats,
 )
-from certrack.certificates.exact import from_text, root_up
-from certrack.certificates.formulation import error_problem
+from certrack.certificates.exact import float_down, float_up, from_text, root_up
+from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.premises import assumptions
+from certrack.laws.backstepping import ErrorCoordinates
 from certrack.references.base import total_bound
 from certrack.systems.system import System
 
-#: Factor on these bounds, computed in some hundred float operations that may each round down.
-PUBLISHED_ROUNDING = 1 + 1e-9
+#: By this part the published strength is rounded down; the root of 12 digits is above by less.
+STRENGTH_ROUNDING = 1 - 1e-9
+
+#: lambda_min(Gamma) is tried with so many digits, from below.
+EIGENVALUE_DIGITS = (12, 9, 6, 3, 1)
 
 #: Where eps is looked for, as parts of the largest that leaves mu1 positive: six decades, in this
 #: many points, for the bound need not be unimodal; a bounded minimisation refines the best.
@@ -57,29 +70,32 @@ class Terms:
     """The numbers in the formulas above, before eps is chosen.
 
     `adaptation` is None for the robust law. `leak` is the cost of the prior guesses, `reference2`
-    is ||A^{-1} B Y||^2, and `residual` what the derivative of y_d that is not fed forward costs.
+    is ||A^{-1} B Y||^2, `residual` what the derivative of y_d that is not fed forward costs, and
+    `gamma_min` lambda_min(Gamma) or less (infinite without theta). All are floats, or all exact
+    rationals, and so are the results for an eps of their kind.
     """
 
-    c_min: float
-    A_norm2: float
-    G: float
-    reference2: float
-    residual: float
-    H: float
-    leak: float
-    gains: tuple[float, ...]
+    c_min: Any
+    A_norm2: Any
+    G: Any
+    reference2: Any
+    residual: Any
+    H: Any
+    leak: Any
+    gains: tuple[Any, ...]
     adaptation: Adaptation | None
+    gamma_min: Any = math.inf
 
-    def mu1(self, eps: float) -> float:
+    def mu1(self, eps: Any) -> Any:
         """Decay left after the gamma-parts [32], [34]."""
         return self.c_min - (1 + eps) * self.A_norm2 * self.G
 
-    def dbar(self, eps: float) -> float:
+    def dbar(self, eps: Any) -> Any:
         """Constant part of V' [34]."""
-        gamma_part = (1 + 1 / eps) * self.G * self.reference2 if self.G else 0.0
+        gamma_part = (1 + 1 / eps) * self.G * self.reference2 if self.G else 0 * self.H
         return gamma_part + self.residual + self.H + self.leak
 
-    def rho1(self, eps: float) -> float:
+    def rho1(self, eps: Any) -> Any:
         """Decay of ||Xi||^2 [38]."""
         if self.adaptation is None:
             return self.mu1(eps)
@@ -87,55 +103,52 @@ class Terms:
         rates = [self.mu1(eps), min(self.gains) * a.leak_gain / 2]
         return min(rates + ([a.leak_theta / 2] if len(a.Gamma) else []))
 
-    def rho2(self) -> float:
+    def rho2(self) -> Any:
         """Largest weight in V [36]."""
+        half = (self.H * 0 + 1) / 2
         if self.adaptation is None:
-            return 0.5
+            return half
         a = self.adaptation
-        weights = [0.5, max(self.gains) / (2 * a.gain_rate)]
-        if len(a.Gamma):
-            weights.append(0.5 / float(np.linalg.eigvalsh(a.Gamma).min()))
-        return max(weights)
+        weights = [half, max(self.gains) / (2 * a.gain_rate)]
+        return max(weights + ([half / self.gamma_min] if len(a.Gamma) else []))
 
-    def alpha(self, eps: float) -> float:
+    def alpha(self, eps: Any) -> Any:
         """Decay rate of V."""
         if self.adaptation is None:
             return 2 * self.mu1(eps)
         a = self.adaptation
         rates = [2 * self.mu1(eps), a.gain_rate * a.leak_gain]
-        if len(a.Gamma):
-            rates.append(a.leak_theta * float(np.linalg.eigvalsh(a.Gamma).min()))
-        return min(rates)
+        return min(rates + ([a.leak_theta * self.gamma_min] if len(a.Gamma) else []))
 
 
 def certify_published(system: System) -> dict[str, Certificate]:
     """Published, corrected and rate form of `system`, each with its best eps."""
     try:
         with within_floats():
-            terms = collect(system)
+            terms, exact = collect(system), collect(system, rational)
     except NoCertificate as problem:
         return {kind: missing(kind, str(problem)) for kind in ("published", "corrected", "rate")}
     premises = (*assumptions(system), "D of Assumption 2 for the reference")
 
-    def best(kind: str, square: Callable[[float], float]) -> Certificate:
+    def best(kind: str, square: Callable[[Terms, Any], Any]) -> Certificate:
         try:
             with within_floats():
-                eps = _minimise(square, terms)
-                bound = math.sqrt(square(eps)) * PUBLISHED_ROUNDING
-                rate = terms.alpha(eps) if kind == "rate" else math.nan
-                delta = terms.dbar(eps) if kind == "rate" else math.nan
+                eps = exact_float(_minimise(partial(square, terms), terms), rational)
+                if not (exact.mu1(eps) > 0 and exact.rho1(eps) > 0):
+                    raise NoCertificate(OUT_OF_RANGE)
+                bound = float_up(from_text(root_up(square(exact, eps))))
+                rate = float_down(exact.alpha(eps)) if kind == "rate" else math.nan
+                delta = float_up(exact.dbar(eps)) if kind == "rate" else math.nan
         except NoCertificate as problem:
             return missing(kind, str(problem))
         if not math.isfinite(bound):
             return missing(kind, OUT_OF_RANGE)
-        return Certificate(kind, bound, rate, delta, assumptions=premises)
+        return Certificate(kind, bound, rate, delta, kind != "published", assumptions=premises)
 
     return {
-        "published": best("published", lambda eps: terms.dbar(eps) / terms.rho1(eps)),
-        "corrected": best(
-            "corrected", lambda eps: 2 * terms.rho2() * terms.dbar(eps) / terms.rho1(eps)
-        ),
-        "rate": best("rate", lambda eps: 2 * terms.dbar(eps) / terms.alpha(eps)),
+        "published": best("published", lambda t, eps: t.dbar(eps) / t.rho1(eps)),
+        "corrected": best("corrected", lambda t, eps: 2 * t.rho2() * t.dbar(eps) / t.rho1(eps)),
+        "rate": best("rate", lambda t, eps: 2 * t.dbar(eps) / t.alpha(eps)),
     }
 
 
@@ -153,45 +166,50 @@ def critical_strength(system: System) -> float:
             Xe = error_problem(system, rational).Xe
             G, _ = uncertainty_terms(system, rational)
             c_min = min(rational(c) for c in system.law.gains().c)
-            return float(from_text(root_up(c_min / ((Xe**2).sum() * G)))) / PUBLISHED_ROUNDING
+            return float(from_text(root_up(c_min / ((Xe**2).sum() * G)))) * STRENGTH_ROUNDING
     except NoCertificate:
         return 0.0
 
 
-def collect(system: System, *, critical: bool = False) -> Terms:
-    """The terms of the formulas; `leak` is the constant part of [27].
+def collect(system: System, number: ToNumber = decimal, *, critical: bool = False) -> Terms:
+    """The terms of the formulas, in the arithmetic of `number`.
 
-    With `critical`, mu1 may be negative.
+    `leak` is the constant part of [27]. With `critical`, mu1 may be negative.
 
     Raises
     ------
     NoCertificate
         Where a needed damping term is missing or, unless `critical`, mu1 is not positive.
     """
-    problem = error_problem(system, decimal)
-    coordinates, adaptation = system.controller.coordinates, problem.adaptation
-    G, H = uncertainty_terms(system, decimal)
-    reference2, last = _reference_terms(system, problem.Xe @ coordinates.B)
-    leak, gains = 0.0, (1.0,)
+    problem, coordinates = error_problem(system, number), error_coordinates(system, number)
+    adaptation, zero = problem.adaptation, number(0)
+    G, H = uncertainty_terms(system, number)
+    reference2, last = _reference_terms(system, problem.Xe @ coordinates.B, number)
+    leak, gains, gamma_min = zero, (zero + 1,), math.inf
     if adaptation is not None:
         gains = adaptation.gains
         delta2 = max(g * d**2 for g, d in adaptation.delta_offsets())
-        theta2 = max((float(v @ v) for v in adaptation.theta_offsets()), default=0.0)
-        leak = delta2 * adaptation.leak_gain / 2 + adaptation.leak_theta / 2 * theta2
+        leak = delta2 * adaptation.leak_gain / 2
+        if len(adaptation.Gamma):
+            theta2 = max(v @ v for v in adaptation.theta_offsets())
+            leak = leak + adaptation.leak_theta / 2 * theta2
+            gamma_min = _smallest_eigenvalue(adaptation.Gamma)
     terms = Terms(
-        c_min=float(coordinates.c.min()),
-        A_norm2=float((problem.Xe**2).sum()),
+        c_min=min(coordinates.c),
+        A_norm2=(problem.Xe**2).sum(),
         G=G,
         reference2=reference2,
-        residual=_residual_damping(system) * last**2,
+        residual=residual_damping(system, coordinates, number) * last**2,
         H=H,
         leak=leak,
         gains=gains,
         adaptation=adaptation,
+        gamma_min=gamma_min,
     )
-    if not all(map(math.isfinite, (terms.A_norm2, G, H, reference2, last, leak))):
+    sizes = (terms.A_norm2, G, H, reference2, last, leak)
+    if number is decimal and not all(map(math.isfinite, sizes)):
         raise NoCertificate(OUT_OF_RANGE)
-    if not critical and not terms.mu1(SMALL_EPS) > 0:
+    if number is decimal and not critical and not terms.mu1(SMALL_EPS) > 0:
         raise NoCertificate(
             f"the uncertainty is too strong for the published proof: mu1 = {terms.mu1(0):.3g}; "
             "lower tau, raise c, or use fewer damping terms"
@@ -221,29 +239,54 @@ def uncertainty_terms(system: System, number: ToNumber) -> tuple[Any, Any]:
     return G, H
 
 
-def _residual_damping(system: System) -> float:
+def _smallest_eigenvalue(Gamma: np.ndarray) -> Any:
+    """lambda_min(Gamma); of rationals, a rational that is proven to be below it."""
+    if not (Gamma != np.diag(np.diag(Gamma))).any():
+        return min(np.diag(Gamma))
+    least = float(np.linalg.eigvalsh(Gamma.astype(float)).min())
+    if Gamma.dtype != object:
+        return least
+    for digits in EIGENVALUE_DIGITS:
+        below = exact_float(least * (1 - 10.0**-digits), rational)
+        if below > 0 and positive_definite(Gamma - below * np.eye(len(Gamma), dtype=object)):
+            return below
+    raise NoCertificate(
+        "Gamma is too near to a singular matrix for the published proof; choose one whose "
+        "eigenvalues differ less"
+    )
+
+
+def residual_damping(
+    system: System, coordinates: ErrorCoordinates | None = None, number: ToNumber = decimal
+) -> Any:
     """Sum of the p_m of the steps that the derivative not fed forward enters [29]."""
-    gains, coordinates = system.law.gains(), system.controller.coordinates
+    gains = system.law.gains()
+    coordinates = system.controller.coordinates if coordinates is None else coordinates
     assert gains.p is not None
-    total = 0.0
+    total = number(0)
     for step in range(system.plant.n - 1):
         if coordinates.R[step] and math.isinf(gains.p[step]):
             raise NoCertificate(
                 f"the published proof needs a finite p[{step}], because "
                 f"y_d^({coordinates.q + 1}) enters step {step + 1}; the semidefinite one does not"
             )
-        total += gains.p[step] if coordinates.R[step] else 0.0
+        total += number(gains.p[step]) if coordinates.R[step] else number(0)
     return total
 
 
-def _reference_terms(system: System, AB: np.ndarray) -> tuple[float, float]:
+def _reference_terms(system: System, AB: np.ndarray, number: ToNumber) -> tuple[Any, Any]:
     """||A^{-1} B Y||^2 and the bound on the last derivative, by D for the published law (q = 0)."""
     q = AB.shape[1] - 1
     if q == 0:
-        D = total_bound(system.reference)
-        return float((AB**2).sum()) * D**2, D
-    Y = np.array(system.reference.bounds(q + 1).values)
-    return float(((np.abs(AB) @ Y[: q + 1]) ** 2).sum()), float(Y[q + 1])
+        D = exact_float(total_bound(system.reference), number)
+        return (AB**2).sum() * D**2, D
+    Y = np.array([exact_float(v, number) for v in system.reference.bounds(q + 1).values])
+    return ((np.abs(AB) @ Y[: q + 1]) ** 2).sum(), Y[q + 1]
+
+
+def best_eps(terms: Terms) -> float:
+    """The eps of the best rate form."""
+    return _minimise(lambda eps: 2 * terms.dbar(eps) / terms.alpha(eps), terms)
 
 
 def _minimise(square: Callable[[float], float], terms: Terms) -> float:

@@ -23,7 +23,7 @@ from typing import Any
 import clarabel
 import numpy as np
 from scipy import sparse
-from scipy.linalg import solve_continuous_lyapunov
+from scipy.linalg import lapack, schur
 from scipy.optimize import minimize_scalar
 
 from certrack.certificates.problem import ErrorProblem
@@ -43,13 +43,30 @@ NO_BOUND = 1e30
 MAX_ITERATIONS = 100
 
 #: Part of the inputs' size that is added in every direction when the coordinates are scaled, so
-#: that one which no input reaches gets a size, too; and the least square of a size.
-SCALING_FLOOR, LEAST_SQUARE = 1e-6, 1e-300
+#: that one which no input reaches gets a size, too.
+SCALING_FLOOR = 1e-6
+
+#: Steps that find the sizes, and by which factor the last may still change them among each other:
+#: a step reaches sizes that differ by 1e3.
+SCALING_STEPS, SCALED_ENOUGH = 20, 1.5
+
+#: A scaled input below this is none for the solver, whose accuracy is 1e-8.
+NEGLIGIBLE = 1e-14
+
+#: So many bits the solver gets of a number, about 12 digits: the program of a system in other
+#: units is then the same one, and not one that differs in what the solver's noise grows from.
+KEPT_BITS = 42
+
+#: How much larger than the geometric mean of two rates a scaled coupling may be.
+COUPLING = 2.0
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A point of the program, in unscaled coordinates."""
+    """A point of the program, in unscaled coordinates.
+
+    `lam_unit` is what a lam of 1 in the scaled ones is here.
+    """
 
     alpha: float
     P: np.ndarray
@@ -57,6 +74,7 @@ class Solution:
     nu: np.ndarray
     k: np.ndarray
     delta: float
+    lam_unit: float = 1.0
 
     @property
     def bound(self) -> float:
@@ -77,9 +95,11 @@ class SemidefiniteProgram:
 
     def __init__(self, problem: ErrorProblem, target: int = 0) -> None:
         self.problem, self.target = problem, target
-        self._scale = _natural_scale(problem)
-        self._reach = float(np.linalg.norm(problem.Xe * self._scale)) or 1.0
-        self._scaled = _rescaled(problem, self._scale, self._reach)
+        self._time = _natural_time(problem)
+        timed = _timed(problem, self._time)
+        self._scale = _natural_scale(timed)
+        self._reach = _reach(problem, self._scale) or 1.0
+        self._scaled = _rescaled(timed, self._scale, self._reach)
         n = problem.n
         self._na, self._nb, self._ny = problem.counts
         self._entries = self._free_entries(n)
@@ -138,6 +158,11 @@ class SemidefiniteProgram:
                 slope.append(np.zeros_like(column))
         return np.array(base).T, np.array(slope).T
 
+    @property
+    def slowest_pole(self) -> float:
+        """Rate of the slowest pole of the error system, 1/s."""
+        return 1 / self._time
+
     @cached_property
     def fastest(self) -> float:
         """Supremum of the alpha for which there may be a certificate, 1/s."""
@@ -157,9 +182,9 @@ class SemidefiniteProgram:
         cost = np.zeros(self._base.shape[1])
         cost[len(self._entries) + self._na :] = 1.0  # nu and k; the lam cost nothing
         if self.problem.adaptation is not None:
-            cost[len(self._entries) - 1] = leak / self._scale[-1] ** 2
+            cost[len(self._entries) - 1] = _rounded(leak * self._time / self._scale[-1] ** 2)
         cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
-        variables = self._call(cost, self._base + alpha * self._slope)
+        variables = self._call(cost, self._base + _rounded(alpha * self._time) * self._slope)
         return None if variables is None else self._unscaled(variables, alpha, leak)
 
     def _call(self, cost: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
@@ -185,12 +210,14 @@ class SemidefiniteProgram:
         x = x * self._scale[self.target] ** 2
         for (i, j), value in zip(self._entries, x[:count], strict=True):
             P[i, j] = P[j, i] = value / (self._scale[i] * self._scale[j])
-        lam, nu, k = np.split(np.maximum(x[count:], 0.0), [self._na, self._na + self._nb])
+        multipliers = np.maximum(x[count:], 0.0) / self._time
+        lam, nu, k = np.split(multipliers, [self._na, self._na + self._nb])
         lam = lam / self._reach**2
+        lam_unit = self._scale[self.target] ** 2 / (self._reach**2 * self._time)
         delta = float(nu.sum() + k.sum())
         if self.problem.adaptation is not None:
             delta += float(P[-1, -1] * leak)
-        return Solution(alpha, P, lam, nu, k, delta)
+        return Solution(alpha, P, lam, nu, k, delta, float(lam_unit))
 
 
 def best_solution(program: SemidefiniteProgram) -> Solution | None:
@@ -218,35 +245,107 @@ def best_solution(program: SemidefiniteProgram) -> Solution | None:
     return min(solutions.values(), key=lambda solution: solution.bound)
 
 
+def _natural_time(problem: ErrorProblem) -> float:
+    """Time in which the slowest pole of the error system decays: the unit that is calculated in."""
+    slowest = -float(np.linalg.eigvals(problem.M).real.max())
+    return 1 / slowest if slowest > 0 else 1.0
+
+
+def _timed(problem: ErrorProblem, unit: float) -> ErrorProblem:
+    """The same problem with rates per `unit` seconds; the estimates' part is scaled as a number."""
+    rates = {name: getattr(problem, name) * unit for name in ("M", "Ua", "Ub", "Uy")}
+    return replace(problem, **rates)
+
+
 def _natural_scale(problem: ErrorProblem) -> np.ndarray:
-    """Typical size of each e_i under unit inputs: root of the Gramian's diagonal."""
-    inputs = np.hstack([problem.Ua, problem.Ub, problem.Uy])
-    drive = inputs @ inputs.T
-    if not np.isfinite(drive).all():
-        raise OverflowError("the squares of the inputs overflow")
-    weight = float(np.trace(drive)) or 1.0
-    drive = drive + SCALING_FLOOR * weight * np.eye(problem.n)
+    """Typical size of each e_i under inputs of full size: root of the Gramian's diagonal.
+
+    How large the a-inputs are, which are bounded by ||x||, shows from the size that the others give
+    to x; where there are no others, any size will do.
+    """
+    bounded = np.hstack([problem.Ub, problem.Uy])
+    size = _size_under(problem, bounded) if bounded.any() else np.zeros(problem.n)
+    reach = _reach(problem, size) or 1.0
+    return _size_under(problem, np.hstack([bounded, problem.Ua * reach]))
+
+
+def _reach(problem: ErrorProblem, scale: np.ndarray) -> float:
+    """Typical ||x|| where the e_i have these sizes and the y_i are 1."""
+    return math.hypot(float(np.linalg.norm(problem.Xe * scale)), float(np.linalg.norm(problem.Xy)))
+
+
+def _size_under(problem: ErrorProblem, inputs: np.ndarray) -> np.ndarray:
+    """The sizes, found step by step in units of the last ones.
+
+    In one step an e_i that is 1e8 times smaller than another would drown in the roundings.
+    """
+    size = np.ones(problem.n)
     if np.linalg.eigvals(problem.M).real.max() >= 0:
-        return np.ones(problem.n)
-    gramian = solve_continuous_lyapunov(problem.M, -drive)
-    size: np.ndarray = np.sqrt(np.maximum(np.diag(gramian), LEAST_SQUARE))
+        return size
+    for _ in range(SCALING_STEPS):
+        rates, drive = problem.M / size[:, None] * size, inputs / size[:, None]
+        drive = drive @ drive.T
+        if not np.isfinite(drive).all():
+            raise OverflowError("the squares of the inputs overflow")
+        weight = float(np.trace(drive)) or 1.0
+        gramian = _gramian_diagonal(rates, drive + SCALING_FLOOR * weight * np.eye(problem.n))
+        if not (np.isfinite(gramian).all() and gramian.min() > 0):
+            break
+        change = np.sqrt(gramian)
+        size = _not_slaved(problem.M, size * change)
+        if change.max() < SCALED_ENOUGH * change.min():
+            break
+    return size
+
+
+def _gramian_diagonal(M: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Diagonal of the solution X of M X + X M^T = -drive, by the real Schur form."""
+    form, basis = schur(M)
+    solution, scale, _ = lapack.dtrsyl(form, form, -basis.T @ drive @ basis, tranb="T")
+    diagonal: np.ndarray = np.diag(basis @ solution @ basis.T) * scale
+    return diagonal
+
+
+def _not_slaved(M: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """The sizes, raised where an e_i only follows another: P, which is near one, must damp both.
+
+    Their coupling must not be much larger than the geometric mean of their rates; where it is so
+    in any unit, nothing helps, and their sizes are made equal.
+    """
+    rates = np.abs(np.diag(M))
+    coupling = np.abs(M - np.diag(np.diag(M)))
+    limit = np.maximum(COUPLING * np.sqrt(np.outer(rates, rates)), coupling)
+    ratio = np.where(coupling > 0, coupling / np.where(limit > 0, limit, 1.0), 0.0)
+    for _ in range(len(size)):
+        size = np.maximum(size, (ratio * size).max(axis=1))
     return size
 
 
 def _rescaled(problem: ErrorProblem, scale: np.ndarray, reach: float) -> ErrorProblem:
     """The same problem in e_i = scale_i e^_i and a_k = reach a^_k, all of order one.
 
-    A can have entries of 1e5; without this the solver sees nothing but the largest.
+    A can have entries of 1e5; without this the solver sees nothing but the largest. Inputs that
+    are lost in its roundings are left out, and the last digits of all numbers: they depend on the
+    units. The exact proof has them, and room for them.
     """
-    return replace(
-        problem,
-        M=problem.M / scale[:, None] * scale[None, :],
-        Ua=problem.Ua * reach / scale[:, None],
-        Ub=problem.Ub / scale[:, None],
-        Uy=problem.Uy / scale[:, None],
-        Xe=problem.Xe * scale[None, :] / reach,
-        Xy=problem.Xy / reach,
-    )
+    numbers = {
+        "M": problem.M / scale[:, None] * scale[None, :],
+        "Ua": problem.Ua * reach / scale[:, None],
+        "Ub": problem.Ub / scale[:, None],
+        "Uy": problem.Uy / scale[:, None],
+        "Xe": problem.Xe * scale[None, :] / reach,
+        "Xy": problem.Xy / reach,
+    }
+    numbers = {name: _rounded(values) for name, values in numbers.items()}
+    for name in ("Ua", "Ub", "Uy", "Xy"):
+        numbers[name] = np.where(np.abs(numbers[name]) < NEGLIGIBLE, 0.0, numbers[name])
+    return replace(problem, **numbers)
+
+
+def _rounded(values: Any) -> np.ndarray:
+    """The numbers without their last bits."""
+    mantissa, exponent = np.frexp(values)
+    return np.ldexp(np.round(mantissa * 2.0**KEPT_BITS) / 2.0**KEPT_BITS, exponent)
 
 
 def _svec(matrix: np.ndarray) -> np.ndarray:

@@ -15,7 +15,6 @@ has been verified exactly.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from certrack.certificates.arithmetic import exact_float, positive_definite, rat
 from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
 from certrack.certificates.exact import prove
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.own_multipliers import own_multipliers
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.published import critical_strength
 from certrack.certificates.semidefinite import SemidefiniteProgram
@@ -112,7 +112,7 @@ def _holds_as_published(system: System, exact: ErrorProblem, strength: float) ->
         return False
     scale = exact_float(strength, rational)
     scaled = exact.homogeneous(scale)
-    lam = np.array([weight * scale**2 for weight in _own_multipliers(system, exact)], dtype=object)
+    lam = np.array([weight * scale**2 for weight in own_multipliers(system, exact)], dtype=object)
     rate = rational(PUBLISHED_RATE) * min(rational(c) for c in system.law.gains().c)
     slowest = SemidefiniteProgram(scaled.in_floats()).fastest
     alpha = min(rate, exact_float(SLOW_RATE * slowest, rational))
@@ -120,14 +120,3 @@ def _holds_as_published(system: System, exact: ErrorProblem, strength: float) ->
     P = np.eye(exact.n, dtype=object) + 0 * scale
     matrix = scaled.inequality(P, lam, none, none, alpha)
     return scaled.leakage(alpha) is not None and positive_definite(-matrix)
-
-
-def _own_multipliers(system: System, exact: ErrorProblem) -> list[Any]:
-    """sum_l k_{l,2j-1} tau_j^2 gamma_j^2 of every a-input j, at scale 1."""
-    k, u = system.law.gains().k, system.plant.uncertainty
-    assert k is not None
-    return [
-        (rational(u.tau[j]) * rational(u.gamma[j])) ** 2
-        * sum(rational(row[2 * j]) for row in k[j:] if math.isfinite(row[2 * j]))
-        for j in exact.states[0]
-    ]

@@ -35,15 +35,23 @@ from typing import Any
 import numpy as np
 
 from certrack.certificates.arithmetic import positive_definite, rational
+from certrack.certificates.balls import ball_of, ball_precision
 from certrack.certificates.cascade import head_problem
 from certrack.certificates.centred import centred_problem, remainder_bound
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.exact import Proof, float_up, from_text, root_up, squared_bound
-from certrack.certificates.formulation import error_coordinates, error_problem
+from certrack.certificates.exact import (
+    Proof,
+    float_down,
+    float_up,
+    from_text,
+    root_up,
+    squared_bound,
+)
+from certrack.certificates.formulation import error_problem
 from certrack.certificates.problem import ErrorProblem
+from certrack.certificates.start import Start, reference_at_start, starting_energy, states_at_start
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.loops.plant import measured
 from certrack.systems.system import System
 
 #: Corners of a box of starts at which V is evaluated: all of a box in 12 states.
@@ -55,11 +63,14 @@ TUBE_ROUNDING = 1 + 1e-12
 #: Factor on every link of the chain of pieces, for a handful of float operations.
 PIECE_ROUNDING = 1 + 1e-14
 
-#: Factor on V(0), for the roundings of a well-conditioned design; what a large A loses is added.
-ENERGY_ROUNDING = 1 + 1e-9
+#: And for those of the exponent alpha t, which e^{-alpha t} multiplies by it.
+LAPSED_ROUNDING = 4 * float(np.finfo(float).eps)
 
-#: Float operations, per state, behind an entry of e and of P e.
-OPERATIONS = 4
+#: Beyond this exponent the decay is no float.
+LONGEST_DECAY = 800.0
+
+#: e^{-alpha t} is not taken smaller than this: the smallest float of full precision.
+SMALLEST_DECAY = float(np.finfo(float).tiny)
 
 #: From piece to piece of a cascade, what exceeds the floor falls by this factor. For Example 1 the
 #: tube is then within 3 % of what a factor near 1 gives; 0.95 gives 1.2 % in twice the time.
@@ -84,12 +95,16 @@ class Tube:
     pieces : rows (time, square, floor)
         From each time on until the next, the square of the bound is
         square e^{-alpha (t - time)} + floor (1 - e^{-alpha (t - time)}). One piece if left out.
+    verified : bool
+        Whether the start is a rigorous bound. It is not where the reference or the states at t = 0
+        have no rule of ball arithmetic; then it rests on their floats.
     """
 
     start: float
     floor: float
     alpha: float
     pieces: tuple[tuple[float, float, float], ...] = ()
+    verified: bool = True
 
     def __call__(self, t: np.ndarray | float) -> np.ndarray:
         """The bound at times `t`, unit of the output."""
@@ -97,7 +112,8 @@ class Tube:
         t = np.asarray(t, dtype=float)
         i = np.maximum(np.searchsorted(times, t, side="right") - 1, 0)
         lapsed = self.alpha * (t - times[i])
-        square = squares[i] * np.exp(-lapsed) - floors[i] * np.expm1(-lapsed)
+        decay = np.maximum(np.exp(-lapsed), SMALLEST_DECAY)
+        square = squares[i] * decay - floors[i] * np.expm1(-lapsed)
         return np.sqrt(square) * TUBE_ROUNDING
 
     @property
@@ -106,18 +122,16 @@ class Tube:
 
     def settling_time(self, level: float) -> float:
         """Time after which |e_1| <= level is guaranteed, s; inf if it never is."""
-        limit, chain = level**2, self._chain
-        if max(chain[-1][1], self.floor) <= limit:
-            chain = (*chain, (math.inf, limit, limit))
-        elif limit <= self.floor * TUBE_ROUNDING:
+        limit, chain = Fraction(level) ** 2, self._chain
+        if max(chain[-1][1], self.floor) > limit and limit <= self.floor * TUBE_ROUNDING:
             return math.inf
-        else:
-            chain = (*chain, (math.inf, self.floor, self.floor))
+        chain = (*chain, (math.inf, self.floor, self.floor))
         for (time, square, floor), (end, after, _) in reversed(list(pairwise(chain))):
-            if after > limit:
+            if after > limit or (square > limit and floor >= limit):
                 return end
             if square > limit:
-                fall = math.log((square - floor) / (limit - floor)) / self.alpha
+                ratio = (Fraction(square) - Fraction(floor)) / (limit - Fraction(floor))
+                fall = math.log(math.nextafter(float(ratio), math.inf)) / self.alpha
                 return min(time + fall * TUBE_ROUNDING, end)
         return 0.0
 
@@ -160,27 +174,26 @@ def tube(
     """
     stages = (proof,) if isinstance(proof, Proof) else tuple(proof)
     problem = error_problem(system, rational)
-    corners = _corners(system, box)
+    starts, verified = _starts(system, box)
     if len(stages) > 1:
-        return _cascade_tube(system, problem, stages, corners)
-    return Tube(*_single_stage(system, problem, stages[0], corners))
+        return replace(_cascade_tube(system, problem, stages, starts), verified=verified)
+    return Tube(*_single_stage(system, problem, stages[0], starts), verified=verified)
 
 
 def _single_stage(
     system: System,
     problem: ErrorProblem,
     proof: Proof,
-    corners: Sequence[tuple[float, ...]],
+    starts: Sequence[Start],
     target: int = 0,
 ) -> tuple[float, float, float]:
     """2 V(0), 2 Delta/alpha and alpha of one stage."""
     square = squared_bound(problem, proof, target)
     assert square is not None
-    P = np.array([[float(from_text(v)) for v in row] for row in proof.P])
-    errors = _entry_errors(system)
-    energy = max(_energy(system, problem, P, errors, x) for x in corners)
-    alpha = math.nextafter(float(from_text(proof.alpha)), 0.0)  # the nearest float may be above
-    return 2 * energy, float(square) * TUBE_ROUNDING, alpha
+    P = np.array([[from_text(v) for v in row] for row in proof.P], dtype=object)
+    energy = starting_energy(system, problem, P, starts)
+    floor = float_up(square) * TUBE_ROUNDING
+    return float_up(2 * energy), floor, float_down(from_text(proof.alpha))
 
 
 #: Times, and for each the largest 2 V (or e_n^2) from it until the next, as a multiple of the
@@ -192,17 +205,17 @@ def _cascade_tube(
     system: System,
     problem: ErrorProblem,
     stages: Sequence[Proof],
-    corners: Sequence[tuple[float, ...]],
+    starts: Sequence[Start],
 ) -> Tube:
     """The chain of pieces of a cascade's last stage, from bounds on |e_n| in time."""
     *inner, last = stages
     target = problem.n - 1
-    start, _, alpha = _single_stage(system, problem, inner[0], corners, target)
+    start, _, alpha = _single_stage(system, problem, inner[0], starts, target)
     steps = _fall(start, alpha, problem, inner[0], target)
     if len(inner) > 1:
-        steps = _centred_steps(system, problem, inner, corners, steps)
+        steps = _centred_steps(system, problem, inner, starts, steps)
     head = head_problem(problem, from_text(inner[-1].bound))
-    square, floor, alpha = _single_stage(system, head, last, corners)
+    square, floor, alpha = _single_stage(system, head, last, starts)
     share = 2 * from_text(last.k[-1]) / from_text(last.alpha)  # of e_n in the floor
     total, pieces = squared_bound(head, last), []
     for (time, ratio), (end, _) in pairwise((*steps, (math.inf, 1.0))):
@@ -219,8 +232,9 @@ def _level(square: Any, share: Any, ratio: float) -> float:
 
 def _later(square: float, floor: float, alpha: float, lapsed: float) -> float:
     """2 V after some time, rounded up."""
-    decay = math.exp(-alpha * lapsed)
-    return (square * decay - floor * math.expm1(-alpha * lapsed)) * PIECE_ROUNDING
+    decay = max(math.exp(-alpha * lapsed), SMALLEST_DECAY)
+    rounding = PIECE_ROUNDING + LAPSED_ROUNDING * min(alpha * lapsed, LONGEST_DECAY)
+    return (square * decay - floor * math.expm1(-alpha * lapsed)) * rounding
 
 
 def _fall(
@@ -249,14 +263,14 @@ def _centred_steps(
     system: System,
     problem: ErrorProblem,
     inner: Sequence[Proof],
-    corners: Sequence[tuple[float, ...]],
+    starts: Sequence[Start],
     steps: Steps,
 ) -> Steps:
     """Steps of e_n^2 by the centred stage, given those of 2 V of the first stage."""
     reached, proof = inner
     target, shift = problem.n - 1, from_text(proof.shift)
     centred = centred_problem(system, problem, reached, shift)
-    square, _, alpha = _single_stage(system, centred, proof, corners, target)
+    square, _, alpha = _single_stage(system, centred, proof, starts, target)
     has_zeta = centred.counts[1] > problem.counts[1]
     share = 2 * from_text(proof.nu[-1]) / from_text(proof.alpha) if has_zeta else rational(0)
     floor, bound2 = squared_bound(centred, proof, target), from_text(reached.bound) ** 2
@@ -306,10 +320,17 @@ def _allowed(problem: ErrorProblem, inner: Sequence[Proof]) -> Callable[[Any], f
     return lambda level: float_up(min(steep * level + offset for steep, offset in lines))
 
 
-def _corners(system: System, box: Sequence[tuple[float, float]] | None) -> list[tuple[float, ...]]:
-    """Starts at which the convex V can be largest."""
-    if box is None:
-        return [tuple(measured(system, np.array([system.settings.x0]).T)[:, 0].tolist())]
+def _starts(system: System, box: Sequence[tuple[float, float]] | None) -> tuple[list[Start], bool]:
+    """Starts at which the convex V can be largest, and whether their numbers are proven."""
+    with ball_precision():
+        Y, proven = reference_at_start(system, system.controller.coordinates.q)
+        if box is None:
+            x, known = states_at_start(system)
+            return [(x, Y)], proven and known
+        return [(list(map(ball_of, corner)), Y) for corner in _corners(system, box)], proven
+
+
+def _corners(system: System, box: Sequence[tuple[float, float]]) -> list[tuple[float, ...]]:
     n = system.plant.n
     pairs = [
         checks.ordered_pair(f"box[{i}]", pair)
@@ -319,40 +340,3 @@ def _corners(system: System, box: Sequence[tuple[float, float]] | None) -> list[
     if math.prod(map(len, distinct)) > MAX_BOX_CORNERS:
         raise InputError("box", f"must have at most {MAX_BOX_CORNERS} corners", n)
     return list(product(*distinct))
-
-
-def _entry_errors(system: System) -> tuple[np.ndarray, np.ndarray]:
-    """How far each entry of A and of B is from its exact value, with the roundings of A x - B Y."""
-    floats, exact = system.controller.coordinates, error_coordinates(system, rational)
-    unit = OPERATIONS * floats.n * np.finfo(float).eps
-    gap = np.vectorize(lambda v, w: abs(float(v - rational(Fraction(w)))), otypes=[float])
-    A, B = (gap(*pair) for pair in ((exact.A, floats.A), (exact.B, floats.B)))
-    return A + unit * np.abs(floats.A), B + unit * np.abs(floats.B)
-
-
-def _energy(
-    system: System,
-    problem: ErrorProblem,
-    P: np.ndarray,
-    errors: tuple[np.ndarray, np.ndarray],
-    x: tuple[float, ...],
-) -> float:
-    """V(0) from the plant state `x`, rounded up; the estimates' part at its worst over the ranges.
-
-    e = A x - B Y is a small difference of large terms where the start is near the orbit that the
-    loop settles to, and entries of A grow doubly exponentially with the order of a damped design:
-    what e^T P e/2 can lose by that is added.
-    """
-    coordinates = system.controller.coordinates
-    Y = system.reference.values(np.array([0.0]), coordinates.q)[:, 0]
-    rows = problem.n  # all, or those of a cascade's last stage
-    e = (coordinates.A @ np.array(x) - coordinates.B @ Y)[:rows]
-    total = float(e @ P @ e) / 2
-    lost = (errors[0] @ np.abs(x) + errors[1] @ np.abs(Y))[:rows]  # of e
-    size, weight = np.abs(e) + lost, np.abs(P)
-    loss = lost @ weight @ size + OPERATIONS * len(e) * np.finfo(float).eps * size @ weight @ size
-    if problem.adaptation is not None:
-        z = system.settings.estimates or (0.0,) * len(system.controller.states)
-        adaptation = problem.adaptation.in_floats()
-        total += float(P[-1, -1]) * float(adaptation.energy(np.array(z)))
-    return max(total * ENERGY_ROUNDING, total + float(loss))

@@ -1,8 +1,9 @@
 """Command line. Each verb loads, computes, prints; the work is done elsewhere.
 
 Results go to standard output (``--json`` for programs), diagnostics to standard error. Exit code 0
-means success, 2 bad input with one line that says what is wrong, 1 a run that did not finish or a
-certificate that does not exist or does not hold, 130 an interruption.
+means success, 2 bad input with one line that says what is wrong, 1 a run that did not finish, a
+premise that the file's own truth contradicts, a certificate that does not hold (or does not exist,
+with ``--require``) or an alarm of the falsifier, 130 an interruption.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 
 import click
 
+from certrack.cli.checks import check
 from certrack.cli.exports import export
 from certrack.cli.files import design, list_systems, new
 from certrack.cli.margins import margin
@@ -43,6 +45,7 @@ for verb in (
     compare,
     ensemble,
     margin,
+    check,
     certify,
     verify,
     falsify,

@@ -212,7 +212,7 @@ def ensemble_table(ensemble: Ensemble) -> Table:
 def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
     """Outcomes, violations and the worst member in words."""
     outcomes = ", ".join(f"{n} {name}" for name, n in sorted(ensemble.statistics.outcomes.items()))
-    lines = [f"outcomes: {outcomes}"]
+    lines = [f"outcomes: {outcomes}", *_replaced_omega(ensemble)]
     unsettled = ensemble.statistics.metrics["settling_time"].missing
     if unsettled:
         lines.append(f"{unsettled} of {ensemble.members} members are never settled within the band")
@@ -221,7 +221,7 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
         lines.append(f"no limit: {ensemble.limit_origin}")
     else:
         text = (
-            f"tail error beyond {violations['limit']:.5g} ({violations['origin']}): "
+            f"tail error beyond {_limit_text(violations['limit'], violations['origin'])}: "
             f"{violations['count']} of {ensemble.members} members"
         )
         if violations["interval"] is not None:
@@ -234,6 +234,18 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
         f"  certrack simulate {file} --member {index} --seed {ensemble.seed}",
     ]
     return lines
+
+
+def _replaced_omega(ensemble: Ensemble) -> list[str]:
+    """Say where the members have other disturbances than the file's."""
+    disturbance = ensemble.system.varied.disturbance
+    omega = ensemble.system.truth.omega or ()
+    if disturbance == "file" or not any(w.expr != 0 for w in omega):
+        return []
+    return [
+        f"disturbances: random admissible ones ({disturbance}) in the place of truth.omega; "
+        'ensemble.disturbance = "file" keeps it'
+    ]
 
 
 #: Certificates, in the order in which they are shown.
@@ -254,10 +266,12 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
 
     return {
         **{kind: entries(getattr(results, kind)) for kind in CERTIFICATE_KINDS},
-        "verified": results.best.verified,
+        "verified": results.verified,
+        "best": _best(results),
         "critical_strength": {
-            "published": results.critical_published,
-            "semidefinite": results.critical_semidefinite,
+            "published": min(results.critical_published, LARGEST_STRENGTH),
+            "semidefinite": min(results.critical_semidefinite, LARGEST_STRENGTH),
+            "beyond": math.isinf(results.critical_semidefinite),
         },
         "tube": None
         if results.tube is None
@@ -267,9 +281,18 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
             "alpha": results.tube.alpha,
             "kind": "cascade" if len(results.stages) > 1 else "semidefinite",
             "pieces": results.tube.pieces,
+            "verified": results.tube.verified,
         },
-        "assumptions": list(results.best.assumptions),
+        "premises": [premise.record() for premise in results.premises],
     }
+
+
+def _best(results: Certificates) -> dict[str, Any] | None:
+    """The tightest bound if it is verified for this file; None else."""
+    if not results.verified:
+        return None
+    best = results.best
+    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": "continuous"}
 
 
 def certificates_table(results: Certificates) -> Table:
@@ -294,14 +317,15 @@ def certificates_table(results: Certificates) -> Table:
 #: Digits of a bound in the table and of what is said about the tube.
 BOUND_TEXT_DIGITS = 5
 
+#: What stands for a critical strength without limit.
+LARGEST_STRENGTH = 1e9
+
 #: The error counts as settled in the tube where it is within this part of the bound.
 SETTLED_MARGIN = 0.1
 
 
 def certificates_notes(results: Certificates) -> list[str]:
     """Critical strengths, tube and assumptions in words."""
-    if not results.best.exists:
-        return []
     lines = [
         "critical strength (common scale of tau): published "
         f"{_strength_text(results.critical_published)}, semidefinite "
@@ -314,9 +338,9 @@ def certificates_notes(results: Certificates) -> list[str]:
         margin = f"{100 * SETTLED_MARGIN:g} %"
         lines.append(
             f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound "
-            f"after {settled} s"
+            f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
         )
-    return [*lines, "resting on:", *(f"  {line}" for line in results.best.assumptions)]
+    return lines
 
 
 def _strength_text(scale: float) -> str:
@@ -324,8 +348,15 @@ def _strength_text(scale: float) -> str:
     if not scale:
         return "none"
     if math.isinf(scale):
-        return "unlimited (no term grows with the state)"
+        return f"> {LARGEST_STRENGTH:.0e} (no term grows with the state)".replace("e+0", "e")
     return rounded_down(scale, BOUND_TEXT_DIGITS)
+
+
+def _limit_text(limit: float, origin: str) -> str:
+    """A limit of the tail error and its origin; a certified bound is rounded up."""
+    certified = "certifi" in origin
+    number = printed_bound(limit, BOUND_TEXT_DIGITS) if certified else f"{limit:.5g}"
+    return f"{number} ({origin})"
 
 
 def margin_table(margins: Margins, units: Sequence[str] | None) -> Table:
@@ -343,8 +374,8 @@ def margin_table(margins: Margins, units: Sequence[str] | None) -> Table:
 def margin_notes(margins: Margins) -> list[str]:
     """What the margins refer to, in words."""
     lines = [
-        f"admitted tail error: {margins.error:.5g} ({margins.origin}); {margins.members} members "
-        "tried at every value, not proven",
+        f"admitted tail error: {_limit_text(margins.error, margins.origin)}; "
+        f"{margins.members} members tried at every value, not proven",
         f"delay and saturation at a period of {margins.at:.4g} s; the rest is as in the file",
     ]
     if margins.as_given is not None:

@@ -17,6 +17,7 @@ from certrack.cli.base import (
     naming,
     tell_written,
 )
+from certrack.cli.premises import note_contradictions
 
 if TYPE_CHECKING:
     from certrack.studies.ensembles.ensemble import Ensemble
@@ -77,6 +78,7 @@ def simulate(
         from certrack.studies.ensembles.members import member as member_of
 
         system = member_of(system, member, seed=seed or 0)
+    note_contradictions(system, file)
     changes = {"integrator": integrator, "tolerance": tolerance}
     system = system.with_settings(**{name: v for name, v in changes.items() if v is not None})
     if with_c:
@@ -124,6 +126,8 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
     from certrack.systems.reader import load
 
     systems = {file: load(file) for file in files}
+    for file, system in systems.items():
+        note_contradictions(system, file)
     runs = {file: run_system(system) for file, system in systems.items()}
     pictures = [] if plot is None else draw(runs, plot, "")
     summaries = {file: run.summary() for file, run in runs.items()}
@@ -212,6 +216,7 @@ def ensemble(
     system = load(file)
     if any(index >= members for index in keep):
         raise click.UsageError("--keep must be below --members", click.get_current_context())
+    note_contradictions(system, file, replaced=system.varied.disturbance != "file")
     try:
         with (
             workers.connect(cluster) if cluster is not None else nullcontext() as client,

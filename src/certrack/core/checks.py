@@ -12,8 +12,12 @@ import numpy as np
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import MAX_MAGNITUDE, Expression, number
+from certrack.core.rationals import RationalFloat, float_above, float_below, float_of
 
 Constants = Mapping[str, Any]
+
+#: Whole numbers up to this are floats.
+LARGEST_EXACT_INTEGER = 2**53
 
 
 def sequence(key: str, value: Any, length: int | None, what: str) -> list[Any]:
@@ -34,6 +38,8 @@ def as_written(value: Any) -> Any:
     """The value as the user wrote it, for messages."""
     if isinstance(value, Expression):
         return number_or_text(value.text)
+    if isinstance(value, RationalFloat):
+        return value.text
     if isinstance(value, (list, tuple)):
         return [as_written(entry) for entry in value]
     return value
@@ -61,6 +67,7 @@ def real(
     most: float | None = None,
     nonzero: bool = False,
     infinite: bool = False,
+    side: int = 0,
 ) -> float:
     """A number, or a formula of the constants, within the stated limits.
 
@@ -74,11 +81,22 @@ def real(
         Refuse zero.
     infinite : bool
         Accept ``inf``.
+    side : int
+        An irrational number becomes the float above it (1), below it (-1) or nearest to it (0).
+
+    Returns
+    -------
+    float
+        One that stands for the rational of the text, wherever that is one.
     """
     if infinite and isinstance(value, (str, float)) and value in ("inf", math.inf):
         return math.inf
-    plain = type(value) in (float, int) and abs(value) <= MAX_MAGNITUDE
-    result = float(value) if plain else float(number(key, value, names).expr)
+    if type(value) is int and abs(value) <= LARGEST_EXACT_INTEGER:
+        result = float(value)
+    elif isinstance(value, RationalFloat) or (type(value) is float and abs(value) <= MAX_MAGNITUDE):
+        result = value
+    else:
+        result = _float_beside(number(key, value, names).expr, side)
     if above is not None and not result > above:
         wanted = "positive" if above == 0 else f"greater than {above:g}"
         raise InputError(
@@ -92,6 +110,12 @@ def real(
     if nonzero and result == 0:
         raise InputError(key, "must not be zero", as_written(value))
     return result
+
+
+def _float_beside(expr: Any, side: int) -> float:
+    if not side or expr.is_Rational:
+        return float_of(expr)
+    return float_above(expr) if side > 0 else float_below(expr)
 
 
 def reals(
@@ -122,8 +146,9 @@ def finite_array(key: str, value: Any, dimensions: int) -> np.ndarray:
 def ordered_pair(
     key: str, value: Any, names: Constants | None = None, *, strict: bool = False
 ) -> tuple[float, float]:
-    """A pair [low, high] with low <= high, or low < high."""
-    low, high = reals(key, value, 2, "[low, high]", names)
+    """A pair [low, high] with low <= high, or low < high; irrational ends are rounded outward."""
+    ends = sequence(key, value, 2, "[low, high]")
+    low, high = (real(f"{key}[{i}]", v, names, side=2 * i - 1) for i, v in enumerate(ends))
     if strict and low >= high:
         raise InputError(key, "low must be less than high", [low, high])
     if low > high:

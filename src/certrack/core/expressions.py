@@ -25,6 +25,7 @@ from typing import Any
 import sympy
 
 from certrack.core.errors import InputError
+from certrack.core.rationals import RationalFloat
 
 MAX_LENGTH = 10_000  # characters
 MAX_NESTING = 100  # parentheses and operators
@@ -206,6 +207,8 @@ def without_minmax(expr: sympy.Expr) -> sympy.Expr:
 def _number_text(key: str, value: float) -> str:
     if not abs(value) <= MAX_MAGNITUDE:
         raise InputError(key, "must be a finite number", value)
+    if isinstance(value, RationalFloat):
+        return value.text
     return repr(int(value)) if isinstance(value, int) else repr(float(value))
 
 
@@ -336,6 +339,8 @@ class _Builder:
             raise self.fail(f"an exponent is larger than {MAX_POWER}")
         if va is not None:
             value = self.checked(lambda: math.pow(va, vb))
+            if b.is_Rational and b.q > MAX_POWER:  # SymPy would factor huge powers of it
+                return sympy.Rational(repr(value)), value
             return self.exact(a**b), value
         if vb < 0 and a == 0:
             raise self.fail("divides by zero")

@@ -238,6 +238,7 @@ class _SampledPlant:
             keys=keys(implementation.seed, implementation.stream, 1),
             tolerance=system.settings.tolerance,
             max_state=system.settings.max_state,
+            surfaces=simulator.surfaces,
         )
         self._p = SampledRun(simulator.maps, self._problem).parameters
         whole_periods = math.floor(implementation.delay)

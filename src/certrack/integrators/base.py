@@ -16,6 +16,7 @@ import numpy as np
 
 from certrack.core.errors import CertrackError
 from certrack.core.progress import Progress, silent
+from certrack.integrators.switching import ModeRecord
 from certrack.references import Reference
 
 #: A state larger than this where the solution ceases to exist is escaping, not leaving a domain.
@@ -42,12 +43,17 @@ class Outcome(Enum):
         "division). Check the formulas near this state."
     )
     step_limit = (
-        "The step limit was reached: the loop is too stiff for this method, or sign() makes it "
-        "slide. Try the implicit integrator, lower c, or replace sign(x) by tanh(x/0.01)."
+        "The step limit was reached: the loop is too stiff for this method. Try the implicit "
+        "integrator, lower c, or replace a steep tanh() by sign()."
     )
     kink_missed = (
         "The switching of abs, sign, min or max could not be followed: the loop slides along a "
         "kink. Replace sign(x) by tanh(x/0.01)."
+    )
+    chattering = (
+        "Switches by sign() follow one another without end here, at more than two surfaces that "
+        "interact or by contact of higher order: this sliding is not simulated. Replace sign(x) by "
+        "tanh(x/0.01)."
     )
 
 
@@ -120,6 +126,8 @@ class Trajectory:
     method : str
     parts : int
         Into so many parts a step is cut where extremes are looked for.
+    modes : ModeRecord, optional
+        On which sides of its switching surfaces the run was, and where it slid along them.
     """
 
     times: np.ndarray
@@ -127,6 +135,7 @@ class Trajectory:
     outcome: Outcome
     method: str
     parts: int = 8
+    modes: ModeRecord | None = None
 
     @property
     def end(self) -> float:

@@ -16,12 +16,11 @@ from certrack.laws.base import (
     Signals,
     dot,
     gain,
-    metric,
     theta_metric,
     theta_vector,
-    vector,
 )
 from certrack.laws.classic import Classic
+from certrack.laws.numbers import metric, vector
 from certrack.laws.registry import LAWS, known_laws
 from certrack.laws.registry import register_law as register
 from certrack.laws.robust import Robust

@@ -7,17 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import (
-    Equations,
-    Law,
-    Signals,
-    dot,
-    gain,
-    metric,
-    theta_metric,
-    theta_vector,
-    vector,
-)
+from certrack.laws.base import Equations, Law, Signals, dot, gain, theta_metric, theta_vector
+from certrack.laws.error_system import EstimatedParameters
+from certrack.laws.numbers import metric, vector
 from certrack.model.plant import Plant
 
 
@@ -67,6 +59,19 @@ class Adaptive(Law):
         theta_rate = [dot(Gamma[i * s.r : (i + 1) * s.r], drive) for i in range(s.r)]  # [26]
         update = ((delta_hat, delta_rate), *zip(theta_hat, theta_rate, strict=True))
         return Equations(u=delta_hat * ubar, update=update)
+
+    def error_system(self, s: Signals) -> EstimatedParameters:
+        Gamma = s.parameters("Gamma", s.r, s.r)
+        return EstimatedParameters(
+            delta_hat=symbol("delta_hat"),
+            gain_rate=s.parameter("gain_rate"),
+            leak_gain=s.parameter("leak_gain"),
+            leak_theta=s.parameter("leak_theta"),
+            delta0=s.parameter("delta0"),
+            theta_hat=[symbol(f"theta_hat_{i + 1}") for i in range(s.r)],
+            theta0=s.parameters("theta0", s.r),
+            Gamma=[Gamma[i * s.r : (i + 1) * s.r] for i in range(s.r)],
+        )
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
         return {

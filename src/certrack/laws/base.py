@@ -21,6 +21,7 @@ from certrack.core.expressions import TIME, check_name, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.supported import check_symbols, normal_form
 from certrack.laws.backstepping import ErrorCoordinates, Gains, recursion
+from certrack.laws.error_system import ErrorSystem
 from certrack.model.plant import MAX_ORDER, Plant
 
 
@@ -192,8 +193,9 @@ class Law(ABC):
     sampled controller keeps of the rates only the terms of gains and own states alone, the
     forgetting; own states that are no estimates are listed in ``Equations.filters`` and move on.
 
-    A certificate is a theorem about the equations of one law. A new law has none, and says so,
-    until a certificate is written for it (:mod:`certrack.certificates`).
+    A certificate is a theorem about equations. A law says in :meth:`error_system` which of them it
+    obeys (:mod:`certrack.laws.error_system`), and has a certificate if its formulas do. A law that
+    says nothing has none.
 
     Parameters
     ----------
@@ -266,6 +268,13 @@ class Law(ABC):
             If the plant does not state what the law must know.
         """
         return {}
+
+    def error_system(self, s: Signals) -> ErrorSystem | None:
+        """What a certificate of the law may rely on; None if there is none.
+
+        In the symbols of `s`, like :meth:`equations`. Whoever certifies the law compares the two.
+        """
+        return None
 
     def initial_states(self, plant: Plant) -> Mapping[str, float]:
         """Initial values of the law's own states, by name; zero for those that are left out."""
@@ -372,33 +381,6 @@ def _check_own_states(names: Sequence[str], used: Collection[str]) -> None:
         seen.add(name)
 
 
-def metric(key: str, value: Any, r: int) -> np.ndarray:
-    """A symmetric positive definite r x r matrix from a diagonal, a matrix, or None (identity)."""
-    if value is None:
-        return np.eye(r)
-    rows = np.array(value, dtype=float)
-    if rows.shape == (r,):
-        rows = np.diag(rows)
-    if rows.shape != (r, r):
-        raise InputError(key, f"must be {r} numbers or a {r} x {r} matrix", _listed(value))
-    if not np.array_equal(rows, rows.T):
-        raise InputError(key, "must be symmetric", _listed(value))
-    if r and np.linalg.eigvalsh(rows).min() <= 0:
-        raise InputError(key, "must be positive definite", _listed(value))
-    return rows
-
-
-def vector(key: str, value: Any, r: int) -> np.ndarray:
-    """r numbers, zero if None."""
-    if value is None:
-        return np.zeros(r)
-    return np.array(checks.reals(key, value, r, "one number per regressor"))
-
-
 def dot(a: Sequence[sympy.Expr], b: Sequence[sympy.Expr]) -> sympy.Expr:
     """Inner product of formulas."""
     return sympy.Add(*(left * right for left, right in zip(a, b, strict=True)))
-
-
-def _listed(value: Any) -> Any:
-    return [_listed(entry) for entry in value] if isinstance(value, (list, tuple)) else value

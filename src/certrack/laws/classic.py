@@ -8,7 +8,8 @@ from typing import Any
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, Law, Signals, dot, gain, metric, theta_metric
+from certrack.laws.base import Equations, Law, Signals, dot, gain, theta_metric
+from certrack.laws.numbers import metric
 from certrack.model.plant import Plant
 
 

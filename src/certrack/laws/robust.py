@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from certrack.core.errors import DesignError
+from certrack.core.rationals import float_of
 from certrack.laws.base import Equations, Law, Signals, dot
+from certrack.laws.error_system import KnownParameters
 from certrack.model.plant import Plant
 
 
@@ -24,6 +26,9 @@ class Robust(Law):
         g_n, theta = s.parameter("g_n"), s.parameters("theta", s.r)
         return Equations(u=(s.nu - dot(s.phi, theta)) / g_n)
 
+    def error_system(self, s: Signals) -> KnownParameters:
+        return KnownParameters(s.parameter("g_n"), s.parameters("theta", s.r))
+
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
         if plant.input_gain is None:
             raise DesignError(
@@ -33,8 +38,8 @@ class Robust(Law):
             raise DesignError(
                 "plant.theta", "the robust law must know theta", remedy=_REMEDY_FOR_UNKNOWN
             )
-        theta = [float(value.expr) for value in plant.theta or ()]
-        return {"g_n": float(plant.input_gain.expr), "theta": theta}
+        theta = [float_of(value.expr) for value in plant.theta or ()]
+        return {"g_n": float_of(plant.input_gain.expr), "theta": theta}
 
 
 _REMEDY_FOR_UNKNOWN = 'State it, or use kind = "adaptive"'

@@ -168,13 +168,14 @@ class Plant:
             f"{keys['chain'].shape} (n = {n}, the number of states)",
         )
         for i, value in enumerate(coefficients):
+            _refuse_states(f"plant.chain[{i}]", value, states, ROW_REMEDY)
             checks.real(f"plant.chain[{i}]", value, values, nonzero=True)
         names = [*states, *values]
         phi = checks.sequence("plant.regressor", self.regressor, None, keys["regressor"].shape)
         set_fields(
             self,
             chain=tuple(parse(f"plant.chain[{i}]", v, values) for i, v in enumerate(coefficients)),
-            linear=self._check_linear(n, values),
+            linear=self._check_linear(states, values),
             drift=parse("plant.drift", self.drift, names),
             regressor=tuple(parse(f"plant.regressor[{i}]", v, names) for i, v in enumerate(phi)),
             uncertainty=self._check_uncertainty(n),
@@ -214,9 +215,9 @@ class Plant:
         return tuple(constants.items())
 
     def _check_linear(
-        self, n: int, constants: Mapping[str, Any]
+        self, states: tuple[str, ...], constants: Mapping[str, Any]
     ) -> tuple[tuple[Expression, ...], ...]:
-        key = "plant.linear"
+        key, n = "plant.linear", len(states)
         couplings: Any = self.linear
         if couplings is None:
             couplings = [[0] * i for i in range(1, n)]
@@ -226,17 +227,22 @@ class Plant:
             n - 1,
             f"rows b_i1 ... b_ii, i = 1 ... n-1 (n = {n}, the number of states)",
         )
-        return tuple(
-            tuple(
-                number(f"{key}[{i}][{j}]", v, constants)
-                for j, v in enumerate(checks.sequence(f"{key}[{i}]", row, i + 1, "b_i1 ... b_ii"))
-            )
+        lengths = [
+            checks.sequence(f"{key}[{i}]", row, i + 1, "b_i1 ... b_ii")
             for i, row in enumerate(rows)
+        ]
+        for i, row in enumerate(lengths):
+            for j, value in enumerate(row):
+                _refuse_states(f"{key}[{i}][{j}]", value, states, ROW_REMEDY)
+        return tuple(
+            tuple(number(f"{key}[{i}][{j}]", v, constants) for j, v in enumerate(row))
+            for i, row in enumerate(lengths)
         )
 
     def _check_parameters(self, constants: Mapping[str, Any]) -> None:
         check_fields(self, "plant", "gain_sign")
         if self.input_gain is not None:
+            refuse_varying_gain("plant.input_gain", self.input_gain, self.states)
             check_gain("plant.input_gain", self.input_gain, self.gain_sign, constants)
             set_fields(self, input_gain=number("plant.input_gain", self.input_gain, constants))
         if self.theta is not None:
@@ -313,6 +319,38 @@ def new_name(key: str, name: Any, used: Sequence[str]) -> str:
     if name in LOOP_SIGNALS or name.startswith(LOOP_PREFIXES):
         raise InputError(key, "this name is reserved for a signal", name, "Rename it")
     return str(name)
+
+
+#: What to do where a coefficient of the rows 1 ... n-1 depends on states.
+ROW_REMEDY = (
+    "Rows 1 ... n-1 must be x_i' = g_i x_{i+1} + sum b_ij x_j + tau_i w_i with constant g_i and "
+    "b_ij: take x_i' itself as the next state, or put the difference from a constant into w_i"
+)
+
+#: The same for g_n.
+GAIN_REMEDY = (
+    "The last row must be x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n, affine in u with a "
+    "constant g_n: take the whole term with the input as a new input v, with input_gain = 1 or "
+    "another constant, and let the drive compute its command from v and the measured states"
+)
+
+
+def _refuse_states(key: str, value: Any, states: Sequence[str], remedy: str) -> None:
+    """Refuse a coefficient that depends on states, and say what the class of plants is."""
+    if not isinstance(value, (str, Expression)):
+        return
+    names = {str(s) for s in parse(key, value, None).expr.free_symbols}
+    for name in states:
+        if name in names:
+            text = value if isinstance(value, str) else value.text
+            raise InputError(
+                key, f"unknown name {name!r}: a state, where a constant is needed", text, remedy
+            )
+
+
+def refuse_varying_gain(key: str, value: Any, states: Sequence[str]) -> None:
+    """Refuse an input gain that depends on states, and say which change of the input helps."""
+    _refuse_states(key, value, states, GAIN_REMEDY)
 
 
 def refuse_prefix(plant: Plant, prefix: str, who: str) -> None:

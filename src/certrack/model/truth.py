@@ -18,6 +18,7 @@ from certrack.model.plant import (
     check_gain,
     check_within,
     new_name,
+    refuse_varying_gain,
 )
 
 #: What a truth with states of its own has no place for.
@@ -166,6 +167,7 @@ class Truth:
             return self._own_states_bound_to(plant)
         assert self.input_gain is not None
         constants = constants_of_truth(plant, self.constants)
+        refuse_varying_gain("truth.input_gain", self.input_gain, plant.states)
         gain = check_gain("truth.input_gain", self.input_gain, plant.gain_sign, constants)
         check_within("truth.input_gain", gain, plant.input_gain_range, "input_gain")
         theta = _named_formulas(

@@ -8,7 +8,7 @@ from typing import Any
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.keys import check_fields, keyed, keys_of
+from certrack.core.keys import keyed, keys_of, set_fields
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ class Uncertainty:
     )
 
     def __post_init__(self) -> None:
-        check_fields(self, "plant.uncertainty")
+        for name in keys_of(self):
+            set_fields(self, **{name: _upper_bounds(name, getattr(self, name))})
         for name in ("gamma", "beta"):
             values = getattr(self, name)
             if len(values) != len(self.tau):
@@ -58,12 +59,7 @@ class Uncertainty:
         """The bounds of a table ``{tau, gamma, beta}`` whose numbers may be formulas."""
         keys = keys_of(cls)
         checks.known_keys("plant.uncertainty", table, keys, required=keys)
-        return cls(
-            **{
-                name: key.checked(f"plant.uncertainty.{name}", table[name], constants, count=n)
-                for name, key in keys.items()
-            }
-        )
+        return cls(**{name: _upper_bounds(name, table[name], constants, n) for name in keys})
 
     def bound_formula(self, k: int, states: Sequence[str], offset: float) -> str:
         """The bound of w_k as a formula, with a norm that is smooth at zero and never above ||x||.
@@ -87,3 +83,12 @@ class Uncertainty:
         """No uncertain terms at all."""
         zeros = (0.0,) * n
         return Uncertainty(zeros, zeros, zeros)
+
+
+def _upper_bounds(
+    name: str, values: Any, constants: Mapping[str, Any] | None = None, count: int | None = None
+) -> tuple[float, ...]:
+    """Numbers >= 0 that stand for the rationals of their texts; irrational ones from above."""
+    shape = keys_of(Uncertainty)[name].shape
+    key = f"plant.uncertainty.{name}"
+    return checks.reals(key, values, count, shape, constants, least=0, side=1)

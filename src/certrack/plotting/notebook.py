@@ -89,7 +89,7 @@ def _show_certificates(result: Certificates) -> str:
         if isinstance(entry, Certificate)
     ]
     table = _table(("certificate", "limsup |e_1| <=", "verified", "note"), rows)
-    premises = _list(result.best.assumptions, "Resting on")
+    premises = _list([str(premise) for premise in result.premises], "Resting on")
     return _page("Certificates", table, _picture(plot(result)), premises)
 
 

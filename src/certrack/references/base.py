@@ -10,6 +10,7 @@ import numpy as np
 import sympy
 
 from certrack.core.errors import InputError
+from certrack.core.rationals import stated_above
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def require_order(reference: Reference, order: int, who: str) -> None:
 def total_bound(reference: Reference) -> float:
     """D of Assumption 2: declared by the user, else Y_0 + Y_1."""
     if reference.declared_bound is not None:
-        return reference.declared_bound
+        return stated_above(reference.declared_bound)
     return round_up(sum(reference.bounds(1).values))
 
 

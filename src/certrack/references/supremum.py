@@ -12,6 +12,7 @@ from mpmath import iv, mp
 from sympy.simplify.fu import TR8
 
 from certrack.core.expressions import TIME
+from certrack.core.rationals import float_above
 
 
 def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:
@@ -51,7 +52,7 @@ def sinusoid_supremum(expr: sympy.Expr) -> tuple[float, bool] | None:
             pair = [sine - factor * sympy.sin(shift), cosine + factor * sympy.cos(shift)]
         amplitude[w] = pair
     total = sympy.Abs(offset) + sum(sympy.sqrt(a**2 + b**2) for a, b in amplitude.values())
-    return _float_above(total), len(amplitude) <= 1
+    return float_above(total), len(amplitude) <= 1
 
 
 #: Expanding sums of sinusoids beyond this power or number of terms takes too long.
@@ -85,16 +86,7 @@ def interval_supremum(expr: sympy.Expr) -> float | None:
         bound = mp.mpf(abs(enclosure(expr, {TIME: iv.mpf([0, "inf"])})).b)
     except (ArithmeticError, ValueError, TypeError, NotImplementedError):
         return None
-    return None if not mp.isfinite(bound) else _float_above(sympy.Float(bound, 30))
-
-
-def _float_above(value: sympy.Expr) -> float:
-    """Smallest float not below the number; the nearest one, which float() gives, may be."""
-    exact = sympy.N(value, 80)
-    as_float = float(exact)
-    while sympy.Float(as_float, 80) < exact:
-        as_float = math.nextafter(as_float, math.inf)
-    return as_float
+    return None if not mp.isfinite(bound) else float_above(sympy.Float(bound, 30))
 
 
 #: Increasing functions: the ends of their values are the values at the ends.

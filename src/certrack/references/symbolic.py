@@ -23,6 +23,7 @@ from certrack.core.expressions import (
 )
 from certrack.core.keys import set_fields
 from certrack.core.lowering import numpy_callable, rows
+from certrack.core.rationals import stated_above
 from certrack.references.base import Bounds, require_order
 from certrack.references.supremum import interval_supremum, sinusoid_supremum
 
@@ -168,7 +169,7 @@ class SymbolicReference:
         values, origin = [], []
         for i, formula in enumerate(self._numeric(order)):
             if self.declared is not None and i < len(self.declared):
-                values.append(self.declared[i])
+                values.append(stated_above(self.declared[i]))
                 origin.append("declared")
                 continue
             wave = sinusoid_supremum(formula)

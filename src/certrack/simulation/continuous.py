@@ -23,8 +23,11 @@ from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.progress import Progress, silent
 from certrack.integrators.base import Integrator, Outcome, Problem, Trajectory
 from certrack.integrators.single.scipy import ScipyIntegrator
+from certrack.integrators.single.sliding import SlidingIntegrator
 from certrack.integrators.single.taylor import TaylorIntegrator
+from certrack.integrators.switching import ModeRecord, sticking_notes
 from certrack.loops.continuous import INTEGRALS, ClosedLoop, close_loop, parameter_values
+from certrack.loops.switching import switching
 from certrack.references import Reference, pieces_at
 from certrack.simulation.run import Run
 from certrack.systems.system import System
@@ -77,7 +80,12 @@ class ContinuousSimulator:
         self._idle: dict[tuple[str, float], list[Integrator]] = {}
         self._has_kinks = any(rate.has(*KINKED_FUNCTIONS) for rate in self.loop.rates)
         self._parameters = parameter_values(self.loop, system)
-        self._input = numpy_callable([TIME, self.loop.states, self.loop.parameters], [self.loop.u])
+        arguments, u = [TIME, self.loop.states, self.loop.parameters], self.loop.u
+        self._switching = switching(self.loop.rates, self.loop.states, smooth_rates=len(INTEGRALS))
+        if self._switching is not None:
+            arguments.append(self._switching.modes)
+            (u,) = self._switching.resolved([u])
+        self._input = numpy_callable(arguments, [u])
 
     def run(self, system: System, progress: Progress = silent) -> Run:
         """Simulate a system whose loop is the compiled one in other numbers."""
@@ -106,7 +114,10 @@ class ContinuousSimulator:
             again = self._integrated(method, problem)
             missed = trajectory.outcome is Outcome.kink_missed
             trajectory = again if missed or again.end >= trajectory.end else trajectory
-        inputs = InputOf(self._input, system.reference, parameters)
+        modes = trajectory.modes
+        inputs = InputOf(self._input, system.reference, parameters, modes)
+        if modes is not None:
+            notes += sticking_notes(modes, trajectory.end)
         progress(settings.duration, settings.duration, None)
         smooth = method == "taylor" or not self._has_kinks
         return Run(system, trajectory, inputs, tuple(notes), smooth)
@@ -154,15 +165,19 @@ class ContinuousSimulator:
         try:
             integrator = idle.pop()  # in one step: no other thread gets the same
         except IndexError:
-            integrator = (
-                TaylorIntegrator(self.loop, tolerance)
-                if method == "taylor"
-                else ScipyIntegrator(self.loop, implicit=method == "implicit")
-            )
+            integrator = self._compiled(method, tolerance)
         try:
             yield integrator
         finally:
             idle.append(integrator)
+
+    def _compiled(self, method: str, tolerance: float) -> Integrator:
+        """A new integrator; loops that may slide have a driver above the method."""
+        if self._switching is not None:
+            return SlidingIntegrator(self.loop, self._switching, method, tolerance)
+        if method == "taylor":
+            return TaylorIntegrator(self.loop, tolerance)
+        return ScipyIntegrator(self.loop, implicit=method == "implicit")
 
 
 @dataclass(frozen=True)
@@ -175,14 +190,18 @@ class InputOf:
         u as a function of time, states, and parameters with the pieces of the reference.
     reference : Reference
     parameters : (P,) array
+    modes : ModeRecord, optional
+        Those of the run, where the law is a function of them, too.
     """
 
     law: NumpyFunction
     reference: Reference
     parameters: np.ndarray
+    modes: ModeRecord | None = None
 
     def __call__(self, t: np.ndarray, states: np.ndarray) -> np.ndarray:
         pieces = pieces_at(self.reference, t)
+        modes = () if self.modes is None else (self.modes.at(t),)
         with np.errstate(all="ignore"):
-            values = self.law(t, states, [*self.parameters.tolist(), *pieces])
+            values = self.law(t, states, [*self.parameters.tolist(), *pieces], *modes)
         return rows(values, len(t))[0]

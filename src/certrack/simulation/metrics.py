@@ -122,7 +122,7 @@ def measure(
     """
     span = float(t[-1])
     return Metrics(
-        settling_time=_settling_time(t, np.abs(e), band),
+        settling_time=_settling_time(t, np.abs(e), band) if span > 0 else math.nan,
         tail_error=_tail_supremum(t, e, tail_start, per_step),
         rms_error=math.sqrt(integrals[1, -1] / span) if span > 0 else math.nan,
         integral_abs_error=_integral_of_magnitude(t, e, integrals[2]),

@@ -161,8 +161,9 @@ class Run(ShownInNotebooks):
         -------
         xarray.Dataset
             Variables ``x`` and ``e`` (time, state), ``u`` and ``y_d`` (time), ``estimate``
-            (time, parameter), ``truth`` (time, truth_state) where the truth has states of its own;
-            the attributes hold version, system text and metrics.
+            (time, parameter), ``truth`` (time, truth_state) where the truth has states of its own,
+            ``sticking`` (time, surface) where sign() of a state may hold it; the attributes hold
+            version, system text and metrics.
 
         Examples
         --------
@@ -199,6 +200,11 @@ class Run(ShownInNotebooks):
             z = states[len(simulated) : len(simulated) + len(estimates)].T
             data["estimate"] = (("time", "parameter"), z, {"long_name": "estimate"})
             coords["parameter"] = estimates
+        modes = self.trajectory.modes
+        if modes is not None:
+            table = modes.stuck(t).T.astype(np.int8)
+            data["sticking"] = (("time", "surface"), table, {"long_name": "slides along it"})
+            coords["surface"] = list(modes.surfaces)
         summary = {k: v for k, v in self.metrics.as_dict().items() if v is not None}
         attributes = {
             "title": system.title,

@@ -17,6 +17,8 @@ from certrack.integrators.base import Outcome, Trajectory
 from certrack.integrators.sampled.events import event_timeline
 from certrack.integrators.sampled.maps import HeyokaMaps, NumpyMaps, SampledMaps
 from certrack.integrators.sampled.run import SampledProblem, SampledRun
+from certrack.integrators.sampled.sliding import with_modes
+from certrack.integrators.switching import ModeRecord, sticking_notes
 from certrack.loops.continuous import INTEGRAL_SCALE
 from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
@@ -58,6 +60,7 @@ class SampledSimulator:
         controller: SampledController | None = None,
     ) -> None:
         self.loop: SampledLoop = sample_loop(system, controller=controller)
+        loop, self.surfaces = with_modes(self.loop)
         integrator = system.settings.integrator
         if integrator == "implicit":
             raise InputError(
@@ -67,12 +70,11 @@ class SampledSimulator:
                 "Use auto or scipy",
             )
         by_numpy = integrator == "scipy" or not has_heyoka()
-        loop = self.loop
         maps: SampledMaps = NumpyMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
         self.maps = maps if around is None else around(maps, loop)
         self.outputs = outputs_of(self.loop)
-        names = [TIME, self.loop.plant.states, INPUT, [*self.loop.parameters, *self.loop.pieces]]
-        self._rates = numpy_callable(names, [*self.loop.plant.rates, self.loop.e_1])
+        names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
+        self._rates = numpy_callable(names, [*loop.plant.rates, loop.e_1])
 
     def run(self, system: System, progress: Progress = silent) -> Run:
         """Simulate `system`; `progress` gets the time reached."""
@@ -93,6 +95,7 @@ class SampledSimulator:
             keys=keys(implementation.seed, implementation.stream, 1),
             tolerance=settings.tolerance,
             max_state=settings.max_state,
+            surfaces=self.surfaces,
         )
         record = RunRecord(problem.x, problem.totals, len(system.controller.states))
 
@@ -110,11 +113,15 @@ class SampledSimulator:
         if outcome is not Outcome.finished:
             record.drop_from(settings.max_state)
         times = np.array(record.ends)
-        slopes = Slopes(self._rates, system.reference, parameters[:, 0])
+        modes = None
+        if run.crossing is not None:
+            modes = run.crossing.modes()
+        slopes = Slopes(self._rates, system.reference, parameters[:, 0], modes)
         solution = record.solution(slopes, run.u[0])
         parts = PARTS if len(solution.ends) <= MAX_FINE_STEPS else COARSE_PARTS
-        trajectory = Trajectory(times, solution, outcome, "sampled", parts)
-        return Run(system, trajectory, solution.input_at)
+        trajectory = Trajectory(times, solution, outcome, "sampled", parts, modes)
+        notes = [] if modes is None else sticking_notes(modes, trajectory.end)
+        return Run(system, trajectory, solution.input_at, tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -127,14 +134,19 @@ class Slopes:
         Those of the states, and e_1.
     reference : Reference
     parameters : (P,) array
+    modes : ModeRecord, optional
+        Of the run; the last of the rates' parameters.
     """
 
     rates: NumpyFunction
     reference: Reference
     parameters: Array
+    modes: ModeRecord | None = None
 
     def __call__(self, t: Array, x: Array, u: Array, begins: Array) -> Array:
-        pieces = pieces_at(self.reference, begins * JUST_AFTER)
+        pieces = [*pieces_at(self.reference, begins * JUST_AFTER)]
+        if self.modes is not None:
+            pieces += [*self.modes.at(begins)]
         with np.errstate(all="ignore"):
             rates = rows(self.rates(t, x, u, [*self.parameters, *pieces]), len(t))
         e = rates[-1]

@@ -13,6 +13,7 @@ import tomllib
 from typing import Any
 
 from certrack.core.errors import InputError
+from certrack.core.rationals import decimal_float
 
 #: Parts of a dotted key, and brackets within brackets. The deepest key of a system file has four.
 MAX_PARTS, MAX_BRACKETS = 16, 16
@@ -53,7 +54,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     """
     _check_extent(text)
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text, parse_float=decimal_float)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
         place = re.search(r"at line (\d+)", str(problem))
         raise _refusal(f"is not TOML: {problem}", int(place[1]) if place else None) from None

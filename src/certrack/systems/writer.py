@@ -14,6 +14,7 @@ from certrack.core.checks import number_or_text
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, parse
 from certrack.core.files import write_text
+from certrack.core.rationals import RationalFloat
 from certrack.laws import Law, known_laws
 from certrack.model.distribution import Distribution
 from certrack.model.implementation import Implementation
@@ -118,6 +119,8 @@ def _as_toml(value: Any) -> Any:
         return value.written
     if isinstance(value, Expression):
         return number_or_text(value.text)
+    if isinstance(value, RationalFloat):
+        return value.text
     if isinstance(value, dict):
         return {name: _as_toml(entry) for name, entry in value.items()}
     if isinstance(value, (tuple, list)):

@@ -36,6 +36,11 @@ class AugmentedFlow:
     watched : int
         The first states, which must stay within a limit.
     shared : symbols that are the same for all members besides time (the reference's piece)
+    held : numbers of the states that may stick at zero
+        Their modes, sides and then what is stuck, are the last of the parameters.
+    surfaces : formulas
+        Of all of them what stands for the sign, then the drifts, then the effects
+        (:mod:`certrack.loops.switching`).
     """
 
     states: tuple[sympy.Symbol, ...]
@@ -48,6 +53,8 @@ class AugmentedFlow:
     sides: tuple[tuple[sympy.Symbol, sympy.Symbol], ...]
     watched: int
     shared: tuple[sympy.Symbol, ...] = ()
+    held: tuple[int, ...] = ()
+    surfaces: tuple[sympy.Expr, ...] = ()
 
     @property
     def rows(self) -> dict[str, slice]:
@@ -66,15 +73,30 @@ class AugmentedFlow:
 
     def without_time(self) -> tuple[AugmentedFlow, dict[sympy.Expr, sympy.Symbol]]:
         """The flow with every largest subexpression that all members share as one symbol."""
-        kinds = (self.rates, self.integrands, self.signals, [f for _, f in self.memories])
+        kinds = (
+            self.rates,
+            self.integrands,
+            self.signals,
+            self.surfaces,
+            [f for _, f in self.memories],
+        )
         hoisted_formulas, symbols = hoisted(
             [f for kind in kinds for f in kind], {TIME, *self.shared}
         )
         formulas = iter(hoisted_formulas)
-        rates, integrands, signals, updates = (tuple(islice(formulas, len(kind))) for kind in kinds)
+        rates, integrands, signals, surfaces, updates = (
+            tuple(islice(formulas, len(kind))) for kind in kinds
+        )
         names = (name for name, _ in self.memories)
         memories = tuple(zip(names, updates, strict=True))
         return (
-            replace(self, rates=rates, integrands=integrands, signals=signals, memories=memories),
+            replace(
+                self,
+                rates=rates,
+                integrands=integrands,
+                signals=signals,
+                surfaces=surfaces,
+                memories=memories,
+            ),
             symbols,
         )

@@ -18,7 +18,10 @@
  *   signals(c, x, p, k, y)       what the memories look at
  *   memories(t, h, c, p, y, y_end, m)   update over an interval of length h that begins at t
  *   shown(x, y, v)               what is counted at every time of the grid
- * with p the parameters of a member.
+ *   surfaces(c, x, p, s, d, e)   of the SURFACES states HELD that may stick: what stands for their
+ *                                sign, and their rates d + e s (integrators/switching.py)
+ * with p the parameters of a member, the last of which are its modes: on which side of each surface
+ * it is, and whether it is stuck there.
  */
 #include "vector_math.h"
 #include "system.h"
@@ -39,6 +42,15 @@ static const double SHORTEST = 1e-15;
  * and the same distance at any other: times of the grid among them. Between nodes signals are taken
  * for cubics, which must not fall behind a method of order 8. */
 static const double NODE_SPACING = 1.0 / 3, SPACING_TOLERANCE = 1e-5;
+
+/* A state is on a surface within ON_SURFACE of 1 + |x|. A step is looked at in so many parts for the
+ * end of a mode, which is bisected so often. */
+static const double ON_SURFACE = 1e-13;
+enum { LOOKS = 8, BISECTIONS = 48, SIDES_AT = PARAMETERS - 2 * SURFACES, STUCK_AT = PARAMETERS - SURFACES };
+
+/* More events than MAX_RUSH while the time moves by RUSH of it have no end. */
+enum { MAX_RUSH = 5000 };
+static const double RUSH = 1e-7;
 
 /* Members of a group, which share their steps. */
 enum { GROUP_SIZE = BLOCKS * LANES };
@@ -91,6 +103,8 @@ typedef struct {
   double t, node; /* begin of the step; last node at which the memories were updated */
   int64_t row, steps; /* next time of the grid; steps tried */
   int64_t first; /* its first member */
+  int64_t events; /* since `rush` */
+  double rush;
   Block block[BLOCKS];
 } Group;
 
@@ -247,6 +261,86 @@ OUTLINE void update_at_edge(Group *g, const Task *task, const double *c, int end
   g->row += shows;
 }
 
+/* What is negative where the mode of a lane holds no more. */
+INLINE void distances(const double *c, const V *x, const V *p, V *w) {
+  V s[SURFACES + 1], d[SURFACES + 1], e[SURFACES + 1], size = SPLAT(1.0);
+  surfaces(c, x, p, s, d, e);
+  for (int j = 0; j < WATCHED; j++) size = v_max(size, 1.0 + v_abs(x[j]));
+  for (int k = 0; k < SURFACES; k++)
+    w[k] = choose(p[STUCK_AT + k] > SPLAT(0.0), 1.0 + ON_SURFACE - v_abs(s[k]),
+                  p[SIDES_AT + k] * x[HELD[k]] + ON_SURFACE * size);
+}
+
+/* The least of it in all lanes at a part theta of a step, by the dense output. */
+OUTLINE double least_distance(const Group *g, const Step *s, double theta, const double *shared) {
+  double value[NODES], slope[NODES], c[COMMON + 1], least = INFINITY;
+  dense_weights(theta, s->h, value, slope);
+  common_at(g->t + theta * s->h, shared, c);
+  EACH_BLOCK(b) {
+    V x[STATES], w[SURFACES + 1];
+    for (int j = 0; j < STATES; j++) x[j] = g->block[b].x[j];
+#pragma GCC unroll 16
+    for (int i = 0; i <= STAGES; i++)
+      if (DENSE[1][i] != 0.0)
+        for (int j = 0; j < STATES; j++) x[j] += value[i] * s->k[b][i][j];
+    distances(c, x, g->block[b].p, w);
+    for (int k = 0; k < SURFACES; k++)
+      for (int l = 0; l < LANES; l++)
+        if (g->block[b].alive[l] && w[k][l] < least) least = w[k][l];
+  }
+  return least;
+}
+
+/* The part of a step after which the first mode of any lane has ended; 2 if all hold. */
+static double first_event(const Group *g, const Step *s, const double *shared) {
+  double low = 0.0, high = 2.0;
+  for (int i = 1; i <= LOOKS && high > 1.0; i++) {
+    double theta = (double)i / LOOKS;
+    if (least_distance(g, s, theta, shared) < 0.0)
+      high = theta;
+    else
+      low = theta;
+  }
+  for (int i = 0; i < BISECTIONS && high <= 1.0; i++) {
+    double theta = 0.5 * (low + high);
+    if (least_distance(g, s, theta, shared) < 0.0)
+      high = theta;
+    else
+      low = theta;
+  }
+  return high;
+}
+
+/* The modes that hold from here on, and the rates in them. A lane on a surface that both sides lead
+ * to sticks there; else it leaves to the side that leads away. At the start lanes are where they
+ * are; later one that is beyond its side has just come to the surface. */
+OUTLINE void settle(Group *g, const double *c, int start) {
+  EACH_BLOCK(b) {
+    Block *block = &g->block[b];
+    V *p = block->p, s[SURFACES + 1], d[SURFACES + 1], e[SURFACES + 1], size = SPLAT(1.0);
+    I on[SURFACES + 1];
+    for (int j = 0; j < WATCHED; j++) size = v_max(size, 1.0 + v_abs(block->x[j]));
+    for (int k = 0; k < SURFACES; k++) {
+      V *f = &block->x[HELD[k]], *side = &p[SIDES_AT + k];
+      on[k] = (v_abs(*f) <= ON_SURFACE * size) | (p[STUCK_AT + k] > SPLAT(0.0));
+      if (!start) on[k] |= *side * *f < SPLAT(0.0);
+      *side = choose(on[k], *side, v_sign(*f));
+      *f = choose(on[k], SPLAT(0.0), *f);
+    }
+    surfaces(c, block->x, p, s, d, e);
+    for (int k = 0; k < SURFACES; k++) {
+      V up = d[k] + e[k], down = d[k] - e[k], zero = SPLAT(0.0), *side = &p[SIDES_AT + k];
+      I holds = on[k] & (up <= zero) & (down >= zero) & (e[k] < zero);
+      V away = choose(up > zero, SPLAT(1.0), choose(down < zero, SPLAT(-1.0), *side));
+      V mean = choose(d[k] >= zero, SPLAT(1.0), SPLAT(-1.0));
+      away = choose((up > zero) & (down < zero), mean, away);
+      *side = choose(on[k] & ~holds, away, *side);
+      p[STUCK_AT + k] = choose(holds, SPLAT(1.0), zero);
+    }
+    rates(c, block->x, p, block->k, block->r);
+  }
+}
+
 /* Update the memories at all nodes inside a step. */
 static void update_along(Group *g, const Task *task, Step *s, const double *shared, double end,
                          double stop) {
@@ -354,8 +448,14 @@ static void integrate_group(const Task *task, Group *g, Step *s) {
     EACH_BLOCK(b) {
       Block *block = &g->block[b];
       rates(s->c[0], block->x, block->p, block->k, block->r);
-      if (!segment) signals(s->c[0], block->x, block->p, block->k, block->y);
+      if (!segment && !SURFACES) signals(s->c[0], block->x, block->p, block->k, block->y);
     }
+    if (SURFACES) settle(g, s->c[0], !segment);
+    if (SURFACES && !segment)
+      EACH_BLOCK(b) {
+        Block *block = &g->block[b];
+        signals(s->c[0], block->x, block->p, block->k, block->y);
+      }
     if (!segment) h = first_step(g, task->tolerance);
     update_at_edge(g, task, s->c[0], 1);
     while (g->t < stop && any_alive(g)) {
@@ -372,8 +472,28 @@ static void integrate_group(const Task *task, Group *g, Step *s) {
         h = s->h * (factor < SAFETY ? factor : SAFETY);
         continue;
       }
+      double part = SURFACES ? first_event(g, s, shared) : 2.0;
+      if (part < 1.0) {
+        double least = 4.0 * SHORTEST * (1.0 + fabs(g->t));
+        s->h = part * s->h > least ? part * s->h : s->h < least ? s->h : least;
+        end = g->t + s->h;
+        final = end >= stop;
+        if (final) end = stop;
+        common_along(g->t, s->h, shared, s->c);
+        try_step(g, task->tolerance, s);
+        factor = 1.0 / part < MAX_FACTOR ? 1.0 / part : MAX_FACTOR;
+      }
       update_along(g, task, s, shared, end, stop);
       accept(g, task, s, end);
+      if (part <= 1.0) {
+        settle(g, s->c[STAGES], 0);
+        if (!final) update_at_edge(g, task, s->c[STAGES], 0);
+        if (g->t - g->rush > RUSH * (1.0 + fabs(g->t))) {
+          g->rush = g->t;
+          g->events = 0;
+        }
+        if (++g->events > MAX_RUSH) EACH_BLOCK(b) remove_lanes(g, task, b, ~(I){0}, RUN_ALONE);
+      }
       /* an inner edge is shown after its jump */
       if (final) update_at_edge(g, task, s->c[STAGES], segment + 1 == task->segments);
       double tried = s->h * factor;

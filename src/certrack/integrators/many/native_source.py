@@ -152,6 +152,7 @@ def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
         "SHOWN": len(shown),
         "STAGES": DOP853.stages,
         "TERMS": len(_dense_rows()),
+        "SURFACES": len(flow.held),
     }
     assert sizes["SHOWN"] and sizes["SIGNALS"] and sizes["MEMORIES"]
 
@@ -182,9 +183,20 @@ def system_header(flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> str:
             "double begin, double h, const double *c, const V *p, const V *y, const V *y_end, V *m",
             ("m", memories),
         ),
+        c_table("HELD", np.array([*flow.held, 0.0])).replace("double", "int").replace(".0", ""),
+        function(
+            "surfaces",
+            "const double *c, const V *x, const V *p, V *s_out, V *d, V *e",
+            *zip(("s_out", "d", "e"), _thirds(timeless.surfaces), strict=True),
+        ),
         function("shown", "const V *x, const V *y_end, V *out", ("out", shown)),
     ]
     return with_elementary(parts)
+
+
+def _thirds(formulas: Sequence[sympy.Expr]) -> list[Sequence[sympy.Expr]]:
+    count = len(formulas) // 3
+    return [formulas[i * count : (i + 1) * count] for i in range(3)]
 
 
 def with_elementary(parts: Sequence[str]) -> str:

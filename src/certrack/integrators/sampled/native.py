@@ -22,19 +22,19 @@ from certrack.integrators.many.native_source import (
     c_table,
     with_elementary,
 )
-from certrack.integrators.sampled import run
+from certrack.integrators.sampled import step_control
 from certrack.integrators.sampled.maps import PAIR
 from certrack.integrators.sampled.run import SampledProblem
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
 
-#: Numbers that native.c shares with run.py; errors are squared there.
+#: Numbers that native.c shares with step_control.py; errors are squared there.
 SHARED_CONSTANTS = {
     "ESCAPING": ESCAPING,
     "PER_ORDER": 1.0 / PAIR.order,
-    "NOT_A_NUMBER": run.NOT_A_NUMBER**2,
+    "NOT_A_NUMBER": step_control.NOT_A_NUMBER**2,
 } | {
-    name: getattr(run, name)
+    name: getattr(step_control, name)
     for name in (
         *("ERROR_SHARE", "SHORTEST_STEP", "END_ROUNDING"),
         *("SAFETY", "MIN_FACTOR", "MAX_FACTOR", "FIRST_MAX_FACTOR"),
@@ -191,7 +191,7 @@ def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
         "LAW_COMMON": len(law_common),
         "TOTALS": len(loop.totals),
         "SHOWN": len(shown),
-        "MAX_INTERVAL_STEPS": run.MAX_INTERVAL_STEPS,
+        "MAX_INTERVAL_STEPS": step_control.MAX_INTERVAL_STEPS,
     }
 
     def function(

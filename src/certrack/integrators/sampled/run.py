@@ -19,33 +19,20 @@ from certrack.core.arrays import Array
 from certrack.integrators.base import ESCAPING, Outcome
 from certrack.integrators.registers import whole_registers
 from certrack.integrators.sampled.events import EventTimeline
-from certrack.integrators.sampled.maps import PAIR, SampledMaps
+from certrack.integrators.sampled.maps import SampledMaps
+from certrack.integrators.sampled.sliding import Crossing, values_of
+from certrack.integrators.sampled.step_control import (
+    END_ROUNDING,
+    ERROR_SHARE,
+    FIRST_MAX_FACTOR,
+    MAX_FACTOR,
+    MAX_INTERVAL_STEPS,
+    SHORTEST_STEP,
+    next_factor,
+)
+from certrack.integrators.switching import Surfaces
 from certrack.model.implementation import Implementation
 from certrack.model.noise import normal
-
-#: A step's error may be this part of the tolerance, because the errors of several steps add up
-#: before the first of them has died out.
-ERROR_SHARE = 0.1
-
-#: No step is shorter than this part of the time t, which is near rounding. A step that short may
-#: have the whole tolerance as its error, so that it crosses a jump of the rates; where a formula
-#: leaves its domain it fails, and the member is given up.
-SHORTEST_STEP = 1e-15
-
-#: A member that needs more steps for one interval is given up.
-MAX_INTERVAL_STEPS = 5_000
-
-#: A step that reaches within this part of the time of the interval's end ends there.
-END_ROUNDING = 1e-15
-
-#: The next step is SAFETY of the one whose error would be the allowed one, lest it fail at once; it
-#: is no shorter than MIN_FACTOR of the last one and no longer than MAX_FACTOR of it, because an
-#: error estimate says little about much longer or shorter steps. Where the one step that was to
-#: cross an interval fails, FIRST_MAX_FACTOR instead: the interval needs two at least.
-SAFETY, MIN_FACTOR, MAX_FACTOR, FIRST_MAX_FACTOR = 0.9, 0.1, 5.0, 0.5
-
-#: An error that is not a number counts as this many times the allowed one: the shortest next step.
-NOT_A_NUMBER = 1e9
 
 
 @dataclass(frozen=True)
@@ -69,6 +56,8 @@ class SampledProblem:
         Tolerance of the plant's states and of the integral of e_1, relative and absolute.
     max_state : float
         A plant state beyond it has escaped.
+    surfaces : Surfaces, optional
+        Where the plant switches and may slide; its modes are the last rows of the parameters.
     """
 
     x: Array
@@ -82,6 +71,7 @@ class SampledProblem:
     keys: Array
     tolerance: float
     max_state: float
+    surfaces: Surfaces | None = None
 
 
 #: Gets time, plant states, totals and input at the end of every step of a lone member.
@@ -98,6 +88,11 @@ class SampledRun:
         The input that acts, and the sum of its changes' magnitudes.
     parameters : (P, N) array
         Parameters of the loop and of its current piece.
+    alive : (N,) array of bool
+    step_map : callable
+        That of the maps.
+    allowed : float
+        Error of a step.
     marks : int
         Times of interest reached.
     ends : (N,) array, s
@@ -109,19 +104,22 @@ class SampledRun:
 
     def __init__(self, maps: SampledMaps, problem: SampledProblem) -> None:
         self._maps, self._problem = maps, problem
-        self._allowed = ERROR_SHARE * problem.tolerance
+        self.step_map, self.allowed = maps.step, ERROR_SHARE * problem.tolerance
         count = problem.x.shape[1]
         self.x, self.states, self.totals = problem.x, problem.states, problem.totals
         self.u = np.full(count, problem.implementation.initial_input)
         self.ends = np.zeros(count)
         self.outcomes = np.full(count, Outcome.finished, dtype=object)
-        self._alive, self.run_alone = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
+        self.alive, self.run_alone = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
         self._waiting: deque[Array] = deque()
         self._samples = self.marks = 0
         self.variation = np.zeros(count)
         pieces = problem.pieces(0.0)
-        self.parameters = np.vstack([problem.parameters, np.repeat(pieces[:, None], count, axis=1)])
-        self._pieces = slice(len(problem.parameters), len(self.parameters))
+        last = values_of(pieces, problem.surfaces)
+        self.parameters = np.vstack([problem.parameters, np.repeat(last[:, None], count, axis=1)])
+        first = len(problem.parameters)
+        self._pieces = slice(first, first + len(pieces))
+        self.crossing = None if problem.surfaces is None else Crossing(self, problem.surfaces)
 
     def run(
         self,
@@ -145,7 +143,7 @@ class SampledRun:
         times, marks = line.times.tolist(), line.marks.tolist()
         samples, acts, breaks = line.samples.tolist(), line.acts.tolist(), line.breaks.tolist()
         for k, t in enumerate(times):
-            if breaks[k] and self._pieces.start < len(self.parameters):
+            if breaks[k] and self._pieces.start < self._pieces.stop:
                 self.parameters[self._pieces] = self._problem.pieces(t)[:, None]
             if samples[k]:
                 on_sample(t, self.states)
@@ -172,24 +170,31 @@ class SampledRun:
 
     def advance(self, begin: float, end: float, on_step: OnStep | None = None) -> bool:
         """Integrate all members from one event to the next; returns whether any goes on."""
+        if self.crossing is not None:
+            self.x, self.totals = self.crossing.cross(begin, end, on_step)
+        else:
+            self._cross(begin, end, on_step)
+        if not self._inside():
+            return False
+        self.ends[self.alive] = end
+        return True
+
+    def _cross(self, begin: float, end: float, on_step: OnStep | None) -> None:
+        """All members from `begin` to `end`, where the plant does not slide."""
         h = end - begin
         x, totals, error = self._maps.step(
-            begin, h, self._allowed, self.x, self.u, self.totals, self.parameters
+            begin, h, self.allowed, self.x, self.u, self.totals, self.parameters
         )
         late = ~(error <= 1.0)
-        if late.any() and (late := late & self._alive).any():
+        if late.any() and (late := late & self.alive).any():
             group = np.flatnonzero(late)
             if len(late) > 1:  # maps of many members want whole registers
                 group = group[whole_registers(len(group))]
-            first = h * _factor(error[group], FIRST_MAX_FACTOR)
+            first = h * next_factor(error[group], FIRST_MAX_FACTOR)
             self._substep(group, begin, end, first, x, totals, on_step)
         if on_step is not None and not late[0]:
             on_step(end, x, totals, self.u)
         self.x, self.totals = x, totals
-        if not self._inside():
-            return False
-        self.ends[self._alive] = end
-        return True
 
     def _substep(
         self,
@@ -210,7 +215,7 @@ class SampledRun:
             last = t + h >= end * (1 - END_ROUNDING)
             h = np.where(last, end - t, np.maximum(h, shortest))
             at_shortest = h <= shortest
-            allowed = np.where(at_shortest, self._problem.tolerance, self._allowed)
+            allowed = np.where(at_shortest, self._problem.tolerance, self.allowed)
             x_after, totals_after, error = self._maps.step(t, h, allowed, x, u, totals, p)
             accepted = (error <= 1.0) & (t < end)
             x = np.where(accepted, x_after, x)
@@ -218,7 +223,7 @@ class SampledRun:
             t = np.where(accepted, np.where(last, end, t + h), t)
             if on_step is not None and accepted[0]:
                 on_step(float(t[0]), x, totals, u)
-            h = h * _factor(error, MAX_FACTOR)
+            h = h * next_factor(error, MAX_FACTOR)
             lost |= (t < end) & at_shortest & ~accepted
             if (lost | (t >= end)).all():
                 break
@@ -239,13 +244,13 @@ class SampledRun:
             self.x.max() <= max_state and self.x.min() >= -max_state
         ):  # nearly always, and not for NaN
             return True
-        gone = ~(np.abs(self.x) <= max_state).all(axis=0) & self._alive
+        gone = ~(np.abs(self.x) <= max_state).all(axis=0) & self.alive
         for i in np.flatnonzero(gone):
             if self.outcomes[i] is Outcome.finished:
                 self.outcomes[i] = Outcome.escaped
-        self._alive &= ~gone
+        self.alive &= ~gone
         self.x[:, gone] = np.nan
-        return bool(self._alive.any())
+        return bool(self.alive.any())
 
 
 def sensed(true: Array, implementation: Implementation, keys: Array, sample: int) -> Array:
@@ -259,11 +264,3 @@ def sensed(true: Array, implementation: Implementation, keys: Array, sample: int
         with np.errstate(all="ignore"):
             measured = np.where(quantum, np.rint(measured / quantum) * quantum, measured)
     return measured
-
-
-def _factor(error: Array, largest: float) -> Array:
-    """By what the next step is longer, at most `largest`."""
-    error = np.where(np.isfinite(error), error, NOT_A_NUMBER)
-    with np.errstate(all="ignore"):
-        factor = SAFETY * error ** (-1.0 / PAIR.order)
-    return np.clip(factor, MIN_FACTOR, largest)

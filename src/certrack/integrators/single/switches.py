@@ -14,7 +14,7 @@ import numpy as np
 import sympy
 
 from certrack.core.expressions import TIME
-from certrack.core.lowering import numpy_callable
+from certrack.core.lowering import numpy_callable, rows
 
 #: How far ahead a switch looks for the sign of its function, s, and as a part of the time: beyond
 #: what rounding blurs; the nearer look is decisive.
@@ -88,6 +88,12 @@ class Switches:
                         pars[self.first + k] = 1.0 if value > 0 else -1.0
             if np.array_equal(before, pars[self.first :]):
                 break
+
+    def held(self, t: np.ndarray, states: np.ndarray, pars: np.ndarray) -> np.ndarray:
+        """What is negative where a switch disagrees with its function, (count, N)."""
+        with np.errstate(all="ignore"):
+            values = rows(self._functions(t, states, pars), len(t))
+        return values * pars[self.first :, None]
 
     def missed(self, t: np.ndarray, states: np.ndarray) -> bool:
         """Whether a switch disagrees with its function at the middle (t, states) of some step."""

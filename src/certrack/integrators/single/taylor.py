@@ -200,7 +200,7 @@ def _safe_step(coefficients: np.ndarray, length: float) -> float:
     table = np.abs(coefficients)
     size = max(table[:, 0].max(), table[:, 1].max() * length)
     j = np.array(_orders(table.shape[1]))
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 at rest: no limit
         limits = (SLACK * size / table[:, j].max(axis=0)) ** (1.0 / j) * np.exp(-2.0)
     return float(limits.min())
 

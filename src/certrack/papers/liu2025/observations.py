@@ -27,8 +27,8 @@ def observations(runs: PaperRuns) -> Iterator[Observation]:
     yield Observation(
         "Example 2, Figure 4",
         f"the guarantee (42) behind the figure is {rounded_up(strong.published.bound, 4)}, "
-        f"{strong.published.bound / 0.1:.0f} times the amplitude of y_d; what is seen is "
-        f"{error:.4f}, what is proven exactly {rounded_up(strong.best.bound, 4)}",
+        f"{rounded_up(strong.published.bound / 0.1, 2)} times the amplitude of y_d; what is seen "
+        f"is {error:.4f}, what is proven exactly {rounded_up(strong.best.bound, 4)}",
     )
     yield _price_of_small_delta()
     lean = runs.lean.metrics

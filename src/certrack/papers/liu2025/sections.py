@@ -55,7 +55,8 @@ def _radius_exists(runs: PaperRuns) -> Claim:
     for name, amplitude in (("example1", 0.2), ("dual-motor", 0.1), ("dual-motor-strong", 0.1)):
         bound = runs.certificates[name].best.bound
         parts.append(
-            f"{name}: {rounded_up(bound, 4)}, {100 * bound / amplitude:.0f} % of the amplitude"
+            f"{name}: {rounded_up(bound, 4)}, {rounded_up(100 * bound / amplitude, 2)} % "
+            "of the amplitude"
         )
     return Claim(
         "Abstract; contribution (i)",

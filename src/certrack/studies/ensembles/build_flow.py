@@ -13,6 +13,7 @@ import sympy
 from certrack.core.expressions import TIME, derivative, symbol
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
+from certrack.loops.switching import switching
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.metric_formulas import (
     IN_TAIL,
@@ -39,8 +40,12 @@ def build_flow(members: Members, varying: Iterable[sympy.Symbol]) -> AugmentedFl
         if name not in free
     }
     states = loop.states[: -len(INTEGRALS)]
-    rates = [rate.xreplace(fixed) for rate in loop.rates[: len(states)]]
-    e, u = loop.e_1.xreplace(fixed), loop.u.xreplace(fixed)
+    switched = switching(loop.rates, loop.states, smooth_rates=len(INTEGRALS))
+    all_rates, u = loop.rates, loop.u
+    if switched is not None:
+        all_rates, (u,) = switched.rates, switched.resolved([u])
+    rates = [rate.xreplace(fixed) for rate in all_rates[: len(states)]]
+    e, u = loop.e_1.xreplace(fixed), u.xreplace(fixed)
     slopes = tuple(symbol(f"kept_rate_of_{state.name}") for state in states)
     rate_of = dict(zip(states, slopes, strict=True)) | {TIME: sympy.Integer(1)}
     outputs = [formula.xreplace(fixed) for formula in _computed_outputs(loop)]
@@ -56,7 +61,11 @@ def build_flow(members: Members, varying: Iterable[sympy.Symbol]) -> AugmentedFl
     return AugmentedFlow(
         states=states,
         rates=tuple(rates),
-        parameters=(*(name for name in loop.parameters if name in used & free), SETTLING_BAND),
+        parameters=(
+            *(name for name in loop.parameters if name in used & free),
+            SETTLING_BAND,
+            *(() if switched is None else switched.modes),
+        ),
         integrands=(e**2, u**2),
         signals=(*signals, *outputs),
         slopes=slopes,
@@ -64,6 +73,13 @@ def build_flow(members: Members, varying: Iterable[sympy.Symbol]) -> AugmentedFl
         sides=sides,
         watched=loop.n,
         shared=(IN_TAIL, *pieces),
+        held=() if switched is None else tuple(map(states.index, switched.surfaces)),
+        surfaces=()
+        if switched is None
+        else tuple(
+            formula.xreplace(fixed)
+            for formula in (*switched.values, *switched.drifts, *switched.effects)
+        ),
     )
 
 

@@ -243,6 +243,7 @@ class Ensemble(ShownInNotebooks):
             "members": self.members,
             "seed": self.seed,
             "sampling": self.system.varied.sampling,
+            "disturbance": self.system.varied.disturbance,
             "tail_error": tail,
             "violations": self.violations(),
             "outcomes": {name: statistics.outcomes[name] for name in sorted(statistics.outcomes)},

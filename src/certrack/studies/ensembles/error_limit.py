@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from certrack.certificates import best_sound_bound
-from certrack.certificates.assumption_1 import check_assumption_1
+from certrack.certificates.premise import contradicted
+from certrack.certificates.premises_of_truth import premises
 from certrack.core import checks
 from certrack.model.distribution import Distribution
 from certrack.model.disturbance import Multisine
@@ -56,8 +57,10 @@ def uncovered(system: System, population: Population) -> str | None:
         return "the plant's constants are not the designer's"
     certified = plant if system.law.kind == "robust" else system.truth
     assert certified.input_gain is not None
+    assert system.truth.input_gain is not None
     nominal_gain = float(certified.input_gain.expr)
-    gain = population.input_gain or Distribution("fixed", (nominal_gain,))
+    true_gain = float(system.truth.input_gain.expr)
+    gain = population.input_gain or Distribution("fixed", (true_gain,))
     if plant.input_gain_range is None and not _is(gain, nominal_gain):
         return "input_gain is another than certified, and plant.ranges does not say how far"
     for entry, value in zip(population.theta or (), certified.theta or (), strict=False):
@@ -74,8 +77,17 @@ def uncovered(system: System, population: Population) -> str | None:
         return "the reference's frequency exceeds the one certified"
     if population.disturbance not in ("file", Multisine.kind):
         return "its disturbances are of a registered family, whose bound is checked on samples only"
-    if population.disturbance == "file" and check_assumption_1(system):
-        return "omega breaks Assumption 1"
+    return _contradiction(system, population)
+
+
+def _contradiction(system: System, population: Population) -> str | None:
+    """A premise that the members break with the file's truth, in what the population leaves."""
+    drawn = {"input gain": population.input_gain, "theta": population.theta}
+    for premise in contradicted(premises(system)):
+        term = premise.name.startswith("w_")
+        replaced = population.disturbance != "file" if term else drawn.get(premise.name)
+        if not replaced:
+            return f"Assumption 1: {premise.detail}" if term else premise.detail
     return None
 
 

@@ -7,18 +7,26 @@ transient; the best case is polished alone, written as a system file and replaye
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
+from certrack.certificates import Certificate, Proof, certify_semidefinite
+from certrack.certificates.cascade import certify_cascade
+from certrack.certificates.premise import contradicted
+from certrack.certificates.premises_of_truth import premises
+from certrack.certificates.published import certify_published
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.heyoka import has_heyoka
 from certrack.core.progress import Progress, silent
 from certrack.integrators.base import Outcome
 from certrack.integrators.registers import LANES
+from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
+from certrack.studies.falsifier.alarm import alarm
 from certrack.studies.falsifier.loop import AdversarialLoop
 from certrack.systems.system import System
 
@@ -51,11 +59,27 @@ class Falsification:
         Replays it.
     evaluations : int
         Runs spent.
+    certificates : mapping of str to Certificate
+        What the error is held against, by kind; not verified if a premise is contradicted.
+    against : Certificate or None
+        The tightest that is proven of the design, whether or not the file keeps the premises.
+    alarm : {None, "premise", "defect"}
+        Whether the worst case is beyond what `against` certifies from its start: then a premise is
+        broken, or certrack is wrong.
+    reason : str
+        Of the alarm: which premise, or that none was found.
+    own : bool
+        Whether the worst case is the file's own run.
     """
 
     worst_error: float
     system: System
     evaluations: int
+    certificates: Mapping[str, Certificate]
+    against: Certificate | None
+    alarm: str | None
+    reason: str
+    own_run: bool
 
 
 def falsify(
@@ -65,12 +89,12 @@ def falsify(
     seed: int = 0,
     progress: Progress = silent,
 ) -> Falsification:
-    """Search the worst admissible case of `system`.
+    """Search the worst admissible case of `system`; its own run is always a candidate.
 
     Parameters
     ----------
     system : System
-        Its law, ranges and uncertainty; the search replaces disturbance, reference and start. The
+        Its law, ranges and uncertainty; the search replaces disturbance and reference. The
         loop is the continuous one, which certificates are of; an implementation is left out.
     budget : int
         Number of runs.
@@ -109,12 +133,64 @@ def falsify(
             "falsify", "needs heyoka, which is not installed", remedy="conda-forge has it"
         )
     progress(0, budget, None)
-    search = _Search(AdversarialLoop(system.replace(implementation=None)), budget, progress)
+    certificates = all_certificates(system)
+    system = system.replace(implementation=None)
+    search = _Search(AdversarialLoop(system), budget, progress)
     evolved = search.evolve(budget, seed)
     candidates = (evolved, search.polish(evolved, budget))
     best = min(candidates, key=lambda point: float(search.scores(point[:, None])[0]))
-    case = search.loop.case(best)
-    return Falsification(_replayed_error(case), case, search.evaluations)
+    cases = [search.loop.case(best), system]
+    runs = [simulate(case) for case in cases]
+    errors = list(map(_error, runs))
+    worst = int(np.argmax(errors))
+    against, stages = _best_verified(certificates)
+    raised = None
+    if against is not None:
+        alarms = (
+            alarm(system, case, run, against, stages) for case, run in zip(cases, runs, strict=True)
+        )
+        raised = next(filter(None, alarms), None)
+    return Falsification(
+        errors[worst],
+        cases[worst],
+        search.evaluations + 1,
+        _of_this_file(system, certificates),
+        against,
+        None if raised is None else raised.kind,
+        "" if raised is None else raised.reason,
+        own_run=worst == 1,
+    )
+
+
+def all_certificates(system: System) -> dict[str, tuple[Certificate, tuple[Proof, ...]]]:
+    """Every certificate of the system and its proof, where it has one, by kind."""
+    semidefinite, proof = certify_semidefinite(system)
+    cascade, stages = certify_cascade(system)
+    published = {kind: (entry, ()) for kind, entry in certify_published(system).items()}
+    return {
+        **published,
+        "semidefinite": (semidefinite, () if proof is None else (proof,)),
+        "cascade": (cascade, stages or ()),
+    }
+
+
+def _of_this_file(
+    system: System, certificates: Mapping[str, tuple[Certificate, tuple[Proof, ...]]]
+) -> dict[str, Certificate]:
+    """The certificates, none of them verified where the file's truth breaks a premise."""
+    broken = contradicted(premises(system))
+    return {
+        kind: replace(entry, verified=entry.verified and not broken)
+        for kind, (entry, _) in certificates.items()
+    }
+
+
+def _best_verified(
+    certificates: Mapping[str, tuple[Certificate, tuple[Proof, ...]]],
+) -> tuple[Certificate | None, tuple[Proof, ...]]:
+    """The tightest bound that exact arithmetic has confirmed."""
+    verified = [pair for pair in certificates.values() if pair[0].verified and pair[1]]
+    return min(verified, key=lambda pair: pair[0].bound, default=(None, ()))
 
 
 class _Search:
@@ -177,10 +253,9 @@ class _Search:
         return np.clip(point, self._low, self._high)
 
 
-def _replayed_error(case: System) -> float:
-    """Tail error of the ordinary simulation; inf if it escapes, 0 if it ends before the tail."""
-    replayed = simulate(case)
-    if replayed.outcome is Outcome.escaped:
+def _error(run: Run) -> float:
+    """Tail error of a run; inf if it escapes, 0 if it ends before the tail."""
+    if run.outcome is Outcome.escaped:
         return math.inf
-    error = float(replayed.metrics.tail_error)
+    error = float(run.metrics.tail_error)
     return 0.0 if math.isnan(error) else error

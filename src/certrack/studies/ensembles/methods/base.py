@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from certrack.integrators.base import MethodUnavailable
+from certrack.loops.continuous import INTEGRALS, ClosedLoop
+from certrack.loops.switching import switching
 from certrack.studies.ensembles.statistics import Bands
 
 
@@ -48,3 +51,28 @@ class Method(ABC):
     @abstractmethod
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         """Compute the members begin ... end-1 and count their signals in the bands."""
+
+
+def modes_of(loop: ClosedLoop, *, side_by_side: bool) -> tuple[float, ...]:
+    """The modes with which members start; none where the loop does not switch.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    side_by_side : bool
+        Whether members that stick can be followed side by side, if their surfaces are states of
+        their own that do not interact.
+
+    Raises
+    ------
+    MethodUnavailable
+        If each member has to be run by itself.
+    """
+    switched = switching(loop.rates, loop.states, smooth_rates=len(INTEGRALS))
+    if switched is None:
+        return ()
+    alone = switched.bound or not set(switched.surfaces) <= set(loop.states[: loop.n])
+    if alone or not side_by_side:
+        raise MethodUnavailable("sign() of a state makes members slide: each is run by itself")
+    count = len(switched.surfaces)
+    return (1.0,) * count + (0.0,) * count

@@ -11,7 +11,7 @@ from certrack.core.heyoka import has_heyoka
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.lockstep import Lockstep
 from certrack.studies.ensembles.build_flow import build_flow, shown_signals
-from certrack.studies.ensembles.methods.base import MemberResults, Method
+from certrack.studies.ensembles.methods.base import MemberResults, Method, modes_of
 from certrack.studies.ensembles.metric_formulas import INTEGRAL_METRICS, MEMORY_METRICS
 from certrack.studies.ensembles.problem import EnsembleProblem
 from certrack.studies.ensembles.statistics import Bands
@@ -35,6 +35,7 @@ class LockstepContinuous(Method):
         if not has_heyoka():
             raise MethodUnavailable("heyoka is not installed")
         self._problem = problem
+        modes_of(problem.members.loop, side_by_side=False)
         self._flow = build_flow(problem.members, problem.varying)
         self._lockstep = Lockstep(self._flow, problem.tolerance, parallel=threads > 1)
         self._times = np.union1d(problem.times, problem.segments.edges)

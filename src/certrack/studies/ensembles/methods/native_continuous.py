@@ -14,7 +14,7 @@ from certrack.integrators.many.native import (
 )
 from certrack.integrators.registers import GROUP_SIZE
 from certrack.studies.ensembles.build_flow import build_flow, shown_signals
-from certrack.studies.ensembles.methods.base import MemberResults, Method
+from certrack.studies.ensembles.methods.base import MemberResults, Method, modes_of
 from certrack.studies.ensembles.metric_formulas import INTEGRAL_METRICS, MEMORY_METRICS
 from certrack.studies.ensembles.problem import EnsembleProblem
 from certrack.studies.ensembles.statistics import BAND_BITS, BINS_PER_SIDE, Bands, counts_shape
@@ -41,6 +41,7 @@ class NativeContinuous(Method):
 
     def __init__(self, problem: EnsembleProblem, threads: int) -> None:
         self._problem, self._threads = problem, threads
+        self._modes = modes_of(problem.members.loop, side_by_side=True)
         self._flow = build_flow(problem.members, problem.varying)
         signals = shown_signals(self._flow, problem.members.loop)
         self._native = Native(self._flow, signals)
@@ -65,7 +66,9 @@ class NativeContinuous(Method):
         problem, segments = self._problem, self._problem.segments
         first = begin - begin % GROUP_SIZE
         starts, table = problem.starts_and_parameters(first, -(-end // GROUP_SIZE) * GROUP_SIZE)
-        parameters = np.array([table[name] for name in self._flow.parameters])
+        modes = np.repeat(np.array(self._modes)[:, None], starts.shape[1], axis=1)
+        names = self._flow.parameters[: len(self._flow.parameters) - len(modes)]
+        parameters = np.vstack([[table[name] for name in names], modes])
         part = slice(begin - first, end - first)
         results = self._native.integrate(
             starts,

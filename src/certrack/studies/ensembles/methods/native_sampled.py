@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from certrack.integrators.base import MemberOutcome
+from certrack.integrators.base import MemberOutcome, MethodUnavailable
 from certrack.integrators.sampled.native import SampledNative
 from certrack.integrators.sampled.run import SampledProblem
 from certrack.studies.ensembles.methods.base import MemberResults
@@ -34,6 +34,8 @@ class NativeSampled(SampledMethod):
 
     def __init__(self, problem: EnsembleProblem, threads: int, *, adjustable: bool) -> None:
         super().__init__(problem, threads, adjustable=adjustable)
+        if self.surfaces is not None:
+            raise MethodUnavailable("sign() of a state makes the plant slide: not in compiled C")
         self._native = SampledNative(self.loop, self.shown)
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:

@@ -14,6 +14,7 @@ import sympy
 from certrack.integrators.registers import LANES
 from certrack.integrators.sampled.events import EventTimeline, event_timeline
 from certrack.integrators.sampled.run import SampledProblem
+from certrack.integrators.sampled.sliding import with_modes
 from certrack.loops.controller import controller_values, sampled_controller, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import loop_values, sample_loop
@@ -84,7 +85,8 @@ class SampledMethod(Method):
         fixed = {name: sympy.Float(value) for name, value in base if name not in free}
         loop = general.with_numbers(fixed)
         pieces = (IN_TAIL, *loop.pieces)
-        self.loop = replace(loop, parameters=(*loop.parameters, SETTLING_BAND), pieces=pieces)
+        loop = replace(loop, parameters=(*loop.parameters, SETTLING_BAND), pieces=pieces)
+        self.loop, self.surfaces = with_modes(loop)
         self.shown = (loop.e_1, *loop.plant.outputs, INPUT)
         self._timeline = self._timeline_under(self._implementation)
         self._outputs = outputs_of(self.loop)
@@ -183,4 +185,5 @@ class SampledMethod(Method):
             keys=keys(self.problem.members.seed, first, count),
             tolerance=self.problem.tolerance,
             max_state=self._system.settings.max_state,
+            surfaces=self.surfaces,
         )

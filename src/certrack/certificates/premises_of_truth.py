@@ -1,0 +1,338 @@
+"""The premises of a certificate, held against the truth of the same file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import sympy
+
+from certrack.certificates.assumption_1 import UncertainTerm, uncertain_terms
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.cover import Cover, smallest_cover
+from certrack.certificates.domain import NONNEGATIVE, NONZERO, Condition, conditions, undefined_at
+from certrack.certificates.premise import ASSUMED, CHECKED, CONTRADICTED, PROVEN, Premise
+from certrack.certificates.premises import irrational_numbers
+from certrack.certificates.sampling import RANDOM_POINTS, Points, random_points
+from certrack.certificates.stated import stated_error_system
+from certrack.core.errors import InputError
+from certrack.core.rounding import rounded_up
+from certrack.laws.error_system import KnownParameters
+from certrack.references import SymbolicReference
+from certrack.systems.system import System
+
+#: Seed of the samples: the same file has the same premises everywhere.
+SEED = 0
+
+#: Names that are not of a state, in the order of the list.
+PLANT, GAIN, THETA, DOMAIN, REFERENCE, IRRATIONAL, CONTINUOUS_LAW = (
+    "plant",
+    "input gain",
+    "theta",
+    "domain",
+    "reference",
+    "irrational numbers",
+    "continuous law, exact states",
+)
+
+#: Random states at which two formulas are compared, digits of the comparison, and what they may
+#: differ by: they differ in a constant, or not at all.
+COMPARED_POINTS, FORMULA_DIGITS, SAME = 5, 40, 1e-30
+
+#: Times at which a declared bound is held against the reference, beyond those of the loader, s.
+LATE_TIMES = np.geomspace(1e4, 1e9, 20_001)
+
+#: Relative excess over a declared bound that rounding explains.
+BOUND_ROUNDING = 1e-9
+
+
+def premises(system: System) -> tuple[Premise, ...]:
+    """What a certificate of `system` rests on, and whether the file's own truth keeps it.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    tuple of Premise
+        In a fixed order. The same system has the same premises everywhere: samples have a seed.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> {p.status for p in premises(certrack.load("example1"))}
+    {'proven'}
+    """
+    return tuple(_premises(system))
+
+
+def _premises(system: System) -> Iterator[Premise]:
+    points = random_points(system.plant.n, system.settings.duration, SEED)
+    yield _plant(system)
+    if not system.truth.states:
+        yield _input_gain(system)
+        if system.plant.r:
+            yield _theta(system)
+        yield from (_term(term, points) for term in uncertain_terms(system))
+    yield _domain(system, points)
+    yield _reference(system)
+    rounded = irrational_numbers(system)
+    if rounded:
+        yield Premise(IRRATIONAL, ASSUMED, f"rounded to 17 digits: {', '.join(rounded)}")
+    if system.implementation is not None:
+        yield Premise(
+            CONTINUOUS_LAW,
+            ASSUMED,
+            "the law runs in continuous time on exact states; sampling, delay, limits and sensors "
+            "of [implementation] are left out",
+            remedy="certrack margin tells how far the sampled loop may go",
+        )
+
+
+def _plant(system: System) -> Premise:
+    plant, truth = system.plant, system.truth
+    if truth.states:
+        return Premise(
+            PLANT,
+            ASSUMED,
+            "the simulated plant, which has states of its own, differs from the design's by no "
+            "more than w, that is within gamma and beta",
+            remedy="certrack ensemble and certrack falsify may refute it",
+        )
+    design = plant.constant_values
+    stated = {name: value for name, value in truth.constants if value.expr != design[name]}
+    built = plant.with_constants(**stated)
+    named = {"chain": built.chain, "linear": [v for row in built.linear or () for v in row]}
+    named |= {"drift": [built.drift], "regressor": built.regressor}
+    known = {"chain": plant.chain, "linear": [v for row in plant.linear or () for v in row]}
+    known |= {"drift": [plant.drift], "regressor": plant.regressor}
+    for key, formulas in named.items():
+        for ours, theirs in zip(known[key], formulas, strict=True):
+            a, b = _numeric(ours.expr, design), _numeric(theirs.expr, built.constant_values)
+            if not _equal(a, b, plant.symbols):
+                names = ", ".join(f"{name} = {value}" for name, value in stated.items())
+                return Premise(
+                    PLANT,
+                    CONTRADICTED,
+                    f"plant.{key} is another with truth.constants ({names})",
+                    {name: float(value.expr) for name, value in stated.items()},
+                    f"remove truth.constants, or set plant.constants to {names}; a difference may "
+                    "also be written into truth.omega and covered by gamma and beta",
+                )
+    return Premise(PLANT, PROVEN, "chain, linear, drift and regressor exactly as in the file")
+
+
+def _numeric(formula: sympy.Expr, constants: dict[str, sympy.Expr]) -> sympy.Expr:
+    """The formula with the values of the constants."""
+    return formula.xreplace(
+        {s: constants[s.name] for s in formula.free_symbols if s.name in constants}
+    )
+
+
+def _equal(a: sympy.Expr, b: sympy.Expr, states: Sequence[sympy.Symbol]) -> bool:
+    """Whether two formulas are the same, by their form or by 40 digits at a few states."""
+    if a == b:
+        return True
+    random = np.random.default_rng(SEED)
+    for _ in range(COMPARED_POINTS):
+        place = {s: sympy.Rational(int(random.integers(1, 10**6)), 10**5) for s in states}
+        gap = sympy.N((a - b).xreplace(place), FORMULA_DIGITS)
+        if not gap.is_number or abs(gap) > SAME * (1 + abs(sympy.N(a.xreplace(place), 20))):
+            return False
+    return True
+
+
+def _knows_parameters(system: System) -> bool:
+    """Whether the law uses the plant's g_n and theta themselves, by the error system it states."""
+    try:
+        return isinstance(stated_error_system(system), KnownParameters)
+    except NoCertificate:
+        return False
+
+
+def _input_gain(system: System) -> Premise:
+    plant, truth = system.plant, system.truth
+    assert truth.input_gain is not None
+    true = truth.input_gain
+    if plant.input_gain_range is not None:  # the loader refuses a truth outside
+        low, high = plant.input_gain_range
+        return Premise(GAIN, PROVEN, f"every g_n in [{low:g}, {high:g}], the true one among them")
+    if not _knows_parameters(system):
+        return Premise(GAIN, PROVEN, f"the true g_n = {true} (the file gives no range)")
+    assert plant.input_gain is not None
+    if _equal(true.expr, plant.input_gain.expr, ()):
+        return Premise(GAIN, PROVEN, f"g_n = {plant.input_gain} exactly as the law uses it")
+    values = {"true": float(true.expr), "assumed": float(plant.input_gain.expr)}
+    return Premise(
+        GAIN,
+        CONTRADICTED,
+        f"the law divides by g_n = {values['assumed']:.6g}, the true one is {values['true']:.6g}",
+        values,
+        f"set plant.input_gain to {values['true']:.6g}; or state plant.ranges.input_gain and use "
+        'law.kind = "adaptive"',
+    )
+
+
+def _theta(system: System) -> Premise:
+    plant, truth = system.plant, system.truth
+    if plant.theta_range is not None:
+        return Premise(THETA, PROVEN, "every theta in its range, the true one among them")
+    true = [value.expr for value in truth.theta]
+    if not _knows_parameters(system):
+        return Premise(THETA, PROVEN, "the true theta of the file (it gives no range)")
+    known = [value.expr for value in plant.theta or ()]
+    if all(_equal(a, b, ()) for a, b in zip(true, known, strict=True)):
+        return Premise(THETA, PROVEN, "theta exactly as the law uses it")
+    values = {"true": [float(v) for v in true], "assumed": [float(v) for v in known]}
+    return Premise(
+        THETA,
+        CONTRADICTED,
+        f"the law uses theta = {_listed(values['assumed'])}, the true one is "
+        f"{_listed(values['true'])}",
+        values,
+        f"set plant.theta to {_listed(values['true'])}; or state plant.ranges.theta and use "
+        'law.kind = "adaptive"',
+    )
+
+
+def _listed(values: Sequence[float]) -> str:
+    return f"[{', '.join(f'{v:.6g}' for v in values)}]"
+
+
+def _term(term: UncertainTerm, points: Points) -> Premise:
+    name, tau = term.name, f"tau |{term.name}|"
+    if term.zero:
+        return Premise(name, PROVEN, f"{tau} = 0")
+    bound = f"{tau} <= {_number(term.tau * term.gamma)} ||x|| + {_number(term.tau * term.beta)}"
+    if term.proven:
+        return Premise(name, PROVEN, f"{bound} for all t and x (Assumption 1)")
+    violation = term.violation(points)
+    if violation is None:
+        how = f"no point beyond it among {RANDOM_POINTS} random ones, the worst polished"
+        return Premise(name, CHECKED, f"{bound} (Assumption 1): {how}")
+    place = {"t": violation.t, "x": list(violation.x)}
+    value = None if math.isnan(violation.value) else violation.value
+    point = f"t = {violation.t:.4g}, x = {_listed(violation.x)}"
+    if value is None:
+        detail, remedy = f"{name} has no value at {point}", violation.remedy
+    else:
+        detail = f"{tau} = {value:.6g} > {violation.limit:.6g} at {point} (Assumption 1)"
+        remedy = widening(term, smallest_cover(term, points))
+    return Premise(
+        name, CONTRADICTED, detail, {**place, "value": value, "limit": violation.limit}, remedy
+    )
+
+
+def widening(term: UncertainTerm, cover: Cover) -> str:
+    """What makes Assumption 1 hold for a term that breaks it, in words."""
+    k = term.k
+    if not term.tau:
+        return f"set plant.uncertainty.tau[{k}] to {_number(term.strength)}, with gamma and beta"
+    options = [] if cover.gamma is None else [f"widen gamma[{k}] to {cover.gamma:g}"]
+    options += [] if cover.beta is None else [f"widen beta[{k}] to {cover.beta:g}"]
+    if cover.both is not None:
+        options = [f"widen gamma[{k}] to {cover.both[0]:g} and beta[{k}] to {cover.both[1]:g}"]
+    if options:
+        return " or ".join(options)
+    return (
+        f"no gamma and beta were found to cover it: {term.name} grows faster than ||x||. Bound "
+        f"truth.omega[{k}] (tanh, min, max), or move its known part into plant.drift"
+    )
+
+
+def _number(value: Fraction) -> str:
+    return f"{float(value):.6g}"
+
+
+def _domain(system: System, points: Points) -> Premise:
+    plant = system.plant
+    formulas = {"plant.drift": plant.drift.expr}
+    formulas |= {f"plant.regressor[{i}]": v.expr for i, v in enumerate(plant.regressor)}
+    unproven = False
+    for key, formula in formulas.items():
+        exact = _numeric(formula, plant.constant_values)
+        undefined = undefined_at(exact, plant.symbols, points)
+        if undefined is not None:
+            condition, where = undefined
+            x = where.x[:, 0].tolist()
+            return Premise(
+                DOMAIN,
+                CONTRADICTED,
+                f"{key} has no value at x = {_listed(x)}: {condition}",
+                {"t": float(where.t[0]), "x": x},
+                f"the claim is of all states: {_rewriting(condition)}",
+            )
+        unproven |= not all(c.proven(plant.symbols) for c in conditions(exact))
+    if unproven:
+        detail = f"drift and regressor are defined at {RANDOM_POINTS} random states"
+        return Premise(DOMAIN, CHECKED, detail)
+    return Premise(DOMAIN, PROVEN, "drift and regressor are defined for every state")
+
+
+def _rewriting(condition: Condition) -> str:
+    """A formula that is defined everywhere in the place of one that is not."""
+    g = condition.inside
+    if condition.must_be == NONNEGATIVE:
+        return f"write max({g}, 0) there if the plant keeps away from negative ones"
+    if condition.must_be == NONZERO:
+        return f"write sqrt(({g})**2 + 0.001**2) there, or move the singular part into the input"
+    return f"write max({g}, 0.001) there if the plant keeps above it"
+
+
+def _reference(system: System) -> Premise:
+    reference = system.reference
+    order = system.controller.coordinates.q + 1
+    try:
+        bounds = reference.bounds(order)
+    except InputError as problem:
+        return Premise(REFERENCE, ASSUMED, "bounds of y_d and its derivatives", remedy=str(problem))
+    pairs = list(enumerate(zip(bounds.values, bounds.origin, strict=True)))
+    detail = ", ".join(
+        f"|y_d^({i})| <= {rounded_up(repr(v), 6)} ({origin})" for i, (v, origin) in pairs
+    )
+    if not type(reference).__module__.startswith("certrack."):
+        return Premise(REFERENCE, ASSUMED, f"{detail}, as the reference's own class says")
+    declared = [i for i, (_, origin) in pairs if origin == "declared"]
+    if not declared:
+        return Premise(REFERENCE, PROVEN, detail)
+    broken = _beyond(reference, bounds.values, declared)
+    if broken is not None:
+        i, t, value = broken
+        return Premise(
+            REFERENCE,
+            CONTRADICTED,
+            f"|y_d^({i})| = {value:.6g} at t = {t:.6g} s, declared <= {bounds.values[i]:.6g}",
+            {"t": t, "value": value, "limit": bounds.values[i]},
+            f"state reference.bounds[{i}] for all t >= 0",
+        )
+    if _proves(reference, bounds.values, declared):
+        return Premise(REFERENCE, PROVEN, detail)
+    return Premise(REFERENCE, CHECKED, f"{detail}; declared ones on samples of t")
+
+
+def _beyond(
+    reference: Any, limits: Sequence[float], declared: Sequence[int]
+) -> tuple[int, float, float] | None:
+    """A late time at which a declared bound is broken."""
+    values = np.abs(reference.values(LATE_TIMES, max(declared)))
+    for i in declared:
+        above = np.flatnonzero(values[i] > limits[i] * (1 + BOUND_ROUNDING))
+        if len(above):
+            return i, float(LATE_TIMES[above[0]]), float(values[i][above[0]])
+    return None
+
+
+def _proves(reference: Any, limits: Sequence[float], declared: Sequence[int]) -> bool:
+    """Whether the declared bounds are not below what the formula has been proven to keep."""
+    if not isinstance(reference, SymbolicReference):
+        return False
+    try:
+        proven_bounds = replace(reference, declared=None, bound=None).bounds(max(declared)).values
+    except InputError:
+        return False
+    return all(proven_bounds[i] <= limits[i] for i in declared)

@@ -1,0 +1,173 @@
+"""Does a law obey the error system that it states?
+
+A certificate is a theorem about equations, so what counts is neither the class of a law nor its
+name but what it computes. Its formulas are compared with those of the stated system as identities,
+by symbolic algebra, with the common parts nu, e_n and phi as symbols; then its numbers with those
+of the plant and of the recursion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import sympy
+
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.certificate import NoCertificate
+from certrack.core.expressions import symbol
+from certrack.laws.backstepping import recursion
+from certrack.laws.base import Equations, Signals
+from certrack.laws.error_system import ErrorSystem, EstimatedParameters, KnownParameters
+from certrack.systems.system import System
+
+#: Relative difference from the recursion's numbers that is a rounding and not another design.
+SAME_NUMBERS = 1e-9
+
+
+def stated_error_system(system: System) -> ErrorSystem:
+    """The error system of the law, which its equations do obey.
+
+    Its gains are exact rationals (as SymPy numbers).
+
+    Raises
+    ------
+    NoCertificate
+        If the law states none, or does not obey what it states.
+    """
+    law, plant = system.law, system.plant
+    signals = _bare_signals(system)
+    stated = law.error_system(signals)
+    if stated is None:
+        raise NoCertificate(
+            law.no_certificate
+            or f"certificates cover laws that state their error system, not {law.kind}"
+        )
+    equations = law.equations(signals)
+    for what in _disagreements(stated, equations, signals):
+        raise NoCertificate(_refusal(system, what))
+    _compare_controller(system, equations, signals)
+    _compare_recursion(system)
+    values = _exact_values(signals, law.parameters(plant))
+    exact = _with_values(stated, values)
+    if isinstance(exact, KnownParameters):
+        _compare_parameters(system, exact)
+    elif not all(v.is_positive for v in (exact.gain_rate, exact.leak_gain, exact.leak_theta)):
+        raise NoCertificate(_refusal(system, "gbar, gbar1 and gbar2 must be positive"))
+    return exact
+
+
+def _bare_signals(system: System) -> Signals:
+    """Signals whose nu, e_n and phi are symbols, so that an identity does not look into them."""
+    signals = Signals(system.plant, system.law.order(system.plant), short=True)
+    signals.phi = tuple(symbol(f"phi_of_x_{i}") for i in range(system.plant.r))
+    return signals
+
+
+def _disagreements(stated: ErrorSystem, equations: Equations, s: Signals) -> Iterator[str]:
+    """The formulas of a law that are not those of what it states."""
+    states = tuple(z for z, _ in equations.update)
+    if states != stated.estimates:
+        yield "its own states are not the estimates"
+        return
+    if not _identical(equations.u, stated.input(s.nu, s.phi)):
+        yield "its u is another"
+    rates = stated.rates(s.nu, s.phi, s.e_n, s.sign_g)
+    for (z, rate), expected in zip(equations.update, rates, strict=True):
+        if not _identical(rate, expected):
+            yield f"the rate of {z} is another"
+
+
+def _identical(formula: Any, expected: sympy.Expr) -> bool:
+    if formula == expected:
+        return True
+    difference = sympy.expand(sympy.sympify(formula) - expected)
+    return difference == 0 or sympy.cancel(sympy.together(difference)) == 0
+
+
+def _refusal(system: System, what: str) -> str:
+    name = type(system.law).__name__
+    return (
+        "certificates cover laws whose equations are those of the error system that they state, "
+        f"not {name}: {what}"
+    )
+
+
+def _compare_controller(system: System, equations: Equations, bare: Signals) -> None:
+    """Refuse a law whose controller has other formulas or numbers than the law's own."""
+    law, plant, controller = system.law, system.plant, system.controller
+    full = Signals(plant, bare.q)
+    parts = dict(zip((bare.nu, bare.e_n, *bare.phi), (full.nu, full.e_n, *full.phi), strict=True))
+    runs = controller.equations.formulas
+    for name, formula in equations.formulas.items():
+        if name not in runs or not _identical(runs[name], sympy.sympify(formula).xreplace(parts)):
+            raise NoCertificate(_refusal(system, f"what runs as {name} is another"))
+    used = dict(zip(map(str, controller.symbols), controller.values, strict=True))
+    for name, value in _exact_values(bare, law.parameters(plant)).items():
+        if used.get(str(name)) != float(value):
+            raise NoCertificate(_refusal(system, f"what runs with {name} has another number"))
+
+
+def _compare_recursion(system: System) -> None:
+    """Refuse a law whose e_n and nu are not those of the recursion with its gains."""
+    law, plant, controller = system.law, system.plant, system.controller
+    design = recursion(plant.g, plant.b, law.gains(), law.order(plant))
+    expected = {
+        "A_n": design.A[-1],
+        "B_n": design.B[-1],
+        "nu_x": design.nu_x,
+        "nu_Y": design.nu_Y,
+        "sign_g": np.array([plant.gain_sign]),
+    }
+    used = dict(zip(controller.symbols, controller.values, strict=True))
+    for name, numbers in expected.items():
+        group = controller.signals.all_parameters[name]
+        actual = np.array([used[entry] for entry in group])
+        numbers = np.ravel(numbers)
+        if np.abs(actual - numbers).max() > SAME_NUMBERS * np.abs(numbers).max():
+            raise NoCertificate(_refusal(system, f"its {name} is not that of the recursion"))
+
+
+def _exact_values(s: Signals, numbers: Mapping[str, Any]) -> dict[sympy.Symbol, sympy.Rational]:
+    """The law's gains by their symbols."""
+    values = {}
+    for name, group in s.all_parameters.items():
+        if name in numbers:
+            entries = np.ravel(np.asarray(numbers[name], dtype=object))
+            for entry, value in zip(group, entries, strict=True):
+                exact = rational(value)
+                values[entry] = sympy.Rational(int(exact.p), int(exact.q))
+    return values
+
+
+def _with_values(stated: ErrorSystem, values: Mapping[sympy.Symbol, Any]) -> ErrorSystem:
+    def substituted(formula: Any) -> Any:
+        return sympy.sympify(formula).xreplace(values)
+
+    if isinstance(stated, KnownParameters):
+        return KnownParameters(substituted(stated.g_n), tuple(map(substituted, stated.theta)))
+    return EstimatedParameters(
+        delta_hat=stated.delta_hat,
+        gain_rate=substituted(stated.gain_rate),
+        leak_gain=substituted(stated.leak_gain),
+        leak_theta=substituted(stated.leak_theta),
+        delta0=substituted(stated.delta0),
+        theta_hat=stated.theta_hat,
+        theta0=tuple(map(substituted, stated.theta0)),
+        Gamma=tuple(tuple(map(substituted, row)) for row in stated.Gamma),
+    )
+
+
+def _compare_parameters(system: System, stated: KnownParameters) -> None:
+    """Refuse a law that takes other numbers for g_n and theta than the plant states."""
+    plant = system.plant
+    known = (plant.input_gain, *(plant.theta or ()))
+    used = (stated.g_n, *stated.theta)
+    if len(known) != len(used) or any(
+        value is None or rational(value) != rational(entry)
+        for value, entry in zip(known, used, strict=False)
+    ):
+        raise NoCertificate(
+            _refusal(system, "its g_n and theta are not plant.input_gain and plant.theta")
+        )

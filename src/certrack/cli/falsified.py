@@ -1,0 +1,62 @@
+"""What the command line prints of a falsification."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+
+from certrack.cli.report import table
+from certrack.core.rounding import printed_bound
+
+if TYPE_CHECKING:
+    from certrack.certificates import Certificate
+    from certrack.studies.falsifier.falsify import Falsification
+
+
+def falsification_summary(result: Falsification) -> dict[str, Any]:
+    """The worst case and what it says of every certificate, ready for JSON."""
+    error, against = result.worst_error, result.against
+    others = [c for kind, c in result.certificates.items() if kind != "published"]
+    certified = min(c.bound for c in others) if against is None else against.bound
+    ratio = certified / error if error and result.alarm is None else None
+    return {
+        "worst_error": error,
+        "certified": certified,
+        "ratio": ratio,
+        "against": None
+        if against is None
+        else {"method": against.kind, "bound": against.bound, "loop": "continuous"},
+        "alarm": result.alarm,
+        "alarm_reason": result.reason or None,
+        "own_run": result.own_run,
+        "certificates": {kind: _beside(c, error) for kind, c in result.certificates.items()},
+        "runs": result.evaluations,
+    }
+
+
+def _beside(certificate: Certificate, error: float) -> dict[str, Any]:
+    """A bound beside the worst error found; a bound that does not exist is null."""
+    return {
+        "bound": certificate.bound,
+        "verified": certificate.verified,
+        "ratio": certificate.bound / error if error else math.inf,
+        "exceeded": error > certificate.bound,
+    }
+
+
+def falsification_table(entries: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Every certificate beside the worst error."""
+    rows = [
+        (
+            kind,
+            printed_bound(entry["bound"]),
+            "exactly" if entry["verified"] else "-",
+            entry["ratio"],
+            "EXCEEDED by the case found" if entry["exceeded"] else "",
+        )
+        for kind, entry in entries.items()
+    ]
+    return table("", ["certificate", "bound", "verified", "ratio", "note"], rows)

@@ -1,0 +1,61 @@
+"""What the command line says of the premises of certificates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from certrack.certificates import Premise
+    from certrack.systems.system import System
+
+#: Width of the column of statuses: that of the longest.
+STATUS_WIDTH = len("contradicted")
+
+
+def premise_lines(premises: Iterable[Premise]) -> list[str]:
+    """Every premise with its status, one line each; terms that are zero share one."""
+    zero, lines = [], []
+    for premise in premises:
+        if premise.status == "proven" and premise.detail == f"tau |{premise.name}| = 0":
+            zero.append(premise.name)
+            continue
+        text = f"  {premise.status:<{STATUS_WIDTH}}  {premise.name}: {premise.detail}"
+        lines.append(f"{text}; {premise.remedy}" if premise.remedy else text)
+    if zero:
+        lines.append(f"  {'proven':<{STATUS_WIDTH}}  {', '.join(zero)}: zero")
+    return lines
+
+
+def say_contradicted(broken: Sequence[Premise]) -> None:
+    """Every contradicted premise on standard error: nothing is verified for this file."""
+    for premise in broken:
+        click.echo(f"certrack: not verified for this file: {_one(premise)}", err=True)
+
+
+def note_contradictions(system: System, file: str, *, replaced: bool = False) -> None:
+    """Say, once, that no certificate covers the runs of a file whose truth breaks a premise.
+
+    With `replaced`, omega does not matter: the runs have other disturbances.
+    """
+    from certrack.certificates.premise import contradicted
+    from certrack.certificates.premises_of_truth import premises
+
+    if system.law.no_certificate:
+        return
+    broken = contradicted(premises(system))
+    if replaced:
+        broken = tuple(p for p in broken if not p.name.startswith("w_"))
+    if broken:
+        more = f" (and {len(broken) - 1} more, see: certrack check)" if len(broken) > 1 else ""
+        click.echo(
+            f"certrack: note: {file}: no certificate covers this: {_one(broken[0])}{more}",
+            err=True,
+        )
+
+
+def _one(premise: Premise) -> str:
+    remedy = f"; {premise.remedy}" if premise.remedy else ""
+    return f"premise contradicted: {premise.name}: {premise.detail}{remedy}"

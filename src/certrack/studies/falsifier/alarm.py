@@ -1,0 +1,119 @@
+"""Is a run beyond the certificate? Then a premise is broken, or something is wrong here.
+
+A bound on limsup |e_1| says nothing of a transient, so a run is held against the certified *tube*
+from its own start, at every time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from certrack.certificates import Certificate, NoCertificate, Proof, tube
+from certrack.certificates.assumption_1 import VIOLATION_TOLERANCE, uncertain_terms
+from certrack.certificates.premise import contradicted
+from certrack.certificates.premises_of_truth import premises
+from certrack.certificates.sampling import Points
+from certrack.core.errors import InputError
+from certrack.integrators.base import Outcome
+from certrack.references import SymbolicReference
+from certrack.simulation.run import Run
+from certrack.systems.system import System
+
+#: Excess over the tube that the integrator may cause, over the tolerance of the run, relative to
+#: the largest |x_1|.
+RUN_ROUNDING = 100.0
+
+PREMISE, DEFECT = "premise", "defect"
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """A run beyond a verified bound.
+
+    Attributes
+    ----------
+    kind : {"premise", "defect"}
+    reason : str
+    """
+
+    kind: str
+    reason: str
+
+
+def alarm(
+    system: System, case: System, run: Run, against: Certificate, stages: tuple[Proof, ...]
+) -> Alarm | None:
+    """The alarm that a run raises, or None.
+
+    Parameters
+    ----------
+    system : System
+        The certified one.
+    case : System
+        What was run: the same with other disturbance, reference and true parameters.
+    run : Run
+    against : Certificate
+        The best verified one.
+    stages : tuple of Proof
+        Its proof.
+    """
+    if not _beyond(system, case, run, against, stages):
+        return None
+    file_omega = case.truth.omega == system.truth.omega
+    for premise in contradicted(premises(system)):
+        if file_omega or not premise.name.startswith("w_"):
+            return Alarm(PREMISE, f"{premise.name}: {premise.detail}; {premise.remedy}")
+    broken = _broken_on_the_way(case, run)
+    if broken:
+        return Alarm(PREMISE, broken)
+    return Alarm(
+        DEFECT,
+        "every premise holds as far as it was looked at: certrack itself is wrong; please report "
+        "this file",
+    )
+
+
+def _beyond(
+    system: System, case: System, run: Run, against: Certificate, stages: tuple[Proof, ...]
+) -> bool:
+    """Whether |e_1| passes the tube from the run's start."""
+    if run.outcome in (Outcome.escaped, Outcome.undefined):
+        return True
+    error = np.abs(run.e[0])
+    slack = RUN_ROUNDING * case.settings.tolerance * max(1.0, float(np.abs(run.x[0]).max()))
+    late = run.t >= case.settings.tail_start
+    if not np.any(error[late] > against.bound + slack):
+        return False
+    try:
+        limit = tube(_within_bounds(system, case), stages)(run.t)
+    except (NoCertificate, InputError):
+        return True
+    return bool(np.any(error > limit + slack))
+
+
+def _within_bounds(system: System, case: System) -> System:
+    """The case, its reference bounded as the certified one: the proof is for these bounds."""
+    reference = case.reference
+    if not isinstance(reference, SymbolicReference) or reference == system.reference:
+        return case
+    order = system.controller.coordinates.q + 1
+    bounds = system.reference.bounds(order).values
+    return case.replace(reference=replace(reference, declared=bounds))
+
+
+def _broken_on_the_way(case: System, run: Run) -> str:
+    """Where the run's own omega leaves Assumption 1, in words; empty if nowhere."""
+    for term in uncertain_terms(case):
+        points = Points(run.t, run.x)
+        excess = term.excess(points) / (1 + term.limit(points))
+        i = int(np.argmax(excess))
+        if excess[i] > VIOLATION_TOLERANCE and math.isfinite(excess[i]):
+            return (
+                f"{term.name} leaves Assumption 1 on this run, at t = {run.t[i]:.4g}: tau "
+                f"|{term.name}| = {float(term.size(points)[i]):.6g} > "
+                f"{float(term.limit(points)[i]):.6g}"
+            )
+    return ""
