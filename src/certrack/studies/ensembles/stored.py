@@ -56,7 +56,7 @@ SEALS = {"ranges": ("i8", 2), "digest": ("u1", 1)}
 MAX_OVERHEAD, BYTES_PER_MEMBER = 10_000_000, 100
 
 #: A merged file with the metrics of more members is not read again.
-MAX_KEPT = 10_000_000
+MAX_MERGED_MEMBERS = 10_000_000
 
 #: Longest name of an outcome.
 MAX_OUTCOME_LENGTH = max(len(outcome.name) for outcome in Outcome)
@@ -114,7 +114,7 @@ def read_stored(
         Of any kind, if anything is wrong with the file.
     """
     require(path.is_file(), "no file")
-    begin, end = span or (0, MAX_KEPT)
+    begin, end = span or (0, MAX_MERGED_MEMBERS)
     largest = plan.centre.size * BAND_BINS * 8 + BYTES_PER_MEMBER * (end - begin) + MAX_OVERHEAD
     with path.open("rb") as stream:
         data = stream.read(largest + 1)
