@@ -1,6 +1,7 @@
 # make demo   reproduces the paper on a fresh machine
 # make test   checks style, types and behaviour, and measures coverage
 # make slow   runs the slow tail of the tests
+# make fuzz   looks for inputs that break it, for an hour or two; FUZZ="systems --seed 7" for some
 # make docs   builds the site, in build/site
 # make bench  measures speed, as ratios within one run
 # make mutants changes the source a little, and sees which changes no test notices
@@ -23,6 +24,10 @@ test: .venv/tested
 
 slow: .venv/tested
 	$(BIN)/pytest -n 2 -m slow
+
+.PHONY: fuzz
+fuzz: .venv/tested
+	cd tests && ../$(BIN)/python -m fuzz $(FUZZ) --keep ../build/fuzz
 
 .PHONY: docs
 docs: .venv/documented

@@ -75,6 +75,8 @@ _BUILDERS: dict[Any, Callable[..., sympy.Expr]] = {
     sympy.sqrt: lambda a: power(a, sympy.S.Half),
     sympy.atan2: _atan2,
 }
+#: What SymPy makes of some of them, and nothing else of certrack knows.
+FOREIGN = (sympy.re, sympy.im, sympy.arg, sympy.cot, sympy.sec, sympy.csc, sympy.coth, sympy.sech)
 
 RESERVED_NAMES = frozenset(ALLOWED_FUNCTIONS) | {"t", "pi", "inf", "nan"}
 
@@ -187,6 +189,14 @@ def number(key: str, text: Any, names: Mapping[str, Any] | None = None) -> Expre
     if expression.expr.free_symbols:  # pragma: no cover - the builder knows no other names
         raise InputError(key, "must be a number", expression.text)
     return expression
+
+
+def has_fine_root(expr: sympy.Expr) -> bool:
+    """Whether a formula has a power such as x**0.123456789 in it.
+
+    SymPy may take it for a polynomial in the 10^9th root, whose coefficients fill the memory.
+    """
+    return any(part.exp.is_Rational and part.exp.q > MAX_POWER for part in expr.atoms(sympy.Pow))
 
 
 def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
@@ -375,7 +385,10 @@ class _Builder:
             return build(*exprs), self.checked(lambda: compute(*values))
         if name in ("min", "max") and len(exprs) > 1:  # SymPy would compare all pairs
             return function(*exprs, evaluate=False), None
-        return build(*exprs), None
+        # |exp(acos(x))| would become exp(re(acos(x))), and tan(x + pi/2) a cotangent
+        if any(map(has_fine_root, exprs)) or (result := build(*exprs)).has(*FOREIGN):
+            result = function(*exprs, evaluate=False)
+        return result, None
 
     def built(self, build: Callable[..., sympy.Expr], *args: sympy.Expr) -> sympy.Expr:
         """What SymPy makes of a function or power; it has no value for some."""

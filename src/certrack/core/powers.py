@@ -59,7 +59,7 @@ class ConstantPower(sympy.NumberSymbol):
         return hash((ConstantPower, self.base, self.exponent))
 
     def _as_mpf_val(self, precision: int) -> Any:
-        bits = precision + GUARD_BITS + abs(int(self.exponent)).bit_length()
+        bits = precision + GUARD_BITS + int(abs(float(self.exponent))).bit_length()
         with mp.workprec(bits):
             base, exponent = (part._to_mpmath(bits) for part in (self.base, self.exponent))
             return mp.mpf(base**exponent)._mpf_

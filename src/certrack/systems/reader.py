@@ -16,9 +16,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from certrack.core import checks
+from certrack.core.budget import within_budget
 from certrack.core.errors import InputError
 from certrack.core.keys import Key
-from certrack.core.rationals import decimal_float
 from certrack.laws import Law, known_laws
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -29,9 +29,13 @@ from certrack.systems.keys import TABLES, law_keys, reference_keys
 from certrack.systems.lines import line_of
 from certrack.systems.samples_file import SamplesFile, check_time_unit, read_samples
 from certrack.systems.system import Settings, System
+from certrack.systems.toml import parse_toml
 
 #: Largest file that is read: a million samples of a reference fit.
 MAX_FILE_BYTES = 20_000_000
+
+#: What loading may take: about five times what a million samples take. See core/budget.py.
+LOAD_SECONDS, LOAD_MEGABYTES = 60, 2000
 
 #: Tables of the file, and those that it must have.
 SECTIONS = (
@@ -177,11 +181,20 @@ def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -
     True
     """
     try:
-        decoded = _decoded(text)
+        return within_budget(
+            lambda: _loads(text, name, folder),
+            what="",
+            seconds=LOAD_SECONDS,
+            megabytes=LOAD_MEGABYTES,
+        )
     except InputError as problem:
-        raise problem.within(name) from None
+        raise problem if problem.file else problem.within(name) from None
+
+
+def _loads(text: str | bytes, name: str, folder: Path | None) -> System:
+    decoded = _decoded(text)
     try:
-        return _read_system(_parsed(decoded), folder)
+        return _read_system(parse_toml(decoded), folder)
     except InputError as problem:
         raise problem.within(name, problem.line or line_of(decoded, problem.key)) from None
 
@@ -194,18 +207,6 @@ def _decoded(text: str | bytes) -> str:
     if not decoded.strip():
         raise InputError("", "is empty", remedy="certrack new NAME.toml writes a starter file")
     return decoded
-
-
-def _parsed(text: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text, parse_float=decimal_float)
-    except (tomllib.TOMLDecodeError, ValueError) as problem:
-        error = InputError("", f"is not TOML: {problem}")
-        place = re.search(r"at line (\d+)", str(problem))
-        error.line = int(place[1]) if place else None
-        raise error from None
-    except RecursionError:
-        raise InputError("", "is not TOML: nested too deeply") from None
 
 
 def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
