@@ -81,7 +81,9 @@ def test_summaries_of_nothing_and_of_missing_values():
     assert nothing["missing"] == 0
     empty.observe(np.array([np.nan, np.inf, 2.0]))
     assert empty.summary() == {
-        "min": 2.0, "max": 2.0, "missing": 2,
+        "min": 2.0,
+        "max": 2.0,
+        "missing": 2,
         **{f"{100 * level:g}%": 2.0 for level in LEVELS},
     }
 
