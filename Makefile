@@ -1,15 +1,17 @@
 # make demo   reproduces the paper on a fresh machine
 # make test   checks style, types and behaviour, and measures coverage
 # make slow   runs the slow tail of the tests
+# make fuzz   looks for inputs that break it, for an hour or two; FUZZ="systems --seed 7" for some
 # make docs   builds the site, in build/site
 # make bench  measures speed, as ratios within one run
+# make mutants changes the source a little, and sees which changes no test notices
 # make keys   writes what docs and starter file say of each key of a system file
 PYTHON ?= python3
 BIN := .venv/bin
 COVERAGE := --cov --cov-report=term
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test slow bench keys clean
+.PHONY: demo test slow bench mutants keys clean
 
 demo: .venv/installed
 	$(BIN)/certrack reproduce --out reproduction
@@ -23,12 +25,19 @@ test: .venv/tested
 slow: .venv/tested
 	$(BIN)/pytest -n 2 -m slow
 
+.PHONY: fuzz
+fuzz: .venv/tested
+	cd tests && ../$(BIN)/python -m fuzz $(FUZZ) --keep ../build/fuzz
+
 .PHONY: docs
 docs: .venv/documented
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -c docs -d build/doctrees . build/site
 
 bench: .venv/benched
 	$(BIN)/pytest bench
+
+mutants: .venv/tested
+	nice -n 10 $(BIN)/python tools/mutants.py $(GROUPS)
 
 keys: .venv/installed
 	$(BIN)/python -m certrack.systems.documentation docs/system-file.md src/certrack/systems/starter.toml

@@ -11,7 +11,17 @@ from scipy.interpolate import BPoly, PPoly, make_interp_spline
 
 import certrack
 from certrack import references
-from certrack.laws import Equations, Law, Plant, Signals, dot, gain, register, symbol
+from certrack.laws import (
+    Equations,
+    Law,
+    OwnErrors,
+    Plant,
+    Signals,
+    dot,
+    gain,
+    register,
+    symbol,
+)
 
 
 @register
@@ -37,6 +47,14 @@ class DynamicSurface(Law):
         drift = s.plant.drift.expr + dot(s.phi, theta)
         u = (-c[1] * (s.x[1] - held) - g * z_1 + rate - drift) / g_n
         return Equations(u, ((held, rate),), filters=(held,))
+
+    def error_system(self, s: Signals) -> OwnErrors:
+        g, b = s.plant.chain[0].expr, s.plant.linear[0][0].expr
+        held, z_1 = symbol("alpha_filter"), s.x[0] - s.Y[0]
+        z_2 = s.x[1] - held
+        alpha = (-self.c[0] * z_1 - b * s.x[0] + s.Y[1]) / g
+        z_1_rate = -self.c[0] * z_1 + g * (z_2 + held - alpha)
+        return OwnErrors((z_1, z_2), (z_1_rate, -self.c[1] * z_2 - g * z_1))
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
         return {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sympy
 from conftest import relative, systems
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certrack
@@ -71,7 +71,17 @@ def test_error_system_holds_for_random_plants(system):
     """Both sides of e' = (S - C - K) e + T w - R y_d^(q+1) + ... evaluated, n = 1 ... 8."""
     kit = LawConformance()
     kit.system = system
-    kit.test_obeys_the_error_system()
+    kit.test_loop_holds_the_plant_and_the_input()
+
+
+@settings(max_examples=12)
+@given(systems(orders=st.integers(1, 5)))
+def test_random_nominal_loops_are_as_the_laws_state(system):
+    """With w = 0 and the law's input: e' = (S - C - K) e - R y_d^(q+1) + mismatch, and V'."""
+    kit = LawConformance()
+    kit.system = system
+    kit.test_obeys_its_error_system()
+    kit.test_its_energy_falls_as_stated()
 
 
 def symbolic_backstepping(plant, gains, q):
@@ -187,3 +197,30 @@ def test_bad_gains_are_named(gains, key):
     with pytest.raises(InputError) as caught:
         Adaptive(**gains).design(plant)
     assert str(caught.value).startswith(f"{key}: ")
+
+
+def test_the_slowest_and_the_fastest_pole():
+    """[[-c_1, g], [-g, -c_2]], solved by hand."""
+    plant = Plant(states=["x1", "x2"], chain=[0.5], input_gain=1)
+    found = Robust(c=(1.0, 4.0)).coordinates(plant)
+    half, root = 2.5, math.sqrt(1.5**2 - 0.5**2)
+    assert found.slowest_pole == pytest.approx(half - root)
+    assert found.fastest_pole == pytest.approx(half + root)
+
+
+@pytest.mark.parametrize("step", [2, 3])
+def test_the_step_whose_damping_overflows_is_named(step):
+    k = [[math.inf] * (2 * m) for m in range(1, 4)]
+    k[0] = [1e-130, 1]
+    k[step - 1][0] = 1e-60  # times eta^2, which is (1e130)^2 after step 1
+    plant = Plant(states=["x1", "x2", "x3"], chain=[1, 1], input_gain=1)
+    with pytest.raises(DesignError, match=f"overflows at step {step} of 3"):
+        recursion(plant.g, plant.b, Gains((1, 1, 1), k))
+
+
+def test_a_design_whose_coefficients_have_no_square_is_refused():
+    """They are finite, but the certificates square them."""
+    plant = Plant(states=["x1", "x2"], chain=[1], input_gain=1)
+    with pytest.raises(DesignError, match="the design overflows"):
+        recursion(plant.g, plant.b, Gains((1e160, 1.0)))
+    assert recursion(plant.g, plant.b, Gains((1e140, 1.0))).n == 2

@@ -180,7 +180,9 @@ def test_certify_and_verify(capfd, tmp_path):
     code, _, err = invoke(capfd, "certify", "example1-classic")
     assert code == 0, "nothing was asked for"
     assert "without leakage" in err
-    code, _, err = invoke(capfd, "certify", "example1-classic", "--out", str(tmp_path / "none.json"))
+    code, _, err = invoke(
+        capfd, "certify", "example1-classic", "--out", str(tmp_path / "none.json")
+    )
     assert code == 1 and not (tmp_path / "none.json").exists()
     assert "is not written" in err
 

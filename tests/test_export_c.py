@@ -33,7 +33,7 @@ from certrack.export.golden_vectors import GOLDEN_TOLERANCE, golden_vectors
 from certrack.export.identifiers import C_RESERVED, free_name, stem
 from certrack.export.program import sampled_system
 from certrack.export.templates import fill_template
-from certrack.laws import Adaptive
+from certrack.laws import Adaptive, leakage
 from certrack.loops import controller as loops_controller
 from certrack.loops import sampled as loops_sampled
 from certrack.systems.writer import field_values
@@ -295,10 +295,17 @@ def test_many_random_controllers_agree(tmp_path_factory, drawn):
 HOSTILE = 'ends here */ int x; /* ??/ // \\\\ "quoted"'
 
 
+@pytest.mark.parametrize(("name", "functions"), [("dual-motor-lean", False), ("example1", True)])
+def test_only_what_is_used_is_included_and_comments_are_of_c90(name, functions):
+    code = c_code(certrack.load(name), "kept", period=0.001)
+    assert ("#include <math.h>" in code.source) == functions
+    assert "//" not in code.header + code.source
+
+
 class TestText:
     def test_a_template_and_its_values_fit(self):
         values = dict.fromkeys(("name", "token", "kept", "period", "start"), "v")
-        assert "#define model_step v_step" in fill_template("fmu/templates/model.h", **values)
+        assert "#define model_init v_init" in fill_template("fmu/templates/model.h", **values)
         with pytest.raises(KeyError, match="no place for other"):
             fill_template("fmu/templates/model.h", **values, other=1)
         del values["token"]
@@ -419,7 +426,7 @@ class TestCommand:
             main(["export", "c", *map(str, arguments)])
         return stopped.value.code, *capsys.readouterr()
 
-    def test_writes_four_files(self, tmp_path, capsys):
+    def test_writes_five_files(self, tmp_path, capsys):
         out = tmp_path / "new" / "firmware"
         code, said, errors = self.go(
             capsys, "example1", "--period", 1e-3, "--real", "float", "--out", out, "--json"
@@ -427,7 +434,7 @@ class TestCommand:
         assert (code, errors) == (0, "")
         found = json.loads(said)
         assert found["name"] == "example1"
-        wanted = {"example1.h", "example1.c", "example1_test.c", "README.md"}
+        wanted = {"example1.h", "example1.c", "example1_guard.h", "example1_test.c", "README.md"}
         assert {path.name for path in out.iterdir()} == wanted
         assert self.go(capsys, "example1", "--period", 1e-3, "--out", out)[0] == 0  # again
 
@@ -474,7 +481,7 @@ class TestCommand:
                     monkeypatch.setattr(other, name, function)
 
         counted(loops_controller, "sampled_controller")
-        counted(loops_controller, "leak_jacobian")
+        counted(leakage, "leak_matrix")
         counted(loops_sampled, "sample_loop")
         counted(program_module, "controller_program")
         counted(export_module, "golden_vectors")
@@ -487,7 +494,7 @@ class TestCommand:
             "golden_vectors",
             "readme",
         }
-        assert built == Counter(once | ({"leak_jacobian"} if real == "float" else set()))
+        assert built == Counter(once | ({"leak_matrix"} if real == "float" else set()))
 
     def test_period_of_the_command_wins(self, tmp_path):
         system = certrack.load("example1").replace(implementation=FULL)

@@ -38,10 +38,6 @@ class TestPrescribedPerformance(LawConformance):
         (3.0, {"x1": -0.15, "x2": 0.2, "bias": -0.4}),
     ]
 
-    def test_obeys_the_error_system(self):
-        """Its errors are those of the barrier; the identity holds all the same, for any u."""
-        super().test_obeys_the_error_system()
-
 
 class TestSpline(ReferenceConformance):
     reference = extensions.spline().reference

@@ -31,7 +31,7 @@ def ready(make, **changes):
     problem = Problem(
         start=np.concatenate([system.start, np.zeros(len(INTEGRALS))]),
         parameters=parameter_values(loop, system),
-        reference=system.reference,
+        schedule=system.reference,
         duration=3.0,
         tolerance=TOLERANCE,
         plant_order=loop.n,

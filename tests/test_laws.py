@@ -31,7 +31,51 @@ class TestRobust(LawConformance):
 
 
 class TestClassic(LawConformance):
-    system = certrack.load("example1-classic")
+    system = certrack.load("example1-classic").with_settings(duration=30)  # it settles after 12 s
+
+
+class TestFullGamma(LawConformance):
+    """Two unknown parameters, a full Gamma, a negative input gain; no two gains are equal."""
+
+    system = certrack.loads(
+        """
+[plant]
+states = ["x1", "x2"]
+chain = [1.5]
+linear = [[-0.5]]
+drift = "sin(x2) - x1"
+regressor = ["x1", "cos(x2)"]
+gain_sign = -1
+
+[plant.uncertainty]
+tau = [0.1, 0.2]
+gamma = [0.1, 0.1]
+beta = [0.1, 0.1]
+
+[law]
+kind = "adaptive"
+c = [2, 3]
+feedforward = 1
+gain_rate = 1.5
+leak_gain = 0.05
+leak_theta = 0.15
+delta0 = -0.4
+theta0 = [0.4, -0.6]
+Gamma = [[2.0, 0.5], [0.5, 1.0]]
+
+[reference]
+signal = "0.5*cos(t)"
+
+[truth]
+input_gain = -2
+theta = [0.5, -0.7]
+omega = ["0.05*sin(t)", "0.05*x1"]
+
+[simulation]
+x0 = [1, 0]
+duration = 20
+"""
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from certrack.simulation.metrics import _crossing, _integral_of_magnitude, measure, supremum
+import certrack
+from certrack.simulation.metrics import (
+    _crossing,
+    _integral_of_magnitude,
+    measure,
+    settling_band,
+    supremum,
+)
 
 
 def order(error, counts=(200, 400, 800)):
@@ -64,6 +71,7 @@ def test_settling_and_tail():
     assert found.integral_abs_error == pytest.approx(1 - math.exp(-10))
     assert found.rms_error == pytest.approx(math.sqrt(0.05 * (1 - math.exp(-20))))
     assert found.input_energy == 10
+    assert found.integral_squared_error == pytest.approx(0.5 - 0.5 * math.exp(-20))
     assert found.input_variation == 0
 
 
@@ -82,3 +90,71 @@ def test_no_parabola_reaches_across_a_jump_between_steps():
     assert supremum(t[1:], u[1:], per_step=3, offset=1) == 4.77
     smooth = np.array([0.0, 0.9, 1.0, 1.0, 0.9, 0.0])
     assert 1.0 <= supremum(np.array([0, 1, 2, 2, 3, 4.0]), smooth, per_step=3) < 1.1
+
+
+def test_a_crossing_between_samples_that_do_not_fall_is_that_of_the_line():
+    """Where the samples before it rise, or those after it are equal, no inverse exists."""
+    t = np.array([0.0, 1.0, 3.0, 4.0])
+    assert _crossing(t, np.array([3.0, 2.0, -1.0, -1.0]), 1) == pytest.approx(1 + 2 * 2 / 3)
+    assert _crossing(t, np.array([2.0, 2.0, -1.0, -3.0]), 1) == pytest.approx(1 + 2 * 2 / 3)
+    assert _crossing(t, np.array([1.0, 2.0, -1.0, -2.0]), 1) == pytest.approx(1 + 2 * 2 / 3)
+    t, zero = np.arange(4.0), (math.sqrt(2) - 1) / 0.2
+    f = 2.5 - t - 0.1 * t**2  # and otherwise of a cubic, t as a function of f
+    assert abs(_crossing(t, f, 2) - zero) < 1e-3 < abs(2 + f[2] / (f[2] - f[3]) - zero)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_peak_of_the_neighbouring_step_counts(order):
+    """The largest sample ends one step (or begins it); the parabola beside it reaches higher."""
+    t = np.array([0.0, 1, 2, 2, 3, 4])
+    f = np.array([0.0, 0.5, 1.0, 0.99, 0.99, 0.5])
+    t, f = (t, f) if order == 1 else (4 - t[::-1], f[::-1])
+    assert supremum(t, f, per_step=3) == pytest.approx(0.99 + 0.06125)
+    if order == 1:  # seen from the second sample of its step on
+        assert supremum(t[1:], f[1:], per_step=3, offset=1) == pytest.approx(0.99 + 0.06125)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_peak_beside_the_largest_sample_counts(order):
+    """The parabola around the next sample, on either side, may be the one that reaches highest."""
+    f = np.array([0.98, 1.0, 0.99, 0.3])[::order]
+    assert supremum(np.arange(4.0), f) == pytest.approx(0.99 + 0.35**2 / (2 * 0.68))
+
+
+def test_the_settling_band_is_a_share_of_the_largest_reference():
+    system = certrack.load("example1").with_settings(band=None)
+    for text, size in (
+        ("0.3*sin(5*t)", 0.3),
+        ("0.1*cos(t) + 1", 1.1),
+        ("0*t", 1.0),
+        ("exp(-3*t)", 1.0),
+    ):
+        reference = certrack.SymbolicReference(text)
+        assert settling_band(system.settings, reference) == pytest.approx(0.05 * size, rel=1e-6)
+    assert settling_band(system.with_settings(band=0.2).settings, reference) == 0.2
+
+
+@pytest.mark.parametrize("start", [0.5, 1.7, 3.9])
+def test_a_tail_that_begins_between_samples_begins_on_their_cubic(start):
+    t = np.arange(5.0)
+    e = 70 - t**3 + 0.5 * t
+    found = measure(t, e, t, np.zeros((3, 5)), band=1.0, tail_start=start)
+    assert found.tail_error == pytest.approx(70 - start**3 + 0.5 * start, rel=1e-12)
+
+
+def test_a_tail_that_begins_inside_a_step_keeps_the_steps_apart():
+    t = np.array([0.0, 1, 2, 2, 3, 4])
+    e = np.array([0.0, 0.5, 1.0, 0.99, 0.99, 0.5])
+    found = measure(t, e, e, np.zeros((3, 6)), band=2.0, tail_start=1.0, per_step=3)
+    assert found.tail_error == pytest.approx(0.99 + 0.06125)
+
+
+def test_the_band_itself_is_inside():
+    t, e = np.arange(4.0), np.array([2.0, 0.5, 0.5, 0.5])
+    assert measure(t, e, t, np.zeros((3, 4)), band=0.5, tail_start=0).settling_time == 1.0
+
+
+def test_the_nearest_samples_make_the_cubic():
+    t = np.arange(8.0)
+    found = measure(t, 3000 - t**4, t, np.zeros((3, 8)), band=1.0, tail_start=2.5)
+    assert abs(found.tail_error - (3000 - 2.5**4)) <= 0.57

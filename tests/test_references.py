@@ -245,14 +245,15 @@ def test_wrong_declared_bound_of_samples_is_refused():
         samples((0, 1), (0, 1), bound=1.0)  # y_d + y_d' reaches 2.09
 
 
-@pytest.mark.parametrize("signal", ["atan2(sin(t), cos(t))", "atan(tan(t))", "tan(sin(t))"])
+@pytest.mark.parametrize("signal", ["atan2(sin(t), cos(t))", "atan(tan(t))", "tan(2*sin(t))"])
 def test_functions_that_may_jump_are_refused(signal):
     with pytest.raises(InputError, match="may jump"):
         SymbolicReference(signal)
 
 
-def test_arcsine_has_order_one():
-    assert SymbolicReference("asin(0.9*sin(t))").order == 1
+def test_arcsine_that_reaches_its_ends_has_order_one():
+    assert SymbolicReference("asin(sin(t))").order == 1  # a triangle
+    assert SymbolicReference("asin(0.9*sin(t))").order == math.inf
 
 
 def test_expanding_huge_sums_is_not_tried():
@@ -395,3 +396,73 @@ def test_the_stated_duties_of_a_reference_suffice(name):
         assert simulator.run(ours).final_state == pytest.approx(expected.final_state, abs=1e-7)
         bounds = [certify_semidefinite(entry)[0].bound for entry in (ours, formula)]
         assert bounds[0] == pytest.approx(bounds[1], rel=1e-6)
+
+
+def test_a_triangle_has_its_corners_where_it_turns():
+    found = triangle(0.2, 4.0, offset=0.1, start=-0.3)
+    assert found.knots == (-0.3, 1.7, 3.7)
+    assert found.breaks(0, 8).tolist() == pytest.approx([1.7, 3.7, 5.7, 7.7])
+    times = np.array([-0.3, 0.7, 1.7, 2.7, 3.7, 4.7])
+    level, slope = found.values(times, 1)
+    assert level == pytest.approx([-0.1, 0.1, 0.3, 0.1, -0.1, 0.1])
+    assert slope == pytest.approx([0.2, 0.2, -0.2, -0.2, 0.2, 0.2])
+
+
+def test_a_trapezoid_that_hardly_holds_is_a_triangle():
+    assert trapezoid(1.0, 4.0, 2.0 - 1e-13).knots == (0.0, 2.0, 4.0)
+    assert trapezoid(1.0, 4.0, 1.0).knots == (0.0, 1.0, 2.0, 3.0, 4.0)
+
+
+@pytest.mark.parametrize("period", [0.1, 0.3, 1 / 3, 0.7])
+def test_a_break_belongs_to_the_piece_after_it(period):
+    """Also where t less so many periods is rounded below the first knot."""
+    found = triangle(0.5, period, start=0.1)
+    turns = 0.1 + period * np.arange(1, 2000)
+    for shift, slope in ((0.0, 2 / period), (period / 2, -2 / period)):
+        times = turns + shift + 1e-12 * turns
+        assert found.values(times, 1)[1] == pytest.approx(np.full(len(times), slope))
+        pieces = np.array([found.piece_values(t) for t in times[::97].tolist()])
+        assert pieces[:, 2] == pytest.approx(np.full(len(pieces), slope))
+
+
+def test_steps_stand_still_before_the_first_and_after_the_last():
+    found = steps([1.0, 3.0], [0.5, 1.0, -1.0], 2.0)
+    level, slope = found.values(np.array([0.0, 0.9, 2.0, 5.0, 9.0]), 1)
+    assert level.tolist() == pytest.approx([0.5, 0.5, 1.0, -1.0, -1.0])
+    assert slope.tolist() == [0.0] * 5
+    assert found.piece_values(0.0)[1:].tolist() == [0.5, 0.0, 0.0, 0.0]
+    assert found.piece_values(9.0)[1:].tolist() == pytest.approx([-1.0, 0.0, 0.0, 0.0])
+
+
+def test_a_declared_bound_is_kept_if_it_holds():
+    largest = 0.2 + 4 * 0.2 / 4.0
+    assert triangle(0.2, 4.0, bound=largest).declared_bound == largest
+    with pytest.raises(InputError, match="must bound"):
+        triangle(0.2, 4.0, bound=0.999 * largest)
+
+
+def test_slopes_that_overflow_are_refused_as_too_steep():
+    with pytest.raises(InputError, match="so steep that its slope overflows"):
+        trapezoid(1e299, 1e-9, 1e-10)
+
+
+@pytest.mark.parametrize(
+    ("text", "bound"),
+    [
+        ("sin(0.2*tanh(t))", math.sin(0.2)),  # by intervals: of sin, not of cos
+        ("1 - cos(0.2*tanh(t))", 1 - math.cos(0.2)),
+        ("sqrt(abs(sin(t)))", 1.0),  # of what may be zero
+        ("cos(2*t) - cos(-2*t) + 0.1", 0.1),
+        ("sin(2*t + 1) + sin(-2*t - 1) + 0.1", 0.1),
+    ],
+)
+def test_bounds_by_intervals_are_near_what_is_reached(text, bound):
+    (found,) = SymbolicReference(text).bounds(0).values
+    assert bound * (1 - 1e-9) <= found <= bound * 1.02
+
+
+def test_an_irrational_constant_is_enclosed():
+    """The nearest double of pi is below pi."""
+    (found,) = SymbolicReference("pi*tanh(t)").bounds(0).values
+    assert sympy.Rational(found) >= sympy.pi
+    assert found < math.pi * (1 + 1e-12)

@@ -34,7 +34,7 @@ from certrack.model.plant import Plant, Uncertainty
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference, triangle
 from certrack.references.base import round_up, total_bound
-from certrack.references.supremum import enclosure
+from certrack.references.intervals import enclosure
 from certrack.systems.system import Settings, System
 
 DECIMALS = [f"{k / 997:.6f}" for k in range(1, 60)]

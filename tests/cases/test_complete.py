@@ -7,6 +7,8 @@ INPUTS = HERE.parent / "data" / "cases"
 
 
 def test_every_input_has_a_test():
-    tests = "".join(path.read_text() for path in HERE.glob("test_*.py") if path.name != "test_complete.py")
+    tests = "".join(
+        path.read_text() for path in HERE.glob("test_*.py") if path.name != "test_complete.py"
+    )
     data = {path for path in INPUTS.iterdir() if path.suffix in {".toml", ".json", ".py"}}
     assert sorted(path.name for path in data if f'"{path.stem}' not in tests) == []

@@ -19,6 +19,7 @@ from certrack.certificates.majorants import Majorant, covers, majorants
 from certrack.certificates.sampling import Points, nearest_failure, random_points
 from certrack.core.expressions import TIME
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
+from certrack.core.powers import put_in
 from certrack.systems.system import System
 
 #: Relative excess that is not reported: the evaluation of a formula rounds.
@@ -110,7 +111,7 @@ def uncertain_terms(system: System) -> list[UncertainTerm]:
         strength, tau, gamma, beta = (_fraction(v[k]) for v in (truth.tau, u.tau, u.gamma, u.beta))
         weights = tuple(map(_fraction, u.norm_weights(k)))
         single = tuple(map(_fraction, u.Delta[k])) if u.Delta else ()
-        formula = w.expr.xreplace(exact)
+        formula = put_in(w.expr, exact)
         term = UncertainTerm(k, formula, plant.symbols, strength, tau, gamma, beta, weights, single)
         terms.append(term)
     return terms

@@ -27,8 +27,10 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, from_text, root_up
 from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.problem import ErrorProblem
+from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
-from certrack.references.supremum import enclosure
+from certrack.core.powers import put_in
+from certrack.references.intervals import enclosure
 from certrack.systems.system import System
 
 
@@ -85,7 +87,10 @@ def centred_problem(
 def _reference_part(system: System, problem: ErrorProblem) -> tuple[np.ndarray, list[Any]]:
     """A^{-1} B and the bounds Y: x = A^{-1} e + A^{-1} B (y_d ... y_d^(q)), |y_d^(i)| <= Y_i."""
     coordinates = error_coordinates(system, rational)
-    bounds = system.reference.bounds(coordinates.q + 1).values
+    try:
+        bounds = system.reference.bounds(coordinates.q + 1).values
+    except InputError as unbounded:
+        raise NoCertificate(f"the centred stage needs all bounds of y_d: {unbounded}") from None
     return problem.Xe @ coordinates.B, [exact_float(v, rational) for v in bounds]
 
 
@@ -99,8 +104,8 @@ def remainder_bound(system: System, problem: ErrorProblem) -> Callable[[Proof], 
     assert law is not None
     AB, Y = _reference_part(system, problem)
     exact = {symbol(name): value for name, value in plant.constant_values.items()}
-    drift = plant.drift.expr.xreplace(exact)
-    regressor = [phi.expr.xreplace(exact) for phi in plant.regressor]
+    drift = put_in(plant.drift.expr, exact)
+    regressor = [put_in(phi.expr, exact) for phi in plant.regressor]
 
     def bound(reached: Proof) -> Any:
         P = np.array([[from_text(v) for v in row] for row in reached.P], dtype=object)

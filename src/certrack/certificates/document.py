@@ -26,6 +26,7 @@ from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.certify import cover_bound
 from certrack.certificates.ranges.proofs import MAX_CELLS, CellProof, check_cover, numbers
 from certrack.certificates.ranges.rational import MAX_POINTS
+from certrack.core.budget import within_budget
 from certrack.core.errors import InputError, shorten
 from certrack.core.files import write_text
 from certrack.core.rounding import rounded_up
@@ -41,6 +42,9 @@ FORMAT_1 = "certrack-certificate/1"
 
 #: A certificate of order 100 has less than 1 MB; reading stops here, whatever a stranger sends.
 MAX_CERTIFICATE_BYTES = 20_000_000
+
+#: What checking may take: orders of 50 take a tenth of it. See core/budget.py.
+VERIFY_SECONDS, VERIFY_MEGABYTES = 300, 2000
 
 #: Keys of the file, `premises` or `assumptions` among them.
 DOCUMENT_KEYS = {
@@ -181,6 +185,15 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     """
     name = "certificate" if isinstance(source, dict) else str(source)
     try:
+        return within_budget(
+            lambda: _verify(source), what="", seconds=VERIFY_SECONDS, megabytes=VERIFY_MEGABYTES
+        )
+    except InputError as problem:
+        raise problem.within(name) from None
+
+
+def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
+    try:
         body = source if isinstance(source, dict) else _read_document(Path(source))
         if _is_cover(body):
             return _verify_cover(body)
@@ -201,8 +214,6 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
         return _rests_on(system, body, proof.bound)
     except NoCertificate as refusal:
         return Verdict(False, "", str(refusal))
-    except InputError as problem:
-        raise problem.within(name) from None
 
 
 def _is_cover(body: dict[str, Any]) -> bool:

@@ -22,6 +22,7 @@ from certrack.laws.backstepping import ErrorCoordinates, carry_out
 from certrack.laws.balanced import balanced, balancing_weights
 from certrack.laws.error_system import KnownParameters
 from certrack.model.uncertainty import Uncertainty
+from certrack.references.base import bound_of
 from certrack.systems.system import System
 
 
@@ -51,12 +52,12 @@ def error_problem(system: System, number: ToNumber) -> ErrorProblem:
     coordinates = error_coordinates(system, number)
     n, q, A = plant.n, coordinates.q, coordinates.A
     inputs = uncertain_inputs(plant.uncertainty, A, number)
-    bounds = [exact_float(v, number) for v in system.reference.bounds(q + 1).values]
     Xe = solve(A, np.eye(n, dtype=dtype))
-    in_x = [
-        i for i in range(q + 1) if inputs.a and bounds[i] != 0 and any(coordinates.B[:, i] != 0)
-    ]
-    residual = bool(bounds[q + 1] != 0 and any(coordinates.R != 0))
+    used = [i for i in range(q + 1) if inputs.a and any(coordinates.B[:, i] != 0)]
+    used += [q + 1] if any(coordinates.R != 0) else []
+    bounds = {i: exact_float(bound_of(system.reference, i)[0], number) for i in used}
+    in_x = [i for i in used if i <= q and bounds[i] != 0]
+    residual = bool(bounds.get(q + 1, 0) != 0)
     Uy = np.zeros((n, len(in_x) + residual), dtype=dtype)
     Xy = np.zeros((n, len(in_x) + residual), dtype=dtype)
     for column, i in enumerate(in_x):

@@ -18,7 +18,8 @@ import sympy
 from mpmath import iv, mp
 
 from certrack.core.expressions import TIME
-from certrack.references.supremum import enclosure, sinusoid_supremum
+from certrack.references.intervals import enclosure
+from certrack.references.supremum import sinusoid_supremum
 
 #: Coefficients of 1, s, s^2 ...
 Majorant = tuple[Fraction, ...]

@@ -5,7 +5,9 @@ from __future__ import annotations
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.stated import stated_error_system
+from certrack.core.errors import InputError
 from certrack.laws.error_system import ErrorSystem, EstimatedParameters, KnownParameters
+from certrack.references.base import bound_of
 from certrack.systems.system import System
 
 
@@ -67,11 +69,7 @@ def assumptions(system: System) -> list[str]:
     """What a certificate of `system` rests on, as texts; format 1 of the saved one holds them."""
     plant, truth = system.plant, system.truth
     q = system.law.order(plant)
-    bounds = system.reference.bounds(q + 1)
-    listed = ", ".join(
-        f"|y_d^({i})| <= {value:.6g} ({origin})"
-        for i, (value, origin) in enumerate(zip(bounds.values, bounds.origin, strict=True))
-    )
+    listed = ", ".join(_known_bounds(system, q + 1)) or "whatever values"
     premises = [
         "|w_k| <= gamma_k ||x|| + beta_k (Assumption 1) with the file's tau, gamma, beta",
         f"every reference with {listed}",
@@ -97,6 +95,18 @@ def assumptions(system: System) -> list[str]:
             else "the true theta of the file (it gives no range)"
         )
     return premises + _irrational(system)
+
+
+def _known_bounds(system: System, order: int) -> list[str]:
+    """Bounds of the derivatives that have one; of others no certificate has made use."""
+    texts = []
+    for i in range(order + 1):
+        try:
+            value, origin = bound_of(system.reference, i)
+        except InputError:
+            continue
+        texts.append(f"|y_d^({i})| <= {value:.6g} ({origin})")
+    return texts
 
 
 def irrational_numbers(system: System) -> list[str]:

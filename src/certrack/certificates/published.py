@@ -184,7 +184,10 @@ def collect(system: System, number: ToNumber = decimal, *, critical: bool = Fals
     problem, coordinates = error_problem(system, number), error_coordinates(system, number)
     adaptation, zero = problem.adaptation, number(0)
     G, H = uncertainty_terms(system, number)
-    reference2, last = _reference_terms(system, problem.Xe @ coordinates.B, number)
+    residual = residual_damping(system, coordinates, number)
+    reference2, last = zero, zero
+    if G != 0 or residual != 0:
+        reference2, last = _reference_terms(system, problem.Xe @ coordinates.B, number)
     leak, gains, gamma_min = zero, (zero + 1,), math.inf
     if adaptation is not None:
         gains = adaptation.gains
@@ -199,7 +202,7 @@ def collect(system: System, number: ToNumber = decimal, *, critical: bool = Fals
         A_norm2=(problem.Xe**2).sum(),
         G=G,
         reference2=reference2,
-        residual=residual_damping(system, coordinates, number) * last**2,
+        residual=residual * last**2,
         H=H,
         leak=leak,
         gains=gains,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import lapack, schur
@@ -17,6 +18,13 @@ SCALING_FLOOR = 1e-6
 #: Steps that find the sizes, and by which factor the last may still change them among each other:
 #: a step reaches sizes that differ by 1e3.
 SCALING_STEPS, SCALED_ENOUGH = 20, 1.5
+
+#: A scaled input below this is none for the solver, whose accuracy is 1e-8.
+NEGLIGIBLE = 1e-14
+
+#: So many bits the solver gets of a number, about 12 digits: the program of a system in other
+#: units is then the same one, and not one that differs in what the solver's noise grows from.
+KEPT_BITS = 42
 
 #: How much larger than the geometric mean of two rates a scaled coupling may be.
 COUPLING = 2.0
@@ -56,23 +64,37 @@ class Scaling:
         return cls(time, _size_under(timed, np.hstack([bounded, reached])))
 
     def applied(self, problem: ErrorProblem) -> ErrorProblem:
-        """The same problem in these units, with a_k in those of what bounds it."""
+        """The same problem in these units, with a_k in those of what bounds it.
+
+        Inputs that are lost in the solver's roundings are left out, and the last digits of all
+        numbers: they depend on the units. The exact proof has them, and room for them.
+        """
         timed, sizes, reach = _timed(problem, self.time), self.sizes, _reach(problem, self.sizes)
         whole = _norm(problem.Xe * sizes, problem.Xy)
         selections = tuple(
             None if part is None else (part[0] * (whole / r), _divided(part[1], r))
             for part, r in zip(problem.selections, reach, strict=False)
         )
-        return replace(
-            timed,
-            M=timed.M / sizes[:, None] * sizes[None, :],
-            Ua=timed.Ua * reach / sizes[:, None],
-            Ub=timed.Ub / sizes[:, None],
-            Uy=timed.Uy / sizes[:, None],
-            Xe=timed.Xe * sizes[None, :] / whole,
-            Xy=timed.Xy / whole,
-            selections=selections,
-        )
+        numbers = {
+            "M": timed.M / sizes[:, None] * sizes[None, :],
+            "Ua": timed.Ua * reach / sizes[:, None],
+            "Ub": timed.Ub / sizes[:, None],
+            "Uy": timed.Uy / sizes[:, None],
+            "Xe": timed.Xe * sizes[None, :] / whole,
+            "Xy": timed.Xy / whole,
+        }
+        numbers = {name: _rounded(values) for name, values in numbers.items()}
+        for name in ("Ua", "Ub", "Uy", "Xy"):
+            numbers[name] = np.where(np.abs(numbers[name]) < NEGLIGIBLE, 0.0, numbers[name])
+        return replace(timed, **numbers, selections=selections)
+
+    def rate(self, alpha: float) -> Any:
+        """A rate (1/s) in the program's unit of time."""
+        return _rounded(alpha * self.time)
+
+    def leak_cost(self, leak: Any) -> Any:
+        """What the leakage costs for each unit of the program's last entry of P."""
+        return _rounded(leak * self.time / self.sizes[-1] ** 2)
 
     def unscaled_P(
         self, entries: list[tuple[int, int]], values: np.ndarray, target: int
@@ -97,6 +119,12 @@ class Scaling:
         scale: float = self.sizes[target] ** 2 / self.time
         units: np.ndarray = scale / _reach(problem, self.sizes) ** 2
         return units
+
+
+def _rounded(values: Any) -> Any:
+    """The numbers without their last bits."""
+    mantissa, exponent = np.frexp(values)
+    return np.ldexp(np.round(mantissa * 2.0**KEPT_BITS) / 2.0**KEPT_BITS, exponent)
 
 
 def _timed(problem: ErrorProblem, unit: float) -> ErrorProblem:

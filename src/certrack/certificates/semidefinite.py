@@ -178,9 +178,9 @@ class SemidefiniteProgram:
         cost = np.zeros(self._base.shape[1])
         cost[len(self.entries) + self._na :] = 1.0  # nu and k; the lam cost nothing
         if self.problem.adaptation is not None:
-            cost[len(self.entries) - 1] = leak * self.scaling.time / self.scaling.sizes[-1] ** 2
+            cost[len(self.entries) - 1] = self.scaling.leak_cost(leak)
         cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
-        variables = self._call(cost, self._base + alpha * self.scaling.time * self._slope)
+        variables = self._call(cost, self._base + self.scaling.rate(alpha) * self._slope)
         return None if variables is None else self._unscaled(variables, alpha, leak)
 
     def _call(self, cost: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:

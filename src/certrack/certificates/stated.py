@@ -18,7 +18,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
 from certrack.laws.base import Equations, Signals
-from certrack.laws.error_system import ErrorSystem, EstimatedParameters, KnownParameters
+from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
 from certrack.laws.recursion import recursion
 from certrack.systems.system import System
 
@@ -26,7 +26,7 @@ from certrack.systems.system import System
 SAME_NUMBERS = 1e-9
 
 
-def stated_error_system(system: System) -> ErrorSystem:
+def stated_error_system(system: System) -> KnownParameters | EstimatedParameters:
     """The error system of the law, which its equations do obey.
 
     Its gains are exact rationals (as SymPy numbers).
@@ -39,10 +39,11 @@ def stated_error_system(system: System) -> ErrorSystem:
     law, plant = system.law, system.plant
     signals = _bare_signals(system)
     stated = law.error_system(signals)
-    if stated is None:
+    if law.no_certificate or stated is None or isinstance(stated, OwnErrors):
         raise NoCertificate(
             law.no_certificate
-            or f"certificates cover laws that state their error system, not {law.kind}"
+            or "certificates cover laws that state their error system, that of the recursion, "
+            f"not {law.kind}"
         )
     equations = law.equations(signals)
     for what in _disagreements(stated, equations, signals):
@@ -65,7 +66,9 @@ def _bare_signals(system: System) -> Signals:
     return signals
 
 
-def _disagreements(stated: ErrorSystem, equations: Equations, s: Signals) -> Iterator[str]:
+def _disagreements(
+    stated: KnownParameters | EstimatedParameters, equations: Equations, s: Signals
+) -> Iterator[str]:
     """The formulas of a law that are not those of what it states."""
     states = tuple(z for z, _ in equations.update)
     if states != stated.estimates:
@@ -141,7 +144,9 @@ def _exact_values(s: Signals, numbers: Mapping[str, Any]) -> dict[sympy.Symbol, 
     return values
 
 
-def _with_values(stated: ErrorSystem, values: Mapping[sympy.Symbol, Any]) -> ErrorSystem:
+def _with_values(
+    stated: KnownParameters | EstimatedParameters, values: Mapping[sympy.Symbol, Any]
+) -> KnownParameters | EstimatedParameters:
     def substituted(formula: Any) -> Any:
         return sympy.sympify(formula).xreplace(values)
 

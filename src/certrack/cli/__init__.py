@@ -3,7 +3,7 @@
 Results go to standard output (``--json`` for programs), diagnostics to standard error. Exit code 0
 means success, 2 bad input with one line that says what is wrong, 1 a run that did not finish, a
 premise that the file's own truth contradicts, a certificate that does not hold (or does not exist,
-with ``--require``) or an alarm of the falsifier, 130 an interruption.
+with ``--require``) or an alarm of the falsifier, 130 an interruption, 143 a termination.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -22,6 +23,13 @@ from certrack.cli.margins import margin
 from certrack.cli.papers import reproduce
 from certrack.cli.proofs import certify, falsify, verify
 from certrack.cli.runs import compare, ensemble, simulate
+from certrack.cli.surroundings import (
+    REFUSALS,
+    TERMINATED_CODE,
+    ended_by_exception,
+    flushed,
+    trouble,
+)
 from certrack.core.errors import CertrackError, one_line
 
 
@@ -59,34 +67,54 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the ``certrack`` command."""
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
-        sys.exit(_run(arguments))
+        code = _run(arguments)
+        if not flushed(sys.stdout) and not code:
+            _say("standard output cannot be written")
+            code = 2
+        flushed(sys.stderr)
+        sys.exit(code)
 
 
 def _run(arguments: Sequence[str] | None) -> int:
     try:
-        code = cli.main(
-            args=None if arguments is None else list(arguments),
-            prog_name="certrack",
-            standalone_mode=False,
-        )
+        with ended_by_exception():
+            code = cli.main(
+                args=None if arguments is None else list(arguments),
+                prog_name="certrack",
+                standalone_mode=False,
+            )
     except CertrackError as problem:
-        click.echo(f"certrack: {problem}", err=True)
+        _say(str(problem))
         return 2
     except click.exceptions.NoArgsIsHelpError as problem:
         click.echo(problem.format_message(), err=True)
         return 2
     except click.UsageError as problem:
         where = f" (see {problem.ctx.command_path} --help)" if problem.ctx else ""
-        click.echo(f"certrack: {one_line(problem.format_message())}{where}", err=True)
+        _say(f"{problem.format_message()}{where}")
         return 2
     except (click.Abort, KeyboardInterrupt):
-        click.echo("certrack: interrupted", err=True)
+        _say("interrupted")
         return 130
     except BrokenPipeError:  # the reader of our output went away
-        sys.stderr.close()
+        flushed(sys.stdout)
         return 1
+    except SystemExit as end:  # by SIGTERM; or click's, where the reader of our output went away
+        if end.code != TERMINATED_CODE:
+            return 1
+        _say("terminated")
+        return TERMINATED_CODE
+    except REFUSALS as problem:
+        _say(trouble(problem))
+        return 2
     return code if isinstance(code, int) else 0
 
 
+def _say(text: str) -> None:
+    """One line on standard error, if there is one that takes it."""
+    with suppress(OSError):
+        click.echo(f"certrack: {one_line(text)}", err=True)
+
+
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    click.echo(f"certrack: note: {message}", err=True)
+    _say(f"note: {message}")

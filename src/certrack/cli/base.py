@@ -75,6 +75,28 @@ def note_implementation(system: System) -> None:
         )
 
 
+def note_engine(*, compiled: bool = True) -> None:
+    """Say that NumPy computes where nothing compiles; with `compiled`, a C compiler would do."""
+    from certrack.core.compilers import c_compilers
+    from certrack.core.heyoka import has_heyoka
+
+    if not has_heyoka() and not (compiled and c_compilers()):
+        missing = "neither heyoka nor a C compiler is" if compiled else "heyoka is not"
+        click.echo(
+            f"certrack: note: {missing} installed: computed by NumPy, which is about 50 times "
+            "slower",
+            err=True,
+        )
+
+
+def note_unlikely(system: System) -> None:
+    """Say what makes the file's implementation unlikely to work, before it is used."""
+    from certrack.simulation.implementation_notes import implementation_notes
+
+    for note in implementation_notes(system):
+        click.echo(f"certrack: note: {note}", err=True)
+
+
 def draw(runs: dict[str, Run], folder: Path, title: str) -> list[Path]:
     """Write every panel as a picture of its own, and all of them together; returns the paths."""
     from certrack import plotting
@@ -92,6 +114,6 @@ def diagnose(*runs: Run) -> None:
             click.echo(f"certrack: note: {note}", err=True)
         if run.outcome.name != "finished":
             t = run.trajectory.end
-            click.echo(f"certrack: stopped at t = {t:.6g} s: {run.outcome.value}", err=True)
+            click.echo(f"certrack: stopped at t = {t:.6g} s: {run.message}", err=True)
     if any(run.outcome.name != "finished" for run in runs):
         raise click.exceptions.Exit(1)

@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from certrack.cli.base import FOLDER, NEW_FILE, json_option, naming, period_option
+from certrack.cli.base import (
+    FOLDER,
+    NEW_FILE,
+    json_option,
+    naming,
+    note_unlikely,
+    period_option,
+)
+
+if TYPE_CHECKING:
+    from certrack.systems.system import System
 
 
 @click.group()
@@ -69,8 +80,10 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     from certrack.export.st import export_st
     from certrack.systems.reader import load
 
+    system = load(file)
     with naming(file, "implementation"):
-        export_st(load(file), out, period=period)
+        export_st(system, out, period=period)
+    _note_unlikely(system, period)
     _report_file(out, as_json)
 
 
@@ -97,9 +110,18 @@ def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> 
     from certrack.export.fmu import export_fmu
     from certrack.systems.reader import load
 
+    system = load(file)
     with naming(file, "implementation"):
-        export_fmu(load(file), out, version=fmi, period=period)
+        export_fmu(system, out, version=fmi, period=period)
+    _note_unlikely(system, period)
     _report_file(out, as_json)
+
+
+def _note_unlikely(system: System, period: float | None) -> None:
+    """What the C export says in its notes."""
+    from certrack.export.program import sampled_system
+
+    note_unlikely(sampled_system(system, period))
 
 
 def _report_file(out: Path, as_json: bool) -> None:

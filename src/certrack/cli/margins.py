@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from certrack.cli.base import FOLDER, MEMBER_SEED, json_option, naming, tell_written
+from certrack.cli.base import FOLDER, MEMBER_SEED, json_option, naming, note_engine, tell_written
 
 
 @click.command()
@@ -46,11 +46,12 @@ def margin(
     \b
     Example: certrack margin dual-motor-lean --plot pictures
     """
-    from certrack.cli import report
+    from certrack.cli import margin_report, report
     from certrack.studies.margins import margins
     from certrack.systems.reader import load
 
     system = load(file)
+    note_engine()
     with naming(file, "margin"), report.progress("Margins, values tried") as advance:
         result = margins(system, error=error, members=members, seed=seed, progress=advance)
     pictures: list[Path] = []
@@ -63,10 +64,6 @@ def margin(
         click.echo(report.to_json(result.summary()))
     else:
         click.echo(system.title or file)
-        report.console().print(report.margin_table(result, system.plant.units))
-        report.print_lines(report.margin_notes(result))
-        if any(one.unlimited for one in (result.period, result.delay, result.saturation)):
-            report.print_lines(
-                ["where nothing failed, the value shown is the end of the range, no edge"]
-            )
+        report.console().print(margin_report.margin_table(result, system.plant.units))
+        report.print_lines(margin_report.margin_notes(result))
     tell_written(as_json, *pictures)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_implementation
+from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_engine, note_implementation
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
 
 
@@ -130,6 +130,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     from certrack.systems.writer import save
 
     system = load(file)
+    note_engine(compiled=False)
     note_contradictions(system, file)
     note_implementation(system)
     with report.progress("Searching") as advance:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from certrack.core.progress import Progress
     from certrack.studies.ensembles.ensemble import Ensemble
-    from certrack.studies.margins import Margins
 
 
 def to_json(values: Any) -> str:
@@ -86,14 +85,14 @@ def _cell(value: object, digits: int) -> str:
     if value is None:
         return "-"
     if isinstance(value, float):
-        return _short_number(value, digits) if math.isfinite(value) else "-"
+        return short_number(value, digits) if math.isfinite(value) else "-"
     return str(value)
 
 
-def _short_number(value: float, digits: int) -> str:
+def short_number(value: float, digits: int = 5) -> str:
     """A number with a short exponent, if any.
 
-    >>> [_short_number(value, 4) for value in (804940.0, 0.00012344, 0.5)]
+    >>> [short_number(value, 4) for value in (804940.0, 0.00012344, 0.5)]
     ['8.049e5', '1.234e-4', '0.5']
     """
     text = f"{value:.{digits}g}" if abs(value) >= 1e-3 or not value else f"{value:.{digits - 1}e}"
@@ -221,7 +220,7 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
         lines.append(f"no limit: {ensemble.limit_origin}")
     else:
         text = (
-            f"tail error beyond {_limit_text(violations['limit'], violations['origin'])}: "
+            f"tail error beyond {limit_text(violations['limit'], violations['origin'])}: "
             f"{violations['count']} of {ensemble.members} members"
         )
         if violations["interval"] is not None:
@@ -373,40 +372,8 @@ def _strength_text(scale: float) -> str:
     return rounded_down(scale, BOUND_TEXT_DIGITS)
 
 
-def _limit_text(limit: float, origin: str) -> str:
+def limit_text(limit: float, origin: str) -> str:
     """A limit of the tail error and its origin; a certified bound is rounded up."""
     certified = "certifi" in origin
     number = printed_bound(limit, BOUND_TEXT_DIGITS) if certified else f"{limit:.5g}"
     return f"{number} ({origin})"
-
-
-def margin_table(margins: Margins, units: Sequence[str] | None) -> Table:
-    """Margins side by side."""
-    unit = units[-1] if units and units[-1] not in ("", "1") else ""
-    labels = {
-        "longest period [s]": margins.period,
-        "longest delay [s]": margins.delay,
-        f"lowest saturation [+-{unit}]" if unit else "lowest saturation (+-)": margins.saturation,
-    }
-    rows = [[label, m.within, m.bounded, m.exact] for label, m in labels.items()]
-    return table("", ["margin", "within the error", "bounded", "exact edge"], rows)
-
-
-def margin_notes(margins: Margins) -> list[str]:
-    """What the margins refer to, in words."""
-    lines = [
-        f"admitted tail error: {_limit_text(margins.error, margins.origin)}; "
-        f"{margins.members} members tried at every value, not proven",
-        f"delay and saturation at a period of {margins.at:.4g} s; the rest is as in the file",
-    ]
-    if margins.as_given is not None:
-        within = "within" if margins.as_given <= margins.error else "BEYOND"
-        lines.append(
-            f"[implementation] as it stands: tail error {margins.as_given:.5g}, {within} it"
-        )
-    if margins.period.exact is not None:
-        lines.append("exact edge: nominal plant, no disturbance; all eigenvalues inside below it")
-    for name in ("period", "delay", "saturation"):
-        if getattr(margins, name).unlimited:
-            lines.append(f"{name}: nothing failed within the range searched")
-    return lines

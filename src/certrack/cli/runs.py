@@ -15,6 +15,8 @@ from certrack.cli.base import (
     draw,
     json_option,
     naming,
+    note_engine,
+    note_unlikely,
     tell_written,
 )
 from certrack.cli.premises import note_contradictions
@@ -208,6 +210,7 @@ def ensemble(
 
     from certrack.cli import report
     from certrack.studies.ensembles import workers
+    from certrack.studies.ensembles.all_lost import AllMembersLost
     from certrack.studies.ensembles.ensemble import ensemble as run_ensemble
     from certrack.systems.reader import load
 
@@ -217,6 +220,8 @@ def ensemble(
     if any(index >= members for index in keep):
         raise click.UsageError("--keep must be below --members", click.get_current_context())
     note_contradictions(system, file, replaced=system.varied.disturbance != "file")
+    note_unlikely(system)
+    note_engine()
     try:
         with (
             workers.connect(cluster) if cluster is not None else nullcontext() as client,
@@ -233,6 +238,9 @@ def ensemble(
                 client=client,
                 progress=advance,
             )
+    except AllMembersLost as problem:
+        click.echo(f"certrack: {problem}", err=True)
+        raise click.exceptions.Exit(1) from None
     except KeyboardInterrupt:
         if out is not None:
             click.echo(f"certrack: {out} keeps what is done; the same command goes on", err=True)

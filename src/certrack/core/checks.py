@@ -170,13 +170,13 @@ def name_value_pairs(key: str, constants: Any) -> list[tuple[str, Any]]:
     pairs = sequence(key, constants.items() if is_mapping else constants, None, "name and number")
     if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs):
         raise InputError(key, "must be a mapping of names to numbers", constants)
-    used: list[str] = []
+    used: set[str] = set()
     for name, _ in pairs:
         if not isinstance(name, str):
             raise InputError(key, "names must be texts", name)
         if name in used:
             raise InputError(f"{key}.{name}", "names must be different from each other", name)
-        used.append(name)
+        used.add(name)
     return [(name, value) for name, value in pairs]
 
 

@@ -9,6 +9,9 @@ from __future__ import annotations
 import pickle
 from typing import Any
 
+#: Characters of a key and of a sentence in a message: they may quote a name of the user's.
+MAX_KEY, MAX_SENTENCE = 200, 1000
+
 
 class CertrackError(Exception):
     """Base of everything certrack raises on purpose."""
@@ -62,12 +65,12 @@ class InputError(CertrackError, ValueError):
 
     def __str__(self) -> str:
         file = self.file if self.line is None else f"{self.file}:{self.line}"
-        where = ": ".join(part for part in (file, self.key) if part)
-        text = f"{where}: {self.expected}"
+        where = ": ".join(part for part in (file, shorten(self.key, MAX_KEY)) if part)
+        text = f"{where}: {shorten(self.expected, MAX_SENTENCE)}"
         if self.got is not None:
             text += f"; got {shorten(self.got)}"
         if self.remedy:
-            text += f". {self.remedy}"
+            text += f". {shorten(self.remedy, MAX_SENTENCE)}"
         return one_line(text)
 
 

@@ -10,6 +10,7 @@ sub-expression is checked in floating point before SymPy sees it, so that ``9**9
 from __future__ import annotations
 
 import ast
+import difflib
 import keyword
 import math
 import numbers
@@ -25,6 +26,8 @@ from typing import Any
 import sympy
 
 from certrack.core.errors import InputError
+from certrack.core.formula_text import text_of
+from certrack.core.powers import exponential, power, too_long
 from certrack.core.rationals import RationalFloat
 
 MAX_LENGTH = 10_000  # characters
@@ -32,8 +35,8 @@ MAX_NESTING = 100  # parentheses and operators
 MAX_NODES = 4_000
 MAX_POWER = 64  # magnitude of a numeric exponent
 MAX_ARGUMENTS = 8  # of min and max
+MAX_NAMES_SHOWN = 30  # of the known names in a message
 MAX_INTEGER_BITS = 1000  # of an integer in the text; about MAX_MAGNITUDE
-MAX_BITS = 20_000  # of the numerator and denominator of any constant
 MAX_MAGNITUDE = 1e300  # of any constant
 
 TIME = sympy.Symbol("t", real=True)
@@ -43,6 +46,11 @@ _OfTwo = Callable[[sympy.Expr, sympy.Expr], sympy.Expr]
 
 def _sign(value: float) -> float:
     return float((value > 0) - (value < 0))
+
+
+def _atan2(y: sympy.Expr, x: sympy.Expr) -> sympy.Expr:
+    """atan2 with the value 0 at the origin, which every language gives it there."""
+    return sympy.S.Zero if y.is_zero and x.is_zero else sympy.atan2(y, x)
 
 
 #: name -> (SymPy function, the same in floating point, fewest and most arguments)
@@ -60,6 +68,15 @@ ALLOWED_FUNCTIONS: dict[str, tuple[Any, Callable[..., float], int, int]] = {
     "min": (sympy.Min, min, 1, MAX_ARGUMENTS),
     "max": (sympy.Max, max, 1, MAX_ARGUMENTS),
 }
+
+#: What builds a function where SymPy's own would compute for ever, or has no value.
+_BUILDERS: dict[Any, Callable[..., sympy.Expr]] = {
+    sympy.exp: exponential,
+    sympy.sqrt: lambda a: power(a, sympy.S.Half),
+    sympy.atan2: _atan2,
+}
+#: What SymPy makes of some of them, and nothing else of certrack knows.
+FOREIGN = (sympy.re, sympy.im, sympy.arg, sympy.cot, sympy.sec, sympy.csc, sympy.coth, sympy.sech)
 
 RESERVED_NAMES = frozenset(ALLOWED_FUNCTIONS) | {"t", "pi", "inf", "nan"}
 
@@ -140,8 +157,10 @@ def parse(key: str, text: Any, names: Iterable[str] | Mapping[str, Any] | None =
     """
     if isinstance(text, Expression):
         text = text.text
+    if isinstance(text, sympy.Rational):  # known exactly: its digits need not fit into a text
+        return _exact_number(key, text)
     if isinstance(text, sympy.Basic):
-        text = _sympy_text(text)
+        text = text_of(text)
     if isinstance(text, numbers.Real) and not isinstance(text, (bool, int, float)):
         text = int(text) if isinstance(text, numbers.Integral) else float(text)  # NumPy's
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
@@ -151,12 +170,34 @@ def parse(key: str, text: Any, names: Iterable[str] | Mapping[str, Any] | None =
     return Expression(text, _Builder(key, text, names).build())
 
 
+def _exact_number(key: str, value: sympy.Rational) -> Expression:
+    if too_long(value) or not abs(float(value)) <= MAX_MAGNITUDE:
+        raise InputError(key, "must be a finite number of sane size", str(value))
+    return Expression(str(value), value)
+
+
+def _number_text(key: str, value: float) -> str:
+    if not abs(value) <= MAX_MAGNITUDE:
+        raise InputError(key, "must be a finite number", value)
+    if isinstance(value, RationalFloat):
+        return value.text
+    return repr(int(value)) if isinstance(value, int) else repr(float(value))
+
+
 def number(key: str, text: Any, names: Mapping[str, Any] | None = None) -> Expression:
     """Parse a formula that must be a finite number once the constants are put in."""
     expression = parse(key, text, names or {})
     if expression.expr.free_symbols:  # pragma: no cover - the builder knows no other names
         raise InputError(key, "must be a number", expression.text)
     return expression
+
+
+def has_fine_root(expr: sympy.Expr) -> bool:
+    """Whether a formula has a power such as x**0.123456789 in it.
+
+    SymPy may take it for a polynomial in the 10^9th root, whose coefficients fill the memory.
+    """
+    return any(part.exp.is_Rational and part.exp.q > MAX_POWER for part in expr.atoms(sympy.Pow))
 
 
 def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
@@ -194,20 +235,6 @@ def without_minmax(expr: sympy.Expr) -> sympy.Expr:
     )
 
 
-def _number_text(key: str, value: float) -> str:
-    if not abs(value) <= MAX_MAGNITUDE:
-        raise InputError(key, "must be a finite number", value)
-    if isinstance(value, RationalFloat):
-        return value.text
-    return repr(int(value)) if isinstance(value, int) else repr(float(value))
-
-
-def _sympy_text(expr: sympy.Basic) -> str:
-    text = sympy.sstr(expr, full_prec=False)
-    text = re.sub(r"\b(Abs|Min|Max)\b", lambda match: match[0].lower(), text)
-    return re.sub(r"\bE\b", "exp(1)", text) if expr.has(sympy.E) else text
-
-
 class _Builder:
     """One pass over the syntax tree; every node yields (SymPy expression, float or None)."""
 
@@ -216,15 +243,7 @@ class _Builder:
     ) -> None:
         self.key, self.text = key, text
         self.any_name = names is None
-        names = names or ()
-        values = names if isinstance(names, Mapping) else {}
-        self.names: dict[str, tuple[sympy.Expr, float | None]] = {
-            name: (symbol(name), None) for name in names
-        }
-        for name, value in values.items():
-            exact = sympy.nsimplify(value) if isinstance(value, Fraction) else sympy.sympify(value)
-            self.names[name] = (exact, None if exact.free_symbols else float(value))
-        self.names["pi"] = (sympy.pi, math.pi)
+        self.names = names if isinstance(names, Mapping) else frozenset(names or ())
         self.nodes = 0
 
     def fail(self, expected: str, got: Any = None, remedy: str = "") -> InputError:
@@ -267,12 +286,7 @@ class _Builder:
             case ast.Constant(value=value):
                 return self.constant(value)
             case ast.Name(id=name):
-                if name not in self.names:
-                    if self.any_name:
-                        return symbol(name), None
-                    names = ", ".join(sorted(self.names))
-                    raise self.fail(f"unknown name {name!r}", remedy=f"Known here: {names}")
-                return self.names[name]
+                return self.name(name)
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
                 expr, value = self.visit(operand, depth + 1)
                 if isinstance(op, ast.UAdd):
@@ -287,6 +301,21 @@ class _Builder:
             remedy="Allowed: names, numbers, + - * / **, and "
             + ", ".join(sorted(ALLOWED_FUNCTIONS)),
         )
+
+    def name(self, name: str) -> tuple[sympy.Expr, float | None]:
+        if name == "pi":
+            return sympy.pi, math.pi
+        if name in self.names and isinstance(self.names, Mapping):
+            value = self.names[name]
+            exact = sympy.nsimplify(value) if isinstance(value, Fraction) else sympy.sympify(value)
+            return exact, None if exact.free_symbols else self.checked(partial(float, exact))
+        if name in self.names or self.any_name:
+            return symbol(name), None
+        known = sorted({*self.names, "pi"})
+        close = difflib.get_close_matches(name, known, n=1)
+        hint = f"Did you mean {close[0]}? " if close else ""
+        shown = ", ".join(known[:MAX_NAMES_SHOWN]) + ", ..." * (len(known) > MAX_NAMES_SHOWN)
+        raise self.fail(f"unknown name {name!r}", remedy=f"{hint}Known here: {shown}")
 
     def constant(self, value: Any) -> tuple[sympy.Expr, float]:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -329,12 +358,10 @@ class _Builder:
             raise self.fail(f"an exponent is larger than {MAX_POWER}")
         if va is not None:
             value = self.checked(lambda: math.pow(va, vb))
-            if b.is_Rational and b.q > MAX_POWER:  # SymPy would factor huge powers of it
-                return sympy.Rational(repr(value)), value
-            return self.exact(a**b), value
+            return self.exact(self.built(power, a, b)), value
         if vb < 0 and a == 0:
             raise self.fail("divides by zero")
-        result = a**b
+        result = self.built(power, a, b)
         merged = result.exp if isinstance(result, sympy.Pow) else sympy.S.One
         if merged.is_number and abs(merged) > MAX_POWER:  # (x**64)**64 merges its exponents
             raise self.fail(f"an exponent is larger than {MAX_POWER}")
@@ -348,7 +375,8 @@ class _Builder:
                 f"unknown function {name!r}",
                 remedy="Known: " + ", ".join(sorted(ALLOWED_FUNCTIONS)),
             )
-        build, compute, fewest, most = ALLOWED_FUNCTIONS[name]
+        function, compute, fewest, most = ALLOWED_FUNCTIONS[name]
+        build = partial(self.built, _BUILDERS.get(function, function))
         if not fewest <= len(args) <= most:
             raise self.fail(f"{name} takes {fewest} to {most} arguments", f"{len(args)} arguments")
         args = [(expr, self.constant_value(expr, value)) for expr, value in args]
@@ -357,8 +385,20 @@ class _Builder:
         if len(values) == len(args):
             return build(*exprs), self.checked(lambda: compute(*values))
         if name in ("min", "max") and len(exprs) > 1:  # SymPy would compare all pairs
-            return build(*exprs, evaluate=False), None
-        return build(*exprs), None
+            return function(*exprs, evaluate=False), None
+        # |exp(acos(x))| would become exp(re(acos(x))), and tan(x + pi/2) a cotangent
+        if any(map(has_fine_root, exprs)) or (result := build(*exprs)).has(*FOREIGN):
+            result = function(*exprs, evaluate=False)
+        return result, None
+
+    def built(self, build: Callable[..., sympy.Expr], *args: sympy.Expr) -> sympy.Expr:
+        """What SymPy makes of a function or power; it has no value for some."""
+        try:
+            return build(*args)
+        except OverflowError:
+            raise self.fail("a constant in the formula has too many digits") from None
+        except (ArithmeticError, TypeError, AttributeError, NotImplementedError):
+            raise self.fail("a part of the formula has no value") from None
 
     def constant_value(self, expr: sympy.Expr, value: float | None) -> float | None:
         """The value of a part whose names have cancelled (x1 - x1), before SymPy computes on it."""
@@ -378,6 +418,6 @@ class _Builder:
 
     def exact(self, expr: sympy.Expr) -> sympy.Expr:
         """Refuse rationals that grow without bound under repeated multiplication."""
-        if expr.is_Rational and expr.q.bit_length() + abs(expr.p).bit_length() > MAX_BITS:
+        if too_long(expr):
             raise self.fail("a constant in the formula has too many digits")
         return expr

@@ -8,7 +8,7 @@ goes on, so no step ever crosses a kink.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -41,13 +41,31 @@ class NumpyFunction:
         function = self._function
         if function is None:  # two threads may both write it: the same code
             modules = [{"Select": numpy_select}, "numpy"]
-            formulas = list(map(by_selections, self._formulas))
-            function = sympy.lambdify(list(self._arguments), formulas, modules, cse=True)
+            arguments, formulas = _renamed(self._arguments, map(by_selections, self._formulas))
+            function = sympy.lambdify(arguments, formulas, modules, cse=True)
             self._function = function
         return function(*values)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return NumpyFunction, (self._arguments, self._formulas)
+
+
+def _renamed(
+    arguments: Sequence[Any], formulas: Iterable[sympy.Expr]
+) -> tuple[list[Any], list[sympy.Expr]]:
+    """Arguments and formulas with names of ours, in the same order.
+
+    A name of a user's may be that of a function (``arctan``) or of a common part (``x0``) in the
+    generated code.
+    """
+    names = sorted(sympy.flatten(arguments), key=str)
+    ours = {name: sympy.Symbol(f"argument_{i:05}", real=True) for i, name in enumerate(names)}
+
+    def renamed(argument: Any) -> Any:
+        is_symbol = isinstance(argument, sympy.Symbol)
+        return ours[argument] if is_symbol else [renamed(entry) for entry in argument]
+
+    return list(map(renamed, arguments)), [formula.xreplace(ours) for formula in formulas]
 
 
 def numpy_callable(arguments: Sequence[Any], formulas: Sequence[sympy.Expr]) -> NumpyFunction:

@@ -14,7 +14,15 @@ KEYWORDS = frozenset(
     inline int long register restrict return short signed sizeof static struct switch typedef
     union unsigned void volatile while asm bool true false class delete friend new operator
     private protected public template this throw try catch typename using virtual namespace
-    explicit mutable export near far huge interrupt fortran NULL EOF errno assert main""".split()
+    explicit mutable export near far huge interrupt fortran NULL EOF errno assert main
+    alignas alignof and and_eq bitand bitor char8_t char16_t char32_t co_await co_return co_yield
+    compl concept consteval constexpr constinit const_cast decltype dynamic_cast final import
+    module noexcept not not_eq nullptr nullptr_t operator or or_eq override reflexpr
+    reinterpret_cast requires static_assert static_cast synchronized thread_local typeid typeof
+    typeof_unqual wchar_t xor xor_eq complex imaginary noreturn atomic generic
+    size_t ssize_t ptrdiff_t max_align_t offsetof wint_t va_list std
+    int8_t int16_t int32_t int64_t uint8_t uint16_t uint32_t uint64_t intptr_t uintptr_t
+    intmax_t uintmax_t time_t clock_t div_t ldiv_t jmp_buf""".split()
 )
 
 #: What <math.h> declares or defines, on some platform or other; the f and l forms as well.
@@ -51,8 +59,15 @@ def stem(source: str) -> str:
     return f"{name}_c" if name.lower() in HEADERS else name
 
 
+#: How headers name their constants: M_PI, DBL_MAX, INT_MIN, UINT8_C, EXIT_FAILURE.
+MACRO_NAME = re.compile(
+    r"(M|FP|FLT|DBL|LDBL|DECIMAL|CHAR|SCHAR|UCHAR|SHRT|USHRT|U?INT|U?LONG|U?LLONG|SIZE|PTRDIFF|RAND"
+    r"|EXIT|BUFSIZ|FE|SIG|PRI|SCN)[0-9]*_[A-Z0-9_]*[A-Z0-9]"
+)
+
+
 def free_name(name: str, used: Iterable[str]) -> str:
     """`name`, or with as many underscores after it as make it a free identifier."""
-    while name in C_RESERVED or name in used or re.match(r"(FP|M|FLT|DBL)_[A-Z]", name):
+    while name in C_RESERVED or name in used or MACRO_NAME.fullmatch(name):
         name += "_"
     return name

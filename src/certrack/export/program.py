@@ -143,6 +143,12 @@ def unread_states(system: System) -> dict[str, str]:
     }
 
 
+def read_symbols(program: ControllerProgram) -> set[sympy.Symbol]:
+    """All symbols that a sample depends on."""
+    formulas = [step.formula for step in (*program.steps, *program.rates)]
+    return set().union(*(formula.free_symbols for formula in (*formulas, *program.update)))
+
+
 def controller_program(system: System) -> ControllerProgram:
     """The controller of a system that has an implementation.
 

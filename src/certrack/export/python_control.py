@@ -221,7 +221,7 @@ class _SampledPlant:
     def __init__(
         self, system: System, implementation: Implementation, controller: SampledController
     ) -> None:
-        simulator = SampledSimulator(system, controller=controller)
+        simulator = SampledSimulator(system, controller=controller, with_switches=False)
         self._system, self._implementation, self._maps = system, implementation, simulator.maps
         self._states = [state.name for state in simulator.loop.plant.states]
         self._problem = SampledProblem(

@@ -17,13 +17,21 @@ import numpy as np
 from certrack.core.errors import CertrackError
 from certrack.core.progress import Progress, silent
 from certrack.integrators.switching import ModeRecord
-from certrack.references import Reference
+from certrack.loops.schedule import Pieces
 
 #: A state larger than this where the solution ceases to exist is escaping, not leaving a domain.
 ESCAPING = 1e3
 
-#: Memory for the steps of a run, and the order of the Taylor method at usual tolerances.
-MAX_RECORD_BYTES, USUAL_ORDER = 5e8, 15
+#: Memory for the steps of a run and what is made of them: with the compiled code, which takes
+#: 0.1 GB, it is half a gigabyte. The order of the Taylor method at usual tolerances.
+MAX_RECORD_BYTES, USUAL_ORDER = 4e8, 15
+
+#: Into so many parts a step is cut where extremes are looked for. A run of more steps than
+#: MAX_FINE_STEPS is cut into COARSE_PARTS each, so that it fits into memory.
+PARTS, MAX_FINE_STEPS, COARSE_PARTS = 8, 20_000, 4
+
+#: Numbers that metrics keep of every sample, besides the states.
+NUMBERS_PER_SAMPLE = 25
 
 
 class MethodUnavailable(CertrackError):
@@ -55,6 +63,12 @@ class Outcome(Enum):
         "interact or by contact of higher order: this sliding is not simulated. Replace sign(x) by "
         "tanh(x/0.01)."
     )
+    controller_diverged = (
+        "The controller diverges, not the plant: the command or an estimate outgrows every "
+        "useful number. Lower Gamma, gain_rate or the leakage, start the estimates closer "
+        "(simulation.estimates), check h and phi at the measured states; if sampled, shorten "
+        "implementation.period or bound the estimates by implementation.projection."
+    )
 
 
 class MemberOutcome(IntEnum):
@@ -76,8 +90,8 @@ class Problem:
         Initial plant and controller states and integrals.
     parameters : (P,) array
         Without those of the reference's piece.
-    reference : Reference
-        Gives break points and pieces.
+    schedule : Pieces
+        Break points, and the values of the piece's symbols from each on.
     duration : float, s
     tolerance : float
     plant_order : int
@@ -91,7 +105,7 @@ class Problem:
 
     start: np.ndarray
     parameters: np.ndarray
-    reference: Reference
+    schedule: Pieces
     duration: float
     tolerance: float
     plant_order: int
@@ -101,13 +115,15 @@ class Problem:
 
     @property
     def max_steps(self) -> int:
-        """As many steps as half a gigabyte of Taylor coefficients allows."""
-        return int(MAX_RECORD_BYTES / (8 * USUAL_ORDER * len(self.start)))
+        """As many steps as the memory for coefficients, samples and metrics allows."""
+        samples = COARSE_PARTS + 1
+        numbers = (USUAL_ORDER + samples) * len(self.start) + samples * NUMBERS_PER_SAMPLE
+        return int(MAX_RECORD_BYTES / (8 * numbers))
 
     @property
     def segments(self) -> list[tuple[float, float]]:
-        """Intervals between break points of the reference."""
-        inner = self.reference.breaks(0.0, self.duration)
+        """Intervals between break points."""
+        inner = self.schedule.breaks(0.0, self.duration)
         times = [0.0, *map(float, inner), self.duration]
         return list(pairwise(times))
 
@@ -134,7 +150,7 @@ class Trajectory:
     interpolate: Callable[[np.ndarray], np.ndarray]
     outcome: Outcome
     method: str
-    parts: int = 8
+    parts: int = PARTS
     modes: ModeRecord | None = None
 
     @property
@@ -143,22 +159,27 @@ class Trajectory:
         return float(self.times[-1])
 
 
+def parts_of(steps: int) -> int:
+    """Into how many parts each of so many steps is cut."""
+    return PARTS if steps <= MAX_FINE_STEPS else COARSE_PARTS
+
+
 class Integrator(Protocol):
     """An integrator of one run, compiled for a closed loop.
 
     The constructor takes a :class:`~certrack.loops.continuous.ClosedLoop` (its states, rates and
-    parameters as SymPy formulas; the last `pieces` parameters belong to the reference) and whatever
+    parameters as SymPy formulas; the last `pieces` parameters change at breaks) and whatever
     options the method has, and does all that does not depend on numbers. The author's duties:
 
     1. :meth:`integrate` solves x' = rates(t, x, parameters) from ``problem.start`` at t = 0 to
        ``problem.duration``, for any numbers, without compiling again.
-    2. No step crosses an end of ``problem.segments``: there the reference's pieces change. On each
-       segment the parameters are those of the problem, followed by
-       ``problem.reference.piece_values(begin)``.
+    2. No step crosses an end of ``problem.segments``: there the reference's pieces and the switches
+       of time change. On each segment the parameters are those of the problem, followed by
+       ``problem.schedule.piece_values(begin)``.
     3. The local error is about ``problem.tolerance``, relative and absolute; the last
        ``len(INTEGRALS)`` states are integrals, scaled by ``INTEGRAL_SCALE``.
-    4. Where the rates have kinks (abs, sign, min, max), the accuracy holds or the outcome says that
-       it does not: ``kink_missed`` or ``step_limit``. It is never lost silently.
+    4. Where the rates have kinks of the state (abs, sign, min, max), the accuracy holds or the
+       outcome says that it does not: ``kink_missed`` or ``step_limit``. It is never lost silently.
     5. It stops at the first of these, and says which in ``Trajectory.outcome``: the end of the run
        (``finished``); one of the first ``problem.plant_order`` states beyond ``problem.max_state``,
        or beyond :data:`ESCAPING` where the solution ceases to exist (``escaped``); rates that are

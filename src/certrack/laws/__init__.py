@@ -3,7 +3,8 @@
 Whoever writes a law finds all names here: :class:`Law` with :class:`Equations` and
 :class:`Signals`, the fields :func:`gain`, :func:`theta_vector` and :func:`theta_metric` with the
 values :func:`vector` and :func:`metric`, :func:`symbol`, :func:`dot`, :class:`Plant`, the errors,
-and :func:`register`.
+:func:`register`, and the error systems that a law may state: :class:`KnownParameters`,
+:class:`EstimatedParameters` and :class:`OwnErrors`.
 """
 
 from certrack.core.errors import DesignError, InputError
@@ -20,6 +21,7 @@ from certrack.laws.base import (
     theta_vector,
 )
 from certrack.laws.classic import Classic
+from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
 from certrack.laws.numbers import metric, vector
 from certrack.laws.registry import LAWS, known_laws
 from certrack.laws.registry import register_law as register
@@ -34,8 +36,11 @@ __all__ = [
     "Controller",
     "DesignError",
     "Equations",
+    "EstimatedParameters",
     "InputError",
+    "KnownParameters",
     "Law",
+    "OwnErrors",
     "Plant",
     "Robust",
     "Signals",

@@ -6,9 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import sympy
+
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.laws.base import Equations, Law, Signals, dot, gain, theta_metric
+from certrack.laws.error_system import EstimatedParameters
 from certrack.laws.numbers import metric
 from certrack.model.plant import Plant
 
@@ -64,6 +67,20 @@ class Classic(Law):
         theta_rate = [dot(Gamma[i * s.r : (i + 1) * s.r], drive) for i in range(s.r)]
         update = ((delta_hat, delta_rate), *zip(theta_hat, theta_rate, strict=True))
         return Equations(u=delta_hat * ubar, update=update)
+
+    def error_system(self, s: Signals) -> EstimatedParameters:
+        """That of the adaptive law without leakage."""
+        Gamma, none = s.parameters("Gamma", s.r, s.r), sympy.Integer(0)
+        return EstimatedParameters(
+            delta_hat=symbol("delta_hat"),
+            gain_rate=s.parameter("gain_rate"),
+            leak_gain=none,
+            leak_theta=none,
+            delta0=none,
+            theta_hat=[symbol(f"theta_hat_{i + 1}") for i in range(s.r)],
+            theta0=[none] * s.r,
+            Gamma=[Gamma[i * s.r : (i + 1) * s.r] for i in range(s.r)],
+        )
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
         return {

@@ -10,6 +10,10 @@ The last entry is the mismatch, and a law that can be certified is one that says
     EstimatedParameters  phi^T theta_tilde - g_n delta_tilde ubar, and the update laws cancel it
                          in V' but for the leakage (the adaptive law)
 
+A law with errors of its own states them, their rates and, if it has one, a Lyapunov function
+(OwnErrors). No certificate is made of that; the conformance kit checks every kind in the nominal
+loop, where w = 0.
+
 The statement is a claim of the law's author. Which equations would obey it is written here, and
 whoever certifies the law compares them with those it has: a subclass with other equations inherits
 the claim, but does not keep it.
@@ -105,8 +109,30 @@ class EstimatedParameters:
         return (delta_rate, *(_dot(row, drive) for row in self.Gamma))
 
 
+@dataclass(frozen=True)
+class OwnErrors:
+    """Errors of the law's own, and what they do where w = 0; derived by hand, without u.
+
+    Parameters
+    ----------
+    errors : formulas
+        In states, own states, t, gains and y_d ... y_d^(q).
+    rates : formulas
+        Their derivatives, one per error; they may contain y_d^(q+1), too.
+    V : formula, optional
+        Lyapunov function of the errors, positive where they are not zero.
+    V_rate : formula, optional
+        V' is at most this; it must be negative where the states are large.
+    """
+
+    errors: Sequence[sympy.Expr]
+    rates: Sequence[sympy.Expr]
+    V: sympy.Expr | None = None
+    V_rate: sympy.Expr | None = None
+
+
 #: What a law may state.
-ErrorSystem = KnownParameters | EstimatedParameters
+ErrorSystem = KnownParameters | EstimatedParameters | OwnErrors
 
 
 def _dot(a: Sequence[sympy.Expr], b: Sequence[sympy.Expr]) -> sympy.Expr:

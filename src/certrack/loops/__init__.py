@@ -11,6 +11,12 @@ be read in this order:
     The controller in discrete time, as it runs every period on a drive.
 ``sampled``
     The closed loop with that controller: what happens at and between the samples.
+``time_switches``
+    Switches of time, taken out of the formulas of both loops.
+``bursts``
+    Where smooth formulas of time suddenly move fast.
+``schedule``
+    When a run has to stop and restart: breaks of the reference, switches, bursts.
 ``stability``
     The exact edge of stability of a linear sampled loop.
 """

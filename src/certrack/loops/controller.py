@@ -29,6 +29,7 @@ from certrack.core.expressions import TIME, symbol
 from certrack.core.lowering import numpy_callable
 from certrack.core.select import Select, clamp, magnitude
 from certrack.laws.base import Controller, Law
+from certrack.laws.leakage import leak_jacobian
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 
@@ -273,14 +274,6 @@ def _weighted(rates: Sequence[sympy.Expr], hold: Sequence[tuple[int, int]]) -> l
         sympy.Add(*(w * rates[j] for (row, j), w in weights.items() if row == i))
         for i in range(len(rates))
     ]
-
-
-def leak_jacobian(controller: Controller) -> tuple[sympy.Expr, ...]:
-    """Jacobian of the rates by the estimates, row-major: what depends on gains alone, else zero."""
-    gains = set(controller.symbols)
-    rates = [rate for _, rate in controller.equations.update]
-    table = [sympy.diff(rate, z) for rate in rates for z in controller.states]
-    return tuple(entry if entry.free_symbols <= gains else sympy.S.Zero for entry in table)
 
 
 def _hold_entries(leak: tuple[sympy.Expr, ...], count: int) -> tuple[tuple[int, int], ...]:

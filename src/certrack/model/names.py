@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from certrack.core.errors import InputError
@@ -30,7 +30,7 @@ LOOP_PREFIXES = (
 )
 
 
-def new_name(key: str, name: Any, used: Sequence[str]) -> str:
+def new_name(key: str, name: Any, used: Iterable[str]) -> str:
     """A name that is not used yet, neither here nor by the language nor by the closed loop."""
     check_name(key, name, used)
     if name in LOOP_SIGNALS or name.startswith(LOOP_PREFIXES):

@@ -216,10 +216,12 @@ class Plant:
 
     def _check_constants(self, states: tuple[str, ...]) -> tuple[tuple[str, Expression], ...]:
         constants: dict[str, Expression] = {}
+        values: dict[str, Any] = {}
         for name, value in checks.name_value_pairs("plant.constants", self.constants):
             key = f"plant.constants.{name}"
-            new_name(key, name, [*states, *constants])
-            constants[name] = number(key, value, {k: v.expr for k, v in constants.items()})
+            new_name(key, name, constants if name in constants else states)
+            constants[name] = number(key, value, values)
+            values[name] = constants[name].expr
         return tuple(constants.items())
 
     def _check_linear(

@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from certrack.plotting.shared import BLUE
+from certrack.plotting.shared import BLUE, plain
 from certrack.simulation.run import Run
 
 #: Longer names of systems are cut in a legend, which has so many letters to an inch.
@@ -85,7 +85,7 @@ def draw_curve(
 
 def short_name(name: str) -> str:
     """A name of a system as a legend has room for."""
-    return name if len(name) <= MAX_NAME else f"...{name[-MAX_NAME:]}"
+    return plain(name if len(name) <= MAX_NAME else f"...{name[-MAX_NAME:]}")
 
 
 def run_lines(runs: Runs) -> tuple[list[Line2D], list[str]]:

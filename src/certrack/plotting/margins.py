@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 #: Errors beyond this many times the admitted one are marked at the top, as lost ones are.
 TOP = 1e3
 
+#: Something happens between two values tried where the error changes by more than this part; so
+#: many values at rest are shown before and after, and this much room.
+CHANGE, AT_REST, ROOM = 0.05, 2, 1.12
+
 LOST, EDGE = "lost, or off the scale", "exact edge of stability"
 
 
@@ -75,6 +79,7 @@ def margin_figure(margins: Margins, title: str, units: Sequence[str] | None) -> 
             edge = factor * margin.exact if margin.exact else math.nan
             ax.axvline(edge, color=GREEN, ls=":", lw=1.2, label=EDGE)
             ax.set_xlabel(label + in_brackets(unit))
+            ax.set_xlim(_eventful_range(values, errors, edge))
             few_ticks(ax)
         exists = {LOST: lost, EDGE: any(margin.exact for margin in panels.values())}
         entries = zip(*axes[0].get_legend_handles_labels(), strict=True)
@@ -83,3 +88,16 @@ def margin_figure(margins: Margins, title: str, units: Sequence[str] | None) -> 
         axes[0].set_ylabel(f"tail error{output}")
         set_title(drawing, title)
     return drawing
+
+
+def _eventful_range(values: np.ndarray, errors: np.ndarray, edge: float) -> tuple[float, float]:
+    """The axis from where something begins to happen to where nothing more does."""
+    with np.errstate(all="ignore"):
+        steps = np.nan_to_num(np.diff(np.log(errors)), posinf=np.inf)  # lost after lost: none
+    changes = np.flatnonzero(np.abs(steps) > CHANGE)
+    first, last = (changes[0], changes[-1] + 1) if len(changes) else (0, len(values) - 1)
+    low = float(values[max(first - AT_REST + 1, 0)])
+    high = float(values[min(last + AT_REST - 1, len(values) - 1)])
+    if math.isfinite(edge):
+        low, high = min(low, edge), max(high, edge)
+    return low / ROOM, high * ROOM

@@ -20,6 +20,7 @@ from certrack.plotting.shared import (
     in_brackets,
     math_name,
     new_figure,
+    plain,
     set_title,
     style,
 )
@@ -264,7 +265,7 @@ def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
         drawing = new_figure(5.0, 3.0)
         ax = drawing.add_subplot()
         panel(ax, runs, named=False)
-        ax.set_title(title, loc="left")
+        ax.set_title(plain(title), loc="left")
         name_systems(drawing, runs)
     return drawing
 
@@ -334,7 +335,7 @@ def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
         axes[1].set_title("magnified", loc="left")
         if run.system.implementation is not None:
             title = f"{title}\ntube of the continuous law; the run shown is sampled".strip()
-        axes[0].set_title(title, loc="left")
+        axes[0].set_title(plain(title), loc="left")
         drawing.align_ylabels()
     return drawing
 

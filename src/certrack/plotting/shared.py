@@ -75,14 +75,19 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def plain(text: str) -> str:
+    """A user's text as it is: no dollar of it begins a formula."""
+    return text.replace("$", r"\$")
+
+
 def set_title(drawing: Figure, title: str) -> None:
     """The title above all panels of a figure."""
-    drawing.suptitle(title, fontsize=10, fontweight="bold")
+    drawing.suptitle(plain(title), fontsize=10, fontweight="bold")
 
 
 def in_brackets(unit: str) -> str:
     """A unit as the end of a label; nothing where there is none."""
-    return f" [{unit}]" if unit not in ("", "1") else ""
+    return f" [{plain(unit)}]" if unit not in ("", "1") else ""
 
 
 def time_unit(*times: float) -> tuple[float, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -52,6 +53,9 @@ class Reference(Protocol):
     5. bound every derivative for all t >= 0, rounded up, and refuse where it cannot: the
        certificates take the bounds as proven, and what they claim holds for every reference within
        them.
+
+    A reference of which y_d or a derivative has no bound, such as a ramp, may have `bound_of(i)`
+    besides, which gives Y_i and its origin: what no proof needs is then not asked for.
 
     Optional, with what holds if they are left out: `declared_bound` (None: nobody has declared D),
     `breaks` (none), and the symbols with their values (none). Symbols begin with ``ref_`` or
@@ -128,6 +132,21 @@ def pieces_at(reference: Reference, t: np.ndarray) -> np.ndarray:
     table = np.array([reference.piece_values(edge) for edge in edges])
     values: np.ndarray = table[np.searchsorted(edges, t, side="right") - 1].T
     return values
+
+
+def bound_of(reference: Reference, i: int) -> tuple[float, str]:
+    """Y_i alone and its origin: a ramp has no Y_0, but a Y_1, and may need no other.
+
+    Raises
+    ------
+    InputError
+        Where it can neither be proven nor is declared.
+    """
+    alone: Callable[[int], tuple[float, str]] | None = getattr(reference, "bound_of", None)
+    if alone is not None:
+        return alone(i)
+    bounds = reference.bounds(i)
+    return bounds.values[i], bounds.origin[i]
 
 
 def require_order(reference: Reference, order: int, who: str) -> None:

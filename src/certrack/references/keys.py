@@ -109,6 +109,12 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
                 default="monotone",
             ),
             "bound": _BOUND,
+            "time_unit": Key(
+                "choice",
+                help="unit of times, or of those in file",
+                choices=tuple(shapes.TIME_UNITS),
+                default="s",
+            ),
             "file": Key(
                 "text",
                 help="instead of times and values: CSV file beside the system file, time and y_d",

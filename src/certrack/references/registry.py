@@ -159,6 +159,7 @@ def check_reference(reference: Any, order: int, duration: float) -> None:
         its values.
     """
     if isinstance(reference, SymbolicReference):
+        reference.check_finite(order, duration)
         return
     if isinstance(reference, PiecewiseReference):
         if not reference.fields:

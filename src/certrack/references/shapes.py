@@ -11,6 +11,9 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.references.piecewise import SAME_TIME, PiecewiseReference
 
+#: Units of time in which samples may be given, s.
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
+
 #: More samples than this fill the memory of a small machine while the coefficients are computed.
 MAX_REFERENCE_SAMPLES = 1_000_000
 
@@ -170,12 +173,13 @@ def samples(
     values: tuple[float, ...],
     interpolation: str = "monotone",
     bound: float | None = None,
+    time_unit: str = "s",
 ) -> PiecewiseReference:
     """Interpolated samples, held before the first and after the last.
 
     Parameters
     ----------
-    times : m >= 2 increasing times, s
+    times : m >= 2 increasing times, in the unit of time
     values : m numbers
         y_d at these times, unit of the output.
     interpolation : {"monotone", "cubic"}
@@ -183,6 +187,8 @@ def samples(
         start and end with zero slope, so that holding keeps y_d' continuous (order 2).
     bound : float, optional
         D of Assumption 2.
+    time_unit : {"s", "ms", "us", "min"}
+        Of the times.
     """
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
@@ -192,7 +198,8 @@ def samples(
     if not 2 <= len(times) <= MAX_REFERENCE_SAMPLES:
         wanted = f"must be 2 to {MAX_REFERENCE_SAMPLES} samples"
         raise InputError("reference.times", wanted, len(times))
-    t, y = np.array(times), np.array(values)
+    unit = TIME_UNITS[checks.choice("reference.time_unit", time_unit, TIME_UNITS)]
+    t, y = np.array(times) * unit, np.array(values)
     late = np.flatnonzero(np.diff(t) <= 0)
     if late.size:
         i = int(late[0]) + 1
@@ -210,7 +217,9 @@ def samples(
         raise InputError(*TOO_CLOSE)
     rows = tuple(map(tuple, np.column_stack([y[:-1], a1, a2, a3]).tolist()))
     fields = _fields("samples", times=list(times), values=list(values), interpolation=interpolation)
-    return PiecewiseReference(times, rows, 2, None, fields, bound)
+    if time_unit != "s":
+        fields = (*fields, ("time_unit", time_unit))
+    return PiecewiseReference(tuple(t.tolist()), rows, 2, None, fields, bound)
 
 
 TOO_CLOSE = ("reference.times", "must not be so close that the slopes overflow")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -23,17 +22,28 @@ from certrack.core.expressions import (
 )
 from certrack.core.keys import set_fields
 from certrack.core.lowering import numpy_callable, rows
+from certrack.core.powers import put_in
 from certrack.core.rationals import stated_above
 from certrack.references.base import Bounds, require_order
-from certrack.references.supremum import interval_supremum, sinusoid_supremum
+from certrack.references.enclosures import Undefined
+from certrack.references.smoothness import Smoothness, smoothness
+from certrack.references.supremum import is_sum_of_sinusoids, sinusoid_supremum
 
-#: Functions that may jump, and functions that may have a kink.
-JUMPING = (sympy.sign, sympy.tan, sympy.atan2)
-KINKED = (sympy.Abs, sympy.Min, sympy.Max, sympy.asin, sympy.acos)
+#: Functions that may jump.
+JUMPING = (sympy.sign, sympy.atan2)
+
+#: What to do about a formula that may jump.
+NO_JUMPS = (
+    "Keep what is divided by, and the arguments of log, roots and tan, within what they allow for "
+    'all t >= 0, or use kind = "steps" or "samples"'
+)
 
 #: Times at which a declared bound is compared with the signal, dense where transients are, s.
 CHECK_TIMES = np.concatenate([np.linspace(0, 100, 10_001), np.geomspace(100, 1e4, 2_000)])
 
+
+#: Times in a run at which the formula is evaluated before it.
+CHECKED_IN_RUN = 1001
 
 #: Relative excess over a declared bound that is not refused: the evaluation of a formula rounds.
 CHECK_TOLERANCE = 1e-9
@@ -46,7 +56,9 @@ class SymbolicReference:
     Parameters
     ----------
     signal : formula in t
-        y_d, unit of the output. May contain abs, min and max (order 1), but not sign (a jump).
+        y_d, unit of the output. It must be continuous for all t >= 0, which is proven: a division,
+        log, tan or root that may have no value somewhere is refused, and so is sign. With abs, min
+        and max it has the order that :func:`~certrack.references.smoothness.smoothness` finds.
     bound : float, optional
         D with |y_d| + |y_d'| <= D (Assumption 2).
     declared : tuple of float, optional
@@ -70,11 +82,16 @@ class SymbolicReference:
         if signal.expr.has(*JUMPING):
             raise InputError(
                 "reference.signal",
-                "must be continuous, but sign, tan and atan2 may jump",
+                "must be continuous, but sign and atan2 may jump",
                 signal.text,
                 'Use kind = "steps" with a slope limit, or kind = "samples"',
             )
         set_fields(self, constants=constants, signal=signal)
+        try:
+            self.smoothness  # noqa: B018 - proves that there is no jump
+        except Undefined as problem:
+            what = f"may jump, or is not finite: {problem}"
+            raise InputError("reference.signal", what, signal.text, NO_JUMPS) from None
         if self.bound is not None:
             set_fields(self, bound=checks.real("reference.bound", self.bound, above=0))
         if self.declared is not None:
@@ -88,10 +105,10 @@ class SymbolicReference:
         """A declared bound that one sample breaks is wrong; this is a check, never a proof."""
         highest = max(1 if self.bound is not None else 0, len(self.declared or ()) - 1)
         highest = int(min(highest, self.order))
+        if self.declared is None and self.bound is None:
+            return
         values = np.abs(self.values(CHECK_TIMES, highest))
-        if not np.all(np.isfinite(values)):
-            bad = CHECK_TIMES[~np.all(np.isfinite(values), axis=0)][0]
-            raise InputError("reference.signal", f"is not finite at t = {bad:g}", self.signal.text)
+        values[~np.isfinite(values)] = 0.0  # beyond floats, so no sample
         for i, limit in enumerate((self.declared or ())[: highest + 1]):
             self._refuse_above(f"reference.bounds[{i}]", f"|y_d^({i})|", values[i], limit)
         if self.bound is not None and self.order >= 1:
@@ -110,11 +127,25 @@ class SymbolicReference:
     def declared_bound(self) -> float | None:
         return self.bound
 
+    def check_finite(self, order: int, duration: float) -> None:
+        """Refuse a formula that floats cannot evaluate during the run."""
+        times = np.linspace(0.0, duration, CHECKED_IN_RUN)
+        finite = np.isfinite(self.values(times, int(min(order, self.order)))).all(axis=0)
+        if not finite.all():
+            at = times[int(np.argmin(finite))]
+            what = f"is not finite in floating point at t = {at:g}, which the run reaches"
+            remedy = "Write it in another way, or shorten simulation.duration"
+            raise InputError("reference.signal", what, self.signal.text, remedy)
+
+    @property
+    def smoothness(self) -> Smoothness:
+        """What is proven of the formula."""
+        return smoothness(self.numeric)
+
     @property
     def order(self) -> float:
-        """Infinite for analytic formulas; 1 where a function may have a kink."""
-        roots = any(not node.exp.is_Integer for node in self.signal.expr.atoms(sympy.Pow))
-        return 1.0 if roots or self.signal.expr.has(*KINKED) else math.inf
+        """Infinite for analytic formulas; where there are kinks, the derivative that jumps."""
+        return self.smoothness.order
 
     @property
     def piece_symbols(self) -> tuple[sympy.Symbol, ...]:
@@ -148,10 +179,10 @@ class SymbolicReference:
         """y_d ... y_d^(order) with the values of the constants."""
         return self._derivatives(self.numeric, order)
 
-    @property
+    @cached_property
     def numeric(self) -> sympy.Expr:
         """The signal with the exact values of the constants."""
-        return self.signal.expr.xreplace({symbol(k): value.expr for k, value in self.constants})
+        return put_in(self.signal.expr, {symbol(k): value.expr for k, value in self.constants})
 
     def values(self, t: np.ndarray, order: int) -> np.ndarray:
         key = ("values", order)
@@ -166,21 +197,28 @@ class SymbolicReference:
 
     def bounds(self, order: int) -> Bounds:
         require_order(self, order, "the bound asked for")
-        values, origin = [], []
-        for i, formula in enumerate(self._numeric(order)):
-            if self.declared is not None and i < len(self.declared):
-                values.append(stated_above(self.declared[i]))
-                origin.append("declared")
-                continue
-            wave = sinusoid_supremum(formula)
-            bound = wave[0] if wave else interval_supremum(formula)
-            if bound is None:
-                raise InputError(
-                    "reference.bounds",
-                    f"the bound Y_{i} of |y_d^({i})| could not be proven for this formula",
-                    self.signal.text,
-                    f"State it: bounds = [Y_0, ..., Y_{order}]",
-                )
-            values.append(bound)
-            origin.append("exact" if wave and wave[1] else "proven")
-        return Bounds(tuple(values), tuple(origin))
+        pairs = [self.bound_of(i) for i in range(order + 1)]
+        return Bounds(tuple(value for value, _ in pairs), tuple(origin for _, origin in pairs))
+
+    def bound_of(self, i: int) -> tuple[float, str]:
+        """Y_i alone, and where it comes from."""
+        require_order(self, i, "the bound asked for")
+        if self.declared is not None and i < len(self.declared):
+            return stated_above(self.declared[i]), "declared"
+        if i not in self._bounds:
+            waves = is_sum_of_sinusoids(self.numeric)
+            wave = sinusoid_supremum(self._numeric(i)[i]) if waves else None
+            self._bounds[i] = wave or (self.smoothness.bound(i), False)
+        bound, exact = self._bounds[i]
+        if bound is None:
+            raise InputError(
+                "reference.bounds",
+                f"the bound Y_{i} of |y_d^({i})| could not be proven for this formula",
+                self.signal.text,
+                f"State it: bounds = [{'Y_0' if i == 0 else f'Y_0, ..., Y_{i}'}]",
+            )
+        return bound, "exact" if exact else "proven"
+
+    @cached_property
+    def _bounds(self) -> dict[int, tuple[float | None, bool]]:
+        return {}

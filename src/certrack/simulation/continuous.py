@@ -11,7 +11,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy
@@ -27,8 +27,9 @@ from certrack.integrators.single.sliding import SlidingIntegrator
 from certrack.integrators.single.taylor import TaylorIntegrator
 from certrack.integrators.switching import ModeRecord, sticking_notes
 from certrack.loops.continuous import INTEGRALS, ClosedLoop, close_loop, parameter_values
+from certrack.loops.schedule import Schedule, make_schedule
 from certrack.loops.switching import switching
-from certrack.references import Reference, pieces_at
+from certrack.loops.time_switches import switched_loop
 from certrack.simulation.run import Run
 from certrack.systems.system import System
 
@@ -39,16 +40,9 @@ STIFF_TIME_CONSTANTS = 2e5
 #: ... and if its fastest pole is so many times its slowest; else every method needs short steps.
 STIFF_POLE_RATIO = 1e3
 
-#: Functions with kinks that show as switches.
-KINKED_FUNCTIONS = (
-    sympy.Abs,
-    sympy.sign,
-    sympy.Min,
-    sympy.Max,
-    sympy.asin,
-    sympy.acos,
-    sympy.atan2,
-)
+#: Functions whose jumps and branch points may lie inside a step of SciPy's methods; at other kinks
+#: they stop.
+UNSEEN_KINKS = (sympy.sign, sympy.asin, sympy.acos, sympy.atan2)
 
 #: Functions with jumps or branch points that do not show as switches.
 BRANCHING_FUNCTIONS = (sympy.asin, sympy.acos, sympy.atan2, sympy.tan)
@@ -77,11 +71,13 @@ class ContinuousSimulator:
     def __init__(self, system: System) -> None:
         self.system = system
         self.loop: ClosedLoop = close_loop(system)
+        self._switched, self._switches = switched_loop(self.loop)
         self._idle: dict[tuple[str, float], list[Integrator]] = {}
-        self._has_kinks = any(rate.has(*KINKED_FUNCTIONS) for rate in self.loop.rates)
+        self._has_kinks = any(rate.has(*UNSEEN_KINKS) for rate in self._switched.rates)
         self._parameters = parameter_values(self.loop, system)
-        arguments, u = [TIME, self.loop.states, self.loop.parameters], self.loop.u
-        self._switching = switching(self.loop.rates, self.loop.states, smooth_rates=len(INTEGRALS))
+        loop = self._switched
+        arguments, u = [TIME, loop.states, loop.parameters], loop.u
+        self._switching = switching(loop.rates, loop.states, smooth_rates=len(INTEGRALS))
         if self._switching is not None:
             arguments.append(self._switching.modes)
             (u,) = self._switching.resolved([u])
@@ -93,10 +89,17 @@ class ContinuousSimulator:
         parameters = (
             self._parameters if system is self.system else parameter_values(self.loop, system)
         )
+        schedule = make_schedule(
+            system.reference,
+            self._switches,
+            dict(zip(self.loop.parameters, parameters.tolist(), strict=False)),
+            settings.duration,
+            settings.tolerance,
+        )
         problem = Problem(
             start=np.concatenate([system.start, np.zeros(len(INTEGRALS))]),
             parameters=parameters,
-            reference=system.reference,
+            schedule=schedule,
             duration=settings.duration,
             tolerance=settings.tolerance,
             plant_order=self.loop.n,
@@ -106,6 +109,7 @@ class ContinuousSimulator:
         )
         progress(0.0, settings.duration, None)
         method, notes = self._choose_method(system)
+        notes.extend(schedule.notes)
         trajectory = self._integrated(method, problem)
         retry = RETRIES.get((method, trajectory.outcome)) if settings.integrator == "auto" else None
         if retry:
@@ -115,7 +119,7 @@ class ContinuousSimulator:
             missed = trajectory.outcome is Outcome.kink_missed
             trajectory = again if missed or again.end >= trajectory.end else trajectory
         modes = trajectory.modes
-        inputs = InputOf(self._input, system.reference, parameters, modes)
+        inputs = InputOf(self._input, schedule, parameters, modes)
         if modes is not None:
             notes += sticking_notes(modes, trajectory.end)
         progress(settings.duration, settings.duration, None)
@@ -140,7 +144,7 @@ class ContinuousSimulator:
             return "implicit", [
                 f"The design is stiff (fastest error pole {fastest:.3g} /s): implicit method used."
             ]
-        if any(rate.has(*BRANCHING_FUNCTIONS) for rate in self.loop.rates):
+        if any(rate.has(*BRANCHING_FUNCTIONS) for rate in self._switched.rates):
             return "scipy", [
                 "asin, acos, atan2, tan have branch points unseen by Taylor steps: SciPy."
             ]
@@ -155,7 +159,14 @@ class ContinuousSimulator:
     def _integrated(self, method: str, problem: Problem) -> Trajectory:
         """The solution by a method, whose integrator is taken from the idle ones."""
         with self._integrator(method, problem.tolerance) as integrator:
-            return integrator.integrate(problem)
+            trajectory = integrator.integrate(problem)
+        if trajectory.outcome is not Outcome.undefined:
+            return trajectory
+        last = trajectory.interpolate(np.array([trajectory.end]))[:, 0]
+        estimates = np.abs(last[problem.plant_order : -len(INTEGRALS)])
+        if (estimates <= problem.max_state).all():
+            return trajectory
+        return replace(trajectory, outcome=Outcome.controller_diverged)
 
     @contextmanager
     def _integrator(self, method: str, tolerance: float) -> Iterator[Integrator]:
@@ -174,10 +185,10 @@ class ContinuousSimulator:
     def _compiled(self, method: str, tolerance: float) -> Integrator:
         """A new integrator; loops that may slide have a driver above the method."""
         if self._switching is not None:
-            return SlidingIntegrator(self.loop, self._switching, method, tolerance)
+            return SlidingIntegrator(self._switched, self._switching, method, tolerance)
         if method == "taylor":
-            return TaylorIntegrator(self.loop, tolerance)
-        return ScipyIntegrator(self.loop, implicit=method == "implicit")
+            return TaylorIntegrator(self._switched, tolerance)
+        return ScipyIntegrator(self._switched, implicit=method == "implicit")
 
 
 @dataclass(frozen=True)
@@ -187,20 +198,20 @@ class InputOf:
     Attributes
     ----------
     law : NumpyFunction
-        u as a function of time, states, and parameters with the pieces of the reference.
-    reference : Reference
+        u as a function of time, states, and parameters with those of the piece.
+    schedule : Schedule
     parameters : (P,) array
     modes : ModeRecord, optional
         Those of the run, where the law is a function of them, too.
     """
 
     law: NumpyFunction
-    reference: Reference
+    schedule: Schedule
     parameters: np.ndarray
     modes: ModeRecord | None = None
 
     def __call__(self, t: np.ndarray, states: np.ndarray) -> np.ndarray:
-        pieces = pieces_at(self.reference, t)
+        pieces = self.schedule.pieces_at(t)
         modes = () if self.modes is None else (self.modes.at(t),)
         with np.errstate(all="ignore"):
             values = self.law(t, states, [*self.parameters.tolist(), *pieces], *modes)

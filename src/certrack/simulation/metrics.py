@@ -1,18 +1,27 @@
 """The metrics of a run: settling time, errors, effort of the input.
 
 Integrals come from the integrator's own states. Extremes and crossings are found on every
-integration step cut into equal parts and refined by a parabola or a cubic, so their error does not
-depend on an output grid.
+integration step cut into equal parts, and refined on the dense output of the run
+(:mod:`certrack.simulation.refine`), so that their error is that of the run. Without it, a parabola
+or a cubic through the samples has to do.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from certrack.references import Reference
+from certrack.simulation.refine import (
+    MAX_REFINED,
+    Candidates,
+    Crossings,
+    Dense,
+    candidates,
+    refine,
+)
 from certrack.systems.system import Settings
 
 #: Half-width of the settling band over the reference's largest magnitude, as usual in step
@@ -22,8 +31,8 @@ SETTLING_SHARE = 0.05
 #: Points of the grid over the run on which the reference's largest magnitude is looked for.
 REFERENCE_POINTS = 20_001
 
-#: Larger samples are of a run that escapes: their squares overflow, and no peak is refined there.
-MAX_REFINED = 1e100
+#: More extremes of one signal are not refined: those that would gain least keep their samples.
+MAX_EXTREMES = 2_000
 
 #: Metrics that tables show, and what they are called there.
 METRIC_LABELS = {
@@ -102,6 +111,8 @@ def measure(
     band: float,
     tail_start: float,
     per_step: int | None = None,
+    dense: Dense | None = None,
+    smooth: bool = True,
 ) -> Metrics:
     """Metrics from samples that resolve the solution.
 
@@ -115,24 +126,117 @@ def measure(
         See :class:`Metrics`.
     per_step : int, optional
         Samples per integration step; signals may jump between steps.
+    dense : callable, optional
+        e_1, u and the integral of e_1 at any times of the run, a row each.
+    smooth : bool
+        Whether no kink lies inside a step.
 
     Returns
     -------
     Metrics
     """
     span = float(t[-1])
+    if dense is None or per_step is None:
+        five = _from_samples(t, e, u, integrals, band, tail_start, per_step)
+    else:
+        five = _from_dense(t, e, u, integrals, band, tail_start, per_step, dense, smooth)
+    settling_time, tail_error, integral_abs_error, peak_input, input_variation = five
     return Metrics(
-        settling_time=_settling_time(t, np.abs(e), band) if span > 0 else math.nan,
-        tail_error=_tail_supremum(t, e, tail_start, per_step),
+        settling_time=settling_time if span > 0 else math.nan,
+        tail_error=tail_error,
         rms_error=math.sqrt(integrals[1, -1] / span) if span > 0 else math.nan,
-        integral_abs_error=_integral_of_magnitude(t, e, integrals[2]),
+        integral_abs_error=integral_abs_error,
         integral_squared_error=float(integrals[1, -1]),
-        peak_input=supremum(t, u, per_step),
+        peak_input=peak_input,
         input_energy=float(integrals[0, -1]),
-        input_variation=float(np.abs(np.diff(u)).sum()),
+        input_variation=input_variation,
         band=band,
         tail_start=tail_start,
     )
+
+
+def _from_samples(
+    t: np.ndarray,
+    e: np.ndarray,
+    u: np.ndarray,
+    integrals: np.ndarray,
+    band: float,
+    tail_start: float,
+    per_step: int | None,
+) -> tuple[float, float, float, float, float]:
+    """Settling time, tail error, integral of |e|, peak and variation of the input."""
+    return (
+        _settling_time(t, np.abs(e), band),
+        _tail_supremum(t, e, tail_start, per_step),
+        _integral_of_magnitude(t, e, integrals[2]),
+        supremum(t, u, per_step),
+        float(np.abs(np.diff(u)).sum()),
+    )
+
+
+def _from_dense(
+    t: np.ndarray,
+    e: np.ndarray,
+    u: np.ndarray,
+    integrals: np.ndarray,
+    band: float,
+    tail_start: float,
+    per_step: int,
+    dense: Dense,
+    smooth: bool,
+) -> tuple[float, float, float, float, float]:
+    """The same from dense output."""
+    peaks = candidates(t, u, per_step)
+    peaks = _most_promising(peaks, peaks.estimates - peaks.sampled, MAX_EXTREMES)
+    tail, late = _tail_candidates(t, e, tail_start, per_step)
+    outside = np.flatnonzero(np.abs(e) > band)
+    settles = outside[-1:] if outside.size and outside[-1] < len(t) - 1 else outside[:0]
+    change = np.flatnonzero((e[1:] < 0) != (e[:-1] < 0))
+    signs = np.where(e < 0, -1.0, 1.0)
+    (tops, errors), (zeros, settled) = refine(
+        dense,
+        [(1, peaks), (0, late)],
+        [
+            (0, Crossings(t[change], t[change + 1], signs[change])),
+            (0, Crossings(t[settles], t[settles + 1], signs[settles], band)),
+        ],
+        smooth=smooth,
+    )
+    begins_inside = t[0] < tail_start <= t[-1]
+    marked = dense(np.append(zeros, tail_start if begins_inside else t[0]))
+    if begins_inside:
+        tail = max(tail, abs(float(marked[0, -1])))
+    running = integrals[2]
+    marks = np.concatenate([running[:1], marked[2, :-1], running[-1:]])
+    gains = np.maximum(tops - peaks.sampled, 0.0)
+    return (
+        float(settled[0]) if settles.size else math.nan if outside.size else 0.0,
+        max(tail, float(errors.max(initial=0.0))),
+        float(np.abs(np.diff(marks)).sum()),
+        max(float(np.abs(u).max(initial=0.0)), float(np.abs(tops).max(initial=0.0))),
+        float(np.abs(np.diff(u)).sum() + 2 * gains.sum()),
+    )
+
+
+def _most_promising(where: Candidates, merit: np.ndarray, count: int) -> Candidates:
+    """At most `count` of the candidates, those of the largest merit."""
+    if len(merit) <= count:
+        return where
+    return where.only(np.argsort(-merit)[:count])
+
+
+def _tail_candidates(
+    t: np.ndarray, e: np.ndarray, start: float, per_step: int
+) -> tuple[float, Candidates]:
+    """Largest sample of |e| from `start` on, and where |e| may be larger."""
+    first, peaks = int(np.searchsorted(t, start)), candidates(t, e, per_step)
+    if first == len(t):
+        return math.nan, peaks.only(np.zeros(len(peaks.begins), dtype=bool))
+    best = float(np.abs(e[first:]).max())
+    reach = 2 * peaks.estimates - peaks.sampled  # twice the gain that a parabola promises
+    late = peaks.only((peaks.ends > start) & (reach > best))
+    late = _most_promising(late, late.estimates, MAX_EXTREMES)
+    return best, replace(late, begins=np.maximum(late.begins, start))
 
 
 def supremum(

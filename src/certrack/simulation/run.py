@@ -19,6 +19,7 @@ from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.single.taylor import TaylorSeries
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.plant import measured
+from certrack.simulation.messages import outcome_message
 from certrack.simulation.metrics import Metrics, measure, settling_band
 from certrack.systems.reader import loads
 from certrack.systems.system import System
@@ -55,6 +56,11 @@ class Run(ShownInNotebooks):
     def outcome(self) -> Outcome:
         """How the run ended."""
         return self.trajectory.outcome
+
+    @property
+    def message(self) -> str:
+        """How it ended, in words, with what can be done."""
+        return outcome_message(self.outcome, self.system)
 
     @cached_property
     def t(self) -> np.ndarray:
@@ -106,8 +112,16 @@ class Run(ShownInNotebooks):
             integrals,
             settling_band(settings, self.system.reference),
             settings.tail_start,
-            per_step=self.trajectory.parts + 1 if self.smooth_steps else 1,
+            per_step=self.trajectory.parts + 1,
+            dense=self._signals,
+            smooth=self.smooth_steps,
         )
+
+    def _signals(self, t: np.ndarray) -> np.ndarray:
+        """e_1, u and the integral of e_1 at any times, a row each."""
+        states = self.trajectory.interpolate(t)
+        error = measured(self.system, states)[0] - self.system.reference.values(t, 0)[0]
+        return np.array([error, self.input_of(t, states), states[-1] * INTEGRAL_SCALE])
 
     def __repr__(self) -> str:
         metrics, trajectory = self.metrics, self.trajectory
@@ -142,7 +156,7 @@ class Run(ShownInNotebooks):
             "final_time": self.trajectory.end,
             "final_state": self.final_state,
             "outcome": self.outcome.name,
-            "message": self.outcome.value,
+            "message": self.message,
             "integrator": self.trajectory.method,
             "steps": len(self.trajectory.times) - 1,
             "notes": list(self.notes),

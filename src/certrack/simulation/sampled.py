@@ -13,31 +13,28 @@ from certrack.core.expressions import TIME
 from certrack.core.heyoka import has_heyoka
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.progress import Progress, silent
-from certrack.integrators.base import Outcome, Trajectory
+from certrack.integrators.base import Outcome, Trajectory, parts_of
 from certrack.integrators.sampled.events import event_timeline
-from certrack.integrators.sampled.maps import HeyokaMaps, NumpyMaps, SampledMaps
+from certrack.integrators.sampled.maps import HeyokaMaps, SampledMaps
 from certrack.integrators.sampled.run import SampledProblem, SampledRun
+from certrack.integrators.sampled.scalar_maps import ScalarMaps
 from certrack.integrators.sampled.sliding import with_modes
 from certrack.integrators.switching import ModeRecord, sticking_notes
 from certrack.loops.continuous import INTEGRAL_SCALE
 from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop, loop_values, sample_loop
+from certrack.loops.schedule import Schedule, make_schedule
+from certrack.loops.time_switches import TimeSwitches, switched_sampled_loop
 from certrack.model.noise import keys
-from certrack.references import Reference, pieces_at
+from certrack.simulation.implementation_notes import implementation_notes
 from certrack.simulation.run import Run
 from certrack.systems.system import System
-
-#: Parts of a step between which a run is sampled: enough for the metrics to refine a peak.
-PARTS = 8
-
-#: A run of more steps is sampled at their ends and middles only, so that it fits into memory.
-MAX_FINE_STEPS, COARSE_PARTS = 20_000, 2
 
 #: Samples after which the progress is reported: often enough to be seen, too rarely to cost time.
 SAMPLES_PER_REPORT = 500
 
-#: Takes a time at a break of the reference to the piece that begins there, whatever its rounding.
+#: Takes a time at a break to the piece that begins there, whatever its rounding.
 JUST_AFTER = 1 + 1e-12
 
 
@@ -51,6 +48,15 @@ class SampledSimulator:
         Gets the compiled maps and the loop; the run uses the maps that it returns.
     controller : SampledController, optional
         That of the system, where it has been made before.
+    with_switches : bool
+        Whether switches of time are symbols of the piece; otherwise the error control follows them.
+
+    Attributes
+    ----------
+    loop : SampledLoop
+        As :func:`~certrack.loops.sampled.sample_loop` makes it.
+    maps : SampledMaps
+        Of the loop with its switches of time.
     """
 
     def __init__(
@@ -58,9 +64,13 @@ class SampledSimulator:
         system: System,
         around: Callable[[SampledMaps, SampledLoop], SampledMaps] | None = None,
         controller: SampledController | None = None,
+        with_switches: bool = True,
     ) -> None:
         self.loop: SampledLoop = sample_loop(system, controller=controller)
-        loop, self.surfaces = with_modes(self.loop)
+        loop, self._switches = self.loop, TimeSwitches()
+        if with_switches:
+            loop, self._switches = switched_sampled_loop(loop)
+        loop, self.surfaces = with_modes(loop)
         integrator = system.settings.integrator
         if integrator == "implicit":
             raise InputError(
@@ -70,7 +80,7 @@ class SampledSimulator:
                 "Use auto or scipy",
             )
         by_numpy = integrator == "scipy" or not has_heyoka()
-        maps: SampledMaps = NumpyMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
+        maps: SampledMaps = ScalarMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
         self.maps = maps if around is None else around(maps, loop)
         self.outputs = outputs_of(self.loop)
         names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
@@ -80,9 +90,13 @@ class SampledSimulator:
         """Simulate `system`; `progress` gets the time reached."""
         implementation, settings = system.implementation, system.settings
         assert implementation is not None
-        breaks = system.reference.breaks(0.0, settings.duration)
-        line = event_timeline(implementation, settings.duration, breaks, np.empty(0))
         parameters = loop_values(self.loop, system)[:, None]
+        numbers = dict(zip(self.loop.parameters, parameters[:, 0].tolist(), strict=True))
+        schedule = make_schedule(
+            system.reference, self._switches, numbers, settings.duration, settings.tolerance
+        )
+        breaks = schedule.breaks(0.0, settings.duration)
+        line = event_timeline(implementation, settings.duration, breaks, np.empty(0))
         problem = SampledProblem(
             x=np.array(settings.x0)[:, None],
             states=starting_state(self.loop.controller, system.estimates, implementation)[:, None],
@@ -91,7 +105,7 @@ class SampledSimulator:
             implementation=implementation,
             timeline=line,
             outputs=self.outputs,
-            pieces=system.reference.piece_values,
+            pieces=schedule.piece_values,
             keys=keys(implementation.seed, implementation.stream, 1),
             tolerance=settings.tolerance,
             max_state=settings.max_state,
@@ -116,11 +130,14 @@ class SampledSimulator:
         modes = None
         if run.crossing is not None:
             modes = run.crossing.modes()
-        slopes = Slopes(self._rates, system.reference, parameters[:, 0], modes)
+        slopes = Slopes(self._rates, schedule, parameters[:, 0], modes)
         solution = record.solution(slopes, run.u[0])
-        parts = PARTS if len(solution.ends) <= MAX_FINE_STEPS else COARSE_PARTS
+        parts = parts_of(len(solution.ends) - 1)
         trajectory = Trajectory(times, solution, outcome, "sampled", parts, modes)
-        notes = [] if modes is None else sticking_notes(modes, trajectory.end)
+        notes = [*schedule.notes]
+        if modes is not None:
+            notes += sticking_notes(modes, trajectory.end)
+        notes += implementation_notes(system)
         return Run(system, trajectory, solution.input_at, tuple(notes))
 
 
@@ -132,19 +149,19 @@ class Slopes:
     ----------
     rates : NumpyFunction
         Those of the states, and e_1.
-    reference : Reference
+    schedule : Schedule
     parameters : (P,) array
     modes : ModeRecord, optional
         Of the run; the last of the rates' parameters.
     """
 
     rates: NumpyFunction
-    reference: Reference
+    schedule: Schedule
     parameters: Array
     modes: ModeRecord | None = None
 
     def __call__(self, t: Array, x: Array, u: Array, begins: Array) -> Array:
-        pieces = [*pieces_at(self.reference, begins * JUST_AFTER)]
+        pieces = [*self.schedule.pieces_at(begins * JUST_AFTER)]
         if self.modes is not None:
             pieces += [*self.modes.at(begins)]
         with np.errstate(all="ignore"):

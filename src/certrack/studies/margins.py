@@ -3,25 +3,28 @@
 A period (delay, saturation) *holds* where all members that are tried track within the stated error.
 From the harmless end on, values are tried in geometric steps until one does not hold, and the edge
 is bisected: what is reported held, and so did everything tried before it. For the robust law on a
-linear plant the edge of stability is exact besides (see :mod:`certrack.loops.stability`).
+linear plant the edge of stability is exact besides (see :mod:`certrack.loops.stability`); beyond it
+nothing holds, though a run may end before it shows.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.notebook import ShownInNotebooks
 from certrack.core.progress import Progress, silent
-from certrack.loops.stability import LinearLoop, linear_loop
+from certrack.laws.leakage import longest_euler_period
+from certrack.loops.stability import linear_loop
 from certrack.model.implementation import MAX_DELAY, MAX_RUN_SAMPLES, Implementation
+from certrack.simulation.metrics import REFERENCE_POINTS
+from certrack.studies.edge_search import VALUE_RATIO, Sweep, last_before_failure, stability_edge
 from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.error_limit import tail_error_limit
 from certrack.studies.ensembles.methods.choice import fastest_adjustable
@@ -38,14 +41,12 @@ MIN_RUN_SAMPLES, LAST_RUN_SAMPLES = 100, 20
 #: members finish. 2^-10 of it serves a loop some thousand times as fast as its fastest pole.
 MAX_PERIOD_HALVINGS = 10
 
-#: Ratio of one value tried to the next, and of a value that fails to the one reported.
-VALUE_RATIO, EDGE_RATIO = 1.25, 1.01
+#: A loop counts as bounded while its error stays below the largest |y_d|: an output at rest would
+#: do as well. Where y_d is no larger than the admitted error, so many times that instead.
+BOUNDED_FACTOR = 10.0
 
-#: Values tried at most before the search ends without an edge.
-MAX_VALUES = 60
-
-#: A loop counts as bounded while its error is below so many times the admitted one.
-BOUNDED_FACTOR = 100.0
+#: A first period leaves Euler's step of the leakage this part of the period at which it diverges.
+LEAK_PERIOD_SHARE = 0.25
 
 #: Tolerance of the integrator.
 MARGIN_TOLERANCE = 1e-6
@@ -55,12 +56,6 @@ UNLIMITED_INPUT = (-1e12, 1e12)
 
 #: The first delay tried, in periods; the lowest saturation, over the input that is needed.
 FIRST_DELAY, LOWEST_SATURATION = 0.2, 1e-4
-
-#: Relative accuracy of the exact edge of stability.
-EXACT_EDGE_TOLERANCE = 1e-12
-
-#: Values at which the spectral radius is looked at before its edge is bracketed.
-RADIUS_POINTS = 400
 
 
 @dataclass(frozen=True)
@@ -72,11 +67,11 @@ class Margin:
     within : float, optional
         Extreme value at which every member keeps the stated error; None if not even the mildest.
     bounded : float, optional
-        The same for staying bounded.
+        The same for an error below :attr:`Margins.bounded_error`: the loop still tracks somehow.
     exact : float, optional
         Edge of stability of the nominal loop, where it can be computed.
     unlimited : bool
-        Whether the search ended before anything failed.
+        Whether the range searched ended before the stated error was left.
     values, errors : tuples
         What was tried, and the worst member's tail error (inf where a member does not finish).
     """
@@ -125,6 +120,9 @@ class Margins(ShownInNotebooks):
     delay : Margin, s
     saturation : Margin, unit of the input
         The lowest symmetric limits +-u.
+    bounded_error : float
+        What counts as bounded: the largest |y_d|, for an output at rest would do as well; ten
+        times the admitted error where y_d is no larger than that.
     """
 
     error: float
@@ -135,12 +133,14 @@ class Margins(ShownInNotebooks):
     period: Margin
     delay: Margin
     saturation: Margin
+    bounded_error: float = math.inf
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
         return {
             "error": self.error,
             "origin": self.origin,
+            "bounded_error": self.bounded_error,
             "members": self.members,
             "at_period": self.at,
             "as_given": self.as_given,
@@ -194,7 +194,7 @@ def margins(
     --------
     >>> import certrack
     >>> found = certrack.margins(certrack.load("dual-motor-lean"), members=8)
-    >>> found.period.within < found.period.bounded
+    >>> found.period.within < found.period.exact
     True
     """
     checks.integer("members", members, 1, 100_000)
@@ -209,22 +209,24 @@ def margins(
     trials = _Trials(system, members, seed, progress)
     finest, finest_error = _finest_sampling(coarse, duration, trials)
     admitted, origin = _admitted(system, error, finest, finest_error)
+    limits = admitted, _bounded_error(system, admitted)
     linear = linear_loop(system)
-    sweep = _Sweep(finest, VALUE_RATIO, duration / LAST_RUN_SAMPLES)
+    sweep = Sweep(finest, VALUE_RATIO, duration / LAST_RUN_SAMPLES)
     period = trials.search(
         lambda T: replace(base, period=T),
         sweep,
-        admitted,
-        _stability_edge(linear, lambda T: (T, base.delay), sweep),
+        limits,
+        stability_edge(linear, lambda T: (T, base.delay), sweep),
+        _leak_period(system),
     )
     at = (period.within or first) / 10 if implementation is None else implementation.period
     base = replace(base, period=at)
-    sweep = _Sweep(at / 5, VALUE_RATIO, MAX_DELAY * at)
+    sweep = Sweep(at / 5, VALUE_RATIO, MAX_DELAY * at)
     delay = trials.search(
         lambda D: replace(base, delay=D / at),
         sweep,
-        admitted,
-        _stability_edge(linear, lambda D: (at, D / at), sweep),
+        limits,
+        stability_edge(linear, lambda D: (at, D / at), sweep),
     )
     unlimited = trials.worst(replace(base, saturation=UNLIMITED_INPUT))
     peak = trials.peak
@@ -232,11 +234,11 @@ def margins(
         peak = max(map(abs, saturation)) / 2
     lowest = trials.search(
         lambda u: replace(base, saturation=(-u, u)),
-        _Sweep(2 * peak, 1 / VALUE_RATIO, LOWEST_SATURATION * peak),
-        admitted,
+        Sweep(2 * peak, 1 / VALUE_RATIO, LOWEST_SATURATION * peak),
+        limits,
     )
     as_given = None if implementation is None else trials.worst(base)
-    return Margins(admitted, origin, members, at, as_given, period, delay, lowest)
+    return Margins(admitted, origin, members, at, as_given, period, delay, lowest, limits[1])
 
 
 def _first_period(system: System) -> float:
@@ -244,6 +246,7 @@ def _first_period(system: System) -> float:
     duration = system.settings.duration
     pole = system.controller.coordinates.fastest_pole
     first = min(PERIOD_PER_TIME_CONSTANT / pole, duration / MIN_RUN_SAMPLES)
+    first = min(first, LEAK_PERIOD_SHARE * _leak_period(system))
     if duration / first > MAX_RUN_SAMPLES:
         raise InputError(
             "margin",
@@ -252,6 +255,13 @@ def _first_period(system: System) -> float:
             remedy="Lower c, or shorten simulation.duration",
         )
     return first
+
+
+def _leak_period(system: System) -> float:
+    """Period from which the estimates' leak diverges by its own step, s; inf if it never does."""
+    implementation = system.implementation
+    exact = implementation is not None and implementation.update == "exact_leak"
+    return math.inf if exact else longest_euler_period(system.controller)
 
 
 def _finest_sampling(
@@ -276,24 +286,6 @@ def _finest_sampling(
     return period, error
 
 
-@dataclass(frozen=True)
-class _Sweep:
-    """Values in geometric steps: from the start, by the ratio, until they would pass the end."""
-
-    start: float
-    ratio: float
-    end: float
-
-    def values(self) -> Iterator[float]:
-        """The values, MAX_VALUES at most."""
-        value = self.start
-        for _ in range(MAX_VALUES):
-            yield value
-            if (value * self.ratio > self.end) == (self.ratio > 1):
-                return
-            value *= self.ratio
-
-
 class _Trials:
     """Members under other implementations, compiled once."""
 
@@ -312,72 +304,36 @@ class _Trials:
     def search(
         self,
         implementation: Callable[[float], Implementation],
-        sweep: _Sweep,
-        admitted: float,
+        sweep: Sweep,
+        limits: tuple[float, float],
         exact: float | None = None,
+        leak: float = math.inf,
     ) -> Margin:
-        """Try the values of a sweep until one fails, and bisect the edge."""
+        """Try the values of a sweep until one fails, and bisect the edges of both errors.
+
+        From the exact edge of stability, and from the period at which the leak diverges, nothing
+        holds.
+        """
         tried: dict[float, float] = {}
 
         def error_at(value: float) -> float:
             if value not in tried:
-                tried[value] = self.worst(implementation(value))
+                unstable = value >= min(math.inf if exact is None else exact, leak)
+                tried[value] = math.inf if unstable else self.worst(implementation(value))
             return tried[value]
 
-        bounded, unlimited = _edge(error_at, sweep, BOUNDED_FACTOR * admitted)
-        within, _ = _edge(error_at, sweep, admitted)
+        bounded, _ = last_before_failure(error_at, sweep, limits[1])
+        within, unlimited = last_before_failure(error_at, sweep, limits[0])
         order = tuple(sorted(tried))
         errors = tuple(tried[value] for value in order)
         return Margin(within, bounded, exact, unlimited, order, errors)
 
 
-def _edge(
-    error_at: Callable[[float], float], sweep: _Sweep, limit: float
-) -> tuple[float | None, bool]:
-    """Last value before the first failure, and whether there was none."""
-    good = None
-    for value in sweep.values():
-        if error_at(value) <= limit:
-            good = value
-        elif good is None:
-            return None, False
-        else:
-            return _bisected(error_at, good, value, limit), False
-    return good, True
-
-
-def _bisected(error_at: Callable[[float], float], good: float, bad: float, limit: float) -> float:
-    """A value that holds, within EDGE_RATIO of one that fails."""
-    while max(good / bad, bad / good) > EDGE_RATIO:
-        middle = math.sqrt(good * bad)
-        good, bad = (middle, bad) if error_at(middle) <= limit else (good, middle)
-    return good
-
-
-def _stability_edge(
-    linear: LinearLoop | None,
-    period_and_delay: Callable[[float], tuple[float, float]],
-    sweep: _Sweep,
-) -> float | None:
-    """First value at which the spectral radius reaches 1; None if it does not, or is not known."""
-    if linear is None:
-        return None
-    values = np.geomspace(sweep.start, sweep.end, RADIUS_POINTS)
-    radii = [linear.radius(*period_and_delay(value)) for value in values]
-    k = next((k for k, radius in enumerate(radii) if radius >= 1.0), None)
-    if k is None:
-        return None
-    if k == 0:
-        return 0.0
-    low, high = float(values[k - 1]), float(values[k])
-    return float(
-        brentq(
-            lambda v: linear.radius(*period_and_delay(v)) - 1.0,
-            low,
-            high,
-            rtol=EXACT_EDGE_TOLERANCE,
-        )
-    )
+def _bounded_error(system: System, admitted: float) -> float:
+    """The tail error up to which a loop counts as bounded."""
+    times = np.linspace(0.0, system.settings.duration, REFERENCE_POINTS)
+    largest = float(np.abs(system.reference.values(times, 0)[0]).max())
+    return largest if largest > admitted else BOUNDED_FACTOR * admitted
 
 
 def _admitted(

@@ -13,10 +13,18 @@ _TOKEN = re.compile(
     r"""
       (?P<blank>[ \t\r]+|\#[^\n]*)
     | (?P<newline>\n)
-    | (?P<string>\"\"\"(?:[^\\]|\\.)*?\"{3,5}|'''.*?'{3,5}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')
+    | (?P<string>\"\"\"(?:[^"\\]++|\\.|"(?!""))*+\"{3,5}+|'''.*?'{3,5}+
+                |"(?:[^"\\\n]++|\\.)*+"|'[^'\n]*+')
     | (?P<mark>[\[\]{}=,.])
     | (?P<bare>[^\s\#"'\[\]{}=,.]+|.)
     """,
+    re.VERBOSE | re.DOTALL,
+)
+
+#: What a list or inline table is made of, where only its end is looked for.
+_INSIDE = re.compile(
+    r"""[^\[\]{}"'\#]++|\#[^\n]*+|(?P<open>[\[{])|(?P<close>[\]}])
+      | \"\"\"(?:[^"\\]++|\\.|"(?!""))*+\"{3,5}+|'''.*?'{3,5}+|"(?:[^"\\\n]++|\\.)*+"|'[^'\n]*+'""",
     re.VERBOSE | re.DOTALL,
 )
 
@@ -103,6 +111,9 @@ class _Scanner:
             while self.kind not in ("newline", "") and not self.at(",]}"):
                 self.advance()
             return
+        if not self.key.startswith((f"{path}[", f"{path}.")):
+            self.skip_brackets()
+            return
         self.advance()
         index = 0
         while self.kind and not self.at("]}"):
@@ -116,6 +127,15 @@ class _Scanner:
                 self.value(f"{path}[{index}]")
             else:
                 self.value(self.dotted_key(path))
+        self.advance()
+
+    def skip_brackets(self) -> None:
+        """Go behind the bracket that closes the current one."""
+        depth, start = 1, self.position
+        while depth and (match := _INSIDE.match(self.text, self.position)):
+            depth += (match["open"] is not None) - (match["close"] is not None)
+            self.position = match.end()
+        self.line += self.text.count("\n", start, self.position)
         self.advance()
 
     def at(self, marks: str) -> bool:

@@ -7,22 +7,18 @@ reads like the loaded one.
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import tomllib
-import warnings
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import numpy as np
-
 from certrack.core import checks
+from certrack.core.budget import within_budget
 from certrack.core.errors import InputError
 from certrack.core.keys import Key
-from certrack.core.rationals import decimal_float
 from certrack.laws import Law, known_laws
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -31,10 +27,15 @@ from certrack.model.truth import Truth, constants_of_truth
 from certrack.references import Reference, SymbolicReference, known_references
 from certrack.systems.keys import TABLES, law_keys, reference_keys
 from certrack.systems.lines import line_of
+from certrack.systems.samples_file import SamplesFile, check_time_unit, read_samples
 from certrack.systems.system import Settings, System
+from certrack.systems.toml import parse_toml
 
 #: Largest file that is read: a million samples of a reference fit.
 MAX_FILE_BYTES = 20_000_000
+
+#: What loading may take: about five times what a million samples take. See core/budget.py.
+LOAD_SECONDS, LOAD_MEGABYTES = 60, 2000
 
 #: Tables of the file, and those that it must have.
 SECTIONS = (
@@ -180,11 +181,20 @@ def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -
     True
     """
     try:
-        decoded = _decoded(text)
+        return within_budget(
+            lambda: _loads(text, name, folder),
+            what="",
+            seconds=LOAD_SECONDS,
+            megabytes=LOAD_MEGABYTES,
+        )
     except InputError as problem:
-        raise problem.within(name) from None
+        raise problem if problem.file else problem.within(name) from None
+
+
+def _loads(text: str | bytes, name: str, folder: Path | None) -> System:
+    decoded = _decoded(text)
     try:
-        return _read_system(_parsed(decoded), folder)
+        return _read_system(parse_toml(decoded), folder)
     except InputError as problem:
         raise problem.within(name, problem.line or line_of(decoded, problem.key)) from None
 
@@ -199,28 +209,17 @@ def _decoded(text: str | bytes) -> str:
     return decoded
 
 
-def _parsed(text: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text, parse_float=decimal_float)
-    except (tomllib.TOMLDecodeError, ValueError) as problem:
-        error = InputError("", f"is not TOML: {problem}")
-        place = re.search(r"at line (\d+)", str(problem))
-        error.line = int(place[1]) if place else None
-        raise error from None
-    except RecursionError:
-        raise InputError("", "is not TOML: nested too deeply") from None
-
-
 def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
     checks.known_keys("", tables, SECTIONS, required=REQUIRED_SECTIONS)
     plant = _read_plant(tables["plant"])
     constants = plant.constant_values
+    settings = Settings(**_read_values("simulation", tables["simulation"], constants))
     return System(
         plant=plant,
         law=_read_law(tables["law"], constants),
-        reference=_read_reference(tables["reference"], constants, folder),
+        reference=_read_reference(tables["reference"], constants, folder, settings.duration),
         truth=_read_truth(tables["truth"], plant),
-        settings=Settings(**_read_values("simulation", tables["simulation"], constants)),
+        settings=settings,
         title=checks.text("title", tables.get("title", "")),
         population=_read_population(tables.get("ensemble"), constants),
         implementation=_read_implementation(tables.get("implementation"), constants),
@@ -316,7 +315,9 @@ def _refuse_keys_of_another(
     )
 
 
-def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | None) -> Reference:
+def _read_reference(
+    table: Any, constants: Mapping[str, Any], folder: Path | None, duration: float
+) -> Reference:
     if not isinstance(table, dict):
         raise InputError("reference", "must be a table [reference]", table)
     if "signal" in table:
@@ -337,7 +338,10 @@ def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | Non
         for name in ("times", "values"):
             if name in entries:
                 raise InputError(f"reference.{name}", "must be left out beside reference.file")
-        entries |= _samples_of_file(file, folder)
+        samples = _samples_of_file(file, folder)
+        if "time_unit" not in entries:
+            check_time_unit(str(file), samples, duration)
+        entries |= {"times": samples.times, "values": samples.values}
     keys = {name: reference_keys(name) for name in kinds}
     _refuse_keys_of_another("reference", entries, "reference", keys)
     values = _read_values("reference", entries, constants, keys[kind])
@@ -348,11 +352,11 @@ def _read_reference(table: Any, constants: Mapping[str, Any], folder: Path | Non
         row = re.fullmatch(r"reference\.(?:times|values)\[(\d+)\]", problem.key)
         if file is None or row is None:
             raise
-        what = f"row {int(row[1]) + 1} of {file}: {problem.expected}"
+        what = f"row {samples.rows[int(row[1])]} of {file}: {problem.expected}"
         raise InputError("reference.file", what, problem.got) from None
 
 
-def _samples_of_file(name: Any, folder: Path | None) -> dict[str, list[float]]:
+def _samples_of_file(name: Any, folder: Path | None) -> SamplesFile:
     """Times and values from a CSV file beside the system file."""
     key = "reference.file"
     relative = PurePosixPath(checks.text(key, name))
@@ -364,17 +368,7 @@ def _samples_of_file(name: Any, folder: Path | None) -> dict[str, list[float]]:
         raise InputError(
             key, f"cannot be read ({problem.strerror}) in {folder.resolve()}", name
         ) from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an empty file is refused below
-            table = np.loadtxt(io.StringIO(data.decode("utf-8")), delimiter=",", ndmin=2)
-    except ValueError:
-        raise InputError(
-            key, "must have two numeric columns: time, y_d (no header, or a # line)", name
-        ) from None
-    if table.shape[1] != 2:
-        raise InputError(key, "must have two columns: time, y_d", f"{table.shape[1]} columns")
-    return {"times": table[:, 0].tolist(), "values": table[:, 1].tolist()}
+    return read_samples(str(relative), data)
 
 
 def _read_population(table: Any, constants: Mapping[str, Any]) -> Population | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,6 +12,7 @@ from certrack.core.errors import InputError, shorten
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.notebook import ShownInNotebooks
 from certrack.laws.base import Controller, Law
+from certrack.laws.leakage import longest_euler_period
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
@@ -174,7 +176,22 @@ class System(ShownInNotebooks):
             return
         implementation = self.implementation.bound_to(self.plant, len(self.controller.states))
         implementation.samples(self.settings.duration)
+        if implementation.update == "euler":
+            self._check_leak(implementation.period)
         set_fields(self, implementation=implementation)
+
+    def _check_leak(self, period: float) -> None:
+        """Refuse a period at which Euler's step makes the estimates diverge by their own leak."""
+        longest = longest_euler_period(self.controller)
+        if period >= longest:
+            raise InputError(
+                "implementation.period",
+                f"must be below {longest:.4g} s: there a step of forward Euler overshoots the "
+                "estimates' leakage (Gamma leak_theta, gain_rate leak_gain) by as much as it "
+                "corrects, and the estimates diverge",
+                period,
+                'Set implementation.update = "exact_leak", or a shorter period',
+            )
 
     def _check_reference(self) -> None:
         order = self.controller.coordinates.q + 1
@@ -270,8 +287,8 @@ class System(ShownInNotebooks):
         """
         checks.known_keys("settings", changes, keys_of(Settings))
         tail, duration = self.settings.tail, changes.get("duration")
-        if tail is not None and "tail" not in changes and isinstance(duration, (int, float)):
-            changes["tail"] = duration * (tail / self.settings.duration)
+        if tail is not None and "tail" not in changes and isinstance(duration, numbers.Real):
+            changes["tail"] = float(duration) * (tail / self.settings.duration)
         return replace(self, settings=replace(self.settings, **changes))
 
     @property

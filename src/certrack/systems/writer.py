@@ -25,6 +25,9 @@ from certrack.references import PiecewiseReference, Reference, SymbolicReference
 from certrack.references.registry import kind_of
 from certrack.systems.system import System
 
+#: Lists of numbers from this length on are written as one item.
+LONG_LIST = 200
+
 
 def to_text(system: System) -> str:
     """The system as TOML text that :func:`loads` turns into an equal system.
@@ -47,7 +50,6 @@ def to_text(system: System) -> str:
 
     document = tomlkit.document()
     document["title"] = system.title
-    shelf: list[list[Any]] = []
     tables = {
         "plant": _plant_table(system.plant),
         "truth": _truth_table(system.truth),
@@ -60,22 +62,17 @@ def to_text(system: System) -> str:
     if system.implementation is not None:
         tables["implementation"] = _implementation_table(system.implementation)
     for name, table in tables.items():
-        document[name] = {
-            key: _shelve(value, shelf) if isinstance(value, list) else value
-            for key, value in _as_toml(table).items()
-        }
-    text = tomlkit.dumps(document)
-    for i, values in enumerate(shelf):
-        text = text.replace(f'"@{i}@"', f"[{', '.join(map(repr, values))}]", 1)
-    return text
+        document[name] = {key: _as_item(value) for key, value in _as_toml(table).items()}
+    return tomlkit.dumps(document)
 
 
-def _shelve(values: list[Any], shelf: list[list[Any]]) -> Any:
-    """Put a long list of numbers aside: tomlkit would take a minute for 50,000 samples."""
-    if len(values) < 200:
-        return values
-    shelf.append(values)
-    return f"@{len(shelf) - 1}@"
+def _as_item(value: Any) -> Any:
+    """A long list of numbers as one item: of 50,000 items tomlkit would think for a minute."""
+    from tomlkit.items import Float, Trivia
+
+    if not isinstance(value, list) or len(value) < LONG_LIST:
+        return value
+    return Float(0.0, Trivia(), f"[{', '.join(map(repr, value))}]")
 
 
 def save(system: System, path: str | os.PathLike[str]) -> None:

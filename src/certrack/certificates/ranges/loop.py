@@ -34,7 +34,7 @@ from certrack.certificates.ranges.rational import Interval, RationalVector
 from certrack.core.expressions import Expression, parse, symbol
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.laws.error_system import EstimatedParameters
-from certrack.references.supremum import enclosure
+from certrack.references.intervals import enclosure
 from certrack.systems.system import System
 
 #: Symbols of ranges that no constant stands for: a dot, so they are the name of none.

@@ -199,12 +199,12 @@ class VertexProgram:
         cost = np.zeros(self._base.shape[1])
         cost[count] = 1.0
         if self.problems[0].adaptation is not None:
-            cost[count - 1] = leak * self._scaling.time / self._scaling.sizes[-1] ** 2
+            cost[count - 1] = self._scaling.leak_cost(leak)
         cost /= cost.max()
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.max_iter = False, MAX_ITERATIONS
         zero = sparse.csc_matrix((len(cost), len(cost)))
-        matrix = (self._base + alpha * self._scaling.time * self._slope).tocsc()
+        matrix = (self._base + self._scaling.rate(alpha) * self._slope).tocsc()
         found = clarabel.DefaultSolver(
             zero, cost, matrix, self._right, self._cones, settings
         ).solve()

@@ -9,6 +9,7 @@ from pathlib import Path
 from certrack.core.errors import InputError
 from certrack.core.files import write_folder
 from certrack.export.c.acceptance_test import acceptance_test
+from certrack.export.c.guard import guard_header
 from certrack.export.c.readme import README_KIND, readme
 from certrack.export.c.source import CCode, c_code
 from certrack.export.golden_vectors import golden_vectors
@@ -39,6 +40,7 @@ def c_files(code: CCode) -> dict[str, str]:
     return {
         f"{code.name}.h": code.header,
         f"{code.name}.c": code.source,
+        f"{code.name}_guard.h": guard_header(code),
         f"{code.name}_test.c": acceptance_test(code, vectors),
         "README.md": readme(code, code.notes),
     }
@@ -52,7 +54,7 @@ def export_c(
     real: str = "double",
     period: float | None = None,
 ) -> Exported:
-    """Write the controller as C to a folder: header, source, test and README, or nothing.
+    """Write the controller as C to a folder: header, source, guard, test and README, or nothing.
 
     Parameters
     ----------
@@ -79,7 +81,7 @@ def export_c(
     >>> import certrack
     >>> written = certrack.export_c(certrack.load("example1"), "firmware", "drive", period=0.001)
     >>> [path.name for path in written.files]
-    ['drive.h', 'drive.c', 'drive_test.c', 'README.md']
+    ['drive.h', 'drive.c', 'drive_guard.h', 'drive_test.c', 'README.md']
     """
     code = c_code(system, name, real=real, period=period)
     return Exported(code.name, write_all(Path(folder), c_files(code)), code.notes)

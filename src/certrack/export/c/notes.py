@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from certrack.core.expressions import TIME
-from certrack.core.lowering import numpy_callable
-from certrack.loops.controller import leak_jacobian
+from certrack.laws.leakage import leak_matrix
+from certrack.simulation.implementation_notes import implementation_notes
 from certrack.systems.system import System
 
 #: Below this part of itself per sample, leakage is lost in the rounding of float.
@@ -18,9 +18,10 @@ FLOAT_COUNT = 2**24
 
 def notes_for(system: System, real: str) -> tuple[str, ...]:
     """Notes on the code of a system with numbers of type `real`; usually none."""
+    notes = implementation_notes(system)
     if real == "double":
-        return ()
-    return (*_time_notes(system), *_leak_notes(system))
+        return notes
+    return (*notes, *_time_notes(system), *_leak_notes(system))
 
 
 def _time_notes(system: System) -> tuple[str, ...]:
@@ -50,12 +51,7 @@ def _leak_notes(system: System) -> tuple[str, ...]:
 
 def _leak_share(system: System) -> float:
     """Part of itself by which leakage changes the slowest estimate per sample; inf without."""
-    controller, implementation = system.controller, system.implementation
+    implementation = system.implementation
     assert implementation is not None
-    leak = leak_jacobian(controller)
-    if not leak:
-        return np.inf
-    count = len(controller.states)
-    values = numpy_callable(controller.symbols, leak)(*controller.values)
-    rates = np.abs(np.diag(np.array(values, dtype=float).reshape(count, count)))
+    rates = np.abs(np.diag(leak_matrix(system.controller)))
     return float(rates[rates > 0].min(initial=np.inf) * implementation.period)

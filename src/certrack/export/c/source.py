@@ -67,8 +67,10 @@ class CCode:
     @cached_property
     def members(self) -> tuple[str, ...]:
         """Of the structure NAME_state, all real numbers; C wants one at least."""
-        names = tuple(free_name(self.program.labels[s], ()) for s in self.program.states)
-        return names or ("unused",)
+        names: list[str] = []
+        for state in self.program.states:
+            names.append(free_name(self.program.labels[state], names))
+        return tuple(names) or ("unused",)
 
     @cached_property
     def header(self) -> str:

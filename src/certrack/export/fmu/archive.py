@@ -22,6 +22,7 @@ from certrack.core import checks
 from certrack.core.compilers import shared_library
 from certrack.core.errors import InputError
 from certrack.core.files import write_bytes
+from certrack.export.c.guard import guard_header
 from certrack.export.c.source import CCode, c_code
 from certrack.export.fmu.description import DESCRIPTIONS, documentation_page
 from certrack.export.identifiers import stem
@@ -147,7 +148,11 @@ def export_fmu(
 
 
 def _sources(code: CCode, version: str) -> dict[str, str]:
-    controller = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
+    controller = {
+        f"{code.name}.h": code.header,
+        f"{code.name}.c": code.source,
+        f"{code.name}_guard.h": guard_header(code),
+    }
     interface = (*SHARED_SOURCES, *WRAPPERS[version])
     return controller | {name: packaged_text(f"fmu/fmi/{name}") for name in interface}
 

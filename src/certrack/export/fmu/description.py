@@ -81,6 +81,7 @@ def _add_common_elements(code: CCode, root: Tree.Element, declared: Sequence[Var
         for unit in units:
             Tree.SubElement(defined, "Unit", name=unit)
     categories = Tree.SubElement(root, "LogCategories")
+    Tree.SubElement(categories, "Category", name="logStatusWarning")
     Tree.SubElement(categories, "Category", name="logStatusError")
     Tree.SubElement(
         root,

@@ -18,9 +18,11 @@ from certrack.export.identifiers import stem
 from certrack.export.program import (
     ControllerProgram,
     controller_program,
+    read_symbols,
     sampled_system,
     unread_states,
 )
+from certrack.export.st.guard import GUARD, guarded
 from certrack.export.st.statements import (
     INDENT,
     Statements,
@@ -73,7 +75,7 @@ def structured_text(
         If there is no period.
     """
     system = sampled_system(system, period)
-    program, used_names = controller_program(system), set(ST_RESERVED)
+    program, used_names = controller_program(system), {*ST_RESERVED, GUARD.lower()}
     block = unused_name(stem(name), used_names)
     names = _identifiers(program, used_names)
     start = {
@@ -84,6 +86,10 @@ def structured_text(
     ]
     variables = Variables(names)
     statements = _statements(program, variables)
+    results = [names[COMMAND], *(names[state] for state in program.states)]
+    saved = {name: unused_name(f"saved_{name}", used_names) for name in results}
+    read = read_symbols(program)
+    inputs = [names[s] for s in (*program.measured, *program.Y) if s in read]
     lines = [
         *_introduction(system, start),
         f"FUNCTION_BLOCK {block}",
@@ -95,9 +101,11 @@ def structured_text(
         *_variable_section(
             "VAR CONSTANT", (_declaration(names[s], v) for s, v in program.constants.items())
         ),
-        *_variable_section("VAR_TEMP", map(_declaration, (*computed, *variables.temporary))),
+        *_variable_section(
+            "VAR_TEMP", map(_declaration, (*computed, *variables.temporary, *saved.values()))
+        ),
         *_reset_statements(start),
-        *statements.lines,
+        *guarded(inputs, saved, statements.lines),
         "END_FUNCTION_BLOCK",
     ]
     return "\n".join(lines) + "\n"
@@ -173,6 +181,7 @@ def _introduction(system: System, states: Mapping[str, float]) -> list[str]:
         f"Call the block once every {system.implementation.period!r} s with the states measured at",
         "this moment and the reference y_d and its derivatives; u acts until the next call.",
         "RESET = TRUE starts again." if states else "It keeps nothing: RESET has no effect.",
+        "GUARD = TRUE holds u and all states at a sample that is not finite.",
     ]
     return ["(*", *((INDENT + comment_text(line)).rstrip() for line in lines), "*)"]
 
@@ -199,7 +208,11 @@ def _input_declarations(
     notes += ["reference", *(f"its derivative no. {i}" for i in range(1, len(program.Y)))]
     inputs = zip((*program.measured, *program.Y), notes, strict=True)
     declarations = [_declaration(names[name], note=note) for name, note in inputs]
-    return [*declarations, _declaration("RESET", note="start again", kind="BOOL")]
+    return [
+        *declarations,
+        _declaration("RESET", note="start again", kind="BOOL"),
+        _declaration(GUARD, note="hold at a sample that is not finite", kind="BOOL"),
+    ]
 
 
 def _with_unit(what: str, system: System, index: int) -> str:

@@ -6,5 +6,6 @@ A loop is described by :class:`~certrack.integrators.many.augmented.AugmentedFlo
   where it runs: members in the lanes of vector registers;
 * ``lockstep.py`` - one Runge-Kutta step compiled by heyoka (``lockstep_map.py``), on a time
   grid that all members share;
-* ``taylor_batch.py`` - eight lanes of heyoka's Taylor integrator, for the search of the worst case.
+* ``taylor_batch.py`` - eight lanes of heyoka's Taylor integrator, for the search of the worst case;
+* ``numpy_batch.py`` - the same search in NumPy, where heyoka is missing.
 """

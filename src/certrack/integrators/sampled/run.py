@@ -233,6 +233,8 @@ class SampledRun:
             x[:, given_up], totals[:, given_up] = np.nan, np.nan
             for i in np.flatnonzero(given_up):
                 reason = Outcome.undefined if lost[i] else Outcome.step_limit
+                if not np.abs(u[i]) <= self._problem.max_state:  # also where it is not a number
+                    reason = Outcome.controller_diverged
                 self.outcomes[group[i]] = Outcome.escaped if wild[i] else reason
                 self.run_alone[group[i]] = not wild[i]
         x_end[:, group], totals_end[:, group] = x, totals

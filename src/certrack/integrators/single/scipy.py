@@ -4,17 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+import sympy
 
-from certrack.core.expressions import TIME
-from certrack.core.lowering import jacobian, numpy_callable
-from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
+from certrack.core.expressions import TIME, without_minmax
+from certrack.core.lowering import jacobian, numpy_callable, rows
+from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory, parts_of
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
 
 #: Evaluations of the rates in one segment of the reference; a run with more would take minutes.
 MAX_EVALUATIONS = 400_000
+
+#: Samples of a step between which kinks of the state are looked for, its begin and end included.
+KINK_SAMPLES = np.linspace(0.0, 1.0, 6)
+
+#: Halvings that locate a kink, and the part of the time within which it is where a step begins or
+#: ends.
+KINK_BISECTIONS, AT_BEGIN = 50, 1e-10
+
+#: The methods get this part of the tolerance. The error of the explicit one between the ends of a
+#: step is some 30 times that at the ends; the errors of the many steps of the implicit one add up.
+EXPLICIT_SHARE, IMPLICIT_SHARE = 0.03, 0.05
 
 #: SciPy refuses smaller relative tolerances (100 times the rounding of a double).
 MIN_RELATIVE_TOLERANCE = 3e-14
@@ -34,6 +47,9 @@ class ScipyIntegrator:
         arguments = [TIME, loop.states, loop.parameters]
         self._rates = numpy_callable(arguments, loop.rates)
         self._size = len(loop.states)
+        kinks = set().union(*(without_minmax(rate).atoms(sympy.Abs) for rate in loop.rates))
+        inside = sorted((kink.args[0] for kink in kinks), key=sympy.default_sort_key)
+        self._kinks = numpy_callable(arguments, inside) if inside else None
         self.implicit = implicit
         self._jacobian: Callable[..., list[Any]] | None = None
         if implicit:
@@ -47,10 +63,11 @@ class ScipyIntegrator:
         times: list[float] = [0.0]
         pieces: list[Any] = []
         y, outcome = np.array(problem.start, dtype=float), Outcome.finished
-        absolute = np.full(self._size, problem.tolerance)
+        tolerance = problem.tolerance * (IMPLICIT_SHARE if self.implicit else EXPLICIT_SHARE)
+        absolute = np.full(self._size, tolerance)
         absolute[-len(INTEGRALS) :] /= INTEGRAL_SCALE
         for begin, stop in problem.segments:
-            p = np.concatenate([problem.parameters, problem.reference.piece_values(begin)])
+            p = np.concatenate([problem.parameters, problem.schedule.piece_values(begin)])
 
             def rates(t: float, y: np.ndarray, p: np.ndarray = p) -> np.ndarray:
                 with np.errstate(all="ignore"):
@@ -59,18 +76,25 @@ class ScipyIntegrator:
             if not np.isfinite(rates(begin, y)).all():
                 outcome = Outcome.undefined
                 break
-            relative = max(problem.tolerance, MIN_RELATIVE_TOLERANCE)
+            relative = max(tolerance, MIN_RELATIVE_TOLERANCE)
             options: dict[str, Any] = {"rtol": relative, "atol": absolute}
             if not self.implicit:  # its interpolant is poor on steps that only stability limits
                 options["max_step"] = 1.0 / problem.fastest_pole
             if self.implicit:
                 options["jac"] = lambda t, y, p=p: self._jacobian_at(t, y, p)
-            solver = (Radau if self.implicit else DOP853)(rates, begin, y, stop, **options)
-            outcome = _advance(solver, problem, times, pieces)
-            y = solver.y
+            make = partial(Radau if self.implicit else DOP853, rates, **options)
+            kinks = None if self._kinks is None else partial(self._kink_values, p)
+            y, outcome = _advance(make, (begin, y, stop), problem, times, pieces, kinks)
             if outcome is not Outcome.finished:
                 break
-        return Trajectory(np.array(times), SteppedOutput(times, pieces, y), outcome, method)
+        output, parts = SteppedOutput(times, pieces, y), parts_of(len(pieces))
+        return Trajectory(np.array(times), output, outcome, method, parts)
+
+    def _kink_values(self, p: np.ndarray, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """What stands under abs, or under min and max as a difference; shape (K, N)."""
+        assert self._kinks is not None
+        with np.errstate(all="ignore"):
+            return rows(self._kinks(t, y, p), len(t))
 
     def _jacobian_at(self, t: float, y: np.ndarray, p: np.ndarray) -> np.ndarray:
         assert self._jacobian is not None
@@ -79,23 +103,68 @@ class ScipyIntegrator:
         return np.nan_to_num(entries.reshape(self._size, self._size))
 
 
-def _advance(solver: Any, problem: Problem, times: list[float], pieces: list[Any]) -> Outcome:
-    """Step the solver to the end of its segment."""
-    n = problem.plant_order
-    while solver.status == "running":
+#: Values whose change of sign is a kink, of times and states.
+Kinks = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def _advance(
+    make: Callable[[float, np.ndarray, float], Any],
+    segment: tuple[float, np.ndarray, float],
+    problem: Problem,
+    times: list[float],
+    pieces: list[Any],
+    kinks: Kinks | None,
+) -> tuple[np.ndarray, Outcome]:
+    """Step to the end of a segment (begin, state, end), and from kink to kink of the state.
+
+    `make` makes a solver for a begin, a state and an end. The last state is returned.
+    """
+    begin, y, stop = segment
+    solver, used = make(begin, y, stop), 0
+    while True:
         problem.progress(times[-1], problem.duration, None)
+        begin, y = solver.t, solver.y
         with np.errstate(all="ignore"):
             solver.step()
         if solver.status == "failed":
-            large = np.abs(solver.y[:n]).max() > ESCAPING
-            return Outcome.escaped if large else Outcome.undefined
-        pieces.append(solver.dense_output())
-        times.append(solver.t)
-        if not np.abs(solver.y[:n]).max() <= problem.max_state:
-            return Outcome.escaped
-        if solver.nfev > MAX_EVALUATIONS:
-            return Outcome.step_limit
-    return Outcome.finished
+            large = np.abs(solver.y[: problem.plant_order]).max() > ESCAPING
+            return solver.y, Outcome.escaped if large else Outcome.undefined
+        dense = solver.dense_output()
+        kink = None if kinks is None else _first_kink(kinks, dense, begin, solver.t)
+        if kink is None:
+            pieces.append(dense)
+            times.append(solver.t)
+            if not np.abs(solver.y[: problem.plant_order]).max() <= problem.max_state:
+                return solver.y, Outcome.escaped
+            if solver.t == stop:
+                return solver.y, Outcome.finished
+        if used + solver.nfev > MAX_EVALUATIONS or len(pieces) >= problem.max_steps:
+            return solver.y if kink is None else y, Outcome.step_limit
+        if kink is not None:  # the error control may not have seen it: step up to it instead
+            used += solver.nfev
+            solver = make(begin, y, kink)
+        elif solver.status == "finished":
+            used += solver.nfev
+            solver = make(solver.t, solver.y, stop)
+
+
+def _first_kink(
+    kinks: Kinks, dense: Callable[[np.ndarray], np.ndarray], begin: float, end: float
+) -> float | None:
+    """The first time well inside a step at which a kink's value changes its sign."""
+    near = AT_BEGIN * max(1.0, abs(end))
+    times = begin + (end - begin) * KINK_SAMPLES
+    values = kinks(times, dense(times))
+    crossings = []
+    for k, j in np.argwhere(values[:, :-1] * values[:, 1:] < 0).tolist():
+        low, high, rising = times[j], times[j + 1], values[k, j] < 0
+        for _ in range(KINK_BISECTIONS):
+            middle = np.array([(low + high) / 2])
+            above = kinks(middle, dense(middle))[k, 0] > 0
+            low, high = (low, middle[0]) if above == rising else (middle[0], high)
+        if begin + near < high < end - near:
+            crossings.append(float(high))
+    return min(crossings, default=None)
 
 
 @dataclass(frozen=True)

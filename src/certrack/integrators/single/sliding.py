@@ -93,7 +93,7 @@ class SlidingIntegrator:
         times, record = [0.0], [(0.0, modes)]
         outcome, rush = Outcome.finished, Rush()
         for begin, stop in problem.segments:
-            p = np.concatenate([problem.parameters, problem.reference.piece_values(begin)])
+            p = np.concatenate([problem.parameters, problem.schedule.piece_values(begin)])
             t = begin
             reached: tuple[int, ...] = ()
             while outcome is Outcome.finished and t < stop:

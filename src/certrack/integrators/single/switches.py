@@ -20,6 +20,9 @@ from certrack.core.lowering import numpy_callable, rows
 #: what rounding blurs; the nearer look is decisive.
 FAR_AHEAD, NEAR_AHEAD = 1e-6, 1e-10
 
+#: Steps of a Runge-Kutta method that look as far ahead from a state at rest: each adds four orders.
+STEPS_AHEAD = 8
+
 #: A function this small, relative to the states, has no sign: rounding.
 ZERO = 1e-9
 
@@ -88,6 +91,26 @@ class Switches:
                         pars[self.first + k] = 1.0 if value > 0 else -1.0
             if np.array_equal(before, pars[self.first :]):
                 break
+        if not pars[self.first :].all():
+            self._set_at_rest(t, state, pars)
+
+    def _set_at_rest(self, t: float, state: np.ndarray, pars: np.ndarray) -> None:
+        """Set switches whose functions are zero, and so are their rates: as of a chain at rest.
+
+        Steps of the classical Runge-Kutta method tell where they go, however small the values: at
+        rest they are exact zeros.
+        """
+        h = FAR_AHEAD / STEPS_AHEAD
+        with np.errstate(all="ignore"):
+            for _ in range(STEPS_AHEAD):
+                k1 = np.array(self._rates(t, state, pars), dtype=float)
+                k2 = np.array(self._rates(t + h / 2, state + h / 2 * k1, pars), dtype=float)
+                k3 = np.array(self._rates(t + h / 2, state + h / 2 * k2, pars), dtype=float)
+                k4 = np.array(self._rates(t + h, state + h * k3, pars), dtype=float)
+                t, state = t + h, state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            for k, value in enumerate(self._functions(t, state, pars)):
+                if value and not pars[self.first + k]:
+                    pars[self.first + k] = 1.0 if value > 0 else -1.0
 
     def held(self, t: np.ndarray, states: np.ndarray, pars: np.ndarray) -> np.ndarray:
         """What is negative where a switch disagrees with its function, (count, N)."""
@@ -96,13 +119,17 @@ class Switches:
         return values * pars[self.first :, None]
 
     def missed(self, t: np.ndarray, states: np.ndarray) -> bool:
-        """Whether a switch disagrees with its function at the middle (t, states) of some step."""
+        """Whether a switch disagrees with its function at the middle (t, states) of some step.
+
+        So does one that was never set, where its function is not zero.
+        """
         pars = np.array(self._used[: len(t)]).T
         with np.errstate(all="ignore"):
             values = np.array(
                 [np.broadcast_to(f, t.shape) for f in self._functions(t, states, pars)]
             )
-        wrong = values * pars[self.first :] < 0
+        used = pars[self.first :]
+        wrong = (values * used < 0) | (used == 0)
         return bool((wrong & (np.abs(values) > ZERO * (1 + np.abs(states).max()))).any())
 
 

@@ -12,7 +12,14 @@ import numpy as np
 
 from certrack.core.heyoka import quiet_heyoka
 from certrack.core.lowering import extract_switches, to_heyoka
-from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory, fractions
+from certrack.integrators.base import (
+    ESCAPING,
+    Outcome,
+    Problem,
+    Trajectory,
+    fractions,
+    parts_of,
+)
 from certrack.integrators.single.switches import Switches
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
 
@@ -28,6 +35,12 @@ MAX_EMPTY_STEPS = 3
 
 #: Length of the step by the Taylor series that leaves such a kink, s.
 LEAVING_STEP = 1e-6
+
+#: Room for so many more steps at least when a record is full.
+ROOM_AT_LEAST = 256
+
+#: Steps whose samples are computed at once: the intermediate results stay small.
+STEPS_AT_ONCE = 8192
 
 #: Steps after which the progress is reported.
 STEPS_PER_REPORT = 1024
@@ -104,7 +117,7 @@ class TaylorIntegrator:
         if switches is not None:
             switches.begin()
         for begin, stop in problem.segments:
-            ta.pars[self._piece] = problem.reference.piece_values(begin)
+            ta.pars[self._piece] = problem.schedule.piece_values(begin)
             ta.time = begin
             if switches is not None:
                 switches.set(ta)
@@ -164,9 +177,10 @@ class TaylorIntegrator:
 
 
 # heyoka takes the step h from the last two Taylor coefficients c_p and c_{p-1} alone, such that
-# |c_j| h^j ~ |x| exp(-2 j) there. Where these two happen to vanish, as from x = 0 in x' = 1 + x^3
-# whose series has only every third term, the step is far too long. So the few coefficients before
-# them are held to the same rule, with some slack because they usually exceed it a little.
+# |c_j| h^j ~ max(1, |x|) exp(-2 j) there: at rest x = 0 counts as 1, too. Where these two happen to
+# vanish, as from x = 0 in x' = 1 + x^3 whose series has only every third term, the step is far too
+# long. So the few coefficients before them are held to the same rule, with some slack because they
+# usually exceed it a little.
 SLACK = 100.0
 
 #: Coefficients before the last two that are looked at.
@@ -182,13 +196,13 @@ def _orders(count: int) -> range:
 
 
 def _excess(steps: _StepRecord, moving: int, lengths: np.ndarray) -> float:
-    """Largest |c_j| h^j / (|x| exp(-2 j)) over all steps."""
+    """Largest |c_j| h^j / (max(1, |x|) exp(-2 j)) over all steps."""
     table = steps.table[: len(lengths), :moving]
     orders = _orders(table.shape[2])
     begin, late = table[:, :, :2], table[:, :, orders.start : orders.stop]
     with np.errstate(all="ignore"):  # an escape overflows; an event may end a step at its begin
         squares = np.einsum("sij,sij->sj", begin, begin)  # Euclidean norms: several times faster
-        size = np.maximum(squares[:, 0], squares[:, 1] * lengths**2) + 1e-300  # not 0/0
+        size = np.maximum(1.0, np.maximum(squares[:, 0], squares[:, 1] * lengths**2))
         reach = np.log(lengths) + 2.0
         growth = np.exp(2.0 * reach[:, None] * np.arange(orders.start, orders.stop))
         terms = np.einsum("sij,sij->sj", late, late) * growth
@@ -198,7 +212,7 @@ def _excess(steps: _StepRecord, moving: int, lengths: np.ndarray) -> float:
 def _safe_step(coefficients: np.ndarray, length: float) -> float:
     """Longest step by the rule above."""
     table = np.abs(coefficients)
-    size = max(table[:, 0].max(), table[:, 1].max() * length)
+    size = max(1.0, table[:, 0].max(), table[:, 1].max() * length)
     j = np.array(_orders(table.shape[1]))
     with np.errstate(divide="ignore", invalid="ignore"):  # 0/0 at rest: no limit
         limits = (SLACK * size / table[:, j].max(axis=0)) ** (1.0 / j) * np.exp(-2.0)
@@ -214,9 +228,10 @@ class _StepRecord:
         self.table = np.empty((128, *shape))
 
     def grow(self) -> tuple[np.ndarray, np.ndarray]:
-        """Double the room."""
-        self.starts = np.concatenate([self.starts, np.empty_like(self.starts)])
-        self.table = np.concatenate([self.table, np.empty_like(self.table)])
+        """More room; where there is space behind a table nothing is copied."""
+        room = len(self.starts) + max(len(self.starts) // 4, ROOM_AT_LEAST)
+        self.starts.resize(room, refcheck=False)
+        self.table.resize((room, *self.table.shape[1:]), refcheck=False)
         return self.starts, self.table
 
 
@@ -235,7 +250,9 @@ def _trajectory(steps: _StepRecord, end: float, outcome: Outcome, problem: Probl
         starts, table = starts[:k], table[:k]
     elif outcome is Outcome.undefined and size[-1] > ESCAPING:
         outcome = Outcome.escaped
-    return Trajectory(np.append(starts, end), TaylorSeries(starts, table), outcome, "taylor")
+    series = TaylorSeries(starts, table)
+    parts = parts_of(len(starts))
+    return Trajectory(np.append(starts, end), series, outcome, "taylor", parts)
 
 
 @dataclass(frozen=True)
@@ -265,14 +282,16 @@ class TaylorSeries:
     def subdivided(self, times: np.ndarray, parts: int) -> np.ndarray:
         """States at :func:`certrack.integrators.base.subdivide` of the steps, much faster."""
         steps, size, orders = self.table.shape
-        powers = np.empty((steps, 1, orders))  # h^k, by products: pow() is slow
-        powers[:, 0, 0], powers[:, 0, 1:] = 1.0, np.diff(times)[:, None]
-        np.multiply.accumulate(powers, axis=2, out=powers)
-        samples = fractions(parts)
-        series = samples ** np.arange(orders)[:, None]
-        values = (self.table * powers).reshape(-1, orders) @ series  # all steps at once
-        values = values.reshape(steps, size, parts + 1)
-        values[0, :, 0] = self.table[0, :, 0]
-        values[-1, :, -1] = (self.table[-1] * powers[-1]).sum(axis=1)
-        states: np.ndarray = values.transpose(1, 0, 2).reshape(size, -1)
-        return states
+        series = fractions(parts) ** np.arange(orders)[:, None]
+        states = np.empty((size, steps, parts + 1))
+        for first in range(0, steps, STEPS_AT_ONCE):
+            part = slice(first, first + STEPS_AT_ONCE)
+            table = self.table[part]
+            powers = np.empty((len(table), 1, orders))  # h^k, by products: pow() is slow
+            powers[:, 0, 0], powers[:, 0, 1:] = 1.0, np.diff(times)[part, None]
+            np.multiply.accumulate(powers, axis=2, out=powers)
+            values = (table * powers).reshape(-1, orders) @ series  # all steps at once
+            states[:, part] = values.reshape(len(table), size, parts + 1).transpose(1, 0, 2)
+        states[:, 0, 0] = self.table[0, :, 0]
+        states[:, -1, -1] = (self.table[-1] * powers[-1]).sum(axis=1)
+        return states.reshape(size, -1)

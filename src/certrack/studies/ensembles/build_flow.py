@@ -14,6 +14,7 @@ from certrack.core.expressions import TIME, derivative, symbol
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
 from certrack.loops.switching import switching
+from certrack.loops.time_switches import TimeSwitches, take_switches
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.metric_formulas import (
     IN_TAIL,
@@ -23,8 +24,10 @@ from certrack.studies.ensembles.metric_formulas import (
 )
 
 
-def build_flow(members: Members, varying: Iterable[sympy.Symbol]) -> AugmentedFlow:
-    """Rates, metrics and signals of a system's closed loop.
+def build_flow(
+    members: Members, varying: Iterable[sympy.Symbol]
+) -> tuple[AugmentedFlow, TimeSwitches]:
+    """Rates, metrics and signals of a system's closed loop, and its switches of time.
 
     Parameters
     ----------
@@ -40,15 +43,17 @@ def build_flow(members: Members, varying: Iterable[sympy.Symbol]) -> AugmentedFl
         if name not in free
     }
     states = loop.states[: -len(INTEGRALS)]
-    switched = switching(loop.rates, loop.states, smooth_rates=len(INTEGRALS))
-    all_rates, u = loop.rates, loop.u
+    outputs = _computed_outputs(loop)
+    formulas = [f.xreplace(fixed) for f in (*loop.rates, loop.e_1, loop.u, *outputs)]
+    formulas, switches = take_switches(formulas, (), free)
+    rates, others = formulas[: len(loop.states)], formulas[len(loop.states) :]
+    e, u, *outputs = others
+    switched = switching(rates, loop.states, smooth_rates=len(INTEGRALS))
     if switched is not None:
-        all_rates, (u,) = switched.rates, switched.resolved([u])
-    rates = [rate.xreplace(fixed) for rate in all_rates[: len(states)]]
-    e, u = loop.e_1.xreplace(fixed), u.xreplace(fixed)
+        rates, (u,) = list(switched.rates), switched.resolved([u])
+    rates = rates[: len(states)]
     slopes = tuple(symbol(f"kept_rate_of_{state.name}") for state in states)
     rate_of = dict(zip(states, slopes, strict=True)) | {TIME: sympy.Integer(1)}
-    outputs = [formula.xreplace(fixed) for formula in _computed_outputs(loop)]
     signals = tuple(
         f
         for formula in (e, u)
@@ -58,7 +63,7 @@ def build_flow(members: Members, varying: Iterable[sympy.Symbol]) -> AugmentedFl
     sides = tuple((symbol(f"kept_{name}_begin"), symbol(f"kept_{name}_end")) for name in names)
     used = set().union(*(f.free_symbols for f in (*rates, e, u, *outputs)))
     pieces = tuple(loop.parameters[len(loop.parameters) - loop.pieces :])
-    return AugmentedFlow(
+    flow = AugmentedFlow(
         states=states,
         rates=tuple(rates),
         parameters=(
@@ -72,15 +77,13 @@ def build_flow(members: Members, varying: Iterable[sympy.Symbol]) -> AugmentedFl
         memories=memory_updates(sides[: len(METRIC_SIGNALS)]),
         sides=sides,
         watched=loop.n,
-        shared=(IN_TAIL, *pieces),
+        shared=(IN_TAIL, *pieces, *switches.symbols),
         held=() if switched is None else tuple(map(states.index, switched.surfaces)),
         surfaces=()
         if switched is None
-        else tuple(
-            formula.xreplace(fixed)
-            for formula in (*switched.values, *switched.drifts, *switched.effects)
-        ),
+        else (*switched.values, *switched.drifts, *switched.effects),
     )
+    return flow, switches
 
 
 def _along(formula: sympy.Expr, rate_of: dict[sympy.Symbol, sympy.Expr]) -> sympy.Expr:

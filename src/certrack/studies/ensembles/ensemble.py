@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,11 +19,12 @@ from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
 from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.checkpoints import Checkpoints
+from certrack.studies.ensembles.completion import complete
 from certrack.studies.ensembles.engine import Engine, fastest
 from certrack.studies.ensembles.error_limit import tail_error_limit
 from certrack.studies.ensembles.member_table import KEPT_MEMBERS
 from certrack.studies.ensembles.members import Members
-from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, Range, band_times, make_plan
+from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, band_times, make_plan
 from certrack.studies.ensembles.statistics import LEVELS, Statistics, binomial_interval
 from certrack.systems.system import System
 
@@ -342,6 +343,8 @@ def ensemble(
     ------
     InputError
         If an argument does not fit or the folder cannot be written.
+    AllMembersLost
+        If none of the first 256 members finishes, and more were asked for.
 
     Examples
     --------
@@ -365,31 +368,12 @@ def ensemble(
     plan = make_plan(system, seed, tolerance, limit, method or METHODS[0], per_member=per_member)
     plan, engine = _prepared(plan, method, threads, client)
     total = plan.empty()
-    checkpoints = None if out is None else Checkpoints(Path(out), plan)
-    covered = [] if checkpoints is None else checkpoints.load(total, members)
-    missing = list(_missing(covered, members, chunk))
-    wanted = sum(end - begin for begin, end in missing)
-    progress(members - wanted, members, _largest(total))
-    seconds = 0.0
-    if engine is None:
-        results = workers.on_cluster(plan, missing, client)
-    else:
-        results = workers.in_this_process(engine, missing, total if checkpoints is None else None)
-    for span, statistics, spent in results if missing else ():
-        if statistics is not total:
-            total.merge(statistics)
-        covered.append(span)
-        seconds += spent
-        if checkpoints is not None:
-            checkpoints.save(span, statistics.packed())
-            checkpoints.gather(total, covered)
-        progress(total.members, members, _largest(total))
+    with ExitStack() as stack:
+        checkpoints = None if out is None else stack.enter_context(Checkpoints(Path(out), plan))
+        wanted, seconds = complete(
+            plan, engine, client, total, checkpoints, members, chunk, progress
+        )
     return Ensemble(system, seed, total, limit, origin, wanted, seconds)
-
-
-def _largest(total: Statistics) -> float | None:
-    """The largest tail error so far."""
-    return total.worst[0][0] if total.worst else None
 
 
 def _prepared(
@@ -402,14 +386,3 @@ def _prepared(
     except MethodUnavailable as reason:
         raise InputError("method", str(reason), method, "Leave it out") from None
     return engine.plan, None if client is not None else engine
-
-
-def _missing(covered: list[Range], members: int, chunk: int) -> Iterator[Range]:
-    """Members that no range covers, cut at multiples of the chunk."""
-    begin = 0
-    for first, last in [*covered, (members, members)]:
-        while begin < first:
-            end = min(first, (begin // chunk + 1) * chunk)
-            yield begin, end
-            begin = end
-        begin = max(begin, last)

@@ -17,6 +17,7 @@ import sympy
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, parse, symbol
 from certrack.core.lowering import numpy_callable, rows
+from certrack.core.powers import put_in
 from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
 from certrack.loops.plant import true_constants
 from certrack.model.distribution import Distribution
@@ -239,10 +240,10 @@ class Members:
         derived: dict[sympy.Symbol, sympy.Expr] = {}  # constants that are formulas of others
         for i, (name, entry) in enumerate(plant.constants):
             if name not in {**varying, **dict(truth.constants)}:
-                derived[symbol(name)] = parse(name, entry.text, list(values)).expr.xreplace(derived)
+                derived[symbol(name)] = put_in(parse(name, entry.text, list(values)).expr, derived)
                 texts[f"true_constants_{i}"] = name
         formulas = {
-            name: parse(name, text, list(values)).expr.xreplace(derived)
+            name: put_in(parse(name, text, list(values)).expr, derived)
             for name, text in texts.items()
         }
         free = {symbol(name) for name in varying}

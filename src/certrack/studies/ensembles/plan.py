@@ -22,6 +22,10 @@ METRICS = tuple(entry.name for entry in fields(Metrics) if entry.name not in ("b
 
 METHODS = ("native", "lockstep", "alone")
 
+#: Raised by every change after which a member has other numbers or is counted otherwise. Folders of
+#: finished chunks record it, so that none is filled by two revisions.
+REVISION = 1
+
 Range = tuple[int, int]
 
 

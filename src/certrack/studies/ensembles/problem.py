@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import sympy
 
+from certrack.integrators.base import MethodUnavailable
+from certrack.loops.schedule import make_schedule
+from certrack.loops.time_switches import TimeSwitches
 from certrack.simulation.metrics import settling_band
 from certrack.studies.ensembles.members import AMPLITUDE, Members
 from certrack.studies.ensembles.metric_formulas import SETTLING_BAND
@@ -26,7 +29,7 @@ class Segments:
     edges : (K+1,) array, s
         Begins of the segments, and the end of the run.
     shared : (K, H) array
-        On each, whether it lies in the tail, and the reference's piece.
+        On each, whether it lies in the tail, the reference's piece, and the switches of time.
     """
 
     edges: np.ndarray
@@ -54,36 +57,52 @@ class EnsembleProblem:
     members : Members
     times : (T,) array, s
         Times of the bands.
-    segments : Segments
     """
 
     def __init__(self, system: System, seed: int, tolerance: float) -> None:
         self.system, self.tolerance = system, tolerance
         self.members = Members(system, seed)
         self.times = band_times(system)
-        settings = system.settings
-        breaks = system.reference.breaks(0.0, settings.duration)
-        ends = [0.0, settings.tail_start, settings.duration]
-        edges = np.unique(np.concatenate([ends, breaks]))
-        shared = np.array([self.shared_values(time) for time in edges[:-1]])
-        self.segments = Segments(edges, shared)
-        self._settling_band = settling_band(settings, system.reference)
+        self._settling_band = settling_band(system.settings, system.reference)
 
     @property
     def end(self) -> float:
         """Time at which a run ends, s."""
-        return float(self.segments.edges[-1])
+        return self.system.settings.duration
+
+    def segments(self, switches: TimeSwitches) -> Segments:
+        """Segments of a loop with its switches of time, whose numbers are all put in."""
+        settings = self.system.settings
+        schedule = make_schedule(
+            self.system.reference, switches, {}, settings.duration, self.tolerance
+        )
+        breaks = schedule.breaks(0.0, settings.duration)
+        breaks = breaks[np.abs(breaks - settings.tail_start) > schedule.blur]
+        edges = np.unique([0.0, settings.tail_start, settings.duration, *breaks])
+        shared = [
+            [float(time >= settings.tail_start), *schedule.piece_values(time)]
+            for time in edges[:-1].tolist()
+        ]
+        return Segments(edges, np.array(shared))
+
+    def refuse_own_times(self, switches: TimeSwitches) -> None:
+        """Refuse to compute members side by side that each switch at times of their own.
+
+        Raises
+        ------
+        MethodUnavailable
+        """
+        if switches.of_members:
+            raise MethodUnavailable(
+                "members switch at times of their own (a formula of t and of drawn numbers under "
+                "abs, sign, min or max), so each is run alone"
+            )
 
     @property
     def varying(self) -> dict[sympy.Symbol, np.ndarray]:
         """The parameters that differ between members, with the first member's values."""
         _, table = self.members.table(0, 1)
         return table
-
-    def shared_values(self, time: float) -> np.ndarray:
-        """Values of the shared symbols: whether the tail has begun, the reference's piece."""
-        tail = float(time >= self.system.settings.tail_start)
-        return np.concatenate([[tail], self.system.reference.piece_values(time)])
 
     def starts_and_parameters(
         self, begin: int, end: int

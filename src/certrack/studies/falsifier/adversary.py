@@ -20,8 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from certrack.core.errors import InputError
 from certrack.model.names import refuse_prefix
 from certrack.references import SymbolicReference
+from certrack.references.base import bound_of
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
 from certrack.systems.system import System
 
@@ -64,6 +66,9 @@ REFERENCE_SPEEDUP = 3.0
 #: Names of a wave's numbers among the constants of the reference.
 WAVE_CONSTANTS = ("r_a", "r_k", "r_w", "r_p")
 BEND = WAVE_CONSTANTS[1]
+
+#: Times at which a reference without bounds is evaluated.
+REFERENCE_SAMPLES = 1001
 
 #: Keeps derivatives of the reference below their bounds in spite of rounding.
 BELOW_BOUND = 1 - 1e-12
@@ -312,7 +317,7 @@ class Adversary:
         refuse_prefix(plant, ADVERSARY_PREFIX, "falsify")
         coordinates = system.controller.coordinates
         fastest = max(LEAST_FASTEST, min(MAX_FREQUENCY, coordinates.fastest_pole))
-        bounds = system.reference.bounds(coordinates.q + 1).values
+        bounds = _reference_bounds(system, coordinates.q + 1)
         bound = partial(u.bound_formula, states=plant.states, offset=ADVERSARY_NORM_OFFSET)
         others: list[AdversaryPart] = [
             DisturbancePattern(k, plant.states, bound(k), fastest)
@@ -352,3 +357,15 @@ class Adversary:
             for phase in np.arange(PLAUSIBLE_PHASES) * 2 * math.pi / PLAUSIBLE_PHASES
         ]
         return np.clip(rows, low, high)
+
+
+def _reference_bounds(system: System, order: int) -> list[float]:
+    """Y_0 ... Y_order; where there is none any is admissible: what the run reaches."""
+    bounds = []
+    for i in range(order + 1):
+        try:
+            bounds.append(bound_of(system.reference, i)[0])
+        except InputError:
+            times = np.linspace(0.0, system.settings.duration, REFERENCE_SAMPLES)
+            bounds.append(float(np.abs(system.reference.values(times, i)[i]).max()))
+    return bounds

@@ -22,7 +22,6 @@ from certrack.certificates.published import certify_published
 from certrack.certificates.ranges.certify import certify_ranges
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.heyoka import has_heyoka
 from certrack.core.progress import Progress, silent
 from certrack.integrators.base import Outcome
 from certrack.integrators.registers import LANES
@@ -112,7 +111,7 @@ def falsify(
     Raises
     ------
     InputError
-        If heyoka is missing, a bound of the reference cannot be proven, the truth has states of its
+        If a bound of the reference cannot be proven, the truth has states of its
         own, or a name of the plant is one of the search's own.
 
     Examples
@@ -129,10 +128,6 @@ def falsify(
             "truth.states",
             "falsify searches disturbances of the design's plant, not of one with own states",
             remedy="Give the truth in the design's form, or vary it by certrack ensemble",
-        )
-    if not has_heyoka():
-        raise InputError(
-            "falsify", "needs heyoka, which is not installed", remedy="conda-forge has it"
         )
     progress(0, budget, None)
     certificates = all_certificates(system)

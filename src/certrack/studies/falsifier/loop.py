@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from certrack.integrators.many.taylor_batch import TaylorBatch
 from certrack.loops.continuous import close_loop
 from certrack.studies.falsifier.adversary import Adversary
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
+from certrack.studies.falsifier.side_by_side import batch_of
 from certrack.systems.system import System
 
 #: Tolerance of the integrator: the replay has the usual one.
@@ -59,7 +59,7 @@ class AdversarialLoop:
         middle = np.array([v.middle for v in self.adversary.variables])
         self._template = self._with(middle, named=True)
         self._loop = close_loop(self._template)
-        self._integrator = TaylorBatch(self._loop, HUNT_TOLERANCE)
+        self._integrator = batch_of(self._loop, HUNT_TOLERANCE)
 
     def case(self, point: np.ndarray) -> System:
         """The system against the adversary with these numbers, written out."""

@@ -10,6 +10,7 @@
  */
 
 #include "${name}.h"
+#include "${name}_guard.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -47,6 +48,34 @@ static void compare_states(${name}_real *worst, const ${name}_state *got, const 
 ${compared}
 }
 
+/* A sample with an input that is no number, or infinite, leaves no trace; and a good one passes. */
+static void check_guard(${name}_real *worst, const sample *p)
+{
+    const ${name}_real bad[3] = {(${name}_real)NAN, (${name}_real)INFINITY, -(${name}_real)INFINITY};
+    ${name}_state s = p->before;
+    int i;
+    int k;
+
+    compare(worst, ${name}_guarded_step(&s, p->x, p->y_d, ${one}), p->u, p->u_scale);
+    compare_states(worst, &s, &p->after, &p->scale);
+    for (i = 0; i < (${name}_STATES + ${name}_REFERENCES); i++) {
+        for (k = 0; k < 3; k++) {
+            sample q = *p;
+            bool valid;
+
+            if (i < ${name}_STATES) {
+                q.x[i] = bad[k];
+            } else {
+                q.y_d[i - ${name}_STATES] = bad[k];
+            }
+            valid = ${name}_valid(q.x, q.y_d); /* true where this input is not read */
+            s = p->before;
+            compare(worst, ${name}_guarded_step(&s, q.x, q.y_d, p->u), p->u, p->u_scale);
+            compare_states(worst, &s, valid ? &p->after : &p->before, &p->scale);
+        }
+    }
+}
+
 int main(void)
 {
     ${name}_state s;
@@ -71,6 +100,7 @@ ${started}    for (i = 0; i < SAMPLES; i++) {
         u = ${name}_step(&s, p->x, p->y_d);
         compare(&worst, u, p->u, p->u_scale);
         compare_states(&worst, &s, &p->after, &p->scale);
+        check_guard(&worst, p);
     }
     (void)printf("${name}: %d samples, worst deviation %.3g of %.3g allowed: %s\n", SAMPLES,
         (double)worst, (double)TOLERANCE, (worst <= TOLERANCE) ? "passed" : "FAILED");

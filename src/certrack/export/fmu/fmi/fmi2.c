@@ -14,11 +14,12 @@ typedef struct {
 } instance;
 
 /* The text is the format itself, for importers that do not format: it must contain no %. */
-static void report(const fmi2CallbackFunctions *callbacks, const char *name, const char *text)
+static void report(const fmi2CallbackFunctions *callbacks, const char *name, fmi2Status status,
+                   const char *text)
 {
     if (callbacks != NULL && callbacks->logger != NULL) {
-        callbacks->logger(callbacks->componentEnvironment, name, fmi2Error, "logStatusError",
-                          text);
+        callbacks->logger(callbacks->componentEnvironment, name, status,
+                          (status == fmi2Error) ? "logStatusError" : "logStatusWarning", text);
     }
 }
 
@@ -26,8 +27,16 @@ static fmi2Status refuse(fmi2Component c, const char *text)
 {
     const instance *self = c;
 
-    report(self->callbacks, self->name, text);
+    report(self->callbacks, self->name, fmi2Error, text);
     return fmi2Error;
+}
+
+static fmi2Status warn(fmi2Component c, const char *text)
+{
+    const instance *self = c;
+
+    report(self->callbacks, self->name, fmi2Warning, text);
+    return fmi2Warning;
 }
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
@@ -43,7 +52,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid,
         problem = NO_MEMORY;
     }
     if (problem != NULL) {
-        report(callbacks, name, problem);
+        report(callbacks, name, fmi2Error, problem);
         return NULL;
     }
     self->callbacks = callbacks;
@@ -85,7 +94,7 @@ NO_VARIABLES_OF_TYPE(String)
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean noSetPrior)
 {
-    return answer(c, advance(c, t, h));
+    return answer_step(c, advance(c, t, h));
 }
 
 /* The state of the FMU: a copy. */

@@ -23,6 +23,16 @@ static fmi3Status refuse(fmi3Instance c, const char *text)
     return fmi3Error;
 }
 
+static fmi3Status warn(fmi3Instance c, const char *text)
+{
+    const instance *self = c;
+
+    if (self->log != NULL) {
+        self->log(self->environment, fmi3Warning, "logStatusWarning", text);
+    }
+    return fmi3Warning;
+}
+
 fmi3Instance fmi3InstantiateCoSimulation(
     fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
     fmi3Boolean logging, fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed,
@@ -97,7 +107,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
 
     *eventHandlingNeeded = *terminateSimulation = *earlyReturn = false;
     *lastSuccessfulTime = (problem == NULL) ? t + h : t;
-    return answer(c, problem);
+    return answer_step(c, problem);
 }
 
 /* The state of the FMU: a copy. */

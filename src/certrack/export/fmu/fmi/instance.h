@@ -31,8 +31,13 @@ typedef struct {
 /* A step may differ by this part of the period from a multiple of it: masters add up times. */
 static const double STEP_TOLERANCE = 1e-6;
 
+/* More periods than this in one step are a slip: at 1 kHz, a day. */
+static const double MOST_PERIODS = 1e8;
+
 static const char *const BAD_STEP =
     "the communication step must be a multiple of the controller's period, " MODEL_PERIOD_TEXT " s";
+static const char *const HELD =
+    "an input is not finite: the last command and the state were held";
 static const char *const BAD_VARIABLE = "there is no such variable";
 static const char *const BAD_TOKEN = "the binary belongs to another modelDescription.xml";
 static const char *const NO_MEMORY = "out of memory";
@@ -40,6 +45,9 @@ static const char *const ONLY_STEPS = "this is a co-simulation FMU without event
 
 /* Log what is wrong; the status is that of an error. Each version has its own. */
 static FMI(Status) refuse(COMPONENT c, const char *text);
+
+/* Log what the importer should know of a step that was taken. */
+static FMI(Status) warn(COMPONENT c, const char *text);
 
 static FMI(Status) answer(COMPONENT c, const char *problem)
 {
@@ -101,14 +109,27 @@ static const char *advance(memory *m, double t, double h)
 {
     const double periods = floor(h / MODEL_PERIOD + 0.5);
 
-    if (!(periods >= 1.0) || fabs(h - periods * MODEL_PERIOD) > STEP_TOLERANCE * MODEL_PERIOD) {
+    /* no comparison holds for what is not a number */
+    if (!(periods >= 1.0 && periods <= MOST_PERIODS && isfinite(t)) ||
+        !(fabs(h - periods * MODEL_PERIOD) <= STEP_TOLERANCE * MODEL_PERIOD)) {
         return BAD_STEP;
     }
     for (double k = 0.0; k < periods; k += 1.0) {
-        m->value[U] = model_step(&m->state, m->value, m->value + Y_D);
+        m->value[U] = model_guarded_step(&m->state, m->value, m->value + Y_D, m->value[U]);
     }
     m->time = t + h;
     return NULL;
+}
+
+/* The status of a step: a warning where bad inputs were held off. */
+static FMI(Status) answer_step(COMPONENT c, const char *problem)
+{
+    const memory *m = c;
+
+    if (problem == NULL && !model_valid(m->value, m->value + Y_D)) {
+        return warn(c, HELD);
+    }
+    return answer(c, problem);
 }
 
 /* Copy into the state, which is made where there is none. */

@@ -2,7 +2,7 @@
 #ifndef MODEL_H
 #define MODEL_H
 
-#include "${name}.h"
+#include "${name}_guard.h"
 
 #define MODEL_TOKEN "${token}"
 #define MODEL_STATES ${name}_STATES
@@ -14,6 +14,7 @@
 
 #define model_state ${name}_state
 #define model_init ${name}_init
-#define model_step ${name}_step
+#define model_valid ${name}_valid
+#define model_guarded_step ${name}_guarded_step
 
 #endif

@@ -36,10 +36,12 @@ class LockstepContinuous(Method):
             raise MethodUnavailable("heyoka is not installed")
         self._problem = problem
         modes_of(problem.members.loop, side_by_side=False)
-        self._flow = build_flow(problem.members, problem.varying)
+        self._flow, switches = build_flow(problem.members, problem.varying)
+        problem.refuse_own_times(switches)
+        self._segments = problem.segments(switches)
         self._lockstep = Lockstep(self._flow, problem.tolerance, parallel=threads > 1)
-        self._times = np.union1d(problem.times, problem.segments.edges)
-        jumps = np.searchsorted(self._times, problem.segments.edges[1:-1])
+        self._times = np.union1d(problem.times, self._segments.edges)
+        jumps = np.searchsorted(self._times, self._segments.edges[1:-1])
         self._restarts = frozenset(jumps.tolist())
         self._shown_rows = self._rows_of_shown_signals()
 
@@ -71,7 +73,7 @@ class LockstepContinuous(Method):
             starts,
             parameters,
             self._times,
-            problem.shared_values,
+            self._segments.at,
             on_grid_point,
             problem.system.settings.max_state,
             self._restarts,

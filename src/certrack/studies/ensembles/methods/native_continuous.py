@@ -42,7 +42,9 @@ class NativeContinuous(Method):
     def __init__(self, problem: EnsembleProblem, threads: int) -> None:
         self._problem, self._threads = problem, threads
         self._modes = modes_of(problem.members.loop, side_by_side=True)
-        self._flow = build_flow(problem.members, problem.varying)
+        self._flow, switches = build_flow(problem.members, problem.varying)
+        problem.refuse_own_times(switches)
+        self._segments = problem.segments(switches)
         signals = shown_signals(self._flow, problem.members.loop)
         self._native = Native(self._flow, signals)
         self._native.reserve(threads, counts_shape(len(signals), len(problem.times)))
@@ -63,7 +65,7 @@ class NativeContinuous(Method):
 
     def _integrate(self, begin: int, end: int, bands: Bands) -> tuple[NativeResult, slice]:
         """Whole groups, and where the members begin ... end-1 are among them; these are counted."""
-        problem, segments = self._problem, self._problem.segments
+        problem, segments = self._problem, self._segments
         first = begin - begin % GROUP_SIZE
         starts, table = problem.starts_and_parameters(first, -(-end // GROUP_SIZE) * GROUP_SIZE)
         modes = np.repeat(np.array(self._modes)[:, None], starts.shape[1], axis=1)

@@ -52,7 +52,7 @@ class NativeSampled(SampledMethod):
         )
 
     def integrate(self, group: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
-        results = self._native.integrate(group, self.problem.segments.shared)
+        results = self._native.integrate(group, self.segments.shared)
         run_alone = results.outcomes == MemberOutcome.run_alone
         for k, values in enumerate(results.values):
             not_reached = is_clearly_after(self.problem.times[k], results.ends)

@@ -18,6 +18,7 @@ from certrack.integrators.sampled.sliding import with_modes
 from certrack.loops.controller import controller_values, sampled_controller, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import loop_values, sample_loop
+from certrack.loops.time_switches import switched_sampled_loop
 from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.sampled import outputs_of
@@ -83,7 +84,10 @@ class SampledMethod(Method):
         general = sample_loop(system, sampled_totals())
         base = zip(general.parameters, loop_values(general, system).tolist(), strict=True)
         fixed = {name: sympy.Float(value) for name, value in base if name not in free}
-        loop = general.with_numbers(fixed)
+        loop, switches = switched_sampled_loop(general.with_numbers(fixed), (), problem.varying)
+        if not adjustable:
+            problem.refuse_own_times(switches)
+        self.segments = problem.segments(switches)
         pieces = (IN_TAIL, *loop.pieces)
         loop = replace(loop, parameters=(*loop.parameters, SETTLING_BAND), pieces=pieces)
         self.loop, self.surfaces = with_modes(loop)
@@ -91,13 +95,18 @@ class SampledMethod(Method):
         self._timeline = self._timeline_under(self._implementation)
         self._outputs = outputs_of(self.loop)
 
+    #: Whether the maps want whole vector registers of members.
+    whole_registers = True
+
     @abstractmethod
     def integrate(self, group: SampledProblem, on_grid_point: OnGridPoint) -> GroupResults:
         """Integrate members to their end; any number of threads may do so at once."""
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         """Whole groups of lanes are computed, the members begin ... end-1 are counted."""
-        first, last = begin - begin % LANES, -(-end // LANES) * LANES
+        first, last = begin, end
+        if self.whole_registers:
+            first, last = begin - begin % LANES, -(-end // LANES) * LANES
         part = slice(begin - first, end - first)
 
         def on_grid_point(k: int, values: np.ndarray, is_counted: np.ndarray) -> None:
@@ -130,8 +139,9 @@ class SampledMethod(Method):
         numbers = self._numbers(implementation)
 
         def of_group(first: int) -> tuple[float, float]:
-            starts, table = self.problem.starts_and_parameters(first, first + size)
-            table |= {name: np.full(size, value) for name, value in numbers.items()}
+            last = first + size if self.whole_registers else min(first + size, members)
+            starts, table = self.problem.starts_and_parameters(first, last)
+            table |= {name: np.full(last - first, value) for name, value in numbers.items()}
             group = self._group_problem(first, starts, table, implementation)
             results = self.integrate(group, lambda *_: None)
             part = slice(0, members - first)
@@ -153,7 +163,7 @@ class SampledMethod(Method):
     def _timeline_under(self, implementation: Implementation) -> EventTimeline:
         """All events under an implementation: the same for all members."""
         problem = self.problem
-        duration, breaks = problem.system.settings.duration, problem.segments.edges[1:-1]
+        duration, breaks = problem.system.settings.duration, self.segments.edges[1:-1]
         return event_timeline(implementation, duration, breaks, problem.times)
 
     def _group_problem(
@@ -181,7 +191,7 @@ class SampledMethod(Method):
             implementation=implementation,
             timeline=events,
             outputs=self._outputs,
-            pieces=self.problem.segments.at,
+            pieces=self.segments.at,
             keys=keys(self.problem.members.seed, first, count),
             tolerance=self.problem.tolerance,
             max_state=self._system.settings.max_state,

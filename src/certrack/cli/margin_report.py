@@ -1,0 +1,72 @@
+"""What `certrack margin` prints for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from certrack.cli import report
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from certrack.studies.margins import Margin, Margins
+
+
+def margin_table(margins: Margins, units: Sequence[str] | None) -> Table:
+    """Margins side by side."""
+    unit = units[-1] if units and units[-1] not in ("", "1") else ""
+    labels = {
+        "longest period [s]": margins.period,
+        "longest delay [s]": margins.delay,
+        f"lowest saturation [+-{unit}]" if unit else "lowest saturation (+-)": margins.saturation,
+    }
+    sign = {label: "< " if m is margins.saturation else "> " for label, m in labels.items()}
+    rows = [
+        [
+            label,
+            _margin_text(m.within, m, margins.error, sign[label]),
+            _margin_text(m.bounded, m, margins.bounded_error, sign[label]),
+            m.exact,
+        ]
+        for label, m in labels.items()
+    ]
+    return report.table("", ["margin", "within the error", "bounded", "exact edge"], rows)
+
+
+def _margin_text(value: float | None, margin: Margin, limit: float, sign: str) -> object:
+    """A margin; with a sign in front where nothing tried failed, so that no edge was found."""
+    if value is None or any(error > limit for error in margin.errors):
+        return value
+    return sign + report.short_number(value)
+
+
+def margin_notes(margins: Margins) -> list[str]:
+    """What the margins refer to, in words."""
+    lines = [
+        f"admitted tail error: {report.limit_text(margins.error, margins.origin)}; "
+        f"{margins.members} members tried at every value, not proven",
+        f"bounded: tail error up to {margins.bounded_error:.5g}, the largest |y_d| (or ten times "
+        "the admitted one, where y_d is smaller than it)",
+        f"delay and saturation at a period of {margins.at:.4g} s; the rest is as in the file",
+    ]
+    if margins.as_given is not None:
+        within = "within" if margins.as_given <= margins.error else "BEYOND"
+        lines.append(
+            f"[implementation] as it stands: tail error {margins.as_given:.5g}, {within} it"
+        )
+    if margins.period.exact is not None:
+        lines.append(
+            "exact edge: nominal plant, no disturbance; beyond it the loop is unstable, even where "
+            "a run ends before that shows"
+        )
+    if any(error <= limit for error, limit in _last_errors(margins)):
+        lines.append("> and <: nothing failed up to the end of the range searched, no edge")
+    return lines
+
+
+def _last_errors(margins: Margins) -> Iterator[tuple[float, float]]:
+    """The largest error of each search, with each of the limits."""
+    for margin in (margins.period, margins.delay, margins.saturation):
+        for limit in (margins.error, margins.bounded_error):
+            yield max(margin.errors), limit

@@ -1,0 +1,146 @@
+"""Powers of numbers that SymPy would compute for minutes, kept as what they are.
+
+SymPy takes integer roots out of 4.076**0.0000001: it raises the prime factors of 1019/250 to the
+ten-millionth power first, and does so again whenever two such powers meet in a product. Roots other
+than square roots therefore become a :class:`ConstantPower`, which SymPy takes for a number like pi:
+real, positive, of any precision that is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import sympy
+from mpmath import mp
+
+#: Bits of the numerator and denominator of any constant: larger powers are not computed.
+MAX_BITS = 20_000
+
+#: Bits by which a base is known better than its power: those of its exponent, and some.
+GUARD_BITS = 40
+
+
+class ConstantPower(sympy.NumberSymbol):
+    """A positive number to a power that is no integer, as a number of its own.
+
+    Parameters
+    ----------
+    base : positive number
+    exponent : number
+    """
+
+    __slots__ = ("base", "exponent")
+
+    is_commutative = True
+    is_real = True
+    is_positive = True
+    is_finite = True
+    is_irrational = None
+
+    def __new__(cls, base: sympy.Expr, exponent: sympy.Expr) -> ConstantPower:
+        self = sympy.AtomicExpr.__new__(cls)
+        self.base, self.exponent = base, exponent
+        return self
+
+    def __getnewargs__(self) -> tuple[sympy.Expr, sympy.Expr]:
+        return self.base, self.exponent
+
+    def _hashable_content(self) -> tuple[sympy.Expr, sympy.Expr]:
+        return self.base, self.exponent
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, ConstantPower)
+            and self._hashable_content() == other._hashable_content()
+        )
+
+    def __hash__(self) -> int:
+        return hash((ConstantPower, self.base, self.exponent))
+
+    def _as_mpf_val(self, precision: int) -> Any:
+        bits = precision + GUARD_BITS + int(abs(float(self.exponent))).bit_length()
+        with mp.workprec(bits):
+            base, exponent = (part._to_mpmath(bits) for part in (self.base, self.exponent))
+            return mp.mpf(base**exponent)._mpf_
+
+    def approximation_interval(self, number_cls: Any) -> None:
+        """None: there is no interval of integers or rationals to tell."""
+
+    def _sympystr(self, printer: Any) -> str:
+        return f"(({printer.doprint(self.base)})**({printer.doprint(self.exponent)}))"
+
+    def _latex(self, printer: Any) -> str:
+        base, exponent = printer.doprint(self.base), printer.doprint(self.exponent)
+        return rf"\left({base}\right)^{{{exponent}}}"
+
+
+def too_long(number: sympy.Expr) -> bool:
+    """Whether an exact number has more digits than any is allowed to have."""
+    return bool(
+        number.is_Rational and number.q.bit_length() + abs(number.p).bit_length() > MAX_BITS
+    )
+
+
+def power(base: sympy.Expr, exponent: sympy.Expr) -> sympy.Expr:
+    """base**exponent, without computing what would not end.
+
+    Parameters
+    ----------
+    base : formula or number
+    exponent : number
+
+    Raises
+    ------
+    OverflowError
+        For an integer power that would have more than :data:`MAX_BITS` bits.
+    """
+    if base.is_Rational and exponent.is_Rational:
+        size = max(int(base.p).bit_length(), int(base.q).bit_length())
+        if size * (abs(exponent.p) // exponent.q + 1) > MAX_BITS and base not in (0, 1, -1):
+            raise OverflowError("a power of too many digits")
+    is_plain = exponent.is_Integer or base in (0, 1) or base.is_Symbol
+    is_root = base.is_Rational and exponent.is_Rational and exponent.q == 2
+    if is_plain or is_root or base.is_NumberSymbol or base is sympy.E:
+        return base**exponent
+    if not base.free_symbols:
+        return ConstantPower(base, exponent) if base.is_positive is not False else base**exponent
+    factor, remainder = base.as_coeff_Mul()
+    if factor in (1, -1):
+        return base**exponent
+    size = abs(factor)
+    return power(size, exponent) * power(sympy.sign(factor) * remainder, exponent)
+
+
+def exponential(argument: sympy.Expr) -> sympy.Expr:
+    """exp of a formula, where SymPy would compute a**b for the b log(a) in it."""
+    factors, others = [], []
+    for term in sympy.Add.make_args(argument):
+        logs = [part for part in sympy.Mul.make_args(term) if isinstance(part, sympy.log)]
+        weight = term / logs[0] if len(logs) == 1 else term
+        if len(logs) == 1 and weight.is_number:
+            factors.append(power(logs[0].args[0], weight))
+        else:
+            others.append(term)
+    return sympy.Mul(*factors, sympy.exp(sympy.Add(*others)))
+
+
+#: What takes the place of SymPy's own.
+BUILDERS = {sympy.Pow: power, sympy.exp: exponential}
+
+
+def put_in(formula: sympy.Expr, numbers: Mapping[sympy.Symbol, sympy.Expr]) -> sympy.Expr:
+    """The formula with numbers in the place of symbols, its powers taken by :func:`power`."""
+    known: dict[sympy.Expr, sympy.Expr] = {}
+
+    def build(part: sympy.Expr) -> sympy.Expr:
+        if part in numbers:
+            return numbers[part]
+        if not part.args or not part.free_symbols & numbers.keys():
+            return part
+        if part not in known:
+            args = [build(arg) for arg in part.args]
+            known[part] = BUILDERS.get(part.func, part.func)(*args)
+        return known[part]
+
+    return build(formula)

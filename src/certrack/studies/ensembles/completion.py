@@ -1,0 +1,64 @@
+"""Compute the members that are not on disk, chunk by chunk, and keep what is finished."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from certrack.core.progress import Progress
+from certrack.studies.ensembles import workers
+from certrack.studies.ensembles.all_lost import probe_first, require_survivors
+from certrack.studies.ensembles.checkpoints import Checkpoints
+from certrack.studies.ensembles.engine import Engine
+from certrack.studies.ensembles.plan import Plan, Range
+from certrack.studies.ensembles.statistics import Statistics
+
+
+def complete(
+    plan: Plan,
+    engine: Engine | None,
+    client: Any,
+    total: Statistics,
+    checkpoints: Checkpoints | None,
+    members: int,
+    chunk: int,
+    progress: Progress,
+) -> tuple[int, float]:
+    """Add to `total` what is on disk and compute the rest; how many, and in how many seconds."""
+    covered = [] if checkpoints is None else checkpoints.load(total, members)
+    missing = list(_missing(covered, members, chunk))
+    wanted = sum(end - begin for begin, end in missing)
+    progress(members - wanted, members, _largest(total))
+    seconds = 0.0
+    if engine is None:
+        results = workers.on_cluster(plan, missing, client)
+    else:
+        parts = missing if checkpoints else list(probe_first(missing))
+        results = workers.in_this_process(engine, parts, total if checkpoints is None else None)
+    for span, statistics, spent in results if missing else ():
+        if statistics is not total:
+            total.merge(statistics)
+        covered.append(span)
+        seconds += spent
+        if checkpoints is not None:
+            checkpoints.save(span, statistics.packed())
+            checkpoints.gather(total, covered)
+        progress(total.members, members, _largest(total))
+        require_survivors(total, members, plan.system)
+    return wanted, seconds
+
+
+def _largest(total: Statistics) -> float | None:
+    """The largest tail error so far."""
+    return total.worst[0][0] if total.worst else None
+
+
+def _missing(covered: list[Range], members: int, chunk: int) -> Iterator[Range]:
+    """Members that no range covers, cut at multiples of the chunk."""
+    begin = 0
+    for first, last in [*covered, (members, members)]:
+        while begin < first:
+            end = min(first, (begin // chunk + 1) * chunk)
+            yield begin, end
+            begin = end
+        begin = max(begin, last)
