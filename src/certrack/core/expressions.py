@@ -27,7 +27,7 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.formula_text import text_of
-from certrack.core.powers import exponential, power, too_long
+from certrack.core.powers import exponential, has_fine_root, power, too_long
 from certrack.core.rationals import RationalFloat
 
 MAX_LENGTH = 10_000  # characters
@@ -190,14 +190,6 @@ def number(key: str, text: Any, names: Mapping[str, Any] | None = None) -> Expre
     if expression.expr.free_symbols:  # pragma: no cover - the builder knows no other names
         raise InputError(key, "must be a number", expression.text)
     return expression
-
-
-def has_fine_root(expr: sympy.Expr) -> bool:
-    """Whether a formula has a power such as x**0.123456789 in it.
-
-    SymPy may take it for a polynomial in the 10^9th root, whose coefficients fill the memory.
-    """
-    return any(part.exp.is_Rational and part.exp.q > MAX_POWER for part in expr.atoms(sympy.Pow))
 
 
 def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
@@ -387,7 +379,8 @@ class _Builder:
         if name in ("min", "max") and len(exprs) > 1:  # SymPy would compare all pairs
             return function(*exprs, evaluate=False), None
         # |exp(acos(x))| would become exp(re(acos(x))), and tan(x + pi/2) a cotangent
-        if any(map(has_fine_root, exprs)) or (result := build(*exprs)).has(*FOREIGN):
+        fine = any(has_fine_root(part, MAX_POWER) for part in exprs)
+        if fine or (result := build(*exprs)).has(*FOREIGN):
             result = function(*exprs, evaluate=False)
         return result, None
 

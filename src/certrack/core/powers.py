@@ -144,3 +144,11 @@ def put_in(formula: sympy.Expr, numbers: Mapping[sympy.Symbol, sympy.Expr]) -> s
         return known[part]
 
     return build(formula)
+
+
+def has_fine_root(expr: sympy.Expr, finest: int) -> bool:
+    """Whether a formula has a power such as x**0.123456789 in it: a root beyond the `finest`.
+
+    SymPy may take it for a polynomial in the 10^9th root, whose coefficients fill the memory.
+    """
+    return any(part.exp.is_Rational and part.exp.q > finest for part in expr.atoms(sympy.Pow))
