@@ -25,7 +25,7 @@ from certrack.certificates import (
 from certrack.certificates.arithmetic import decimal, positive_definite, rational
 from certrack.certificates.cascade import certify_cascade, check_cascade
 from certrack.certificates.document import _digest, verify
-from certrack.certificates.exact import Proof, check, float_up, from_text, prove, root_up
+from certrack.certificates.exact import Proof, failed_condition, float_up, from_text, prove, root_up
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.published import certify_published, collect, critical_strength
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
@@ -152,7 +152,7 @@ def test_the_designs_own_multipliers_prove_the_rate_form_without_a_solver(name, 
     system = certrack.load(name)
     found, proof = certify_semidefinite(system)
     assert found.verified
-    assert check(error_problem(system, rational), proof) == ""
+    assert failed_condition(error_problem(system, rational), proof) == ""
     assert found.bound <= certify_published(system)["rate"].bound * (1 + 1e-4)
 
 
@@ -239,8 +239,8 @@ def test_mutated_proofs_are_refused(name, mutant):
     system = certrack.load(name)
     _, proof = certify_semidefinite(system)
     problem = error_problem(system, rational)
-    assert check(problem, proof) == ""
-    assert check(problem, MUTANTS[mutant](proof)) != ""
+    assert failed_condition(problem, proof) == ""
+    assert failed_condition(problem, MUTANTS[mutant](proof)) != ""
 
 
 def test_mutated_adaptive_proofs_are_refused():
@@ -248,10 +248,10 @@ def test_mutated_adaptive_proofs_are_refused():
     _, proof = certify_semidefinite(system)
     problem = error_problem(system, rational)
     for name in ("P smaller", "alpha smaller", "bound smaller", "k smaller", "nu smaller"):
-        assert check(problem, MUTANTS[name](proof)) != "", name
+        assert failed_condition(problem, MUTANTS[name](proof)) != "", name
     coupled = [list(row) for row in proof.P]
     coupled[0][1] = coupled[1][0] = "0.001"
-    assert "update laws" in check(problem, replace(proof, P=tuple(map(tuple, coupled))))
+    assert "update laws" in failed_condition(problem, replace(proof, P=tuple(map(tuple, coupled))))
 
 
 def test_wrong_sign_in_the_inequality_is_caught_by_the_exact_check(monkeypatch):

@@ -177,18 +177,13 @@ def random_system(rng, law="robust"):
     """A chain of 2 to 4 states with one to three constants in any rational form."""
     n = int(rng.integers(2, 5))
     names = ["a", "b", "d"][: int(rng.integers(1, 4))]
-    pick = lambda: (
-        f"{rng.integers(1, 20) / 10}*"
-        + rng.choice(  # noqa: E731
-            [
-                "a",
-                "1/a",
-                *(["a*b", "a/b", "b"] if len(names) > 1 else []),
-                *(["d/b"] if len(names) > 2 else []),
-                "1",
-            ]
-        )
-    )
+    forms = ["a", "1/a", "1"]
+    forms += ["a*b", "a/b", "b"] if len(names) > 1 else []
+    forms += ["d/b"] if len(names) > 2 else []
+
+    def pick():
+        return f"{rng.integers(1, 20) / 10}*{rng.choice(forms)}"
+
     states = [f"x{i + 1}" for i in range(n)]
     c = (rng.integers(20, 60, n) / 10).tolist()
     drift = " + ".join(f"({pick()})*{x}*{rng.integers(-20, 20) / 10}" for x in states)

@@ -8,7 +8,7 @@ import pytest
 
 import certrack
 
-CASE = Path(__file__).parents[1] / "data" / "cases" / f"{'emps0'}.toml"
+CASE = Path(__file__).parents[1] / "data" / "cases" / ("emps0" + ".toml")
 AXIS = certrack.load(CASE)
 METHODS = ("taylor", "scipy", "implicit")
 

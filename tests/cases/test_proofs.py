@@ -15,7 +15,7 @@ import certrack
 from certrack.certificates import certify_semidefinite, verify
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.document import _digest, to_document
-from certrack.certificates.exact import check, prove, squared_bound
+from certrack.certificates.exact import failed_condition, prove, squared_bound
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.cli import main
@@ -104,19 +104,19 @@ def test_the_exact_check_refuses_an_indefinite_gamma():
     good = certrack.loads(with_gamma("singular-gamma", [["1.0", "0.3"], ["0.3", "0.9"]]))
     problem = error_problem(good, rational)
     _, proof = certify_semidefinite(good)
-    assert check(problem, proof) == ""
+    assert failed_condition(problem, proof) == ""
     rows = [["1.35248e16", "1.09953e16"], ["1.09953e16", "8938884278510587.0"]]
     Gamma = np.array([[rational(float(v)) for v in row] for row in rows], dtype=object)
     assert Gamma[0, 0] * Gamma[1, 1] < Gamma[0, 1] ** 2
     assert np.linalg.eigvalsh(Gamma.astype(float)).min() > 0
     bad = replace(problem, adaptation=replace(problem.adaptation, Gamma=Gamma))
-    assert check(bad, proof) == "Gamma is not positive definite"
+    assert failed_condition(bad, proof) == "Gamma is not positive definite"
     assert squared_bound(bad, proof) is None
     solution = best_solution(SemidefiniteProgram(bad.in_floats()))
     assert solution is None or prove(bad, solution) is None
     skew = Gamma + np.array([[0, flint.fmpq(1)], [0, 0]], dtype=object)
     bad = replace(problem, adaptation=replace(problem.adaptation, Gamma=skew))
-    assert check(bad, proof) == "Gamma is not positive definite"
+    assert failed_condition(bad, proof) == "Gamma is not positive definite"
 
 
 def test_a_certificate_file_with_an_indefinite_gamma_is_refused():

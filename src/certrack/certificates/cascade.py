@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.centred import centred_problem
 from certrack.certificates.certificate import Certificate, NoCertificate, missing, within_floats
-from certrack.certificates.exact import Proof, check, from_text, prove, proven
+from certrack.certificates.exact import Proof, failed_condition, from_text, prove, proven
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.semidefinite import (
@@ -57,11 +57,13 @@ def check_cascade(system: System, problem: ErrorProblem, stages: Sequence[Proof]
     if problem.n < 2 or problem.adaptation is None:
         return "a cascade needs the adaptive law and at least two states"
     *inner, head = stages
-    reason = check(problem, inner[0], problem.n - 1)
+    reason = failed_condition(problem, inner[0], problem.n - 1)
     if not reason and len(inner) == 2:
         kappa = from_text(inner[1].shift)
-        reason = check(centred_problem(system, problem, inner[0], kappa), inner[1], problem.n - 1)
-    return reason or check(head_problem(problem, from_text(inner[-1].bound)), head)
+        reason = failed_condition(
+            centred_problem(system, problem, inner[0], kappa), inner[1], problem.n - 1
+        )
+    return reason or failed_condition(head_problem(problem, from_text(inner[-1].bound)), head)
 
 
 #: Values of kappa that are tried, of either sign. They are close enough for the refinement below to

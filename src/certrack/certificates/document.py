@@ -18,7 +18,7 @@ from typing import Any
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.exact import Proof, check, from_text
+from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises import assumptions
@@ -208,7 +208,11 @@ def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
             return Verdict(False, proof.bound, "the claim is not that of the proof")
         system = loads(body["system"], "system")
         exact = error_problem(system, rational)
-        reason = check(exact, proof) if len(stages) == 1 else check_cascade(system, exact, stages)
+        reason = (
+            failed_condition(exact, proof)
+            if len(stages) == 1
+            else check_cascade(system, exact, stages)
+        )
         if reason:
             return Verdict(False, proof.bound, reason)
         return _rests_on(system, body, proof.bound)

@@ -104,7 +104,7 @@ def proven(kind: str, system: System, proof: Proof) -> Certificate:
     return Certificate(kind, float_up(bound), alpha, delta, True, assumptions=premises)
 
 
-def check(problem: ErrorProblem, proof: Proof, target: int = 0) -> str:
+def failed_condition(problem: ErrorProblem, proof: Proof, target: int = 0) -> str:
     """Empty if the proof holds for the (exact) problem, else the first condition that fails."""
     P, lam, nu, k, alpha, bound = _exact_numbers(proof)
     n, counts = problem.n, problem.counts

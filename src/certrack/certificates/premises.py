@@ -19,7 +19,7 @@ def refuse(system: System) -> None:
         ranged += _open_parameters(system, stated)
     if ranged:
         raise NoCertificate(
-            f"plant.ranges lets {', '.join(ranged)} vary: the bounds vertices, cells and peak cover it"
+            f"plant.ranges lets {', '.join(ranged)} vary: vertices, cells and peak cover it"
         )
 
 

@@ -134,7 +134,7 @@ def _timed(problem: ErrorProblem, unit: float) -> ErrorProblem:
 
 
 def _reach(problem: ErrorProblem, sizes: np.ndarray) -> np.ndarray:
-    """Typical size of what bounds each a-input, where the e_i have these sizes and the y_i are 1."""
+    """Typical size of what bounds each a-input, for e_i of these sizes and y_i of 1."""
     whole = _norm(problem.Xe * sizes, problem.Xy)
     reach = np.full(problem.counts[0], whole)
     for k, part in enumerate(problem.selections):

@@ -30,7 +30,7 @@ Known = Mapping[sympy.Symbol, Any]
 
 
 @dataclass(frozen=True)
-class Enclosure:
+class IntervalArray:
     """What is known of a formula on each of N intervals.
 
     Attributes
@@ -50,7 +50,9 @@ class Enclosure:
         return len(self.sizes) - 1
 
 
-def enclose(formula: sympy.Expr, begins: Array, ends: Array, known: Known, order: int) -> Enclosure:
+def enclose(
+    formula: sympy.Expr, begins: Array, ends: Array, known: Known, order: int
+) -> IntervalArray:
     """Enclose a formula of t on the intervals [begins, ends].
 
     Parameters
@@ -65,26 +67,26 @@ def enclose(formula: sympy.Expr, begins: Array, ends: Array, known: Known, order
 
     Returns
     -------
-    Enclosure
+    IntervalArray
         Infinite where nothing is known.
     """
     half = np.maximum((ends - begins) / 2, 0.0)
-    memory: dict[sympy.Basic, Enclosure] = {}
+    memory: dict[sympy.Basic, IntervalArray] = {}
 
-    def constant(value: Any) -> Enclosure:
+    def constant(value: Any) -> IntervalArray:
         return _of_bounds(np.broadcast_to(np.asarray(value, dtype=float), half.shape), order)
 
-    def time() -> Enclosure:
+    def time() -> IntervalArray:
         linear = _of_bounds(begins, order, ends)
         linear.low[1], linear.high[1], linear.sizes[1] = half, half, half
         return linear
 
-    def walk(expr: sympy.Basic) -> Enclosure:
+    def walk(expr: sympy.Basic) -> IntervalArray:
         if expr not in memory:
             memory[expr] = compute(expr)
         return memory[expr]
 
-    def compute(expr: sympy.Basic) -> Enclosure:
+    def compute(expr: sympy.Basic) -> IntervalArray:
         if expr == TIME:
             return time()
         if expr in known:
@@ -103,42 +105,42 @@ def enclose(formula: sympy.Expr, begins: Array, ends: Array, known: Known, order
     with np.errstate(all="ignore"):
         value = walk(formula)
         unknown = np.isnan(value.low) | np.isnan(value.high)
-        return Enclosure(
+        return IntervalArray(
             np.where(unknown, -np.inf, value.low),
             np.where(unknown, np.inf, value.high),
             np.where(np.isnan(value.sizes), np.inf, value.sizes),
         )
 
 
-def _of_bounds(low: Array, order: int, high: Array | None = None) -> Enclosure:
+def _of_bounds(low: Array, order: int, high: Array | None = None) -> IntervalArray:
     """A function whose value alone is known, as a constant."""
     high = low if high is None else high
     bounds = np.zeros((2, 2, len(low)))
     bounds[0, 0], bounds[1, 0] = low, high
     sizes = np.zeros((order + 1, len(low)))
     sizes[0] = np.maximum(np.abs(low), np.abs(high))
-    return Enclosure(bounds[0], bounds[1], sizes)
+    return IntervalArray(bounds[0], bounds[1], sizes)
 
 
-def _widened(value: Enclosure) -> Enclosure:
+def _widened(value: IntervalArray) -> IntervalArray:
     """The enclosure with its rounding, and magnitudes that fit its bounds."""
     low = value.low - WIDENING * np.abs(value.low)
     high = value.high + WIDENING * np.abs(value.high)
     sizes = value.sizes * (1 + WIDENING)
     sizes[:2] = np.fmin(sizes[:2], np.maximum(np.abs(low), np.abs(high)))
-    return Enclosure(low, high, sizes)
+    return IntervalArray(low, high, sizes)
 
 
-def _add(a: Enclosure, b: Enclosure) -> Enclosure:
+def _add(a: IntervalArray, b: IntervalArray) -> IntervalArray:
     """The sum; its rounding is that of its parts' magnitudes."""
     blur = WIDENING * (a.sizes[:2] + b.sizes[:2]) * ((a.sizes[:2] > 0) & (b.sizes[:2] > 0))
     low, high = a.low + b.low - blur, a.high + b.high + blur
-    return _widened(Enclosure(low, high, a.sizes + b.sizes))
+    return _widened(IntervalArray(low, high, a.sizes + b.sizes))
 
 
-def _scaled(a: Enclosure, factor: float) -> Enclosure:
+def _scaled(a: IntervalArray, factor: float) -> IntervalArray:
     first, last = factor * a.low, factor * a.high
-    return Enclosure(np.minimum(first, last), np.maximum(first, last), abs(factor) * a.sizes)
+    return IntervalArray(np.minimum(first, last), np.maximum(first, last), abs(factor) * a.sizes)
 
 
 def _times(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -150,13 +152,13 @@ def _times(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[Array, Array
     return np.where(unknown, np.nan, low), np.where(unknown, np.nan, high)
 
 
-def _multiply(a: Enclosure, b: Enclosure) -> Enclosure:
+def _multiply(a: IntervalArray, b: IntervalArray) -> IntervalArray:
     low, high = _times((a.low[0], a.high[0]), (b.low[0], b.high[0]))
     one = _times((a.low[1], a.high[1]), (b.low[0], b.high[0]))
     two = _times((a.low[0], a.high[0]), (b.low[1], b.high[1]))
     sizes = np.array([_convolved(a.sizes, b.sizes, k) for k in range(a.order + 1)])
     return _widened(
-        Enclosure(np.array([low, one[0] + two[0]]), np.array([high, one[1] + two[1]]), sizes)
+        IntervalArray(np.array([low, one[0] + two[0]]), np.array([high, one[1] + two[1]]), sizes)
     )
 
 
@@ -167,7 +169,7 @@ def _convolved(a: Array, b: Array, k: int) -> Array:
     return total
 
 
-def _chain(inner: Enclosure, low: Array, high: Array, slope: Enclosure) -> Enclosure:
+def _chain(inner: IntervalArray, low: Array, high: Array, slope: IntervalArray) -> IntervalArray:
     """f(inner) from the bounds of its value and the enclosure of f'(inner).
 
     The coefficients follow from k y_k = sum_j j x_j slope_{k-j}.
@@ -182,12 +184,12 @@ def _chain(inner: Enclosure, low: Array, high: Array, slope: Enclosure) -> Enclo
     return _widened(value)
 
 
-def _monotone(function: Callable[[Array], Array], x: Enclosure) -> tuple[Array, Array]:
+def _monotone(function: Callable[[Array], Array], x: IntervalArray) -> tuple[Array, Array]:
     low, high = function(x.low[0]), function(x.high[0])
     return low - WIDENING * np.abs(low), high + WIDENING * np.abs(high)
 
 
-def _exp(x: Enclosure) -> Enclosure:
+def _exp(x: IntervalArray) -> IntervalArray:
     low, high = _monotone(np.exp, x)
     value = _of_bounds(low, x.order, high)
     for k in range(1, x.order + 1):
@@ -196,13 +198,13 @@ def _exp(x: Enclosure) -> Enclosure:
     return _chain(x, low, high, value)
 
 
-def _log(x: Enclosure) -> Enclosure:
+def _log(x: IntervalArray) -> IntervalArray:
     low, high = _monotone(np.log, x)
     inverse = _power(x, sympy.Integer(-1))
     return _chain(x, low, high, inverse)
 
 
-def _waves(x: Enclosure) -> tuple[Enclosure, Enclosure]:
+def _waves(x: IntervalArray) -> tuple[IntervalArray, IntervalArray]:
     """Sine and cosine."""
     ranges = []
     for shift in (0.0, np.pi / 2):  # cos x = sin(x + pi/2)
@@ -228,7 +230,7 @@ def _waves(x: Enclosure) -> tuple[Enclosure, Enclosure]:
     return _widened(sine), _widened(cosine)
 
 
-def _tanh(x: Enclosure) -> Enclosure:
+def _tanh(x: IntervalArray) -> IntervalArray:
     low, high = _monotone(np.tanh, x)
     nearest = np.where(
         (x.low[0] <= 0) & (x.high[0] >= 0), 0.0, np.fmin(abs(x.low[0]), abs(x.high[0]))
@@ -243,18 +245,18 @@ def _tanh(x: Enclosure) -> Enclosure:
     return _chain(x, low, high, rates)
 
 
-def _hyperbolic(x: Enclosure, *, odd: bool) -> Enclosure:
+def _hyperbolic(x: IntervalArray, *, odd: bool) -> IntervalArray:
     """sinh, or cosh."""
     up, down = _exp(x), _exp(_scaled(x, -1.0))
     return _scaled(_add(up, _scaled(down, -1.0 if odd else 1.0)), 0.5)
 
 
-def _one_plus_square(x: Enclosure, sign: float) -> Enclosure:
+def _one_plus_square(x: IntervalArray, sign: float) -> IntervalArray:
     one = _of_bounds(np.ones(x.low.shape[1]), x.order)
     return _add(one, _scaled(_power(x, sympy.Integer(2)), sign))
 
 
-def _atan(x: Enclosure) -> Enclosure:
+def _atan(x: IntervalArray) -> IntervalArray:
     slope = _power(_one_plus_square(x, 1.0), sympy.Integer(-1))
     return _chain(x, *_monotone(np.arctan, x), slope)
 
@@ -264,26 +266,26 @@ def _arcsine(x: Array) -> Array:
     return np.arcsin(np.where(abs(x) <= 1 + 8 * WIDENING, np.clip(x, -1, 1), np.nan))
 
 
-def _asin(x: Enclosure) -> Enclosure:
+def _asin(x: IntervalArray) -> IntervalArray:
     slope = _power(_one_plus_square(x, -1.0), sympy.Rational(-1, 2))
     return _chain(x, *_monotone(_arcsine, x), slope)
 
 
-def _acos(x: Enclosure) -> Enclosure:
+def _acos(x: IntervalArray) -> IntervalArray:
     return _add(_of_bounds(np.full(x.low.shape[1], np.pi / 2), x.order), _scaled(_asin(x), -1.0))
 
 
-def _atan2(y: Enclosure, x: Enclosure) -> Enclosure:
+def _angle(y: IntervalArray, x: IntervalArray) -> IntervalArray:
     value = _atan(_multiply(y, _power(x, sympy.Integer(-1))))
     right = x.low[0] > 0
-    return Enclosure(
+    return IntervalArray(
         np.where(right, value.low, [[-np.pi], [-np.inf]]),
         np.where(right, value.high, [[np.pi], [np.inf]]),
         np.where(right, value.sizes, np.inf),
     )
 
 
-def _power(x: Enclosure, exponent: sympy.Expr) -> Enclosure:
+def _power(x: IntervalArray, exponent: sympy.Expr) -> IntervalArray:
     if exponent.is_Integer and exponent > 0:
         return _natural_power(x, int(exponent))
     p, low, high = float(exponent), x.low[0], x.high[0]
@@ -309,7 +311,7 @@ def _power(x: Enclosure, exponent: sympy.Expr) -> Enclosure:
     return _widened(value)
 
 
-def _natural_power(x: Enclosure, p: int) -> Enclosure:
+def _natural_power(x: IntervalArray, p: int) -> IntervalArray:
     """By squaring; the value of an even power is not negative."""
     if p == 1:
         return x
@@ -333,11 +335,11 @@ def _signed(x: Array, p: int) -> Array:
     return np.sign(x) * np.abs(x) ** p
 
 
-def _abs(x: Enclosure) -> Enclosure:
+def _abs(x: IntervalArray) -> IntervalArray:
     return _larger(x, _scaled(x, -1.0))
 
 
-def _enclosed_sign(x: Enclosure) -> Enclosure:
+def _enclosed_sign(x: IntervalArray) -> IntervalArray:
     value = _of_bounds(np.sign(x.low[0]), x.order, np.sign(x.high[0]))
     jumps = value.low[0] < value.high[0]
     value.low[1], value.high[1] = np.where(jumps, -np.inf, 0.0), np.where(jumps, np.inf, 0.0)
@@ -345,7 +347,7 @@ def _enclosed_sign(x: Enclosure) -> Enclosure:
     return value
 
 
-def _larger(a: Enclosure, b: Enclosure) -> Enclosure:
+def _larger(a: IntervalArray, b: IntervalArray) -> IntervalArray:
     first, second = a.low[0] >= b.high[0], b.low[0] >= a.high[0]
 
     def chosen(of_a: Array, of_b: Array, otherwise: Array) -> Array:
@@ -358,21 +360,21 @@ def _larger(a: Enclosure, b: Enclosure) -> Enclosure:
     low, high = chosen(a.low, b.low, low), chosen(a.high, b.high, high)
     sizes = chosen(a.sizes, b.sizes, sizes)
     sizes[0] = np.maximum(np.abs(low[0]), np.abs(high[0]))
-    return Enclosure(low, high, sizes)
+    return IntervalArray(low, high, sizes)
 
 
-def _smaller(a: Enclosure, b: Enclosure) -> Enclosure:
+def _smaller(a: IntervalArray, b: IntervalArray) -> IntervalArray:
     return _scaled(_larger(_scaled(a, -1.0), _scaled(b, -1.0)), -1.0)
 
 
-_FOLDED: dict[Any, Callable[[Enclosure, Enclosure], Enclosure]] = {
+_FOLDED: dict[Any, Callable[[IntervalArray, IntervalArray], IntervalArray]] = {
     sympy.Add: _add,
     sympy.Mul: _multiply,
     sympy.Max: _larger,
     sympy.Min: _smaller,
 }
 
-_FUNCTIONS: dict[Any, Callable[..., Enclosure]] = {
+_FUNCTIONS: dict[Any, Callable[..., IntervalArray]] = {
     sympy.exp: _exp,
     sympy.log: _log,
     sympy.sin: lambda x: _waves(x)[0],
@@ -384,7 +386,7 @@ _FUNCTIONS: dict[Any, Callable[..., Enclosure]] = {
     sympy.atan: _atan,
     sympy.asin: _asin,
     sympy.acos: _acos,
-    sympy.atan2: _atan2,
+    sympy.atan2: _angle,
     sympy.Abs: _abs,
     sympy.sign: _enclosed_sign,
 }

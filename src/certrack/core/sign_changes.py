@@ -12,7 +12,7 @@ import numpy as np
 import sympy
 
 from certrack.core.arrays import Array
-from certrack.core.enclosures import Enclosure, Known, enclose
+from certrack.core.enclosures import IntervalArray, Known, enclose
 from certrack.core.errors import InputError
 
 #: Intervals are halved down to this part of the time.
@@ -83,7 +83,7 @@ def signs(formula: sympy.Expr, times: Array, known: Known) -> Array:
     return np.where(point.low[0] > 0, 1.0, np.where(point.high[0] < 0, -1.0, 0.0))
 
 
-def _tightened(formula: sympy.Expr, begins: Array, ends: Array, known: Known) -> Enclosure:
+def _tightened(formula: sympy.Expr, begins: Array, ends: Array, known: Known) -> IntervalArray:
     """The enclosure, its value also by the mean value theorem: closer on short intervals."""
     enclosure = enclose(formula, begins, ends, known, 1)
     middle = (begins + ends) / 2
@@ -93,7 +93,7 @@ def _tightened(formula: sympy.Expr, begins: Array, ends: Array, known: Known) ->
         reach = reach * (1 + 1e-15) + 1e-16 * centre.sizes[0]
         low = np.fmax(enclosure.low[0], centre.low[0] - reach)
         high = np.fmin(enclosure.high[0], centre.high[0] + reach)
-    return Enclosure(
+    return IntervalArray(
         np.array([low, enclosure.low[1]]), np.array([high, enclosure.high[1]]), enclosure.sizes
     )
 

@@ -1,4 +1,4 @@
-"""Checks of a plant's coefficients: constants of the right sign, and true values in their ranges."""
+"""Checks of a plant's coefficients: constants of the right sign, true values in their ranges."""
 
 from __future__ import annotations
 

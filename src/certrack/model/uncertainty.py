@@ -17,8 +17,8 @@ from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 class Uncertainty:
     """Bounds of the uncertain terms: |w_k(t, x)| <= gamma_k ||x|| + beta_k (Assumption 1).
 
-    With `S` and `Delta`, |w_k| <= gamma_k ||S_k x|| + sum_j Delta_kj |x_j| + beta_k. All bounds speak
-    of w_k before it is multiplied with tau_k.
+    With `S` and `Delta`, |w_k| <= gamma_k ||S_k x|| + sum_j Delta_kj |x_j| + beta_k. All bounds
+    speak of w_k before it is multiplied with tau_k.
 
     Parameters
     ----------

@@ -295,7 +295,7 @@ class _Search:
         if not value.is_finite():
             return math.inf
         self.reached = max(self.reached, _float_below(value.abs_lower()))
-        return float_above(value.abs_upper())
+        return float_above_ball(value.abs_upper())
 
     def _natural(self, piece: Piece) -> arb:
         return self._derivative(self.formula.evaluation(piece, self.order), self.order)
@@ -334,7 +334,7 @@ def _closer(a: arb, b: arb) -> arb:
     return b if not a.is_finite() or b.abs_upper() < a.abs_upper() else a
 
 
-def float_above(value: arb) -> float:
+def float_above_ball(value: arb) -> float:
     """The smallest float that is not below a point of Arb."""
     nearest = float(value)
     while math.isfinite(nearest) and not arb(nearest) >= value:

@@ -18,7 +18,7 @@ from flint import arb, arb_poly, fmpq, fmpq_poly
 from certrack.core.expressions import TIME, without_minmax
 from certrack.core.powers import put_in
 from certrack.references.enclosures import Undefined
-from certrack.references.search import Formula, derivative_bound, float_above, prove_defined
+from certrack.references.search import Formula, derivative_bound, float_above_ball, prove_defined
 from certrack.references.taylor import constant
 
 #: More stretches than this are not told apart.
@@ -187,7 +187,7 @@ def _of_polynomial(poly: sympy.Poly, i: int, begin: fmpq, end: fmpq) -> float:
         inside = not (root.real < 0 or root.real > end)
         if inside and root.imag.contains(0):
             points.append(root.real)
-    return max(float_above(arb_poly(p)(point).abs_upper()) for point in points)
+    return max(float_above_ball(arb_poly(p)(point).abs_upper()) for point in points)
 
 
 def _order(stretches: tuple[Stretch, ...]) -> float:
@@ -210,4 +210,4 @@ def _order(stretches: tuple[Stretch, ...]) -> float:
 
 def _above(number: sympy.Expr) -> float:
     """The number as a float that is not below it."""
-    return float_above(arb(constant(number)).upper())
+    return float_above_ball(arb(constant(number)).upper())

@@ -25,9 +25,8 @@ FINE, NOTE, WARNING, FAULT = "fine", "note", "warning", "fault"
 #: second a design of this speed does not survive it as a rule.
 SMALL_POLE_PERIOD, LARGE_POLE_PERIOD = 0.3, 1.0
 
-#: Forward Euler of an estimate's leak: 1 - rate T, outside the unit circle above 2; above 1 the
-#: estimate alternates.
-UNSTABLE_LEAK, ALTERNATING_LEAK = 2.0, 1.0
+#: Forward Euler of an estimate's leak, 1 - rate T: above 1 the estimate alternates.
+ALTERNATING_LEAK = 1.0
 
 #: Part of the input's range that one step of a sensor should not move it by.
 LARGE_INPUT_STEP = 0.1
@@ -180,7 +179,7 @@ def _sampled_stability(system: System, implementation: Implementation) -> Iterat
 
 
 def _leaks(system: System, implementation: Implementation) -> Iterator[Finding]:
-    """The forgetting of the estimates, by forward Euler."""
+    """The forgetting of the estimates, by forward Euler; beyond 2 the system is not made at all."""
     values = system.law.parameters(system.plant)
     if implementation.update != "euler" or "gain_rate" not in values:
         return
@@ -196,10 +195,7 @@ def _leaks(system: System, implementation: Implementation) -> Iterator[Finding]:
             if rate
             else ""
         )
-        if product > UNSTABLE_LEAK:
-            text = f"{detail} > {UNSTABLE_LEAK:g}: Euler leakage is unstable"
-            yield Finding("leak x period", FAULT, text, remedy)
-        elif product > ALTERNATING_LEAK:
+        if product > ALTERNATING_LEAK:
             text = f"{detail} > {ALTERNATING_LEAK:g}: the estimate alternates at every step"
             yield Finding("leak x period", WARNING, text, remedy)
         else:

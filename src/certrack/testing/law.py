@@ -171,8 +171,7 @@ class LawConformance:
             skip("the truth has states of its own")
         rates = numpy_callable([TIME, loop.states, loop.parameters], [*loop.rates, loop.u])
         names = [TIME, *plant.symbols]
-        known = {name: float(v) for name, v in plant.constant_values.items()}
-        exact = {symbol: known[symbol.name] for symbol in _constants(system)}
+        exact = {symbol: plant.constant_values[symbol.name] for symbol in _constants(system)}
         unknown = numpy_callable(
             names, [put_in(w.expr, exact) for w in (*(truth.omega or ()), *plant.regressor)]
         )

@@ -50,7 +50,9 @@ class Attained:
 def worst_reference(
     M: np.ndarray, W: np.ndarray, inputs: np.ndarray, offset: np.ndarray, Y: Sequence[float]
 ) -> Attained | None:
-    """Largest |e_1| of e' = M e + W (y ... y^(q+1)) + inputs b + offset, |b_i| <= 1, |y^(j)| <= Y_j.
+    """Largest |e_1| of e' = M e + W (y ... y^(q+1)) + inputs b + offset.
+
+    All |b_i| <= 1 and |y^(j)| <= Y_j.
 
     Returns
     -------

@@ -1,12 +1,12 @@
 """Peak gains, rounded up: the integrals of |c e^{Mt} b| over t >= 0.
 
 The exponentials at the ends of blocks of cells are balls (python-flint), rounded to floats whose
-error is known; inside a block the values c F_b E_j b are float products, with the rounding of every
-product counted. In a cell of width h, k is within h^2/8 sup |k''| of the line between its values at
-the ends. Where k thus keeps its sign, its integral is that of c M^-1 e^{Mt} b between the ends; else
-the integral of |k| is that of the absolute line, plus h^3/12 sup |k''|. |k''| is at most its value
-at the nearer end plus h/2 times the largest third derivative. That, and the tail after the
-last block, come from a P > 0 with (M + mu I)^T P + P (M + mu I) < 0, verified in rationals:
+error is known; inside a block the values c F_b E_j b are float products, with the rounding of
+every product counted. In a cell of width h, k is within h^2/8 sup |k''| of the line between its
+values at the ends. Where k thus keeps its sign, its integral is that of c M^-1 e^{Mt} b between the
+ends; else the integral of |k| is that of the absolute line, plus h^3/12 sup |k''|. |k''| is at most
+its value at the nearer end plus h/2 times the largest third derivative. That, and the tail after
+the last block, come from a P > 0 with (M + mu I)^T P + P (M + mu I) < 0, verified in rationals:
 |c e^{Ms} b| <= e^{-mu s} sqrt(c P^-1 c^T) sqrt(b^T P b). It also proves that M is stable.
 """
 

@@ -16,7 +16,7 @@ import sympy
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.exact import Proof, check, from_text
+from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import adaptation_of
 from certrack.certificates.ranges.cells import Cell
 from certrack.certificates.ranges.coefficients import Coefficients
@@ -117,7 +117,7 @@ class RangeProver:
         for problem, stage in zip(problems, proof.points, strict=True):
             if (stage.P, stage.alpha, stage.bound) != (first.P, first.alpha, proof.bound):
                 return "the points of a cell do not share P, alpha and the bound"
-            if reason := check(problem, stage):
+            if reason := failed_condition(problem, stage):
                 return reason
         return ""
 

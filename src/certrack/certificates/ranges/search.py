@@ -16,8 +16,8 @@ from certrack.certificates.ranges.cells import Cell, divided
 from certrack.certificates.ranges.proofs import CellProof, RangeProver
 from certrack.core.progress import Progress, silent
 
-#: Cells at most, by peak gains and by quadratic functions; and the part by which twice as many cells
-#: must lower the bound to be worth their time.
+#: Cells at most, by peak gains and by quadratic functions; and the part by which twice as many
+#: cells must lower the bound to be worth their time.
 MOST_CELLS, MOST_VERTEX_CELLS, WORTHWHILE = 64, 16, 0.02
 
 #: Worst cells of a partition by peak gains that are tried once more by a quadratic function.
