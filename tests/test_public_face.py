@@ -360,6 +360,9 @@ CALLS = {
     "ensemble": lambda progress, out: certrack.ensemble(
         certrack.load("example1"), 48, chunk=16, method="lockstep", out=out, progress=progress
     ),
+    "certify": lambda progress, _: certrack.certify(
+        certrack.load("dual-motor-lean"), progress=progress
+    ),
     "falsify": lambda progress, _: certrack.falsify(
         certrack.load("dual-motor-lean"), budget=150, progress=progress
     ),

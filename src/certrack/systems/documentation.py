@@ -61,6 +61,8 @@ def _key_row(name: str, key: Key, only: str) -> str:
 def _default(value: Any) -> str:
     if isinstance(value, tuple):
         return f"`[{', '.join(map(str, value))}]`"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
     text = f"{value:g}" if isinstance(value, (int, float)) else str(value)
     return f"`{re.sub(r'e([+-])0*', lambda e: 'e' + e[1].strip('+'), text)}`"
 
