@@ -20,6 +20,7 @@ from certrack.certificates.premises import irrational_numbers
 from certrack.certificates.sampling import RANDOM_POINTS, Points, random_points
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
+from certrack.core.expressions import Expression, parse
 from certrack.core.rounding import rounded_up
 from certrack.laws.error_system import KnownParameters
 from certrack.model.plant import Plant
@@ -173,6 +174,13 @@ def _knows_parameters(system: System) -> bool:
         return False
 
 
+def _follows_ranges(system: System, value: Expression | None) -> bool:
+    """Whether a number of the plant is a formula of constants that have a range."""
+    if value is None:
+        return False
+    return bool(parse("", value, system.plant.open_values).expr.free_symbols)
+
+
 def _input_gain(system: System) -> Premise:
     plant, truth = system.plant, system.truth
     assert truth.input_gain is not None
@@ -180,14 +188,24 @@ def _input_gain(system: System) -> Premise:
     if plant.input_gain_range is not None:  # the loader refuses a truth outside
         low, high = plant.input_gain_range
         return Premise(GAIN, PROVEN, f"every g_n in [{low:g}, {high:g}], the true one among them")
-    if not _knows_parameters(system):
-        return Premise(GAIN, PROVEN, f"the true g_n = {true} (the file gives no range)")
     built = _as_built(system).input_gain
+    if not _knows_parameters(system) and not _follows_ranges(system, plant.input_gain):
+        return Premise(GAIN, PROVEN, f"the true g_n = {true} (the file gives no range)")
     assert plant.input_gain is not None and built is not None
     if _equal(true.expr, built.expr, ()):
         known = f"g_n = {plant.input_gain}"
         how = "of the constants in their ranges" if plant.constant_ranges else "as the law uses it"
         return Premise(GAIN, PROVEN, f"{known} exactly {how}")
+    if _follows_ranges(system, plant.input_gain):
+        return Premise(
+            GAIN,
+            CONTRADICTED,
+            f"with the true constants g_n = {plant.input_gain} is {float(built.expr):.6g}, the "
+            f"true one is {float(true.expr):.6g}",
+            {"true": float(true.expr), "assumed": float(built.expr)},
+            f'write truth.input_gain = "{plant.input_gain}", and the true value of its constants '
+            "in truth.constants; or state plant.ranges.input_gain in the place of their ranges",
+        )
     values = {"true": float(true.expr), "assumed": float(plant.input_gain.expr)}
     return Premise(
         GAIN,
@@ -204,12 +222,24 @@ def _theta(system: System) -> Premise:
     if plant.theta_range is not None:
         return Premise(THETA, PROVEN, "every theta in its range, the true one among them")
     true = [value.expr for value in truth.theta]
-    if not _knows_parameters(system):
+    open_theta = any(_follows_ranges(system, value) for value in plant.theta or ())
+    if not _knows_parameters(system) and not open_theta:
         return Premise(THETA, PROVEN, "the true theta of the file (it gives no range)")
     known = [value.expr for value in _as_built(system).theta or ()]
     if all(_equal(a, b, ()) for a, b in zip(true, known, strict=True)):
         how = "of the constants in their ranges" if plant.constant_ranges else "as the law uses it"
         return Premise(THETA, PROVEN, f"theta exactly {how}")
+    if open_theta:
+        listed = ", ".join(f'"{value}"' for value in plant.theta or ())
+        return Premise(
+            THETA,
+            CONTRADICTED,
+            f"with the true constants theta is {_listed([float(v) for v in known])}, the true one "
+            f"is {_listed([float(v) for v in true])}",
+            {"true": [float(v) for v in true], "assumed": [float(v) for v in known]},
+            f"write truth.theta = [{listed}], and the true value of its constants in "
+            "truth.constants; or state plant.ranges.theta in the place of their ranges",
+        )
     values = {"true": [float(v) for v in true], "assumed": [float(v) for v in known]}
     return Premise(
         THETA,

@@ -142,6 +142,28 @@ def ranged_loop(system: System) -> RangedLoop:
     )
 
 
+def untrue_formulas(system: System) -> list[str]:
+    """What of g_n and theta, of those that a proof takes, is not the truth's formula of the ranges.
+
+    Members of an ensemble draw the constants; their g_n and theta are those of the truth.
+    """
+    if system.truth.states:
+        return []
+    plant, truth = system.plant, system.truth
+    design = _Design(system, isinstance(refuse_unknown(system), EstimatedParameters))
+    gain, theta = design.gain, design.theta
+    names = []
+    if plant.input_gain_range is None and sympy.cancel(
+        gain - design.number("truth.input_gain", truth.input_gain)
+    ):
+        names.append("input_gain")
+    for i, value in enumerate(theta):
+        stated = plant.theta_range is not None
+        if not stated and sympy.cancel(value - design.number(f"truth.theta[{i}]", truth.theta[i])):
+            names.append(f"theta[{i}]")
+    return names
+
+
 class _Design:
     """The plant's formulas with the ranged constants left open."""
 
@@ -154,12 +176,28 @@ class _Design:
         )
         values = [plant.constant_values[str(s)] for s in self.symbols]
         self._constants = {symbol(name): value for name, value in plant.open_values.items()}
-        gain, theta = plant.input_gain or system.truth.input_gain, plant.theta or system.truth.theta
-        self.gain = self.number("plant.input_gain", gain)
-        self.theta = [self.number(f"plant.theta[{i}]", value) for i, value in enumerate(theta)]
+        self.gain = self.number("plant.input_gain", self._used(plant.input_gain, "input_gain"))
+        self.theta = [
+            self.number(f"plant.theta[{i}]", self._used(value, "theta", i))
+            for i, value in enumerate(plant.theta or (None,) * plant.r)
+        ]
         if not self.is_adaptive:
             values += self._open_gain_and_theta()
         self.nominal = tuple(map(rational, values))
+
+    def _used(self, known: Expression | None, name: str, i: int = 0) -> Expression:
+        """What the proof takes for g_n or an entry of theta.
+
+        The plant's for a law that knows it, or where it follows the ranges; else the true one.
+        """
+        true = getattr(self.system.truth, name)
+        true = true[i] if isinstance(true, tuple) else true
+        if known is None or (self.is_adaptive and not self._open(known)):
+            return true
+        return known
+
+    def _open(self, value: Expression) -> bool:
+        return bool(self.number("", value).free_symbols)
 
     def _open_gain_and_theta(self) -> list[sympy.Expr]:
         """For the robust law, symbols in the place of g_n and theta that have a range."""
