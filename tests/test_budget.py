@@ -1,5 +1,7 @@
 """The budget of loading and verifying: spent, it ends in one line, and nothing comes after it."""
 
+import subprocess
+import sys
 import threading
 import time
 
@@ -149,3 +151,14 @@ def test_verifying_has_a_budget(monkeypatch, tmp_path):
     monkeypatch.setattr(document, "_read_document", lambda path: spin())
     with pytest.raises(InputError, match=r"cert.json: is given up: it needs more than 0.1 s"):
         document.verify(tmp_path / "cert.json")
+
+
+def test_a_profiler_works_after_loading():
+    """An exception that is taken back leaves CPython 3.11 waiting; under a profiler it hangs."""
+    program = (
+        "import cProfile, certrack\n"
+        "system = certrack.load('dual-motor-lean')\n"
+        "profile = cProfile.Profile()\n"
+        "profile.runcall(system.with_settings, duration=3)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)

@@ -27,6 +27,9 @@ FACTOR_VARIABLE = "CERTRACK_BUDGET"
 #: library may have caught the first exception.
 POLL_INTERVAL, RAISE_INTERVAL = 0.05, 1.0
 
+#: Instructions at which a pending exception would have come.
+LOOKED_FOR = 100
+
 Result = TypeVar("Result")
 
 
@@ -99,6 +102,7 @@ class _Watch:
 
     def __init__(self, seconds: float, megabytes: float) -> None:
         self.exceeded = ""  # of what; empty while within the budget
+        self._raised = False
         self._seconds, self._megabytes = seconds, megabytes
         self._owner = threading.get_ident()
         self._clock = _clock_of(self._owner)
@@ -117,7 +121,8 @@ class _Watch:
         """Look no more; no exception comes after this has returned."""
         with self._lock:
             self._done.set()
-            _raise_in(self._owner, None)
+        if self._raised:
+            _await_exception()
         if self._thread.is_alive():
             self._thread.join()  # a process with one thread may fork
 
@@ -129,6 +134,7 @@ class _Watch:
                 raised = time.monotonic()
                 with self._lock:
                     if not self._done.is_set():
+                        self._raised = True
                         _raise_in(self._owner, _BudgetExceeded)
 
     def _overspent(self) -> str:
@@ -149,11 +155,22 @@ def _stop_surely(watch: _Watch) -> None:
             continue
 
 
-def _raise_in(thread: int, exception: type[BaseException] | None) -> None:
-    """Raise an exception in a thread when its current operation ends; None takes one back."""
-    ctypes.pythonapi.PyThreadState_SetAsyncExc(
-        ctypes.c_ulong(thread), None if exception is None else ctypes.py_object(exception)
-    )
+def _raise_in(thread: int, exception: type[BaseException]) -> None:
+    """Raise an exception in a thread when its current operation ends.
+
+    It is never taken back: in CPython 3.11 that leaves the interpreter waiting for one for ever, so
+    that it is slow, and hangs under a profiler.
+    """
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(exception))
+
+
+def _await_exception() -> None:
+    """Let an exception come that was raised in this thread and has not arrived."""
+    try:
+        for _ in range(LOOKED_FOR):
+            time.sleep(0)
+    except _BudgetExceeded:
+        pass
 
 
 def _clock_of(thread: int) -> Callable[[], float]:
