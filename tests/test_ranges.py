@@ -23,7 +23,7 @@ from certrack.certificates.ranges.attainable import worst_reference
 from certrack.certificates.ranges.cells import halved
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import error_form, ranged_loop
-from certrack.certificates.ranges.proofs import RangeProver, check_cover, covers, numbers, texts
+from certrack.certificates.ranges.proofs import RangeProver, cells_fill, check_cover, numbers, texts
 from certrack.certificates.ranges.rational import RationalVector
 from certrack.certificates.ranges.search import bound_ranges
 from certrack.certificates.ranges.vertices import ProblemMaker, VertexProgram, prove_vertices
@@ -123,12 +123,12 @@ def test_covers_are_recognised(seed):
     for _ in range(int(rng.integers(0, 9))):
         i = int(rng.integers(len(cells)))
         cells[i : i + 1] = halved(cells[i], [1, 1])
-    assert covers(cells, box)
+    assert cells_fill(cells, box)
     missing = cells[:-1] if len(cells) > 1 else []
-    assert not covers(missing, box)
+    assert not cells_fill(missing, box)
     (a, b), other = cells[0]
     shrunk = [((a, b - (b - a) / 1000), other), *cells[1:]]
-    assert not covers(shrunk, box)
+    assert not cells_fill(shrunk, box)
 
 
 # kernels

@@ -25,7 +25,7 @@ from certrack.model.coefficients import (
     refuse_varying_gain,
 )
 from certrack.model.names import new_name
-from certrack.model.ranges import Range, checked_ranges, dependents, open_constants
+from certrack.model.ranges import ConstantRange, checked_ranges, dependents, open_constants
 from certrack.model.uncertainty import Uncertainty
 
 MAX_ORDER = 50
@@ -138,7 +138,7 @@ class Plant:
         path="ranges.theta",
         otherwise="none",
     )
-    constant_ranges: tuple[Range, ...] = keyed(
+    constant_ranges: tuple[ConstantRange, ...] = keyed(
         "intervals by name",
         (),
         help="range of any constant; the law is made with the value in plant.constants",

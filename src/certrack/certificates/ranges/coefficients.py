@@ -93,14 +93,14 @@ def _parts(entry: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> list[tuple[sym
     if not entry.free_symbols:
         return [(sympy.S.One, rational(entry))] if entry != 0 else []
     top, bottom = sympy.fraction(sympy.cancel(sympy.together(entry)))
-    found = []
+    factors = []
     for term in sympy.Add.make_args(sympy.expand(top)):
         value, function = sympy.cancel(term / bottom).as_independent(*symbols, as_Add=False)
         numerator, denominator = sympy.fraction(function)
         content, denominator = sympy.Poly(denominator, *symbols).primitive()
         function = numerator / denominator.as_expr()
-        found.append((function, rational(value) / rational(content)))
-    return found
+        factors.append((function, rational(value) / rational(content)))
+    return factors
 
 
 def _factors(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

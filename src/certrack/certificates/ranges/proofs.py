@@ -33,7 +33,7 @@ from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
 
 #: Cells of a proof in a file.
-MAX_CELLS = 1024
+MAX_PROOF_CELLS = 1024
 
 #: A bound by peak gains is written larger by this part, and with this many digits: the quadrature
 #: of another machine may differ in the last bits.
@@ -160,12 +160,12 @@ def numbers(cell: Sequence[tuple[str, str]]) -> Cell:
 def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
     """Empty if every cell is proven, they cover the ranges, and none exceeds the bound."""
     prover = RangeProver(system)
-    if len(proofs) > MAX_CELLS:
-        return f"there are more than {MAX_CELLS} cells"
+    if len(proofs) > MAX_PROOF_CELLS:
+        return f"there are more than {MAX_PROOF_CELLS} cells"
     cells = [numbers(proof.cell) for proof in proofs]
     if any(len(cell) != len(prover.box) for cell in cells):
         return "a cell has not one interval for each range"
-    if not covers(cells, prover.box):
+    if not cells_fill(cells, prover.box):
         return "the cells do not cover the ranges"
     for proof in proofs:
         if from_text(proof.bound) > from_text(bound):
@@ -175,7 +175,7 @@ def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
     return ""
 
 
-def covers(cells: Sequence[Cell], box: Cell) -> bool:
+def cells_fill(cells: Sequence[Cell], box: Cell) -> bool:
     """Whether every point of the box is in one of the cells."""
     if any(
         all(c <= a and b <= d for (a, b), (c, d) in zip(box, cell, strict=True)) for cell in cells
@@ -191,5 +191,7 @@ def covers(cells: Sequence[Cell], box: Cell) -> bool:
             for end in ends:
                 if a < end < b:
                     parts = ((a, end), (end, b))
-                    return all(covers(touching, (*box[:i], part, *box[i + 1 :])) for part in parts)
+                    return all(
+                        cells_fill(touching, (*box[:i], part, *box[i + 1 :])) for part in parts
+                    )
     return False

@@ -110,7 +110,7 @@ class ProblemMaker:
             i for i in range(c.q + 3) if _any(Uy[i]) or _any(through[i]) or (Ua and _any(Xy[i]))
         ]
         T = columns_of([through[i] for i in acting], len(rows))
-        own = tuple((rows[k : k + 1, :n], T[k : k + 1]) for k in range(len(rows)))
+        selected = tuple((rows[k : k + 1, :n], T[k : k + 1]) for k in range(len(rows)))
         return ErrorProblem(
             M=form.M,
             Ua=columns_of(Ua, n),
@@ -121,7 +121,7 @@ class ProblemMaker:
             states=inputs.states,
             derivatives=tuple(acting),
             adaptation=adaptation,
-            selections=(*(inputs.selections or (None,) * len(inputs.a)), *own),
+            selections=(*(inputs.selections or (None,) * len(inputs.a)), *selected),
         )
 
 
@@ -205,11 +205,11 @@ class VertexProgram:
         settings.verbose, settings.max_iter = False, MAX_ITERATIONS
         zero = sparse.csc_matrix((len(cost), len(cost)))
         matrix = (self._base + self._scaling.rate(alpha) * self._slope).tocsc()
-        found = clarabel.DefaultSolver(
+        result = clarabel.DefaultSolver(
             zero, cost, matrix, self._right, self._cones, settings
         ).solve()
         usable = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
-        return self._unscaled(np.array(found.x), alpha, leak) if found.status in usable else None
+        return self._unscaled(np.array(result.x), alpha, leak) if result.status in usable else None
 
     def _unscaled(self, x: np.ndarray, alpha: float, leak: Any) -> VertexSolution:
         scaling, count = self._scaling, len(self._entries)
