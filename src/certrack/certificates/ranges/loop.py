@@ -29,12 +29,12 @@ from mpmath import iv, mp
 from certrack.certificates.arithmetic import exact_float, rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
+from certrack.certificates.intervals import enclosure
 from certrack.certificates.premises import refuse_unknown
 from certrack.certificates.ranges.rational import Interval, RationalVector
 from certrack.core.expressions import Expression, parse, symbol
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.laws.error_system import EstimatedParameters
-from certrack.references.intervals import enclosure
 from certrack.systems.system import System
 
 #: Symbols of ranges that no constant stands for: a dot, so they are the name of none.
