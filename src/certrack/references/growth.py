@@ -2,8 +2,8 @@
 
 On [a, b] a :class:`GrowthEnclosure` is a sum of t^k e^(r t), each with an interval of factors, so
 that what grows and what decays is told apart: t e^(-t) is bounded, and (1 + t)/(2 + t) is near 1,
-though each t is not. Factors are exact rationals where they can be, else Arb's balls; all are rounded
-outward.
+though each t is not. Factors are exact rationals where they can be, else Arb's balls; all are
+rounded outward.
 """
 
 from __future__ import annotations

@@ -110,7 +110,15 @@ class RationalVector:
 
     def at(self, point: Sequence[Any]) -> np.ndarray:
         """Exact values at one point."""
-        return self.points([(value, value) for value in point])[0]
+        numerators, denominator = self.numerators, self.denominator
+        for value in point:
+            powers = [value**d for d in range(denominator.shape[0])]
+            denominator = np.tensordot(powers, denominator, axes=(0, 0))
+            numerators = np.tensordot(numerators, powers, axes=(1, 0))
+        bottom = np.asarray(denominator, dtype=object).item()
+        if bottom == 0:
+            raise NoCertificate("a denominator of the loop vanishes in plant.ranges; narrow them")
+        return numerators / bottom
 
 
 def _polynomial(expr: sympy.Expr, symbols: tuple[sympy.Symbol, ...]) -> sympy.Poly:
