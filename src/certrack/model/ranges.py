@@ -122,11 +122,11 @@ def check_sign_at_ends(
     if not inside or len(inside) > MAX_RANGES_AT_ENDS:
         return
     names = [symbol(name) for name, _, _ in inside]
-    value = set()
+    signs = set()
     for corner in product(*((low.expr, high.expr) for _, low, high in inside)):
         value = open_formula.subs(dict(zip(names, corner, strict=True)))
-        value.add(sympy.sign(value) if value.is_finite else sympy.nan)
-    if len(value) != 1 or value & {sympy.nan, sympy.S.Zero}:
+        signs.add(sympy.sign(value) if value.is_finite else sympy.nan)
+    if len(signs) != 1 or signs & {sympy.nan, sympy.S.Zero}:
         name, low, high = inside[0]
         message = f"{key} = {formula.text} must be finite and of one sign on the whole range"
         raise InputError(f"plant.ranges.{name}", message, [low.text, high.text], "Narrow the range")
