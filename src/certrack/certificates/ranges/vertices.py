@@ -10,25 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import clarabel
-import flint
 import numpy as np
 from scipy import sparse
 
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import exact_float, rational, solve
-from certrack.certificates.exact import (
-    BACK_OFF,
-    MULTIPLIER_FLOOR,
-    Proof,
-    decimal_text,
-    root_up,
-    squared_bound,
-)
+from certrack.certificates.exact import Proof, prove_together
 from certrack.certificates.formulation import columns_of, uncertain_inputs
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.ranges.coefficients import Channels, Coefficients, largest_brackets
@@ -236,25 +228,4 @@ def prove_vertices(
     one Proof per point
         They share P, alpha and the bound, the largest of all points.
     """
-    for slack in BACK_OFF:
-        scale = 1 + slack
-        P = scale * (solution.P + solution.P.T) / 2
-        texts = tuple(tuple(decimal_text(v) for v in row) for row in P)
-        alpha = decimal_text(solution.alpha * (1 - slack))
-        largest, proofs = flint.fmpq(0), []
-        numbers = zip(problems, solution.multipliers, solution.lam_units, strict=True)
-        for problem, (lam, nu, k), units in numbers:
-            least = MULTIPLIER_FLOOR * units
-            extra = slack * solution.delta
-            weights = tuple(decimal_text(v * scale + w) for v, w in zip(lam, least, strict=True))
-            nus, ks = (tuple(decimal_text(v * scale**2 + extra) for v in w) for w in (nu, k))
-            proof = Proof(alpha, texts, weights, nus, ks, "0")
-            square = squared_bound(problem, proof, target)
-            if square is None:
-                break
-            largest = max(largest, square)
-            proofs.append(proof)
-        else:
-            bound = root_up(largest)
-            return tuple(replace(proof, bound=bound) for proof in proofs)
-    return None
+    return prove_together(problems, solution, solution.multipliers, solution.lam_units, target)
