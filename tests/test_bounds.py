@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpmath import iv
 
+from certrack.certificates.intervals import enclosure
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, parse, symbol
 from certrack.core.lowering import numpy_callable, rows
 from certrack.references import SymbolicReference
-from certrack.references.enclosures import INFINITE, LINEAR, Enclosure, Span, Undefined, ball
-from certrack.references.intervals import enclosure
+from certrack.references.growth import INFINITE, LINEAR, GrowthEnclosure, Span, Undefined, ball
 from certrack.references.search import Formula, derivative_bound
 from certrack.references.smoothness import smoothness
 from certrack.references.taylor import Evaluation
@@ -198,7 +198,7 @@ def test_taylor_coefficients_enclose_those_of_mpmath(text, begin, width):
     try:
         expr = parse("", text, ["t"]).expr
         times = [ball(begin, begin + width)]
-        times.append(Enclosure(Span(arb(begin), INFINITE), {LINEAR: fmpq(1)}))
+        times.append(GrowthEnclosure(Span(arb(begin), INFINITE), {LINEAR: fmpq(1)}))
         found = [Evaluation(time, 1).series(expr) for time in times]
     except (Undefined, InputError):
         return
@@ -210,7 +210,9 @@ def test_taylor_coefficients_enclose_those_of_mpmath(text, begin, width):
         if not exact.is_real or not exact.is_finite:
             continue
         for series in found:
-            value = series[0].interval() if isinstance(series[0], Enclosure) else arb(series[0])
+            value = (
+                series[0].interval() if isinstance(series[0], GrowthEnclosure) else arb(series[0])
+            )
             assert not value.is_finite() or value.overlaps(arb(str(exact)) + arb(0, 1e-25))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import certrack
 from certrack.studies.falsifier.falsify import falsify
-from certrack.studies.falsifier.loop import AdversarialLoop
+from certrack.studies.falsifier.loop import AdversarialLoop, slowest_time_constant
 
 
 def with_ranges():
@@ -49,6 +49,24 @@ def test_every_number_changes_the_loop(name):
         texts = [certrack.to_text(loop.case(point)) for point in (moved, middle)]
         assert texts[0] != texts[1], variable.name
         assert loop.errors(moved[:, None]) != loop.errors(middle[:, None]), variable.name
+
+
+@pytest.mark.parametrize(
+    ("changes", "slowest"),
+    [
+        ({"Gamma": [0.1]}, 1 / 0.06),
+        ({"Gamma": [0.01]}, 1 / 0.006),
+        ({"gain_rate": 0.1, "Gamma": [50.0]}, 1 / 0.06),
+        ({"gain_rate": 9.0, "Gamma": [50.0]}, 0.0),
+    ],
+)
+def test_the_transient_outlasts_the_slowest_leak(changes, slowest):
+    """Theta leaks at Gamma leak_theta, delta_hat at gain_rate leak_gain; else the poles count."""
+    base = certrack.load("example1")
+    system = base.replace(law=replace(base.law, **changes))
+    poles = -system.controller.coordinates.poles.real.max()
+    expected = max(slowest, 1 / poles)
+    assert slowest_time_constant(system) == pytest.approx(expected, rel=1e-12)
 
 
 def test_plausible_starts_are_within_the_ranges():

@@ -459,6 +459,24 @@ def test_check_knows_leaks_and_quanta():
     assert f"{step:.4g}" in names["quantum of x1"].detail
 
 
+def test_check_groups_estimates_that_leak_together():
+    """Gamma leak_theta of the coupled pair has the eigenvalues 3 and 1; delta_hat leaks alone."""
+    law = replace(EXAMPLE.law, Gamma=((20, 10), (10, 20)), leak_theta=0.1, theta0=(0, 0))
+    system = EXAMPLE.replace(
+        plant=replace(EXAMPLE.plant, regressor=("x1", "x2")),
+        law=replace(law, gain_rate=5.0, leak_gain=0.4),
+        truth=replace(EXAMPLE.truth, theta=(1, 2)),
+        implementation=certrack.Implementation(period=0.01),
+    )
+    leaks = [f.detail for f in certrack.check(system).findings if f.name == "leak x period"]
+    assert leaks == [
+        "leak of delta_hat 2 1/s x period = 0.02",
+        "leak of theta_hat_1, theta_hat_2 3 1/s x period = 0.03",
+    ]
+    silent = system.replace(law=certrack.Classic(c=law.c, Gamma=law.Gamma))
+    assert all(f.name != "leak x period" for f in certrack.check(silent).findings)
+
+
 def test_units_that_do_not_fit_are_named():
     assert powers("rad/s^2") == powers("rad s^-2") == powers("rad·s⁻²") == {"rad": 1, "s": -2}
     assert powers("1") == {} and powers("kg m^2/s") == {"kg": 1, "m": 2, "s": -1}

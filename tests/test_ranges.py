@@ -21,10 +21,11 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import from_text
 from certrack.certificates.ranges.attainable import worst_reference
 from certrack.certificates.ranges.cells import halved
+from certrack.certificates.ranges.certify import certify_ranges
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import error_form, ranged_loop
-from certrack.certificates.ranges.proofs import RangeProver, check_cover, covers, numbers, texts
-from certrack.certificates.ranges.rational import RationalVector
+from certrack.certificates.ranges.proofs import RangeProver, cells_fill, check_cover, numbers, texts
+from certrack.certificates.ranges.rational import MAX_HULL_POINTS, RationalVector
 from certrack.certificates.ranges.search import bound_ranges
 from certrack.certificates.ranges.vertices import ProblemMaker, VertexProgram, prove_vertices
 from certrack.certificates.semidefinite import best_solution
@@ -43,6 +44,22 @@ def case(name, **changes):
     if changes.get("all_ranges"):
         text = re.sub(r"^# (Ia|Jeq)", r"\1", text, flags=re.M)
     return certrack.loads(text)
+
+
+def seven_constants():
+    """The flexible joint with seven constants within 0.2 %."""
+    nominal = {
+        "Ia": "2.773278e-3",
+        "da": "6.5407e-4",
+        "c0": "0.9898",
+        "Jeq": "0.00208",
+        "Rm": "2.6",
+        "kt": "0.00767",
+        "Kg": "70",
+    }
+    joint = case("ranges-joint")
+    ranges = {name: [f"0.998*{v}", f"1.002*{v}"] for name, v in nominal.items()}
+    return joint.replace(plant=replace(joint.plant, constant_ranges=ranges))
 
 
 def exact(matrix):
@@ -123,12 +140,12 @@ def test_covers_are_recognised(seed):
     for _ in range(int(rng.integers(0, 9))):
         i = int(rng.integers(len(cells)))
         cells[i : i + 1] = halved(cells[i], [1, 1])
-    assert covers(cells, box)
+    assert cells_fill(cells, box)
     missing = cells[:-1] if len(cells) > 1 else []
-    assert not covers(missing, box)
+    assert not cells_fill(missing, box)
     (a, b), other = cells[0]
     shrunk = [((a, b - (b - a) / 1000), other), *cells[1:]]
-    assert not covers(shrunk, box)
+    assert not cells_fill(shrunk, box)
 
 
 # kernels
@@ -366,6 +383,34 @@ def test_many_functions_have_one_multiplier_each():
     problem = ProblemMaker(prover.loop).at_centre(prover.coefficients, prover.box, None)
     proofs = prove_vertices([problem], best_solution(VertexProgram([problem.in_floats()])))
     assert float(prover.vertices(prover.box).bound) < float(proofs[0].bound) < 0.0338
+
+
+def test_seven_constants_are_proven_at_the_centre():
+    """Their hull has more points than a proof may have; the one stage is checked at the centre."""
+    system = seven_constants()
+    prover = RangeProver(system)
+    assert prover.loop.entries.count > MAX_HULL_POINTS
+    with pytest.raises(NoCertificate, match="more than 256"):
+        prover.loop.entries.points(prover.box)
+    proof = prover.vertices(prover.box)
+    assert len(proof.points) == 1 and prover.check(proof) == ""
+    nominal = certrack.certify(system.replace(plant=replace(system.plant, constant_ranges={})))
+    assert float(proof.bound) > nominal.semidefinite.bound
+    problem = ProblemMaker(prover.loop).at_centre(prover.coefficients, prover.box, None)
+    (stage,) = proof.points
+    assert len(stage.lam) == problem.counts[0] == len(prover.coefficients.functions)
+    assert check_cover(system, (proof,), proof.bound) == ""
+    every = certify_ranges(system, effort="fast")
+    assert every.vertices.bound == float(proof.bound) > every.attainable
+    lower = f"{float(proof.bound) * (1 - 1e-6):.15g}"
+    wider = tuple((str(low * Q(99, 100)), str(high)) for low, high in prover.box)
+    mutants = [
+        replace(proof, bound=lower, points=(replace(stage, bound=lower),)),
+        replace(proof, points=(replace(stage, lam=("0", *stage.lam[1:])),)),
+        replace(proof, points=(stage, stage)),
+        replace(proof, cell=wider),
+    ]
+    assert all(prover.check(mutant) for mutant in mutants)
 
 
 def test_numbers_and_texts_of_cells_are_inverse():

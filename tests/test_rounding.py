@@ -25,6 +25,7 @@ from certrack.certificates.cascade import _prove_stage, certify_cascade
 from certrack.certificates.centred import _enclose, centred_problem
 from certrack.certificates.exact import float_up, from_text, root_up, squared_bound
 from certrack.certificates.formulation import error_coordinates, error_problem
+from certrack.certificates.intervals import enclosure
 from certrack.certificates.published import certify_published
 from certrack.certificates.start import reference_at_start, starting_energy, states_at_start
 from certrack.cli import cli
@@ -34,7 +35,6 @@ from certrack.model.plant import Plant, Uncertainty
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference, triangle
 from certrack.references.base import round_up, total_bound
-from certrack.references.intervals import enclosure
 from certrack.systems.system import Settings, System
 
 DECIMALS = [f"{k / 997:.6f}" for k in range(1, 60)]

@@ -1,12 +1,14 @@
 """Certificates: bounds on limsup |e_1(t)| that hold for everything the assumptions admit.
 
 Each method is a file: `published` (the paper's, and two sound forms of it), `semidefinite`,
-`cascade` with its `centred` stage. They share `problem` (the error system as a matrix inequality)
-and `adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys
+`cascade` with its `centred` stage; `ranges` is the room of constants that have a range. They share
+`problem` (the error system as a matrix inequality), `scaling` (the units a solver sees it in) and
+`adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys
 the error system that it states (`stated`), `own_multipliers` (a proof without a solver), `exact`
 (verification), `strength` (up to which scale of tau there is one), `document` (the saved
-certificate and its checker) and `tube` (the bound for every t, from the `start` in `balls`). A
-bound is a claim that others build on, so the author of a new method must:
+certificate and its checker) and `tube` (the bound for every t, from the `start` in `balls`). What
+the truth keeps of Assumption 1 is found by `majorants` and `cover`, where formulas are defined by
+`domain`. A bound is a claim that others build on, so the author of a new method must:
 
 1. take a :class:`~certrack.systems.system.System` and nothing else, and build its data by
    ``error_problem(system, rational)`` (`decimal` where it claims no exactness), which refuses the

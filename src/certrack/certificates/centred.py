@@ -26,11 +26,11 @@ from certrack.certificates.arithmetic import exact_float, rational, solve
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, from_text, root_up
 from certrack.certificates.formulation import error_coordinates
+from certrack.certificates.intervals import enclosure
 from certrack.certificates.problem import ErrorProblem
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.core.powers import put_in
-from certrack.references.intervals import enclosure
 from certrack.systems.system import System
 
 

@@ -24,8 +24,8 @@ from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises import assumptions
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.certify import cover_bound
-from certrack.certificates.ranges.proofs import MAX_CELLS, CellProof, check_cover, numbers
-from certrack.certificates.ranges.rational import MAX_POINTS
+from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, CellProof, check_cover, numbers
+from certrack.certificates.ranges.rational import MAX_HULL_POINTS
 from certrack.core.budget import within_budget
 from certrack.core.errors import InputError, shorten
 from certrack.core.files import write_text
@@ -237,8 +237,8 @@ def _verify_cover(body: dict[str, Any]) -> Verdict:
     _check_layout(body)
     if body["format"] != FORMAT:
         raise InputError("format", f"must be {FORMAT} for a proof by cells", body["format"])
-    if len(body["proof"]) > MAX_CELLS:
-        raise InputError("proof", f"must have at most {MAX_CELLS} cells")
+    if len(body["proof"]) > MAX_PROOF_CELLS:
+        raise InputError("proof", f"must have at most {MAX_PROOF_CELLS} cells")
     cells = tuple(_cell(entries) for entries in body["proof"])
     bound = cover_bound(cells)
     if body["sha256"] != _digest(body):
@@ -258,8 +258,8 @@ def _cell(entries: Any) -> CellProof:
     if not isinstance(entries, dict) or set(entries) != {"cell", "bound", "points"}:
         raise InputError("proof", "a cell must have cell, bound and points")
     points = entries["points"]
-    if not isinstance(points, list) or len(points) > MAX_POINTS:
-        raise InputError("proof", f"points must be a list of at most {MAX_POINTS} stages")
+    if not isinstance(points, list) or len(points) > MAX_HULL_POINTS:
+        raise InputError("proof", f"points must be a list of at most {MAX_HULL_POINTS} stages")
     try:
         (bound,) = _decimal_texts([entries["bound"]])
         cell = tuple((str(low), str(high)) for low, high in entries["cell"])

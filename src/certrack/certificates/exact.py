@@ -8,9 +8,10 @@ gives way a little (larger multipliers, smaller alpha) and is checked again.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, Protocol
 
 import flint
 import numpy as np
@@ -66,6 +67,22 @@ class Proof:
     shift: str = "0"
 
 
+class SharedNumbers(Protocol):
+    """What the points of a proof share, as a solver returned it."""
+
+    @property
+    def alpha(self) -> float:
+        """Decay rate, 1/s."""
+
+    @property
+    def P(self) -> np.ndarray:
+        """Of V = e^T P e."""
+
+    @property
+    def delta(self) -> float:
+        """Largest Delta."""
+
+
 def prove(problem: ErrorProblem, solution: Solution, target: int = 0) -> Proof | None:
     """Round `solution` so that exact arithmetic confirms it; None if that does not succeed.
 
@@ -78,21 +95,54 @@ def prove(problem: ErrorProblem, solution: Solution, target: int = 0) -> Proof |
     target : int
         Which e_i is bounded (from 0).
     """
+    parts = [(solution.lam, solution.nu, solution.k)]
+    proofs = prove_together([problem], solution, parts, [solution.lam_unit], target)
+    return None if proofs is None else proofs[0]
+
+
+def prove_together(
+    problems: Sequence[ErrorProblem],
+    solution: SharedNumbers,
+    multipliers: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    lam_units: Sequence[np.ndarray],
+    target: int = 0,
+) -> tuple[Proof, ...] | None:
+    """Round P, alpha and each problem's multipliers; None if exact arithmetic does not confirm.
+
+    Parameters
+    ----------
+    problems : ErrorProblem
+        In exact rationals.
+    solution : alpha, P and Delta
+    multipliers : (lam, nu, k) for each problem
+    lam_units : what a lam of 1 in the program is, for each problem
+    target : int
+        Which e_i is bounded (from 0).
+
+    Returns
+    -------
+    one Proof per problem
+        They share P, alpha and the bound, the largest of all.
+    """
     for slack in BACK_OFF:
-        scale = 1 + slack
+        scale, extra = 1 + slack, slack * solution.delta
         P = scale * (solution.P + solution.P.T) / 2
         texts = tuple(tuple(decimal_text(v) for v in row) for row in P)
-        least = MULTIPLIER_FLOOR * solution.lam_unit
-        lam = tuple(decimal_text(v * scale + w) for v, w in zip(solution.lam, least, strict=True))
-        nu, k = (
-            tuple(decimal_text(v * scale**2 + slack * solution.delta) for v in values)
-            for values in (solution.nu, solution.k)
-        )
         alpha = decimal_text(solution.alpha * (1 - slack))
-        proof = Proof(alpha, texts, lam, nu, k, "0")
-        square = squared_bound(problem, proof, target)
-        if square is not None:
-            return replace(proof, bound=root_up(square))
+        largest, proofs = flint.fmpq(0), []
+        for problem, (lam, nu, k), unit in zip(problems, multipliers, lam_units, strict=True):
+            least = MULTIPLIER_FLOOR * unit
+            lams = tuple(decimal_text(v * scale + w) for v, w in zip(lam, least, strict=True))
+            nus, ks = (tuple(decimal_text(v * scale**2 + extra) for v in w) for w in (nu, k))
+            proof = Proof(alpha, texts, lams, nus, ks, "0")
+            square = squared_bound(problem, proof, target)
+            if square is None:
+                break
+            largest = max(largest, square)
+            proofs.append(proof)
+        else:
+            bound = root_up(largest)
+            return tuple(replace(proof, bound=bound) for proof in proofs)
     return None
 
 

@@ -17,8 +17,8 @@ from typing import Any
 import sympy
 from mpmath import iv, mp
 
+from certrack.certificates.intervals import enclosure
 from certrack.core.expressions import TIME
-from certrack.references.intervals import enclosure
 from certrack.references.supremum import sinusoid_supremum
 
 #: Coefficients of 1, s, s^2 ...

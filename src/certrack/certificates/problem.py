@@ -92,8 +92,8 @@ class ErrorProblem:
         if not len(lam):
             return []
         chosen = self.selections or (None,) * len(lam)
-        whole = [v for v, part in zip(lam, chosen, strict=True) if part is None]
-        weighted = [(sum(whole[1:], whole[0]), (self.Xe, self.Xy))] if whole else []
+        unselected = [v for v, part in zip(lam, chosen, strict=True) if part is None]
+        weighted = [(sum(unselected[1:], unselected[0]), (self.Xe, self.Xy))] if unselected else []
         for v, part in zip(lam, chosen, strict=True):
             if part is not None:
                 S, T = part

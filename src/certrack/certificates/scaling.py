@@ -70,9 +70,9 @@ class Scaling:
         numbers: they depend on the units. The exact proof has them, and room for them.
         """
         timed, sizes, reach = _timed(problem, self.time), self.sizes, _reach(problem, self.sizes)
-        whole = _norm(problem.Xe * sizes, problem.Xy)
+        norm_x = _norm(problem.Xe * sizes, problem.Xy)
         selections = tuple(
-            None if part is None else (part[0] * (whole / r), _divided(part[1], r))
+            None if part is None else (part[0] * (norm_x / r), _divided(part[1], r))
             for part, r in zip(problem.selections, reach, strict=False)
         )
         numbers = {
@@ -80,8 +80,8 @@ class Scaling:
             "Ua": timed.Ua * reach / sizes[:, None],
             "Ub": timed.Ub / sizes[:, None],
             "Uy": timed.Uy / sizes[:, None],
-            "Xe": timed.Xe * sizes[None, :] / whole,
-            "Xy": timed.Xy / whole,
+            "Xe": timed.Xe * sizes[None, :] / norm_x,
+            "Xy": timed.Xy / norm_x,
         }
         numbers = {name: _rounded(values) for name, values in numbers.items()}
         for name in ("Ua", "Ub", "Uy", "Xy"):
@@ -135,8 +135,8 @@ def _timed(problem: ErrorProblem, unit: float) -> ErrorProblem:
 
 def _reach(problem: ErrorProblem, sizes: np.ndarray) -> np.ndarray:
     """Typical size of what bounds each a-input, for e_i of these sizes and y_i of 1."""
-    whole = _norm(problem.Xe * sizes, problem.Xy)
-    reach = np.full(problem.counts[0], whole)
+    norm_x = _norm(problem.Xe * sizes, problem.Xy)
+    reach = np.full(problem.counts[0], norm_x)
     for k, part in enumerate(problem.selections):
         if part is not None:
             S, T = part

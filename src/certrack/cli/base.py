@@ -57,14 +57,6 @@ def tell_written(as_json: bool, *paths: Path) -> None:
         click.echo(f"{len(paths)} files written in {paths[0].parent}")
 
 
-def note_violations(system: System) -> None:
-    """Say where the file's omega breaks Assumption 1: no certificate covers such a run."""
-    from certrack.certificates.assumption_1 import check_assumption_1
-
-    for violation in check_assumption_1(system):
-        click.echo(f"certrack: note: {violation}", err=True)
-
-
 def note_implementation(system: System) -> None:
     """Say that a guarantee is of the continuous law where the file has a sampled controller."""
     if system.implementation is not None:

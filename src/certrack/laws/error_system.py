@@ -26,9 +26,6 @@ from dataclasses import dataclass, field
 
 import sympy
 
-#: Which formula of the law, what it is, what it would be.
-Comparison = tuple[str, sympy.Expr, sympy.Expr]
-
 
 @dataclass(frozen=True)
 class KnownParameters:

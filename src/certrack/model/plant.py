@@ -26,7 +26,7 @@ from certrack.model.coefficients import (
 )
 from certrack.model.names import new_name
 from certrack.model.ranges import (
-    Range,
+    ConstantRange,
     check_sign_at_ends,
     checked_ranges,
     dependents,
@@ -144,7 +144,7 @@ class Plant:
         path="ranges.theta",
         otherwise="none",
     )
-    constant_ranges: tuple[Range, ...] = keyed(
+    constant_ranges: tuple[ConstantRange, ...] = keyed(
         "intervals by name",
         (),
         help="range of any constant; the law is made with the value in plant.constants",

@@ -17,7 +17,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, number, parse, symbol
 
 #: A range: name of the constant, lower and upper end.
-Range = tuple[str, Expression, Expression]
+ConstantRange = tuple[str, Expression, Expression]
 
 #: Keys of [plant.ranges] that are not names of constants.
 OTHER_RANGES = ("input_gain", "theta")
@@ -25,7 +25,7 @@ OTHER_RANGES = ("input_gain", "theta")
 
 def checked_ranges(
     ranges: Any, constants: Mapping[str, Expression], values: Mapping[str, sympy.Expr]
-) -> tuple[Range, ...]:
+) -> tuple[ConstantRange, ...]:
     """Ranges by name, each around the nominal value of its constant.
 
     Parameters
@@ -42,7 +42,7 @@ def checked_ranges(
     """
     rows = dict(_rows(ranges))
     checks.known_keys("plant.ranges", rows, constants)
-    found: list[Range] = []
+    checked: list[ConstantRange] = []
     for name, pair in rows.items():
         key = f"plant.ranges.{name}"
         if name in OTHER_RANGES:
@@ -55,9 +55,9 @@ def checked_ranges(
         if not low.expr <= values[name] <= high.expr:
             message = f"must contain the constant's own value {float(values[name]):g}"
             raise InputError(key, message, [low.text, high.text])
-        found.append((name, low, high))
+        checked.append((name, low, high))
     _refuse_formulas_of_each_other(rows, constants)
-    return tuple(found)
+    return tuple(checked)
 
 
 def _rows(ranges: Any) -> list[tuple[str, Any]]:
@@ -84,12 +84,12 @@ def _refuse_formulas_of_each_other(
 
 def dependents(names: set[str], constants: Mapping[str, Expression]) -> set[str]:
     """The constants that are formulas, directly or not, of the named ones."""
-    found: set[str] = set()
+    dependent: set[str] = set()
     for name, value in constants.items():
         used = set(map(str, parse(f"plant.constants.{name}", value, None).expr.free_symbols))
-        if name not in names and used & (names | found):
-            found.add(name)
-    return found
+        if name not in names and used & (names | dependent):
+            dependent.add(name)
+    return dependent
 
 
 def open_constants(constants: Mapping[str, Expression], ranged: set[str]) -> dict[str, sympy.Expr]:
@@ -110,7 +110,7 @@ MAX_RANGES_AT_ENDS = 10
 def check_sign_at_ends(
     key: str,
     formula: Expression,
-    ranges: Sequence[Range],
+    ranges: Sequence[ConstantRange],
     values: Mapping[str, sympy.Expr],
 ) -> None:
     """Refuse a coefficient that vanishes, changes its sign or has no value at an end of the ranges.
@@ -122,11 +122,11 @@ def check_sign_at_ends(
     if not inside or len(inside) > MAX_RANGES_AT_ENDS:
         return
     names = [symbol(name) for name, _, _ in inside]
-    found = set()
+    signs = set()
     for corner in product(*((low.expr, high.expr) for _, low, high in inside)):
         value = open_formula.subs(dict(zip(names, corner, strict=True)))
-        found.add(sympy.sign(value) if value.is_finite else sympy.nan)
-    if len(found) != 1 or found & {sympy.nan, sympy.S.Zero}:
+        signs.add(sympy.sign(value) if value.is_finite else sympy.nan)
+    if len(signs) != 1 or signs & {sympy.nan, sympy.S.Zero}:
         name, low, high = inside[0]
         message = f"{key} = {formula.text} must be finite and of one sign on the whole range"
         raise InputError(f"plant.ranges.{name}", message, [low.text, high.text], "Narrow the range")

@@ -18,10 +18,10 @@ import sympy
 from flint import arb
 
 from certrack.core.expressions import TIME, without_minmax
-from certrack.references.enclosures import (
+from certrack.references.growth import (
     INFINITE,
     LINEAR,
-    Enclosure,
+    GrowthEnclosure,
     Span,
     Undefined,
     ball,
@@ -191,7 +191,7 @@ class Formula:
             for turn, (_, turns) in zip(piece.phases, self._tables, strict=True)
             for arg, (n, offset) in turns.items()
         }
-        return Evaluation(Enclosure(span, {LINEAR: ONE_EXACTLY}), order, phases, smooth)
+        return Evaluation(GrowthEnclosure(span, {LINEAR: ONE_EXACTLY}), order, phases, smooth)
 
 
 ONE_EXACTLY = constant(sympy.S.One)
@@ -305,7 +305,7 @@ class _Search:
             value = evaluation.series(self.formula.expr)[order]
         finally:
             self.work += evaluation.work
-        ball_of = value.interval() if isinstance(value, Enclosure) else arb(value)
+        ball_of = value.interval() if isinstance(value, GrowthEnclosure) else arb(value)
         return ball_of * math.factorial(order)
 
     def _centred(self, piece: Piece) -> arb:

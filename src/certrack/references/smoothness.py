@@ -17,7 +17,7 @@ from flint import arb, arb_poly, fmpq, fmpq_poly
 
 from certrack.core.expressions import TIME, without_minmax
 from certrack.core.powers import put_in
-from certrack.references.enclosures import Undefined
+from certrack.references.growth import Undefined
 from certrack.references.search import Formula, derivative_bound, float_above_ball, prove_defined
 from certrack.references.taylor import constant
 

@@ -25,7 +25,7 @@ from certrack.core.lowering import numpy_callable, rows
 from certrack.core.powers import put_in
 from certrack.core.rationals import stated_above
 from certrack.references.base import Bounds, require_order
-from certrack.references.enclosures import Undefined
+from certrack.references.growth import Undefined
 from certrack.references.smoothness import Smoothness, smoothness
 from certrack.references.supremum import is_sum_of_sinusoids, sinusoid_supremum
 

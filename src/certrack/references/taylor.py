@@ -1,7 +1,7 @@
 """Taylor coefficients of a formula, enclosed for all t of an interval at once.
 
 A formula's coefficients are f^(k)(t)/k!, k = 0 ... m, each a rational, a ball of Arb, or an
-:class:`~certrack.references.enclosures.Enclosure`; the rules are those of automatic
+:class:`~certrack.references.growth.GrowthEnclosure`; the rules are those of automatic
 differentiation. A value that may not exist raises Undefined; a derivative that may not is NaN.
 """
 
@@ -16,7 +16,7 @@ from flint import arb, fmpq
 
 from certrack.core.expressions import TIME
 from certrack.core.powers import ConstantPower
-from certrack.references.enclosures import Enclosure, Undefined, ball, sech2
+from certrack.references.growth import GrowthEnclosure, Undefined, ball, sech2
 
 #: Taylor coefficients, from the value on.
 Series = list[Any]
@@ -31,7 +31,7 @@ class Evaluation:
 
     Parameters
     ----------
-    time : arb or Enclosure
+    time : arb or GrowthEnclosure
         All times of the interval.
     order : int
         Highest coefficient.
@@ -67,7 +67,9 @@ class Evaluation:
     def work(self) -> int:
         """About how many operations it took."""
         coefficients = (value for series in self._known.values() for value in series)
-        costs = (8 + 8 * len(v.terms) ** 2 if isinstance(v, Enclosure) else 1 for v in coefficients)
+        costs = (
+            8 + 8 * len(v.terms) ** 2 if isinstance(v, GrowthEnclosure) else 1 for v in coefficients
+        )
         return (self.order + 1) * sum(costs)
 
     def _padded(self, head: Series) -> Series:
@@ -132,7 +134,9 @@ class Evaluation:
     def _power_at_zero(self, base: Any, expr: sympy.Expr, exponent: Any) -> Series:
         """A base that may be zero, but not negative: a value, but no derivative."""
         never_negative = isinstance(expr, (sympy.Abs, sympy.Max)) and expr.is_nonnegative
-        if self.smooth or not (never_negative and exponent > 0 and not isinstance(base, Enclosure)):
+        if self.smooth or not (
+            never_negative and exponent > 0 and not isinstance(base, GrowthEnclosure)
+        ):
             raise Undefined("the base of a power that is no integer may be zero or negative")
         top = _power_of(arb(base).abs_upper(), exponent)
         return [ball(0, top.upper()), *[UNKNOWN] * self.order]
@@ -178,7 +182,7 @@ class Evaluation:
         if arg in self.phases:
             phase, offset = self.phases[arg]
             angle = phase + self.series(offset)[0]
-        if isinstance(angle, Enclosure):
+        if isinstance(angle, GrowthEnclosure):
             angle = angle.interval()
         s, c = ([v] if v.is_finite() else [ONE] for v in (angle.sin(), angle.cos()))
         slopes = [i * a[i] for i in range(1, self.order + 1)]
@@ -190,7 +194,7 @@ class Evaluation:
 
     def _tan(self, a: Series, _: sympy.Expr) -> Series:
         angle = _value(a[0])
-        angle = angle.interval() if isinstance(angle, Enclosure) else angle
+        angle = angle.interval() if isinstance(angle, GrowthEnclosure) else angle
         cosine = angle.cos()  # has one sign on the whole interval, which thus has no pole
         if not (cosine > 0 or cosine < 0):
             raise Undefined("tan may have a pole")
@@ -198,7 +202,7 @@ class Evaluation:
 
     def _tanh(self, a: Series, _: sympy.Expr) -> Series:
         x = _value(a[0])
-        if isinstance(x, Enclosure):
+        if isinstance(x, GrowthEnclosure):
             return self._riccati(a, x.tanh(), x.sech2(), -1)
         slope = ball(sech2(x.abs_upper()), sech2(x.abs_lower()))
         return self._riccati(a, x.tanh(), slope, -1)
@@ -220,21 +224,23 @@ class Evaluation:
     def _half_sum(self, a: Series, arg: sympy.Expr, sign: int) -> Series:
         up, down = self._exp(a, arg), self._exp([-v for v in a], arg)
         total = [(x + sign * y) / 2 for x, y in zip(up, down, strict=True)]
-        if not isinstance(total[0], Enclosure):  # tighter where e^f and e^-f depend on each other
+        if not isinstance(
+            total[0], GrowthEnclosure
+        ):  # tighter where e^f and e^-f depend on each other
             x = _value(a[0])
             total[0] = x.cosh() if sign > 0 else x.sinh()
         return total
 
     def _atan(self, a: Series, _: sympy.Expr) -> Series:
         x = _value(a[0])
-        u = [x.monotone(arb.atan) if isinstance(x, Enclosure) else x.atan()]
+        u = [x.monotone(arb.atan) if isinstance(x, GrowthEnclosure) else x.atan()]
         q = self._square(a)
         q[0] = q[0] + 1
         return self._integrated(u, a, q)
 
     def _asin(self, a: Series, arg: sympy.Expr) -> Series:
         x = _value(a[0])
-        x = x.interval() if isinstance(x, Enclosure) else x
+        x = x.interval() if isinstance(x, GrowthEnclosure) else x
         inside = bool(abs(x) < 1)
         if not inside and (self.smooth or not _is_part_of_sine(arg)):
             raise Undefined("the argument of asin or acos may reach 1 or -1")
@@ -263,7 +269,7 @@ class Evaluation:
 
     def _abs(self, a: Series, _: sympy.Expr) -> Series:
         x = _value(a[0])
-        low, high = x.ends() if isinstance(x, Enclosure) else (x.lower(), x.upper())
+        low, high = x.ends() if isinstance(x, GrowthEnclosure) else (x.lower(), x.upper())
         if low > 0 or high < 0:
             return a if low > 0 else [-v for v in a]
         top = -low if -low > high else high
@@ -318,7 +324,7 @@ def _dot(a: Series, b: Series) -> Any:
 
 
 def _inverse(x: Any) -> Any:
-    if isinstance(x, Enclosure):
+    if isinstance(x, GrowthEnclosure):
         return x.inverse()
     if not (x > 0 or x < 0):
         raise Undefined("a denominator may be zero")
@@ -326,12 +332,12 @@ def _inverse(x: Any) -> Any:
 
 
 def _positive(x: Any) -> bool:
-    return bool((x.ends()[0] if isinstance(x, Enclosure) else x) > 0)
+    return bool((x.ends()[0] if isinstance(x, GrowthEnclosure) else x) > 0)
 
 
 def _power_of(x: Any, exponent: Any) -> Any:
     """x^exponent of a positive x."""
-    if isinstance(x, Enclosure):
+    if isinstance(x, GrowthEnclosure):
         return x.power(exponent) if isinstance(exponent, fmpq) else (x.log() * exponent).exp()
     x = arb(x)
     return x.sqrt() if exponent == fmpq(1, 2) else (arb(exponent) * x.log()).exp()
@@ -341,7 +347,7 @@ def _integer_power(x: Any, n: int) -> Any:
     """x^n, n > 0: not negative where n is even."""
     if isinstance(x, fmpq):
         return x**n
-    if isinstance(x, Enclosure):
+    if isinstance(x, GrowthEnclosure):
         power = x
         for _ in range(n - 1):
             power = power * x

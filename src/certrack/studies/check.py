@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from certrack.certificates.assumption_1 import uncertain_terms
 from certrack.certificates.cover import Cover, smallest_cover
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import SEED, premises
 from certrack.certificates.sampling import random_points
+from certrack.laws.leakage import leak_matrix
 from certrack.loops.stability import linear_loop
 from certrack.model.implementation import Implementation
 from certrack.studies.units import misfits
@@ -180,26 +182,31 @@ def _sampled_stability(system: System, implementation: Implementation) -> Iterat
 
 def _leaks(system: System, implementation: Implementation) -> Iterator[Finding]:
     """The forgetting of the estimates, by forward Euler; beyond 2 the system is not made at all."""
-    values = system.law.parameters(system.plant)
-    if implementation.update != "euler" or "gain_rate" not in values:
+    if implementation.update != "euler":
         return
-    rates = {"gain_rate leak_gain": values["gain_rate"] * values.get("leak_gain", 0.0)}
-    if system.plant.r:
-        largest = float(np.linalg.eigvalsh(np.asarray(values["Gamma"], dtype=float)).max())
-        rates["Gamma leak_theta"] = largest * values.get("leak_theta", 0.0)
-    for name, rate in rates.items():
+    for name, rate in _leak_rates(system).items():
         product = rate * implementation.period
-        detail = f"{name} T = {product:.3g}"
-        remedy = (
-            f'set implementation.update = "exact_leak", or a period below {1 / rate:.2g} s'
-            if rate
-            else ""
-        )
+        detail = f"leak of {name} {rate:.4g} 1/s x period = {product:.3g}"
+        remedy = f'set implementation.update = "exact_leak", or a period below {1 / rate:.2g} s'
         if product > ALTERNATING_LEAK:
             text = f"{detail} > {ALTERNATING_LEAK:g}: the estimate alternates at every step"
             yield Finding("leak x period", WARNING, text, remedy)
         else:
             yield Finding("leak x period", FINE, detail)
+
+
+def _leak_rates(system: System) -> dict[str, float]:
+    """The fastest leak (1/s) of each group of estimates that leak together, by their names."""
+    leak, names = leak_matrix(system.controller), [str(s) for s in system.controller.states]
+    count, group = connected_components(leak != 0, directed=False)
+    members = [np.flatnonzero(group == i) for i in range(count)]
+    rates = {
+        ", ".join(names[i] for i in block): float(
+            np.abs(np.linalg.eigvals(leak[np.ix_(block, block)])).max()
+        )
+        for block in members
+    }
+    return {name: rate for name, rate in rates.items() if rate > 0}
 
 
 def _sensor_quanta(system: System, implementation: Implementation) -> Iterator[Finding]:

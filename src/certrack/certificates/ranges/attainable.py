@@ -16,10 +16,10 @@ from scipy.linalg import expm
 from scipy.optimize import linprog
 
 #: Pieces of the reference, and the horizon in slowest time constants.
-PIECES, TIME_CONSTANTS = 160, 12.0
+PIECES, HORIZON_TIME_CONSTANTS = 160, 12.0
 
 #: Points within a piece at which the derivatives are looked at, to scale the reference down.
-INSIDE = 8
+LOOKS_PER_PIECE = 8
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def worst_reference(
     if not slowest > 0:
         return None
     sizes = np.maximum(np.asarray(Y, dtype=float), 1e-300)
-    horizon = TIME_CONSTANTS / slowest
+    horizon = HORIZON_TIME_CONSTANTS / slowest
     h = horizon / PIECES
     A = np.zeros((n + width, n + width))  # states: e, y ... y^(q), and the held y^(q+1)
     A[:n, :n], A[:n, n:] = M, W * sizes
@@ -73,7 +73,7 @@ def worst_reference(
         A[n + i, n + i + 1] = sizes[i + 1] / sizes[i]
     step = expm(A * h)
     Ad, bd = step[:-1, :-1], step[:-1, -1]
-    inner = [expm(A * h * (j + 1) / INSIDE) for j in range(INSIDE)]
+    inner = [expm(A * h * (j + 1) / LOOKS_PER_PIECE) for j in range(LOOKS_PER_PIECE)]
     count = q + 1 + PIECES
     S = np.zeros((n + q + 1, count))
     S[n:, : q + 1] = np.eye(q + 1)
@@ -86,17 +86,17 @@ def worst_reference(
         S = Ad @ S
         S[:, q + 1 + k] += bd
     table = np.vstack([*rows, S[n:]])
-    found = linprog(
+    optimum = linprog(
         -S[0],
         A_ub=np.vstack([table, -table]),
         b_ub=np.ones(2 * len(table)),
         bounds=[(-1, 1)] * count,
         method="highs",
     )
-    if found.status != 0:
+    if optimum.status != 0:
         return None
-    largest = max(1.0, float(np.abs(np.vstack(looked_at) @ found.x).max(initial=0.0)))
-    x = found.x / largest
+    largest = max(1.0, float(np.abs(np.vstack(looked_at) @ optimum.x).max(initial=0.0)))
+    x = optimum.x / largest
     reference = float(S[0] @ x)
     e_o = -np.linalg.solve(M, offset)[0] if offset.any() else 0.0
     error = reference + _by_inputs(M, inputs, slowest) + abs(float(e_o))
@@ -108,8 +108,8 @@ def _by_inputs(M: np.ndarray, inputs: np.ndarray, slowest: float) -> float:
     if not inputs.shape[1]:
         return 0.0
     fastest = float(np.abs(np.linalg.eigvals(M)).max())
-    steps = min(20_000, int(TIME_CONSTANTS * 2 / slowest * fastest / 0.02) + 1)
-    h = TIME_CONSTANTS * 2 / slowest / steps
+    steps = min(20_000, int(HORIZON_TIME_CONSTANTS * 2 / slowest * fastest / 0.02) + 1)
+    h = HORIZON_TIME_CONSTANTS * 2 / slowest / steps
     E, X, total = expm(M * h), inputs.copy(), 0.0
     previous = X[0]
     for _ in range(steps):

@@ -84,11 +84,11 @@ def certify_ranges(
                     "constants_vary = true has no certificate with the adaptive law, whose V "
                     "contains g_n; use the robust law, or let the constants stand still"
                 )
-            found = bound_ranges(prover, cells=not varies, effort=effort, progress=progress)
+            bounds = bound_ranges(prover, cells=not varies, effort=effort, progress=progress)
             attainable = attainable_error(prover)
     except NoCertificate as refusal:
         return _nothing(str(refusal))
-    return _certificates(system, found, attainable, varies, effort)
+    return _certificates(system, bounds, attainable, varies, effort)
 
 
 def without_ranges() -> RangeCertificates:
@@ -102,12 +102,12 @@ def _nothing(reason: str) -> RangeCertificates:
 
 
 def _certificates(
-    system: System, found: RangeBounds, attainable: float | None, varies: bool, effort: str
+    system: System, bounds: RangeBounds, attainable: float | None, varies: bool, effort: str
 ) -> RangeCertificates:
     options = {
-        "vertices": () if found.vertices is None else (found.vertices,),
-        "peak": () if found.peak is None else (found.peak,),
-        "cells": found.cells,
+        "vertices": () if bounds.vertices is None else (bounds.vertices,),
+        "peak": () if bounds.peak is None else (bounds.peak,),
+        "cells": bounds.cells,
     }
     reasons = {
         "vertices": "no quadratic function was found for the whole box; narrow plant.ranges",
@@ -116,13 +116,13 @@ def _certificates(
         if varies
         else ("cells take more time: --effort default" if effort == "fast" else "no cells found"),
     }
-    made = {
+    by_kind = {
         kind: _certificate(kind, system, proofs) if proofs else missing(kind, reasons[kind])
         for kind, proofs in options.items()
     }
     order = ("cells", "vertices", "peak")
-    best = min(order, key=lambda kind: made[kind].bound)
-    return RangeCertificates(**made, proof=options[best], attainable=attainable)
+    best = min(order, key=lambda kind: by_kind[kind].bound)
+    return RangeCertificates(**by_kind, proof=options[best], attainable=attainable)
 
 
 def _certificate(kind: str, system: System, proofs: tuple[CellProof, ...]) -> Certificate:
@@ -159,10 +159,10 @@ def attainable_error(prover: RangeProver) -> float | None:
     largest = 0.0
     for corner in itertools.islice(itertools.product(*prover.box), MAX_CORNERS):
         form = error_form(loop, loop.entries.at(corner), Xe)
-        found = worst_reference(
+        attained = worst_reference(
             form.M.astype(float), form.W.astype(float), columns, form.offset.astype(float), Y
         )
-        if found is None:
+        if attained is None:
             return None
-        largest = max(largest, found.error)
+        largest = max(largest, attained.error)
     return largest

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import flint
@@ -21,6 +21,9 @@ import sympy
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.ranges.loop import RangedLoop
 from certrack.certificates.ranges.rational import Interval, RationalVector
+
+#: Brackets whose polynomials are kept from one cell to the next.
+KEPT_FUNCTIONS = 64
 
 
 @dataclass(frozen=True)
@@ -80,12 +83,16 @@ class Coefficients:
 
 def largest_brackets(loop: RangedLoop, box: Sequence[Interval]) -> np.ndarray:
     """Largest magnitudes of the brackets over a box."""
-    count = len(loop.brackets)
-    if not count:
-        return np.zeros(0, dtype=object)
-    low, high = loop.entries.ends(box)
-    pairs = zip(low[-count:], high[-count:], strict=True)
-    return np.array([max(abs(a), abs(b)) for a, b in pairs], dtype=object)
+    values = []
+    for bracket in loop.brackets:
+        low, high = (end[0] for end in _function(bracket, loop.symbols).ends(box))
+        values.append(max(abs(low), abs(high)))
+    return np.array(values, dtype=object)
+
+
+@lru_cache(maxsize=KEPT_FUNCTIONS)
+def _function(formula: sympy.Expr, symbols: tuple[sympy.Symbol, ...]) -> RationalVector:
+    return RationalVector.of([formula], symbols)
 
 
 def _parts(entry: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> list[tuple[sympy.Expr, Any]]:
@@ -93,14 +100,14 @@ def _parts(entry: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> list[tuple[sym
     if not entry.free_symbols:
         return [(sympy.S.One, rational(entry))] if entry != 0 else []
     top, bottom = sympy.fraction(sympy.cancel(sympy.together(entry)))
-    found = []
+    factors = []
     for term in sympy.Add.make_args(sympy.expand(top)):
         value, function = sympy.cancel(term / bottom).as_independent(*symbols, as_Add=False)
         numerator, denominator = sympy.fraction(function)
         content, denominator = sympy.Poly(denominator, *symbols).primitive()
         function = numerator / denominator.as_expr()
-        found.append((function, rational(value) / rational(content)))
-    return found
+        factors.append((function, rational(value) / rational(content)))
+    return factors
 
 
 def _factors(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -29,16 +29,16 @@ from certrack.certificates.certificate import NoCertificate
 CELLS, FIRST_CELL, LATER_CELLS = 64, 0.05, 1 / 250
 
 #: The part of the slowest decay rate that the tail is proven with, and what it may add.
-DECAY_PART, TAIL = 0.5, 1e-9
+DECAY_PART, TAIL_SHARE = 0.5, 1e-9
 
 #: A state smaller than this against the first is not scaled.
-LEAST_SIZE = 1e-12
+LEAST_STATE_SIZE = 1e-12
 
 #: Bits of the balls; blocks after which a loop is too stiff for this quadrature.
 PRECISION, MAX_BLOCKS = 256, 2000
 
 #: Unit roundoff of a float; part of the largest entry that counts as zero; what underflows.
-UNIT, SMALL, TINY = 2.0**-53, 1e-40, 1e-280
+UNIT, SMALL, UNDERFLOW = 2.0**-53, 1e-40, 1e-280
 
 
 @dataclass(frozen=True)
@@ -89,12 +89,12 @@ def proven_decay(M: np.ndarray, B: np.ndarray) -> Decay:
 
 def _sizes(M: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Sizes of the states relative to the first, under the column that makes them largest."""
-    largest = np.full(len(M), LEAST_SIZE)
+    largest = np.full(len(M), LEAST_STATE_SIZE)
     for b in B.T:
         gramian = np.diag(solve_continuous_lyapunov(M, -np.outer(b, b)))
         if gramian[0] > 0:
             largest = np.fmax(largest, np.sqrt(np.maximum(gramian, 0) / gramian[0]))
-    return np.where(largest > LEAST_SIZE, largest, 1.0)
+    return np.where(largest > LEAST_STATE_SIZE, largest, 1.0)
 
 
 def balls_of(matrix: np.ndarray) -> flint.arb_mat:
@@ -135,7 +135,7 @@ def _integrals(decay: Decay, exact: np.ndarray, C: flint.arb_mat, B: flint.arb_m
     stacks: dict[int, np.ndarray] = {}
     t = flint.fmpq(0)
     for _ in range(MAX_BLOCKS):
-        level = _level(float(t), first)
+        level = _doublings(float(t), first)
         h = rational(Fraction(first)) * 2**level
         if level not in stacks:
             stacks[level] = _steps(M, h)
@@ -151,12 +151,12 @@ def _integrals(decay: Decay, exact: np.ndarray, C: flint.arb_mat, B: flint.arb_m
         total += _block(float(h), k, error, areas, curvature)
         t += h * CELLS
         tail = np.outer(decay.left(C * (M * flint.arb(t)).exp()), right) / float(decay.mu)
-        if (tail <= TAIL * total + TINY).all():
+        if (tail <= TAIL_SHARE * total + UNDERFLOW).all():
             return (total + tail * (1 + 4 * UNIT)) * (1 + 1e4 * UNIT)
     raise NoCertificate("the loop is too stiff for its peak gains to be enclosed")
 
 
-def _level(t: float, first: float) -> int:
+def _doublings(t: float, first: float) -> int:
     """Doublings of the first cell width at the time t."""
     return max(0, math.floor(math.log2(max(t * LATER_CELLS / first, 1.0))))
 
@@ -164,16 +164,16 @@ def _level(t: float, first: float) -> int:
 def _steps(M: flint.arb_mat, h: Any) -> np.ndarray:
     """e^{M h j}, j = 0 ... CELLS, as floats."""
     one = (M * flint.arb(h)).exp()
-    power, found = (
+    power, powers = (
         flint.arb_mat(
             M.nrows(), M.nrows(), [int(i == j) for i in range(M.nrows()) for j in range(M.nrows())]
         ),
         [],
     )
     for _ in range(CELLS + 1):
-        found.append(rounded(power))
+        powers.append(rounded(power))
         power = power * one
-    return np.array(found)
+    return np.array(powers)
 
 
 def rounded(balls: flint.arb_mat) -> np.ndarray:
@@ -186,14 +186,14 @@ def rounded(balls: flint.arb_mat) -> np.ndarray:
     NoCertificate
         If a ball is too wide for that.
     """
-    found = np.empty((balls.nrows(), balls.ncols()))
+    floats = np.empty((balls.nrows(), balls.ncols()))
     for i, ball in enumerate(balls.entries()):
-        found.flat[i] = float(ball.mid())
-    allowed = np.maximum(UNIT * np.abs(found), SMALL * np.abs(found).max(initial=0.0) + TINY)
+        floats.flat[i] = float(ball.mid())
+    allowed = np.maximum(UNIT * np.abs(floats), SMALL * np.abs(floats).max(initial=0.0) + UNDERFLOW)
     for ball, most in zip(balls.entries(), allowed.flat, strict=True):
         if not ball.rad() <= most:
             raise NoCertificate("the loop is too stiff for its peak gains to be enclosed")
-    return found
+    return floats
 
 
 def _values(
@@ -206,7 +206,7 @@ def _values(
     n = steps.shape[1]
     size = np.abs(rows) @ np.abs(steps) @ np.abs(columns)
     largest = np.abs(rows).max() * np.abs(steps).max() * np.abs(columns).max()
-    rounding = (4 * n + 20) * UNIT * size + 4 * n * n * SMALL * largest + TINY
+    rounding = (4 * n + 20) * UNIT * size + 4 * n * n * SMALL * largest + UNDERFLOW
     return rows @ steps @ columns, rounding
 
 

@@ -29,17 +29,17 @@ from mpmath import iv, mp
 from certrack.certificates.arithmetic import exact_float, rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
+from certrack.certificates.intervals import enclosure
 from certrack.certificates.premises import refuse_unknown
 from certrack.certificates.ranges.rational import Interval, RationalVector
 from certrack.core.expressions import Expression, parse, symbol
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.laws.error_system import EstimatedParameters
 from certrack.model.ranges import open_constants
-from certrack.references.intervals import enclosure
 from certrack.systems.system import System
 
 #: Symbols of ranges that no constant stands for: a dot, so they are the name of none.
-INPUT_GAIN, THETA = "ranges.input_gain", "ranges.theta"
+RANGED_GAIN, RANGED_THETA = "ranges.input_gain", "ranges.theta"
 
 
 @dataclass(frozen=True)
@@ -220,13 +220,13 @@ class _Design:
         plant, values = self.system.plant, []
         if plant.input_gain_range is not None:
             values.append(self.gain)
-            self.gain = self._opened(INPUT_GAIN, plant.input_gain_range)
+            self.gain = self._opened(RANGED_GAIN, plant.input_gain_range)
         if plant.theta_range is not None:
             for i, box in enumerate(plant.theta_range):
                 if box[0] == box[1]:
                     continue
                 values.append(self.theta[i])
-                self.theta[i] = self._opened(f"{THETA}[{i}]", box)
+                self.theta[i] = self._opened(f"{RANGED_THETA}[{i}]", box)
         return values
 
     @property
@@ -263,12 +263,14 @@ class _Design:
             formula = phi.expr.xreplace(self._constants)
             self._refuse_open(formula, "plant.regressor")
             total += formula * (0 if self.is_adaptive else theta)
-        found: dict[sympy.Expr, sympy.Expr] = {}
+        coefficients: dict[sympy.Expr, sympy.Expr] = {}
         for term in sympy.Add.make_args(sympy.expand(total)):
             coefficient, function = term.as_independent(*states, as_Add=False)
             self._refuse_open(function, "plant.drift")
-            found[function] = found.get(function, sympy.S.Zero) + _rationalised(coefficient)
-        return found
+            coefficients[function] = coefficients.get(function, sympy.S.Zero) + _rationalised(
+                coefficient
+            )
+        return coefficients
 
     def _refuse_open(self, function: sympy.Expr, where: str) -> None:
         inside = [str(s) for s in self.symbols if s in function.free_symbols]

@@ -38,7 +38,7 @@ UNBOUNDED = 1e100
 
 #: The fixed point is widened by this before it is checked, and the roundings of the check are less
 #: than this; iterations until it stands still.
-WIDENED, ROUNDING, ITERATIONS, LEAST = 1e-9, 1e-12, 400, 1e-280
+WIDENED, FIXED_POINT_ROUNDING, ITERATIONS, LEAST = 1e-9, 1e-12, 400, 1e-280
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,8 @@ def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Inter
 
     def image(v: np.ndarray) -> np.ndarray:
         sizes = np.array([np.linalg.norm(S @ v[1 + nc :]) for S in norms])
-        found: np.ndarray = constant + through @ v[1 : 1 + nc] + from_norms @ sizes
-        return np.minimum(found, UNBOUNDED)
+        after: np.ndarray = constant + through @ v[1 : 1 + nc] + from_norms @ sizes
+        return np.minimum(after, UNBOUNDED)
 
     return PeakBound(_bound(image, len(constant)), tuple(levels))
 
@@ -163,7 +163,7 @@ def _responses(
             options.append(float_up(still + abs(C @ resting + d)) + moving)
         levels.append(int(np.argmin(options)))
         constant.append(min(options))
-    return np.array(constant) * (1 + ROUNDING), gains[:, :first], levels
+    return np.array(constant) * (1 + FIXED_POINT_ROUNDING), gains[:, :first], levels
 
 
 def _bound(image: Any, count: int) -> float:
@@ -180,7 +180,7 @@ def _bound(image: Any, count: int) -> float:
             break
         v = after
     v = v * (1 + WIDENED) + LEAST
-    after = image(v) * (1 + ROUNDING)
+    after = image(v) * (1 + FIXED_POINT_ROUNDING)
     if not (after[1:] < v[1:]).all() or after.max() >= UNBOUNDED:
         raise NoCertificate("the loop's gain through the ranges is not below 1")
     return float(after[0])

@@ -18,11 +18,12 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import adaptation_of
+from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.ranges.cells import Cell
 from certrack.certificates.ranges.coefficients import Coefficients
 from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
 from certrack.certificates.ranges.peak import peak_bound
-from certrack.certificates.ranges.rational import RationalVector
+from certrack.certificates.ranges.rational import MAX_HULL_POINTS, RationalVector
 from certrack.certificates.ranges.vertices import (
     ProblemMaker,
     VertexProgram,
@@ -33,7 +34,7 @@ from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
 
 #: Cells of a proof in a file.
-MAX_CELLS = 1024
+MAX_PROOF_CELLS = 1024
 
 #: A bound by peak gains is written larger by this part, and with this many digits: the quadrature
 #: of another machine may differ in the last bits.
@@ -51,7 +52,8 @@ class CellProof:
     bound : str
         Decimal.
     points : Proof for each point of the cell's hull
-        Empty for a proof by peak gains.
+        Empty for a proof by peak gains; one, at the cell's centre, where the hull has more than
+        MAX_HULL_POINTS points.
     """
 
     cell: tuple[tuple[str, str], ...]
@@ -81,7 +83,7 @@ class RangeProver:
     def vertices(self, cell: Cell) -> CellProof | None:
         """A proof by one quadratic function, or None if none is found."""
         try:
-            problems = self._problems.at_points(cell, self._leakage(cell))
+            problems = self._at(cell)
         except NoCertificate:
             return None
         solution = best_solution(VertexProgram([p.in_floats() for p in problems]))
@@ -108,11 +110,11 @@ class RangeProver:
                 bound = peak_bound(self.loop, self.coefficients, cell).bound
                 holds = rational(Fraction(bound)) <= from_text(proof.bound)
                 return "" if holds else "the bound is smaller than the peak gains give"
-            problems = self._problems.at_points(cell, self._leakage(cell))
+            problems = self._at(cell)
         except NoCertificate as refusal:
             return str(refusal)
         if len(problems) != len(proof.points):
-            return "a cell has not one stage for each point of its hull"
+            return "a cell has not one stage for each point of its hull, or one at its centre"
         first = proof.points[0]
         for problem, stage in zip(problems, proof.points, strict=True):
             if (stage.P, stage.alpha, stage.bound) != (first.P, first.alpha, proof.bound):
@@ -120,6 +122,16 @@ class RangeProver:
             if reason := failed_condition(problem, stage):
                 return reason
         return ""
+
+    def _at(self, cell: Cell) -> list[ErrorProblem]:
+        """The problems that prove a cell: at each point of its hull, or one at its centre.
+
+        Which of the two follows from the ranges alone, so that who checks a proof knows it.
+        """
+        leakage = self._leakage(cell)
+        if self.loop.entries.count > MAX_HULL_POINTS:
+            return [self._problems.at_centre(self.coefficients, cell, leakage)]
+        return self._problems.at_points(cell, leakage)
 
     def _leakage(self, cell: Cell) -> Adaptation | None:
         """The leakage with g_n and theta within what the constants of a cell make of them."""
@@ -160,8 +172,8 @@ def numbers(cell: Sequence[tuple[str, str]]) -> Cell:
 def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
     """Empty if every cell is proven, they cover the ranges, and none exceeds the bound."""
     prover = RangeProver(system)
-    if len(proofs) > MAX_CELLS:
-        return f"there are more than {MAX_CELLS} cells"
+    if len(proofs) > MAX_PROOF_CELLS:
+        return f"there are more than {MAX_PROOF_CELLS} cells"
     if system.plant.uncertainty.constants_vary:
         if len(proofs) != 1:
             return "constants that vary in time need one cell: they do not stay in one of many"
@@ -170,7 +182,7 @@ def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
     cells = [numbers(proof.cell) for proof in proofs]
     if any(len(cell) != len(prover.box) for cell in cells):
         return "a cell has not one interval for each range"
-    if not covers(cells, prover.box):
+    if not cells_fill(cells, prover.box):
         return "the cells do not cover the ranges"
     for proof in proofs:
         if from_text(proof.bound) > from_text(bound):
@@ -180,7 +192,7 @@ def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
     return ""
 
 
-def covers(cells: Sequence[Cell], box: Cell) -> bool:
+def cells_fill(cells: Sequence[Cell], box: Cell) -> bool:
     """Whether every point of the box is in one of the cells."""
     if any(
         all(c <= a and b <= d for (a, b), (c, d) in zip(box, cell, strict=True)) for cell in cells
@@ -196,5 +208,7 @@ def covers(cells: Sequence[Cell], box: Cell) -> bool:
             for end in ends:
                 if a < end < b:
                     parts = ((a, end), (end, b))
-                    return all(covers(touching, (*box[:i], part, *box[i + 1 :])) for part in parts)
+                    return all(
+                        cells_fill(touching, (*box[:i], part, *box[i + 1 :])) for part in parts
+                    )
     return False

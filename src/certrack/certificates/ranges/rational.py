@@ -28,7 +28,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 
 #: Points of a hull: more take too long to prove.
-MAX_POINTS = 256
+MAX_HULL_POINTS = 256
 
 #: Exact interval of a constant.
 Interval = tuple[Any, Any]
@@ -87,10 +87,10 @@ class RationalVector:
         NoCertificate
             If a denominator may vanish on the box, or there are too many points.
         """
-        if self.count > MAX_POINTS:
+        if self.count > MAX_HULL_POINTS:
             raise NoCertificate(
                 f"{len(self.symbols)} ranges have a hull of {self.count} points, more than "
-                f"{MAX_POINTS}; leave some of them out"
+                f"{MAX_HULL_POINTS}; leave some of them out"
             )
         numerators, denominator = self.numerators, self.denominator
         for axis, (low, high) in enumerate(box):
@@ -110,17 +110,25 @@ class RationalVector:
 
     def at(self, point: Sequence[Any]) -> np.ndarray:
         """Exact values at one point."""
-        return self.points([(value, value) for value in point])[0]
+        numerators, denominator = self.numerators, self.denominator
+        for value in point:
+            powers = [value**d for d in range(denominator.shape[0])]
+            denominator = np.tensordot(powers, denominator, axes=(0, 0))
+            numerators = np.tensordot(numerators, powers, axes=(1, 0))
+        bottom = np.asarray(denominator, dtype=object).item()
+        if bottom == 0:
+            raise NoCertificate("a denominator of the loop vanishes in plant.ranges; narrow them")
+        return numerators / bottom
 
 
 def _polynomial(expr: sympy.Expr, symbols: tuple[sympy.Symbol, ...]) -> sympy.Poly:
     try:
-        found = sympy.Poly(expr, *symbols, domain="QQ")
+        polynomial = sympy.Poly(expr, *symbols, domain="QQ")
     except sympy.PolynomialError:
         raise NoCertificate(
             f"{expr} is no rational function of the constants with a range"
         ) from None
-    return found
+    return polynomial
 
 
 def _tensor(polynomial: sympy.Poly, degrees: Sequence[int]) -> np.ndarray:

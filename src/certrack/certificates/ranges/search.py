@@ -62,12 +62,12 @@ def bound_ranges(
         return RangeBounds(vertices, peak)
     many = 4 if effort == "high" else 1
     search = _Cells(prover, vertices, peak, progress)
-    found: list[tuple[CellProof, ...]] = []
+    covers: list[tuple[CellProof, ...]] = []
     if prover.by_peak_gains:
-        found.append(search.by_peak_gains(MOST_CELLS * many))
-    if not prover.by_peak_gains or not found[0]:
-        found.append(search.by_vertices(MOST_VERTEX_CELLS * many))
-    usable = [proofs for proofs in found if proofs]
+        covers.append(search.by_peak_gains(MOST_CELLS * many))
+    if not prover.by_peak_gains or not covers[0]:
+        covers.append(search.by_vertices(MOST_VERTEX_CELLS * many))
+    usable = [proofs for proofs in covers if proofs]
     return RangeBounds(vertices, peak, min(usable, key=largest, default=()))
 
 

@@ -10,25 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import clarabel
-import flint
 import numpy as np
 from scipy import sparse
 
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import exact_float, rational, solve
-from certrack.certificates.exact import (
-    BACK_OFF,
-    MULTIPLIER_FLOOR,
-    Proof,
-    decimal_text,
-    root_up,
-    squared_bound,
-)
+from certrack.certificates.exact import Proof, prove_together
 from certrack.certificates.formulation import columns_of, uncertain_inputs
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.ranges.coefficients import Channels, Coefficients, largest_brackets
@@ -110,7 +102,7 @@ class ProblemMaker:
             i for i in range(c.q + 3) if _any(Uy[i]) or _any(through[i]) or (Ua and _any(Xy[i]))
         ]
         T = columns_of([through[i] for i in acting], len(rows))
-        own = tuple((rows[k : k + 1, :n], T[k : k + 1]) for k in range(len(rows)))
+        selected = tuple((rows[k : k + 1, :n], T[k : k + 1]) for k in range(len(rows)))
         return ErrorProblem(
             M=form.M,
             Ua=columns_of(Ua, n),
@@ -121,7 +113,7 @@ class ProblemMaker:
             states=inputs.states,
             derivatives=tuple(acting),
             adaptation=adaptation,
-            selections=(*(inputs.selections or (None,) * len(inputs.a)), *own),
+            selections=(*(inputs.selections or (None,) * len(inputs.a)), *selected),
         )
 
 
@@ -205,11 +197,11 @@ class VertexProgram:
         settings.verbose, settings.max_iter = False, MAX_ITERATIONS
         zero = sparse.csc_matrix((len(cost), len(cost)))
         matrix = (self._base + self._scaling.rate(alpha) * self._slope).tocsc()
-        found = clarabel.DefaultSolver(
+        result = clarabel.DefaultSolver(
             zero, cost, matrix, self._right, self._cones, settings
         ).solve()
         usable = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
-        return self._unscaled(np.array(found.x), alpha, leak) if found.status in usable else None
+        return self._unscaled(np.array(result.x), alpha, leak) if result.status in usable else None
 
     def _unscaled(self, x: np.ndarray, alpha: float, leak: Any) -> VertexSolution:
         scaling, count = self._scaling, len(self._entries)
@@ -236,25 +228,4 @@ def prove_vertices(
     one Proof per point
         They share P, alpha and the bound, the largest of all points.
     """
-    for slack in BACK_OFF:
-        scale = 1 + slack
-        P = scale * (solution.P + solution.P.T) / 2
-        texts = tuple(tuple(decimal_text(v) for v in row) for row in P)
-        alpha = decimal_text(solution.alpha * (1 - slack))
-        largest, proofs = flint.fmpq(0), []
-        numbers = zip(problems, solution.multipliers, solution.lam_units, strict=True)
-        for problem, (lam, nu, k), units in numbers:
-            least = MULTIPLIER_FLOOR * units
-            extra = slack * solution.delta
-            weights = tuple(decimal_text(v * scale + w) for v, w in zip(lam, least, strict=True))
-            nus, ks = (tuple(decimal_text(v * scale**2 + extra) for v in w) for w in (nu, k))
-            proof = Proof(alpha, texts, weights, nus, ks, "0")
-            square = squared_bound(problem, proof, target)
-            if square is None:
-                break
-            largest = max(largest, square)
-            proofs.append(proof)
-        else:
-            bound = root_up(largest)
-            return tuple(replace(proof, bound=bound) for proof in proofs)
-    return None
+    return prove_together(problems, solution, solution.multipliers, solution.lam_units, target)

@@ -69,7 +69,7 @@ class Falsification:
         broken, or certrack is wrong.
     reason : str
         Of the alarm: which premise, or that none was found.
-    own : bool
+    own_run : bool
         Whether the worst case is the file's own run.
     """
 
@@ -162,8 +162,8 @@ def falsify(
 def all_certificates(system: System) -> dict[str, tuple[Certificate, tuple[Proof, ...]]]:
     """Every certificate of the system and its proof, where it has one, by kind."""
     if has_ranges(system):
-        found = certify_ranges(system)
-        kinds = {"cells": found.cells, "vertices": found.vertices, "peak": found.peak}
+        by_ranges = certify_ranges(system)
+        kinds = {"cells": by_ranges.cells, "vertices": by_ranges.vertices, "peak": by_ranges.peak}
         return {kind: (entry, ()) for kind, entry in kinds.items()}
     semidefinite, proof = certify_semidefinite(system)
     cascade, stages = certify_cascade(system)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from certrack.laws.leakage import leak_matrix
 from certrack.loops.continuous import close_loop
 from certrack.studies.falsifier.adversary import Adversary
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
@@ -31,6 +32,9 @@ MAX_TRANSIENT = 500.0
 #: many s: 12 s hold two periods of a pattern of 1 rad/s, more than 100 s would cost too much.
 TAIL_TIME_CONSTANTS, MIN_TAIL, MAX_TAIL = 4.0, 12.0, 100.0
 
+#: Slower modes count as this slow, 1/s: their transient is cut anyhow.
+SLOWEST_RATE = 1e-9
+
 
 class AdversarialLoop:
     """A system against its adversary.
@@ -47,7 +51,7 @@ class AdversarialLoop:
 
     def __init__(self, system: System) -> None:
         self.adversary = Adversary.against(system)
-        slowest = _slowest_time_constant(system)
+        slowest = slowest_time_constant(system)
         transient = min(MAX_TRANSIENT, TRANSIENT_TIME_CONSTANTS * slowest)
         tail = min(MAX_TAIL, max(TAIL_TIME_CONSTANTS * slowest, MIN_TAIL))
         duration = transient + tail
@@ -93,11 +97,9 @@ class AdversarialLoop:
         return worst
 
 
-def _slowest_time_constant(system: System) -> float:
+def slowest_time_constant(system: System) -> float:
     """Slowest time constant of the error and of the estimates' leaks, s."""
-    law = system.law
-    poles = system.controller.coordinates.poles
-    slowest = 1.0 / max(1e-9, -poles.real.max())
-    leaks = [getattr(law, name, 0.0) for name in ("leak_gain", "leak_theta")]
-    rates = [leak * getattr(law, "gain_rate", 1.0) for leak in leaks if leak]
-    return max(slowest, *(1.0 / rate for rate in rates), 0.0)
+    controller = system.controller
+    rates = [-controller.coordinates.poles.real.max()]
+    leaks = -np.linalg.eigvals(leak_matrix(controller)).real
+    return 1.0 / max(SLOWEST_RATE, float(min([*rates, *leaks[leaks > 0]])))

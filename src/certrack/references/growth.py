@@ -1,9 +1,9 @@
 """Numbers that enclose a function of t on a whole interval, which may have no end.
 
-On [a, b] an :class:`Enclosure` is a sum of t^k e^(r t), each with an interval of factors, so that
-what grows and what decays is told apart: t e^(-t) is bounded, and (1 + t)/(2 + t) is near 1, though
-each t is not. Factors are exact rationals where they can be, else Arb's balls; all are rounded
-outward.
+On [a, b] a :class:`GrowthEnclosure` is a sum of t^k e^(r t), each with an interval of factors, so
+that what grows and what decays is told apart: t e^(-t) is bounded, and (1 + t)/(2 + t) is near 1,
+though each t is not. Factors are exact rationals where they can be, else Arb's balls; all are
+rounded outward.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def _is_zero(factor: Any) -> bool:
     return bool(factor == 0)
 
 
-class Enclosure:
+class GrowthEnclosure:
     """Encloses a function on a span.
 
     Parameters
@@ -157,53 +157,59 @@ class Enclosure:
         low, high = _times(arb(self.terms.pop((k, r))), *self.span.range_of((k - m, r - s)))
         self.terms[m, s] = self.terms[m, s] + ball(low, high)
 
-    def _constant(self, value: Any) -> Enclosure:
-        return Enclosure(self.span, {CONSTANT: fmpq(value) if isinstance(value, int) else value})
+    def _constant(self, value: Any) -> GrowthEnclosure:
+        return GrowthEnclosure(
+            self.span, {CONSTANT: fmpq(value) if isinstance(value, int) else value}
+        )
 
     # Arithmetic.
 
-    def __add__(self, other: Any) -> Enclosure:
-        other = other if isinstance(other, Enclosure) else self._constant(other)
+    def __add__(self, other: Any) -> GrowthEnclosure:
+        other = other if isinstance(other, GrowthEnclosure) else self._constant(other)
         terms = dict(self.terms)
         for growth, factor in other.terms.items():
             terms[growth] = terms[growth] + factor if growth in terms else factor
-        return Enclosure(self.span, terms)
+        return GrowthEnclosure(self.span, terms)
 
     __radd__ = __add__
 
-    def __neg__(self) -> Enclosure:
-        return Enclosure(self.span, {growth: -factor for growth, factor in self.terms.items()})
+    def __neg__(self) -> GrowthEnclosure:
+        return GrowthEnclosure(
+            self.span, {growth: -factor for growth, factor in self.terms.items()}
+        )
 
-    def __sub__(self, other: Any) -> Enclosure:
+    def __sub__(self, other: Any) -> GrowthEnclosure:
         return self + (-other)
 
-    def __rsub__(self, other: Any) -> Enclosure:
+    def __rsub__(self, other: Any) -> GrowthEnclosure:
         return -self + other
 
-    def __mul__(self, other: Any) -> Enclosure:
-        if not isinstance(other, Enclosure):
-            return Enclosure(self.span, {g: factor * other for g, factor in self.terms.items()})
+    def __mul__(self, other: Any) -> GrowthEnclosure:
+        if not isinstance(other, GrowthEnclosure):
+            return GrowthEnclosure(
+                self.span, {g: factor * other for g, factor in self.terms.items()}
+            )
         terms: dict[Growth, Any] = {}
         for (k, r), factor in self.terms.items():
             for (m, s), second in other.terms.items():
                 growth = (k + m, r + s)
                 product = factor * second
                 terms[growth] = terms[growth] + product if growth in terms else product
-        return Enclosure(self.span, terms)
+        return GrowthEnclosure(self.span, terms)
 
     __rmul__ = __mul__
 
-    def __truediv__(self, divisor: int) -> Enclosure:
+    def __truediv__(self, divisor: int) -> GrowthEnclosure:
         return self * fmpq(1, divisor)
 
-    def inverse(self) -> Enclosure:
+    def inverse(self) -> GrowthEnclosure:
         """1/f; Undefined where f may be zero."""
         if not self.span.is_endless and self.nonzero():
             return self._constant(1 / self.interval())
         (k, r), remainder = self._leading()
         if remainder is None or not (remainder > 0 or remainder < 0):
             raise Undefined("a denominator may be zero")
-        return Enclosure(self.span, {(-k, -r): 1 / remainder})
+        return GrowthEnclosure(self.span, {(-k, -r): 1 / remainder})
 
     def _leading(self) -> tuple[Growth, arb | None]:
         """f = t^k e^(r t) B with the fastest growth of f: that growth, and the interval B."""
@@ -250,29 +256,29 @@ class Enclosure:
 
     # Functions.
 
-    def monotone(self, function: Callable[[arb], arb]) -> Enclosure:
+    def monotone(self, function: Callable[[arb], arb]) -> GrowthEnclosure:
         """An increasing function that is bounded, or infinite, at infinity."""
         low, high = self.ends()
         return self._constant(ball(function(low).lower(), function(high).upper()))
 
-    def exp(self) -> Enclosure:
+    def exp(self) -> GrowthEnclosure:
         """e^f."""
         rate = self.terms.get(LINEAR, fmpq(0))
-        remainder = Enclosure(self.span, {g: v for g, v in self.terms.items() if g != LINEAR})
+        remainder = GrowthEnclosure(self.span, {g: v for g, v in self.terms.items() if g != LINEAR})
         low, high = remainder.ends()
         if isinstance(rate, fmpq) and low.is_finite() and high.is_finite():
-            return Enclosure(self.span, {(fmpq(0), rate): ball(low, high).exp()})
+            return GrowthEnclosure(self.span, {(fmpq(0), rate): ball(low, high).exp()})
         decay = _rate(-self._per_time().ends()[1])
         if decay:
-            return Enclosure(self.span, {(fmpq(0), -decay): ball(0, 1)})
+            return GrowthEnclosure(self.span, {(fmpq(0), -decay): ball(0, 1)})
         top = self.ends()[1]
         return self._constant(ball(0, top.exp().upper() if top.is_finite() else INFINITE))
 
-    def _per_time(self) -> Enclosure:
+    def _per_time(self) -> GrowthEnclosure:
         """f/t."""
-        return Enclosure(self.span, {(k - 1, r): v for (k, r), v in self.terms.items()})
+        return GrowthEnclosure(self.span, {(k - 1, r): v for (k, r), v in self.terms.items()})
 
-    def log(self) -> Enclosure:
+    def log(self) -> GrowthEnclosure:
         """log f of a positive f."""
         (k, r), remainder = self._leading()
         if remainder is None or not remainder > 0:
@@ -281,41 +287,41 @@ class Enclosure:
                 top = high.log().upper() if high.is_finite() else INFINITE
                 return self._constant(ball(low.log().lower(), top))
             raise Undefined("the argument of log may be zero or negative")
-        total = Enclosure(self.span, {CONSTANT: remainder.log(), LINEAR: r})
+        total = GrowthEnclosure(self.span, {CONSTANT: remainder.log(), LINEAR: r})
         if not k:
             return total
         if not self.span.is_endless and self.span.begin > 0:
             return total + k * ball(self.span.begin.log(), self.span.end.log())
         if self.span.begin >= 1:
             size = ball(0, 8 * arb(-1).exp())
-            return total + Enclosure(self.span, {(LOG_POWER, fmpq(0)): k * size})
+            return total + GrowthEnclosure(self.span, {(LOG_POWER, fmpq(0)): k * size})
         raise Undefined("the argument of log may be zero or negative")
 
-    def power(self, exponent: fmpq) -> Enclosure:
+    def power(self, exponent: fmpq) -> GrowthEnclosure:
         """f^exponent of a positive f."""
         (k, r), remainder = self._leading()
         if remainder is not None and remainder > 0:
             factor = (arb(exponent) * remainder.log()).exp()
-            return Enclosure(self.span, {(k * exponent, r * exponent): factor})
+            return GrowthEnclosure(self.span, {(k * exponent, r * exponent): factor})
         low, high = self.ends()
         if not (low > 0 and high.is_finite()):
             raise Undefined("the base of a power that is no integer may be zero or negative")
         return self._constant((arb(exponent) * ball(low, high).log()).exp())
 
-    def tanh(self) -> Enclosure:
+    def tanh(self) -> GrowthEnclosure:
         """tanh f, near 1 or -1 where f grows."""
         low, high = self._per_time().ends()
         for sign, slope in ((1, low), (-1, -high)):
             if rate := _rate(slope):  # 1 - 2/(1 + e^2f) >= 1 - 2 e^(-2 rate t)
-                near = Enclosure(self.span, {(fmpq(0), -2 * rate): ball(0, 2)})
+                near = GrowthEnclosure(self.span, {(fmpq(0), -2 * rate): ball(0, 2)})
                 return sign * (1 - near)
         return self.monotone(arb.tanh)
 
-    def sech2(self) -> Enclosure:
+    def sech2(self) -> GrowthEnclosure:
         """1/cosh^2 f."""
         low, high = self._per_time().ends()
         if rate := _rate(low) or _rate(-high):  # <= 4 e^(-2 rate t)
-            return Enclosure(self.span, {(fmpq(0), -2 * rate): ball(0, 4)})
+            return GrowthEnclosure(self.span, {(fmpq(0), -2 * rate): ball(0, 4)})
         low, high = self.ends()
         near = arb(0) if not self.nonzero() else _least([abs(low), abs(high)])
         far = _largest([abs(low), abs(high)])
