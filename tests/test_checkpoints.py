@@ -19,7 +19,7 @@ from certrack.studies.ensembles.checkpoints import LOCK_NAME, Checkpoints
 from certrack.studies.ensembles.engine import Engine
 from certrack.studies.ensembles.plan import make_plan
 from certrack.studies.ensembles.stored import (
-    Unusable,
+    _Unusable,
     check_arrays,
     digest,
     read_arrays,
@@ -203,7 +203,7 @@ def test_sealed_anew_every_field_is_checked_all_the_same(plan, honest):
     for what, arrays in changes(honest[12, 24]).items():
         try:
             check_arrays(read_arrays(sealed(arrays, [(12, 24)], "")), plan, [(12, 24)])
-        except (Unusable, ValueError, KeyError):
+        except (_Unusable, ValueError, KeyError):
             continue
         accepted.append(what)
     assert accepted == []
@@ -248,7 +248,7 @@ def test_what_is_changed_without_the_digest_is_named():
     arrays = {"bins": np.arange(3, dtype=np.uint32)}
     assert not np.array_equal(digest(arrays, "a"), digest(arrays, "b"))
     assert not np.array_equal(digest(arrays, "a"), digest({"bins": arrays["bins"][::-1]}, "a"))
-    with pytest.raises(Unusable, match="nobody knows"):
+    with pytest.raises(_Unusable, match="nobody knows"):
         read_arrays(archive({"x": npy((0,))}))
 
 

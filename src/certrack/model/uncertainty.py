@@ -59,7 +59,7 @@ class Uncertainty:
     Delta: tuple[tuple[float, ...], ...] | None = keyed(
         "rows",
         None,
-        help="growth with each state by itself: |w_k| <= sum_j Delta_kj |x_j| + ...",
+        help="growth with each state by itself: |w_k| <= sum_j Delta_kj |x_j| + beta_k",
         shape="n rows of n numbers",
         least=0,
         otherwise="none",

@@ -62,7 +62,7 @@ MAX_MERGED_MEMBERS = 10_000_000
 MAX_OUTCOME_LENGTH = max(len(outcome.name) for outcome in Outcome)
 
 
-class Unusable(ValueError):
+class _Unusable(ValueError):
     """A file that does not hold what it should; its members are computed again."""
 
 
@@ -166,7 +166,7 @@ def check_arrays(arrays: Mapping[str, np.ndarray], plan: Plan, ranges: Sequence[
 
     Raises
     ------
-    Unusable
+    _Unusable
     """
     members = sum(end - begin for begin, end in ranges)
     require(set(arrays) >= set(ARRAYS), "an array is missing")
@@ -184,7 +184,7 @@ def check_arrays(arrays: Mapping[str, np.ndarray], plan: Plan, ranges: Sequence[
 def require(condition: Any, what: str) -> None:
     """Refuse the file unless the condition holds."""
     if not condition:
-        raise Unusable(what)
+        raise _Unusable(what)
 
 
 def _ranges(arrays: Mapping[str, np.ndarray]) -> list[Range]:
