@@ -26,7 +26,7 @@ FORMULAS = {
     "x1 t": "Write x1*t",
     "x1(t)": "Write x1*(...)",
     "(t) x1": "Write (...)*x1",
-    "(t)(x1)": "Write (...)*(...)",
+    "(t + 1)(x1)": "Write (...)*(...)",
     "sin(t": "Close the bracket",
     "sin(t))": "A bracket is closed that was not opened",
     "": "an empty text. Write 0 for nothing",

@@ -18,7 +18,7 @@ class NoCertificate(CertrackError):
 
 
 #: Letters of the reason in a certificate's one line.
-MAX_REASON = 300
+MAX_REASON_LETTERS = 300
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Certificate:
 
     def __repr__(self) -> str:
         if not self.exists:
-            return f"Certificate({self.kind}: none, {shorten(self.reason, MAX_REASON)})"
+            return f"Certificate({self.kind}: none, {shorten(self.reason, MAX_REASON_LETTERS)})"
         verified = "verified" if self.verified else "not verified"
         return f"Certificate({self.kind}: limsup |e_1| <= {rounded_up(self.bound, 4)}, {verified})"
 

@@ -56,7 +56,7 @@ class _Signal(tuple[sympy.Expr, ...]):
             raise InputError(f"{self.name}[{index}]", count) from None
 
 
-def _signal(name: str, entries: Iterable[sympy.Expr]) -> _Signal:
+def _signal(name: str, entries: Iterable[sympy.Expr]) -> tuple[sympy.Expr, ...]:
     signal = _Signal(entries)
     signal.name = name
     return signal

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 QUICK_MEMBERS = 5000
 
 #: Letters of the laws' names in one line.
-MAX_NAMES = 300
+MAX_LAW_NAMES = 300
 
 #: Confidence of the intervals.
 CONFIDENCE = 0.95
@@ -44,7 +44,7 @@ class PairedComparison:
     ensembles: tuple[tuple[str, Ensemble], ...]
 
     def __repr__(self) -> str:
-        names = shorten(", ".join(name for name, _ in self.ensembles), MAX_NAMES)
+        names = shorten(", ".join(name for name, _ in self.ensembles), MAX_LAW_NAMES)
         return f"PairedComparison({names} on {self.ensembles[0][1].members} members)"
 
     def frame(self) -> pandas.DataFrame:
