@@ -20,6 +20,7 @@ from certrack.certificates.sampling import Points, nearest_failure, random_point
 from certrack.core.expressions import TIME
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.powers import put_in
+from certrack.model.truth import constants_of_truth
 from certrack.systems.system import System
 
 #: Relative excess that is not reported: the evaluation of a formula rounds.
@@ -102,7 +103,9 @@ def check_assumption_1(system: System, seed: int = 0) -> list[Violation]:
 def uncertain_terms(system: System) -> list[UncertainTerm]:
     """The terms w_1 ... w_n of the truth; none for a truth with states of its own."""
     plant, truth = system.plant, system.truth
-    constants = {**plant.constant_values, **{name: v.expr for name, v in truth.constants}}
+    constants = {name: v.expr for name, v in truth.constants}
+    if not truth.states:  # what is a formula of others follows them
+        constants = constants_of_truth(plant, truth.constants)
     terms = []
     for k, w in enumerate(truth.omega or ()):
         exact = {s: constants[s.name] for s in w.expr.free_symbols if s.name in constants}

@@ -263,7 +263,7 @@ def _cell(entries: Any) -> CellProof:
     try:
         (bound,) = _decimal_texts([entries["bound"]])
         cell = tuple((str(low), str(high)) for low, high in entries["cell"])
-        if not all(low < high for low, high in numbers(cell)):
+        if not all(low <= high for low, high in numbers(cell)):
             raise ValueError("an interval is empty")
     except (TypeError, ValueError, ZeroDivisionError) as problem:
         raise InputError("proof", f"must hold decimal texts ({problem})") from None

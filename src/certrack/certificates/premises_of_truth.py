@@ -20,6 +20,8 @@ from certrack.certificates.premises import irrational_numbers
 from certrack.certificates.sampling import RANDOM_POINTS, Points, random_points
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
+from certrack.core.expressions import Expression, parse
+from certrack.core.powers import put_in
 from certrack.core.rounding import rounded_up
 from certrack.laws.error_system import KnownParameters
 from certrack.model.plant import Plant
@@ -42,7 +44,7 @@ PLANT, GAIN, THETA, DOMAIN, REFERENCE, IRRATIONAL, CONTINUOUS_LAW = (
 
 #: Random states at which two formulas are compared, digits of the comparison, and what they may
 #: differ by: they differ in a constant, or not at all.
-COMPARED_POINTS, FORMULA_DIGITS, SAME = 5, 40, 1e-30
+COMPARED_POINTS, FORMULA_DIGITS, SAME = 60, 40, 1e-30
 
 #: Times at which a declared bound is held against the reference, beyond those of the loader, s.
 LATE_TIMES = np.geomspace(1e4, 1e9, 20_001)
@@ -105,37 +107,46 @@ def _plant(system: System) -> Premise:
             "more than w, that is within gamma and beta",
             remedy="certrack ensemble and certrack falsify may refute it",
         )
-    design = plant.constant_values
-    ranged = plant.constant_boxes
+    design, built = _as_built(system), plant.with_constants(**dict(truth.constants))
+    ranged, unsure = plant.constant_boxes, False
     stated = {
         name: value
         for name, value in truth.constants
-        if value.expr != design[name] and name not in ranged
+        if value.expr != plant.constant_values[name] or name in ranged
     }
-    built = plant.with_constants(**stated)
-    named = {"chain": built.chain, "linear": [v for row in built.linear or () for v in row]}
-    named |= {"drift": [built.drift], "regressor": built.regressor}
-    known = {"chain": plant.chain, "linear": [v for row in plant.linear or () for v in row]}
-    known |= {"drift": [plant.drift], "regressor": plant.regressor}
-    for key, formulas in named.items():
-        for ours, theirs in zip(known[key], formulas, strict=True):
-            a, b = _numeric(ours.expr, design), _numeric(theirs.expr, built.constant_values)
-            if not _equal(a, b, plant.symbols):
-                names = ", ".join(f"{name} = {value}" for name, value in stated.items())
-                return Premise(
-                    PLANT,
-                    CONTRADICTED,
-                    f"plant.{key} is another with truth.constants ({names})",
-                    {name: float(value.expr) for name, value in stated.items()},
-                    f"remove truth.constants, or set plant.constants to {names}; a difference may "
-                    "also be written into truth.omega and covered by gamma and beta",
-                )
+    for key, ours, theirs in _pairs(design, built):
+        a, b = _numeric(ours.expr, design), _numeric(theirs.expr, built)
+        same = _same(a, b, plant.symbols)
+        if same is False:
+            names = ", ".join(f"{name} = {value}" for name, value in stated.items())
+            return Premise(
+                PLANT,
+                CONTRADICTED,
+                f"plant.{key} is another with truth.constants ({names})",
+                {name: float(value.expr) for name, value in stated.items()},
+                f"remove truth.constants, or set plant.constants to {names}; a difference may "
+                "also be written into truth.omega and covered by gamma and beta",
+            )
+        unsure |= same is None
+    if unsure:
+        detail = f"the same formulas with truth.constants at {COMPARED_POINTS} random states"
+        return Premise(PLANT, CHECKED, detail)
     detail = "chain, linear, drift and regressor exactly as in the file"
     if ranged:
         varying = "varying in time" if plant.uncertainty.constants_vary else "standing still"
         named_ranges = ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in ranged.items())
         detail += f", with {named_ranges}, {varying}; the true values among them"
     return Premise(PLANT, PROVEN, detail)
+
+
+def _pairs(design: Plant, built: Plant) -> Iterator[tuple[str, Expression, Expression]]:
+    """Key and formula of everything in chain, linear, drift and regressor of two plants."""
+    for name in ("chain", "regressor"):
+        for ours, theirs in zip(getattr(design, name), getattr(built, name), strict=True):
+            yield name, ours, theirs
+    for ours_row, theirs_row in zip(design.linear or (), built.linear or (), strict=True):
+        yield from (("linear", *pair) for pair in zip(ours_row, theirs_row, strict=True))
+    yield "drift", design.drift, built.drift
 
 
 def _as_built(system: System) -> Plant:
@@ -145,24 +156,34 @@ def _as_built(system: System) -> Plant:
     return plant.with_constants(**true)
 
 
-def _numeric(formula: sympy.Expr, constants: dict[str, sympy.Expr]) -> sympy.Expr:
-    """The formula with the values of the constants."""
-    return formula.xreplace(
-        {s: constants[s.name] for s in formula.free_symbols if s.name in constants}
+def _numeric(formula: sympy.Expr, plant: Plant) -> sympy.Expr:
+    """The formula with the values of the plant's constants."""
+    constants = plant.constant_values
+    return put_in(
+        formula, {s: constants[s.name] for s in formula.free_symbols if s.name in constants}
     )
 
 
-def _equal(a: sympy.Expr, b: sympy.Expr, states: Sequence[sympy.Symbol]) -> bool:
-    """Whether two formulas are the same, by their form or by 40 digits at a few states."""
-    if a == b:
+def _same(a: sympy.Expr, b: sympy.Expr, states: Sequence[sympy.Symbol]) -> bool | None:
+    """Whether two formulas are the same; None if they are at random states, which is no proof."""
+    if a == b or sympy.expand(a - b) == 0:
         return True
     random = np.random.default_rng(SEED)
     for _ in range(COMPARED_POINTS):
-        place = {s: sympy.Rational(int(random.integers(1, 10**6)), 10**5) for s in states}
+        size = sympy.Rational(10) ** int(random.integers(-2, 4))
+        x = [size * sympy.Rational(int(v), 1000) for v in random.integers(-1000, 1001, len(states))]
+        place = dict(zip(states, x, strict=True))
         gap = sympy.N((a - b).xreplace(place), FORMULA_DIGITS)
+        if gap is sympy.nan:  # neither has a value there
+            continue
         if not gap.is_number or abs(gap) > SAME * (1 + abs(sympy.N(a.xreplace(place), 20))):
             return False
-    return True
+    return None
+
+
+def _equal(a: sympy.Expr, b: sympy.Expr) -> bool:
+    """Whether two numbers are the same, to 40 digits."""
+    return _same(a, b, ()) is not False
 
 
 def _knows_parameters(system: System) -> bool:
@@ -173,6 +194,13 @@ def _knows_parameters(system: System) -> bool:
         return False
 
 
+def _follows_ranges(system: System, value: Expression | None) -> bool:
+    """Whether a number of the plant is a formula of constants that have a range."""
+    if value is None:
+        return False
+    return bool(parse("", value, system.plant.open_values).expr.free_symbols)
+
+
 def _input_gain(system: System) -> Premise:
     plant, truth = system.plant, system.truth
     assert truth.input_gain is not None
@@ -180,14 +208,24 @@ def _input_gain(system: System) -> Premise:
     if plant.input_gain_range is not None:  # the loader refuses a truth outside
         low, high = plant.input_gain_range
         return Premise(GAIN, PROVEN, f"every g_n in [{low:g}, {high:g}], the true one among them")
-    if not _knows_parameters(system):
-        return Premise(GAIN, PROVEN, f"the true g_n = {true} (the file gives no range)")
     built = _as_built(system).input_gain
+    if not _knows_parameters(system) and not _follows_ranges(system, plant.input_gain):
+        return Premise(GAIN, PROVEN, f"the true g_n = {true} (the file gives no range)")
     assert plant.input_gain is not None and built is not None
-    if _equal(true.expr, built.expr, ()):
+    if _equal(true.expr, built.expr):
         known = f"g_n = {plant.input_gain}"
         how = "of the constants in their ranges" if plant.constant_ranges else "as the law uses it"
         return Premise(GAIN, PROVEN, f"{known} exactly {how}")
+    if _follows_ranges(system, plant.input_gain):
+        return Premise(
+            GAIN,
+            CONTRADICTED,
+            f"with the true constants g_n = {plant.input_gain} is {float(built.expr):.6g}, the "
+            f"true one is {float(true.expr):.6g}",
+            {"true": float(true.expr), "assumed": float(built.expr)},
+            f'write truth.input_gain = "{plant.input_gain}", and the true value of its constants '
+            "in truth.constants; or state plant.ranges.input_gain in the place of their ranges",
+        )
     values = {"true": float(true.expr), "assumed": float(plant.input_gain.expr)}
     return Premise(
         GAIN,
@@ -204,12 +242,24 @@ def _theta(system: System) -> Premise:
     if plant.theta_range is not None:
         return Premise(THETA, PROVEN, "every theta in its range, the true one among them")
     true = [value.expr for value in truth.theta]
-    if not _knows_parameters(system):
+    open_theta = any(_follows_ranges(system, value) for value in plant.theta or ())
+    if not _knows_parameters(system) and not open_theta:
         return Premise(THETA, PROVEN, "the true theta of the file (it gives no range)")
     known = [value.expr for value in _as_built(system).theta or ()]
-    if all(_equal(a, b, ()) for a, b in zip(true, known, strict=True)):
+    if all(_equal(a, b) for a, b in zip(true, known, strict=True)):
         how = "of the constants in their ranges" if plant.constant_ranges else "as the law uses it"
         return Premise(THETA, PROVEN, f"theta exactly {how}")
+    if open_theta:
+        listed = ", ".join(f'"{value}"' for value in plant.theta or ())
+        return Premise(
+            THETA,
+            CONTRADICTED,
+            f"with the true constants theta is {_listed([float(v) for v in known])}, the true one "
+            f"is {_listed([float(v) for v in true])}",
+            {"true": [float(v) for v in true], "assumed": [float(v) for v in known]},
+            f"write truth.theta = [{listed}], and the true value of its constants in "
+            "truth.constants; or state plant.ranges.theta in the place of their ranges",
+        )
     values = {"true": [float(v) for v in true], "assumed": [float(v) for v in known]}
     return Premise(
         THETA,
@@ -277,7 +327,7 @@ def _domain(system: System, points: Points) -> Premise:
     formulas |= {f"plant.regressor[{i}]": v.expr for i, v in enumerate(plant.regressor)}
     unproven = False
     for key, formula in formulas.items():
-        exact = _numeric(formula, plant.constant_values)
+        exact = _numeric(formula, plant)
         undefined = undefined_at(exact, plant.symbols, points)
         if undefined is not None:
             condition, where = undefined

@@ -13,6 +13,7 @@ from typing import Any
 
 import flint
 import numpy as np
+import sympy
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.balls import ball_of, ball_precision, enclosing_ball, upper_rational
@@ -52,10 +53,24 @@ def reference_at_start(system: System, order: int) -> tuple[list[Any], bool]:
         values[name] = ball_of(value, ROUNDED_UNITS)
     try:
         formulas = reference.formulas(order)
+        if any(_turns(formula, values) for formula in formulas):
+            raise ValueError("the reference has a kink where it begins")
         return [_with_its_float(enclosing_ball(f, values)) for f in formulas], True
     except ValueError:
         floats = reference.values(np.array([0.0]), order)[:, 0].tolist()
         return [_unproven(v) for v in floats], False
+
+
+def _turns(formula: sympy.Expr, values: dict[Any, Any]) -> bool:
+    """Whether a sign in a derivative of the reference may turn at t = 0.
+
+    Then the derivative from the right, which the run begins with, may be another than the formula's
+    value.
+    """
+    return any(
+        part.args[0].has(TIME) and enclosing_ball(part.args[0], values).contains(0)
+        for part in formula.atoms(sympy.sign)
+    )
 
 
 def states_at_start(system: System) -> tuple[list[Any], bool]:
@@ -111,8 +126,7 @@ def starting_energy(
             energies.append(upper_rational(_dot(e, [_dot(row, e) for row in weights]) / 2))
     total = max(energies)
     if problem.adaptation is not None:
-        z = system.settings.estimates or (0.0,) * len(system.controller.states)
-        estimates = np.array([rational(v) for v in z], dtype=object)
+        estimates = np.array([rational(v) for v in system.estimates], dtype=object)
         total = total + P[-1, -1] * problem.adaptation.energy(estimates)
     return total * (1 + START_SLACK)
 

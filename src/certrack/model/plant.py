@@ -25,7 +25,13 @@ from certrack.model.coefficients import (
     refuse_varying_gain,
 )
 from certrack.model.names import new_name
-from certrack.model.ranges import Range, checked_ranges, dependents, open_constants
+from certrack.model.ranges import (
+    Range,
+    check_sign_at_ends,
+    checked_ranges,
+    dependents,
+    open_constants,
+)
 from certrack.model.uncertainty import Uncertainty
 
 MAX_ORDER = 50
@@ -284,6 +290,10 @@ class Plant:
         if self.theta_range is not None and any(_mentions(v, moved) for v in self.theta or ()):
             key, message = "plant.ranges.theta", "plant.theta already follows its constants"
             raise InputError(key, message, remedy="Leave one of the two ranges out")
+        named = {f"plant.chain[{i}]": g for i, g in enumerate(self.chain)}
+        named |= {} if gain is None else {"plant.input_gain": gain}
+        for key, formula in named.items():
+            check_sign_at_ends(key, formula, self.constant_ranges, self.open_values)
 
     def _moved(self, written: dict[str, Expression]) -> set[str]:
         """Names of the constants that are not fixed."""

@@ -7,7 +7,8 @@ of ``[plant.constants]``. Constants that are formulas of others follow them.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import sympy
@@ -119,3 +120,32 @@ def open_constants(constants: Mapping[str, Expression], ranged: set[str]) -> dic
         else:
             values[name] = parse(f"plant.constants.{name}", value, values).expr
     return values
+
+
+#: Ranges at whose ends coefficients are looked at: 2^10 corners take a tenth of a second.
+MAX_RANGES_AT_ENDS = 10
+
+
+def check_sign_at_ends(
+    key: str,
+    formula: Expression,
+    ranges: Sequence[Range],
+    values: Mapping[str, sympy.Expr],
+) -> None:
+    """Refuse a coefficient that vanishes, changes its sign or has no value at an end of the ranges.
+
+    What it does between the ends is for the certificates to see.
+    """
+    open_formula = parse(key, formula, values).expr
+    inside = [row for row in ranges if symbol(row[0]) in open_formula.free_symbols]
+    if not inside or len(inside) > MAX_RANGES_AT_ENDS:
+        return
+    names = [symbol(name) for name, _, _ in inside]
+    found = set()
+    for corner in product(*((low.expr, high.expr) for _, low, high in inside)):
+        value = open_formula.subs(dict(zip(names, corner, strict=True)))
+        found.add(sympy.sign(value) if value.is_finite else sympy.nan)
+    if len(found) != 1 or found & {sympy.nan, sympy.S.Zero}:
+        name, low, high = inside[0]
+        message = f"{key} = {formula.text} must be finite and of one sign on the whole range"
+        raise InputError(f"plant.ranges.{name}", message, [low.text, high.text], "Narrow the range")

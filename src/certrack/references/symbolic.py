@@ -167,7 +167,7 @@ class SymbolicReference:
 
     def formulas(self, order: int) -> tuple[sympy.Expr, ...]:
         names = {symbol(name): symbol(f"ref_{name}") for name, _ in self.constants}
-        return self._derivatives(self.signal.expr.xreplace(names), order)
+        return self._derivatives(_from_zero_on(self.signal.expr.xreplace(names)), order)
 
     def _derivatives(self, signal: sympy.Expr, order: int) -> tuple[sympy.Expr, ...]:
         formulas = [signal]
@@ -182,7 +182,8 @@ class SymbolicReference:
     @cached_property
     def numeric(self) -> sympy.Expr:
         """The signal with the exact values of the constants."""
-        return put_in(self.signal.expr, {symbol(k): value.expr for k, value in self.constants})
+        values = {symbol(k): value.expr for k, value in self.constants}
+        return _from_zero_on(put_in(self.signal.expr, values))
 
     def values(self, t: np.ndarray, order: int) -> np.ndarray:
         key = ("values", order)
@@ -222,3 +223,11 @@ class SymbolicReference:
     @cached_property
     def _bounds(self) -> dict[int, tuple[float | None, bool]]:
         return {}
+
+
+def _from_zero_on(formula: sympy.Expr) -> sympy.Expr:
+    """The formula for t >= 0, where |t| is t: the derivatives at 0 are those from the right."""
+    if not formula.has(sympy.Abs, sympy.sign, sympy.Min, sympy.Max):
+        return formula
+    later = sympy.Dummy("t", positive=True)
+    return formula.xreplace({TIME: later}).xreplace({later: TIME})

@@ -52,7 +52,7 @@ def divided(
 
 def halved(cell: Cell, sizes: Sequence[Any]) -> tuple[Cell, Cell]:
     """The cell cut in the middle of its widest constant, relative to `sizes`."""
-    widest = max(range(len(cell)), key=lambda i: (cell[i][1] - cell[i][0]) / sizes[i])
+    widest = max(range(len(cell)), key=lambda i: (cell[i][1] - cell[i][0]) / (sizes[i] or 1))
     low, high = cell[widest]
     middle = (low + high) / 2
     below, above = list(cell), list(cell)

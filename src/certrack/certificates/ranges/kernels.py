@@ -219,7 +219,9 @@ def _block(
     least = np.minimum(np.abs(k) - error, 1e300)
     apart = np.minimum(least[:-1], least[1:]) - h**2 / 8 * curvature * (1 + 8 * UNIT)
     one_sign = (k[:-1] * k[1:] > 0) & (apart > 0)
-    line = np.where(k[:-1] * k[1:] < 0, (low**2 + high**2) / (low + high + TINY), low + high)
+    opposite = (k[:-1] * k[1:] < 0) & (least[:-1] > 0) & (least[1:] > 0)
+    steep = np.where(opposite, least[:-1] + least[1:], 1.0)
+    line = np.where(opposite, (low**2 + high**2) / steep, low + high)
     bent = h * line / 2 + h**3 / 12 * curvature
     total: np.ndarray = np.where(one_sign, areas, bent).sum(axis=0)
     return total

@@ -34,6 +34,7 @@ from certrack.certificates.ranges.rational import Interval, RationalVector
 from certrack.core.expressions import Expression, parse, symbol
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.laws.error_system import EstimatedParameters
+from certrack.model.ranges import open_constants
 from certrack.references.intervals import enclosure
 from certrack.systems.system import System
 
@@ -142,6 +143,30 @@ def ranged_loop(system: System) -> RangedLoop:
     )
 
 
+def untrue_formulas(system: System) -> list[str]:
+    """What of g_n and theta, of those that a proof takes, is not the truth's formula of the ranges.
+
+    Members of an ensemble draw the constants; their g_n and theta are those of the truth.
+    """
+    if system.truth.states:
+        return []
+    plant, truth = system.plant, system.truth
+    design = _Design(system, isinstance(refuse_unknown(system), EstimatedParameters))
+    gain, theta = design.gain, design.theta
+    names = []
+    if plant.input_gain_range is None and sympy.cancel(
+        gain - design.true_number("truth.input_gain", truth.input_gain)
+    ):
+        names.append("input_gain")
+    for i, value in enumerate(theta):
+        stated = plant.theta_range is not None
+        if not stated and sympy.cancel(
+            value - design.true_number(f"truth.theta[{i}]", truth.theta[i])
+        ):
+            names.append(f"theta[{i}]")
+    return names
+
+
 class _Design:
     """The plant's formulas with the ranged constants left open."""
 
@@ -154,12 +179,41 @@ class _Design:
         )
         values = [plant.constant_values[str(s)] for s in self.symbols]
         self._constants = {symbol(name): value for name, value in plant.open_values.items()}
-        gain, theta = plant.input_gain or system.truth.input_gain, plant.theta or system.truth.theta
-        self.gain = self.number("plant.input_gain", gain)
-        self.theta = [self.number(f"plant.theta[{i}]", value) for i, value in enumerate(theta)]
+        self.gain = self._used(plant.input_gain, "input_gain")
+        self.theta = [
+            self._used(value, "theta", i)
+            for i, value in enumerate(plant.theta or (None,) * plant.r)
+        ]
         if not self.is_adaptive:
             values += self._open_gain_and_theta()
         self.nominal = tuple(map(rational, values))
+
+    def _used(self, known: Expression | None, name: str, i: int = 0) -> sympy.Expr:
+        """What the proof takes for g_n or an entry of theta.
+
+        The plant's for a law that knows it, or where it follows the ranges; else the true one.
+        """
+        if known is not None:
+            formula = self.number(f"plant.{name}", known)
+            if formula.free_symbols or not self.is_adaptive:
+                return formula
+        true = getattr(self.system.truth, name)
+        true = true[i] if isinstance(true, tuple) and true else true
+        if not true:
+            raise NoCertificate(
+                f"a truth with states of its own has no {name} to be certified for; state "
+                f"plant.ranges.{name}, or plant.{name} as a formula of the constants with a range"
+            )
+        return self.true_number(f"truth.{name}", true)
+
+    def true_number(self, key: str, value: Expression | None) -> sympy.Expr:
+        """A number of the truth, with its own constants, as a formula of the ranged ones."""
+        assert value is not None
+        plant, ranged = self.system.plant, set(self.system.plant.constant_boxes)
+        shared = {k: v for k, v in self.system.truth.constants if k in plant.constant_values}
+        stated = {k: v for k, v in shared.items() if k not in ranged}
+        values = open_constants(dict(plant.constants) | stated, ranged)
+        return _rationalised(parse(key, value, values).expr)
 
     def _open_gain_and_theta(self) -> list[sympy.Expr]:
         """For the robust law, symbols in the place of g_n and theta that have a range."""

@@ -11,7 +11,7 @@ output z = c e + sum_j d_j y^(j) + d_o
 with the peak gains of :mod:`certrack.certificates.ranges.kernels`; the best s counts. The channels'
 outputs q and, where Assumption 1 grows with ||x||, the states are outputs too:
 
-    v = (|q_1|, ..., |x_1|, ...):   a v > F(v), F(v) = c + G v + ..., in every entry
+    v = (|q_1|, ..., |x_1|, ...):   a v > F(v), F(v) = c + G v + sum_k G_k ||S_k x||, in every entry
 
 proves limsup |q|, |x| <= v, for F is monotone, and homogeneous but for c.
 """
@@ -27,6 +27,7 @@ import numpy as np
 from certrack.certificates.arithmetic import exact_float, rational, solve
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up
+from certrack.certificates.formulation import UncertainInputs, uncertain_inputs
 from certrack.certificates.ranges.coefficients import Coefficients, largest_brackets
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import ErrorForm, RangedLoop, error_form
@@ -78,31 +79,43 @@ def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Inter
     brackets = largest_brackets(loop, box)
     form = error_form(loop, np.concatenate([channels.centre.ravel(), brackets]), Xe)
     outputs = _outputs(loop, channels.rows, Xe)
-    u = loop.system.plant.uncertainty
-    tau, gamma, beta = ([rational(v) for v in values] for values in (u.tau, u.gamma, u.beta))
-    growing = [k for k in range(n) if tau[k] * gamma[k] != 0]
-    if not growing:
+    uncertain = uncertain_inputs(loop.system.plant.uncertainty, c.A, rational)
+    norms = _norms(uncertain, n)
+    if not norms:
         count = 1 + len(channels.rows)
         outputs = _Outputs(outputs.C[:count], outputs.D[:count], outputs.offset[:count])
-    bounded = [tau[k] * beta[k] * c.A[:, k] for k in range(n) if tau[k] * beta[k] != 0]
+    bounded = list(uncertain.b)
     bounded += [c.A[:, -1] * value * size for value, size in zip(brackets, loop.sizes, strict=True)]
     Y = [exact_float(v, rational) for v in loop.system.reference.bounds(c.q + 1).values]
     columns = [
         *bounded,
         *(c.A @ channels.columns).T,
-        *(tau[k] * gamma[k] * c.A[:, k] for k in growing),
+        *uncertain.a,
     ]
     constant, gains, levels = _responses(form, outputs, Y, columns)
     nb, nc = len(bounded), len(channels.rows)
     constant = constant + gains[:, :nb].sum(axis=1)
-    through, norm = gains[:, nb : nb + nc], gains[:, nb + nc :].sum(axis=1)
+    through, from_norms = gains[:, nb : nb + nc], gains[:, nb + nc :]
 
     def image(v: np.ndarray) -> np.ndarray:
-        size = float(np.linalg.norm(v[1 + nc :])) if growing else 0.0
-        found: np.ndarray = constant + through @ v[1 : 1 + nc] + norm * size
+        sizes = np.array([np.linalg.norm(S @ v[1 + nc :]) for S in norms])
+        found: np.ndarray = constant + through @ v[1 : 1 + nc] + from_norms @ sizes
         return np.minimum(found, UNBOUNDED)
 
     return PeakBound(_bound(image, len(constant)), tuple(levels))
+
+
+def _norms(uncertain: UncertainInputs, n: int) -> list[np.ndarray]:
+    """For each a-input the S with |a| <= ||S x||, its entries as magnitudes rounded up."""
+    selections = uncertain.selections or (None,) * len(uncertain.a)
+    norms = []
+    for selection in selections:
+        if selection is None:
+            norms.append(np.eye(n))
+            continue
+        S, _ = selection
+        norms.append(np.vectorize(lambda v: float_up(abs(v)), otypes=[float])(S))
+    return norms
 
 
 def _outputs(loop: RangedLoop, rows: np.ndarray, Xe: np.ndarray) -> _Outputs:

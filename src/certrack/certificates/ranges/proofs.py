@@ -162,6 +162,11 @@ def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
     prover = RangeProver(system)
     if len(proofs) > MAX_CELLS:
         return f"there are more than {MAX_CELLS} cells"
+    if system.plant.uncertainty.constants_vary:
+        if len(proofs) != 1:
+            return "constants that vary in time need one cell: they do not stay in one of many"
+        if not prover.by_peak_gains:
+            return "constants that vary in time have no certificate with the adaptive law"
     cells = [numbers(proof.cell) for proof in proofs]
     if any(len(cell) != len(prover.box) for cell in cells):
         return "a cell has not one interval for each range"

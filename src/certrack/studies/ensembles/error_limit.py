@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 
 from certrack.certificates import best_sound_bound
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.premise import contradicted
+from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
+from certrack.certificates.ranges.loop import untrue_formulas
 from certrack.core import checks
 from certrack.model.distribution import Distribution
 from certrack.model.disturbance import Multisine
@@ -56,17 +59,11 @@ def uncovered(system: System, population: Population) -> str | None:
     moved |= {name for name, _ in system.truth.constants}
     if moved - set(plant.constant_boxes):  # others are within their ranges: the loader checks
         return "the plant's constants are not the designer's"
-    certified = plant if system.law.kind == "robust" else system.truth
-    assert certified.input_gain is not None
-    assert system.truth.input_gain is not None
-    nominal_gain = float(certified.input_gain.expr)
-    true_gain = float(system.truth.input_gain.expr)
-    gain = population.input_gain or Distribution("fixed", (true_gain,))
-    if plant.input_gain_range is None and not _is(gain, nominal_gain):
-        return "input_gain is another than certified, and plant.ranges does not say how far"
-    for entry, value in zip(population.theta or (), certified.theta or (), strict=False):
-        if plant.theta_range is None and not _is(entry, float(value.expr)):
-            return "theta is another than certified, and plant.ranges does not say how far"
+    reason = (
+        _ranges_left(system, moved) if has_ranges(system) else _numbers_left(system, population)
+    )
+    if reason is not None:
+        return reason
     assert system.truth.tau is not None
     strengths = [entry.high for entry in population.tau or ()] or list(system.truth.tau)
     if any(value > limit for value, limit in zip(strengths, u.tau, strict=True)):
@@ -79,6 +76,35 @@ def uncovered(system: System, population: Population) -> str | None:
     if population.disturbance not in ("file", Multisine.kind):
         return "its disturbances are of a registered family, whose bound is checked on samples only"
     return _contradiction(system, population)
+
+
+def _ranges_left(system: System, moved: set[str]) -> str | None:
+    """The same of g_n and theta where constants have ranges: they must follow what is drawn."""
+    try:
+        untrue = untrue_formulas(system) if moved else []
+    except NoCertificate as refusal:
+        return str(refusal)
+    if untrue:
+        drawn, names = ", ".join(sorted(moved)), " and ".join(f"truth.{name}" for name in untrue)
+        return f"members draw {drawn}, and {names} does not follow as the plant's formula does"
+    return None
+
+
+def _numbers_left(system: System, population: Population) -> str | None:
+    """Why g_n and theta of the members are not those that were certified; None if they are."""
+    plant = system.plant
+    certified = plant if system.law.kind == "robust" else system.truth
+    assert certified.input_gain is not None
+    assert system.truth.input_gain is not None
+    nominal_gain = float(certified.input_gain.expr)
+    true_gain = float(system.truth.input_gain.expr)
+    gain = population.input_gain or Distribution("fixed", (true_gain,))
+    if plant.input_gain_range is None and not _is(gain, nominal_gain):
+        return "input_gain is another than certified, and plant.ranges does not say how far"
+    for entry, value in zip(population.theta or (), certified.theta or (), strict=False):
+        if plant.theta_range is None and not _is(entry, float(value.expr)):
+            return "theta is another than certified, and plant.ranges does not say how far"
+    return None
 
 
 def _contradiction(system: System, population: Population) -> str | None:
