@@ -442,7 +442,7 @@ class TestCommand:
         ("arguments", "message"),
         [
             (["example1"], "implementation: is missing. Add a table [implementation] or give"),
-            (["example1", "--period", "-1"], "implementation.period: must be positive; got -1.0"),
+            (["example1", "--period", "-1"], "--period: must be positive; got -1.0"),
             (["example1", "--period", "1e-9"], "makes more than"),
             (["nothing", "--period", "1"], "neither a file nor a shipped system"),
         ],

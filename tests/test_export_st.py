@@ -311,7 +311,7 @@ def test_command_line(capfd, tmp_path):
     }
     for arguments, message in (
         (("--out", str(out)), "implementation: is missing"),
-        (("--period", "0", "--out", str(out)), "implementation.period: must be positive"),
+        (("--period", "0", "--out", str(out)), "--period: must be positive"),
         (("--period", "1", "--out", str(tmp_path / "no" / "a.st")), "cannot be written"),
     ):
         code, _, err = invoke(capfd, "export", "st", "example1", *arguments)

@@ -373,7 +373,7 @@ def test_example_2_step_by_step():
     rates = [x2, 2 * ratio * (x3 - x1) + w2, x4, l2 * (x1 - x3) + l11 * u + a4 + b4]  # [4]
     e = list(A * sp.Matrix(x) - B[:, 0] * y)
     rate, paid, squares, decay = 0, 0, 0, 0
-    for m in range(4):  # [49], [50], [51], [52], and [53] for m = 3
+    for m in range(4):  # [49], [50], [52], and [53] for m = 3
         e_rate = sum(A[m, j] * rates[j] for j in range(m + 1)) - B[m, 0] * y1
         rate += e[m] * e_rate
         through = A[m, 1]
@@ -386,6 +386,12 @@ def test_example_2_step_by_step():
         paid += p[m] * y1**2
         squares += p[m] * (B[m, 0] * e[m] / (2 * p[m]) + y1) ** 2
         assert is_zero(-decay + g[m] * e[m] * e[m + 1] + paid - rate - squares), m + 1
+        if m == 2:
+            eta, d2, e_3 = [-A[2, j] for j in range(2)], B[2, 0], e[2]
+            bracket = 2 * ratio * e[1] + x4 + eta[1] ** 2 * e_3 / (4 * k)
+            bracket += d2**2 * e_3 / (4 * p[2]) - eta[0] * x2 - 2 * ratio * eta[1] * (x3 - x1)
+            bound = -(decay - c[2] * e_3**2) + paid + e_3 * bracket  # [51]
+            assert is_zero(bound - rate - squares)
     paid += k * a4**2 + k * b4**2
     squares += k * (e[3] / (2 * k) - a4) ** 2 + k * (e[3] / (2 * k) - b4) ** 2
     e_before, e_4 = e[2], e[3]

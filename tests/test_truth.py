@@ -314,10 +314,14 @@ def test_bad_truths_are_named_in_one_line(edit, expected):
 def test_what_each_form_needs():
     text, edits = re.subn("^input_gain = 2.2.*\n", "", starter(), flags=re.MULTILINE)
     assert edits == 1
-    with pytest.raises(InputError, match="truth.input_gain: is missing"):
+    no_gain = (
+        'truth.input_gain: is missing. State the true g_n, e.g. "1/J", which follows '
+        "truth.constants"
+    )
+    with pytest.raises(InputError, match=re.escape(no_gain)):
         certrack.loads(text)
     for fields, message in (
-        ({"theta": (2.0,)}, "truth.input_gain: is missing"),
+        ({"theta": (2.0,)}, no_gain),
         ({"states": ("z",)}, "truth.rates: is missing"),
         ({"states": ("z",), "rates": ("u",)}, "truth.outputs: is missing"),
         ({"outputs": ("z",)}, "truth.outputs: needs truth.states. Name the states"),

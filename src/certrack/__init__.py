@@ -12,4 +12,13 @@ alike: a module is imported when one of its names is first used.
 
 import lazy_loader as _lazy
 
-__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+_public, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    if name in __all__ or name.startswith("_"):
+        return _public(name)
+    from certrack.core.spelling import hint
+
+    message = f"module 'certrack' has no attribute {name!r}. {hint(name, __all__)}"
+    raise AttributeError(message.strip())

@@ -9,11 +9,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from certrack.core.errors import CertrackError
+from certrack.core.errors import CertrackError, shorten
+from certrack.core.rounding import rounded_up
 
 
 class NoCertificate(CertrackError):
     """No certificate of this kind exists or was found; the text says why and what may help."""
+
+
+#: Letters of the reason in a certificate's one line.
+MAX_REASON_LETTERS = 300
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,12 @@ class Certificate:
     verified: bool = False
     reason: str = ""
     assumptions: tuple[str, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        if not self.exists:
+            return f"Certificate({self.kind}: none, {shorten(self.reason, MAX_REASON_LETTERS)})"
+        verified = "verified" if self.verified else "not verified"
+        return f"Certificate({self.kind}: limsup |e_1| <= {rounded_up(self.bound, 4)}, {verified})"
 
     @property
     def exists(self) -> bool:

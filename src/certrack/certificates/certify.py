@@ -28,7 +28,7 @@ from certrack.core import checks
 from certrack.core.notebook import ShownInNotebooks
 from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: How long `certify` may take: the closed forms, the semidefinite program and the cascade are in
 #: all of them.
@@ -57,7 +57,8 @@ class Certificates(ShownInNotebooks):
     critical_published, critical_semidefinite : float
         Largest common scale of tau with a certificate; the second is verified exactly.
     tube : Tube or None
-        Bound on |e_1(t)| from the system's own start, of the tightest verified certificate.
+        Bound on |e_1(t)| from the system's own start, of the tightest verified certificate of the
+        nominal loop; None where constants have ranges or nothing is verified.
     premises : tuple of Premise
         What all of it rests on, and whether the system's own truth keeps it. Where it breaks one,
         nothing is verified and there is no tube: bounds are those of the design that the truth
@@ -154,6 +155,7 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     >>> found.verified, {premise.status for premise in found.premises}
     (True, {'proven'})
     """
+    require_system(system)
     checks.choice("effort", effort, EFFORTS)
     progress(0, STEPS, None)
     classical = certify_published(system)

@@ -19,7 +19,8 @@ def refuse(system: System) -> None:
         ranged += _open_parameters(system, stated)
     if ranged:
         raise NoCertificate(
-            f"plant.ranges lets {', '.join(ranged)} vary: vertices, cells and peak cover it"
+            f"plant.ranges lets {', '.join(ranged)} vary: only vertices, cells and peak can cover "
+            "it"
         )
 
 

@@ -6,8 +6,13 @@
     rho1 = min(mu1, gbar2/2, |g_n| gbar1/2)
     rho2 = max(1/2, lambda_max(Gamma^{-1})/2, |g_n|/(2 gbar))
 
-so that V' <= -rho1 ||Xi||^2 + Dbar [33], [39] and V <= rho2 ||Xi||^2 [37]; by the comparison
-principle V <= V(0) e^{-rho1 t/rho2} + (rho2/rho1) Dbar (1 - e^{-rho1 t/rho2}) [40].
+so that
+
+    V' <= -mu1 ||e||^2 - gbar2/2 ||theta~||^2 - |g_n| gbar1/2 delta~^2 + Dbar    [33]
+       <= -rho1 ||Xi||^2 + Dbar                                                  [39]
+
+and V <= rho2 ||Xi||^2 [37]; by the comparison principle
+V <= V(0) e^{-rho1 t/rho2} + (rho2/rho1) Dbar (1 - e^{-rho1 t/rho2}) [40].
 
     published  sqrt(Dbar/rho1)            [42], by [41], which needs rho2 = 1/2
     corrected  sqrt(2 rho2 Dbar/rho1)     what [40] does imply, for e_1^2 <= 2 V
@@ -155,8 +160,9 @@ def certify_published(system: System) -> dict[str, Certificate]:
 def critical_strength(system: System) -> float:
     """Largest common scale of tau with mu1 > 0 for some eps: sqrt(min c/(||A^{-1}||_F^2 G)).
 
-    What tau-bar is in Theorem 1, for tau in fixed proportions [35]. From the exact rationals of the
-    design, rounded down.
+    What tau-bar is in Theorem 1, for tau in fixed proportions [35]. The factor (1 + eps) of mu_3 is
+    1 here: eps may be as small as one likes, so this is the least upper bound of the strengths.
+    From the exact rationals of the design, rounded down.
     """
     try:
         with within_floats():
@@ -174,7 +180,8 @@ def critical_strength(system: System) -> float:
 def collect(system: System, number: ToNumber = decimal, *, critical: bool = False) -> Terms:
     """The terms of the formulas, in the arithmetic of `number`.
 
-    `leak` is the constant part of [27]. With `critical`, mu1 may be negative.
+    `leak` is the constant part of [27]; with H and `residual` it is that of [29]. With `critical`,
+    mu1 may be negative.
 
     Raises
     ------

@@ -107,9 +107,12 @@ class Tube:
     verified: bool = True
 
     def __call__(self, t: np.ndarray | float) -> np.ndarray:
-        """The bound at times `t`, unit of the output."""
+        """The bound at times `t` >= 0, unit of the output."""
         times, squares, floors = np.array(self._chain).T
         t = np.asarray(t, dtype=float)
+        if not (t >= 0).all():
+            early = float(t[~(t >= 0)][0])
+            raise InputError("t", "must be at least 0: the tube begins at the start", early)
         i = np.maximum(np.searchsorted(times, t, side="right") - 1, 0)
         lapsed = self.alpha * (t - times[i])
         decay = np.maximum(np.exp(-lapsed), SMALLEST_DECAY)

@@ -37,11 +37,16 @@ def period_option(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @contextmanager
-def naming(file: str, *keys: str) -> Iterator[None]:
-    """Name the system file in refusals of these keys, which come after it was read."""
+def naming(file: str, *keys: str, period: float | None = None) -> Iterator[None]:
+    """Name the system file in refusals of these keys, which come after it was read.
+
+    A period that was given as an option is refused under the option's name.
+    """
     try:
         yield
     except InputError as problem:
+        if period is not None and problem.key == "implementation.period":
+            problem.key = "--period"
         if problem.key in keys and not problem.file:
             problem.within(file if Path(file).suffix else f"{file}.toml")
         raise

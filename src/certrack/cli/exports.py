@@ -51,7 +51,7 @@ def c(file: str, out: Path, real: str, period: float | None, as_json: bool) -> N
     from certrack.export.c import export_c
     from certrack.systems.reader import load
 
-    with naming(file, "implementation"):
+    with naming(file, "implementation", period=period):
         exported = export_c(load(file), out, file, real=real, period=period)
     for note in exported.notes:
         click.echo(f"certrack: note: {note}", err=True)
@@ -81,7 +81,7 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     from certrack.systems.reader import load
 
     system = load(file)
-    with naming(file, "implementation"):
+    with naming(file, "implementation", period=period):
         export_st(system, out, period=period)
     _note_unlikely(system, period)
     _report_file(out, as_json)
@@ -111,7 +111,7 @@ def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> 
     from certrack.systems.reader import load
 
     system = load(file)
-    with naming(file, "implementation"):
+    with naming(file, "implementation", period=period):
         export_fmu(system, out, version=fmi, period=period)
     _note_unlikely(system, period)
     _report_file(out, as_json)

@@ -16,6 +16,7 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
+from certrack.certificates.ranges.certify import NO_RANGES
 from certrack.core.rounding import printed_bound, rounded_down
 from certrack.simulation.metrics import METRIC_LABELS
 
@@ -311,7 +312,7 @@ def certificates_table(results: Certificates) -> Table:
         "cells": "the ranges cut into cells, for constants that stand still",
     }
     rows = []
-    ranged = any(getattr(results, kind).exists for kind in RANGE_KINDS)
+    ranged = any(getattr(results, kind).reason != NO_RANGES for kind in RANGE_KINDS)
     for kind in RANGE_KINDS if ranged else CERTIFICATE_KINDS:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import numbers
 from collections.abc import Iterable, Mapping
@@ -13,6 +12,7 @@ import numpy as np
 from certrack.core.errors import InputError
 from certrack.core.expressions import MAX_MAGNITUDE, Expression, number
 from certrack.core.rationals import RationalFloat, float_above, float_below, float_of
+from certrack.core.spelling import hint
 
 Constants = Mapping[str, Any]
 
@@ -180,11 +180,11 @@ def name_value_pairs(key: str, constants: Any) -> list[tuple[str, Any]]:
     return [(name, value) for name, value in pairs]
 
 
-def choice(key: str, value: Any, options: Iterable[str]) -> str:
+def choice(key: str, value: Any, options: Iterable[str], remedy: str = "") -> str:
     """One of the listed words."""
     options = list(options)
     if not isinstance(value, str) or value not in options:
-        raise InputError(key, "must be one of " + ", ".join(options), as_written(value))
+        raise InputError(key, "must be one of " + ", ".join(options), as_written(value), remedy)
     return value
 
 
@@ -203,9 +203,8 @@ def known_keys(key: str, table: Any, allowed: Iterable[str], required: Iterable[
     for name in table:
         if name not in allowed:
             where = f"{key}.{name}" if key else str(name)
-            close = difflib.get_close_matches(str(name), allowed, n=1)
-            hint = f"Did you mean {close[0]}? " if close else ""
-            raise InputError(where, "unknown key", remedy=f"{hint}Known here: {', '.join(allowed)}")
+            remedy = f"{hint(str(name), allowed)}Known here: {', '.join(allowed)}"
+            raise InputError(where, "unknown key", remedy=remedy)
     for name in required:
         if name not in table:
             raise InputError(f"{key}.{name}" if key else name, "is missing")

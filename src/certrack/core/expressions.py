@@ -10,7 +10,6 @@ sub-expression is checked in floating point before SymPy sees it, so that ``9**9
 from __future__ import annotations
 
 import ast
-import difflib
 import keyword
 import math
 import numbers
@@ -26,9 +25,11 @@ from typing import Any
 import sympy
 
 from certrack.core.errors import InputError
+from certrack.core.formula_mistakes import decimal_comma, node_remedy, syntax_remedy
 from certrack.core.formula_text import text_of
 from certrack.core.powers import exponential, has_fine_root, power, too_long
 from certrack.core.rationals import RationalFloat
+from certrack.core.spelling import hint
 
 MAX_LENGTH = 10_000  # characters
 MAX_NESTING = 100  # parentheses and operators
@@ -259,7 +260,8 @@ class _Builder:
         except (SyntaxError, ValueError, MemoryError, RecursionError) as problem:
             if isinstance(problem, InputError):
                 raise
-            raise self.fail("is not a formula (syntax)") from None
+            got = None if self.text.strip() else "an empty text"
+            raise self.fail("is not a formula (syntax)", got, syntax_remedy(self.text)) from None
         if value is None and not expr.free_symbols:
             value = self.checked(lambda: float(expr))
         if expr.has(sympy.nan, sympy.oo, sympy.zoo, sympy.I):
@@ -290,8 +292,8 @@ class _Builder:
                 return self.call(name, [self.visit(arg, depth + 1) for arg in args])
         raise self.fail(
             f"{type(node).__name__} is not allowed in a formula",
-            remedy="Allowed: names, numbers, + - * / **, and "
-            + ", ".join(sorted(ALLOWED_FUNCTIONS)),
+            remedy=node_remedy(node, self.text)
+            or "Allowed: names, numbers, + - * / **, and " + ", ".join(sorted(ALLOWED_FUNCTIONS)),
         )
 
     def name(self, name: str) -> tuple[sympy.Expr, float | None]:
@@ -304,10 +306,8 @@ class _Builder:
         if name in self.names or self.any_name:
             return symbol(name), None
         known = sorted({*self.names, "pi"})
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f"Did you mean {close[0]}? " if close else ""
         shown = ", ".join(known[:MAX_NAMES_SHOWN]) + ", ..." * (len(known) > MAX_NAMES_SHOWN)
-        raise self.fail(f"unknown name {name!r}", remedy=f"{hint}Known here: {shown}")
+        raise self.fail(f"unknown name {name!r}", remedy=f"{hint(name, known)}Known here: {shown}")
 
     def constant(self, value: Any) -> tuple[sympy.Expr, float]:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -330,7 +330,8 @@ class _Builder:
             return self.power(a, va, b, vb)
         compute = _ARITHMETIC.get(type(op))
         if compute is None:
-            raise self.fail(f"operator {type(op).__name__} is not allowed in a formula")
+            message = f"operator {type(op).__name__} is not allowed in a formula"
+            raise self.fail(message, remedy=node_remedy(op, self.text))
         if isinstance(op, ast.Div) and (vb == 0 or b == 0):
             raise self.fail("divides by zero")
         is_constant = va is not None and vb is not None
@@ -363,14 +364,14 @@ class _Builder:
         self, name: str, args: list[tuple[sympy.Expr, float | None]]
     ) -> tuple[sympy.Expr, float | None]:
         if name not in ALLOWED_FUNCTIONS:
-            raise self.fail(
-                f"unknown function {name!r}",
-                remedy="Known: " + ", ".join(sorted(ALLOWED_FUNCTIONS)),
-            )
+            known = f"{hint(name, ALLOWED_FUNCTIONS)}Known: {', '.join(sorted(ALLOWED_FUNCTIONS))}"
+            known = f"Write {name}*(...)" if name in self.names else known
+            raise self.fail(f"unknown function {name!r}", remedy=known)
         function, compute, fewest, most = ALLOWED_FUNCTIONS[name]
         build = partial(self.built, _BUILDERS.get(function, function))
         if not fewest <= len(args) <= most:
-            raise self.fail(f"{name} takes {fewest} to {most} arguments", f"{len(args)} arguments")
+            message, got = f"{name} takes {fewest} to {most} arguments", f"{len(args)} arguments"
+            raise self.fail(message, got, decimal_comma(self.text))
         args = [(expr, self.constant_value(expr, value)) for expr, value in args]
         exprs = [expr for expr, _ in args]
         values = [value for _, value in args if value is not None]

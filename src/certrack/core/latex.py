@@ -77,7 +77,7 @@ def latex_table(
     Examples
     --------
     >>> import pandas
-    >>> from certrack.core.latex import latex_table
+    >>> from certrack import latex_table
     >>> frame = pandas.DataFrame({"tail_error": [0.01234]}, index=["adaptive"])
     >>> print(latex_table(frame))
     \\begin{tabular}{lr}

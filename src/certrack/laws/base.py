@@ -8,7 +8,7 @@ symbols stand for.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -43,6 +43,25 @@ def theta_metric(**description: Any) -> Any:
     return keyed("metric", None, shape=shape, above=0, otherwise="identity", **description)
 
 
+class _Signal(tuple[sympy.Expr, ...]):
+    """The entries of a signal; one beyond the last is refused with its name and their number."""
+
+    name = ""
+
+    def __getitem__(self, index: Any) -> Any:
+        try:
+            return super().__getitem__(index)
+        except IndexError:
+            count = f"has {len(self)} entries, from {self.name}[0]" if self else "has no entries"
+            raise InputError(f"{self.name}[{index}]", count) from None
+
+
+def _signal(name: str, entries: Iterable[sympy.Expr]) -> tuple[sympy.Expr, ...]:
+    signal = _Signal(entries)
+    signal.name = name
+    return signal
+
+
 class Signals:
     """The symbols a law may use in its equations.
 
@@ -69,9 +88,9 @@ class Signals:
     def __init__(self, plant: Plant, q: int, *, short: bool = False) -> None:
         """With `short`, e_n and nu stay symbols: for printing a law as the paper does."""
         self.plant, self.q = plant, q
-        self.x = plant.symbols
-        self.Y = tuple(symbol(f"y_d_{i}") for i in range(q + 2))
-        self.phi = tuple(phi.expr for phi in plant.regressor)
+        self.x = _signal("s.x", plant.symbols)
+        self.Y = _signal("s.Y", (symbol(f"y_d_{i}") for i in range(q + 2)))
+        self.phi = _signal("s.phi", (phi.expr for phi in plant.regressor))
         self._parameters: dict[str, tuple[sympy.Symbol, ...]] = {}
         a = self.parameters("A_n", plant.n)
         b = self.parameters("B_n", q + 1)
@@ -318,6 +337,9 @@ class Law(ABC):
             "sign_g": plant.gain_sign,
             **self.parameters(plant),
         }
+        for name in names:
+            if name not in numbers:
+                raise InputError("law", f"parameters() gives no number for {name}")
         return np.concatenate([np.ravel(np.asarray(numbers[name], float)) for name in names])
 
     def design(self, plant: Plant) -> Controller:

@@ -6,6 +6,7 @@ of ``[plant.constants]``. Constants that are formulas of others follow them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any
@@ -21,6 +22,10 @@ ConstantRange = tuple[str, Expression, Expression]
 
 #: Keys of [plant.ranges] that are not names of constants.
 OTHER_RANGES = ("input_gain", "theta")
+
+#: A part of the value, as a data sheet states it, and a value that needs no brackets.
+_PERCENT = re.compile(r"[\s+/±-]*(\d+(?:\.\d+)?)\s*%\s*")
+_DECIMAL = re.compile(r"[\w.]+")
 
 
 def checked_ranges(
@@ -40,7 +45,7 @@ def checked_ranges(
         If a name is no constant, a constant is a formula of one with a range, a range is empty or
         reversed, or the nominal value lies outside it.
     """
-    rows = dict(_rows(ranges))
+    rows = dict(_rows(ranges, constants))
     checks.known_keys("plant.ranges", rows, constants)
     checked: list[ConstantRange] = []
     for name, pair in rows.items():
@@ -60,14 +65,28 @@ def checked_ranges(
     return tuple(checked)
 
 
-def _rows(ranges: Any) -> list[tuple[str, Any]]:
+def _rows(ranges: Any, constants: Mapping[str, Expression]) -> list[tuple[str, Any]]:
     if isinstance(ranges, Mapping):
         pairs = checks.name_value_pairs("plant.ranges", ranges)
     else:
         pairs = [(name, ends) for name, *ends in ranges]
+    for name, ends in pairs:
+        if isinstance(ends, (str, int, float)) and name in constants:
+            message = "must be a list of 2: [low, high]"
+            remedy = _as_a_pair(ends, constants[name].text)
+            raise InputError(f"plant.ranges.{name}", message, ends, remedy)
     return [
         (name, checks.sequence(f"plant.ranges.{name}", v, 2, "[low, high]")) for name, v in pairs
     ]
+
+
+def _as_a_pair(ends: Any, value: str) -> str:
+    """How a part of the value, such as "20 %", is written as a range around it."""
+    stated = _PERCENT.fullmatch(str(ends))
+    part = float(stated[1]) if stated else 20.0
+    value = value if _DECIMAL.fullmatch(value) else f"({value})"
+    pair = f'["{1 - part / 100:g}*{value}", "{1 + part / 100:g}*{value}"]'
+    return f"Within {part:g} % it is {pair}"
 
 
 def _refuse_formulas_of_each_other(

@@ -117,7 +117,8 @@ class Truth:
             if getattr(self, name) is not None:
                 raise InputError(f"truth.{name}", "needs truth.states", remedy="Name the states")
         if self.input_gain is None:
-            raise InputError("truth.input_gain", "is missing")
+            remedy = 'State the true g_n, e.g. "1/J", which follows truth.constants'
+            raise InputError("truth.input_gain", "is missing", remedy=remedy)
         gain = _open_formula("truth.input_gain", self.input_gain)
         for name in map(str, gain.expr.free_symbols):
             check_name("truth.input_gain", name)  # a constant of the plant, not t, inf or nan

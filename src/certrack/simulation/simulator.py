@@ -17,7 +17,7 @@ from certrack.model.truth import Truth
 from certrack.simulation.continuous import ContinuousSimulator
 from certrack.simulation.run import Run
 from certrack.simulation.sampled import SampledSimulator
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 
 class Simulator:
@@ -38,6 +38,7 @@ class Simulator:
     """
 
     def __init__(self, system: System) -> None:
+        require_system(system)
         self.system = system
         self._simulator: ContinuousSimulator | SampledSimulator = (
             ContinuousSimulator(system)
@@ -157,8 +158,7 @@ def simulate(system: System, *, progress: Progress = silent, **settings: Any) ->
     >>> run.outcome.name
     'finished'
     """
-    if not isinstance(system, System):
-        raise InputError("system", "must be a System", system, "certrack.load makes one")
+    require_system(system)
     if settings:
         system = system.with_settings(**settings)
     return Simulator(system).run(progress=progress)

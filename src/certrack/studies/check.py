@@ -18,8 +18,9 @@ from certrack.certificates.sampling import random_points
 from certrack.laws.leakage import leak_matrix
 from certrack.loops.stability import linear_loop
 from certrack.model.implementation import Implementation
+from certrack.simulation.implementation_notes import longest_speed_period
 from certrack.studies.units import misfits
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 FINE, NOTE, WARNING, FAULT = "fine", "note", "warning", "fault"
 
@@ -29,6 +30,9 @@ SMALL_POLE_PERIOD, LARGE_POLE_PERIOD = 0.3, 1.0
 
 #: Forward Euler of an estimate's leak, 1 - rate T: above 1 the estimate alternates.
 ALTERNATING_LEAK = 1.0
+
+#: The remedy for a loop that is unstable as it is sampled.
+SHORTEN = "shorten implementation.period or delay, or lower law.c (certrack margin finds the edge)"
 
 #: Part of the input's range that one step of a sensor should not move it by.
 LARGE_INPUT_STEP = 0.1
@@ -72,6 +76,13 @@ class Check:
     premises: tuple[Premise, ...]
     covers: tuple[Cover, ...]
     findings: tuple[Finding, ...]
+
+    def __repr__(self) -> str:
+        bad = [premise.name for premise in self.contradicted]
+        wrong = [f"{len(bad)} premises contradicted"] if bad else []
+        wrong += [f"{len(self.faults)} faults"] if self.faults else []
+        warned = sum(finding.status == WARNING for finding in self.findings)
+        return f"Check({', '.join(wrong) or 'sound'}; {warned} warnings)"
 
     @property
     def contradicted(self) -> tuple[Premise, ...]:
@@ -127,6 +138,7 @@ def check(system: System) -> Check:
     >>> found.sound, found.covers[0].gamma
     (True, 0.5)
     """
+    require_system(system)
     points = random_points(system.plant.n, system.settings.duration, SEED)
     covers = tuple(smallest_cover(term, points) for term in uncertain_terms(system))
     return Check(premises(system), covers, tuple(_findings(system)))
@@ -163,9 +175,20 @@ def _pole_period(system: System, implementation: Implementation) -> Finding:
 
 
 def _sampled_stability(system: System, implementation: Implementation) -> Iterator[Finding]:
-    """The eigenvalues of one period, where the loop is linear."""
+    """The eigenvalues of one period where the loop is linear, else its speed."""
     loop = linear_loop(system)
     if loop is None:
+        longest = longest_speed_period(
+            system.controller.coordinates.fastest_pole, implementation.delay
+        )
+        if implementation.period >= longest:
+            yield Finding(
+                "sampled stability",
+                FAULT,
+                f"the period of {implementation.period:g} s is too long for the fastest error "
+                f"pole: a sampled loop of this speed is unstable from {longest:.3g} s on",
+                SHORTEN,
+            )
         return
     radius = loop.radius(implementation.period, implementation.delay)
     detail = f"largest eigenvalue of one period of the nominal loop: {radius:.6g}"
@@ -176,7 +199,7 @@ def _sampled_stability(system: System, implementation: Implementation) -> Iterat
         "sampled stability",
         FAULT,
         f"{detail}, not below 1: the loop is unstable as it is sampled",
-        "shorten implementation.period or delay, or lower law.c (certrack margin finds the edge)",
+        SHORTEN,
     )
 
 

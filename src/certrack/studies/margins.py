@@ -29,7 +29,7 @@ from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.error_limit import tail_error_limit
 from certrack.studies.ensembles.methods.choice import fastest_adjustable
 from certrack.studies.ensembles.problem import EnsembleProblem
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: The first period tried is at most this part of the fastest error pole's time constant ...
 PERIOD_PER_TIME_CONSTANT = 0.05
@@ -197,6 +197,7 @@ def margins(
     >>> found.period.within < found.period.exact
     True
     """
+    require_system(system)
     checks.integer("members", members, 1, 100_000)
     checks.integer("seed", seed, 0, 2**63)
     implementation, duration = system.implementation, system.settings.duration

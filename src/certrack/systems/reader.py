@@ -50,6 +50,15 @@ SECTIONS = (
 )
 REQUIRED_SECTIONS = SECTIONS[1:6]
 
+#: Tables of the plant.
+PLANT_TABLES = ("constants", "ranges", "uncertainty")
+
+#: What is said where a kind of law is not known.
+OWN_LAW = (
+    "A law of your own: certrack.laws.register makes it known in one Python process; the command "
+    "line knows those of installed packages that declare an entry point of the group certrack.laws"
+)
+
 
 def catalog() -> dict[str, str]:
     """Names and titles of the shipped systems.
@@ -210,6 +219,7 @@ def _decoded(text: str | bytes) -> str:
 
 
 def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
+    _refuse_keys_above_their_table(tables)
     checks.known_keys("", tables, SECTIONS, required=REQUIRED_SECTIONS)
     plant = _read_plant(tables["plant"])
     constants = plant.constant_values
@@ -224,6 +234,21 @@ def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
         population=_read_population(tables.get("ensemble"), constants),
         implementation=_read_implementation(tables.get("implementation"), constants),
     )
+
+
+def _refuse_keys_above_their_table(tables: Mapping[str, Any]) -> None:
+    """Say of a table or key without the table that it stands in, which one that is."""
+    for name in tables:
+        if name in SECTIONS:
+            continue
+        if name in PLANT_TABLES:
+            remedy = f"Did you mean [plant.{name}]?"
+            raise InputError(name, "is not a table of its own", remedy=remedy)
+        tables_of_it = [table for table, keys in TABLES.items() if table and name in keys]
+        owners = dict.fromkeys(table.partition("[")[0] for table in tables_of_it)
+        if owners:
+            remedy = f"It belongs below {' or '.join(f'[{table}]' for table in owners)}"
+            raise InputError(name, "stands above its table", remedy=remedy)
 
 
 def _read_values(
@@ -252,8 +277,7 @@ def _read_named_values(table: str, entries: Any) -> dict[str, Any]:
 
 
 def _read_plant(table: Any) -> Plant:
-    tables = ("constants", "ranges", "uncertainty")
-    names = list(dict.fromkeys([*TABLES["plant"], *tables]))
+    names = list(dict.fromkeys([*TABLES["plant"], *PLANT_TABLES]))
     checks.known_keys("plant", table, names, required=("states",))
     values = dict(table)
     ranges = _read_named_values("plant.ranges", values.pop("ranges", {}))
@@ -286,7 +310,7 @@ def _read_law(table: Any, constants: Mapping[str, Any]) -> Law:
     laws = known_laws()
     if "kind" not in table:
         raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(laws))
-    law = laws[checks.choice("law.kind", table["kind"], laws)]
+    law = laws[checks.choice("law.kind", table["kind"], laws, OWN_LAW)]
     _refuse_keys_of_another("law", table, "law", {name: law_keys(laws[name]) for name in laws})
     values = _read_values("law", table, constants, law_keys(law))
     del values["kind"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numbers
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -263,6 +263,7 @@ class System(ShownInNotebooks):
         >>> system.replace(title="mine").title
         'mine'
         """
+        checks.known_keys("system", changes, [entry.name for entry in fields(self)])
         return replace(self, **changes)
 
     def with_settings(self, **changes: Any) -> System:
@@ -301,3 +302,9 @@ class System(ShownInNotebooks):
     def start(self) -> tuple[float, ...]:
         """Initial values of plant and controller states."""
         return self.settings.x0 + self.estimates
+
+
+def require_system(system: Any, key: str = "system") -> None:
+    """Refuse what is no system, such as the name of a file, where one is needed."""
+    if not isinstance(system, System):
+        raise InputError(key, "must be a System", system, "certrack.load makes one")

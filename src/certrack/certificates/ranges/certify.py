@@ -24,6 +24,9 @@ from certrack.certificates.ranges.vertices import ProblemMaker
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
+#: Why there is none for a system without ranges.
+NO_RANGES = "no constant has a range: the nominal certificates are all there is"
+
 #: Corners at which the attainable error is looked for.
 MAX_CORNERS = 64
 
@@ -93,7 +96,7 @@ def certify_ranges(
 
 def without_ranges() -> RangeCertificates:
     """What is said of a system whose constants have none."""
-    return _nothing("no constant has a range: the nominal certificates are all there is")
+    return _nothing(NO_RANGES)
 
 
 def _nothing(reason: str) -> RangeCertificates:

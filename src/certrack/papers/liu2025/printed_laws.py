@@ -40,7 +40,7 @@ def printed_law_claims(runs: PaperRuns) -> Iterator[Claim]:
 
 
 def law_47(run: Run) -> np.ndarray:
-    """u of the improved adaptive law along a run of Example 1."""
+    """u of the improved adaptive law [47] along a run of Example 1."""
     (x1, x2), (delta_hat, theta_hat) = run.x, run.z[:2]
     y_d, dy_d = run.system.reference.values(run.t, 1)
     c_1 = k_21 = k_23 = k_24 = 1.0
@@ -58,7 +58,7 @@ def law_47(run: Run) -> np.ndarray:
 
 
 def law_48(run: Run) -> np.ndarray:
-    """u of the classic adaptive law along a run of Example 1."""
+    """u of the classic adaptive law [48] along a run of Example 1."""
     (x1, x2), (delta_hat, theta_hat) = run.x, run.z[:2]
     y_d, dy_d, ddy_d = run.system.reference.values(run.t, 2)
     c_1, c_2 = 1.0, 0.5
@@ -70,7 +70,7 @@ def law_48(run: Run) -> np.ndarray:
 
 
 def law_54(run: Run) -> np.ndarray:
-    """u of the robust law along a run of Example 2."""
+    """u of the robust law [54] along a run of Example 2."""
     x1, x2, x3, x4 = run.x
     y_d, dy_d = run.system.reference.values(run.t, 1)
     L, l_11, l_2 = 3 / 0.5, 4 / (2 * 0.1), 3 / 0.1  # [2]

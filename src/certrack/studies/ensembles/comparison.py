@@ -9,20 +9,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from certrack.core.errors import InputError
+from certrack.core.errors import InputError, shorten
 from certrack.core.heyoka import has_heyoka
 from certrack.core.latex import latex_table
 from certrack.studies.ensembles.ensemble import Ensemble, ensemble
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METRICS
 from certrack.studies.ensembles.statistics import binomial_interval
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 if TYPE_CHECKING:
     import pandas
 
 #: Up to so many members compiling takes longer than computing.
 QUICK_MEMBERS = 5000
+
+#: Letters of the laws' names in one line.
+MAX_LAW_NAMES = 300
 
 #: Confidence of the intervals.
 CONFIDENCE = 0.95
@@ -39,6 +42,10 @@ class PairedComparison:
     """
 
     ensembles: tuple[tuple[str, Ensemble], ...]
+
+    def __repr__(self) -> str:
+        names = shorten(", ".join(name for name, _ in self.ensembles), MAX_LAW_NAMES)
+        return f"PairedComparison({names} on {self.ensembles[0][1].members} members)"
 
     def frame(self) -> pandas.DataFrame:
         """All metrics as a tidy table: one row per member and law.
@@ -149,6 +156,12 @@ def paired(
     >>> bool(comparison.summary().loc[("tail_error", "c = (2, 1)"), "difference"] < 0)
     True
     """
+    if not isinstance(laws, Mapping):
+        remedy = 'Write {"mine": system, "other": another}'
+        raise InputError("laws", "must be a mapping of names to systems", laws, remedy)
+    for name, entry in laws.items():
+        if not isinstance(entry, Ensemble):
+            require_system(entry, f"laws[{name!r}]")
     if len(laws) < 2:
         raise InputError("laws", "must be at least two, by name")
     if members <= QUICK_MEMBERS and has_heyoka():

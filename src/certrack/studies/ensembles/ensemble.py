@@ -26,7 +26,7 @@ from certrack.studies.ensembles.member_table import KEPT_MEMBERS
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, band_times, make_plan
 from certrack.studies.ensembles.statistics import LEVELS, Statistics, binomial_interval
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 if TYPE_CHECKING:
     import pandas
@@ -353,6 +353,7 @@ def ensemble(
     >>> result.members, result.violations()["count"]
     (64, 0)
     """
+    require_system(system)
     checks.integer("members", members, 1, MAX_MEMBERS)
     checks.integer("seed", seed, 0, 2**63)
     checks.integer("chunk", chunk, 1, MAX_CHUNK_MEMBERS)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, parse, symbol
 from certrack.core.lowering import numpy_callable, rows
@@ -24,12 +25,12 @@ from certrack.model.distribution import Distribution
 from certrack.model.disturbance import Multisine, family_of
 from certrack.model.names import refuse_prefix
 from certrack.model.plant import Plant
-from certrack.model.sampling import probabilities
+from certrack.model.sampling import MAX_MEMBERS, probabilities
 from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import Simulator
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: Members and times at which the pattern of a registered disturbance is looked at.
 CHECKED_MEMBERS, CHECKED_TIMES = 64, 257
@@ -75,7 +76,8 @@ def member(system: System, index: int, *, seed: int = 0) -> System:
     Raises
     ------
     InputError
-        If the index is negative or beyond the sequence, or the population cannot be drawn.
+        If the index is no whole number from 0 on or beyond the sequence, or the population cannot
+        be drawn.
 
     Examples
     --------
@@ -86,6 +88,7 @@ def member(system: System, index: int, *, seed: int = 0) -> System:
     >>> certrack.simulate(replayed).outcome.name
     'finished'
     """
+    require_system(system)
     return Members(system, seed).member(index)
 
 
@@ -167,6 +170,7 @@ class Members:
         InputError
             If the index is negative or beyond the sequence.
         """
+        checks.integer("index", index, 0, MAX_MEMBERS - 1)
         draws = self.draws(index, index + 1)
         return self._one(index, {name: float(v[0]) for name, v in draws.items()}, written=True)
 

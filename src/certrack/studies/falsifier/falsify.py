@@ -23,13 +23,14 @@ from certrack.certificates.ranges.certify import certify_ranges
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
+from certrack.core.rounding import rounded_up
 from certrack.integrators.base import Outcome
 from certrack.integrators.registers import LANES
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.alarm import alarm
 from certrack.studies.falsifier.loop import AdversarialLoop
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: Adversaries in a population: at least and at most. In between about four per searched number, a
 #: multiple of what the integrator runs side by side.
@@ -82,6 +83,12 @@ class Falsification:
     reason: str
     own_run: bool
 
+    def __repr__(self) -> str:
+        proven = "none" if self.against is None else rounded_up(self.against.bound, 4)
+        alarm_text = "" if self.alarm is None else f", ALARM ({self.alarm})"
+        runs = f"found in {self.evaluations} runs"
+        return f"Falsification(|e_1| = {self.worst_error:.4g} {runs}, proven {proven}{alarm_text})"
+
 
 def falsify(
     system: System,
@@ -121,6 +128,7 @@ def falsify(
     >>> bool(result.worst_error <= certrack.certify(certrack.load("dual-motor-lean")).best.bound)
     True
     """
+    require_system(system)
     checks.integer("budget", budget, 1, MAX_BUDGET)
     checks.integer("seed", seed, 0, 2**63 - 1)
     if system.truth.states:
