@@ -93,6 +93,10 @@ def test_tight_bound_is_between_simulation_and_rate(shipped):
     if not found.best.exists:
         assert "without leakage" in found.semidefinite.reason
         return
+    if shipped.plant.constant_ranges:  # the nominal loop is not what is certified
+        assert not found.semidefinite.exists
+        assert found.best.bound >= simulate(shipped).metrics.tail_error
+        return
     assert found.semidefinite.bound <= found.rate.bound
     assert found.semidefinite.bound >= simulate(shipped).metrics.tail_error
     assert found.critical_semidefinite >= max(1.0, found.critical_published)
@@ -345,8 +349,7 @@ def test_robust_law_with_ranges_is_refused_with_the_reason():
     base = certrack.load("dual-motor-lean")
     system = base.replace(plant=replace(base.plant, input_gain_range=(10, 30)))
     found, _ = certify_semidefinite(system)
-    reason = "plant.ranges lets input_gain vary: vertices, cells and peak cover it"
-    assert found.reason == reason
+    assert found.reason.startswith("plant.ranges lets input_gain vary: only vertices, cells and")
 
 
 def test_a_law_with_other_equations_is_refused():
