@@ -217,27 +217,35 @@ ODD = (
 )
 
 
+def scaled(text, factor):
+    """A decimal text times a factor; 1 in the place of what a change before made no decimal."""
+    try:
+        return f"{float(text) * factor:.17g}"
+    except (TypeError, ValueError):
+        return "1"
+
+
 def mutated(document, rng):
     """One or two changes, most of them small."""
     document = copy.deepcopy(document)
     proof = document["proof"]
     for _ in range(rng.choice((1, 1, 2))):
         kind = rng.random()
-        stage = rng.choice(proof) if proof else None
+        stage = rng.choice(proof) if isinstance(proof, list) and proof else None
         if kind < 0.45 and stage:
             place, key = rng.choice(list(number_places(stage)))
             factor = 1 + rng.choice((-1, 1)) * 10.0 ** -rng.randint(1, 12)
             old = place[key]
-            place[key] = f"{float(old) * factor:.17g}" if isinstance(old, str) and old else "1"
+            place[key] = scaled(old, factor)
             if place in stage["P"]:  # P stays symmetric, mostly
                 i = stage["P"].index(place)
                 stage["P"][key][i] = place[key]
         elif kind < 0.6 and stage:
             factor = 1 + rng.choice((-1, 1)) * 10.0 ** -rng.randint(1, 13)
             for key in rng.choice((("lam",), ("nu",), ("k",), ("nu", "k"))):
-                stage[key] = [f"{float(v) * factor:.17g}" for v in stage[key]]
+                stage[key] = [scaled(v, factor) for v in stage[key]]
         elif kind < 0.7 and stage:
-            stage["bound"] = f"{float(stage['bound']) * rng.uniform(0.9, 1.1):.17g}"
+            stage["bound"] = scaled(stage["bound"], rng.uniform(0.9, 1.1))
         elif kind < 0.8 and stage:
             place, key = rng.choice(list(number_places(stage)))
             place[key] = rng.choice(ODD)
@@ -250,8 +258,9 @@ def mutated(document, rng):
         else:
             document = with_another_number(document, rng)
             proof = document["proof"]
-    if proof and isinstance(proof[-1].get("bound"), str) and rng.random() < 0.95:
-        document["claim"] = f"limsup |e_1(t)| <= {proof[-1]['bound']}"
+    last = proof[-1] if isinstance(proof, list) and proof else {}
+    if isinstance(last, dict) and isinstance(last.get("bound"), str) and rng.random() < 0.95:
+        document["claim"] = f"limsup |e_1(t)| <= {last['bound']}"
     return signed(document) if rng.random() < 0.95 else document
 
 

@@ -5,8 +5,10 @@ anew is what was written. A forger who makes it anew must at least have made num
 that the results can be printed.
 """
 
+import atexit
 import io
 import random
+import shutil
 import tempfile
 import zipfile
 from dataclasses import replace
@@ -41,8 +43,8 @@ class Chunks:
     name, suffix = "chunks", ".bin"
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory()
-        self.folder = Path(self._folder.name)
+        self.folder = Path(tempfile.mkdtemp())
+        atexit.register(shutil.rmtree, self.folder, ignore_errors=True)
         system = certrack.load("dual-motor-lean").with_settings(duration=0.5, tail=None)
         system = system.replace(population=replace(system.varied, points=10))
         plan = make_plan(system, 1, 1e-6, 0.05, "alone", per_member=True)
@@ -84,7 +86,8 @@ class Chunks:
             del arrays[name]
         elif kind < 0.25:
             try:
-                arrays[name] = array.astype(rng.choice(TYPES))
+                with np.errstate(all="ignore"):
+                    arrays[name] = array.astype(rng.choice(TYPES))
             except (ValueError, TypeError):
                 arrays[name] = np.array("x")
         elif kind < 0.35:

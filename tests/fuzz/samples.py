@@ -1,6 +1,8 @@
 """CSV files of a reference."""
 
+import atexit
 import random
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -45,8 +47,8 @@ class Samples:
     name, suffix = "samples", ".csv"
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory()
-        self.folder = Path(self._folder.name)
+        self.folder = Path(tempfile.mkdtemp())
+        atexit.register(shutil.rmtree, self.folder, ignore_errors=True)
 
     def make(self, rng: random.Random) -> bytes:
         data = bytearray(GOOD)
