@@ -179,7 +179,7 @@ def test_bad_input_is_refused(text, message):
 def test_members_that_do_not_exist_are_refused():
     members = Members(certrack.load("example1"), 0)
     for index in (-1, 2**31):
-        with pytest.raises(InputError, match="at most"):
+        with pytest.raises(InputError, match="index: must be a whole number from 0 to"):
             members.member(index)
 
 

@@ -55,8 +55,8 @@ def decimal_comma(text: str) -> str:
     >>> decimal_comma("0,5*t")
     'Write a decimal point, not a comma: 0.5'
     """
-    found = _DECIMAL_COMMA.search(text)
-    return f"Write a decimal point, not a comma: {found[1]}.{found[2]}" if found else ""
+    slip = _DECIMAL_COMMA.search(text)
+    return f"Write a decimal point, not a comma: {slip[1]}.{slip[2]}" if slip else ""
 
 
 def _product(text: str) -> str:
