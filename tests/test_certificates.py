@@ -375,7 +375,7 @@ def test_falsified_error_never_exceeds_the_certificate(system):
     bound = best_sound_bound(system)
     assume(math.isfinite(bound))
     hunted = falsify(system, budget=400)
-    assert hunted.alarm is None
+    assert hunted.alarm != "defect"
     if hunted.own_run:  # it may be short: what it says of a bound in the long run is the tube's
         return
     integration_error = 100 * hunted.system.settings.tolerance  # the bound may be exactly zero
