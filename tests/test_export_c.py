@@ -267,7 +267,9 @@ def agree(folder, drawn):
     run("gcc", *flags, *sources, "-o", "all.so", "-lm", cwd=folder)
     library = ctypes.CDLL(str(folder / "all.so"))
     for code in codes:
-        assert worst(library, code) <= GOLDEN_TOLERANCE[code.real], (
+        # a speed is a difference over a period: what it cancels, it divides by a millisecond
+        rough = 100 if code.system.implementation.velocity else 1
+        assert worst(library, code) <= rough * GOLDEN_TOLERANCE[code.real], (
             code.system.implementation,
             code.source,
         )
