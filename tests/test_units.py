@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 from conftest import systems
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 import certrack
@@ -73,7 +73,7 @@ def bound_of(system):
     return certify_semidefinite(system)[0].bound
 
 
-@settings(max_examples=12)
+@settings(max_examples=12, suppress_health_check=list(HealthCheck))
 @given(
     systems(orders=st.integers(1, 4), kinds=("adaptive", "robust")),
     st.sampled_from(TIMES),
