@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import sympy
 from conftest import numbers, systems
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import certrack
@@ -246,30 +246,44 @@ def worst(library, code):
     return deviations.max()
 
 
-def reals(system):
-    """Float only where its numbers do not underflow."""
+def smallest_number(system):
+    """The least coefficient of a controller that is not zero."""
     plant = system.plant
     values = np.abs([*plant.g, *plant.b.flat, *system.controller.values])
-    return ("double",) if values[values > 0].min() < 1e-9 else ("double", "float")
+    return values[values > 0].min()
+
+
+def turns_by_rounding(system):
+    """Whether a sign may stand on what only a vanishing coefficient, or rounding, keeps from zero.
+
+    Where a speed cancels to zero, 1e-241 x_2 decides on its sign, and not in both codes alike.
+    """
+    formulas = [system.plant.drift, *system.plant.regressor]
+    return smallest_number(system) < 1e-9 and any(f.expr.has(sympy.sign) for f in formulas)
+
+
+def reals(system):
+    """Float only where its numbers do not underflow."""
+    return ("double",) if smallest_number(system) < 1e-9 else ("double", "float")
 
 
 def agree(folder, drawn):
     codes = [
         c_code(system, f"c{i}_{real}", real=real)
         for i, system in enumerate(drawn)
+        if not turns_by_rounding(system)
         for real in reals(system)
     ]
     for code in codes:
         (folder / f"{code.name}.h").write_text(code.header)
         (folder / f"{code.name}.c").write_text(code.source)
+    assume(codes)
     sources = [f"{code.name}.c" for code in codes]
     flags = [*STRICT, "-ffp-contract=off", "-shared", "-fPIC"]
     run("gcc", *flags, *sources, "-o", "all.so", "-lm", cwd=folder)
     library = ctypes.CDLL(str(folder / "all.so"))
     for code in codes:
-        # a speed is a difference over a period: what it cancels, it divides by a millisecond
-        rough = 100 if code.system.implementation.velocity else 1
-        assert worst(library, code) <= rough * GOLDEN_TOLERANCE[code.real], (
+        assert worst(library, code) <= GOLDEN_TOLERANCE[code.real], (
             code.system.implementation,
             code.source,
         )
