@@ -184,7 +184,7 @@ def test_an_unstable_matrix_has_no_peak_gain():
 @pytest.mark.parametrize("name", ["ranges-axis", "ranges-dual-motor", "ranges-joint"])
 def test_the_nominal_loop_is_the_design(name):
     loop = ranged_loop(case(name))
-    form = error_form(loop, loop.entries.at(loop.nominal), ProblemMaker(loop).Xe)
+    form = error_form(loop, loop.entries.at(loop.nominal))
     assert (loop.coordinates.error_matrix == form.M).all()
     assert (form.W[:, :-1] == 0).all() and (form.W[:, -1] == -loop.coordinates.R).all()
     assert not form.offset.any()
@@ -243,7 +243,7 @@ def test_the_derived_loop_is_the_simulated_plant(seed):
     if loop.brackets:  # a nonlinear loop
         pytest.skip("not linear")
     point = [low + (high - low) * Q(int(rng.integers(0, 101)), 100) for low, high in loop.box]
-    form = error_form(loop, loop.entries.at(point), ProblemMaker(loop).Xe)
+    form = error_form(loop, loop.entries.at(point))
     n, q = loop.n, loop.coordinates.q
     values = {str(s): float(v) for s, v in zip(loop.symbols, point, strict=True)}
     member = system.replace(truth=replace(system.truth, constants=values)).with_settings(
@@ -294,7 +294,7 @@ def test_bounds_of_the_examples(name):
 
 
 def attained(loop, point):
-    form = error_form(loop, loop.entries.at(point), ProblemMaker(loop).Xe)
+    form = error_form(loop, loop.entries.at(point))
     u, A = loop.system.plant.uncertainty, loop.coordinates.A.astype(float)
     inputs = [A[:, k] * u.tau[k] * u.beta[k] for k in range(loop.n) if u.tau[k] * u.beta[k]]
     Y = loop.system.reference.bounds(loop.coordinates.q + 1).values

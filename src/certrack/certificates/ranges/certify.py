@@ -20,7 +20,6 @@ from certrack.certificates.ranges.attainable import worst_reference
 from certrack.certificates.ranges.loop import error_form
 from certrack.certificates.ranges.proofs import CellProof, RangeProver
 from certrack.certificates.ranges.search import RangeBounds, bound_ranges
-from certrack.certificates.ranges.vertices import ProblemMaker
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
@@ -158,10 +157,10 @@ def attainable_error(prover: RangeProver) -> float | None:
     u, A = loop.system.plant.uncertainty, loop.coordinates.A.astype(float)
     inputs = [A[:, k] * u.tau[k] * u.beta[k] for k in range(loop.n) if u.tau[k] * u.beta[k]]
     columns = np.array(inputs, dtype=float).reshape(len(inputs), loop.n).T
-    Y, Xe = loop.system.reference.bounds(loop.coordinates.q + 1).values, ProblemMaker(loop).Xe
+    Y = loop.system.reference.bounds(loop.coordinates.q + 1).values
     largest = 0.0
     for corner in itertools.islice(itertools.product(*prover.box), MAX_CORNERS):
-        form = error_form(loop, loop.entries.at(corner), Xe)
+        form = error_form(loop, loop.entries.at(corner))
         attained = worst_reference(
             form.M.astype(float), form.W.astype(float), columns, form.offset.astype(float), Y
         )

@@ -26,9 +26,13 @@ import numpy as np
 import sympy
 from mpmath import iv, mp
 
-from certrack.certificates.arithmetic import exact_float, rational
+from certrack.certificates.arithmetic import exact_float, rational, solve
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.formulation import error_coordinates
+from certrack.certificates.formulation import (
+    UncertainInputs,
+    error_coordinates,
+    uncertain_inputs,
+)
 from certrack.certificates.intervals import enclosure
 from certrack.certificates.premises import refuse_unknown
 from certrack.certificates.ranges.rational import Interval, RationalVector
@@ -79,6 +83,23 @@ class RangedLoop:
     def n(self) -> int:
         """Order of the plant."""
         return self.coordinates.n
+
+    @cached_property
+    def Xe(self) -> np.ndarray:
+        """A^-1: x = Xe (e + B Y)."""
+        return solve(self.coordinates.A, np.eye(self.n, dtype=object))
+
+    @cached_property
+    def Y(self) -> tuple[Any, ...]:
+        """Bounds of y_d ... y_d^(q+1)."""
+        bounds = self.system.reference.bounds(self.coordinates.q + 1).values
+        return tuple(exact_float(bound, rational) for bound in bounds)
+
+    @cached_property
+    def uncertain(self) -> UncertainInputs:
+        """How the w_k act on e."""
+        uncertainty = self.system.plant.uncertainty
+        return uncertain_inputs(uncertainty, self.coordinates.A, rational)
 
     @cached_property
     def entries(self) -> RationalVector:
@@ -330,12 +351,12 @@ class ErrorForm:
     brackets: np.ndarray
 
 
-def error_form(loop: RangedLoop, values: np.ndarray, Xe: np.ndarray) -> ErrorForm:
-    """The error system for one vector of entries; Xe is A^-1."""
+def error_form(loop: RangedLoop, values: np.ndarray) -> ErrorForm:
+    """The error system for one vector of entries."""
     c, n = loop.coordinates, loop.n
     matrix, brackets = loop.unpacked(values)
     AM = c.A @ matrix[:, :n]
-    M = AM @ Xe
+    M = AM @ loop.Xe
     W = c.A @ matrix[:, n:-1]
     W[:, :-1] = W[:, :-1] + M @ c.B
     W[:, 1:] = W[:, 1:] - c.B

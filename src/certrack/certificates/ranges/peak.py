@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from certrack.certificates.arithmetic import exact_float, rational, solve
+from certrack.certificates.arithmetic import rational, solve
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up
-from certrack.certificates.formulation import UncertainInputs, uncertain_inputs
+from certrack.certificates.formulation import UncertainInputs
 from certrack.certificates.ranges.coefficients import Coefficients, largest_brackets
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import ErrorForm, RangedLoop, error_form
@@ -75,24 +75,22 @@ def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Inter
     """
     channels = coefficients.over(box)
     n, c = loop.n, loop.coordinates
-    Xe = solve(c.A, np.eye(n, dtype=object))
     brackets = largest_brackets(loop, box)
-    form = error_form(loop, np.concatenate([channels.centre.ravel(), brackets]), Xe)
-    outputs = _outputs(loop, channels.rows, Xe)
-    uncertain = uncertain_inputs(loop.system.plant.uncertainty, c.A, rational)
+    form = error_form(loop, np.concatenate([channels.centre.ravel(), brackets]))
+    outputs = _outputs(loop, channels.rows)
+    uncertain = loop.uncertain
     norms = _norms(uncertain, n)
     if not norms:
         count = 1 + len(channels.rows)
         outputs = _Outputs(outputs.C[:count], outputs.D[:count], outputs.offset[:count])
     bounded = list(uncertain.b)
     bounded += [c.A[:, -1] * value * size for value, size in zip(brackets, loop.sizes, strict=True)]
-    Y = [exact_float(v, rational) for v in loop.system.reference.bounds(c.q + 1).values]
     columns = [
         *bounded,
         *(c.A @ channels.columns).T,
         *uncertain.a,
     ]
-    constant, gains, levels = _responses(form, outputs, Y, columns)
+    constant, gains, levels = _responses(form, outputs, loop.Y, columns)
     nb, nc = len(bounded), len(channels.rows)
     constant = constant + gains[:, :nb].sum(axis=1)
     through, from_norms = gains[:, nb : nb + nc], gains[:, nb + nc :]
@@ -118,16 +116,16 @@ def _norms(uncertain: UncertainInputs, n: int) -> list[np.ndarray]:
     return norms
 
 
-def _outputs(loop: RangedLoop, rows: np.ndarray, Xe: np.ndarray) -> _Outputs:
+def _outputs(loop: RangedLoop, rows: np.ndarray) -> _Outputs:
     """e_1, the channels' rows (x, Y', 1), and the states, in error coordinates."""
     c, n = loop.coordinates, loop.n
     width = c.q + 2
     unit = np.array([[rational(int(j == 0)) for j in range(n)]], dtype=object)
     zero = rational(0)
     through_x = np.vstack([rows[:, :n], np.eye(n, dtype=object) + zero])
-    C = np.vstack([unit, through_x @ Xe])
+    C = np.vstack([unit, through_x @ loop.Xe])
     D = np.full((len(C), width), zero, dtype=object)
-    D[1:, :-1] = through_x @ (Xe @ c.B)
+    D[1:, :-1] = through_x @ (loop.Xe @ c.B)
     D[1 : 1 + len(rows)] = D[1 : 1 + len(rows)] + rows[:, n:-1]
     offset = np.full(len(C), zero, dtype=object)
     offset[1 : 1 + len(rows)] = rows[:, -1]

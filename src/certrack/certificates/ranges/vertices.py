@@ -19,9 +19,9 @@ import numpy as np
 from scipy import sparse
 
 from certrack.certificates.adaptation import Adaptation
-from certrack.certificates.arithmetic import exact_float, rational, solve
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.exact import Proof, prove_together
-from certrack.certificates.formulation import columns_of, uncertain_inputs
+from certrack.certificates.formulation import columns_of
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.ranges.coefficients import Channels, Coefficients, largest_brackets
 from certrack.certificates.ranges.loop import ErrorForm, RangedLoop, error_form
@@ -53,17 +53,14 @@ class ProblemMaker:
     """Makes the error problems of a loop, in exact rationals."""
 
     def __init__(self, loop: RangedLoop) -> None:
-        c, u = loop.coordinates, loop.system.plant.uncertainty
-        self.loop, self.Xe = loop, solve(c.A, np.eye(c.n, dtype=object))
-        self._uncertain = uncertain_inputs(u, c.A, rational)
-        self._Y = [exact_float(v, rational) for v in loop.system.reference.bounds(c.q + 1).values]
+        self.loop = loop
 
     def at_points(
         self, box: Sequence[Interval], adaptation: Adaptation | None
     ) -> list[ErrorProblem]:
         """The problem at each point of the hull of a box."""
         return [
-            self._problem(error_form(self.loop, values, self.Xe), adaptation)
+            self._problem(error_form(self.loop, values), adaptation)
             for values in self.loop.entries.points(box)
         ]
 
@@ -77,13 +74,13 @@ class ProblemMaker:
         """
         channels, brackets = coefficients.over(box), largest_brackets(self.loop, box)
         values = np.concatenate([channels.centre.ravel(), brackets])
-        return self._problem(error_form(self.loop, values, self.Xe), adaptation, channels)
+        return self._problem(error_form(self.loop, values), adaptation, channels)
 
     def _problem(
         self, form: ErrorForm, adaptation: Adaptation | None, channels: Channels | None = None
     ) -> ErrorProblem:
         c, n = self.loop.coordinates, self.loop.n
-        inputs, none = self._uncertain, np.zeros((0, n + c.q + 3), dtype=object)
+        inputs, none = self.loop.uncertain, np.zeros((0, n + c.q + 3), dtype=object)
         rows = none if channels is None else channels.rows
         Ua = [*inputs.a, *(() if channels is None else (c.A @ channels.columns).T)]
         Ub = [
@@ -94,9 +91,9 @@ class ProblemMaker:
                 if value != 0
             ),
         ]
-        sizes = [*self._Y, rational(1)]
+        sizes = [*self.loop.Y, rational(1)]
         Uy = [form.W[:, i] * sizes[i] for i in range(c.q + 2)] + [form.offset]
-        Xy = [self.Xe @ c.B[:, i] * sizes[i] for i in range(c.q + 1)] + [0 * form.offset] * 2
+        Xy = [self.loop.Xe @ c.B[:, i] * sizes[i] for i in range(c.q + 1)] + [0 * form.offset] * 2
         through = [rows[:, n + i] * sizes[i] for i in range(c.q + 3)]
         acting = [
             i for i in range(c.q + 3) if _any(Uy[i]) or _any(through[i]) or (Ua and _any(Xy[i]))
@@ -108,7 +105,7 @@ class ProblemMaker:
             Ua=columns_of(Ua, n),
             Ub=columns_of(Ub, n),
             Uy=columns_of([Uy[i] for i in acting], n),
-            Xe=self.Xe,
+            Xe=self.loop.Xe,
             Xy=columns_of([Xy[i] for i in acting], n),
             states=inputs.states,
             derivatives=tuple(acting),
