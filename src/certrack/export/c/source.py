@@ -25,6 +25,7 @@ from certrack.export.c.printer import (
     wrapped,
 )
 from certrack.export.identifiers import free_name, stem
+from certrack.export.monitor import Monitor, MonitorProgram, monitor_program
 from certrack.export.program import (
     ControllerProgram,
     Step,
@@ -57,12 +58,15 @@ class CCode:
         With the implementation that is exported.
     program : ControllerProgram
         What the code computes; ``program.start`` are the numbers that NAME_init sets.
+    monitor : MonitorProgram, optional
+        Of the optional header NAME_monitor.h.
     """
 
     name: str
     real: str
     system: System
     program: ControllerProgram
+    monitor: MonitorProgram | None = None
 
     @cached_property
     def members(self) -> tuple[str, ...]:
@@ -92,11 +96,17 @@ class CCode:
         """Name of the type of real numbers."""
         return f"{self.name}_real"
 
+    @property
+    def parameter_argument(self) -> str:
+        """Argument of the functions, for the parameters at run time if there are any."""
+        return f"const {self.name}_parameters *p, " if self.program.parameters else ""
+
     @cached_property
     def names(self) -> dict[sympy.Symbol, str]:
         """Of everything that is a variable within a function."""
         program, names = self.program, dict[sympy.Symbol, str]()
         used_names = {*LOCAL_NAMES, *(f"{self.name}_{end}" for end in ("real", "state", "signals"))}
+        used_names |= {"p"} if program.parameters else set()
         steps = [step.name for step in (*program.steps, *program.rates)]
         for symbol in (*steps, *program.constants, *program.measured):
             names[symbol] = free_name(program.labels[symbol], used_names)
@@ -105,7 +115,12 @@ class CCode:
 
 
 def c_code(
-    system: System, name: str = "controller", *, real: str = "double", period: float | None = None
+    system: System,
+    name: str = "controller",
+    *,
+    real: str = "double",
+    period: float | None = None,
+    monitor: Monitor | None = None,
 ) -> CCode:
     """The controller of a system in C.
 
@@ -117,17 +132,22 @@ def c_code(
     real : {"double", "float"}
     period : float > 0, s, optional
         Instead of that of the implementation.
+    monitor : Monitor, optional
     """
     checks.choice("real", real, NUMBER_TYPES)
     system = sampled_system(system, period)
-    return CCode(stem(name), real, system, controller_program(system))
+    if monitor is None:
+        return CCode(stem(name), real, system, controller_program(system))
+    program = controller_program(system, parameters=monitor.parameters)
+    watched = monitor_program(monitor, system, program, real)
+    return CCode(stem(name), real, system, program, watched)
 
 
 def _header_text(code: CCode) -> str:
     program, name, real = code.program, code.name, code.type
     implementation = code.system.implementation
     assert implementation is not None
-    inputs = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
+    inputs = _inputs(code)
     members = [
         f"    {real} {member};{_member_note(program, symbol)}"
         for symbol, member in zip(program.states, code.members, strict=False)
@@ -139,6 +159,8 @@ def _header_text(code: CCode) -> str:
         "From this sample to the next one.": f"void {name}_update({state}, {inputs})",
         "Both: the input u, then on to the next sample.": f"{real} {name}_step({state}, {inputs})",
     }
+    if program.parameters:
+        declared["Sets the parameters of the design."] = _preset_signature(code)
     functions = [
         f"/* {note} */\n{wrapped(f'{signature};', '')}" for note, signature in declared.items()
     ]
@@ -154,8 +176,23 @@ def _header_text(code: CCode) -> str:
         order=len(program.Y) - 1,
         references=len(program.Y),
         members="\n".join(members),
+        parameters=_parameters_text(code),
         functions="\n\n".join(functions),
     )
+
+
+def _preset_signature(code: CCode) -> str:
+    return f"void {code.name}_preset({code.name}_parameters *p)"
+
+
+def _parameters_text(code: CCode) -> str:
+    """The structure of the parameters at run time, if there are any."""
+    program, name = code.program, code.name
+    if not program.parameters:
+        return ""
+    members = "".join(f"    {code.type} {code.names[c]};\n" for c in program.parameters)
+    note = "/* What may change at run time; other values than the design's void its certificate. */"
+    return f"\n{note}\ntypedef struct {{\n{members}}} {name}_parameters;\n"
 
 
 def _introduction_lines(code: CCode) -> list[str]:
@@ -216,7 +253,8 @@ def _source_text(code: CCode) -> str:
         *(formula.free_symbols for formula in program.update),
     )
     shared = [step.name for step in program.steps if step.name in late | {COMMAND}]
-    shared_constants = [c for c in program.constants if c in early & late and c is not PERIOD]
+    fixed = [c for c in program.constants if c is not PERIOD and c not in program.parameters]
+    shared_constants = [c for c in fixed if c in early & late]
     evaluating = CPrinter(_symbol_texts(code, {}), code.real, program.constants)
     signals = {symbol: f"v->{code.names[symbol]}" for symbol in shared}
     advancing = CPrinter(_symbol_texts(code, signals), code.real, program.constants)
@@ -241,7 +279,10 @@ def _source_text(code: CCode) -> str:
     unused = _unused_arguments(program, late)
     needed = [argument for argument in ("x", "y_d") if argument not in unused]
     inputs = "".join(f"const {real} {argument}[], " for argument in needed)
-    arguments = f"const {name}_state *s, const {real} x[], const {real} y_d[], {name}_signals *v"
+    given = f"const {name}_state *s, {code.parameter_argument}"
+    arguments = f"{given}const {real} x[], const {real} y_d[], {name}_signals *v"
+    if late.intersection(program.parameters):
+        needed, inputs = ["p", *needed], code.parameter_argument + inputs
     constants = [f"static const {real} {_constant_definition(code, c)}" for c in shared_constants]
     helpers = sorted(evaluating.helpers | advancing.helpers)
     parts = [
@@ -267,17 +308,25 @@ def _source_text(code: CCode) -> str:
     return "\n".join(part for part in parts if part)
 
 
+def _inputs(code: CCode) -> str:
+    """Arguments of the functions after the state."""
+    name, real = code.name, code.type
+    inputs = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
+    return code.parameter_argument + inputs
+
+
 def _interface_text(code: CCode, advance: str) -> str:
     """The functions of the header; `advance` is the call for the next state, if there is one."""
     program, name, real = code.program, code.name, code.type
-    inputs = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
+    inputs, p = _inputs(code), "p, " if code.program.parameters else ""
     start = [
         f"    s->{member} = {c_literal(value, code.real)};"
         for member, value in zip(code.members, program.start or (0.0,), strict=True)
     ]
-    evaluate = [f"    {name}_signals v;", "", "    evaluate(s, x, y_d, &v);"]
+    evaluate = [f"    {name}_signals v;", "", f"    evaluate(s, {p}x, y_d, &v);"]
+    unneeded = ("s", *(["p"] if p else []), "x", "y_d")
     forward = [f"    {advance}"] if advance else []
-    update = [*evaluate, *forward] if advance else [f"    (void){a};" for a in ("s", "x", "y_d")]
+    update = [*evaluate, *forward] if advance else [f"    (void){a};" for a in unneeded]
     result, state = f"    return v.{code.names[COMMAND]};", f"{name}_state *s"
     functions = {
         f"void {name}_init({state})": start,
@@ -285,6 +334,11 @@ def _interface_text(code: CCode, advance: str) -> str:
         f"void {name}_update({state}, {inputs})": update,
         f"{real} {name}_step({state}, {inputs})": [*evaluate, *forward, result],
     }
+    if program.parameters:
+        functions[_preset_signature(code)] = [
+            f"    p->{code.names[c]} = {c_literal(program.constants[c], code.real)};"
+            for c in program.parameters
+        ]
     return "\n".join(_function_text("", signature, body) for signature, body in functions.items())
 
 
@@ -314,7 +368,7 @@ def _local_definitions(code: CCode, used: set[sympy.Symbol]) -> list[str]:
     lines = [
         f"    const {real} {_constant_definition(code, symbol)}"
         for symbol in program.constants
-        if symbol in used and symbol is not PERIOD
+        if symbol in used and symbol is not PERIOD and symbol not in program.parameters
     ]
     lines += [
         f"    const {real} {code.names[symbol]} = x[{i}];"
@@ -348,6 +402,7 @@ def _symbol_texts(code: CCode, signals: dict[sympy.Symbol, str]) -> dict[sympy.S
         **{s: f"s->{member}" for s, member in zip(program.states, code.members, strict=False)},
         **{step.name: names[step.name] for step in (*program.steps, *program.rates)},
         **{symbol: names[symbol] for symbol in program.constants},
+        **{symbol: f"p->{names[symbol]}" for symbol in program.parameters},
         **signals,
         PERIOD: f"{code.name}_PERIOD",
     }
@@ -356,4 +411,5 @@ def _symbol_texts(code: CCode, signals: dict[sympy.Symbol, str]) -> dict[sympy.S
 def _unused_arguments(program: ControllerProgram, used: set[sympy.Symbol]) -> list[str]:
     """Arguments of a function that it does not need."""
     arguments = {"s": program.states, "x": program.measured, "y_d": program.Y}
+    arguments |= {"p": program.parameters} if program.parameters else {}
     return [name for name, symbols in arguments.items() if not used & set(symbols)]
