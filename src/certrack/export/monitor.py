@@ -1,9 +1,9 @@
 """The premises of a certificate, watched on the drive: one description for C, FMUs and ST.
 
-A bound is proven for references within their bounds, an input that is nowhere limited, states within
-the proven box and the gains of the design. A flag goes up where one of these does not hold, for the
-sample at hand and, while the controller is enabled, latched until somebody has seen it. Here is
-what a flag watches, what a controller does while it is disabled, and what a reset sets; the
+A bound is proven for references within their bounds, an input that is nowhere limited, states
+within the proven box and the gains of the design. A flag goes up where one of these does not hold,
+for the sample at hand and, while the controller is enabled, latched until somebody has seen it.
+Here is what a flag watches, what a controller does while it is disabled, and what a reset sets; the
 languages print it.
 """
 

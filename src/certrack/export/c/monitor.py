@@ -13,7 +13,6 @@ from certrack.export.monitor import COMMAND_BEFORE, HELD, Flag, MonitorProgram, 
 from certrack.export.templates import fill_template
 from certrack.loops.controller import COMMAND
 
-
 _LIMITER = """/* The value, or the bound that it is beyond. */
 static inline {name}_real {name}_limited({name}_real value, {name}_real bound)
 {{
