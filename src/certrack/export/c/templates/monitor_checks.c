@@ -117,8 +117,15 @@ static void check_held(${name}_real *worst, const probe *q)
 
 ${parameter_checks}static void check_monitor(${name}_real *worst)
 {
+    ${name}_state s;
+    ${name}_monitor m;
     int i;
 
+    ${name}_init(&s);
+    ${name}_monitor_init(&m);
+    compare_states(worst, &m.state, &s, &ones);
+    compare(worst, m.u, ${off}, ${one});
+    expect(worst, alone(&m.now, FLAGS) && alone(&m.latched, FLAGS));
     for (i = 0; i < PROBES; i++) {
         check_enabled(worst, &probes[i]);
         check_disabled(worst, &probes[i]);
