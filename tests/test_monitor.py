@@ -25,7 +25,7 @@ from certrack.export.c.export import c_files, controller_files
 from certrack.export.c.source import c_code
 from certrack.export.fmu.archive import fmu
 from certrack.export.golden_vectors import GOLDEN_TOLERANCE, golden_vectors
-from certrack.export.monitor import default_parameters, rounded
+from certrack.export.monitor import default_parameters, rounded_to_type
 from certrack.export.program import controller_program
 from certrack.export.st.function_block import structured_text
 
@@ -257,7 +257,7 @@ def beyond(drive, limit):
     """The next number of the type away from zero."""
     real = getattr(drive, "real", "double")
     kind = {"double": np.float64, "float": np.float32}[real]
-    near = kind(rounded(abs(limit), real, up=True))
+    near = kind(rounded_to_type(abs(limit), real, up=True))
     return math.copysign(float(np.nextafter(near, kind(np.inf))), limit)
 
 
@@ -547,7 +547,7 @@ WRONG = {
     "box upside down": ("!drive_within(x[0]", "drive_within(x[0]"),
     "the sensor that is not read": ("within((1.5 * x[0]) + (0.5 * next.speed_x2)", "within(x[1]"),
     "the difference before": ("0.5 * next.speed_x2", "0.5 * m->state.speed_x2"),
-    "u judged while disabled": ("saturated = enable && !", "saturated = !"),
+    "u judged while disabled": ("rate_limited = enable && !", "rate_limited = !"),
     "latched while disabled": ("    if (enable) {", "    if (true) {"),
     "not latched": (
         "m->latched.x1_outside = m->latched.x1_outside || m",

@@ -169,7 +169,7 @@ def monitor_program(
     assert implementation is not None
     controller, start = program.controller, dict(zip(program.states, program.start, strict=True))
     bounds = tuple(
-        rounded(value, real, up=True)
+        rounded_to_type(value, real, up=True)
         for value in system.reference.bounds(len(program.Y) - 1).values
     )
     going_on = set(system.controller.equations.filters)
@@ -211,7 +211,7 @@ def _flags(
         yield Flag("rate_limited", "u changes at its limit", (inside,), of_command=True)
     for state, (low, high) in monitor.box:
         value = _value_of(state, system, program)
-        ends = rounded(low, real, up=True), rounded(high, real, up=False)
+        ends = rounded_to_type(low, real, up=True), rounded_to_type(high, real, up=False)
         yield Flag(
             f"{state}_outside",
             f"{state} is outside of [{ends[0]!r}, {ends[1]!r}]",
@@ -244,7 +244,7 @@ def _value_of(state: str, system: System, program: ControllerProgram) -> sympy.E
     return known[differenced(state)]
 
 
-def rounded(value: float, real: str, *, up: bool) -> float:
+def rounded_to_type(value: float, real: str, *, up: bool) -> float:
     """The number of the type that lies just above, or below, what `value` stands for.
 
     Raises

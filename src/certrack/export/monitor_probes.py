@@ -6,7 +6,7 @@ number that is computed lies so close to a limit that rounding decides, nothing 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,12 @@ import sympy
 from certrack.core.arrays import Array
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable, rows
-from certrack.export.golden_vectors import GOLDEN_TOLERANCE, GoldenVectors, reference_answers
+from certrack.export.golden_vectors import (
+    GOLDEN_TOLERANCE,
+    MUTATION,
+    GoldenVectors,
+    reference_answers,
+)
 from certrack.export.monitor import (
     COMMAND_BEFORE,
     LAST_INPUT,
@@ -24,18 +29,30 @@ from certrack.export.monitor import (
     Within,
 )
 from certrack.export.program import ControllerProgram
-from certrack.loops.controller import COMMAND, LAW_INPUT
+from certrack.loops.controller import COMMAND, FIRST, LAW_INPUT
 from certrack.systems.system import System
 
 #: A flag that is up, down, or left to rounding.
 DOWN, UP, UNDECIDED = 0, 1, 2
 
 #: What is computed decides if it is so many tolerances of the golden vectors away from its limit.
-CLEAR_TOLERANCES = 100.0
+CLEAR_TOLERANCES = 10.0
+
+#: A speed beside its limit is off by this part of it: less than the error that must be noticed.
+MARGIN = MUTATION / 2
+
+#: A reference that is limited is so many times its bound.
+BEYOND = 1.5
+
+#: How the names of a speed and of the position before begin.
+SPEED, BEFORE = "ctl_speed_", "ctl_before_"
 
 
 #: As :func:`reference_answers` returns them.
 Answers = Callable[[Array, Array, Array], Array]
+
+#: x, Y and states, one column per sample.
+Inputs = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
@@ -66,30 +83,68 @@ def monitor_probes(
     vectors: GoldenVectors,
     real: str,
 ) -> MonitorProbes:
-    """Probes for a monitor: the golden vectors, then both sides of every limit of an input."""
-    edges = _edges(program, monitor, "float32" if real == "float" else "float64")
-    x, Y, states = (
-        np.concatenate([part, edge], axis=1)
-        for part, edge in zip((vectors.x, vectors.Y, vectors.states), edges, strict=True)
-    )
-    before = np.full(x.shape[1], monitor.off)
-    if LAST_INPUT in program.states:
-        before = states[program.states.index(LAST_INPUT)]
-    bounds = np.array(monitor.reference_bounds)[:, None]
-    followed = np.clip(Y, -bounds, bounds) if monitor.limit_reference else Y
-    answers = reference_answers(system, program)(x, followed, states)
-    asked = _law_input(system, program)(x, followed, states)[0]
-    given = [*x, *Y, *answers[1:], answers[0], before]
-    values, share = _premise_values(program, given), CLEAR_TOLERANCES * GOLDEN_TOLERANCE[real]
-    expected = [_expected(flag, monitor.flags, values, asked, share) for flag in monitor.flags]
-    good = np.isfinite(answers).all(axis=0)
-    return MonitorProbes(
-        x[:, good], Y[:, good], states[:, good], before[good], np.array(expected)[:, good]
-    )
+    """Probes for a monitor: the golden vectors, then both sides of every limit."""
+    kind = "float32" if real == "float" else "float64"
+
+    def samples(*inputs: Array) -> _Samples:
+        return _Samples(
+            system, program, monitor, *(part.astype(kind).astype(float) for part in inputs)
+        )
+
+    golden = samples(vectors.x, vectors.Y, vectors.states)
+    probes = [
+        (golden.x, golden.Y, golden.states),
+        _input_edges(program, monitor, kind),
+        *_speed_edges(program, monitor, samples),
+        *_rate_edges(program, golden),
+        *_limited_references(program, monitor, golden, samples),
+    ]
+    found = samples(*(np.concatenate(parts, axis=1) for parts in zip(*probes, strict=True)))
+    expected = np.array([_expected(flag, monitor.flags, found, real) for flag in monitor.flags])
+    good = np.isfinite(found.answers).all(axis=0)
+    x, Y, states = (part[:, good] for part in (found.x, found.Y, found.states))
+    return MonitorProbes(x, Y, states, found.before[good], expected[:, good])
 
 
-def _edges(program: ControllerProgram, monitor: MonitorProgram, kind: str) -> list[Array]:
-    """x, Y and states at the start: at rest but for one input, at a limit or just beyond it."""
+class _Samples:
+    """Samples, one column each, what the controller answers, and what the conditions compare."""
+
+    def __init__(
+        self,
+        system: System,
+        program: ControllerProgram,
+        monitor: MonitorProgram,
+        x: Array,
+        Y: Array,
+        states: Array,
+    ) -> None:
+        self.x, self.Y, self.states = x, Y, states
+        self.before = np.full(x.shape[1], monitor.off)
+        if LAST_INPUT in program.states:
+            self.before = states[program.states.index(LAST_INPUT)]
+        bounds = np.array(monitor.reference_bounds)[:, None]
+        followed = np.clip(Y, -bounds, bounds) if monitor.limit_reference else Y
+        self.answers = reference_answers(system, program)(x, followed, states)
+        self.asked = _law_input(system, program)(x, followed, states)[0]
+        self._names: list[sympy.Symbol] = [*program.measured, *program.Y, *program.states]
+        self._names += [COMMAND, COMMAND_BEFORE, *program.parameters]
+        self._given = [*x, *Y, *self.answers[1:], self.answers[0], self.before]
+        self._given += [np.full(x.shape[1], program.constants[c]) for c in program.parameters]
+
+    def values(self, premise: Within) -> Array:
+        """Value, low and high of a condition at every sample."""
+        formulas, count = (premise.value, premise.low, premise.high), self.x.shape[1]
+        numbers = list(set().union(*(formula.atoms(sympy.Float) for formula in formulas)))
+        places = [symbol(f"number_{i}") for i in range(len(numbers))]  # code rounds numbers
+        replaced = [f.xreplace(dict(zip(numbers, places, strict=True))) for f in formulas]
+        function = numpy_callable([[*self._names, *places]], replaced)
+        exact = [np.full(count, float(number)) for number in numbers]
+        with np.errstate(all="ignore"):
+            return rows(function([*self._given, *exact]), count)
+
+
+def _input_edges(program: ControllerProgram, monitor: MonitorProgram, kind: str) -> Inputs:
+    """At the start, at rest but for one input: at a limit or just beyond it."""
     inputs = (*program.measured, *program.Y)
     points = []
     for premise in (premise for flag in monitor.flags for premise in flag.premises):
@@ -104,7 +159,74 @@ def _edges(program: ControllerProgram, monitor: MonitorProgram, kind: str) -> li
             points.append(point)
     table = np.array(points).T
     start = np.repeat(np.array(program.start)[:, None], len(points), axis=1)
-    return [table[: len(program.measured)], table[len(program.measured) :], start]
+    return table[: len(program.measured)], table[len(program.measured) :], start
+
+
+def _speed_edges(
+    program: ControllerProgram, monitor: MonitorProgram, samples: Callable[..., _Samples]
+) -> Iterator[Inputs]:
+    """All states 1, and the position one sample ago such that a speed lies beside its limit.
+
+    The speed is affine in that position.
+    """
+    n, m, states = len(program.measured), len(program.Y), program.states
+    for premise in (premise for flag in monitor.flags for premise in flag.premises):
+        speeds = [s.name for s in states if s in premise.value.free_symbols]
+        speeds = [name for name in speeds if name.startswith(SPEED)]
+        if not speeds:
+            continue
+        place = states.index(symbol(speeds[-1].replace(SPEED, BEFORE)))
+
+        def at(positions: Sequence[float], place: int = place) -> Inputs:
+            kept = np.repeat(np.array(program.start)[:, None], len(positions), axis=1)
+            kept[states.index(FIRST)], kept[place] = 0.0, positions
+            return np.ones((n, len(positions))), np.zeros((m, len(positions))), kept
+
+        (zero, one), (low, _), (high, _) = samples(*at([0.0, 1.0])).values(premise)
+        wanted = [
+            end + side * max(abs(end), 1.0e-3) * MARGIN for end in (low, high) for side in (-1, 1)
+        ]
+        yield at([(value - zero) / (one - zero) for value in wanted])
+
+
+def _rate_edges(program: ControllerProgram, golden: _Samples) -> Iterator[Inputs]:
+    """A golden vector whose last command lies far above, or below, what the law asks for."""
+    if LAST_INPUT not in program.states:
+        return
+    k = int(np.argmin(np.abs(golden.asked)))
+    states = np.repeat(golden.states[:, [k]], 2, axis=1)
+    far = 3 * program.constants[symbol("ctl_u_step")]
+    states[program.states.index(LAST_INPUT)] = golden.asked[k] + np.array([-far, far])
+    yield np.repeat(golden.x[:, [k]], 2, axis=1), np.repeat(golden.Y[:, [k]], 2, axis=1), states
+
+
+def _limited_references(
+    program: ControllerProgram,
+    monitor: MonitorProgram,
+    golden: _Samples,
+    samples: Callable[..., _Samples],
+) -> Iterator[Inputs]:
+    """Golden vectors with a derivative beyond its bound, where the bound decides on u."""
+    commands = [p for flag in monitor.flags if flag.of_command for p in flag.premises]
+    saturation = [p for p in commands if COMMAND_BEFORE not in p.low.free_symbols]
+    for i, bound in enumerate(monitor.reference_bounds if monitor.limit_reference else ()):
+        for side in (-1, 1):
+
+            def asked(part: float, i: int = i, value: float = side * bound) -> _Samples:
+                Y = golden.Y.copy()
+                Y[i] = part * value
+                return samples(golden.x, Y, golden.states)
+
+            at_bound, beyond = asked(1.0), asked(BEYOND)
+            effect = np.abs(at_bound.asked - asked(1.0 - MUTATION).asked)
+            for premise in saturation:
+                value = at_bound.asked
+                effect[(value <= float(premise.low)) | (value >= float(premise.high))] = 0.0
+            k = int(np.argmax(np.nan_to_num(effect)))
+            states = beyond.states[:, [k]].copy()
+            if LAST_INPUT in program.states:
+                states[program.states.index(LAST_INPUT)] = at_bound.asked[k]
+            yield golden.x[:, [k]], beyond.Y[:, [k]], states
 
 
 def _law_input(system: System, program: ControllerProgram) -> Answers:
@@ -114,41 +236,22 @@ def _law_input(system: System, program: ControllerProgram) -> Answers:
     return reference_answers(system, replace(program, controller=unlimited))
 
 
-def _expected(
-    flag: Flag, flags: Sequence[Flag], values: Callable[[Within], Array], asked: Array, share: float
-) -> Array:
-    """The flag at every probe; `share` of a limit is what rounding may move."""
+def _expected(flag: Flag, flags: Sequence[Flag], found: _Samples, real: str) -> Array:
+    """The flag at every sample."""
+    asked, tolerance = found.asked, GOLDEN_TOLERANCE[real]
     up, decided = np.zeros(len(asked), dtype=bool), np.ones(len(asked), dtype=bool)
     for premise in flag.premises:
-        value, low, high = values(premise)
+        value, low, high = found.values(premise)
         inside = (value > low) & (value < high)
         up |= ~(inside if premise.strict else (value >= low) & (value <= high))
+        computed = np.empty((0, len(asked)))
         if flag.of_command:  # u may be what the law asks for, or any of the limits
             others = [other for other in flags if other.of_command and other is not flag]
-            limits = [values(each)[1:] for other in others for each in other.premises]
+            limits = [found.values(each)[1:] for other in others for each in other.premises]
             computed = np.concatenate([asked[None], *limits])
-        else:
-            computed = value[None] if not premise.value.is_Symbol else np.empty((0, len(asked)))
+        elif not premise.value.is_Symbol:
+            computed = value[None]
         for limit in (low, high):
-            decided &= (np.abs(computed - limit) > share * (1 + np.abs(limit))).all(axis=0)
+            clear = CLEAR_TOLERANCES * tolerance * (1 + np.abs(limit))
+            decided &= (np.abs(computed - limit) > clear).all(axis=0)
     return np.where(decided, np.where(up, UP, DOWN), UNDECIDED)
-
-
-def _premise_values(program: ControllerProgram, given: Sequence[Array]) -> Callable[..., Array]:
-    """Value, low and high of a condition at every probe."""
-    names: list[sympy.Symbol] = [*program.measured, *program.Y, *program.states]
-    names += [COMMAND, COMMAND_BEFORE, *program.parameters]
-    count = len(given[0])
-    constants = [np.full(count, program.constants[c]) for c in program.parameters]
-
-    def values(premise: Within) -> Array:
-        formulas = (premise.value, premise.low, premise.high)
-        numbers = list(set().union(*(formula.atoms(sympy.Float) for formula in formulas)))
-        places = [symbol(f"number_{i}") for i in range(len(numbers))]  # code rounds numbers
-        replaced = [f.xreplace(dict(zip(numbers, places, strict=True))) for f in formulas]
-        function = numpy_callable([[*names, *places]], replaced)
-        exact = [np.full(count, float(number)) for number in numbers]
-        with np.errstate(all="ignore"):
-            return rows(function([*given, *constants, *exact]), count)
-
-    return values

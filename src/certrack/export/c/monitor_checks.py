@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import sympy
 
 from certrack.export.c.monitor import flag_names, monitored
@@ -37,6 +39,7 @@ def monitor_checks(code: CCode, vectors: GoldenVectors) -> str:
         ones=initialiser((1.0 for _ in code.members), real),
         of_command=", ".join(str(flag.of_command).lower() for flag in flags.values()),
         listed="\n".join(f"    list[{i}] = f->{flag};" for i, flag in enumerate(flags)),
+        latched="\n".join(_latched_checks(name, list(flags))),
         p="&parameters, " * with_parameters,
         y_d="limited" if limiting else "q->y_d",
         clipped=CLIPPED.format(real=code.type) if limiting else "",
@@ -51,6 +54,15 @@ def monitor_checks(code: CCode, vectors: GoldenVectors) -> str:
         parameter_checks=_parameter_checks(code) if with_parameters else "",
         parameter_call="    check_parameters(worst, &probes[0]);\n" * with_parameters,
     )
+
+
+def _latched_checks(name: str, flags: list[str]) -> Iterator[str]:
+    """Any flag that is latched is enough, and can be cleared."""
+    for flag in flags:
+        yield f"    m.latched.{flag} = true;"
+        yield f"    expect(worst, !{name}_premises_hold(&m));"
+        yield f"    {name}_clear_flags(&m);"
+        yield f"    expect(worst, {name}_premises_hold(&m));"
 
 
 CLIPPED = """static {real} clipped({real} value, {real} bound)

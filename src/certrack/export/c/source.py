@@ -14,13 +14,12 @@ from functools import cached_property
 import sympy
 
 from certrack.core import checks
-from certrack.core.version import version
+from certrack.export.c.comments import inputs_comment, introduction, member_note
 from certrack.export.c.notes import notes_for
 from certrack.export.c.printer import (
     NUMBER_TYPES,
     CPrinter,
     c_literal,
-    comment,
     helper_definition,
     wrapped,
 )
@@ -31,15 +30,10 @@ from certrack.export.program import (
     Step,
     controller_program,
     sampled_system,
-    unread_states,
 )
 from certrack.export.templates import fill_template
 from certrack.loops.controller import COMMAND, PERIOD
 from certrack.systems.system import System
-from certrack.systems.writer import to_text
-
-#: Characters; a longer text of the system is not repeated in the header.
-MAX_SYSTEM_TEXT = 20_000
 
 #: Names that the functions use themselves.
 LOCAL_NAMES = ("s", "x", "y_d", "v", "clamp", "larger", "smaller", "sign", "evaluate", "advance")
@@ -149,7 +143,7 @@ def _header_text(code: CCode) -> str:
     assert implementation is not None
     inputs = _inputs(code)
     members = [
-        f"    {real} {member};{_member_note(program, symbol)}"
+        f"    {real} {member};{member_note(program, symbol)}"
         for symbol, member in zip(program.states, code.members, strict=False)
     ] or [f"    {real} unused; /* this controller keeps nothing */"]
     state = f"{name}_state *s"
@@ -168,10 +162,10 @@ def _header_text(code: CCode) -> str:
         "c/templates/controller.h",
         name=name,
         guard=f"{name.upper()}_H",
-        introduction=comment(_introduction_lines(code)),
+        introduction=introduction(name, code.system),
         number=code.real,
         period=c_literal(implementation.period, code.real),
-        inputs=_inputs_comment(code),
+        inputs=inputs_comment(code.system),
         states=len(program.measured),
         order=len(program.Y) - 1,
         references=len(program.Y),
@@ -193,55 +187,6 @@ def _parameters_text(code: CCode) -> str:
     members = "".join(f"    {code.type} {code.names[c]};\n" for c in program.parameters)
     note = "/* What may change at run time; other values than the design's void its certificate. */"
     return f"\n{note}\ntypedef struct {{\n{members}}} {name}_parameters;\n"
-
-
-def _introduction_lines(code: CCode) -> list[str]:
-    """What the first comment says."""
-    system, implementation = code.system, code.system.implementation
-    assert implementation is not None
-    text = to_text(system).splitlines()
-    if sum(map(len, text)) > MAX_SYSTEM_TEXT:
-        text = [f"({sum(map(len, text))} characters: too long to be repeated here)"]
-    c = ", ".join(f"{value:g}" for value in system.law.c)
-    order = system.controller.coordinates.q
-    return [
-        f"{code.name}: tracking controller, sampled every {implementation.period!r} s.",
-        "",
-        f"Written by certrack {version()}. Design: {system.law.kind} law, c = ({c}) 1/s,",
-        f"feed-forward order {order}. This is no certificate: guarantees are proven in continuous",
-        "time; simulate the sampled loop before you rely on them.",
-        "",
-        "The system it was made for:",
-        "",
-        *(f"  {line}" for line in text),
-    ]
-
-
-def _inputs_comment(code: CCode) -> str:
-    """The comment on the entries of x."""
-    states, unread = ", ".join(code.system.plant.states), unread_states(code.system)
-    if not unread:
-        return f"/* Measured plant states x: {states}. */"
-    notes = (f" * {name}: {note}." for name, note in unread.items())
-    return "\n".join([f"/* Plant states x, measured: {states};", *notes, " */"])
-
-
-def _member_note(program: ControllerProgram, symbol: sympy.Symbol) -> str:
-    """A comment on a member of the state."""
-    kind, _, which = program.labels[symbol].partition("_")
-    if symbol in program.controller.estimates:
-        notes = {"delta": "estimate of 1/g_n", "theta": "estimate of an unknown parameter"}
-        return f" /* {notes[kind]} */" if kind in notes and which.startswith("hat") else ""
-    notes = {
-        "before": "the state before it, one sample ago",
-        "speed": "its filtered difference",
-        "first": "1 before the first sample, then 0",
-        "sample": "number of the sample: its time over the period",
-        "u": "the last input",
-    }
-    return (
-        f" /* {which}: {notes[kind]} */" if kind in ("before", "speed") else f" /* {notes[kind]} */"
-    )
 
 
 def _source_text(code: CCode) -> str:

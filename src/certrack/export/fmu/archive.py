@@ -92,8 +92,7 @@ def fmu(
     """
     checks.choice("--fmi", version, FMI_VERSIONS)
     code = c_code(system, name, period=period, monitor=monitor)
-    interface = (*SHARED_SOURCES, *WRAPPERS[version], "model.h")
-    interface += ("monitored.h",) if monitor else ()
+    interface = (*SHARED_SOURCES, *WRAPPERS[version], "model.h", *["monitored.h"] * bool(monitor))
     if code.name.lower() in {Path(file).stem for file in interface}:
         code = replace(code, name=stem(f"{code.name}_c"))
     folder = BINARY_FOLDERS[_machine()][FMI_VERSIONS.index(version)]

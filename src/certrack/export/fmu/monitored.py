@@ -12,7 +12,7 @@ from certrack.export.fmu.variables import Variable
 from certrack.export.templates import fill_template
 
 #: Inputs, each after ``monitor.`` -> what they are at the start, and what for.
-SWITCHES = {
+MONITOR_SWITCHES = {
     "enable": (1.0, "1: the loop is closed, 0: u is its initial value"),
     "reset_estimates": (0.0, "1: the estimates start again"),
     "clear_flags": (0.0, "1: the latched flags are forgotten"),
@@ -36,7 +36,9 @@ def monitored_variables(code: CCode) -> list[Variable]:
         )
         for c in program.parameters
     ]
-    declared += [Variable(f"monitor.{name}", "input", *start) for name, start in SWITCHES.items()]
+    declared += [
+        Variable(f"monitor.{name}", "input", *start) for name, start in MONITOR_SWITCHES.items()
+    ]
     declared.append(Variable("monitor.premises_hold", "output", 1.0, "1: no flag is latched"))
     for group, text in (("now", "at the last sample"), ("latched", "since clear_flags, enabled")):
         declared += [

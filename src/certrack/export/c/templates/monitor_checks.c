@@ -126,6 +126,7 @@ ${parameter_checks}static void check_monitor(${name}_real *worst)
     compare_states(worst, &m.state, &s, &ones);
     compare(worst, m.u, ${off}, ${one});
     expect(worst, alone(&m.now, FLAGS) && alone(&m.latched, FLAGS));
+${latched}
     for (i = 0; i < PROBES; i++) {
         check_enabled(worst, &probes[i]);
         check_disabled(worst, &probes[i]);
