@@ -1,10 +1,12 @@
 """The monitor of exported controllers: every flag goes up and comes alone, in C, FMUs and ST."""
 
 import ctypes
+import io
 import math
 import re
 import shutil
 import subprocess
+import zipfile
 from dataclasses import replace
 from fractions import Fraction
 
@@ -685,6 +687,22 @@ def test_strict_compilers_and_misra(tmp_path, name, options, monitor, real):
     if real == "float":
         header = code.header[code.header.index("*/") :]
         assert "double" not in header + code.source + c_files(code)["drive_monitor.h"]
+
+
+@needs_compiler
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_wrapper_of_a_monitor_compiles_without_a_warning(version, tmp_path):
+    options, monitor = FULL
+    data = fmu(sampled("example1", **options), "drive", version=version, monitor=monitor)
+    assert data == fmu(sampled("example1", **options), "drive", version=version, monitor=monitor)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        archive.extractall(tmp_path)
+    strict = "-std=c99 -Wall -Wextra -Wpedantic -Wshadow -Werror -Wno-unused-parameter".split()
+    command = ["gcc", *strict, "-c", f"fmi{version}.c", "-o", "wrapper.o"]
+    done = subprocess.run(
+        command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_without_a_monitor_nothing_of_it():

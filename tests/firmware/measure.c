@@ -12,12 +12,12 @@
 #define JOIN(a, b) a##b
 #define NAME(prefix, end) JOIN(prefix, end)
 #define TEXT(a) #a
-#ifdef MONITORED
-#define FILE_OF(a) TEXT(a##_monitor.h)
+#define EXPANDED(a) TEXT(a)
+#ifdef MONITORED /* measures what monitored.c calls */
+#include EXPANDED(NAME(CONTROLLER, _monitor).h)
 #else
-#define FILE_OF(a) TEXT(a.h)
+#include EXPANDED(CONTROLLER.h)
 #endif
-#include FILE_OF(CONTROLLER)
 
 #define STATES NAME(CONTROLLER, _STATES)
 #define REFERENCES NAME(CONTROLLER, _REFERENCES)

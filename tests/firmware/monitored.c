@@ -6,8 +6,8 @@
 #define JOIN(a, b) a##b
 #define NAME(prefix, end) JOIN(prefix, end)
 #define TEXT(a) #a
-#define FILE_OF(a) TEXT(a##_monitor.h)
-#include FILE_OF(CONTROLLER)
+#define EXPANDED(a) TEXT(a)
+#include EXPANDED(NAME(CONTROLLER, _monitor).h)
 
 typedef NAME(CONTROLLER, _real) real;
 typedef NAME(CONTROLLER, _monitor) monitor;

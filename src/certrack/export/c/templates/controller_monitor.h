@@ -9,7 +9,7 @@
 
 #include <math.h>
 
-/* What does not hold; all are false as long as the certificate speaks of this loop. */
+/* What does not hold, of what the controller can see; disturbances and the plant it cannot see. */
 typedef struct {
 ${flags}
 } ${name}_flags;
