@@ -17,7 +17,7 @@ from extensions import dynamic_surface, prescribed_performance
 from fmpy.validation import validate_fmu
 from test_cli import invoke
 from test_export_c import CLANG, CPPCHECK, STRICT, mutants
-from test_export_fmu import Imported
+from test_export_fmu import VERSIONS, Imported
 from test_export_st import FunctionBlock
 
 import certrack
