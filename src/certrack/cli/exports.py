@@ -38,8 +38,8 @@ def monitor_options(command: Callable[..., Any]) -> Callable[..., Any]:
     def with_monitor(
         *arguments: Any, monitor: bool, box: tuple[tuple[str, str, str], ...], **options: Any
     ) -> Any:
-        given = {name: options.pop(name) for name in MONITOR_OPTIONS}
-        return command(*arguments, monitor=_monitor(monitor, box, given), **options)
+        requested = {name: options.pop(name) for name in MONITOR_OPTIONS}
+        return command(*arguments, monitor=_monitor(monitor, box, requested), **options)
 
     for name, (flag, text) in reversed(MONITOR_OPTIONS.items()):
         with_monitor = click.option(flag, name, is_flag=True, help=text)(with_monitor)
@@ -55,17 +55,17 @@ def monitor_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _monitor(
-    asked: bool, box: tuple[tuple[str, str, str], ...], given: dict[str, bool]
+    asked: bool, box: tuple[tuple[str, str, str], ...], requested: dict[str, bool]
 ) -> Monitor | None:
     from certrack.export.monitor import Monitor
 
     if not asked:
-        alone = [MONITOR_OPTIONS[name][0] for name, value in given.items() if value]
+        alone = [MONITOR_OPTIONS[name][0] for name, value in requested.items() if value]
         if alone := (["--box"] if box else []) + alone:
             raise InputError(alone[0], "goes with --monitor", remedy="Add --monitor")
         return None
     with _named_as_options():
-        return Monitor(box=[(state, ends) for state, *ends in box], **given)
+        return Monitor(box=[(state, ends) for state, *ends in box], **requested)
 
 
 @contextmanager

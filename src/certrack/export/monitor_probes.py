@@ -92,18 +92,19 @@ def monitor_probes(
         )
 
     golden = samples(vectors.x, vectors.Y, vectors.states)
-    probes = [
+    parts = [
         (golden.x, golden.Y, golden.states),
         _input_edges(program, monitor, kind),
         *_speed_edges(program, monitor, samples),
         *_rate_edges(program, golden),
         *_limited_references(program, monitor, golden, samples),
     ]
-    found = samples(*(np.concatenate(parts, axis=1) for parts in zip(*probes, strict=True)))
-    expected = np.array([_expected(flag, monitor.flags, found, real) for flag in monitor.flags])
-    good = np.isfinite(found.answers).all(axis=0)
-    x, Y, states = (part[:, good] for part in (found.x, found.Y, found.states))
-    return MonitorProbes(x, Y, states, found.before[good], expected[:, good])
+    joined = (np.concatenate(rows_of, axis=1) for rows_of in zip(*parts, strict=True))
+    probes = samples(*joined)
+    expected = np.array([_expected(flag, monitor.flags, probes, real) for flag in monitor.flags])
+    good = np.isfinite(probes.answers).all(axis=0)
+    x, Y, states = (part[:, good] for part in (probes.x, probes.Y, probes.states))
+    return MonitorProbes(x, Y, states, probes.before[good], expected[:, good])
 
 
 class _Samples:
@@ -128,8 +129,8 @@ class _Samples:
         self.asked = _law_input(system, program)(x, followed, states)[0]
         self._names: list[sympy.Symbol] = [*program.measured, *program.Y, *program.states]
         self._names += [COMMAND, COMMAND_BEFORE, *program.parameters]
-        self._given = [*x, *Y, *self.answers[1:], self.answers[0], self.before]
-        self._given += [np.full(x.shape[1], program.constants[c]) for c in program.parameters]
+        self._values = [*x, *Y, *self.answers[1:], self.answers[0], self.before]
+        self._values += [np.full(x.shape[1], program.constants[c]) for c in program.parameters]
 
     def values(self, premise: Within) -> Array:
         """Value, low and high of a condition at every sample."""
@@ -140,7 +141,7 @@ class _Samples:
         function = numpy_callable([[*self._names, *places]], replaced)
         exact = [np.full(count, float(number)) for number in numbers]
         with np.errstate(all="ignore"):
-            return rows(function([*self._given, *exact]), count)
+            return rows(function([*self._values, *exact]), count)
 
 
 def _input_edges(program: ControllerProgram, monitor: MonitorProgram, kind: str) -> Inputs:
@@ -178,9 +179,9 @@ def _speed_edges(
         place = states.index(symbol(speeds[-1].replace(SPEED, BEFORE)))
 
         def at(positions: Sequence[float], place: int = place) -> Inputs:
-            kept = np.repeat(np.array(program.start)[:, None], len(positions), axis=1)
-            kept[states.index(FIRST)], kept[place] = 0.0, positions
-            return np.ones((n, len(positions))), np.zeros((m, len(positions))), kept
+            states_before = np.repeat(np.array(program.start)[:, None], len(positions), axis=1)
+            states_before[states.index(FIRST)], states_before[place] = 0.0, positions
+            return np.ones((n, len(positions))), np.zeros((m, len(positions))), states_before
 
         (zero, one), (low, _), (high, _) = samples(*at([0.0, 1.0])).values(premise)
         wanted = [
@@ -236,18 +237,18 @@ def _law_input(system: System, program: ControllerProgram) -> Answers:
     return reference_answers(system, replace(program, controller=unlimited))
 
 
-def _expected(flag: Flag, flags: Sequence[Flag], found: _Samples, real: str) -> Array:
+def _expected(flag: Flag, flags: Sequence[Flag], probes: _Samples, real: str) -> Array:
     """The flag at every sample."""
-    asked, tolerance = found.asked, GOLDEN_TOLERANCE[real]
+    asked, tolerance = probes.asked, GOLDEN_TOLERANCE[real]
     up, decided = np.zeros(len(asked), dtype=bool), np.ones(len(asked), dtype=bool)
     for premise in flag.premises:
-        value, low, high = found.values(premise)
+        value, low, high = probes.values(premise)
         inside = (value > low) & (value < high)
         up |= ~(inside if premise.strict else (value >= low) & (value <= high))
         computed = np.empty((0, len(asked)))
         if flag.of_command:  # u may be what the law asks for, or any of the limits
             others = [other for other in flags if other.of_command and other is not flag]
-            limits = [found.values(each)[1:] for other in others for each in other.premises]
+            limits = [probes.values(each)[1:] for other in others for each in other.premises]
             computed = np.concatenate([asked[None], *limits])
         elif not premise.value.is_Symbol:
             computed = value[None]

@@ -92,7 +92,7 @@ def _judgements(code: CCode, *, always: bool) -> Iterable[str]:
     """One statement per flag."""
     for member, flag in flag_names(code).items():
         if flag.premises and flag.always == always:
-            conditions = [_condition(code, premise) for premise in flag.premises]
+            conditions = [_premise_call(code, premise) for premise in flag.premises]
             all_hold = "\n        && ".join(conditions)
             broken = f"!({all_hold})" if len(conditions) > 1 else f"!{all_hold}"
             broken = f"enable && {broken}" if flag.of_command else broken
@@ -100,7 +100,7 @@ def _judgements(code: CCode, *, always: bool) -> Iterable[str]:
             yield f"    {statement}" if always else wrapped(statement, "        ")
 
 
-def _condition(code: CCode, premise: Within) -> str:
+def _premise_call(code: CCode, premise: Within) -> str:
     """The call that is true while a premise holds."""
     program = code.program
     texts: dict[sympy.Symbol, str] = {

@@ -32,7 +32,7 @@ def monitor_checks(code: CCode, vectors: GoldenVectors) -> str:
         name=name,
         probes=probes.x.shape[1],
         count=len(flags),
-        table=_table(code, probes),
+        table=_probe_table(code, probes),
         zero=zero,
         one=one,
         off=off,
@@ -101,7 +101,7 @@ def _parameter_checks(code: CCode) -> str:
     return f"{start}\n{{\n    {name}_monitor m;\n\n{lines}\n}}\n\n"
 
 
-def _table(code: CCode, probes: MonitorProbes) -> str:
+def _probe_table(code: CCode, probes: MonitorProbes) -> str:
     """One initialiser per probe."""
     lines = []
     for k in range(probes.x.shape[1]):

@@ -224,8 +224,8 @@ def _source_text(code: CCode) -> str:
     unused = _unused_arguments(program, late)
     needed = [argument for argument in ("x", "y_d") if argument not in unused]
     inputs = "".join(f"const {real} {argument}[], " for argument in needed)
-    given = f"const {name}_state *s, {code.parameter_argument}"
-    arguments = f"{given}const {real} x[], const {real} y_d[], {name}_signals *v"
+    leading = f"const {name}_state *s, {code.parameter_argument}"
+    arguments = f"{leading}const {real} x[], const {real} y_d[], {name}_signals *v"
     if late.intersection(program.parameters):
         needed, inputs = ["p", *needed], code.parameter_argument + inputs
     constants = [f"static const {real} {_constant_definition(code, c)}" for c in shared_constants]

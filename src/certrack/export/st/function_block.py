@@ -120,11 +120,11 @@ def structured_text(
     inputs = [names[s] for s in (*program.measured, *program.Y) if s in read]
     temporary = (*computed, *variables.temporary, *saved.values())
     if watch is None:
-        asked = [declaration(name, note=text, kind="BOOL") for name, text in SWITCHES.items()]
-        told, off = [], None
+        switches = [declaration(name, note=text, kind="BOOL") for name, text in SWITCHES.items()]
+        flags, off = [], None
         begun, body = start, guarded(inputs, saved, law)
     else:
-        asked, told, off = watch.inputs(), watch.outputs(), watch.monitor.off
+        switches, flags, off = watch.inputs(), watch.outputs(), watch.monitor.off
         begun, body = start | {names[COMMAND]: off}, watch.statements(inputs, saved, law)
         temporary = (*watch.limited, *temporary)
     command = declaration(names[COMMAND], off, _with_unit("input", system, -1))
@@ -132,8 +132,8 @@ def structured_text(
     lines = [
         *_introduction(system, start, watch is not None),
         f"FUNCTION_BLOCK {block}",
-        *_variable_section("VAR_INPUT", [*_input_declarations(system, program, names), *asked]),
-        *_variable_section("VAR_OUTPUT", [command, *told]),
+        *_variable_section("VAR_INPUT", [*_input_declarations(system, program, names), *switches]),
+        *_variable_section("VAR_OUTPUT", [command, *flags]),
         *_variable_section("VAR", _state_declarations(program, names)),
         *_variable_section("VAR CONSTANT", (declaration(names[s], v) for s, v in fixed.items())),
         *_variable_section("VAR_TEMP", map(declaration, temporary)),

@@ -125,7 +125,7 @@ class BlockMonitor:
             *self._limiter(),
             "",
             "(* a sample that is not finite holds the last u and all states *)",
-            *(f"{kept} := {name};" for name, kept in saved.items()),
+            *(f"{saved_name} := {name};" for name, saved_name in saved.items()),
             f"{held} := TRUE;",
             "IF",
             *_joined(finite_conditions(inputs), "AND"),
@@ -135,7 +135,7 @@ class BlockMonitor:
             *(INDENT + line for line in _joined(tests, "AND")),
             f"{INDENT});",
             f"{INDENT}IF {held} THEN",
-            *(f"{INDENT * 2}{name} := {kept};" for name, kept in saved.items()),
+            *(f"{INDENT * 2}{name} := {saved_name};" for name, saved_name in saved.items()),
             f"{INDENT}END_IF;",
             "END_IF;",
             *self._disabled(saved),
@@ -193,9 +193,9 @@ def _conditions(flag: Flag, names: Mapping[sympy.Symbol, str]) -> list[str]:
     """What is TRUE while the premises of a flag hold."""
     printer = Statements(Variables(names))
 
-    def condition(premise: Within) -> str:
+    def condition_text(premise: Within) -> str:
         value, low, high = map(printer.text, (premise.value, premise.low, premise.high))
         least, most = (">", "<") if premise.strict else (">=", "<=")
         return f"({value} {least} {low}) AND ({value} {most} {high})"
 
-    return [condition(premise) for premise in flag.premises]
+    return [condition_text(premise) for premise in flag.premises]
