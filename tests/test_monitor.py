@@ -777,6 +777,10 @@ def test_wrong_monitors_in_python():
     ):
         with pytest.raises(certrack.InputError, match=message):
             Monitor(**wrong)
+    for wrong in (True, {"x1": (-1, 1)}):
+        for export in (c_code, structured_text, fmu):
+            with pytest.raises(certrack.InputError, match=r"monitor: must be a Monitor; got .*"):
+                export(sampled("example1"), monitor=wrong)
     with pytest.raises(certrack.InputError, match="float cannot hold the number 1e"):
         c_code(sampled("example1"), real="float", monitor=Monitor(box={"x1": (0, 1e200)}))
 

@@ -155,6 +155,19 @@ class MonitorProgram:
     restarted: dict[sympy.Symbol, float]
 
 
+def wanted_parameters(monitor: Any) -> bool:
+    """Whether a monitor, if there is one, wants gains as parameters at run time.
+
+    Raises
+    ------
+    InputError
+        If it is something else.
+    """
+    if monitor is not None and not isinstance(monitor, Monitor):
+        raise InputError("monitor", "must be a Monitor", monitor, "certrack.Monitor makes one")
+    return monitor is not None and monitor.parameters
+
+
 def monitor_program(
     monitor: Monitor, system: System, program: ControllerProgram, real: str = "double"
 ) -> MonitorProgram:

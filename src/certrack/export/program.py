@@ -33,7 +33,7 @@ from certrack.loops.controller import (
     starting_state,
 )
 from certrack.model.implementation import Implementation
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 E_N, NU, UBAR, DRIFT, CUT = (symbol(f"ctl_{name}") for name in ("e_n", "nu", "ubar", "h", "cut"))
 
@@ -126,6 +126,7 @@ def sampled_system(system: System, period: float | None = None) -> System:
     InputError
         If there is no period.
     """
+    require_system(system)
     implementation = system.implementation
     if implementation is None and period is None:
         raise InputError(

@@ -32,7 +32,7 @@ from certrack.loops.sampled import loop_values, resolved
 from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.sampled import SampledSimulator
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: A time this close before a break of the reference, relatively, is the break: what rounding does
 #: to a multiple of the period.
@@ -98,6 +98,7 @@ def to_control(system: System) -> ControlBlocks:
         import control
     except ImportError:
         raise MissingExtra("python-control", "control", "to_control") from None
+    require_system(system)
 
     implementation, x = system.implementation, list(system.plant.states)
     Y = ["y_d", *(f"y_d_{i}" for i in range(1, len(system.controller.signals.Y)))]

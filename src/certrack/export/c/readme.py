@@ -9,10 +9,10 @@ from certrack.export.program import unread_states
 from certrack.export.templates import fill_template
 
 #: What may not be changed by hand, and what may.
-NUMBERS = """\
+NUMBERS_NOTE = """\
 * The numbers within `e_n` and `nu` are made from c, k, p, chain and linear. No constant of the code
   stands for one of these: change the system file and export again."""
-PARAMETERS = """\
+PARAMETERS_NOTE = """\
 * The parameters belong together: those of `e_n` and `nu` are made from c, k, p, chain and linear.
   `certrack.export.monitor.default_parameters` gives all of them for another design."""
 
@@ -38,7 +38,7 @@ def readme(code: CCode, notes: tuple[str, ...]) -> str:
         references=", ".join(references),
         members=", ".join(code.members) if code.program.states else "nothing",
         monitor=_monitor_section(code) if code.monitor else "",
-        numbers=PARAMETERS if with_parameters else NUMBERS,
+        numbers=PARAMETERS_NOTE if with_parameters else NUMBERS_NOTE,
         p="&p, " * with_parameters,
         parameters=f"static {code.name}_parameters p;\n" * with_parameters,
         preset=f"    {code.name}_preset(&p);\n" * with_parameters,

@@ -24,7 +24,7 @@ from certrack.export.c.printer import (
     wrapped,
 )
 from certrack.export.identifiers import free_name, stem
-from certrack.export.monitor import Monitor, MonitorProgram, monitor_program
+from certrack.export.monitor import Monitor, MonitorProgram, monitor_program, wanted_parameters
 from certrack.export.program import (
     ControllerProgram,
     Step,
@@ -130,10 +130,8 @@ def c_code(
     """
     checks.choice("real", real, NUMBER_TYPES)
     system = sampled_system(system, period)
-    if monitor is None:
-        return CCode(stem(name), real, system, controller_program(system))
-    program = controller_program(system, parameters=monitor.parameters)
-    watched = monitor_program(monitor, system, program, real)
+    program = controller_program(system, parameters=wanted_parameters(monitor))
+    watched = monitor_program(monitor, system, program, real) if monitor else None
     return CCode(stem(name), real, system, program, watched)
 
 

@@ -15,7 +15,7 @@ import sympy
 from certrack.core.files import write_text
 from certrack.core.version import version
 from certrack.export.identifiers import stem
-from certrack.export.monitor import Monitor, monitor_program
+from certrack.export.monitor import Monitor, monitor_program, wanted_parameters
 from certrack.export.program import (
     ControllerProgram,
     controller_program,
@@ -96,7 +96,7 @@ def structured_text(
         If there is no period.
     """
     system = sampled_system(system, period)
-    program = controller_program(system, parameters=monitor is not None and monitor.parameters)
+    program = controller_program(system, parameters=wanted_parameters(monitor))
     used_names = {*ST_RESERVED, GUARD.lower()}
     if monitor is not None:
         used_names |= {name.lower() for name in (*MONITOR_INPUTS, PREMISES_HOLD)}
