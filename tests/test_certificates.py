@@ -151,7 +151,7 @@ def test_modelling_layer_finds_the_same_optimum():
 
 @pytest.mark.parametrize("name", ["example1", "dual-motor", "theorem1-counterexample"])
 def test_the_designs_own_multipliers_prove_the_rate_form_without_a_solver(name, monkeypatch):
-    module = sys.modules["certrack.certificates.certify"]
+    module = sys.modules["certrack.certificates.methods"]
     monkeypatch.setattr(module, "best_solution", lambda _: None)
     system = certrack.load(name)
     found, proof = certify_semidefinite(system)

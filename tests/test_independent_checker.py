@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certrack
+from certrack.certificates import certify_semidefinite
 from certrack.certificates.cascade import certify_cascade
-from certrack.certificates.certify import certify_semidefinite
 from certrack.certificates.document import save_certificate, to_document, verify
 from certrack.certificates.exact import from_text
 from certrack.core.errors import InputError

@@ -118,10 +118,11 @@ def peak_gains(M: np.ndarray, C: np.ndarray, B: np.ndarray) -> np.ndarray:
     NoCertificate
         If M is not proven stable, or too stiff.
     """
-    if not B.shape[1]:
-        return np.zeros((len(C), 0))
     with flint.ctx.workprec(PRECISION):
-        return _integrals(proven_decay(M, B), M, balls_of(C), balls_of(B))
+        decay = proven_decay(M, B)  # also where nothing acts: what begins must end
+        if not B.shape[1]:
+            return np.zeros((len(C), 0))
+        return _integrals(decay, M, balls_of(C), balls_of(B))
 
 
 def _integrals(decay: Decay, exact: np.ndarray, C: flint.arb_mat, B: flint.arb_mat) -> np.ndarray:

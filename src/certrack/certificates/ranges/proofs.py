@@ -95,9 +95,19 @@ class RangeProver:
     def peak(self, cell: Cell) -> CellProof | None:
         """A proof by peak gains, or None if there is none."""
         try:
-            bound = peak_bound(self.loop, self.coefficients, cell).bound
+            return self.peak_proof(cell)
         except NoCertificate:
             return None
+
+    def peak_proof(self, cell: Cell) -> CellProof:
+        """A proof by peak gains.
+
+        Raises
+        ------
+        NoCertificate
+            If there is none, with the reason.
+        """
+        bound = peak_bound(self.loop, self.coefficients, cell).bound
         return CellProof(texts(cell), rounded_up(bound * (1 + PEAK_SLACK), PEAK_DIGITS))
 
     def check(self, proof: CellProof) -> str:

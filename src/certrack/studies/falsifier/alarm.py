@@ -1,7 +1,8 @@
 """Is a run beyond the certificate? Then a premise is broken, or something is wrong here.
 
 A bound on limsup |e_1| says nothing of a transient, so a run is held against the certified *tube*
-from its own start, at every time.
+from its own start, at every time. A bound that is smaller than the tube's floor is granted what the
+tube grants the start: its distance from its floor, as a square.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def alarm(
     against : Certificate
         The best verified one.
     stages : tuple of Proof
-        Its proof.
+        The proof of a tube.
     """
     if not _beyond(system, case, run, against, stages):
         return None
@@ -87,11 +88,15 @@ def _beyond(
     late = run.t >= case.settings.tail_start
     if not np.any(error[late] > against.bound + slack):
         return False
+    if not stages:
+        return True
     try:
-        limit = tube(_within_bounds(system, case), stages)(run.t)
+        around = tube(_within_bounds(system, case), stages)
     except (NoCertificate, InputError):
         return True
-    return bool(np.any(error > limit + slack))
+    limit = around(run.t)
+    settled = against.bound + np.sqrt(np.maximum(limit**2 - around.floor, 0.0))
+    return bool(np.any(error > np.minimum(limit, settled) + slack))
 
 
 def _within_bounds(system: System, case: System) -> System:
