@@ -116,6 +116,19 @@ class Certificates(ShownInNotebooks):
         """
         return () if self.contradicted else self.tightest
 
+    @property
+    def quadratic(self) -> tuple[Proof, ...]:
+        """The tighter of the proofs by quadratic functions, from which a tube follows.
+
+        One stage, or the two or three of the cascade. Empty as :attr:`stages` is, and where
+        constants have ranges.
+        """
+        if self.contradicted:
+            return ()
+        if self.cascade_proof is not None and self.cascade.bound < self.semidefinite.bound:
+            return self.cascade_proof
+        return () if self.proof is None else (self.proof,)
+
 
 def certify(system: System, effort: str = "default", progress: Progress = silent) -> Certificates:
     """Certify `system` by every method.

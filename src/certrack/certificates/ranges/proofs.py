@@ -15,7 +15,7 @@ import sympy
 
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import rational
-from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import adaptation_of
 from certrack.certificates.problem import ErrorProblem
@@ -117,7 +117,8 @@ class RangeProver:
             if not proof.points:
                 if not self.by_peak_gains:
                     return "peak gains prove nothing with estimates in the loop"
-                bound = peak_bound(self.loop, self.coefficients, cell).bound
+                with within_floats():
+                    bound = peak_bound(self.loop, self.coefficients, cell).bound
                 holds = rational(Fraction(bound)) <= from_text(proof.bound)
                 return "" if holds else "the bound is smaller than the peak gains give"
             problems = self._at(cell)

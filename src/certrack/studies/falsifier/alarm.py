@@ -1,8 +1,8 @@
 """Is a run beyond the certificate? Then a premise is broken, or something is wrong here.
 
 A bound on limsup |e_1| says nothing of a transient, so a run is held against the certified *tube*
-from its own start, at every time. A bound that is smaller than the tube's floor is granted what the
-tube grants the start: its distance from its floor, as a square.
+from its own start, at every time. A bound without a tube of its own, by peak gains, is granted for
+the start what the tube of the quadratic proof grants: the distance of its square from its floor.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from certrack.certificates import Certificate, NoCertificate, Proof, tube
 from certrack.certificates.assumption_1 import VIOLATION_TOLERANCE, uncertain_terms
+from certrack.certificates.methods import QUADRATIC_KINDS
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.sampling import Points
@@ -95,8 +96,10 @@ def _beyond(
     except (NoCertificate, InputError):
         return True
     limit = around(run.t)
-    settled = against.bound + np.sqrt(np.maximum(limit**2 - around.floor, 0.0))
-    return bool(np.any(error > np.minimum(limit, settled) + slack))
+    if against.kind not in QUADRATIC_KINDS:
+        from_start = np.sqrt(np.maximum(limit**2 - around.floor, 0.0))
+        limit = np.minimum(limit, against.bound + from_start)
+    return bool(np.any(error > limit + slack))
 
 
 def _within_bounds(system: System, case: System) -> System:
