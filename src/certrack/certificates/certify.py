@@ -160,25 +160,25 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     --------
     >>> import certrack
     >>> found = certrack.certify(certrack.load("dual-motor-lean"))
-    >>> found.verified, {premise.status for premise in found.premises}
+    >>> methods.verified, {premise.status for premise in methods.premises}
     (True, {'proven'})
     """
     require_system(system)
     checks.choice("effort", effort, EFFORTS)
-    found = every_certificate(system, effort, lambda step, _, best: progress(step, STEPS, best))
+    methods = every_certificate(system, effort, lambda step, _, best: progress(step, STEPS, best))
     progress(METHOD_STEPS, STEPS, None)
-    rests_on, stages = premises(system), found.stages
+    rests_on, stages = premises(system), methods.stages
     result = Certificates(
-        **found.certificates,
-        proof=next(iter(found.stages_of("semidefinite")), None),
-        cascade_proof=found.stages_of("cascade") or None,
+        **methods.certificates,
+        proof=next(iter(methods.stages_of("semidefinite")), None),
+        cascade_proof=methods.stages_of("cascade") or None,
         critical_published=critical_strength(system),
-        critical_semidefinite=critical_semidefinite(system, found.certificates["semidefinite"]),
+        critical_semidefinite=critical_semidefinite(system, methods.certificates["semidefinite"]),
         tube=tube(system, stages) if stages and not contradicted(rests_on) else None,
         premises=rests_on,
-        tightest=found.tightest,
-        kinds=found.kinds,
-        attainable=found.attainable,
+        tightest=methods.tightest,
+        kinds=methods.kinds,
+        attainable=methods.attainable,
     )
     progress(STEPS, STEPS, None)
     return _unverified(result) if result.contradicted else result

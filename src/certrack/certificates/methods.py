@@ -76,11 +76,11 @@ class Methods:
     @property
     def stages(self) -> tuple[Proof, ...]:
         """The same of those from which a tube follows: one stage, or the two or three."""
-        return _stages(self._tightest(QUADRATIC_KINDS))
+        return _quadratic(self._tightest(QUADRATIC_KINDS))
 
     def stages_of(self, kind: str) -> tuple[Proof, ...]:
         """The stages behind one of :data:`QUADRATIC_KINDS`."""
-        return _stages(self.proofs[kind])
+        return _quadratic(self.proofs[kind])
 
     def _tightest(self, kinds: Iterable[str]) -> Proofs:
         saved = (kind for kind in kinds if self.proofs.get(kind))
@@ -88,7 +88,7 @@ class Methods:
         return self.proofs.get(best, ())
 
 
-def _stages(proofs: Proofs) -> tuple[Proof, ...]:
+def _quadratic(proofs: Proofs) -> tuple[Proof, ...]:
     return tuple(stage for stage in proofs if isinstance(stage, Proof))
 
 
@@ -128,12 +128,12 @@ def every_certificate(
     }
     ranged, attainable = has_ranges(system), None
     if ranged:
-        found = certify_ranges(system, effort, lambda _, __, best: progress(3, METHOD_STEPS, best))
-        proofs |= {found.best.kind: found.proof}
-        attainable = found.attainable
+        ranges = certify_ranges(system, effort, lambda _, __, best: progress(3, METHOD_STEPS, best))
+        proofs |= {ranges.best.kind: ranges.proof}
+        attainable = ranges.attainable
     else:
-        found = without_ranges()
-    certificates |= {"vertices": found.vertices, "peak": found.peak, "cells": found.cells}
+        ranges = without_ranges()
+    certificates |= {"vertices": ranges.vertices, "peak": ranges.peak, "cells": ranges.cells}
     if not ranged:
         certificates["peak"], proofs["peak"] = certify_peak(system, effort)
     kinds = RANGE_KINDS if ranged else NOMINAL_KINDS
