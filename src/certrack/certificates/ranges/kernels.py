@@ -71,7 +71,7 @@ def proven_decay(M: np.ndarray, B: np.ndarray) -> Decay:
         If none is proven: the matrix may be unstable.
     """
     floats = M.astype(float)
-    if not (np.isfinite(floats).all() and np.isfinite(B.astype(float)).all()):
+    if not np.isfinite(floats).all():
         raise NoCertificate(OUT_OF_RANGE)
     slowest = -float(np.linalg.eigvals(floats).real.max())
     if not slowest > 0:
@@ -94,6 +94,8 @@ def proven_decay(M: np.ndarray, B: np.ndarray) -> Decay:
 
 def _lyapunov(M: np.ndarray, Q: np.ndarray) -> np.ndarray:
     """X with M X + X M^T = Q, a guess: where it is a poor one SciPy warns, and no proof follows."""
+    if not (np.isfinite(M).all() and np.isfinite(Q).all()):
+        raise NoCertificate(OUT_OF_RANGE)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         X: np.ndarray = solve_continuous_lyapunov(M, Q)
