@@ -160,7 +160,7 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     --------
     >>> import certrack
     >>> found = certrack.certify(certrack.load("dual-motor-lean"))
-    >>> methods.verified, {premise.status for premise in methods.premises}
+    >>> found.verified, {premise.status for premise in found.premises}
     (True, {'proven'})
     """
     require_system(system)

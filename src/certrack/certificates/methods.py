@@ -182,6 +182,13 @@ def certify_peak(
     -------
     certificate : Certificate
     proof : one cell, or nothing
+
+    Examples
+    --------
+    >>> import certrack
+    >>> found, proof = certrack.certificates.certify_peak(certrack.load("dual-motor-lean"))
+    >>> found
+    Certificate(peak: limsup |e_1| <= 0.001288, verified)
     """
     try:
         with within_floats():
