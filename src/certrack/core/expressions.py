@@ -27,7 +27,7 @@ import sympy
 from certrack.core.errors import InputError
 from certrack.core.formula_mistakes import decimal_comma, node_remedy, syntax_remedy
 from certrack.core.formula_text import text_of
-from certrack.core.powers import exponential, has_fine_root, power, too_long
+from certrack.core.powers import exponential, power, too_long, without_fine_roots
 from certrack.core.rationals import RationalFloat
 from certrack.core.spelling import hint
 
@@ -207,7 +207,7 @@ def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
     slope = sympy.diff(frozen.replace(sympy.sign, freeze), by)
     for name in reversed(list(signs)):
         slope = slope.xreplace({name: signs[name]})
-    return slope
+    return without_fine_roots(slope)
 
 
 def fold_minmax(expr: sympy.Expr, larger: _OfTwo, smaller: _OfTwo) -> sympy.Expr:
@@ -257,6 +257,7 @@ class _Builder:
                 warnings.simplefilter("ignore")  # e.g. "1if": the tree decides, not the warning
                 tree = ast.parse(self.text.strip(), mode="eval")
             expr, value = self.visit(tree.body, 0)
+            expr = without_fine_roots(expr)
         except (SyntaxError, ValueError, MemoryError, RecursionError) as problem:
             if isinstance(problem, InputError):
                 raise
@@ -373,15 +374,14 @@ class _Builder:
             message, got = f"{name} takes {fewest} to {most} arguments", f"{len(args)} arguments"
             raise self.fail(message, got, decimal_comma(self.text))
         args = [(expr, self.constant_value(expr, value)) for expr, value in args]
-        exprs = [expr for expr, _ in args]
+        exprs = [without_fine_roots(expr) for expr, _ in args]
         values = [value for _, value in args if value is not None]
         if len(values) == len(args):
             return build(*exprs), self.checked(lambda: compute(*values))
         if name in ("min", "max") and len(exprs) > 1:  # SymPy would compare all pairs
             return function(*exprs, evaluate=False), None
         # |exp(acos(x))| would become exp(re(acos(x))), and tan(x + pi/2) a cotangent
-        fine = any(has_fine_root(part, MAX_POWER) for part in exprs)
-        if fine or (result := build(*exprs)).has(*FOREIGN):
+        if (result := build(*exprs)).has(*FOREIGN):
             result = function(*exprs, evaluate=False)
         return result, None
 
