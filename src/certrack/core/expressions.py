@@ -24,7 +24,7 @@ from typing import Any
 
 import sympy
 
-from certrack.core.errors import InputError
+from certrack.core.errors import InputError, shorten
 from certrack.core.formula_mistakes import decimal_comma, node_remedy, syntax_remedy
 from certrack.core.formula_text import text_of
 from certrack.core.powers import exponential, power, too_long, without_fine_roots
@@ -308,7 +308,7 @@ class _Builder:
             return symbol(name), None
         known = sorted({*self.names, "pi"})
         shown = ", ".join(known[:MAX_NAMES_SHOWN]) + ", ..." * (len(known) > MAX_NAMES_SHOWN)
-        raise self.fail(f"unknown name {name!r}", remedy=f"{hint(name, known)}Known here: {shown}")
+        raise self.fail(f"unknown name {shorten(name)!r}", remedy=f"{hint(name, known)}Known here: {shown}")
 
     def constant(self, value: Any) -> tuple[sympy.Expr, float]:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -367,7 +367,7 @@ class _Builder:
         if name not in ALLOWED_FUNCTIONS:
             known = f"{hint(name, ALLOWED_FUNCTIONS)}Known: {', '.join(sorted(ALLOWED_FUNCTIONS))}"
             known = f"Write {name}*(...)" if name in self.names else known
-            raise self.fail(f"unknown function {name!r}", remedy=known)
+            raise self.fail(f"unknown function {shorten(name)!r}", remedy=known)
         function, compute, fewest, most = ALLOWED_FUNCTIONS[name]
         build = partial(self.built, _BUILDERS.get(function, function))
         if not fewest <= len(args) <= most:
