@@ -308,7 +308,9 @@ class _Builder:
             return symbol(name), None
         known = sorted({*self.names, "pi"})
         shown = ", ".join(known[:MAX_NAMES_SHOWN]) + ", ..." * (len(known) > MAX_NAMES_SHOWN)
-        raise self.fail(f"unknown name {shorten(name)!r}", remedy=f"{hint(name, known)}Known here: {shown}")
+        raise self.fail(
+            f"unknown name {shorten(name)!r}", remedy=f"{hint(name, known)}Known here: {shown}"
+        )
 
     def constant(self, value: Any) -> tuple[sympy.Expr, float]:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
