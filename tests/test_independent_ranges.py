@@ -16,7 +16,6 @@ import certrack
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.document import to_document
 from certrack.certificates.ranges.cells import halved
-from certrack.certificates.ranges.certify import certify_ranges
 from certrack.certificates.ranges.proofs import RangeProver
 from certrack.core.errors import InputError
 
@@ -135,7 +134,8 @@ def test_certificates_of_the_cases_hold_by_both(name, varies):
 @pytest.mark.slow
 def test_a_proof_at_the_centre_holds_by_both():
     system = seven_constants()
-    document = to_document(system, *certify_ranges(system, effort="fast").vertices_proof)
+    prover = RangeProver(system)
+    document = to_document(system, prover.vertices(prover.box))
     assert verified(document)
     assert accepted(document)
 

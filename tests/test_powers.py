@@ -7,7 +7,8 @@ import sympy
 
 from certrack import export_c, loads, simulate
 from certrack.core.errors import InputError
-from certrack.core.expressions import derivative, parse, symbol
+from certrack.core.expressions import parse, symbol
+from certrack.core.kinks import derivative
 from certrack.core.powers import put_in
 
 

@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial, reduce
+from functools import partial
 from typing import Any
 
 import sympy
@@ -41,8 +41,6 @@ MAX_INTEGER_BITS = 1000  # of an integer in the text; about MAX_MAGNITUDE
 MAX_MAGNITUDE = 1e300  # of any constant
 
 TIME = sympy.Symbol("t", real=True)
-
-_OfTwo = Callable[[sympy.Expr, sympy.Expr], sympy.Expr]
 
 
 def _sign(value: float) -> float:
@@ -191,41 +189,6 @@ def number(key: str, text: Any, names: Mapping[str, Any] | None = None) -> Expre
     if expression.expr.free_symbols:  # pragma: no cover - the builder knows no other names
         raise InputError(key, "must be a number", expression.text)
     return expression
-
-
-def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
-    """Classical derivative where it exists; kinks (abs, min, max) give their one-sided slopes."""
-    signs: dict[sympy.Symbol, sympy.Expr] = {}
-
-    def freeze(inside: sympy.Expr) -> sympy.Symbol:
-        name = sympy.Dummy("sign", real=True)
-        signs[name] = sympy.sign(inside)
-        return name
-
-    # |f| = s f with s constant: SymPy's own rule needs f to be provably real
-    frozen = without_minmax(expr).replace(sympy.Abs, lambda f: freeze(f) * f)
-    slope = sympy.diff(frozen.replace(sympy.sign, freeze), by)
-    for name in reversed(list(signs)):
-        slope = slope.xreplace({name: signs[name]})
-    return without_fine_roots(slope)
-
-
-def fold_minmax(expr: sympy.Expr, larger: _OfTwo, smaller: _OfTwo) -> sympy.Expr:
-    """Write max and min of any number of arguments by functions of two, from left to right."""
-
-    def fold(of_two: _OfTwo) -> Callable[..., sympy.Expr]:
-        return lambda *args: reduce(of_two, args)
-
-    return expr.replace(sympy.Max, fold(larger)).replace(sympy.Min, fold(smaller))
-
-
-def without_minmax(expr: sympy.Expr) -> sympy.Expr:
-    """Write min and max by abs: max(a, b) = (a + b + |a - b|)/2."""
-    return fold_minmax(
-        expr,
-        lambda a, b: (a + b + sympy.Abs(a - b)) / 2,
-        lambda a, b: (a + b - sympy.Abs(a - b)) / 2,
-    )
 
 
 class _Builder:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import sympy
 
-from certrack.core.expressions import TIME, without_minmax
+from certrack.core.expressions import TIME
+from certrack.core.kinks import without_minmax
 from certrack.core.lowering import jacobian, numpy_callable, rows
 from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory, parts_of
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
