@@ -13,6 +13,7 @@ from test_independent_checker import accepted, signed, verified
 from test_ranges import case, random_system, seven_constants
 
 import certrack
+from certrack.certificates import certify_peak
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.document import to_document
 from certrack.certificates.ranges.cells import halved
@@ -148,6 +149,19 @@ def test_random_systems_agree(seed):
         agree(system)
     except (NoCertificate, InputError) as refusal:
         pytest.skip(str(refusal))
+
+
+@pytest.mark.parametrize(
+    "name", ["dual-motor-lean", pytest.param("dual-motor", marks=pytest.mark.slow)]
+)
+def test_peak_gains_without_ranges_hold_by_both(name):
+    system = certrack.load(name)
+    document = to_document(system, *certify_peak(system)[1])
+    assert verified(document) and accepted(document)
+    mutant = copy.deepcopy(document)
+    changed_bound(mutant["proof"][0])
+    mutant["claim"] = f"limsup |e_1(t)| <= {mutant['proof'][0]['bound']}"
+    assert not verified(signed(mutant)) and not accepted(signed(mutant))
 
 
 # Mutants ------------------------------------------------------------------------------------------

@@ -169,7 +169,7 @@ def without_fine_roots(expr: sympy.Expr) -> sympy.Expr:
         return expr
     return expr.replace(
         lambda part: isinstance(part, sympy.Pow) and part.base.free_symbols,
-        lambda part: part.base ** _kept(part.exp),
+        lambda part: part.base ** _written_exponent(part.exp),
     ).replace(sympy.Mul, _gathered)
 
 
@@ -178,17 +178,19 @@ def _gathered(*factors: sympy.Expr) -> sympy.Expr:
     for factor in factors:
         base, exponent = factor.as_base_exp() if factor.free_symbols else (factor, sympy.S.One)
         exponents.setdefault(base, []).append(exponent)
-    return sympy.Mul(*(base ** _kept(sympy.Add(*parts)) for base, parts in exponents.items()))
+    return sympy.Mul(
+        *(base ** _written_exponent(sympy.Add(*parts)) for base, parts in exponents.items())
+    )
 
 
 def _is_fine(exponent: sympy.Expr) -> bool:
     return bool(exponent.is_Rational and exponent.q > FINEST_ROOT)
 
 
-def _kept(exponent: sympy.Expr) -> sympy.Expr:
+def _written_exponent(exponent: sympy.Expr) -> sympy.Expr:
     """The exponent, as a number of its own if it is that of a fine root."""
-    kept = [part for part in exponent.atoms(ConstantPower) if part.exponent == 1]
-    exact = exponent.xreplace({part: part.base for part in kept})
+    exponents = [part for part in exponent.atoms(ConstantPower) if part.exponent == 1]
+    exact = exponent.xreplace({part: part.base for part in exponents})
     if not _is_fine(exact):
         return exact
     return sympy.sign(exact) * ConstantPower(abs(exact), sympy.S.One)

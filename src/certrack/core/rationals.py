@@ -62,14 +62,14 @@ def _grouped(value: int) -> tuple[str, int]:
     >>> _grouped(-12), _grouped(10**400)
     (('-12', 0), ('(1 + (0 + 0/1e200)/1e200)', 2))
     """
-    groups, rest = [], abs(value)
-    while rest >= 10**DIGITS_AT_ONCE:
-        rest, group = divmod(rest, 10**DIGITS_AT_ONCE)
+    groups, remaining = [], abs(value)
+    while remaining >= 10**DIGITS_AT_ONCE:
+        remaining, group = divmod(remaining, 10**DIGITS_AT_ONCE)
         groups.append(group)
     if not groups:
         return str(value), 0
     text = str(groups[0])
-    for group in (*groups[1:], rest):
+    for group in (*groups[1:], remaining):
         text = f"({group} + {text}/1e{DIGITS_AT_ONCE})"
     return f"{'-' * (value < 0)}{text}", len(groups)
 
