@@ -15,7 +15,8 @@ from itertools import count, pairwise
 import sympy
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import TIME, fold_minmax, symbol
+from certrack.core.expressions import TIME, symbol
+from certrack.core.kinks import fold_minmax
 from certrack.core.printing import MAX_FACTORS
 from certrack.core.select import larger, magnitude, smaller
 from certrack.laws.base import Equations, Signals
