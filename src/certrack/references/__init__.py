@@ -16,7 +16,7 @@ from certrack.references.base import Bounds, Reference, pieces_at, require_order
 from certrack.references.piecewise import PiecewiseReference
 from certrack.references.registry import check_reference, known_references
 from certrack.references.registry import register_reference as register
-from certrack.references.shapes import samples, steps, trapezoid, triangle
+from certrack.references.shapes import profile, samples, steps, trapezoid, triangle
 from certrack.references.symbolic import SymbolicReference
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "key",
     "known_references",
     "pieces_at",
+    "profile",
     "register",
     "require_order",
     "round_up",

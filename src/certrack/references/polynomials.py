@@ -1,4 +1,4 @@
-"""Polynomials of degree 3 at most, many at once: a row of coefficients each, lowest power first."""
+"""Polynomials of one degree, many at once: a row of coefficients each, lowest power first."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-#: Enough for a cubic interpolant.
+#: Enough for a cubic interpolant; a profile may have more.
 DEGREE = 3
 
 
 def derived(a: np.ndarray, i: int) -> np.ndarray:
     """Coefficient rows of the i-th derivative, padded with zeros."""
     rows = np.zeros_like(a)
-    for k in range(i, DEGREE + 1):
+    for k in range(i, a.shape[1]):
         rows[:, k - i] = math.perm(k, i) * a[:, k]
     return rows
 
@@ -21,13 +21,15 @@ def derived(a: np.ndarray, i: int) -> np.ndarray:
 def evaluate(a: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Value of each row's polynomial at its own s."""
     value = np.zeros_like(s)
-    for k in range(DEGREE, -1, -1):
+    for k in range(a.shape[1] - 1, -1, -1):
         value = value * s + a[:, k]
     return value
 
 
 def stationary(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
-    """Roots of each row's quadratic, moved into the piece (any point of it is admissible)."""
+    """Roots of each row, moved into the piece (any point of it is admissible)."""
+    if slope[:, 3:].any():
+        return _roots(slope, width)
     # in units of the piece's width and height, so that nothing under- or overflows
     scaled = slope[:, :3] * width[:, None] ** np.arange(3)
     scaled = scaled / np.maximum(np.abs(scaled).max(axis=1, keepdims=True), 1e-300)
@@ -37,3 +39,14 @@ def stationary(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
         roots = (half / c2, c0 / half)
     finite = (np.nan_to_num(root, nan=0.0, posinf=0.0, neginf=0.0) for root in roots)
     return [width * np.clip(root, 0.0, 1.0) for root in finite]
+
+
+def _roots(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
+    """The same for rows of any degree; of a complex pair, which may be a double root, its middle."""
+    count = slope.shape[1] - 1
+    points = np.zeros((count, len(slope)))
+    scaled = slope * width[:, None] ** np.arange(count + 1)
+    for i, row in enumerate(scaled):
+        roots = np.roots(row[::-1] / max(np.abs(row).max(), 1e-300)).real
+        points[: len(roots), i] = np.nan_to_num(roots, nan=0.0, posinf=0.0, neginf=0.0)
+    return list(width * np.clip(points, 0.0, 1.0))

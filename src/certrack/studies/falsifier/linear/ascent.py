@@ -1,0 +1,60 @@
+"""The worst inputs of a chain: signs of kernels and a linear program, in turn.
+
+A bound that grows with the state makes the error depend on the product of disturbance and course.
+Along the last course it is linear; its worst inputs give the next course. The best one counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from certrack.certificates.worst_profile import WorstProfile, worst_profile
+from certrack.studies.falsifier.linear.chain import Chain, Course, Kernels, kernels, run
+
+#: Turns at most, and the relative gain below which there is no other.
+TURNS, LEAST_GAIN = 6, 1e-5
+
+#: Pieces by which the reference comes to rest after the end.
+REST_PIECES = 60
+
+
+@dataclass(frozen=True)
+class WorstInputs:
+    """What an adversary does to a chain.
+
+    Attributes
+    ----------
+    chain : Chain
+    error : float
+        |e_1| at the end, as far as the chain's steps are the loop.
+    kernels : Kernels
+        Disturbances and errors of sensors have their signs.
+    reference : WorstProfile
+    """
+
+    chain: Chain
+    error: float
+    kernels: Kernels
+    reference: WorstProfile
+
+
+def worst_inputs(chain: Chain) -> WorstInputs | None:
+    """The worst inputs found; None where the linear program is not solved."""
+    best: WorstInputs | None = None
+    course: Course | None = None
+    widths = np.full(chain.periods // chain.stride, chain.stride * chain.period)
+    for _ in range(TURNS):
+        found = kernels(chain, course)
+        reference = worst_profile(found.reference, chain.bounds, widths, REST_PIECES)
+        if reference is None:
+            break
+        course = run(chain, found, reference)
+        error = abs(course.error)
+        if best is not None and not error > best.error * (1 + LEAST_GAIN):
+            break
+        best = WorstInputs(chain, error, found, reference)
+        if not any(chain.uncertainty.grows(k) for k in chain.acting):
+            break
+    return best

@@ -1,0 +1,146 @@
+"""Worst inputs as a system that anyone can run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from certrack.certificates.ranges.loop import RANGED_GAIN, RANGED_THETA
+from certrack.certificates.worst_profile import WorstProfile
+from certrack.model.implementation import Implementation
+from certrack.model.truth import Truth
+from certrack.references import PiecewiseReference, profile
+from certrack.references.shapes import derivatives_between
+from certrack.studies.falsifier.linear.ascent import REST_PIECES, WorstInputs
+from certrack.studies.falsifier.linear.pattern import sign_formula
+from certrack.systems.system import System
+
+#: |w_k| rounds below its bound with this factor, and y_d and its derivatives below theirs.
+BELOW_BOUND = 1 - 1e-9
+
+#: ||x|| in a disturbance is sqrt(x.x + offset^2) - offset; the offset over the largest |x|.
+NORM_OFFSET = 1e-4
+
+#: The last part of the run, of which the error counts.
+TAIL_PART = 0.15
+
+
+def written_case(
+    system: System,
+    worst: WorstInputs,
+    values: Mapping[str, Any],
+    sense: int = 1,
+    implementation: Implementation | None = None,
+) -> System:
+    """The system under worst inputs.
+
+    Parameters
+    ----------
+    system : System
+    worst : WorstInputs
+    values : mapping
+        What the constants with a range really are, by name, as texts; and of what else has one.
+    sense : {1, -1}
+        1, or -1 for the opposite of every input.
+    implementation : Implementation, optional
+        Of the case.
+    """
+    chain, settings = worst.chain, system.settings
+    reference = admissible_profile(worst.reference, chain.bounds, sense)
+    x0 = sense * (chain.start @ worst.reference.start)[: chain.n]
+    end = chain.period * chain.periods
+    duration = end if implementation is None else end + implementation.period
+    settings = replace(
+        settings,
+        x0=tuple(x0.tolist()),
+        duration=duration,
+        tail=(1 - TAIL_PART) * end,
+        estimates=None,
+    )
+    return System(
+        plant=system.plant,
+        law=system.law,
+        reference=reference,
+        truth=_truth(system, worst, values, sense, float(np.abs(x0).max())),
+        settings=settings,
+        title=f"Worst case found for: {system.title}",
+        implementation=implementation,
+    )
+
+
+def admissible_profile(
+    worst: WorstProfile, bounds: tuple[float, ...], sense: int
+) -> PiecewiseReference:
+    """The reference as one of a system file, within the bounds for certain."""
+    times = np.concatenate([[0.0], np.cumsum(worst.widths)])
+
+    def scaled(factor: float) -> PiecewiseReference:
+        start, pieces = (factor * sense * part for part in (worst.start, worst.pieces))
+        pieces = _ending_at_rest(times, start, pieces)
+        return profile(tuple(times.tolist()), tuple(start.tolist()), tuple(pieces.tolist()))
+
+    reached = scaled(1.0).bounds(len(bounds) - 1).values
+    excess = max((a / b for a, b in zip(reached, bounds, strict=True) if b > 0), default=1.0)
+    return scaled(BELOW_BOUND / max(1.0, excess))
+
+
+def _ending_at_rest(times: np.ndarray, start: np.ndarray, pieces: np.ndarray) -> np.ndarray:
+    """The pieces with the last ones corrected by the rounding of all sums before them."""
+    order, last = len(start), len(pieces) - REST_PIECES
+    columns = [
+        [
+            ((times[-1] - begin) ** (order - k) - (times[-1] - end) ** (order - k))
+            / math.factorial(order - k)
+            for begin, end in zip(times[last:], times[last + 1 :], strict=False)
+        ]
+        for k in range(1, order)
+    ]
+    if not columns:
+        return pieces
+    table, pieces = np.array(columns), pieces.copy()
+    sizes = np.abs(table).max(axis=1)
+    for _ in range(3):
+        end = np.array(derivatives_between(times.tolist(), start.tolist(), pieces.tolist())[-1][1:])
+        pieces[last:] -= np.linalg.lstsq(table / sizes[:, None], end / sizes, rcond=None)[0]
+    return pieces
+
+
+def sensor_errors(worst: WorstInputs, sense: int, first: float) -> tuple[str, ...]:
+    """The errors of the sensors as formulas of t; `first` is the time of the first sample."""
+    chain = worst.chain
+    edges = first + (np.arange(chain.periods + 1) - 0.5) * chain.period
+    return tuple(
+        f"{sense * size!r}*{sign_formula(worst.kernels.noise[:, i], edges)}" if size else "0"
+        for i, size in enumerate(chain.noise.tolist())
+    )
+
+
+def _truth(
+    system: System, worst: WorstInputs, values: Mapping[str, Any], sense: int, size: float
+) -> Truth:
+    """The truth with the worst disturbances, and constants as they are in this case."""
+    chain, u, truth = worst.chain, system.plant.uncertainty, system.truth
+    lengths = np.tile(chain.lengths, chain.periods)
+    edges = np.concatenate([[0.0], np.cumsum(lengths)])
+    omega = ["0"] * system.plant.n
+    offset = NORM_OFFSET * size or NORM_OFFSET
+    for j, k in enumerate(chain.acting):
+        weights = (worst.kernels.disturbance[:, :, j].ravel() * lengths).astype(float)
+        bound = u.bound_formula(k, system.plant.states, offset)
+        omega[k] = f"{sense * BELOW_BOUND!r}*{sign_formula(weights, edges)}*({bound})"
+    constants = dict(truth.constants) | {
+        name: value for name, value in values.items() if name in system.plant.constant_boxes
+    }
+    theta: list[Any] = list(truth.theta)
+    for i in range(len(theta)):
+        theta[i] = values.get(f"{RANGED_THETA}[{i}]", theta[i])
+    return Truth(
+        values.get(RANGED_GAIN, truth.input_gain),
+        tuple(theta),
+        tuple(omega),  # type: ignore[arg-type]
+        constants=tuple(constants.items()),
+    )

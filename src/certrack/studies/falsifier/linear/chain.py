@@ -1,0 +1,177 @@
+"""A linear loop over a long time, step by step, forwards and backwards.
+
+The state z holds the loop's own states, the plant's first, and y_d ... y_d^(m-1) last. A period is
+a jump (a sample, where the controller is sampled) and cells between which inputs are held:
+
+    jump   z <- J z + J_n n + J_r y_d^(m)            n: errors of the sensors
+    cell   z <- E z + G w + E_r y_d^(m) + E_o        w_j = s_j bound_j(x), |s_j| <= 1
+
+Backwards, the row whose product with z is the error at the end becomes its *kernels*: what an input
+does to that error, however long ago it acts. Where the bound of w_j grows with the state, it is
+linear along the run that was computed last, and goes back with the row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from certrack.certificates.worst_profile import WorstProfile
+from certrack.model.uncertainty import Uncertainty
+
+#: A norm below this has no direction.
+LEAST_NORM = 1e-300
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A stretch of a period: the matrices of the module's text."""
+
+    E: np.ndarray
+    G: np.ndarray
+    by_reference: np.ndarray
+    offset: np.ndarray
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A sample: the matrices of the module's text."""
+
+    J: np.ndarray
+    by_noise: np.ndarray
+    by_reference: np.ndarray
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A loop whose error at the end of `periods` is to be made large.
+
+    Attributes
+    ----------
+    uncertainty : Uncertainty
+    acting : numbers of the states whose w_k acts, from 0
+    jump : Jump or None
+    cells : tuple of Cell
+    lengths : of the cells, s
+    row : (N,) array
+        The error is row @ z.
+    start : (N, m) array
+        z at the beginning, from y_d ... y_d^(m-1).
+    bounds : Y_0 ... Y_m
+    noise : largest error of each sensor
+    periods, stride : int
+        In all, and in a piece of the reference.
+    """
+
+    uncertainty: Uncertainty
+    acting: tuple[int, ...]
+    jump: Jump | None
+    cells: tuple[Cell, ...]
+    lengths: tuple[float, ...]
+    row: np.ndarray
+    start: np.ndarray
+    bounds: tuple[float, ...]
+    noise: np.ndarray
+    periods: int
+    stride: int
+
+    @property
+    def period(self) -> float:
+        """Length of a period, s."""
+        return float(sum(self.lengths))
+
+    @property
+    def n(self) -> int:
+        """Order of the plant."""
+        return len(self.uncertainty.tau)
+
+    def bound(self, x: np.ndarray) -> np.ndarray:
+        """The bounds of the w that act, at a state."""
+        return np.array([float(self.uncertainty.bound(k, x)) for k in self.acting])
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives of these bounds by the state, a row each."""
+        u, rows = self.uncertainty, []
+        for k in self.acting:
+            S = np.array(u.norm_weights(k))
+            norm = float(np.linalg.norm(S * x))
+            row = u.gamma[k] * S**2 * x / norm if norm > LEAST_NORM else np.zeros(self.n)
+            rows.append(row if u.Delta is None else row + np.array(u.Delta[k]) * np.sign(x))
+        return np.array(rows).reshape(len(self.acting), self.n)
+
+
+class Kernels(NamedTuple):
+    """What inputs do to the error at the end.
+
+    Attributes
+    ----------
+    disturbance : (periods, cells, inputs) array
+    noise : (periods, sensors) array
+    reference : (m + pieces,) array
+        Of y_d ... y_d^(m-1) at the beginning, and of y_d^(m) on each piece.
+    """
+
+    disturbance: np.ndarray
+    noise: np.ndarray
+    reference: np.ndarray
+
+
+class Course(NamedTuple):
+    """A run of the chain.
+
+    Attributes
+    ----------
+    error : float
+        At the end.
+    states : (periods, cells, n) array
+        Of the plant, at the begin of each cell.
+    """
+
+    error: float
+    states: np.ndarray
+
+
+def kernels(chain: Chain, course: Course | None = None) -> Kernels:
+    """The kernels; along a course, bounds that grow with the state are as large as there."""
+    m, inputs = len(chain.bounds) - 1, len(chain.acting)
+    disturbance = np.zeros((chain.periods, len(chain.cells), inputs))
+    noise = np.zeros((chain.periods, len(chain.noise)))
+    reference = np.zeros(m + chain.periods // chain.stride)
+    row = chain.row.copy()
+    for k in range(chain.periods - 1, -1, -1):
+        gain = 0.0
+        for c in range(len(chain.cells) - 1, -1, -1):
+            cell = chain.cells[c]
+            gain += row @ cell.by_reference
+            kernel = row @ cell.G
+            disturbance[k, c] = kernel
+            row = row @ cell.E
+            if course is not None:
+                row[: chain.n] += np.abs(kernel) @ chain.slopes(course.states[k, c])
+        if chain.jump is not None:
+            gain += row @ chain.jump.by_reference
+            noise[k] = row @ chain.jump.by_noise
+            row = row @ chain.jump.J
+        reference[m + k // chain.stride] += gain
+    reference[:m] = row @ chain.start
+    return Kernels(disturbance, noise, reference)
+
+
+def run(chain: Chain, found: Kernels, reference: WorstProfile) -> Course:
+    """The chain under inputs of the kernels' signs and a reference."""
+    signs, senses = np.sign(found.disturbance), np.sign(found.noise)
+    z = chain.start @ reference.start
+    states = np.zeros((chain.periods, len(chain.cells), chain.n))
+    for k in range(chain.periods):
+        top = reference.pieces[k // chain.stride]
+        if chain.jump is not None:
+            jump = chain.jump
+            z = jump.J @ z + jump.by_noise @ (senses[k] * chain.noise) + jump.by_reference * top
+        for c, cell in enumerate(chain.cells):
+            x = states[k, c] = z[: chain.n]
+            z = cell.E @ z + cell.by_reference * top + cell.offset
+            if chain.acting:
+                z = z + cell.G @ (signs[k, c] * chain.bound(x))
+    return Course(float(chain.row @ z), states)
