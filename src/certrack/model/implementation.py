@@ -14,7 +14,9 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.keys import check_fields, keyed, keys_of
+from certrack.core.expressions import TIME, Expression, parse
+from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.core.lowering import numpy_callable, rows
 from certrack.model.plant import Plant
 
 UPDATES = ("euler", "exact_leak")
@@ -61,6 +63,9 @@ class Implementation:
         Step of each sensor (an encoder of N lines per turn with x in rad: 2 pi/(4 N)).
     noise : n numbers >= 0, optional
         Standard deviation of the normal noise on each measured state.
+    sensor_error : n formulas of t, optional
+        Added to the measured states at the samples, before rounding: an offset, a ripple, or the
+        worst case that `falsify` found.
     seed, stream : int
         Of the noise; every member of an ensemble has a stream of its own.
     velocity : names of states, optional
@@ -125,6 +130,13 @@ class Implementation:
         least=0,
         otherwise="zero",
     )
+    sensor_error: tuple[Expression, ...] | None = keyed(
+        "formulas",
+        None,
+        help="error of each sensor, a formula of t, besides noise and rounding",
+        shape="one per state",
+        otherwise="zero",
+    )
     seed: int = keyed("integer", 0, help="seed of the noise", least=0, most=MAX_SEED)
     stream: int = keyed(
         "integer",
@@ -164,7 +176,13 @@ class Implementation:
     initial_input: float = keyed("number", 0.0, help="input before the first sample acts")
 
     def __post_init__(self) -> None:
-        check_fields(self, "implementation")
+        names = [name for name in keys_of(self) if name != "sensor_error"]
+        check_fields(self, "implementation", *names)
+        if self.sensor_error is not None:
+            key, shape = "implementation.sensor_error", keys_of(self)["sensor_error"].shape
+            entries = checks.sequence(key, self.sensor_error, None, shape)
+            errors = (parse(f"{key}[{i}]", entry, ["t"]) for i, entry in enumerate(entries))
+            set_fields(self, sensor_error=tuple(errors))
         if self.offset >= self.period:
             raise InputError("implementation.offset", "must be less than the period", self.offset)
         if self.saturation is not None:
@@ -192,7 +210,8 @@ class Implementation:
     def bound_to(self, plant: Plant, estimates: int) -> Implementation:
         """This implementation checked against `plant` and the number of estimates."""
         keys = keys_of(self)
-        for name, count in (*((name, plant.n) for name in PER_STATE), ("projection", estimates)):
+        per_state = (*PER_STATE, "sensor_error")
+        for name, count in (*((name, plant.n) for name in per_state), ("projection", estimates)):
             if getattr(self, name) is not None:
                 values = getattr(self, name)
                 checks.sequence(f"implementation.{name}", values, count, keys[name].shape)
@@ -224,6 +243,13 @@ class Implementation:
             return command
         inputs: np.ndarray = np.clip(np.rint(command / quantum) * quantum, low, high)
         return inputs
+
+    def sensor_errors(self, times: np.ndarray) -> np.ndarray | None:
+        """The errors of the sensors at times, a row each; None where there are none."""
+        if self.sensor_error is None:
+            return None
+        errors = numpy_callable([TIME], [formula.expr for formula in self.sensor_error])
+        return rows(errors(times), len(times))
 
     def samples(self, duration: float) -> int:
         """Number of samples in a run.

@@ -40,6 +40,7 @@ typedef struct {
   const double *shared; /* segments x SHARED */
   int64_t depth; /* commands that may wait, and one */
   const double *noise, *quantum; /* MEASURED each */
+  const double *errors; /* samples x MEASURED, or none */
   double input_quantum, input_low, input_high; /* of the converter */
   double initial_input, tolerance, max_state;
   double *values; /* times of interest x SHOWN x count */
@@ -208,6 +209,7 @@ static void take_sample(Group *g, const Task *task, double t, const double *s, V
   V m[MEASURED], c[LAW_COMMON + 1], u;
   measure(g->x, g->p, m);
   for (int j = 0; j < MEASURED; j++) {
+    if (task->errors) m[j] += task->errors[g->samples * MEASURED + j];
     if (task->noise[j] > 0.0)
       m[j] += task->noise[j] * normal(g->key, (uint64_t)(g->samples * MEASURED + j + 1));
     if (task->quantum[j] > 0.0) m[j] = rounded(m[j], task->quantum[j]);

@@ -54,7 +54,7 @@ class _SampledTask(ctypes.Structure):
         ("events", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in ("times", "kinds", "marks", "segments", "shared")),
         ("depth", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("noise", "quantum")),
+        *((name, ctypes.c_void_p) for name in ("noise", "quantum", "errors")),
         *(
             (name, ctypes.c_double)
             for name in (
@@ -128,6 +128,8 @@ class SampledNative:
             np.array(row or nothing)
             for row in (implementation.noise, implementation.measurement_quantum)
         ]
+        errors = implementation.sensor_errors(line.times[line.samples])
+        errors = None if errors is None else np.ascontiguousarray(errors.T)
         starts = (problem.x, problem.states, problem.totals, problem.parameters)
         arrays = [
             *(np.ascontiguousarray(a, dtype=float) for a in starts),
@@ -147,6 +149,7 @@ class SampledNative:
             *pointers[5:10],
             int(implementation.delay) + 2,
             *pointers[10:],
+            None if errors is None else errors.ctypes.data,
             *implementation.converter,
             implementation.initial_input,
             problem.tolerance,

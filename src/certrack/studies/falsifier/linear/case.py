@@ -17,6 +17,7 @@ from certrack.references import PiecewiseReference, profile
 from certrack.references.shapes import derivatives_between
 from certrack.studies.falsifier.linear.ascent import REST_PIECES, WorstInputs
 from certrack.studies.falsifier.linear.pattern import sign_formula
+from certrack.studies.falsifier.linear.sampled import noise_bounds
 from certrack.systems.system import System
 
 #: |w_k| rounds below its bound with this factor, and y_d and its derivatives below theirs.
@@ -32,28 +33,25 @@ TAIL_PART = 0.15
 def written_case(
     system: System,
     worst: WorstInputs,
-    values: Mapping[str, Any],
     sense: int = 1,
-    implementation: Implementation | None = None,
 ) -> System:
     """The system under worst inputs.
 
     Parameters
     ----------
     system : System
+        Its truth has the constants of the case.
     worst : WorstInputs
-    values : mapping
-        What the constants with a range really are, by name, as texts; and of what else has one.
     sense : {1, -1}
         1, or -1 for the opposite of every input.
-    implementation : Implementation, optional
-        Of the case.
     """
-    chain, settings = worst.chain, system.settings
+    chain, settings, implementation = worst.chain, system.settings, system.implementation
     reference = admissible_profile(worst.reference, chain.bounds, sense)
     x0 = sense * (chain.start @ worst.reference.start)[: chain.n]
     end = chain.period * chain.periods
     duration = end if implementation is None else end + implementation.period
+    if implementation is not None:
+        implementation = _worst_sensors(implementation, worst, sense)
     settings = replace(
         settings,
         x0=tuple(x0.tolist()),
@@ -65,7 +63,11 @@ def written_case(
         plant=system.plant,
         law=system.law,
         reference=reference,
-        truth=_truth(system, worst, values, sense, float(np.abs(x0).max())),
+        truth=replace(
+            system.truth,
+            omega=_omega(system, worst, sense, float(np.abs(x0).max())),
+            tau=system.plant.uncertainty.tau,
+        ),
         settings=settings,
         title=f"Worst case found for: {system.title}",
         implementation=implementation,
@@ -109,38 +111,54 @@ def _ending_at_rest(times: np.ndarray, start: np.ndarray, pieces: np.ndarray) ->
     return pieces
 
 
-def sensor_errors(worst: WorstInputs, sense: int, first: float) -> tuple[str, ...]:
-    """The errors of the sensors as formulas of t; `first` is the time of the first sample."""
+def _worst_sensors(
+    implementation: Implementation, worst: WorstInputs, sense: int
+) -> Implementation:
+    """The implementation with the worst errors of the sensors in the place of noise."""
     chain = worst.chain
-    edges = first + (np.arange(chain.periods + 1) - 0.5) * chain.period
-    return tuple(
+    edges = (np.arange(chain.periods + 1) - 0.5) * chain.period
+    sizes = noise_bounds(implementation, chain.n).tolist()
+    errors = [
         f"{sense * size!r}*{sign_formula(worst.kernels.noise[:, i], edges)}" if size else "0"
-        for i, size in enumerate(chain.noise.tolist())
+        for i, size in enumerate(sizes)
+    ]
+    return replace(
+        implementation,
+        offset=0.0,
+        noise=None,
+        sensor_error=tuple(errors) if any(sizes) else None,  # type: ignore[arg-type]
     )
 
 
-def _truth(
-    system: System, worst: WorstInputs, values: Mapping[str, Any], sense: int, size: float
-) -> Truth:
-    """The truth with the worst disturbances, and constants as they are in this case."""
-    chain, u, truth = worst.chain, system.plant.uncertainty, system.truth
+def at_point(system: System, values: Mapping[str, Any]) -> System:
+    """The system whose truth has these values of what has a range.
+
+    Parameters
+    ----------
+    system : System
+    values : mapping
+        By name, as texts.
+    """
+    truth, theta = system.truth, list(system.truth.theta)
+    for i in range(len(theta)):
+        theta[i] = values.get(f"{RANGED_THETA}[{i}]", theta[i])
+    constants = dict(truth.constants) | {
+        name: value for name, value in values.items() if name in system.plant.constant_boxes
+    }
+    gain = values.get(RANGED_GAIN, truth.input_gain)
+    changed = Truth(gain, tuple(theta), truth.omega, constants=tuple(constants.items()))
+    return system.replace(truth=changed)
+
+
+def _omega(system: System, worst: WorstInputs, sense: int, size: float) -> tuple[str, ...]:
+    """The worst disturbances as formulas."""
+    chain, u = worst.chain, system.plant.uncertainty
     lengths = np.tile(chain.lengths, chain.periods)
     edges = np.concatenate([[0.0], np.cumsum(lengths)])
     omega = ["0"] * system.plant.n
-    offset = NORM_OFFSET * size or NORM_OFFSET
+    offset = 2.0 ** round(math.log2(NORM_OFFSET * size or NORM_OFFSET))  # its square is exact
     for j, k in enumerate(chain.acting):
         weights = (worst.kernels.disturbance[:, :, j].ravel() * lengths).astype(float)
         bound = u.bound_formula(k, system.plant.states, offset)
         omega[k] = f"{sense * BELOW_BOUND!r}*{sign_formula(weights, edges)}*({bound})"
-    constants = dict(truth.constants) | {
-        name: value for name, value in values.items() if name in system.plant.constant_boxes
-    }
-    theta: list[Any] = list(truth.theta)
-    for i in range(len(theta)):
-        theta[i] = values.get(f"{RANGED_THETA}[{i}]", theta[i])
-    return Truth(
-        values.get(RANGED_GAIN, truth.input_gain),
-        tuple(theta),
-        tuple(omega),  # type: ignore[arg-type]
-        constants=tuple(constants.items()),
-    )
+    return tuple(omega)

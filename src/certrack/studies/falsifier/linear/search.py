@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,9 +15,11 @@ from certrack.laws.error_system import EstimatedParameters
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.linear.ascent import worst_inputs
-from certrack.studies.falsifier.linear.case import written_case
+from certrack.studies.falsifier.linear.case import at_point, written_case
+from certrack.studies.falsifier.linear.chain import Chain
 from certrack.studies.falsifier.linear.continuous import continuous_chain
 from certrack.studies.falsifier.linear.corners import worst_corners
+from certrack.studies.falsifier.linear.sampled import reference_orders, sampled_chain
 from certrack.systems.system import System
 
 #: Corners whose worst inputs are computed and simulated.
@@ -61,19 +63,53 @@ def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase | N
     loop = linear_error_loop(system)
     if loop is None or not all(map(math.isfinite, bounds)):
         return None
-    found = []
-    for point in worst_corners(loop, bounds, CANDIDATES):
-        chain = continuous_chain(loop, point, bounds)
-        worst = None if chain is None else worst_inputs(chain)
-        if worst is not None:
-            found.append((worst, values_at(loop, point)))
+    points = worst_corners(loop, bounds, CANDIDATES)
+    chains = ((continuous_chain(loop, point, bounds), point) for point in points)
+    return _worst_of(system, loop, chains)
+
+
+def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None:
+    """The worst case of the loop as a drive carries it out.
+
+    Parameters
+    ----------
+    system : System
+        With an implementation.
+    bounds : Y_0 ... Y_{q+1}
+
+    Returns
+    -------
+    LinearCase, or None where the loop is not linear or not stable, or nothing is found.
+    """
+    loop = linear_error_loop(system)
+    if loop is None or not all(map(math.isfinite, bounds)):
+        return None
+    orders = reference_orders(system, bounds)
+    points = worst_corners(loop, bounds, CANDIDATES)
+    chains = (
+        (sampled_chain(at_point(system, values_at(loop, point)), orders), point) for point in points
+    )
+    return _worst_of(system, loop, chains)
+
+
+def _worst_of(
+    system: System, loop: RangedLoop, chains: Iterable[tuple[Chain | None, tuple[Any, ...]]]
+) -> LinearCase | None:
+    """The worst inputs of all chains, simulated."""
+    found = [
+        (worst, point)
+        for chain, point in chains
+        if chain is not None and (worst := worst_inputs(chain)) is not None
+    ]
     if not found:
         return None
-    worst, values = max(found, key=lambda pair: pair[0].error)
+    worst, point = max(found, key=lambda pair: pair[0].error)
     odd = not loop.brackets and all(entry == 0 for entry in loop.matrix[:, -1])
-    senses = (1,) if odd else (1, -1)
-    cases = (written_case(system, worst, values, sense) for sense in senses)
-    return max(played(cases, worst.error), key=lambda case: case.error)
+    base = at_point(system, values_at(loop, point))
+    cases = [written_case(base, worst, sense) for sense in ((1,) if odd else (1, -1))]
+    played = [(case, simulate(case)) for case in cases]
+    entries = [LinearCase(worst.error, case, run, tail_error(run)) for case, run in played]
+    return max(entries, key=lambda entry: entry.error)
 
 
 def linear_error_loop(system: System) -> RangedLoop | None:
@@ -90,15 +126,6 @@ def linear_error_loop(system: System) -> RangedLoop | None:
 def values_at(loop: RangedLoop, point: tuple[Any, ...]) -> dict[str, Any]:
     """The values of what has a range, as texts of fractions by name."""
     return {str(name): str(value) for name, value in zip(loop.symbols, point, strict=True)}
-
-
-def played(cases: Iterator[System], estimate: float) -> list[LinearCase]:
-    """The cases, simulated."""
-    return [
-        LinearCase(estimate, case, run, tail_error(run))
-        for case in cases
-        for run in [simulate(case)]
-    ]
 
 
 def tail_error(run: Run) -> float:
