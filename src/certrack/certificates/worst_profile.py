@@ -19,10 +19,10 @@ from scipy.optimize import linprog
 LOOKS_PER_PIECE = 8
 
 #: The time to come to rest, over the largest Y_i/Y_{i+1}; a ratio over 1 / this is one by zero.
-REST_TIMES, LEAST_MEANT = 4.0, 1e-100
+STOPPING_TIMES, LEAST_MEANT = 4.0, 1e-100
 
 #: A bound of zero is as good as this for the scaling.
-LEAST_SIZE = 1e-300
+LEAST_BOUND = 1e-300
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class WorstProfile:
 
 
 def worst_profile(
-    gains: np.ndarray, bounds: Sequence[float] | np.ndarray, widths: np.ndarray, rest: int = 0
+    gains: np.ndarray, bounds: Sequence[float] | np.ndarray, widths: np.ndarray, stopping: int = 0
 ) -> WorstProfile | None:
     """The profile with the largest gains @ (start, pieces).
 
@@ -58,15 +58,15 @@ def worst_profile(
     bounds : Y_0 ... Y_m
     widths : (K,) array, s
         Of the pieces.
-    rest : int
+    stopping : int
         So many further pieces bring the reference to rest; they have no gain.
 
     Returns
     -------
     WorstProfile, or None where the program is not solved.
     """
-    sizes = np.maximum(np.asarray(bounds, dtype=float), LEAST_SIZE)
-    m, every = len(sizes) - 1, np.concatenate([widths, rest_widths(sizes, rest)])
+    sizes = np.maximum(np.asarray(bounds, dtype=float), LEAST_BOUND)
+    m, every = len(sizes) - 1, np.concatenate([widths, stopping_widths(sizes, stopping)])
     count = m + len(every)
     S, held = np.zeros((m, count)), np.zeros((1, count))
     S[:, :m] = np.eye(m)
@@ -82,9 +82,9 @@ def worst_profile(
     table = np.vstack([*rows, S])
     scale = np.concatenate([sizes[:-1], np.full(len(every), sizes[-1])])
     objective = np.concatenate([gains, np.zeros(len(every) - len(widths))]) * scale
-    at_rest = S[1:] if rest else None
+    at_rest = S[1:] if stopping else None
     optimum = linprog(
-        -objective / max(np.abs(objective).max(), LEAST_SIZE),
+        -objective / max(np.abs(objective).max(), LEAST_BOUND),
         A_ub=np.vstack([table, -table]),
         b_ub=np.ones(2 * len(table)),
         A_eq=at_rest,
@@ -103,13 +103,13 @@ def worst_profile(
     return WorstProfile(float(objective @ x), x[:m] * sizes[:-1], x[m:] * sizes[-1], every)
 
 
-def rest_widths(sizes: np.ndarray, count: int) -> np.ndarray:
+def stopping_widths(sizes: np.ndarray, count: int) -> np.ndarray:
     """Widths of pieces that suffice to come to rest."""
     if not count:
         return np.empty(0)
     ratios = [below / above for below, above in zip(sizes, sizes[1:], strict=False)]
     slowest = max((ratio for ratio in ratios if ratio < 1 / LEAST_MEANT), default=1.0)
-    return np.full(count, REST_TIMES * slowest / count)
+    return np.full(count, STOPPING_TIMES * slowest / count)
 
 
 def _taylor(sizes: np.ndarray, width: float) -> np.ndarray:

@@ -115,12 +115,13 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     """Search for the worst admissible case.
 
     Disturbance, reference and parameters are varied within what the certificate covers; the file's
-    own run is a candidate, too, and where the error loop is linear also what its kernels and a
-    linear program give, at the corners of plant.ranges and for [implementation] with the worst
-    noise: --out FILE.toml then writes FILE-drive.toml besides. The worst error found is compared with every certificate: the ratio
-    of bound to error tells how tight a bound is. A run beyond the best verified bound is an alarm,
-    with exit code 1: a premise is broken, or certrack is wrong. The paper's bound, whose proof has
-    a gap, may be exceeded.
+    own run is a candidate, too. Where the error loop is linear, its kernels and a linear program
+    give another, at the corners of plant.ranges; with [implementation] also one of the sampled
+    loop with the worst noise, which --out FILE.toml writes as FILE-drive.toml.
+
+    The worst error found is compared with every certificate: the ratio of bound to error tells how
+    tight a bound is. A run beyond the best verified bound is an alarm, with exit code 1: a premise
+    is broken, or certrack is wrong. The paper's bound, whose proof has a gap, may be exceeded.
 
     \b
     Example: certrack falsify example1 --out worst.toml

@@ -30,7 +30,7 @@ SAME_TIME = 1e-12
 SAME_VALUE = 1e-12
 
 #: No law asks for more derivatives.
-MAX_DEGREE = 52
+MAX_PIECE_DEGREE = 52
 
 #: Factor on the extremes of a piece, whose evaluation is some ten float operations; above degree 3
 #: there are more, and the points where a derivative is largest are rounded.
@@ -93,14 +93,16 @@ class PiecewiseReference:
         if len(knots) < 2:
             raise InputError("reference.knots", "must be at least two times", len(knots))
         table = checks.finite_array("reference.coefficients", self.coefficients, 2)
-        if len(table) != len(knots) - 1 or not DEGREE < table.shape[1] <= MAX_DEGREE + 1:
+        if len(table) != len(knots) - 1 or not DEGREE < table.shape[1] <= MAX_PIECE_DEGREE + 1:
             wanted = f"must be {len(knots) - 1} rows of {DEGREE + 1} numbers, one per piece"
             raise InputError("reference.coefficients", wanted, f"shape {table.shape}")
         set_fields(
             self,
             knots=tuple(knots.tolist()),
             coefficients=tuple(map(tuple, table.tolist())),
-            smoothness=checks.integer("reference.smoothness", self.smoothness, 1, table.shape[1] - 1),
+            smoothness=checks.integer(
+                "reference.smoothness", self.smoothness, 1, table.shape[1] - 1
+            ),
         )
 
     def _check_times(self) -> None:

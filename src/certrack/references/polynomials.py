@@ -42,7 +42,7 @@ def stationary(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
 
 
 def _roots(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
-    """The same for rows of any degree; of a complex pair, which may be a double root, its middle."""
+    """The same for rows of any degree; of a complex pair, maybe a double root, its middle."""
     count = slope.shape[1] - 1
     points = np.zeros((count, len(slope)))
     scaled = slope * width[:, None] ** np.arange(count + 1)

@@ -10,7 +10,7 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.references.piecewise import MAX_DEGREE, SAME_TIME, PiecewiseReference
+from certrack.references.piecewise import MAX_PIECE_DEGREE, SAME_TIME, PiecewiseReference
 from certrack.references.polynomials import DEGREE
 
 #: Units of time in which samples may be given, s.
@@ -260,8 +260,8 @@ def profile(
     if not 2 <= len(times) <= MAX_REFERENCE_SAMPLES:
         wanted = f"must be 2 to {MAX_REFERENCE_SAMPLES} times"
         raise InputError("reference.times", wanted, len(times))
-    if not 1 <= len(start) <= MAX_DEGREE:
-        raise InputError("reference.start", f"must be 1 to {MAX_DEGREE} numbers", len(start))
+    if not 1 <= len(start) <= MAX_PIECE_DEGREE:
+        raise InputError("reference.start", f"must be 1 to {MAX_PIECE_DEGREE} numbers", len(start))
     highest = checks.reals("reference.highest", highest, len(times) - 1, "one per piece")
     order, factorials = len(start), [math.factorial(k) for k in range(len(start) + 1)]
     for i, width in enumerate(np.diff(times)):

@@ -223,9 +223,9 @@ def _worst_member(system: System, linear: LinearCase | None) -> System:
     """The system, with its constants where the linear loop is worst."""
     if linear is None:
         return system
-    found = linear.system.truth
-    constants, theta = found.constants, found.theta
-    truth = replace(system.truth, constants=constants, theta=theta, input_gain=found.input_gain)
+    member = linear.system.truth
+    constants, theta = member.constants, member.theta
+    truth = replace(system.truth, constants=constants, theta=theta, input_gain=member.input_gain)
     return system.replace(truth=truth)
 
 

@@ -1,7 +1,7 @@
 """The worst inputs of a chain: signs of kernels and a linear program, in turn.
 
-A bound that grows with the state makes the error depend on the product of disturbance and course.
-Along the last course it is linear; its worst inputs give the next course. The best one counts.
+A bound that grows with the state makes the error depend on the product of disturbance and motion.
+Along the last motion it is linear; its worst inputs give the next motion. The best one counts.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from certrack.certificates.worst_profile import WorstProfile, worst_profile
-from certrack.studies.falsifier.linear.chain import Chain, Course, Kernels, kernels, run
+from certrack.studies.falsifier.linear.chain import Chain, Kernels, Motion, kernels, run
 
 #: Turns at most, and the relative gain below which there is no other.
 TURNS, LEAST_GAIN = 6, 1e-5
 
 #: Pieces by which the reference comes to rest after the end.
-REST_PIECES = 60
+STOPPING_PIECES = 60
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,18 @@ class WorstInputs:
 def worst_inputs(chain: Chain) -> WorstInputs | None:
     """The worst inputs found; None where the linear program is not solved."""
     best: WorstInputs | None = None
-    course: Course | None = None
+    motion: Motion | None = None
     widths = np.full(chain.periods // chain.stride, chain.stride * chain.period)
     for _ in range(TURNS):
-        found = kernels(chain, course)
-        reference = worst_profile(found.reference, chain.bounds, widths, REST_PIECES)
+        signed = kernels(chain, motion)
+        reference = worst_profile(signed.reference, chain.bounds, widths, STOPPING_PIECES)
         if reference is None:
             break
-        course = run(chain, found, reference)
-        error = abs(course.error)
+        motion = run(chain, signed, reference)
+        error = abs(motion.error)
         if best is not None and not error > best.error * (1 + LEAST_GAIN):
             break
-        best = WorstInputs(chain, error, found, reference)
+        best = WorstInputs(chain, error, signed, reference)
         if not any(chain.uncertainty.grows(k) for k in chain.acting):
             break
     return best

@@ -15,19 +15,19 @@ from certrack.model.implementation import Implementation
 from certrack.model.truth import Truth
 from certrack.references import PiecewiseReference, profile
 from certrack.references.shapes import derivatives_between
-from certrack.studies.falsifier.linear.ascent import REST_PIECES, WorstInputs
+from certrack.studies.falsifier.linear.ascent import STOPPING_PIECES, WorstInputs
 from certrack.studies.falsifier.linear.pattern import sign_formula
 from certrack.studies.falsifier.linear.sampled import noise_bounds
 from certrack.systems.system import System
 
 #: |w_k| rounds below its bound with this factor, and y_d and its derivatives below theirs.
-BELOW_BOUND = 1 - 1e-9
+WITHIN_BOUND = 1 - 1e-9
 
 #: ||x|| in a disturbance is sqrt(x.x + offset^2) - offset; the offset over the largest |x|.
-NORM_OFFSET = 1e-4
+PATTERN_NORM_OFFSET = 1e-4
 
 #: The last part of the run, of which the error counts.
-TAIL_PART = 0.15
+END_PART = 0.15
 
 
 def written_case(
@@ -56,7 +56,7 @@ def written_case(
         settings,
         x0=tuple(x0.tolist()),
         duration=duration,
-        tail=(1 - TAIL_PART) * end,
+        tail=(1 - END_PART) * end,
         estimates=None,
     )
     return System(
@@ -65,7 +65,7 @@ def written_case(
         reference=reference,
         truth=replace(
             system.truth,
-            omega=_omega(system, worst, sense, float(np.abs(x0).max())),
+            omega=_omega(system, worst, sense, float(np.abs(x0).max())),  # type: ignore[arg-type]
             tau=system.plant.uncertainty.tau,
         ),
         settings=settings,
@@ -87,12 +87,12 @@ def admissible_profile(
 
     reached = scaled(1.0).bounds(len(bounds) - 1).values
     excess = max((a / b for a, b in zip(reached, bounds, strict=True) if b > 0), default=1.0)
-    return scaled(BELOW_BOUND / max(1.0, excess))
+    return scaled(WITHIN_BOUND / max(1.0, excess))
 
 
 def _ending_at_rest(times: np.ndarray, start: np.ndarray, pieces: np.ndarray) -> np.ndarray:
     """The pieces with the last ones corrected by the rounding of all sums before them."""
-    order, last = len(start), len(pieces) - REST_PIECES
+    order, last = len(start), len(pieces) - STOPPING_PIECES
     columns = [
         [
             ((times[-1] - begin) ** (order - k) - (times[-1] - end) ** (order - k))
@@ -156,9 +156,11 @@ def _omega(system: System, worst: WorstInputs, sense: int, size: float) -> tuple
     lengths = np.tile(chain.lengths, chain.periods)
     edges = np.concatenate([[0.0], np.cumsum(lengths)])
     omega = ["0"] * system.plant.n
-    offset = 2.0 ** round(math.log2(NORM_OFFSET * size or NORM_OFFSET))  # its square is exact
+    offset = 2.0 ** round(
+        math.log2(PATTERN_NORM_OFFSET * size or PATTERN_NORM_OFFSET)
+    )  # its square is exact
     for j, k in enumerate(chain.acting):
         weights = (worst.kernels.disturbance[:, :, j].ravel() * lengths).astype(float)
         bound = u.bound_formula(k, system.plant.states, offset)
-        omega[k] = f"{sense * BELOW_BOUND!r}*{sign_formula(weights, edges)}*({bound})"
+        omega[k] = f"{sense * WITHIN_BOUND!r}*{sign_formula(weights, edges)}*({bound})"
     return tuple(omega)

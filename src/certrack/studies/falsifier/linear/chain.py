@@ -26,7 +26,7 @@ LEAST_NORM = 1e-300
 
 
 @dataclass(frozen=True)
-class Cell:
+class HeldStep:
     """A stretch of a period: the matrices of the module's text."""
 
     E: np.ndarray
@@ -53,7 +53,7 @@ class Chain:
     uncertainty : Uncertainty
     acting : numbers of the states whose w_k acts, from 0
     jump : Jump or None
-    cells : tuple of Cell
+    cells : tuple of HeldStep
     lengths : of the cells, s
     row : (N,) array
         The error is row @ z.
@@ -68,7 +68,7 @@ class Chain:
     uncertainty: Uncertainty
     acting: tuple[int, ...]
     jump: Jump | None
-    cells: tuple[Cell, ...]
+    cells: tuple[HeldStep, ...]
     lengths: tuple[float, ...]
     row: np.ndarray
     start: np.ndarray
@@ -118,7 +118,7 @@ class Kernels(NamedTuple):
     reference: np.ndarray
 
 
-class Course(NamedTuple):
+class Motion(NamedTuple):
     """A run of the chain.
 
     Attributes
@@ -133,8 +133,8 @@ class Course(NamedTuple):
     states: np.ndarray
 
 
-def kernels(chain: Chain, course: Course | None = None) -> Kernels:
-    """The kernels; along a course, bounds that grow with the state are as large as there."""
+def kernels(chain: Chain, motion: Motion | None = None) -> Kernels:
+    """The kernels; along a motion, bounds that grow with the state are as large as there."""
     m, inputs = len(chain.bounds) - 1, len(chain.acting)
     disturbance = np.zeros((chain.periods, len(chain.cells), inputs))
     noise = np.zeros((chain.periods, len(chain.noise)))
@@ -148,8 +148,8 @@ def kernels(chain: Chain, course: Course | None = None) -> Kernels:
             kernel = row @ cell.G
             disturbance[k, c] = kernel
             row = row @ cell.E
-            if course is not None:
-                row[: chain.n] += np.abs(kernel) @ chain.slopes(course.states[k, c])
+            if motion is not None:
+                row[: chain.n] += np.abs(kernel) @ chain.slopes(motion.states[k, c])
         if chain.jump is not None:
             gain += row @ chain.jump.by_reference
             noise[k] = row @ chain.jump.by_noise
@@ -159,9 +159,9 @@ def kernels(chain: Chain, course: Course | None = None) -> Kernels:
     return Kernels(disturbance, noise, reference)
 
 
-def run(chain: Chain, found: Kernels, reference: WorstProfile) -> Course:
+def run(chain: Chain, signed: Kernels, reference: WorstProfile) -> Motion:
     """The chain under inputs of the kernels' signs and a reference."""
-    signs, senses = np.sign(found.disturbance), np.sign(found.noise)
+    signs, senses = np.sign(signed.disturbance), np.sign(signed.noise)
     z = chain.start @ reference.start
     states = np.zeros((chain.periods, len(chain.cells), chain.n))
     for k in range(chain.periods):
@@ -174,4 +174,4 @@ def run(chain: Chain, found: Kernels, reference: WorstProfile) -> Course:
             z = cell.E @ z + cell.by_reference * top + cell.offset
             if chain.acting:
                 z = z + cell.G @ (signs[k, c] * chain.bound(x))
-    return Course(float(chain.row @ z), states)
+    return Motion(float(chain.row @ z), states)

@@ -10,22 +10,22 @@ import numpy as np
 from scipy.linalg import expm
 
 from certrack.certificates.ranges.loop import RangedLoop
-from certrack.studies.falsifier.linear.chain import Cell, Chain
+from certrack.studies.falsifier.linear.chain import Chain, HeldStep
 
 #: Pieces of the reference.
-PIECES = 160
+REFERENCE_PIECES = 160
 
 #: Length of the run, in time constants of the slowest mode: some, and some more for every state,
 #: since modes that are alike fall later.
-TIME_CONSTANTS, MORE_PER_STATE = 12.0, 2.0
+RUN_TIME_CONSTANTS, MORE_PER_STATE = 12.0, 2.0
 
 #: A step over the fastest time constant; steps in a piece, at least and at most.
-STEP, LEAST_STEPS, MOST_STEPS = 0.05, 8, 64
+STEP_PART, LEAST_STEPS, MOST_STEPS = 0.05, 8, 64
 
 
 def horizon_of(slowest: float, order: int) -> float:
     """Time after which what has happened is forgotten, s; `slowest` is a rate, 1/s."""
-    return (TIME_CONSTANTS + MORE_PER_STATE * order) / slowest
+    return (RUN_TIME_CONSTANTS + MORE_PER_STATE * order) / slowest
 
 
 def continuous_chain(
@@ -62,10 +62,12 @@ def continuous_chain(
         A[n + i, n + i + 1] = 1.0
     A[size - 1, size + inputs] = 1.0
     horizon = horizon_of(slowest, n)
-    stride = min(MOST_STEPS, max(LEAST_STEPS, math.ceil(horizon * fastest / STEP / PIECES)))
-    h = horizon / (stride * PIECES)
+    stride = min(
+        MOST_STEPS, max(LEAST_STEPS, math.ceil(horizon * fastest / STEP_PART / REFERENCE_PIECES))
+    )
+    h = horizon / (stride * REFERENCE_PIECES)
     step = expm(A * h)[:size]
-    cell = Cell(step[:, :size], step[:, size:-2], step[:, -2], step[:, -1])
+    cell = HeldStep(step[:, :size], step[:, size:-2], step[:, -2], step[:, -1])
     row = np.zeros(size)
     row[0], row[n] = 1.0, -1.0
     return Chain(
@@ -78,7 +80,7 @@ def continuous_chain(
         np.vstack([resting_states(loop), np.eye(m)]),
         tuple(bounds),
         np.zeros(0),
-        stride * PIECES,
+        stride * REFERENCE_PIECES,
         stride,
     )
 

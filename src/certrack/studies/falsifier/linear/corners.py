@@ -12,7 +12,7 @@ from certrack.certificates.ranges.attainable import worst_reference
 from certrack.certificates.ranges.loop import RangedLoop, error_form
 
 #: Corners that are looked at: those of six ranges.
-MAX_CORNERS = 64
+MAX_ATTACKED_CORNERS = 64
 
 
 def worst_corners(loop: RangedLoop, bounds: tuple[float, ...], count: int) -> list[tuple[Any, ...]]:
@@ -28,7 +28,7 @@ def worst_corners(loop: RangedLoop, bounds: tuple[float, ...], count: int) -> li
     u, A = loop.system.plant.uncertainty, loop.coordinates.A.astype(float)
     inputs = [A[:, k] * u.tau[k] * u.beta[k] for k in range(loop.n) if u.tau[k] * u.beta[k]]
     columns = np.array(inputs, dtype=float).reshape(len(inputs), loop.n).T
-    found = []
+    entries = []
     points = list(_points(loop))
     if len(points) == 1:
         return points
@@ -37,12 +37,12 @@ def worst_corners(loop: RangedLoop, bounds: tuple[float, ...], count: int) -> li
         M, W, offset = (part.astype(float) for part in (form.M, form.W, form.offset))
         attained = worst_reference(M, W, columns, offset, bounds)
         if attained is not None:
-            found.append((attained.error, point))
-    found.sort(key=lambda pair: -pair[0])
-    return [point for _, point in found[:count]]
+            entries.append((attained.error, point))
+    entries.sort(key=lambda pair: -pair[0])
+    return [point for _, point in entries[:count]]
 
 
 def _points(loop: RangedLoop) -> Iterator[tuple[Any, ...]]:
     yield tuple(loop.nominal)
     if loop.box:
-        yield from itertools.islice(itertools.product(*loop.box), MAX_CORNERS)
+        yield from itertools.islice(itertools.product(*loop.box), MAX_ATTACKED_CORNERS)

@@ -8,7 +8,7 @@ import numpy as np
 MAX_CHANGES = 60
 
 #: A run of signs that weighs less than this part of all is left out.
-LEAST_WEIGHT = 1e-6
+LEAST_RUN_WEIGHT = 1e-6
 
 
 def sign_formula(weights: np.ndarray, edges: np.ndarray) -> str:
@@ -30,7 +30,7 @@ def sign_formula(weights: np.ndarray, edges: np.ndarray) -> str:
             runs.append([weight, begin])
     if not runs:
         return "0"
-    least = LEAST_WEIGHT * sum(abs(weight) for weight, _ in runs)
+    least = LEAST_RUN_WEIGHT * sum(abs(weight) for weight, _ in runs)
     while len(runs) > 1:
         i = min(range(len(runs)), key=lambda j: abs(runs[j][0]))
         if len(runs) <= MAX_CHANGES + 1 and abs(runs[i][0]) >= least:

@@ -11,18 +11,18 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import Implementation
-from certrack.studies.falsifier.linear.chain import Cell, Chain, Jump
-from certrack.studies.falsifier.linear.continuous import PIECES, STEP, horizon_of
+from certrack.studies.falsifier.linear.chain import Chain, HeldStep, Jump
+from certrack.studies.falsifier.linear.continuous import REFERENCE_PIECES, STEP_PART, horizon_of
 from certrack.systems.system import System
 
 #: Normal noise without a bound is taken within so many standard deviations.
 DEVIATIONS = 5.0
 
 #: Samples in a run, at most: slower loops would take minutes.
-MAX_SAMPLES = 200_000
+MAX_CHAIN_SAMPLES = 200_000
 
 #: Steps in a period, at most.
-MOST_STEPS = 16
+MOST_STEPS_PER_PERIOD = 16
 
 
 def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
@@ -47,9 +47,9 @@ def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
     if not 0 < radius < 1:
         return None
     periods = math.ceil(horizon_of(-math.log(radius) / T, system.plant.n) / T)
-    if periods > MAX_SAMPLES:
+    if periods > MAX_CHAIN_SAMPLES:
         return None
-    stride = math.ceil(periods / PIECES)
+    stride = math.ceil(periods / REFERENCE_PIECES)
     u, m = system.plant.uncertainty, len(bounds) - 1
     acting = tuple(k for k in range(system.plant.n) if u.tau[k] > 0 and u.acts(k))
     cells, lengths = _cells(loop, acting, T, delay, m)
@@ -67,7 +67,7 @@ def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
         start,
         bounds,
         sensor_bounds(implementation, system.plant.n),
-        stride * PIECES,
+        stride * REFERENCE_PIECES,
         stride,
     )
 
@@ -124,15 +124,15 @@ def _jump(loop: LinearLoop, T: float, delay: float, m: int) -> Jump:
 
 def _cells(
     loop: LinearLoop, acting: tuple[int, ...], T: float, delay: float, m: int
-) -> tuple[list[Cell], list[float]]:
-    N, memories, whole = len(loop.b), len(loop.controller.states), math.floor(delay)
-    size = N + memories + whole + 2
+) -> tuple[list[HeldStep], list[float]]:
+    N, memories, full = len(loop.b), len(loop.controller.states), math.floor(delay)
+    size = N + memories + full + 2
     fastest = float(np.abs(np.linalg.eigvals(loop.A)).max(initial=0.0))
     cells, lengths = [], []
-    for part, command in ((delay - whole, whole + 1), (1 - delay + whole, whole)):
+    for part, command in ((delay - full, full + 1), (1 - delay + full, full)):
         if part <= 0:
             continue
-        steps = min(MOST_STEPS, max(1, math.ceil(part * T * fastest / STEP)))
+        steps = min(MOST_STEPS_PER_PERIOD, max(1, math.ceil(part * T * fastest / STEP_PART)))
         h = part * T / steps
         cells += [_cell(loop, acting, h, N + memories + command, size, m)] * steps
         lengths += [h] * steps
@@ -141,7 +141,7 @@ def _cells(
 
 def _cell(
     loop: LinearLoop, acting: tuple[int, ...], h: float, command: int, size: int, m: int
-) -> Cell:
+) -> HeldStep:
     N, inputs, tau = len(loop.b), len(acting), loop.system.plant.uncertainty.tau
     A = np.zeros((size + m + inputs + 1, size + m + inputs + 1))
     A[:N, :N], A[:N, command] = loop.A, loop.b
@@ -151,7 +151,7 @@ def _cell(
         A[size + i, size + i + 1] = 1.0
     A[size + m - 1, -1] = 1.0
     step = expm(A * h)[: size + m]
-    return Cell(step[:, : size + m], step[:, size + m : -1], step[:, -1], np.zeros(size + m))
+    return HeldStep(step[:, : size + m], step[:, size + m : -1], step[:, -1], np.zeros(size + m))
 
 
 def _start(system: System, loop: LinearLoop, m: int) -> np.ndarray:

@@ -23,7 +23,7 @@ from certrack.studies.falsifier.linear.sampled import reference_orders, sampled_
 from certrack.systems.system import System
 
 #: Corners whose worst inputs are computed and simulated.
-CANDIDATES = 3
+MAX_CANDIDATES = 3
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase | N
     loop = linear_error_loop(system)
     if loop is None or not all(map(math.isfinite, bounds)):
         return None
-    points = worst_corners(loop, bounds, CANDIDATES)
+    points = worst_corners(loop, bounds, MAX_CANDIDATES)
     chains = ((continuous_chain(loop, point, bounds), point) for point in points)
     return _worst_of(system, loop, chains)
 
@@ -85,7 +85,7 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None
     if loop is None or not all(map(math.isfinite, bounds)):
         return None
     orders = reference_orders(system, bounds)
-    points = worst_corners(loop, bounds, CANDIDATES)
+    points = worst_corners(loop, bounds, MAX_CANDIDATES)
     chains = (
         (sampled_chain(at_point(system, values_at(loop, point)), orders), point) for point in points
     )
@@ -96,14 +96,14 @@ def _worst_of(
     system: System, loop: RangedLoop, chains: Iterable[tuple[Chain | None, tuple[Any, ...]]]
 ) -> LinearCase | None:
     """The worst inputs of all chains, simulated."""
-    found = [
+    attacks = [
         (worst, point)
         for chain, point in chains
         if chain is not None and (worst := worst_inputs(chain)) is not None
     ]
-    if not found:
+    if not attacks:
         return None
-    worst, point = max(found, key=lambda pair: pair[0].error)
+    worst, point = max(attacks, key=lambda pair: pair[0].error)
     odd = not loop.brackets and all(entry == 0 for entry in loop.matrix[:, -1])
     base = at_point(system, values_at(loop, point))
     cases = [written_case(base, worst, sense) for sense in ((1,) if odd else (1, -1))]
