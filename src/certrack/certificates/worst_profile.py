@@ -65,6 +65,8 @@ def worst_profile(
     -------
     WorstProfile, or None where the program is not solved.
     """
+    if not np.isfinite(gains).all():
+        return None
     sizes = np.maximum(np.asarray(bounds, dtype=float), LEAST_BOUND)
     m, every = len(sizes) - 1, np.concatenate([widths, stopping_widths(sizes, stopping)])
     count = m + len(every)

@@ -19,7 +19,7 @@ from certrack.systems.system import System
 DEVIATIONS = 5.0
 
 #: Samples in a run, at most: slower loops would take minutes.
-MAX_CHAIN_SAMPLES = 200_000
+MAX_CHAIN_SAMPLES = 50_000
 
 #: Steps in a period, at most.
 MOST_STEPS_PER_PERIOD = 16

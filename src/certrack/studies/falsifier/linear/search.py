@@ -10,6 +10,7 @@ from typing import Any
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.premises import refuse_unknown
 from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
+from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.laws.error_system import EstimatedParameters
 from certrack.simulation.run import Run
@@ -106,7 +107,10 @@ def _worst_of(
     worst, point = max(attacks, key=lambda pair: pair[0].error)
     odd = not loop.brackets and all(entry == 0 for entry in loop.matrix[:, -1])
     base = at_point(system, values_at(loop, point))
-    cases = [written_case(base, worst, sense) for sense in ((1,) if odd else (1, -1))]
+    try:
+        cases = [written_case(base, worst, sense) for sense in ((1,) if odd else (1, -1))]
+    except InputError:  # beyond what a system may be: too many samples, too large a state
+        return None
     played = [(case, simulate(case)) for case in cases]
     entries = [LinearCase(worst.error, case, run, tail_error(run)) for case, run in played]
     return max(entries, key=lambda entry: entry.error)
