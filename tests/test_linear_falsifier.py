@@ -19,7 +19,7 @@ from certrack.studies.falsifier.linear.ascent import worst_inputs
 from certrack.studies.falsifier.linear.chain import kernels, run
 from certrack.studies.falsifier.linear.continuous import continuous_chain
 from certrack.studies.falsifier.linear.pattern import MAX_CHANGES, sign_formula
-from certrack.studies.falsifier.linear.sampled import reference_orders, sampled_chain
+from certrack.studies.falsifier.linear.sampled import reference_class, sampled_chain
 from certrack.studies.falsifier.linear.search import (
     continuous_case,
     linear_error_loop,
@@ -223,7 +223,7 @@ def test_a_wrong_sign_of_the_noise_is_a_smaller_error(drive):
 @pytest.mark.slow
 def test_rounding_at_its_worst_is_as_large_as_promised():
     """Without the encoders, but with half a step of them in the sensors' errors."""
-    chain = sampled_chain(DRIVE, reference_orders(DRIVE, bounds_of(DRIVE)))
+    chain = sampled_chain(DRIVE, reference_class(DRIVE, bounds_of(DRIVE)))
     worst = worst_inputs(chain)
     assert worst.error > 0.9 * 0.00165
     size = float(chain.noise[0])

@@ -39,7 +39,7 @@ typedef struct {
   const int32_t *segments; /* which row of `shared` holds from an event on */
   const double *shared; /* segments x SHARED */
   int64_t depth; /* commands that may wait, and one */
-  const double *noise, *quantum; /* MEASURED each */
+  const double *noise, *noise_bound, *quantum; /* MEASURED each */
   const double *errors; /* samples x MEASURED, or none */
   double input_quantum, input_low, input_high; /* of the converter */
   double initial_input, tolerance, max_state;
@@ -209,9 +209,13 @@ static void take_sample(Group *g, const Task *task, double t, const double *s, V
   V m[MEASURED], c[LAW_COMMON + 1], u;
   measure(g->x, g->p, m);
   for (int j = 0; j < MEASURED; j++) {
-    if (task->errors) m[j] += task->errors[g->samples * MEASURED + j];
-    if (task->noise[j] > 0.0)
-      m[j] += task->noise[j] * normal(g->key, (uint64_t)(g->samples * MEASURED + j + 1));
+    if (task->noise[j] > 0.0 || task->errors) {
+      V bound = SPLAT(task->noise_bound[j]), error = SPLAT(0.0);
+      if (task->noise[j] > 0.0)
+        error = task->noise[j] * normal(g->key, (uint64_t)(g->samples * MEASURED + j + 1));
+      if (task->errors) error += task->errors[g->samples * MEASURED + j];
+      m[j] += choose(error > bound, bound, choose(error < -bound, -bound, error));
+    }
     if (task->quantum[j] > 0.0) m[j] = rounded(m[j], task->quantum[j]);
   }
   law_common(SPLAT(t), s, c);

@@ -276,9 +276,14 @@ def sensed(
     error : (n,) array, optional
         The errors that the implementation states for this sample.
     """
-    measured = true if error is None else true + error[:, None]
+    measured, noise = true, None if error is None else error[:, None]
     if implementation.noise is not None:
-        noise = np.array(implementation.noise)[:, None] * normal(keys, sample, len(true))
+        normal_noise = np.array(implementation.noise)[:, None] * normal(keys, sample, len(true))
+        noise = normal_noise if noise is None else normal_noise + noise
+    if noise is not None:
+        if implementation.noise_bound is not None:
+            bound = np.array(implementation.noise_bound)[:, None]
+            noise = np.clip(noise, -bound, bound)
         measured = measured + noise
     if implementation.measurement_quantum is not None:
         quantum = np.array(implementation.measurement_quantum)[:, None]

@@ -50,6 +50,7 @@ def worst_inputs(chain: Chain) -> WorstInputs | None:
         reference = worst_profile(signed.reference, chain.bounds, widths, STOPPING_PIECES)
         if reference is None:
             break
+        reference = _within_jumps(reference, chain.largest_jump)
         motion = run(chain, signed, reference)
         error = abs(motion.error)
         if best is not None and not error > best.error * (1 + LEAST_GAIN):
@@ -58,3 +59,17 @@ def worst_inputs(chain: Chain) -> WorstInputs | None:
         if not any(chain.uncertainty.grows(k) for k in chain.acting):
             break
     return best
+
+
+def _within_jumps(reference: WorstProfile, largest: float) -> WorstProfile:
+    """The reference, made smaller until its last derivative jumps no more than it may."""
+    steps = float(np.abs(np.diff(reference.pieces)).max(initial=0.0))
+    if steps <= largest:
+        return reference
+    factor = largest / steps
+    return WorstProfile(
+        factor * reference.value,
+        factor * reference.start,
+        factor * reference.pieces,
+        reference.widths,
+    )

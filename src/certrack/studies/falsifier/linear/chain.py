@@ -13,6 +13,7 @@ linear along the run that was computed last, and goes back with the row.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -63,6 +64,8 @@ class Chain:
     noise : largest error of each sensor
     periods, stride : int
         In all, and in a piece of the reference.
+    largest_jump : float
+        The largest that y_d^(m) may make between pieces.
     """
 
     uncertainty: Uncertainty
@@ -76,6 +79,7 @@ class Chain:
     noise: np.ndarray
     periods: int
     stride: int
+    largest_jump: float = math.inf
 
     @property
     def period(self) -> float:

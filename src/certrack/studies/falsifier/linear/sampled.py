@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
 
-from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import Implementation
+from certrack.references import jumps, lipschitz_bound
 from certrack.studies.falsifier.linear.chain import Chain, HeldStep, Jump
 from certrack.studies.falsifier.linear.continuous import REFERENCE_PIECES, STEP_PART, horizon_of
 from certrack.systems.system import System
@@ -25,15 +26,15 @@ MAX_CHAIN_SAMPLES = 50_000
 MOST_STEPS_PER_PERIOD = 16
 
 
-def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
+def sampled_chain(system: System, references: ReferenceClass) -> Chain | None:
     """The chain of a system with an implementation, whose truth has the constants of the case.
 
     Parameters
     ----------
     system : System
         Limits of the input are left out; half a step of each sensor counts as noise.
-    bounds : Y_0 ... Y_{q+1} or Y_{q+2}
-        Of as many derivatives as are bounded: the last may jump at samples.
+    references : ReferenceClass
+        Their last derivative may jump at samples.
 
     Returns
     -------
@@ -42,7 +43,7 @@ def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
     implementation, loop = system.implementation, linear_loop(system)
     if implementation is None or loop is None or system.truth.states:
         return None
-    T, delay = implementation.period, run_delay(implementation)
+    T, delay = implementation.period, implementation.run_delay
     radius = loop.radius(T, delay)
     if not 0 < radius < 1:
         return None
@@ -50,10 +51,11 @@ def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
     if periods > MAX_CHAIN_SAMPLES:
         return None
     stride = math.ceil(periods / REFERENCE_PIECES)
-    u, m = system.plant.uncertainty, len(bounds) - 1
+    stride = max(stride, math.ceil(min(references.spacing / T, periods)))
+    u, m = system.plant.uncertainty, len(references.bounds) - 1
     acting = tuple(k for k in range(system.plant.n) if u.tau[k] > 0 and u.acts(k))
     cells, lengths = _cells(loop, acting, T, delay, m)
-    start, N = _start(system, loop, m), len(loop.b)
+    start, N = _start(system, loop, delay, m), len(loop.b)
     size = N + len(loop.controller.states) + math.floor(delay) + 2
     row = np.zeros(size + m)
     row[:N], row[size] = loop.C[0], -1.0
@@ -65,23 +67,18 @@ def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
         tuple(lengths),
         row,
         start,
-        bounds,
+        references.bounds,
         sensor_bounds(implementation, system.plant.n),
-        stride * REFERENCE_PIECES,
+        stride * math.ceil(periods / stride),
         stride,
+        references.jump,
     )
-
-
-def run_delay(implementation: Implementation) -> float:
-    """The delay of a run, periods."""
-    return implementation.delay
 
 
 def noise_bounds(implementation: Implementation, n: int) -> np.ndarray:
     """The largest noise of each sensor."""
-    stated = getattr(implementation, "noise_bound", None)
-    if stated is not None:
-        return np.array(stated, dtype=float)
+    if implementation.noise_bound is not None:
+        return np.array(implementation.noise_bound)
     return DEVIATIONS * np.array(implementation.noise or (0.0,) * n)
 
 
@@ -91,12 +88,35 @@ def sensor_bounds(implementation: Implementation, n: int) -> np.ndarray:
     return noise_bounds(implementation, n) + half
 
 
-def reference_orders(system: System, bounds: tuple[float, ...]) -> tuple[float, ...]:
-    """The bounds, and Y_{q+2} where the reference has one."""
-    try:
-        return (*bounds, system.reference.bounds(len(bounds)).values[-1])
-    except InputError:
-        return bounds
+@dataclass(frozen=True)
+class ReferenceClass:
+    """References that a proof for a sampled loop admits.
+
+    Attributes
+    ----------
+    bounds : Y_0 ... Y_m
+        m is q + 2 where y_d^(q+1) has a largest slope, else q + 1.
+    spacing : float, s
+        Least time between two jumps of y_d^(q+1); 0 where there is no such time.
+    jump : float
+        Their largest size.
+    """
+
+    bounds: tuple[float, ...]
+    spacing: float = 0.0
+    jump: float = math.inf
+
+
+def reference_class(system: System, bounds: tuple[float, ...]) -> ReferenceClass:
+    """The references within the bounds Y_0 ... Y_{q+1} whose y_d^(q+1) moves as that of the system."""
+    order = len(bounds) - 1
+    slope = lipschitz_bound(system.reference, order)
+    if slope is not None:
+        return ReferenceClass((*bounds, slope))
+    known = jumps(system.reference, order)
+    if known is None or lipschitz_bound(system.reference, order, between_jumps=True) is None:
+        return ReferenceClass(bounds)
+    return ReferenceClass(bounds, spacing=known[1], jump=known[0])
 
 
 def _jump(loop: LinearLoop, T: float, delay: float, m: int) -> Jump:
@@ -154,13 +174,13 @@ def _cell(
     return HeldStep(step[:, : size + m], step[:, size + m : -1], step[:, -1], np.zeros(size + m))
 
 
-def _start(system: System, loop: LinearLoop, m: int) -> np.ndarray:
+def _start(system: System, loop: LinearLoop, delay: float, m: int) -> np.ndarray:
     """The loop where the nominal error is zero, after a rest at the same place."""
     c, N = system.controller.coordinates, len(loop.b)
     x = np.zeros((N, m))
     x[:, : c.q + 1] = np.linalg.solve(c.A, c.B)
     states = list(loop.controller.states)
-    start = np.zeros((N + len(states) + math.floor(run_delay_of(system)) + 2 + m, m))
+    start = np.zeros((N + len(states) + math.floor(delay) + 2 + m, m))
     start[:N] = x
     for i, name in enumerate(system.plant.states[1:]):
         before = symbol(f"ctl_before_{name}")
@@ -168,8 +188,3 @@ def _start(system: System, loop: LinearLoop, m: int) -> np.ndarray:
             start[N + states.index(before)] = x[i]
     start[-m:] = np.eye(m)
     return start
-
-
-def run_delay_of(system: System) -> float:
-    """The delay of a run, periods; zero without an implementation."""
-    return 0.0 if system.implementation is None else run_delay(system.implementation)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from certrack.certificates.certificate import NoCertificate, within_floats
@@ -20,7 +20,7 @@ from certrack.studies.falsifier.linear.case import at_point, written_case
 from certrack.studies.falsifier.linear.chain import Chain
 from certrack.studies.falsifier.linear.continuous import continuous_chain
 from certrack.studies.falsifier.linear.corners import worst_corners
-from certrack.studies.falsifier.linear.sampled import reference_orders, sampled_chain
+from certrack.studies.falsifier.linear.sampled import reference_class, sampled_chain
 from certrack.systems.system import System
 
 #: Corners whose worst inputs are computed and simulated.
@@ -65,8 +65,13 @@ def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase | N
     if loop is None or not all(map(math.isfinite, bounds)):
         return None
     points = worst_corners(loop, bounds, MAX_CANDIDATES)
-    chains = ((continuous_chain(loop, point, bounds), point) for point in points)
-    return _worst_of(system, loop, chains)
+    return _worst_of(
+        loop,
+        (
+            (continuous_chain(loop, point, bounds), at_point(system, values_at(loop, point)))
+            for point in points
+        ),
+    )
 
 
 def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None:
@@ -85,30 +90,31 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None
     loop = linear_error_loop(system)
     if loop is None or not all(map(math.isfinite, bounds)):
         return None
-    orders = reference_orders(system, bounds)
-    points = worst_corners(loop, bounds, MAX_CANDIDATES)
-    chains = (
-        (sampled_chain(at_point(system, values_at(loop, point)), orders), point) for point in points
-    )
-    return _worst_of(system, loop, chains)
+    implementation, references = system.implementation, reference_class(system, bounds)
+    assert implementation is not None
+    members = [
+        at_point(system, values_at(loop, point)).replace(
+            implementation=replace(implementation, delay=delay)
+        )
+        for point in worst_corners(loop, bounds, MAX_CANDIDATES)
+        for delay in implementation.delays
+    ]
+    return _worst_of(loop, ((sampled_chain(member, references), member) for member in members))
 
 
-def _worst_of(
-    system: System, loop: RangedLoop, chains: Iterable[tuple[Chain | None, tuple[Any, ...]]]
-) -> LinearCase | None:
-    """The worst inputs of all chains, simulated."""
+def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -> LinearCase | None:
+    """The worst inputs of all chains, each with its system, simulated."""
     attacks = [
-        (worst, point)
-        for chain, point in chains
+        (worst, member)
+        for chain, member in chains
         if chain is not None and (worst := worst_inputs(chain)) is not None
     ]
     if not attacks:
         return None
-    worst, point = max(attacks, key=lambda pair: pair[0].error)
+    worst, member = max(attacks, key=lambda pair: pair[0].error)
     odd = not loop.brackets and all(entry == 0 for entry in loop.matrix[:, -1])
-    base = at_point(system, values_at(loop, point))
     try:
-        cases = [written_case(base, worst, sense) for sense in ((1,) if odd else (1, -1))]
+        cases = [written_case(member, worst, sense) for sense in ((1,) if odd else (1, -1))]
     except InputError:  # beyond what a system may be: too many samples, too large a state
         return None
     played = [(case, simulate(case)) for case in cases]
