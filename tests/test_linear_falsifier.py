@@ -16,6 +16,7 @@ from certrack.integrators.many.native import vector_compiler
 from certrack.references import profile
 from certrack.studies.falsifier.falsify import falsify
 from certrack.studies.falsifier.linear.ascent import worst_inputs
+from certrack.studies.falsifier.linear.case import admissible_profile
 from certrack.studies.falsifier.linear.chain import kernels, run
 from certrack.studies.falsifier.linear.continuous import continuous_chain
 from certrack.studies.falsifier.linear.pattern import MAX_CHANGES, sign_formula
@@ -80,15 +81,13 @@ def test_a_worst_profile_keeps_its_bounds_and_comes_to_rest():
     found = worst_profile(gains, Y, widths, 60)
     assert found.value == pytest.approx(gains @ [*found.start, *found.pieces[:40]])
     assert found.value > 0
-    times = np.concatenate([[0.0], np.cumsum(found.widths)])
-    t = np.linspace(0, times[-1], 20_001)
-    y = np.zeros((4, len(t)))
-    y[3] = found.pieces[np.clip(np.searchsorted(times, t, side="right") - 1, 0, 99)]
-    for i in (2, 1, 0):  # by the trapezoidal rule
-        rise = np.concatenate([[0.0], np.cumsum((y[i + 1, 1:] + y[i + 1, :-1]) / 2) * t[1]])
-        y[i] = found.start[i] + rise
-    assert (np.abs(y) <= 1.005 * np.array(Y)[:, None]).all()
-    assert np.abs(y[1:3, -1]).max() < 0.01
+    for sense in (1, -1):
+        written = admissible_profile(found, tuple(Y), sense)
+        reached = np.array(written.bounds(3).values)
+        assert (reached <= Y).all()
+        assert (reached > 0.99 * np.array(Y))[[0, 3]].all()
+        late = written.values(np.array([1e6]), 3)
+        assert late[1:].ravel() == pytest.approx([0, 0, 0], abs=1e-12)
 
 
 # the continuous loop
@@ -178,7 +177,8 @@ def random_loop(seed):
     q = int(rng.integers(0, n))
     a, c = rng.uniform(-1, 1, n).round(3).tolist(), rng.uniform(2, 6, n).round(3).tolist()
     states = [f"x{i + 1}" for i in range(n)]
-    drift = " + ".join(f"{'p*' * (i == 0)}({v!r})*{x}" for i, (v, x) in enumerate(zip(a, states)))
+    terms = [f"({v!r})*{x}" for v, x in zip(a, states, strict=True)]
+    drift = " + ".join([f"p*{terms[0]}", *terms[1:]])
     ranges = {"constant_ranges": (("p", "9/10", "11/10"),)} if seed % 2 else {}
     plant = certrack.Plant(
         states=states,
@@ -252,33 +252,31 @@ def test_an_unstable_drive_has_no_case():
 
 
 def with_errors(*errors, **settings):
-    exact = replace(DRIVE.implementation, noise=None, sensor_error=errors)
+    exact = replace(
+        DRIVE.implementation, noise=None, noise_bound=(0.0008, 0, 0.0008, 0), sensor_error=errors
+    )
     return DRIVE.replace(implementation=exact).with_settings(**settings)
 
 
 def test_an_offset_of_a_sensor_is_an_error_of_the_axis():
-    """The load's sensor and the motor's both show 0.001 too much: the axis rests 0.001 short."""
-    off = with_errors(0.001, 0, 0.001, 0).replace(
-        reference=certrack.SymbolicReference("0.1"),
-        truth=replace(DRIVE.truth, omega=("0",) * 4),
-        implementation=replace(
-            DRIVE.implementation,
-            noise=None,
-            measurement_quantum=None,
-            sensor_error=("0.001", "0", "0.001", "0"),
-        ),
-    )
-    run = certrack.simulate(off)
-    assert run.e[0][-1] == pytest.approx(-0.001, rel=1e-3)
+    """Both sensors show 0.0005 too much: the axis rests 0.0005 short; 0.002 is clipped."""
+    for error, expected in ((0.0005, 0.0005), (0.002, 0.0008)):
+        off = with_errors(error, 0, error, 0)
+        off = off.replace(
+            reference=certrack.SymbolicReference("0.1"),
+            truth=replace(DRIVE.truth, omega=("0",) * 4),
+            implementation=replace(off.implementation, measurement_quantum=None),
+        ).with_settings(duration=8)
+        assert certrack.simulate(off).e[0][-1] == pytest.approx(-expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("method", ["lockstep"] + ["native"] * (vector_compiler() is not None))
 def test_members_of_an_ensemble_have_the_errors_of_a_single_run(method):
-    system = with_errors("0.001*sign(t - 1)", 0, "0.0003*t", 0, duration=3.0)
+    system = with_errors("0.001*sign(t - 1)", 0, "0.0003*t", 0, duration=1.5)
     found = certrack.ensemble(system, 3, method=method)
     lone = max(found.run(i).metrics.tail_error for i in range(3))
     assert found.statistics.metrics["tail_error"].most == pytest.approx(lone, rel=1e-6)
-    without = certrack.ensemble(with_errors(0, 0, 0, 0, duration=3.0), 3, method=method)
+    without = certrack.ensemble(with_errors(0, 0, 0, 0, duration=1.5), 3, method=method)
     assert abs(lone - without.statistics.metrics["tail_error"].most) > 1e-4 * lone
 
 

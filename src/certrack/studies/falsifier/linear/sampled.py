@@ -108,7 +108,7 @@ class ReferenceClass:
 
 
 def reference_class(system: System, bounds: tuple[float, ...]) -> ReferenceClass:
-    """The references within the bounds Y_0 ... Y_{q+1} whose y_d^(q+1) moves as that of the system."""
+    """References within Y_0 ... Y_{q+1} whose y_d^(q+1) moves as that of the system may."""
     order = len(bounds) - 1
     slope = lipschitz_bound(system.reference, order)
     if slope is not None:
