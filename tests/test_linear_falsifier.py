@@ -243,6 +243,34 @@ def test_a_delay_of_several_periods_is_in_the_chain():
     assert case.error == pytest.approx(case.estimate, rel=1e-4)
 
 
+def test_bounds_and_their_slopes_are_those_of_the_uncertainty():
+    rng = np.random.default_rng(2)
+    Delta = rng.uniform(0, 1, (4, 4)).tolist()
+    u = replace(LEAN.plant.uncertainty, beta=(0.1, 0, 0, 0.2), Delta=Delta, S=(1, 2, 0, 3))
+    loop = linear_error_loop(LEAN)
+    chain = replace(continuous_chain(loop, loop.nominal, bounds_of(LEAN)), uncertainty=u)
+    x, step = rng.normal(size=4), 1e-6
+    assert chain.bound(x) == pytest.approx([u.bound(k, x) for k in chain.acting])
+    moved = [(chain.bound(x + step * e) - chain.bound(x - step * e)) / 2 / step for e in np.eye(4)]
+    assert chain.slopes(x) == pytest.approx(np.array(moved).T, rel=1e-6)
+    assert chain.slopes(np.zeros(4)) == pytest.approx(np.zeros((2, 4)))
+
+
+def test_a_reference_that_may_jump_seldom_does_so_seldom():
+    """Of a triangle, y_d' has a largest jump and a least time between two."""
+    system = DRIVE.replace(
+        law=replace(DRIVE.law, feedforward=0), reference=certrack.triangle(0.1, 4.0)
+    )
+    references = reference_class(system, bounds_of(system))
+    assert references.jump == pytest.approx(0.2)
+    assert references.spacing == pytest.approx(2.0)
+    narrower = replace(references, jump=0.05)
+    worst = worst_inputs(sampled_chain(system, narrower))
+    assert (worst.reference.widths[:-60] > 1.999).all()
+    assert np.abs(np.diff(worst.reference.pieces)).max() <= 0.05 * (1 + 1e-12)
+    assert worst.error < worst_inputs(sampled_chain(system, references)).error
+
+
 def test_an_unstable_drive_has_no_case():
     slow = replace(DRIVE.implementation, period=0.2)
     assert sampled_case(DRIVE.replace(implementation=slow), bounds_of(DRIVE)) is None

@@ -30,7 +30,7 @@ from certrack.integrators.base import Outcome
 from certrack.integrators.registers import LANES
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
-from certrack.studies.falsifier.adversary import reference_bounds
+from certrack.studies.falsifier.adversary import Adversary, reference_bounds
 from certrack.studies.falsifier.alarm import alarm
 from certrack.studies.falsifier.linear.search import (
     LinearCase,
@@ -81,7 +81,7 @@ class DriveFalsification:
 
 
 #: Where a worst case comes from.
-SEARCH, OWN, KERNELS = ORIGINS = ("search", "own", "kernels")
+SEARCH, OWN, KERNELS = "search", "own", "kernels"
 
 
 @dataclass(frozen=True)
@@ -187,36 +187,51 @@ def falsify(
     drive = None if system.implementation is None else _of_drive(sampled_case(system, bounds))
     system = system.replace(implementation=None)
     linear = continuous_case(system, bounds)
-    search = _Search(AdversarialLoop(_worst_member(system, linear)), budget, progress)
-    evolved = search.evolve(budget, seed)
-    candidates = (evolved, search.polish(evolved, budget))
-    best = min(candidates, key=lambda point: float(search.scores(point[:, None])[0]))
-    cases = [search.loop.case(best), system]
-    runs = [simulate(case) for case in cases]
+    cases, evaluations = {OWN: system}, 0
+    search = _search(_worst_member(system, linear), linear, budget, progress)
+    if search is not None:
+        evolved = search.evolve(budget, seed)
+        candidates = (evolved, search.polish(evolved, budget))
+        best = min(candidates, key=lambda point: float(search.scores(point[:, None])[0]))
+        cases, evaluations = {SEARCH: search.loop.case(best)} | cases, search.evaluations
+    runs = {origin: simulate(case) for origin, case in cases.items()}
     if linear is not None:
-        cases, runs = [*cases, linear.system], [*runs, linear.run]
-    errors = list(map(tail_error, runs))
-    worst = int(np.argmax(errors))
+        cases[KERNELS], runs[KERNELS] = linear.system, linear.run
+    errors = {origin: tail_error(run) for origin, run in runs.items()}
+    worst = max(errors, key=lambda origin: errors[origin])
     against, stages = _best_verified(certificates)
     raised = None
     if against is not None:
         alarms = (
-            alarm(system, case, run, against, stages) for case, run in zip(cases, runs, strict=True)
+            alarm(system, cases[origin], run, against, stages) for origin, run in runs.items()
         )
         raised = next(filter(None, alarms), None)
     return Falsification(
         errors[worst],
         cases[worst],
-        search.evaluations + 1,
+        evaluations + 1,
         _of_this_file(system, certificates),
         against,
         None if raised is None else raised.kind,
         "" if raised is None else raised.reason,
-        own_run=ORIGINS[worst] == OWN,
-        origin=ORIGINS[worst],
+        own_run=worst == OWN,
+        origin=worst,
         stopped=_stopped(runs[worst]),
         drive=drive,
     )
+
+
+def _search(
+    system: System, linear: LinearCase | None, budget: int, progress: Progress
+) -> _Search | None:
+    """The search; None for a plant or law with a sign or a kink, where there is a linear case."""
+    Adversary.against(system)  # refuses names of the user
+    try:
+        return _Search(AdversarialLoop(system), budget, progress)
+    except InputError:
+        if linear is None:
+            raise
+        return None
 
 
 def _worst_member(system: System, linear: LinearCase | None) -> System:

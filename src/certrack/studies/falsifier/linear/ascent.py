@@ -14,7 +14,7 @@ from certrack.certificates.worst_profile import WorstProfile, worst_profile
 from certrack.studies.falsifier.linear.chain import Chain, Kernels, Motion, kernels, run
 
 #: Turns at most, and the relative gain below which there is no other.
-TURNS, LEAST_GAIN = 6, 1e-5
+TURNS, LEAST_GAIN = 4, 1e-4
 
 #: Pieces by which the reference comes to rest after the end.
 STOPPING_PIECES = 60

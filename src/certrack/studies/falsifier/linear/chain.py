@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -91,19 +92,28 @@ class Chain:
         """Order of the plant."""
         return len(self.uncertainty.tau)
 
+    @cached_property
+    def _weights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """S_k, gamma_k, beta_k and the rows of Delta of the w that act."""
+        u, acting, n = self.uncertainty, list(self.acting), self.n
+        S = np.array([u.norm_weights(k) for k in acting]).reshape(len(acting), n)
+        Delta = np.zeros((n, n)) if u.Delta is None else np.array(u.Delta)
+        return S, np.array(u.gamma)[acting], np.array(u.beta)[acting], Delta[acting]
+
     def bound(self, x: np.ndarray) -> np.ndarray:
         """The bounds of the w that act, at a state."""
-        return np.array([float(self.uncertainty.bound(k, x)) for k in self.acting])
+        S, gamma, beta, Delta = self._weights
+        limits: np.ndarray = gamma * np.sqrt(((S * x) ** 2).sum(axis=1)) + beta + Delta @ np.abs(x)
+        return limits
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Derivatives of these bounds by the state, a row each."""
-        u, rows = self.uncertainty, []
-        for k in self.acting:
-            S = np.array(u.norm_weights(k))
-            norm = float(np.linalg.norm(S * x))
-            row = u.gamma[k] * S**2 * x / norm if norm > LEAST_NORM else np.zeros(self.n)
-            rows.append(row if u.Delta is None else row + np.array(u.Delta[k]) * np.sign(x))
-        return np.array(rows).reshape(len(self.acting), self.n)
+        """Derivatives of these bounds by states (..., n): (..., inputs, n)."""
+        S, gamma, _, Delta = self._weights
+        scaled = S * x[..., None, :]
+        norm = np.sqrt((scaled**2).sum(axis=-1, keepdims=True))
+        by_norm = gamma[:, None] * S * scaled / np.maximum(norm, LEAST_NORM)
+        rows: np.ndarray = by_norm + Delta * np.sign(x[..., None, :])
+        return rows
 
 
 class Kernels(NamedTuple):
@@ -143,6 +153,7 @@ def kernels(chain: Chain, motion: Motion | None = None) -> Kernels:
     disturbance = np.zeros((chain.periods, len(chain.cells), inputs))
     noise = np.zeros((chain.periods, len(chain.noise)))
     reference = np.zeros(m + chain.periods // chain.stride)
+    slopes = None if motion is None else chain.slopes(motion.states)
     row = chain.row.copy()
     for k in range(chain.periods - 1, -1, -1):
         gain = 0.0
@@ -152,8 +163,8 @@ def kernels(chain: Chain, motion: Motion | None = None) -> Kernels:
             kernel = row @ cell.G
             disturbance[k, c] = kernel
             row = row @ cell.E
-            if motion is not None:
-                row[: chain.n] += np.abs(kernel) @ chain.slopes(motion.states[k, c])
+            if slopes is not None:
+                row[: chain.n] += np.abs(kernel) @ slopes[k, c]
         if chain.jump is not None:
             gain += row @ chain.jump.by_reference
             noise[k] = row @ chain.jump.by_noise
