@@ -1,5 +1,6 @@
 """The worst case of a linear loop: what kernels and a linear program promise, a run shows."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ import certrack
 from certrack.certificates import best_sound_bound
 from certrack.certificates.ranges.certify import certify_ranges
 from certrack.certificates.worst_profile import worst_profile
+from certrack.cli import main
 from certrack.core.expressions import TIME, parse
 from certrack.core.lowering import numpy_callable
 from certrack.integrators.many.native import vector_compiler
@@ -19,6 +21,7 @@ from certrack.studies.falsifier.linear.ascent import worst_inputs
 from certrack.studies.falsifier.linear.case import admissible_profile
 from certrack.studies.falsifier.linear.chain import kernels, run
 from certrack.studies.falsifier.linear.continuous import continuous_chain
+from certrack.studies.falsifier.linear.corners import worst_corners
 from certrack.studies.falsifier.linear.pattern import MAX_CHANGES, sign_formula
 from certrack.studies.falsifier.linear.sampled import reference_class, sampled_chain
 from certrack.studies.falsifier.linear.search import (
@@ -161,6 +164,27 @@ def test_no_case_of_a_system_with_ranges_is_beyond_its_bounds(name):
     assert case.error == pytest.approx(case.estimate, rel=1e-3)
 
 
+def test_a_worst_point_inside_of_the_ranges_is_seen():
+    """What the law does not cancel, 4 p (1 - p) - 0.36, is largest in the middle."""
+    plant = certrack.Plant(
+        states=["x"],
+        drift="4*p*(1 - p)*x",
+        input_gain=1,
+        gain_sign=1,
+        constants={"p": "1/10"},
+        constant_ranges=(("p", "1/10", "9/10"),),
+    )
+    system = certrack.System(
+        plant=plant,
+        law=certrack.Robust(c=[4]),
+        reference=certrack.SymbolicReference("sin(t)"),
+        truth=certrack.Truth(input_gain=1),
+        settings=certrack.Settings(x0=[0], duration=1),
+    )
+    loop = linear_error_loop(system)
+    assert worst_corners(loop, bounds_of(system), 1) == [(loop.nominal[0] * 5,)]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_no_case_of_a_random_loop_is_beyond_its_bound(seed):
@@ -168,6 +192,31 @@ def test_no_case_of_a_random_loop_is_beyond_its_bound(seed):
     case, bound = continuous_case(system, bounds_of(system)), best_sound_bound(system)
     assert case.error <= bound
     assert case.error == pytest.approx(case.estimate, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_falsify_writes_the_case_of_a_drive_besides(capfd, tmp_path):
+    out = tmp_path / "worst.toml"
+    command = ["falsify", "dual-motor-drive", "--budget", "100", "--out", str(out), "--json"]
+    with pytest.raises(SystemExit) as ended:
+        main(command)
+    assert not ended.value.code
+    found = json.loads(capfd.readouterr().out)
+    assert found["origin"] == "kernels"
+    assert found["stopped"] is None
+    assert 0.0013 < found["drive"]["worst_error"] < found["drive"]["estimate"]
+    for path, error in ((out, found), (tmp_path / "worst-drive.toml", found["drive"])):
+        run = certrack.simulate(certrack.load(path))
+        assert tail_error(run) == pytest.approx(error["worst_error"], rel=1e-6)
+
+
+@pytest.mark.slow
+def test_friction_that_the_law_cancels_is_attacked_by_kernels():
+    plant = replace(LEAN.plant, drift="K_L/J_M*(x1 - x3) - 0.3*sign(x4)")
+    found = falsify(LEAN.replace(plant=plant), budget=100)
+    assert found.origin == "kernels"
+    assert found.worst_error == pytest.approx(0.0012184, rel=1e-3)
+    assert found.alarm is None
 
 
 def random_loop(seed):
@@ -227,9 +276,7 @@ def test_rounding_at_its_worst_is_as_large_as_promised():
     worst = worst_inputs(chain)
     assert worst.error > 0.9 * 0.00165
     size = float(chain.noise[0])
-    noisy = replace(
-        DRIVE.implementation, measurement_quantum=None, noise=(size / 5, 0, size / 5, 0)
-    )
+    noisy = replace(DRIVE.implementation, measurement_quantum=None, noise_bound=(size, 0, size, 0))
     case = sampled_case(DRIVE.replace(implementation=noisy), bounds_of(DRIVE))
     assert case.error == pytest.approx(worst.error, rel=1e-4)
     rounded = sampled_case(DRIVE, bounds_of(DRIVE))
@@ -256,6 +303,7 @@ def test_bounds_and_their_slopes_are_those_of_the_uncertainty():
     assert chain.slopes(np.zeros(4)) == pytest.approx(np.zeros((2, 4)))
 
 
+@pytest.mark.slow
 def test_a_reference_that_may_jump_seldom_does_so_seldom():
     """Of a triangle, y_d' has a largest jump and a least time between two."""
     system = DRIVE.replace(
@@ -286,6 +334,7 @@ def with_errors(*errors, **settings):
     return DRIVE.replace(implementation=exact).with_settings(**settings)
 
 
+@pytest.mark.slow
 def test_an_offset_of_a_sensor_is_an_error_of_the_axis():
     """Both sensors show 0.0005 too much: the axis rests 0.0005 short; 0.002 is clipped."""
     for error, expected in ((0.0005, 0.0005), (0.002, 0.0008)):
@@ -298,7 +347,13 @@ def test_an_offset_of_a_sensor_is_an_error_of_the_axis():
         assert certrack.simulate(off).e[0][-1] == pytest.approx(-expected, rel=1e-3)
 
 
-@pytest.mark.parametrize("method", ["lockstep"] + ["native"] * (vector_compiler() is not None))
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param("lockstep", marks=pytest.mark.slow),
+        pytest.param("native", marks=pytest.mark.skipif(not vector_compiler(), reason="no C")),
+    ],
+)
 def test_members_of_an_ensemble_have_the_errors_of_a_single_run(method):
     system = with_errors("0.001*sign(t - 1)", 0, "0.0003*t", 0, duration=1.5)
     found = certrack.ensemble(system, 3, method=method)

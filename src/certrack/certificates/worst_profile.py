@@ -21,6 +21,9 @@ LOOKS_PER_PIECE = 8
 #: The time to come to rest, over the largest Y_i/Y_{i+1}; a ratio over 1 / this is one by zero.
 STOPPING_TIMES, LEAST_MEANT = 4.0, 1e-100
 
+#: The program is given up after this time, s: it takes less than one but for absurd orders.
+TIME_LIMIT = 60.0
+
 #: A bound of zero is as good as this for the scaling.
 LEAST_BOUND = 1e-300
 
@@ -93,6 +96,7 @@ def worst_profile(
         b_eq=None if at_rest is None else np.zeros(len(at_rest)),
         bounds=[(-1, 1)] * count,
         method="highs",
+        options={"time_limit": TIME_LIMIT},
     )
     if optimum.status != 0:
         return None
