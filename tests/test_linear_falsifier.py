@@ -10,7 +10,7 @@ import pytest
 import certrack
 from certrack.certificates import best_sound_bound
 from certrack.certificates.ranges.certify import certify_ranges
-from certrack.certificates.worst_profile import worst_profile
+from certrack.certificates.worst_profile import WorstProfile, worst_profile
 from certrack.cli import main
 from certrack.core.expressions import TIME, parse
 from certrack.core.lowering import numpy_callable
@@ -93,6 +93,14 @@ def test_a_worst_profile_keeps_its_bounds_and_comes_to_rest():
         assert late[1:].ravel() == pytest.approx([0, 0, 0], abs=1e-12)
 
 
+def test_between_its_times_a_worst_profile_keeps_its_bounds_too():
+    """Of wide pieces, the program sees the ends only: the rest is scaled away."""
+    Y, widths = [1.0, 5.0, 5.0], np.full(6, 1.0)
+    found = worst_profile(np.array([0.0, 0.0, 1, -1, 1, -1, 1, -1.0]), Y, widths, 60)
+    written = admissible_profile(found, tuple(Y), 1)
+    assert written.values(np.zeros(1), 2).ravel()[2] == pytest.approx(found.pieces[0], rel=0.02)
+
+
 # the continuous loop
 
 
@@ -121,20 +129,37 @@ def test_a_wrong_sign_of_a_kernel_is_a_smaller_error():
         assert abs(wrong) < 0.98 * abs(right)
 
 
-def test_kernels_are_the_derivatives_of_the_error():
-    """Of the reference's pieces and its start, one by one."""
-    loop = linear_error_loop(LEAN)
-    chain = replace(continuous_chain(loop, loop.nominal, bounds_of(LEAN)), acting=())
+def triangular():
+    """The drive with a reference whose derivative jumps, as its law feeds forward."""
+    law, reference = replace(DRIVE.law, feedforward=0), certrack.triangle(0.1, 4.0)
+    return DRIVE.replace(law=law, reference=reference)
+
+
+@pytest.mark.parametrize("kind", ["continuous", "sampled"])
+def test_kernels_are_the_derivatives_of_the_error(kind):
+    """Of the reference's pieces and its start, and of the sensors, one by one."""
+    if kind == "continuous":
+        loop = linear_error_loop(LEAN)
+        chain = continuous_chain(loop, loop.nominal, bounds_of(LEAN))
+    else:
+        system = triangular()
+        chain = sampled_chain(system, reference_class(system, bounds_of(system)))
+        chain = replace(chain, stride=chain.periods // 10, periods=chain.periods // 10 * 10)
     cells = tuple(replace(cell, G=cell.G[:, :0]) for cell in chain.cells)
-    chain = replace(chain, cells=cells)
-    signed = kernels(chain)
-    widths = np.full(160, chain.stride * chain.period)
-    reference = worst_profile(signed.reference, chain.bounds, widths, 10)
-    for i in (0, 1, 100, 158):
-        start, pieces = 0 * reference.start, 0 * reference.pieces
-        (start if i < 2 else pieces)[i if i < 2 else i - 2] = 1.0
-        moved = replace(reference, start=start, pieces=pieces)
-        assert run(chain, signed, moved).error == pytest.approx(signed.reference[i], abs=1e-12)
+    chain = replace(chain, acting=(), cells=cells)
+    quiet = replace(chain, noise=0 * chain.noise)
+    signed, m = kernels(chain), len(chain.bounds) - 1
+    pieces = chain.periods // chain.stride
+    still = WorstProfile(0.0, np.zeros(m), np.zeros(pieces), np.ones(pieces))
+    for i in range(m):
+        moved = replace(still, start=np.eye(m)[i])
+        assert run(quiet, signed, moved).error == pytest.approx(signed.reference[i], abs=1e-12)
+    for i in (0, pieces // 2, pieces - 2, pieces - 1):
+        moved = replace(still, pieces=np.eye(pieces)[i])
+        expected = signed.reference[m + i]
+        assert run(quiet, signed, moved).error == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    noisy = np.abs(signed.noise).sum(axis=0) @ chain.noise
+    assert run(chain, signed, still).error == pytest.approx(noisy, rel=1e-9, abs=1e-15)
 
 
 def test_an_adaptive_loop_has_no_linear_case():
@@ -306,12 +331,13 @@ def test_bounds_and_their_slopes_are_those_of_the_uncertainty():
 @pytest.mark.slow
 def test_a_reference_that_may_jump_seldom_does_so_seldom():
     """Of a triangle, y_d' has a largest jump and a least time between two."""
-    system = DRIVE.replace(
-        law=replace(DRIVE.law, feedforward=0), reference=certrack.triangle(0.1, 4.0)
-    )
+    system = triangular()
     references = reference_class(system, bounds_of(system))
     assert references.jump == pytest.approx(0.2)
     assert references.spacing == pytest.approx(2.0)
+    ideal = replace(DRIVE.implementation, measurement_quantum=None)
+    case = sampled_case(system.replace(implementation=ideal), bounds_of(system))
+    assert case.error == pytest.approx(case.estimate, rel=1e-4)
     narrower = replace(references, jump=0.05)
     worst = worst_inputs(sampled_chain(system, narrower))
     assert (worst.reference.widths[:-60] > 1.999).all()
