@@ -23,7 +23,11 @@ from certrack.studies.falsifier.linear.chain import kernels, run
 from certrack.studies.falsifier.linear.continuous import continuous_chain
 from certrack.studies.falsifier.linear.corners import worst_corners
 from certrack.studies.falsifier.linear.pattern import MAX_CHANGES, sign_formula
-from certrack.studies.falsifier.linear.sampled import reference_class, sampled_chain
+from certrack.studies.falsifier.linear.sampled import (
+    reference_class,
+    sampled_chain,
+    with_jumps,
+)
 from certrack.studies.falsifier.linear.search import (
     continuous_case,
     linear_error_loop,
@@ -135,21 +139,23 @@ def triangular():
     return DRIVE.replace(law=law, reference=reference)
 
 
-@pytest.mark.parametrize("kind", ["continuous", "sampled"])
-def test_kernels_are_the_derivatives_of_the_error(kind):
+@pytest.mark.parametrize(
+    ("kind", "late"), [("continuous", False), ("sampled", False), ("sampled", True)]
+)
+def test_kernels_are_the_derivatives_of_the_error(kind, late):
     """Of the reference's pieces and its start, and of the sensors, one by one."""
     if kind == "continuous":
         loop = linear_error_loop(LEAN)
         chain = continuous_chain(loop, loop.nominal, bounds_of(LEAN))
     else:
         system = triangular()
-        chain = sampled_chain(system, reference_class(system, bounds_of(system)))
-        chain = replace(chain, stride=chain.periods // 10, periods=chain.periods // 10 * 10)
+        chain = sampled_chain(system, reference_class(system, bounds_of(system)).bounds)
+        chain = replace(chain, pieces=np.full(10, chain.periods // 10), late=late)
     cells = tuple(replace(cell, G=cell.G[:, :0]) for cell in chain.cells)
     chain = replace(chain, acting=(), cells=cells)
     quiet = replace(chain, noise=0 * chain.noise)
     signed, m = kernels(chain), len(chain.bounds) - 1
-    pieces = chain.periods // chain.stride
+    pieces = len(chain.pieces)
     still = WorstProfile(0.0, np.zeros(m), np.zeros(pieces), np.ones(pieces))
     for i in range(m):
         moved = replace(still, start=np.eye(m)[i])
@@ -297,7 +303,7 @@ def test_a_wrong_sign_of_the_noise_is_a_smaller_error(drive):
 @pytest.mark.slow
 def test_rounding_at_its_worst_is_as_large_as_promised():
     """Without the encoders, but with half a step of them in the sensors' errors."""
-    chain = sampled_chain(DRIVE, reference_class(DRIVE, bounds_of(DRIVE)))
+    chain = sampled_chain(DRIVE, reference_class(DRIVE, bounds_of(DRIVE)).bounds)
     worst = worst_inputs(chain)
     assert worst.error > 0.9 * 0.00165
     size = float(chain.noise[0])
@@ -338,11 +344,12 @@ def test_a_reference_that_may_jump_seldom_does_so_seldom():
     ideal = replace(DRIVE.implementation, measurement_quantum=None)
     case = sampled_case(system.replace(implementation=ideal), bounds_of(system))
     assert case.error == pytest.approx(case.estimate, rel=1e-4)
-    narrower = replace(references, jump=0.05)
-    worst = worst_inputs(sampled_chain(system, narrower))
-    assert (worst.reference.widths[:-60] > 1.999).all()
-    assert np.abs(np.diff(worst.reference.pieces)).max() <= 0.05 * (1 + 1e-12)
-    assert worst.error < worst_inputs(sampled_chain(system, references)).error
+    chain = sampled_chain(system, references.bounds)
+    for jump in (0.05, 0.2):
+        for entry in with_jumps(chain, replace(references, jump=jump)):
+            worst = worst_inputs(entry, turns=1)
+            assert (worst.reference.widths[:-61] > 1.999).all()
+            assert np.abs(np.diff(worst.reference.pieces)).max() <= jump * (1 + 1e-12)
 
 
 def test_an_unstable_drive_has_no_case():

@@ -40,14 +40,13 @@ class WorstInputs:
     reference: WorstProfile
 
 
-def worst_inputs(chain: Chain) -> WorstInputs | None:
+def worst_inputs(chain: Chain, turns: int = TURNS) -> WorstInputs | None:
     """The worst inputs found; None where the linear program is not solved."""
     best: WorstInputs | None = None
     motion: Motion | None = None
-    widths = np.full(chain.periods // chain.stride, chain.stride * chain.period)
-    for _ in range(TURNS):
+    for _ in range(turns):
         signed = kernels(chain, motion)
-        reference = worst_profile(signed.reference, chain.bounds, widths, STOPPING_PIECES)
+        reference = worst_profile(signed.reference, chain.bounds, chain.widths, STOPPING_PIECES)
         if reference is None:
             break
         reference = _within_jumps(reference, chain.largest_jump)

@@ -26,6 +26,9 @@ WITHIN_BOUND = 1 - 1e-9
 #: ||x|| in a disturbance is sqrt(x.x + offset^2) - offset; the offset over the largest |x|.
 PATTERN_NORM_OFFSET = 1e-4
 
+#: What comes just after a sample does so by this part of the period.
+LATE_PART = 1e-4
+
 #: The last part of the run, of which the error counts.
 END_PART = 0.15
 
@@ -46,7 +49,8 @@ def written_case(
         1, or -1 for the opposite of every input.
     """
     chain, settings, implementation = worst.chain, system.settings, system.implementation
-    reference = admissible_profile(worst.reference, chain.bounds, sense)
+    shift = LATE_PART * chain.period if chain.late else 0.0
+    reference = admissible_profile(worst.reference, chain.bounds, sense, shift)
     x0 = sense * (chain.start @ worst.reference.start)[: chain.n]
     end = chain.period * chain.periods
     duration = end if implementation is None else end + implementation.period
@@ -75,10 +79,13 @@ def written_case(
 
 
 def admissible_profile(
-    worst: WorstProfile, bounds: tuple[float, ...], sense: int
+    worst: WorstProfile, bounds: tuple[float, ...], sense: int, shift: float = 0.0
 ) -> PiecewiseReference:
-    """The reference as one of a system file, within the bounds for certain."""
-    times = np.concatenate([[0.0], np.cumsum(worst.widths)])
+    """The reference as one of a system file, within the bounds for certain.
+
+    All times but the first are moved by `shift`.
+    """
+    times = np.concatenate([[0.0], shift + np.cumsum(worst.widths)])
 
     def scaled(factor: float) -> PiecewiseReference:
         start, pieces = (factor * sense * part for part in (worst.start, worst.pieces))

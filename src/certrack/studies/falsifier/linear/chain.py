@@ -63,8 +63,10 @@ class Chain:
         z at the beginning, from y_d ... y_d^(m-1).
     bounds : Y_0 ... Y_m
     noise : largest error of each sensor
-    periods, stride : int
-        In all, and in a piece of the reference.
+    pieces : (pieces,) array of int
+        How many periods each piece of the reference lasts.
+    late : bool
+        Whether pieces begin just after a sample, which then sees the one before.
     largest_jump : float
         The largest that y_d^(m) may make between pieces.
     """
@@ -78,14 +80,30 @@ class Chain:
     start: np.ndarray
     bounds: tuple[float, ...]
     noise: np.ndarray
-    periods: int
-    stride: int
+    pieces: np.ndarray
+    late: bool = False
     largest_jump: float = math.inf
 
     @property
     def period(self) -> float:
         """Length of a period, s."""
         return float(sum(self.lengths))
+
+    @property
+    def periods(self) -> int:
+        """In all."""
+        return int(self.pieces.sum())
+
+    @cached_property
+    def piece_at(self) -> tuple[np.ndarray, np.ndarray]:
+        """Number of the piece in each period, and of the one that its sample sees."""
+        inside = np.repeat(np.arange(len(self.pieces)), self.pieces)
+        return inside, np.concatenate([inside[:1], inside[:-1]]) if self.late else inside
+
+    @property
+    def widths(self) -> np.ndarray:
+        """Of the pieces, s."""
+        return self.pieces * self.period
 
     @property
     def n(self) -> int:
@@ -152,24 +170,22 @@ def kernels(chain: Chain, motion: Motion | None = None) -> Kernels:
     m, inputs = len(chain.bounds) - 1, len(chain.acting)
     disturbance = np.zeros((chain.periods, len(chain.cells), inputs))
     noise = np.zeros((chain.periods, len(chain.noise)))
-    reference = np.zeros(m + chain.periods // chain.stride)
+    reference, (inside, sampled) = np.zeros(m + len(chain.pieces)), chain.piece_at
     slopes = None if motion is None else chain.slopes(motion.states)
     row = chain.row.copy()
     for k in range(chain.periods - 1, -1, -1):
-        gain = 0.0
         for c in range(len(chain.cells) - 1, -1, -1):
             cell = chain.cells[c]
-            gain += row @ cell.by_reference
+            reference[m + inside[k]] += row @ cell.by_reference
             kernel = row @ cell.G
             disturbance[k, c] = kernel
             row = row @ cell.E
             if slopes is not None:
                 row[: chain.n] += np.abs(kernel) @ slopes[k, c]
         if chain.jump is not None:
-            gain += row @ chain.jump.by_reference
+            reference[m + sampled[k]] += row @ chain.jump.by_reference
             noise[k] = row @ chain.jump.by_noise
             row = row @ chain.jump.J
-        reference[m + k // chain.stride] += gain
     reference[:m] = row @ chain.start
     return Kernels(disturbance, noise, reference)
 
@@ -177,13 +193,13 @@ def kernels(chain: Chain, motion: Motion | None = None) -> Kernels:
 def run(chain: Chain, signed: Kernels, reference: WorstProfile) -> Motion:
     """The chain under inputs of the kernels' signs and a reference."""
     signs, senses = np.sign(signed.disturbance), np.sign(signed.noise)
-    z = chain.start @ reference.start
+    z, (inside, sampled) = chain.start @ reference.start, chain.piece_at
     states = np.zeros((chain.periods, len(chain.cells), chain.n))
     for k in range(chain.periods):
-        top = reference.pieces[k // chain.stride]
         if chain.jump is not None:
-            jump = chain.jump
+            jump, top = chain.jump, reference.pieces[sampled[k]]
             z = jump.J @ z + jump.by_noise @ (senses[k] * chain.noise) + jump.by_reference * top
+        top = reference.pieces[inside[k]]
         for c, cell in enumerate(chain.cells):
             x = states[k, c] = z[: chain.n]
             z = cell.E @ z + cell.by_reference * top + cell.offset

@@ -80,8 +80,7 @@ def continuous_chain(
         np.vstack([resting_states(loop), np.eye(m)]),
         tuple(bounds),
         np.zeros(0),
-        stride * REFERENCE_PIECES,
-        stride,
+        np.full(REFERENCE_PIECES, stride),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import expm
@@ -22,19 +22,22 @@ DEVIATIONS = 5.0
 #: Samples in a run, at most: slower loops would take minutes.
 MAX_CHAIN_SAMPLES = 50_000
 
+#: The last piece of a reference that may jump seldom is so many times as long as the next shorter.
+LAST_PIECES = 8
+
 #: Steps in a period, at most.
 MOST_STEPS_PER_PERIOD = 16
 
 
-def sampled_chain(system: System, references: ReferenceClass) -> Chain | None:
+def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
     """The chain of a system with an implementation, whose truth has the constants of the case.
 
     Parameters
     ----------
     system : System
         Limits of the input are left out; half a step of each sensor counts as noise.
-    references : ReferenceClass
-        Their last derivative may jump at samples.
+    bounds : Y_0 ... Y_m
+        Of a :class:`ReferenceClass`.
 
     Returns
     -------
@@ -50,9 +53,7 @@ def sampled_chain(system: System, references: ReferenceClass) -> Chain | None:
     periods = math.ceil(horizon_of(-math.log(radius) / T, system.plant.n) / T)
     if periods > MAX_CHAIN_SAMPLES:
         return None
-    stride = math.ceil(periods / REFERENCE_PIECES)
-    stride = max(stride, math.ceil(min(references.spacing / T, periods)))
-    u, m = system.plant.uncertainty, len(references.bounds) - 1
+    u, m = system.plant.uncertainty, len(bounds) - 1
     acting = tuple(k for k in range(system.plant.n) if u.tau[k] > 0 and u.acts(k))
     cells, lengths = _cells(loop, acting, T, delay, m)
     start, N = _start(system, loop, delay, m), len(loop.b)
@@ -67,12 +68,32 @@ def sampled_chain(system: System, references: ReferenceClass) -> Chain | None:
         tuple(lengths),
         row,
         start,
-        references.bounds,
+        bounds,
         sensor_bounds(implementation, system.plant.n),
-        stride * math.ceil(periods / stride),
-        stride,
-        references.jump,
+        np.full(REFERENCE_PIECES, math.ceil(periods / REFERENCE_PIECES)),
     )
+
+
+def with_jumps(chain: Chain, references: ReferenceClass) -> list[Chain]:
+    """The chain with pieces as the class admits them.
+
+    Where y_d^(q+1) jumps, the last jump may be any time before the end, and just after a sample:
+    the law sees it a period later.
+    """
+    if references.jump == math.inf and not references.spacing:
+        return [chain]
+    least = max(1, math.ceil(min(references.spacing / chain.period, chain.periods)))
+    stride = max(least, int(chain.pieces[0]))
+    lasts = {min(stride, LAST_PIECES**i) for i in range(16)}
+    chains = []
+    for last in sorted(lasts):
+        count = max(1, math.ceil((chain.periods - last) / stride))
+        pieces = np.array([*[stride] * count, last])
+        chains += [
+            replace(chain, pieces=pieces, late=late, largest_jump=references.jump)
+            for late in (False, True)
+        ]
+    return chains
 
 
 def noise_bounds(implementation: Implementation, n: int) -> np.ndarray:

@@ -20,7 +20,11 @@ from certrack.studies.falsifier.linear.case import at_point, written_case
 from certrack.studies.falsifier.linear.chain import Chain
 from certrack.studies.falsifier.linear.continuous import continuous_chain
 from certrack.studies.falsifier.linear.corners import worst_corners
-from certrack.studies.falsifier.linear.sampled import reference_class, sampled_chain
+from certrack.studies.falsifier.linear.sampled import (
+    reference_class,
+    sampled_chain,
+    with_jumps,
+)
 from certrack.systems.system import System
 
 #: Corners whose worst inputs are computed and simulated.
@@ -99,7 +103,22 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None
         for point in worst_corners(loop, bounds, MAX_CANDIDATES)
         for delay in implementation.delays
     ]
-    return _worst_of(loop, ((sampled_chain(member, references), member) for member in members))
+    chains = (
+        (entry, member)
+        for member in members
+        if (chain := sampled_chain(member, references.bounds))
+        for entry in [_worst_partition(with_jumps(chain, references))]
+    )
+    return _worst_of(loop, chains)
+
+
+def _worst_partition(chains: list[Chain]) -> Chain:
+    """The chain whose pieces are worst, by the first turn of the search for worst inputs."""
+    if len(chains) == 1:
+        return chains[0]
+    firsts = [worst_inputs(chain, turns=1) for chain in chains]
+    errors = [0.0 if first is None else first.error for first in firsts]
+    return chains[errors.index(max(errors))]
 
 
 def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -> LinearCase | None:
