@@ -272,11 +272,13 @@ class _SampledPlant:
         """What the sensors show."""
         implementation, x = self._implementation, state[: len(self._states), None]
         true = x if self._problem.outputs is None else self._problem.outputs(x, self._p)
+        errors = implementation.sensor_errors(np.array([t]))
         return sensed(
             true,
             implementation,
             self._problem.keys,
             round((t - implementation.offset) / implementation.period),
+            None if errors is None else errors[:, 0],
         )[:, 0]
 
     def _advance(self, begin: float, end: float, x: Array, u: float) -> Array:
