@@ -1,0 +1,189 @@
+"""What is saved of a proof for the implemented loop, and its check.
+
+The numbers say how the proof is carried out and where v is; the checker computes the loop, its gains
+and F(v) anew, in balls, from the text of the system.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import flint
+import numpy as np
+
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.balls import upper_rational
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.exact import from_text, root_up
+from certrack.certificates.implemented.drive import PRECISION, Drive, drive_of
+from certrack.certificates.implemented.enclosed import Enclosed
+from certrack.certificates.implemented.fixed_point import Bounds
+from certrack.certificates.implemented.gains import output_gains
+from certrack.certificates.implemented.outputs import output_rows
+from certrack.certificates.implemented.period import Period, one_period
+from certrack.systems.system import System
+
+#: A cell is at most this part of the time that the plant's fastest motion takes for one radian.
+CELL_PART = 0.2
+
+#: Cells before and after the input changes, at most; doublings of the periods that are summed.
+MAX_PARTS, MAX_DOUBLINGS = 32, 18
+
+#: What may be left of the rows where the sums end.
+LEFT = 1e-9
+
+#: Numbers in the tables of one proof, at most: a few seconds and some 100 MB.
+MAX_NUMBERS = 20_000_000
+
+#: Digits of the states' and the input's bounds in a file.
+DIGITS = 13
+
+
+@dataclass(frozen=True)
+class ImplementedProof:
+    """The numbers of a proof for one delay; texts are decimals or fractions.
+
+    Attributes
+    ----------
+    delay : str
+        Periods.
+    parts : two ints
+        Cells before and after the delayed input takes over.
+    doublings : int
+        2^doublings periods are summed one by one.
+    states : n texts
+        Bounds of limsup |x_i|.
+    input : str
+        Bound of limsup |u|, without the constant of the law.
+    bound : str
+        Of limsup |e_1|.
+    """
+
+    delay: str
+    parts: tuple[int, int]
+    doublings: int
+    states: tuple[str, ...]
+    input: str
+    bound: str
+
+
+def delays(system: System) -> tuple[Any, ...]:
+    """The delays that must be proven, periods."""
+    if system.implementation is None:
+        return ()
+    stated: Any = system.implementation.delay
+    values = stated if isinstance(stated, (tuple, list)) else (stated,)
+    return tuple(rational(value) for value in values)
+
+
+def prove_implemented(system: System, delay: Any) -> ImplementedProof:
+    """Prove a bound for one delay.
+
+    Raises
+    ------
+    NoCertificate
+        If there is none, or the loop is not covered.
+    """
+    drive = drive_of(system, delay)
+    with flint.ctx.workprec(PRECISION):
+        period = one_period(drive, _parts(drive))
+        doublings = _doublings(period)
+        bounds = _bounds(period, doublings)
+        X, U = bounds.search()
+        states = tuple(f"{v:.{DIGITS}g}" for v in X)
+        proof = ImplementedProof(
+            str(Fraction(str(delay))), _parts(drive), doublings, states, f"{U:.{DIGITS}g}", "0"
+        )
+        image = _image(bounds, proof)
+        if reason := _not_above(image, proof):
+            raise NoCertificate(reason)
+        bound = _decimal_up(image[0])
+    return ImplementedProof(**{**proof.__dict__, "bound": bound})
+
+
+def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> str:
+    """Empty if the proof holds for the system with this delay, else what fails."""
+    if rational(Fraction(proof.delay)) != delay:
+        return "the delay is not that of the system"
+    if not (0 <= proof.doublings <= MAX_DOUBLINGS and all(1 <= v <= MAX_PARTS for v in proof.parts)):
+        return f"parts must be 1 ... {MAX_PARTS}, doublings 0 ... {MAX_DOUBLINGS}"
+    drive = drive_of(system, delay)
+    if len(proof.states) != drive.n:
+        return "the proof does not have the shape of the system"
+    with flint.ctx.workprec(PRECISION):
+        image = _image(_bounds(one_period(drive, proof.parts), proof.doublings), proof)
+        if reason := _not_above(image, proof):
+            return reason
+        if not flint.arb(from_text(proof.bound)) >= image[0]:
+            return "the bound is smaller than what the fixed point gives"
+    return ""
+
+
+def _parts(drive: Drive) -> tuple[int, int]:
+    """So many cells that none is long against the plant's motions."""
+    A = Enclosed.of(drive.A).value
+    fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
+    fraction = float(drive.delay) - math.floor(float(drive.delay))
+    T = float(drive.T)
+    counts = (T * part * fastest / CELL_PART for part in (fraction, 1 - fraction))
+    return tuple(min(max(1, math.ceil(count)), MAX_PARTS) for count in counts)  # type: ignore[return-value]
+
+
+def _doublings(period: Period) -> int:
+    """So many that what is left is no more than LEFT.
+
+    Raises
+    ------
+    NoCertificate
+        If the loop is unstable, or too slow.
+    """
+    M = Enclosed.of(period.map).value
+    radius = float(np.abs(np.linalg.eigvals(M)).max()) if np.isfinite(M).all() else math.inf
+    if not radius < 1:
+        raise NoCertificate(
+            f"the sampled loop is unstable: the spectral radius of one period is {radius:.4g}; "
+            "shorten implementation.period or delay, or lower c"
+        )
+    periods = math.log(LEFT) / math.log(radius) if radius > 0 else 1.0
+    doublings = max(1, math.ceil(math.log2(max(periods, 1.0))))
+    if doublings > MAX_DOUBLINGS:
+        raise NoCertificate(
+            f"the sampled loop forgets too slowly: {periods:.3g} periods would have to be summed; "
+            "raise c, or sample less often"
+        )
+    return doublings
+
+
+def _bounds(period: Period, doublings: int) -> Bounds:
+    rows = output_rows(period)
+    size, width = period.size, (len(period.cells) + 1) * (period.W.ncols() + 1) + period.size
+    block = 2 ** (doublings // 2 + 1)
+    if (len(rows) + size) * block * max(width, size) > MAX_NUMBERS:
+        raise NoCertificate("the sampled loop is too large for its peak gains: fewer states or memories")
+    return Bounds.of(period, rows, output_gains(period, rows, doublings))
+
+
+def _image(bounds: Bounds, proof: ImplementedProof) -> list[Any]:
+    return bounds.image([from_text(v) for v in proof.states], from_text(proof.input))
+
+
+def _not_above(image: Sequence[Any], proof: ImplementedProof) -> str:
+    """Empty if v > F(v) in every entry."""
+    for name, text, value in zip(
+        (*(f"state {i + 1}" for i in range(len(proof.states))), "the input"),
+        (*proof.states, proof.input),
+        image[1:],
+        strict=False,
+    ):
+        if not flint.arb(from_text(text)) > value:
+            return f"the bound of {name} is not above what follows from all of them"
+    return ""
+
+
+def _decimal_up(ball: Any) -> str:
+    """A decimal text not below a ball's numbers, which are not negative."""
+    return root_up(upper_rational(ball) ** 2)
