@@ -14,6 +14,14 @@ from certrack.certificates.certificate import (
 )
 from certrack.certificates.exact import Proof, prove, proven
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.implemented.certify import (
+    ImplementedCertificate,
+    certify_implemented,
+    missing_implemented,
+)
+from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
+from certrack.certificates.implemented.premises import premises_as_implemented
+from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.own_multipliers import own_solution
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises import has_ranges
@@ -54,14 +62,19 @@ class Certificates(ShownInNotebooks):
         Behind the best of vertices, peak and cells.
     attainable : float or None
         What the linear loop reaches at the worst corner of the ranges; no proof.
+    implemented : ImplementedCertificate
+        Of the loop as the drive runs it: sampled, delayed, quantised; none without
+        ``[implementation]``.
+    implemented_proof
+        The exactly verified numbers behind it, one for each delay.
     critical_published, critical_semidefinite : float
         Largest common scale of tau with a certificate; the second is verified exactly.
     tube : Tube or None
         Bound on |e_1(t)| from the system's own start, of the tightest verified certificate of the
         nominal loop; None where constants have ranges or nothing is verified.
     premises : tuple of Premise
-        What all of it rests on, and whether the system's own truth keeps it. Where it breaks one,
-        nothing is verified and there is no tube: bounds are those of the design that the truth
+        What the best of it rests on, and whether the system's own truth keeps it. Where it breaks
+        one, nothing is verified and there is no tube: bounds are those of the design that the truth
         leaves.
     """
 
@@ -81,6 +94,8 @@ class Certificates(ShownInNotebooks):
     premises: tuple[Premise, ...] = ()
     cover: tuple[CellProof, ...] = ()
     attainable: float | None = None
+    implemented: ImplementedCertificate = missing_implemented(NO_IMPLEMENTATION)
+    implemented_proof: tuple[ImplementedProof, ...] = ()
 
     def __repr__(self) -> str:
         entries = [getattr(self, entry.name) for entry in fields(self)]
@@ -93,7 +108,9 @@ class Certificates(ShownInNotebooks):
 
     @property
     def best(self) -> Certificate:
-        """The tightest certificate among the verified ones."""
+        """The certificate to ship with: the implemented loop's, else the tightest verified one."""
+        if self.implemented.verified:
+            return self.implemented
         nominal = (self.semidefinite, self.cascade, self.rate, self.corrected)
         sound = (*nominal, self.cells, self.vertices, self.peak)
         verified = [c for c in sound if c.verified]
@@ -110,14 +127,14 @@ class Certificates(ShownInNotebooks):
         return self.best.verified and not self.contradicted
 
     @property
-    def stages(self) -> tuple[Proof, ...] | tuple[CellProof, ...]:
-        """Proof of the tightest verified bound: one stage, the two or three of the cascade, cells.
+    def stages(self) -> tuple[Proof, ...] | tuple[CellProof, ...] | tuple[ImplementedProof, ...]:
+        """Proof of the best bound: of the implemented loop; one stage; a cascade's two or three; cells.
 
         Empty where there is none, and where a premise is contradicted.
         """
         if self.contradicted:
             return ()
-        return self.cover or tightest(
+        return self.implemented_proof or self.cover or tightest(
             self.semidefinite, self.proof, self.cascade, self.cascade_proof
         )
 
@@ -126,7 +143,8 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     """Certify `system` by every method.
 
     Published, corrected, rate, semidefinite and cascade speak of the nominal loop; where constants
-    have ranges, vertices, peak and cells cover them.
+    have ranges, vertices, peak and cells cover them. Implemented speaks of the loop as the drive
+    runs it, if the file has ``[implementation]``.
 
     Parameters
     ----------
@@ -171,7 +189,8 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         else without_ranges()
     )
     progress(4, STEPS, None)
-    rests_on = premises(system)
+    implemented, implemented_proof = certify_implemented(system)
+    rests_on = premises_as_implemented(system) if implemented.exists else premises(system)
     result = Certificates(
         **classical,
         semidefinite=semidefinite,
@@ -187,6 +206,8 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         premises=rests_on,
         cover=ranges.proof,
         attainable=ranges.attainable,
+        implemented=implemented,
+        implemented_proof=implemented_proof,
     )
     progress(STEPS, STEPS, None)
     return _unverified(result) if result.contradicted else result

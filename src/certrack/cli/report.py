@@ -16,6 +16,7 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
+from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.ranges.certify import NO_RANGES
 from certrack.core.rounding import printed_bound, rounded_down
 from certrack.simulation.metrics import METRIC_LABELS
@@ -269,6 +270,13 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
 
     return {
         **{kind: entries(getattr(results, kind)) for kind in (*CERTIFICATE_KINDS, *RANGE_KINDS)},
+        "implemented": entries(results.implemented)
+        | {
+            "peak_input": results.implemented.peak_input,
+            "states": list(results.implemented.states),
+            "saturation": results.implemented.saturation,
+            "parts": dict(results.implemented.parts),
+        },
         "attainable": results.attainable,
         "verified": results.verified,
         "best": _best(results),
@@ -296,7 +304,8 @@ def _best(results: Certificates) -> dict[str, Any] | None:
     if not results.verified:
         return None
     best = results.best
-    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": "continuous"}
+    loop = "implemented" if best is results.implemented else "continuous"
+    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": loop}
 
 
 def certificates_table(results: Certificates) -> Table:
@@ -310,10 +319,13 @@ def certificates_table(results: Certificates) -> Table:
         "vertices": "one Lyapunov function for all constants, which may vary",
         "peak": "peak gains for all constants, which may vary",
         "cells": "the ranges cut into cells, for constants that stand still",
+        "implemented": "peak gains of the loop as the drive runs it: the one to ship with",
     }
     rows = []
     ranged = any(getattr(results, kind).reason != NO_RANGES for kind in RANGE_KINDS)
-    for kind in RANGE_KINDS if ranged else CERTIFICATE_KINDS:
+    sampled = results.implemented.reason != NO_IMPLEMENTATION
+    kinds = RANGE_KINDS if ranged else CERTIFICATE_KINDS
+    for kind in (*kinds, "implemented") if sampled else kinds:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = notes[kind] if entry.exists else entry.reason

@@ -5,7 +5,7 @@
     s_{k+1} = Sx (x(t_k) + n_k) + Ss s_k + Sy Y'_k,        t_k = k T
 
 with Y' = (y_d ... y_d^(q+1)); u_k acts from t_k + delay T on, until the next one does. A constant
-in the drift is cancelled by a constant in u, which is left out here and added to |u|.
+in the drift is cancelled by a constant in u, which is left out here and kept as `offset`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import flint
-import numpy as np
 import sympy
 
 from certrack.certificates.arithmetic import exact_float, rational
@@ -72,7 +71,7 @@ class Drive:
     lipschitz : rational or None
         Lipschitz constant of y_d^(q+1); None where it has none.
     offset : rational
-        What the constant part of the law adds to |u|.
+        The constant part of the law, which cancels that of the drift; not in u above.
     """
 
     A: flint.arb_mat
@@ -179,7 +178,7 @@ def _drive(
         eta=upper_rational_of(implementation.input_quantum) / 2,
         Y=_reference_bounds(system, c.q),
         lipschitz=_lipschitz(system, c.q + 1),
-        offset=abs(constant / gain),
+        offset=-constant / gain,
         **_split(rows, n),
     )
 
@@ -320,10 +319,3 @@ def _lipschitz(system: System, order: int) -> Any | None:
 
 def _balls(rows: list[list[Any]]) -> flint.arb_mat:
     return flint.arb_mat([[flint.arb(v) for v in row] for row in rows])
-
-
-def magnitudes(values: tuple[Any, ...]) -> np.ndarray:
-    """Upper bounds as floats, rounded up."""
-    from certrack.certificates.exact import float_up
-
-    return np.array([float_up(v) for v in values], dtype=float)

@@ -22,8 +22,9 @@ from certrack.certificates.implemented.gains import Gains
 from certrack.certificates.implemented.outputs import Row, steady
 from certrack.certificates.implemented.period import Period
 
-#: Iterations until the fixed point stands still, and by how much it is widened before it is checked.
-ITERATIONS, STILL, WIDENED, LEAST = 2000, 1e-10, 1e-9, 1e-280
+#: Iterations until the fixed point stands still, and by how much it is widened before it is checked,
+#: which leaves room for checkers with another quadrature.
+ITERATIONS, STILL, WIDENED, LEAST = 2000, 1e-8, 1e-6, 1e-280
 
 #: A value beyond which there is no fixed point.
 UNBOUNDED = 1e100
@@ -43,6 +44,10 @@ class Bounds:
     x, u : (rows, n) and (rows,) of balls
         Times X and U.
     drive : Drive
+    gains : Gains
+        What the balls were made of.
+    sample : rational
+        Bound of the input `sample` of the gains.
     """
 
     outputs: np.ndarray
@@ -51,6 +56,8 @@ class Bounds:
     x: np.ndarray
     u: np.ndarray
     drive: Drive
+    gains: Gains
+    sample: Any
 
     @classmethod
     def of(cls, period: Period, rows: Sequence[Row], gains: Gains) -> Bounds:
@@ -74,6 +81,8 @@ class Bounds:
             x=share[:, None] * np.array([row.rest.x for row in rows], dtype=object),
             u=share * np.array([row.rest.u for row in rows], dtype=object),
             drive=drive,
+            gains=gains,
+            sample=sample,
         )
 
     def image(self, X: Sequence[Any], U: Any) -> list[Any]:
@@ -134,6 +143,29 @@ class Bounds:
             "the uncertain terms are too strong for the sampled loop: what they add by growing with "
             "the state is not less than the state; lower gamma or the period, or raise c"
         )
+
+    def parts(self, X: Sequence[float], U: float) -> dict[str, float]:
+        """What the bound of e_1 is made of, in its largest row."""
+        drive, gains = self.drive, self.gains
+        sizes = [float(uncertain_size(bound, X).mid()) for bound in drive.uncertain]
+        beta = [float(bound.beta) for bound in drive.uncertain]
+        w, x, u, constant = (_floats(v) for v in (self.w, self.x, self.u, self.constant))
+        values = constant + w @ np.array(sizes) + x @ np.array(X) + u * U
+        rows = np.flatnonzero(self.outputs == 0)
+        i = rows[int(np.argmax(values[rows]))]
+        sensors = gains.noise[i] @ _floats(drive.mu)
+        converter = gains.step[i] * float(drive.eta)
+        sampling = gains.sample[i] * float(self.sample) + gains.first[i] * float(drive.Y[-1])
+        constant_w = float(w[i] @ np.array(beta))
+        return {
+            "reference": float(constant[i] - sensors - converter - sampling),
+            "sampling of the reference": float(sampling),
+            "sensors": float(sensors),
+            "converter": float(converter),
+            "uncertain, constant": constant_w,
+            "uncertain, growing": float(w[i] @ np.array(sizes)) - constant_w,
+            "between samples": float(x[i] @ np.array(X) + u[i] * U),
+        }
 
 
 def uncertain_size(bound: Any, X: Sequence[Any]) -> Any:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -39,8 +39,9 @@ LEFT = 1e-9
 #: Numbers in the tables of one proof, at most: a few seconds and some 100 MB.
 MAX_NUMBERS = 20_000_000
 
-#: Digits of the states' and the input's bounds in a file.
-DIGITS = 13
+#: Digits of the states' and the input's bounds in a file, and the factor on the bound, so that a
+#: checker with another quadrature confirms it.
+DIGITS, ROOM = 13, flint.fmpq(1_000_001, 1_000_000)
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class ImplementedProof:
         Bounds of limsup |x_i|.
     input : str
         Bound of limsup |u|, without the constant of the law.
+    step : str
+        Bound of limsup |u_k - u_{k-1}|.
     bound : str
         Of limsup |e_1|.
     """
@@ -68,6 +71,7 @@ class ImplementedProof:
     doublings: int
     states: tuple[str, ...]
     input: str
+    step: str
     bound: str
 
 
@@ -80,8 +84,8 @@ def delays(system: System) -> tuple[Any, ...]:
     return tuple(rational(value) for value in values)
 
 
-def prove_implemented(system: System, delay: Any) -> ImplementedProof:
-    """Prove a bound for one delay.
+def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dict[str, float]]:
+    """Prove a bound for one delay; also what it is made of, in floats.
 
     Raises
     ------
@@ -96,13 +100,14 @@ def prove_implemented(system: System, delay: Any) -> ImplementedProof:
         X, U = bounds.search()
         states = tuple(f"{v:.{DIGITS}g}" for v in X)
         proof = ImplementedProof(
-            str(Fraction(str(delay))), _parts(drive), doublings, states, f"{U:.{DIGITS}g}", "0"
+            str(delay), _parts(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0"
         )
         image = _image(bounds, proof)
         if reason := _not_above(image, proof):
             raise NoCertificate(reason)
-        bound = _decimal_up(image[0])
-    return ImplementedProof(**{**proof.__dict__, "bound": bound})
+        bound, step = (_text_above(image[i]) for i in (0, -1))
+        parts = bounds.parts(X, U)
+    return replace(proof, bound=bound, step=step), parts
 
 
 def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> str:
@@ -120,6 +125,8 @@ def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> s
             return reason
         if not flint.arb(from_text(proof.bound)) >= image[0]:
             return "the bound is smaller than what the fixed point gives"
+        if not flint.arb(from_text(proof.step)) >= image[-1]:
+            return "the bound of the input's steps is smaller than what the fixed point gives"
     return ""
 
 
@@ -184,6 +191,6 @@ def _not_above(image: Sequence[Any], proof: ImplementedProof) -> str:
     return ""
 
 
-def _decimal_up(ball: Any) -> str:
-    """A decimal text not below a ball's numbers, which are not negative."""
-    return root_up(upper_rational(ball) ** 2)
+def _text_above(ball: Any) -> str:
+    """A decimal text above a ball's numbers, which are not negative."""
+    return root_up((upper_rational(ball) * ROOM) ** 2)

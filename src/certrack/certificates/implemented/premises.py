@@ -1,0 +1,112 @@
+"""What a certificate of the implemented loop rests on."""
+
+from __future__ import annotations
+
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented.certify import is_limited
+from certrack.certificates.implemented.drive import drive_of
+from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
+from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
+from certrack.core.errors import InputError
+from certrack.core.rounding import rounded_up
+from certrack.model.implementation import Implementation
+from certrack.references.base import bound_of
+from certrack.systems.system import System
+
+#: Names, in the order of the list; they stand in the place of the continuous law's.
+SAMPLED_LOOP, SAMPLED_REFERENCE, TIMING, LIMITS = (
+    "sampled loop",
+    "sampled reference",
+    "timing and arithmetic",
+    "input limits",
+)
+
+
+def premises_as_implemented(system: System) -> tuple[Premise, ...]:
+    """What the implemented certificate of `system` rests on; see :func:`premises`.
+
+    Parameters
+    ----------
+    system : System
+        With an implementation.
+
+    Returns
+    -------
+    tuple of Premise
+    """
+    drive = system.implementation
+    assert drive is not None
+    others = [premise for premise in premises(system) if premise.name != CONTINUOUS_LAW]
+    own = [
+        Premise(SAMPLED_LOOP, PROVEN, _covered(system, drive)),
+        _reference(system),
+        Premise(
+            TIMING,
+            ASSUMED,
+            "samples come exactly every period and their inputs exactly after the delay; the "
+            "controller computes exactly, and encoders and converter round to the nearest step",
+            remedy="keep a margin for jitter and for 32-bit rounding",
+        ),
+    ]
+    if is_limited(system):
+        own.append(
+            Premise(
+                LIMITS,
+                ASSUMED,
+                "from some time on the input does not meet its limits; where the bounds hold it "
+                "does not, but no one has proven that every start gets there",
+                remedy="certrack ensemble counts runs that stay at the limits",
+            )
+        )
+    return (*others, *own)
+
+
+def _covered(system: System, drive: Implementation) -> str:
+    delays = drive.delay if isinstance(drive.delay, (tuple, list)) else (drive.delay,)
+    listed = " or ".join(f"{value:g}" for value in delays)
+    parts = [f"sampled every {drive.period:g} s, its input acts {listed} periods later and is held"]
+    errors = [
+        f"{rounded_up(_float_up(mu), 4)} for {name}"
+        for name, mu in zip(system.plant.states, drive_of(system).mu, strict=True)
+        if mu and name not in drive.velocity
+    ]
+    parts += [f"sensors within {', '.join(errors)}"] if errors else ["exact sensors"]
+    if drive.velocity:
+        parts.append(f"{', '.join(drive.velocity)} by filtered differences")
+    if drive.input_quantum:
+        parts.append(f"the input in steps of {drive.input_quantum:g}")
+    return "; ".join(parts)
+
+
+def _float_up(value: object) -> float:
+    from certrack.certificates.exact import float_up
+
+    return float_up(value)
+
+
+def _reference(system: System) -> Premise:
+    """The Lipschitz constant of the last derivative that the law uses."""
+    order = system.controller.coordinates.q + 1
+    try:
+        constant = drive_of(system).lipschitz
+    except NoCertificate:
+        constant = None
+    if constant is None:
+        return Premise(
+            SAMPLED_REFERENCE,
+            PROVEN,
+            f"y_d^({order}) may jump: what is sampled of it and what the plant has to follow are "
+            "counted apart",
+            remedy="a reference with one more derivative has a smaller bound",
+        )
+    text = f"y_d^({order}) changes by at most {rounded_up(_float_up(constant), 6)} per s"
+    reference = system.reference
+    if not type(reference).__module__.startswith("certrack."):
+        return Premise(SAMPLED_REFERENCE, ASSUMED, f"{text}, as the reference's own class says")
+    try:
+        declared = bound_of(reference, order + 1)[1] == "declared"
+    except InputError:
+        declared = False
+    if declared:
+        return Premise(SAMPLED_REFERENCE, CHECKED, f"{text} (declared)")
+    return Premise(SAMPLED_REFERENCE, PROVEN, text)
