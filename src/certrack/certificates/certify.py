@@ -128,14 +128,16 @@ class Certificates(ShownInNotebooks):
 
     @property
     def stages(self) -> tuple[Proof, ...] | tuple[CellProof, ...] | tuple[ImplementedProof, ...]:
-        """Proof of the best bound: of the implemented loop; one stage; a cascade's two or three; cells.
+        """Proof of the best bound: implemented, one stage, a cascade's two or three, or cells.
 
         Empty where there is none, and where a premise is contradicted.
         """
         if self.contradicted:
             return ()
-        return self.implemented_proof or self.cover or tightest(
-            self.semidefinite, self.proof, self.cascade, self.cascade_proof
+        return (
+            self.implemented_proof
+            or self.cover
+            or tightest(self.semidefinite, self.proof, self.cascade, self.cascade_proof)
         )
 
 

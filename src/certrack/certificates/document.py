@@ -139,9 +139,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     return body | {"sha256": _digest(body)}
 
 
-def save_certificate(
-    system: System, stages: Sequence[Stage], path: str | os.PathLike[str]
-) -> None:
+def save_certificate(system: System, stages: Sequence[Stage], path: str | os.PathLike[str]) -> None:
     """Write the certificate to `path`; a failure leaves what was there.
 
     Parameters

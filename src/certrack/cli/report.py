@@ -16,9 +16,10 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
+from certrack.certificates.implemented.certify import ImplementedCertificate
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.ranges.certify import NO_RANGES
-from certrack.core.rounding import printed_bound, rounded_down
+from certrack.core.rounding import printed_bound, rounded_down, rounded_up
 from certrack.simulation.metrics import METRIC_LABELS
 
 if TYPE_CHECKING:
@@ -360,9 +361,10 @@ def certificates_notes(results: Certificates) -> list[str]:
             ),
         ]
     lines = [
+        *_implemented_notes(results.implemented),
         "critical strength (common scale of tau): published "
         f"{_strength_text(results.critical_published)}, semidefinite "
-        f"{_strength_text(results.critical_semidefinite)}"
+        f"{_strength_text(results.critical_semidefinite)}",
     ]
     if results.tube is not None:
         level = (1 + SETTLED_MARGIN) * math.sqrt(results.tube.floor)
@@ -374,6 +376,22 @@ def certificates_notes(results: Certificates) -> list[str]:
             f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
         )
     return lines
+
+
+def _implemented_notes(sampled: ImplementedCertificate) -> list[str]:
+    """What is known of the loop as the drive runs it, and which bound to ship with."""
+    if not sampled.exists:
+        return []
+    bound, peak, *states = (
+        rounded_up(v, BOUND_TEXT_DIGITS)
+        for v in (sampled.bound, sampled.peak_input, *sampled.states)
+    )
+    listed = ", ".join(f"|x_{i + 1}| <= {v}" for i, v in enumerate(states))
+    return [
+        f"ship with implemented: limsup |e_1| <= {bound} holds for the sampled loop, between its "
+        "samples too; the others speak of the continuous law",
+        f"as implemented, in the long run: |u| <= {peak}, {listed}",
+    ]
 
 
 def _strength_text(scale: float) -> str:

@@ -11,7 +11,7 @@ from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.core.errors import InputError
 
 #: Keys of the proof for one delay.
-KEYS = tuple(entry.name for entry in fields(ImplementedProof))
+PROOF_KEYS = tuple(entry.name for entry in fields(ImplementedProof))
 
 #: Delays that a file may state proofs for.
 MAX_DELAYS = 64
@@ -37,20 +37,20 @@ def implemented_proofs(entries: list[dict[str, Any]]) -> tuple[ImplementedProof,
     """
     if len(entries) > MAX_DELAYS:
         raise InputError("proof", f"must have at most {MAX_DELAYS} delays")
-    return tuple(map(_proof, entries))
+    return tuple(map(_delay_proof, entries))
 
 
-def _proof(entry: dict[str, Any]) -> ImplementedProof:
-    if set(entry) != set(KEYS):
-        raise InputError("proof", f"must have {', '.join(KEYS)}")
+def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
+    if set(entry) != set(PROOF_KEYS):
+        raise InputError("proof", f"must have {', '.join(PROOF_KEYS)}")
     try:
-        for text in (entry["input"], entry["step"], entry["bound"], *_listed(entry["states"])):
+        for text in (entry["input"], entry["step"], entry["bound"], *_as_tuple(entry["states"])):
             from_text(text)
         delay = entry["delay"]
         if not isinstance(delay, str) or len(delay) > MAX_TEXT_LENGTH:
             raise TypeError("the delay is no fraction")
         Fraction(delay)
-        counts = (*_listed(entry["parts"]), entry["doublings"])
+        counts = (*_as_tuple(entry["parts"]), entry["doublings"])
         if len(counts) != 3 or any(type(count) is not int for count in counts):
             raise TypeError("parts must be two integers, doublings one")
     except (TypeError, ValueError, ZeroDivisionError) as problem:
@@ -59,7 +59,7 @@ def _proof(entry: dict[str, Any]) -> ImplementedProof:
     return ImplementedProof(**(entry | lists))
 
 
-def _listed(value: Any) -> tuple[Any, ...]:
+def _as_tuple(value: Any) -> tuple[Any, ...]:
     if not isinstance(value, (list, tuple)):
         raise TypeError("a list is missing")
     return tuple(value)

@@ -67,7 +67,7 @@ class Drive:
     eta : rational
         Half a step of the converter.
     Y : q + 2 rationals
-        Bounds of y_d ... y_d^(q+1).
+        OutputBounds of y_d ... y_d^(q+1).
     lipschitz : rational or None
         Lipschitz constant of y_d^(q+1); None where it has none.
     offset : rational
@@ -109,7 +109,7 @@ class Drive:
 
 
 #: Bits of all balls of this room.
-PRECISION = 256
+DRIVE_BITS = 256
 
 
 def drive_of(system: System, delay: Any | None = None) -> Drive:
@@ -138,7 +138,7 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
     if system.controller.equations.u.has(TIME) or system.controller.states:
         raise NoCertificate("a law with the time or states of its own is not covered")
     sensors = sensor_bounds(implementation, system.plant.n)
-    with flint.ctx.workprec(PRECISION):
+    with flint.ctx.workprec(DRIVE_BITS):
         return _drive(system, implementation, sensors, delay)
 
 
@@ -166,10 +166,10 @@ def _drive(
     rows = _controller_rows(system, implementation, A, K)
     T = rational(implementation.period)
     return Drive(
-        A=_balls(A),
-        b=_balls([[flint.fmpq(0)]] * (n - 1) + [[gain]]),
-        W=_balls([[rational(u.tau[k]) if i == k else 0 for k in acting] for i in range(n)]),
-        Ly=_balls([[v / gain for v in c.nu_Y]]),
+        A=_ball_matrix(A),
+        b=_ball_matrix([[flint.fmpq(0)]] * (n - 1) + [[gain]]),
+        W=_ball_matrix([[rational(u.tau[k]) if i == k else 0 for k in acting] for i in range(n)]),
+        Ly=_ball_matrix([[v / gain for v in c.nu_Y]]),
         Sy=flint.arb_mat(len(rows[1]), c.q + 2),
         T=T,
         delay=rational(implementation.delay) if delay is None else delay,
@@ -179,7 +179,7 @@ def _drive(
         Y=_reference_bounds(system, c.q),
         lipschitz=_lipschitz(system, c.q + 1),
         offset=-constant / gain,
-        **_split(rows, n),
+        **_controller_matrices(rows, n),
     )
 
 
@@ -214,7 +214,7 @@ def _linear_drift(system: System) -> tuple[list[Any], Any]:
             "only loops that are linear are covered as implemented: plant.drift (with the known "
             f"regressors) is {total}"
         )
-    constant = total.xreplace({x: sympy.S.Zero for x in plant.symbols})
+    constant = total.xreplace(dict.fromkeys(plant.symbols, sympy.S.Zero))
     return [rational(slope) for slope in slopes], rational(sympy.simplify(constant))
 
 
@@ -251,7 +251,9 @@ def _controller_rows(
     return command, after
 
 
-def _split(rows: tuple[list[Any], list[list[Any]]], n: int) -> dict[str, flint.arb_mat]:
+def _controller_matrices(
+    rows: tuple[list[Any], list[list[Any]]], n: int
+) -> dict[str, flint.arb_mat]:
     command, after = rows
     count = len(after)
     return {
@@ -288,7 +290,7 @@ def sensor_bounds(implementation: Implementation, n: int) -> tuple[Any, ...]:
 
 def upper_rational_of(value: float) -> Any:
     """Not below a number that may stand for an irrational one (2 pi/2^16 of an encoder)."""
-    with flint.ctx.workprec(PRECISION):
+    with flint.ctx.workprec(DRIVE_BITS):
         ball = ball_of(value)
         mantissa, exponent = ball.upper().man_exp()
     return flint.fmpq(int(mantissa)) * flint.fmpq(2) ** int(exponent)
@@ -298,7 +300,9 @@ def _reference_bounds(system: System, q: int) -> tuple[Any, ...]:
     try:
         bounds = [bound_of(system.reference, i)[0] for i in range(q + 2)]
     except InputError as problem:
-        raise NoCertificate(f"the implemented loop needs bounds of the reference: {problem}") from None
+        raise NoCertificate(
+            f"the implemented loop needs bounds of the reference: {problem}"
+        ) from None
     return tuple(exact_float(bound, rational) for bound in bounds)
 
 
@@ -317,5 +321,5 @@ def _lipschitz(system: System, order: int) -> Any | None:
         return None
 
 
-def _balls(rows: list[list[Any]]) -> flint.arb_mat:
+def _ball_matrix(rows: list[list[Any]]) -> flint.arb_mat:
     return flint.arb_mat([[flint.arb(v) for v in row] for row in rows])

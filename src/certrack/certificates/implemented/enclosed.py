@@ -9,10 +9,10 @@ import numpy as np
 
 #: What a float may be off by that was taken from the middle of a ball, relatively and absolutely,
 #: and by how much a radius may be rounded down.
-CONVERSION, UNDERFLOW, RADIUS_ROUNDING = 2.0**-51, 1e-300, 1 + 1e-9
+CONVERSION, SMALLEST_ROUNDING, RADIUS_ROUNDING = 2.0**-51, 1e-300, 1 + 1e-9
 
 #: Unit roundoff of floats.
-UNIT = 2.0**-53
+ROUNDOFF = 2.0**-53
 
 
 @dataclass(frozen=True)
@@ -33,15 +33,12 @@ class Enclosed:
         entries, shape = balls.entries(), (balls.nrows(), balls.ncols())
         value = np.array([float(v.mid()) for v in entries], dtype=float).reshape(shape)
         radius = np.array([float(v.rad()) for v in entries], dtype=float).reshape(shape)
-        return cls(value, radius * RADIUS_ROUNDING + CONVERSION * np.abs(value) + UNDERFLOW)
+        return cls(value, radius * RADIUS_ROUNDING + CONVERSION * np.abs(value) + SMALLEST_ROUNDING)
 
     @property
     def upper(self) -> np.ndarray:
         """Upper bounds of the magnitudes."""
         return widened(np.abs(self.value) + self.error)
-
-    def __getitem__(self, index: object) -> Enclosed:
-        return Enclosed(self.value[index], self.error[index])  # type: ignore[index]
 
 
 def widened(values: np.ndarray, roundings: int = 8) -> np.ndarray:
@@ -49,4 +46,4 @@ def widened(values: np.ndarray, roundings: int = 8) -> np.ndarray:
 
     Below about 2^-1022 a float has fewer digits, which the smallest addition makes good.
     """
-    return values * (1 + 2 * (roundings + 4) * UNIT) + UNDERFLOW
+    return values * (1 + 2 * (roundings + 4) * ROUNDOFF) + SMALLEST_ROUNDING

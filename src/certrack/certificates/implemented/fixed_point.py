@@ -1,10 +1,10 @@
 """The bounds of all outputs at once: v = (|x_1| ... |x_n|, |u|) with v > F(v).
 
-F is what the gains make of the inputs' bounds where |x| <= X and |u| <= U: monotone, and homogeneous
-but for a constant >= 0. A v with v > F(v) in every entry proves limsup |x| <= X, limsup |u| <= U: for
-every start some f >= 1 has f v above F(f v) plus the transient, so nothing leaves f v; and the
-least f with limsup <= f v is not above 1, for F(f v) < f v where f > 1. |e_1| is then at most its own
-entry of F(v).
+F is what the gains make of the inputs' bounds where |x| <= X and |u| <= U: monotone, homogeneous
+but for a constant >= 0. A v with v > F(v) in every entry proves limsup |x| <= X, limsup |u| <= U:
+for every start some f >= 1 has f v above F(f v) plus the transient, so nothing leaves f v; and the
+least f with limsup <= f v is not above 1, for F(f v) < f v where f >= 1. |e_1| is then at most its
+own entry of F(v).
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ import numpy as np
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.drive import Drive
-from certrack.certificates.implemented.gains import Gains
+from certrack.certificates.implemented.gains import PeakGains
 from certrack.certificates.implemented.outputs import Row, steady
 from certrack.certificates.implemented.period import Period
 
-#: Iterations until the fixed point stands still, and by how much it is widened before it is checked,
-#: which leaves room for checkers with another quadrature.
-ITERATIONS, STILL, WIDENED, LEAST = 2000, 1e-8, 1e-6, 1e-280
+#: Iterations until the fixed point stands still, and by how much it is widened before it is
+#: checked, which leaves room for checkers with another quadrature.
+FIXED_POINT_STEPS, STANDS_STILL, FIXED_POINT_MARGIN, SMALLEST_BOUND = 2000, 1e-8, 1e-6, 1e-280
 
 #: A value beyond which there is no fixed point.
-UNBOUNDED = 1e100
+LARGEST_BOUND = 1e100
 
 
 @dataclass(frozen=True)
-class Bounds:
+class OutputBounds:
     """F of the module's text: per row, balls that the inputs' bounds are multiplied with.
 
     Attributes
@@ -44,7 +44,7 @@ class Bounds:
     x, u : (rows, n) and (rows,) of balls
         Times X and U.
     drive : Drive
-    gains : Gains
+    gains : PeakGains
         What the balls were made of.
     sample : rational
         Bound of the input `sample` of the gains.
@@ -56,30 +56,30 @@ class Bounds:
     x: np.ndarray
     u: np.ndarray
     drive: Drive
-    gains: Gains
+    gains: PeakGains
     sample: Any
 
     @classmethod
-    def of(cls, period: Period, rows: Sequence[Row], gains: Gains) -> Bounds:
+    def of(cls, period: Period, rows: Sequence[Row], gains: PeakGains) -> OutputBounds:
         """From the gains of the rows."""
         drive = period.drive
         Y = np.array(drive.Y, dtype=object)
         mu = np.array(drive.mu, dtype=object)
         sample = drive.Y[-1] if drive.lipschitz is None else drive.T / 2 * drive.lipschitz
         share = np.array([flint.arb(row.share) for row in rows], dtype=object)
-        own = np.array([steady(period, row) for row in rows], dtype=object)
-        r = _exact(gains.r) + _exact(gains.first)
-        r = r + share * np.array([row.rest.r for row in rows], dtype=object)
-        constant = own @ Y[:-1] + r * Y[-1] + _exact(gains.noise) @ mu
-        constant = constant + _exact(gains.sample) * sample + _exact(gains.step) * drive.eta
+        static = np.array([steady(period, row) for row in rows], dtype=object)
+        r = _as_balls(gains.r) + _as_balls(gains.first)
+        r = r + share * np.array([row.in_cell.r for row in rows], dtype=object)
+        constant = static @ Y[:-1] + r * Y[-1] + _as_balls(gains.noise) @ mu
+        constant = constant + _as_balls(gains.sample) * sample + _as_balls(gains.step) * drive.eta
         nw = len(drive.uncertain)
-        rest_w = np.array([row.rest.w for row in rows], dtype=object).reshape(len(rows), nw)
+        in_cell_w = np.array([row.in_cell.w for row in rows], dtype=object).reshape(len(rows), nw)
         return cls(
             outputs=np.array([row.output for row in rows]),
             constant=constant,
-            w=_exact(gains.w) + share[:, None] * rest_w,
-            x=share[:, None] * np.array([row.rest.x for row in rows], dtype=object),
-            u=share * np.array([row.rest.u for row in rows], dtype=object),
+            w=_as_balls(gains.w) + share[:, None] * in_cell_w,
+            x=share[:, None] * np.array([row.in_cell.x for row in rows], dtype=object),
+            u=share * np.array([row.in_cell.u for row in rows], dtype=object),
             drive=drive,
             gains=gains,
             sample=sample,
@@ -108,9 +108,7 @@ class Bounds:
         if not all(value.is_finite() for value in values):
             raise NoCertificate("a gain of the sampled loop leaves the range of floating point")
         count = self.drive.n + 3
-        return [
-            max(flint.arb(v.upper()) for v in values[self.outputs == k]) for k in range(count)
-        ]
+        return [max(flint.arb(v.upper()) for v in values[self.outputs == k]) for k in range(count)]
 
     def search(self) -> tuple[list[float], float]:
         """X and U that are probably above F(X, U): the fixed point, widened.
@@ -127,21 +125,21 @@ class Bounds:
         Delta = _floats([b.Delta for b in uncertain]).reshape(-1, n)
         chosen = [self.outputs == k for k in range(1, n + 2)]
         v = np.zeros(n + 1)
-        for _ in range(ITERATIONS):
+        for _ in range(FIXED_POINT_STEPS):
             X = v[:n]
             size = gamma * np.linalg.norm(weights * X, axis=1) + Delta @ X + beta
             values = constant + w @ size + x @ X + u * v[n]
             after = np.array([values[rows].max() for rows in chosen])
-            if not after.max() < UNBOUNDED:
+            if not after.max() < LARGEST_BOUND:
                 break
-            still = (after <= v * (1 + STILL)).all()
+            still = (after <= v * (1 + STANDS_STILL)).all()
             v = after
             if still:
-                v = v * (1 + WIDENED) + LEAST
+                v = v * (1 + FIXED_POINT_MARGIN) + SMALLEST_BOUND
                 return [float(entry) for entry in v[:n]], float(v[n])
         raise NoCertificate(
-            "the uncertain terms are too strong for the sampled loop: what they add by growing with "
-            "the state is not less than the state; lower gamma or the period, or raise c"
+            "the uncertain terms are too strong for the sampled loop: what they add by growing "
+            "with the state is not less than the state; lower gamma or the period, or raise c"
         )
 
     def parts(self, X: Sequence[float], U: float) -> dict[str, float]:
@@ -177,7 +175,7 @@ def uncertain_size(bound: Any, X: Sequence[Any]) -> Any:
     return bound.gamma * square.sqrt() + grown + bound.beta
 
 
-def _exact(values: np.ndarray) -> np.ndarray:
+def _as_balls(values: np.ndarray) -> np.ndarray:
     return np.vectorize(flint.arb, otypes=[object])(values)
 
 

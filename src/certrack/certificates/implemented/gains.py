@@ -23,7 +23,7 @@ import flint
 import numpy as np
 
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.implemented.enclosed import UNIT, Enclosed, widened
+from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import (
     Period,
@@ -36,9 +36,8 @@ from certrack.certificates.implemented.period import (
 )
 
 
-
 @dataclass(frozen=True)
-class Gains:
+class PeakGains:
     """Of each row: what it may add up to per unit of an input's bound; rounded up.
 
     Attributes
@@ -70,7 +69,7 @@ class Gains:
 
 
 @dataclass(frozen=True)
-class Columns:
+class KernelColumns:
     """What is looked at in a period, linear in the row at its end.
 
     Attributes
@@ -98,14 +97,14 @@ class Columns:
         return beside(*parts, identity(self.nodes.nrows()))
 
 
-def columns_of(period: Period, phase: int, smeared: bool) -> Columns:
+def kernel_columns(period: Period, phase: int, smeared: bool) -> KernelColumns:
     """What rows at the beginning of cell `phase` see of their period, back to its jump.
 
     Parameters
     ----------
     period : Period
     phase : int
-        The number of cells for a whole period.
+        The number of cells for an entire period.
     smeared : bool
         Whether the period's sample is spread over it.
     """
@@ -129,7 +128,7 @@ def columns_of(period: Period, phase: int, smeared: bool) -> Columns:
             bends.append(matrix * column(period.Pi[p + 1], j))
             weight = h ** (q - 2 - j) / math.factorial(q - 2 - j) * h**3 / 12
             bend_weights.append(_up(flint.arb(weight)))
-    return Columns(
+    return KernelColumns(
         np.array(lengths),
         beside(*nodes),
         beside(to_jump * period.noise, last, to_jump * period.step),
@@ -154,7 +153,7 @@ def _up(ball: Any) -> float:
     return float(Enclosed.of(flint.arb_mat([[ball]])).upper[0, 0])
 
 
-def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> Gains:
+def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGains:
     """The gains of rows, of all the past.
 
     Parameters
@@ -173,17 +172,20 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> Gains:
     drive, smeared = period.drive, period.drive.lipschitz is not None
     running, past = _running(period, rows)
     heads = above(past, identity(period.size))
-    whole = columns_of(period, len(period.cells), smeared)
-    sums, last = _sums(period, whole, heads, doublings)
+    of_period = kernel_columns(period, len(period.cells), smeared)
+    sums, last = _sums(period, of_period, heads, doublings)
     count = len(rows)
-    own, each = _table(whole, drive.n, sums[:count]), _table(whole, drive.n, sums[count:])
+    of_rows, each = (
+        _table(of_period, drive.n, sums[:count]),
+        _table(of_period, drive.n, sums[count:]),
+    )
     tail = _tail(last[:count], each, last[count:])
-    total = widened(running + own + tail, 16)
-    return _split(total, drive.W.ncols(), drive.n)
+    total = widened(running + of_rows + tail, 16)
+    return _as_gains(total, drive.W.ncols(), drive.n)
 
 
 def _running(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb_mat]:
-    """Gains of the running period, and the rows before its jump."""
+    """PeakGains of the running period, and the rows before its jump."""
     drive, nw = period.drive, period.drive.W.ncols()
     table = np.zeros((len(rows), nw + 1 + drive.n + 3))
     past: list[list[Any]] = [[] for _ in rows]
@@ -192,12 +194,12 @@ def _running(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb
         if not chosen:
             continue
         matrix = flint.arb_mat([list(rows[i].row) for i in chosen])
-        seen = columns_of(period, phase, smeared=False)
+        seen = kernel_columns(period, phase, smeared=False)
         values = Enclosed.of(matrix * seen.all())
-        counted = _table(seen, drive.n, _counted(seen, values.value[:, None], values.error))
-        counted[:, -1] = counted[:, nw + 1 + drive.n]  # the sample is an input of its own
-        counted[:, nw + 1 + drive.n] = 0
-        table[chosen] = counted
+        gains = _table(seen, drive.n, _sums_over_time(seen, values.value[:, None], values.error))
+        gains[:, -1] = gains[:, nw + 1 + drive.n]  # the sample is an input by itself
+        gains[:, nw + 1 + drive.n] = 0
+        table[chosen] = gains
         to_jump = identity(period.size)
         for p in range(phase - 1, -1, -1):
             to_jump = to_jump * period.cells[p].transition
@@ -207,7 +209,7 @@ def _running(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb
     return table, flint.arb_mat(past)
 
 
-def _counted(columns: Columns, values: np.ndarray, error: np.ndarray) -> np.ndarray:
+def _sums_over_time(columns: KernelColumns, values: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Sums over periods (axis 1) of what the columns are for, with their errors summed.
 
     Returns
@@ -239,39 +241,39 @@ def mean_magnitude(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where(crossing & (total > 0), crossed, 0.5 * total)
 
 
-def _table(columns: Columns, n: int, sums: np.ndarray) -> np.ndarray:
-    """Columns of :meth:`Gains.table` from the sums of :func:`_counted`."""
+def _table(columns: KernelColumns, n: int, sums: np.ndarray) -> np.ndarray:
+    """KernelColumns of :meth:`PeakGains.table` from the sums of :func:`_sums_over_time`."""
     size = columns.nodes.nrows()
     width = columns.nodes.ncols() // (len(columns.lengths) + 1)
     lines = sums[:, :width]
-    samples, rest = sums[:, width : width + n + 2], sums[:, width + n + 2 :]
-    bends, own = rest[:, :-size], rest[:, -size:]
-    w = lines[:, :-1] + own @ columns.curvature
+    samples, others = sums[:, width : width + n + 2], sums[:, width + n + 2 :]
+    bends, of_row = others[:, :-size], others[:, -size:]
+    w = lines[:, :-1] + of_row @ columns.curvature
     r = lines[:, -1:] + (bends @ columns.bend_weights)[:, None]
     first = np.zeros((len(sums), 1))
     return widened(np.hstack([w, r, samples, first]), size + len(columns.bend_weights) + 8)
 
 
 def _sums(
-    period: Period, whole: Columns, rows: flint.arb_mat, doublings: int
+    period: Period, of_period: KernelColumns, rows: flint.arb_mat, doublings: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of :func:`_counted` over whole periods, and the rows' magnitudes after them."""
-    size, count, inner = period.size, rows.nrows(), doublings // 2
+    """Sums of :func:`_sums_over_time` over whole periods, and the rows' magnitudes after them."""
+    count, inner = rows.nrows(), doublings // 2
     block, blocks = 2**inner, 2 ** (doublings - inner)
-    balls, jumped = _powers(period.map, whole.all(), inner)
+    balls, jumped = _powers(period.map, of_period.all(), inner)
     table = Enclosed.of(balls)  # N rows, the columns of M^0, M^1 ... beside each other
     heads, last = _heads(jumped, rows, doublings - inner)
     error = _product_error(heads, table, count, block)
     total: np.ndarray | float = 0.0
     for b in range(blocks):
         values = (heads.value[b * count : (b + 1) * count] @ table.value).reshape(count, block, -1)
-        total = total + _counted(whole, values, 0 * error)
-    return widened(total + _counted_errors(whole, error), blocks + 8), last
+        total = total + _sums_over_time(of_period, values, 0 * error)
+    return widened(total + _sums_of_errors(of_period, error), blocks + 8), last
 
 
-def _counted_errors(columns: Columns, error: np.ndarray) -> np.ndarray:
+def _sums_of_errors(columns: KernelColumns, error: np.ndarray) -> np.ndarray:
     """What errors of the columns add to the sums."""
-    return _counted(columns, np.zeros((len(error), 1, error.shape[1])), error)
+    return _sums_over_time(columns, np.zeros((len(error), 1, error.shape[1])), error)
 
 
 def _product_error(heads: Enclosed, table: Enclosed, count: int, block: int) -> np.ndarray:
@@ -284,7 +286,7 @@ def _product_error(heads: Enclosed, table: Enclosed, count: int, block: int) -> 
     entry, entry_error = (
         np.abs(v).reshape(size, block, -1).sum(axis=1) for v in (table.value, table.error)
     )
-    rounding = 2 * (size + 4) * UNIT * (head @ entry)
+    rounding = 2 * (size + 4) * ROUNDOFF * (head @ entry)
     off = head @ entry_error + head_error @ (entry + entry_error)
     return widened(rounding + off, 4 * blocks + 2 * block + 4 * size)
 
@@ -342,8 +344,8 @@ def _tail(last: np.ndarray, each: np.ndarray, power: np.ndarray) -> np.ndarray:
     return widened(last @ (each + beyond), size + 8)
 
 
-def _split(table: np.ndarray, nw: int, n: int) -> Gains:
-    return Gains(
+def _as_gains(table: np.ndarray, nw: int, n: int) -> PeakGains:
+    return PeakGains(
         w=table[:, :nw],
         r=table[:, nw],
         noise=table[:, nw + 1 : nw + 1 + n],

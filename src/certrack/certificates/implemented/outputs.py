@@ -1,9 +1,9 @@
 """How an output between two samples is seen by rows over chi.
 
-In a cell, o(t_p + s) = c x - c_Y Y is a polynomial of degree N in s, linear in (chi_p, Y_p), plus what
-w and r add since the cell began and the polynomial's remainder. In Bernstein form the polynomial
-lies in the hull of its coefficients R_i chi_p - r_i Y_p. The rest is convex in s and zero at s = 0,
-so it is at most s/h times its value at the cell's end, and s/h has the coefficients i/N:
+In a cell, o(t_p + s) = c x - c_Y Y is a polynomial of degree N in s, linear in (chi_p, Y_p), plus
+what w and r add since the cell began, plus the polynomial's remainder. In Bernstein form the
+polynomial lies in the hull of its coefficients R_i chi_p - r_i Y_p. The rest is convex in s and
+zero at s = 0, so at most s/h times its value at the cell's end, and s/h has the coefficients i/N:
 
     |o(t_p + s)| <= max_i |R_i chi_p - r_i Y_p| + i/N (rest at the end).
 """
@@ -17,11 +17,11 @@ from typing import Any
 
 import flint
 
-from certrack.certificates.implemented.period import Cell, Period, absolute
+from certrack.certificates.implemented.period import InputCell, Period, absolute
 
 
 @dataclass(frozen=True)
-class Rest:
+class InCell:
     """What a cell adds to an output until its end: balls, times the bounds of w, r, x and u."""
 
     w: tuple[Any, ...]
@@ -32,7 +32,7 @@ class Rest:
 
 @dataclass(frozen=True)
 class Row:
-    """|o| <= |row chi_p - of_Y Y_p| + share (rest), at the beginning of a cell.
+    """|o| <= |row chi_p - of_Y Y_p| + share in_cell, at the beginning of a cell.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Row:
     row : N balls
     of_Y : q + 1 balls
     share : rational
-    rest : Rest
+    in_cell : InCell
     """
 
     output: int
@@ -51,7 +51,7 @@ class Row:
     row: tuple[Any, ...]
     of_Y: tuple[Any, ...]
     share: Any
-    rest: Rest
+    in_cell: InCell
 
 
 #: Degree of the polynomials of e_1 (at least q, for that of Y) and of the states.
@@ -67,12 +67,12 @@ def output_rows(period: Period) -> list[Row]:
     for i in range(n):
         rows += _state_rows(period, i + 1, i, none, STATE_DEGREE)
     nothing = flint.arb(0)
-    rest = Rest((nothing,) * period.W.ncols(), nothing, (nothing,) * n, nothing)
+    in_cell = InCell((nothing,) * period.W.ncols(), nothing, (nothing,) * n, nothing)
     entries = range(period.size)
     newest = tuple(flint.arb(int(i == period.command)) for i in entries)
     step = tuple(v - int(i == period.command + 1) for i, v in zip(entries, newest, strict=True))
     for output, row in ((n + 1, newest), (n + 2, step)):
-        rows.append(Row(output, 0, row, tuple(none), flint.fmpq(0), rest))
+        rows.append(Row(output, 0, row, tuple(none), flint.fmpq(0), in_cell))
     return rows
 
 
@@ -84,10 +84,10 @@ def _state_rows(
     derivatives = [flint.arb_mat([[flint.arb(int(j == state)) for j in range(n)]])]
     for _ in range(degree + 1):
         derivatives.append(derivatives[-1] * A)
-    rows, rests = [], {}
+    rows, in_cells = [], {}
     for p, cell in enumerate(period.cells):
-        if cell.length not in rests:
-            rests[cell.length] = _rest(period, cell.length, derivatives, of_Y, degree)
+        if cell.length not in in_cells:
+            in_cells[cell.length] = _in_cell(period, cell.length, derivatives, of_Y, degree)
         taylor = _taylor(period, cell, derivatives, of_Y, degree)
         for i in range(degree + 1):
             weights = [
@@ -96,19 +96,21 @@ def _state_rows(
                 for k in range(i + 1)
             ]
             parts = [
-                [sum((w * v for w, v in zip(weights, entries, strict=False)), flint.arb(0))
-                 for entries in zip(*table, strict=True)]
+                [
+                    sum((w * v for w, v in zip(weights, entries, strict=False)), flint.arb(0))
+                    for entries in zip(*table, strict=True)
+                ]
                 for table in taylor
             ]
             share = flint.fmpq(i, degree)
             rows.append(
-                Row(output, p, tuple(parts[0]), tuple(parts[1]), share, rests[cell.length])
+                Row(output, p, tuple(parts[0]), tuple(parts[1]), share, in_cells[cell.length])
             )
     return rows
 
 
 def _taylor(
-    period: Period, cell: Cell, derivatives: Sequence[Any], of_Y: Sequence[Any], degree: int
+    period: Period, cell: InputCell, derivatives: Sequence[Any], of_Y: Sequence[Any], degree: int
 ) -> tuple[list[list[Any]], list[list[Any]]]:
     """Derivatives 0 ... degree of the polynomial, over chi and over Y."""
     n, q, size = period.drive.n, period.drive.q, period.size
@@ -123,11 +125,11 @@ def _taylor(
     return over_chi, over_Y
 
 
-def _rest(
+def _in_cell(
     period: Period, h: Any, derivatives: Sequence[Any], of_Y: Sequence[Any], degree: int
-) -> Rest:
+) -> InCell:
     """Values at the end of a cell of length h."""
-    drive, n, q = period.drive, period.drive.n, period.drive.q
+    drive, q = period.drive, period.drive.q
     growth = (absolute(drive.A) * flint.arb(h)).exp()
     last = absolute(derivatives[degree + 1]) * growth
     w = [flint.arb(0)] * drive.W.ncols()
@@ -145,12 +147,10 @@ def _rest(
     step = flint.arb(h ** (degree + 1) / math.factorial(degree + 1))
     b = absolute(drive.b)
     u = abs((derivatives[degree] * drive.b)[0, 0]) + (last * b)[0, 0] * h
-    return Rest(tuple(w), r, tuple(v * step for v in last.entries()), u * step)
+    return InCell(tuple(w), r, tuple(v * step for v in last.entries()), u * step)
 
 
 def steady(period: Period, row: Row) -> list[Any]:
     """|row Pi_p - of_Y|: what of the reference's own motion is in the output, per derivative."""
-    own = (flint.arb_mat([list(row.row)]) * period.Pi[row.phase]).entries()
-    return [abs(v - y) for v, y in zip(own, row.of_Y, strict=True)]
-
-
+    static = (flint.arb_mat([list(row.row)]) * period.Pi[row.phase]).entries()
+    return [abs(v - y) for v, y in zip(static, row.of_Y, strict=True)]

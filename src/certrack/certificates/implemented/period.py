@@ -5,9 +5,9 @@ The state is chi = (x, s, u_{k} ... ), the inputs that act or wait, newest first
     chi <- J chi + N n_k + R Y'_k + e eta_k
 
 then come the cells p = 0 ... : times of constant input, cut so that no cell is long against the
-plant's motions; chi <- E_p chi + int e^{A(h-s)} W w ds in x. The cells' lengths add up to T exactly,
-and one of their ends is where the delayed input takes over. M = E_{J-1} ... E_0 J is the period
-before a jump.
+plant's motions; chi <- E_p chi + int e^{A(h-s)} W w ds in x. The cells' lengths add up to T
+exactly, and one of their ends is where the delayed input takes over. M = E_{J-1} ... E_0 J is the
+period before a jump.
 
 The reference's own motion is taken out: with Y = (y_d ... y_d^(q)), Y' = Phi Y + int Gamma r,
 r = y_d^(q+1) and Gamma(s)_j = s^{q-j}/(q-j)!, the Pi with M Pi + E R_q = Pi Phi(T) before the jump,
@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import flint
@@ -31,7 +32,7 @@ from certrack.certificates.implemented.drive import Drive
 
 
 @dataclass(frozen=True)
-class Cell:
+class InputCell:
     """A time of constant input.
 
     Attributes
@@ -56,7 +57,7 @@ class Period:
     drive : Drive
     jump, noise, reference, step : ball matrices of N rows
         J, N, R (q + 2 columns) and e of the module's text.
-    cells : tuple of Cell
+    cells : tuple of InputCell
     after : J + 1 ball matrices
         E_{J-1} ... E_p, from p = J (the identity) down to p = 0; entry p.
     Pi : J + 1 ball matrices (N, q + 1)
@@ -68,7 +69,7 @@ class Period:
     noise: flint.arb_mat
     reference: flint.arb_mat
     step: flint.arb_mat
-    cells: tuple[Cell, ...]
+    cells: tuple[InputCell, ...]
     after: tuple[flint.arb_mat, ...]
     Pi: tuple[flint.arb_mat, ...]
 
@@ -109,9 +110,9 @@ def one_period(drive: Drive, parts: tuple[int, int]) -> Period:
         If a constant reference has no steady motion of the loop.
     """
     n, memories, q = drive.n, drive.memories, drive.q
-    whole = math.floor(drive.delay)
-    fraction = drive.delay - whole
-    inputs = whole + 2  # the last one, too, where the delay is a whole number: it tells the step
+    periods = math.floor(drive.delay)
+    fraction = drive.delay - periods
+    inputs = periods + 2  # the last one, too, where the delay is a whole number: it tells the step
     size = n + memories + inputs
     jump = flint.arb_mat(size, size)
     command = n + memories
@@ -131,7 +132,7 @@ def one_period(drive: Drive, parts: tuple[int, int]) -> Period:
     _place(reference, drive.Ly, command, 0)
     step = flint.arb_mat(size, 1)
     step[command, 0] = 1
-    cells = _cells(drive, fraction, command + whole, parts, size)
+    cells = _cells(drive, fraction, command + periods, parts, size)
     after = [identity(size)]
     for cell in reversed(cells):
         after.append(after[-1] * cell.transition)
@@ -142,20 +143,20 @@ def one_period(drive: Drive, parts: tuple[int, int]) -> Period:
 
 def _cells(
     drive: Drive, fraction: Any, new: int, parts: tuple[int, int], size: int
-) -> tuple[Cell, ...]:
+) -> tuple[InputCell, ...]:
     """Cells with the input that acted before (index new + 1), then those with the new one."""
-    cells: list[Cell] = []
+    cells: list[InputCell] = []
     for length, count, acting in (
         (fraction * drive.T, parts[0], new + 1),
         ((1 - fraction) * drive.T, parts[1], new),
     ):
         if length:
-            cell = _cell(drive, length / count, acting, size)
+            cell = _held_cell(drive, length / count, acting, size)
             cells += [cell] * count
     return tuple(cells)
 
 
-def _cell(drive: Drive, length: Any, acting: int, size: int) -> Cell:
+def _held_cell(drive: Drive, length: Any, acting: int, size: int) -> InputCell:
     n = drive.n
     block = flint.arb_mat(n + 1, n + 1)
     _place(block, drive.A * flint.arb(length), 0, 0)
@@ -166,19 +167,19 @@ def _cell(drive: Drive, length: Any, acting: int, size: int) -> Cell:
         for j in range(n):
             transition[i, j] = over[i, j]
         transition[i, acting] = over[i, n]
-    return Cell(length, acting, transition)
+    return InputCell(length, acting, transition)
 
 
 def _steady(
     drive: Drive,
     jump: flint.arb_mat,
     reference: flint.arb_mat,
-    cells: Sequence[Cell],
-    whole: flint.arb_mat,
+    cells: Sequence[InputCell],
+    through: flint.arb_mat,
 ) -> tuple[flint.arb_mat, ...]:
     """Pi at the ends of the cells; column by column, for Phi is triangular."""
     size, q = jump.nrows(), drive.q
-    M, forced = whole * jump, whole * reference
+    M, forced = through * jump, through * reference
     less = identity(size) - M
     over = shift(q, drive.T)
     columns: list[flint.arb_mat] = []
@@ -226,7 +227,7 @@ def column(matrix: flint.arb_mat, j: int) -> flint.arb_mat:
 def beside(*matrices: flint.arb_mat) -> flint.arb_mat:
     """Matrices side by side."""
     tables = [matrix.tolist() for matrix in matrices]
-    return flint.arb_mat([sum(rows, []) for rows in zip(*tables, strict=True)])
+    return flint.arb_mat([list(chain(*rows)) for rows in zip(*tables, strict=True)])
 
 
 def above(*matrices: flint.arb_mat) -> flint.arb_mat:

@@ -37,9 +37,9 @@ def premises_as_implemented(system: System) -> tuple[Premise, ...]:
     drive = system.implementation
     assert drive is not None
     others = [premise for premise in premises(system) if premise.name != CONTINUOUS_LAW]
-    own = [
+    added = [
         Premise(SAMPLED_LOOP, PROVEN, _covered(system, drive)),
-        _reference(system),
+        _sampled_reference(system),
         Premise(
             TIMING,
             ASSUMED,
@@ -49,7 +49,7 @@ def premises_as_implemented(system: System) -> tuple[Premise, ...]:
         ),
     ]
     if is_limited(system):
-        own.append(
+        added.append(
             Premise(
                 LIMITS,
                 ASSUMED,
@@ -58,7 +58,7 @@ def premises_as_implemented(system: System) -> tuple[Premise, ...]:
                 remedy="certrack ensemble counts runs that stay at the limits",
             )
         )
-    return (*others, *own)
+    return (*others, *added)
 
 
 def _covered(system: System, drive: Implementation) -> str:
@@ -84,7 +84,7 @@ def _float_up(value: object) -> float:
     return float_up(value)
 
 
-def _reference(system: System) -> Premise:
+def _sampled_reference(system: System) -> Premise:
     """The Lipschitz constant of the last derivative that the law uses."""
     order = system.controller.coordinates.q + 1
     try:

@@ -1,7 +1,7 @@
 """What is saved of a proof for the implemented loop, and its check.
 
-The numbers say how the proof is carried out and where v is; the checker computes the loop, its gains
-and F(v) anew, in balls, from the text of the system.
+The numbers say how the proof is carried out and where v is; the checker computes the loop, its
+gains and F(v) anew, in balls, from the text of the system.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.balls import upper_rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import from_text, root_up
-from certrack.certificates.implemented.drive import PRECISION, Drive, drive_of
+from certrack.certificates.implemented.drive import DRIVE_BITS, Drive, drive_of
 from certrack.certificates.implemented.enclosed import Enclosed
-from certrack.certificates.implemented.fixed_point import Bounds
+from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
@@ -31,7 +31,7 @@ from certrack.systems.system import System
 CELL_PART = 0.2
 
 #: Cells before and after the input changes, at most; doublings of the periods that are summed.
-MAX_PARTS, MAX_DOUBLINGS = 32, 18
+MAX_CELLS_OF_INPUT, MAX_DOUBLINGS = 32, 18
 
 #: What may be left of the rows where the sums end.
 LEFT = 1e-9
@@ -41,7 +41,7 @@ MAX_NUMBERS = 20_000_000
 
 #: Digits of the states' and the input's bounds in a file, and the factor on the bound, so that a
 #: checker with another quadrature confirms it.
-DIGITS, ROOM = 13, flint.fmpq(1_000_001, 1_000_000)
+DIGITS, TEXT_MARGIN = 13, flint.fmpq(1_000_001, 1_000_000)
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class ImplementedProof:
     doublings : int
         2^doublings periods are summed one by one.
     states : n texts
-        Bounds of limsup |x_i|.
+        OutputBounds of limsup |x_i|.
     input : str
         Bound of limsup |u|, without the constant of the law.
     step : str
@@ -93,14 +93,14 @@ def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dic
         If there is none, or the loop is not covered.
     """
     drive = drive_of(system, delay)
-    with flint.ctx.workprec(PRECISION):
-        period = one_period(drive, _parts(drive))
-        doublings = _doublings(period)
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = one_period(drive, _cell_counts(drive))
+        doublings = _doublings_needed(period)
         bounds = _bounds(period, doublings)
         X, U = bounds.search()
         states = tuple(f"{v:.{DIGITS}g}" for v in X)
         proof = ImplementedProof(
-            str(delay), _parts(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0"
+            str(delay), _cell_counts(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0"
         )
         image = _image(bounds, proof)
         if reason := _not_above(image, proof):
@@ -114,12 +114,15 @@ def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> s
     """Empty if the proof holds for the system with this delay, else what fails."""
     if rational(Fraction(proof.delay)) != delay:
         return "the delay is not that of the system"
-    if not (0 <= proof.doublings <= MAX_DOUBLINGS and all(1 <= v <= MAX_PARTS for v in proof.parts)):
-        return f"parts must be 1 ... {MAX_PARTS}, doublings 0 ... {MAX_DOUBLINGS}"
+    if not (
+        0 <= proof.doublings <= MAX_DOUBLINGS
+        and all(1 <= v <= MAX_CELLS_OF_INPUT for v in proof.parts)
+    ):
+        return f"parts must be 1 ... {MAX_CELLS_OF_INPUT}, doublings 0 ... {MAX_DOUBLINGS}"
     drive = drive_of(system, delay)
     if len(proof.states) != drive.n:
         return "the proof does not have the shape of the system"
-    with flint.ctx.workprec(PRECISION):
+    with flint.ctx.workprec(DRIVE_BITS):
         image = _image(_bounds(one_period(drive, proof.parts), proof.doublings), proof)
         if reason := _not_above(image, proof):
             return reason
@@ -130,17 +133,17 @@ def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> s
     return ""
 
 
-def _parts(drive: Drive) -> tuple[int, int]:
+def _cell_counts(drive: Drive) -> tuple[int, int]:
     """So many cells that none is long against the plant's motions."""
     A = Enclosed.of(drive.A).value
     fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
     fraction = float(drive.delay) - math.floor(float(drive.delay))
     T = float(drive.T)
     counts = (T * part * fastest / CELL_PART for part in (fraction, 1 - fraction))
-    return tuple(min(max(1, math.ceil(count)), MAX_PARTS) for count in counts)  # type: ignore[return-value]
+    return tuple(min(max(1, math.ceil(count)), MAX_CELLS_OF_INPUT) for count in counts)  # type: ignore[return-value]
 
 
-def _doublings(period: Period) -> int:
+def _doublings_needed(period: Period) -> int:
     """So many that what is left is no more than LEFT.
 
     Raises
@@ -165,16 +168,18 @@ def _doublings(period: Period) -> int:
     return doublings
 
 
-def _bounds(period: Period, doublings: int) -> Bounds:
+def _bounds(period: Period, doublings: int) -> OutputBounds:
     rows = output_rows(period)
     size, width = period.size, (len(period.cells) + 1) * (period.W.ncols() + 1) + period.size
     block = 2 ** (doublings // 2 + 1)
     if (len(rows) + size) * block * max(width, size) > MAX_NUMBERS:
-        raise NoCertificate("the sampled loop is too large for its peak gains: fewer states or memories")
-    return Bounds.of(period, rows, output_gains(period, rows, doublings))
+        raise NoCertificate(
+            "the sampled loop is too large for its peak gains: fewer states or memories"
+        )
+    return OutputBounds.of(period, rows, output_gains(period, rows, doublings))
 
 
-def _image(bounds: Bounds, proof: ImplementedProof) -> list[Any]:
+def _image(bounds: OutputBounds, proof: ImplementedProof) -> list[Any]:
     return bounds.image([from_text(v) for v in proof.states], from_text(proof.input))
 
 
@@ -193,4 +198,4 @@ def _not_above(image: Sequence[Any], proof: ImplementedProof) -> str:
 
 def _text_above(ball: Any) -> str:
     """A decimal text above a ball's numbers, which are not negative."""
-    return root_up((upper_rational(ball) * ROOM) ** 2)
+    return root_up((upper_rational(ball) * TEXT_MARGIN) ** 2)
