@@ -119,18 +119,15 @@ def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> s
         and all(1 <= v <= MAX_CELLS_OF_INPUT for v in proof.parts)
     ):
         return f"parts must be 1 ... {MAX_CELLS_OF_INPUT}, doublings 0 ... {MAX_DOUBLINGS}"
-    drive = drive_of(system, delay)
-    if len(proof.states) != drive.n:
-        return "the proof does not have the shape of the system"
-    with flint.ctx.workprec(DRIVE_BITS):
-        image = _image(_bounds(one_period(drive, proof.parts), proof.doublings), proof)
-        if reason := _not_above(image, proof):
-            return reason
-        if not flint.arb(from_text(proof.bound)) >= image[0]:
-            return "the bound is smaller than what the fixed point gives"
-        if not flint.arb(from_text(proof.step)) >= image[-1]:
-            return "the bound of the input's steps is smaller than what the fixed point gives"
-    return ""
+    try:
+        drive = drive_of(system, delay)
+        if len(proof.states) != drive.n:
+            return "the proof does not have the shape of the system"
+        with flint.ctx.workprec(DRIVE_BITS):
+            bounds = _bounds(one_period(drive, proof.parts), proof.doublings)
+            return _not_proven(_image(bounds, proof), proof)
+    except NoCertificate as refusal:
+        return str(refusal)
 
 
 def _cell_counts(drive: Drive) -> tuple[int, int]:
@@ -181,6 +178,17 @@ def _bounds(period: Period, doublings: int) -> OutputBounds:
 
 def _image(bounds: OutputBounds, proof: ImplementedProof) -> list[Any]:
     return bounds.image([from_text(v) for v in proof.states], from_text(proof.input))
+
+
+def _not_proven(image: Sequence[Any], proof: ImplementedProof) -> str:
+    """Empty if v > F(v), and the bounds are not below what follows from it."""
+    if reason := _not_above(image, proof):
+        return reason
+    if not flint.arb(from_text(proof.bound)) >= image[0]:
+        return "the bound is smaller than what the fixed point gives"
+    if not flint.arb(from_text(proof.step)) >= image[-1]:
+        return "the bound of the input's steps is smaller than what the fixed point gives"
+    return ""
 
 
 def _not_above(image: Sequence[Any], proof: ImplementedProof) -> str:
