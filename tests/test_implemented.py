@@ -6,6 +6,7 @@ import time
 from dataclasses import replace
 
 import flint
+import independent_checker
 import numpy as np
 import pytest
 from sampled_attack import SampledLoop, worst_error
@@ -218,6 +219,7 @@ def bare_drive(A, b, W, Ly, T, Y, lipschitz, uncertain, mu=None):
             eta=rational(0.0),
             Y=tuple(map(rational, Y)),
             lipschitz=None if lipschitz is None else rational(lipschitz),
+            jumps=None,
             offset=rational(0.0),
         )
 
@@ -304,20 +306,31 @@ def test_a_constant_in_the_drift_is_in_the_input_only():
     assert found.peak_input == pytest.approx(plain.peak_input + 6 / 20)
 
 
-def test_kernels_of_corners_without_a_lipschitz_constant():
-    """A triangle's y_d' jumps: sample and motion are counted apart, and no run is beyond."""
+def with_triangles(T):
     text = certrack.systems.writer.to_text(certrack.load("dual-motor-lean"))
-    text = text.replace(
-        'signal = "0.1*sin(0.75*t)"', 'kind = "triangle"\namplitude = 0.02\nperiod = 8'
-    )
+    triangle = 'kind = "triangle"\namplitude = 0.02\nperiod = 8'
+    text = text.replace('signal = "0.1*sin(0.75*t)"', triangle)
     text = text.replace("feedforward = 1", "feedforward = 0").replace("bound = 0.2", "")
-    system = loads(text, "triangle").replace(implementation=Implementation(period=0.01, delay=0.5))
+    return loads(text, "triangle").replace(implementation=Implementation(period=T, delay=0.5))
+
+
+def test_corners_of_the_reference():
+    """y_d' of a triangle jumps every 4 s, which counts; no run is beyond, though it comes near."""
+    system = with_triangles(0.03)
     found, _ = certify_implemented(system)
-    run = certrack.simulate(system, duration=40)
-    worst = np.abs(run.e[0][run.t > 15]).max()
-    assert worst < found.bound < 40 * worst
-    named = {p.name: p.detail for p in certify(system).premises}
-    assert "may jump" in named["sampled reference"]
+    run = certrack.simulate(system, duration=24.0)
+    worst = np.abs(run.e[0][run.t > 8]).max()
+    assert worst < found.bound < 2 * worst
+    drive = drive_of(system)
+    assert float(drive.jumps[0]) == pytest.approx(0.02) and float(drive.jumps[1]) < 4
+    assert (
+        "jumps by at most 0.02"
+        in {p.name: p.detail for p in certify(system).premises}["sampled reference"]
+    )
+    jumps_anywhere = replace(drive, lipschitz=None, jumps=None)
+    assert bounded(jumps_anywhere)[0] > 2 * found.bound
+    never = replace(drive, jumps=None)
+    assert bounded(never)[0] < found.bound
 
 
 def test_floats_enclose_what_balls_compute():
@@ -329,7 +342,7 @@ def test_floats_enclose_what_balls_compute():
         rows = output_rows(period)
         columns = gains_room.kernel_columns(period, 2, smeared=True)
         past = gains_room._running(period, rows)[1]
-        sums, _ = gains_room._sums(period, columns, past, doublings)
+        sums, _, _ = gains_room._sums(period, columns, past, doublings)
         row = flint.arb_mat([past.tolist()[0]])
         width = columns.nodes.ncols() // 3
         exact = [flint.arb(0)] * (sums.shape[1])
@@ -404,8 +417,8 @@ def forgotten_samples(monkeypatch):
     """Sensors exact at every sample."""
     honest = gains_room._as_gains
 
-    def silent(table, nw, n):
-        return replace(honest(table, nw, n), noise=np.zeros((len(table), n)))
+    def silent(table, nw, n, jump):
+        return replace(honest(table, nw, n, jump), noise=np.zeros((len(table), n)))
 
     monkeypatch.setattr(gains_room, "_as_gains", silent)
 
@@ -608,3 +621,40 @@ def test_rows_of_outputs_are_their_polynomials():
         end = Enclosed.of(period.cells[0].transition).value[0] @ chi
     assert values[0] == pytest.approx(chi[0])
     assert values[-1] == pytest.approx(end, abs=1e-4)
+
+
+# Another reading of the page ----------------------------------------------------------------------
+
+
+def by_both(system):
+    """The verdicts of `verify` and of the checker that was written from the page alone."""
+    _, proofs = certify_implemented(system)
+    document = to_document(system, *proofs)
+    assert verify(document).verified
+    assert independent_checker.check(document) == independent_checker.decimal(
+        max(proofs, key=lambda p: float(p.bound)).bound
+    )
+    smaller = [replace(p, bound=f"{float(p.bound) * 0.999:.12g}") for p in proofs]
+    with pytest.raises(independent_checker.Refused):
+        independent_checker.check(to_document(system, *smaller))
+    less = [replace(p, states=tuple(f"{float(v) * 0.99:.9g}" for v in p.states)) for p in proofs]
+    with pytest.raises(independent_checker.Refused):
+        independent_checker.check(to_document(system, *less))
+
+
+def test_another_checker_agrees():
+    by_both(on_a_drive("dual-motor-lean", 0.01, ("x2", "x4"), delay=(0.3, 1.2)))
+    by_both(loads(SMALL, "small"))
+
+
+@pytest.mark.slow
+def test_another_checker_agrees_on_more():
+    by_both(with_triangles(0.03))
+    by_both(certrack.load("dual-motor-drive"))
+    rng, held = np.random.default_rng(11), 0
+    for _ in range(10):
+        system, _, _ = random_drive(rng)
+        if certify_implemented(system)[0].exists:
+            by_both(system)
+            held += 1
+    assert held > 4

@@ -14,7 +14,7 @@ from certrack.core.errors import InputError
 PROOF_KEYS = tuple(entry.name for entry in fields(ImplementedProof))
 
 #: Delays that a file may state proofs for.
-MAX_DELAYS = 64
+MAX_DELAY_PROOFS = 64
 
 
 def is_implemented(body: Any) -> bool:
@@ -35,8 +35,8 @@ def implemented_proofs(entries: list[dict[str, Any]]) -> tuple[ImplementedProof,
     InputError
         If they are not.
     """
-    if len(entries) > MAX_DELAYS:
-        raise InputError("proof", f"must have at most {MAX_DELAYS} delays")
+    if len(entries) > MAX_DELAY_PROOFS:
+        raise InputError("proof", f"must have at most {MAX_DELAY_PROOFS} delays")
     return tuple(map(_delay_proof, entries))
 
 

@@ -10,6 +10,7 @@ in the drift is cancelled by a constant in u, which is left out here and kept as
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +28,7 @@ from certrack.core.expressions import TIME
 from certrack.core.powers import put_in
 from certrack.laws.error_system import KnownParameters
 from certrack.model.implementation import Implementation
-from certrack.references.base import bound_of
+from certrack.references.base import bound_of, jumps, lipschitz_bound
 from certrack.systems.system import System
 
 
@@ -69,7 +70,11 @@ class Drive:
     Y : q + 2 rationals
         OutputBounds of y_d ... y_d^(q+1).
     lipschitz : rational or None
-        Lipschitz constant of y_d^(q+1); None where it has none.
+        Lipschitz constant of y_d^(q+1) between its jumps; None where it has none, or the jumps are
+        closer than a period.
+    jumps : (size, spacing), rationals, or None
+        The largest jump of y_d^(q+1) and the least time between two of them, s; None if there are
+        none, or finitely many, which the long run forgets.
     offset : rational
         The constant part of the law, which cancels that of the drift; not in u above.
     """
@@ -90,6 +95,7 @@ class Drive:
     eta: Any
     Y: tuple[Any, ...]
     lipschitz: Any | None
+    jumps: tuple[Any, Any] | None
     offset: Any
 
     @property
@@ -172,12 +178,12 @@ def _drive(
         Ly=_ball_matrix([[v / gain for v in c.nu_Y]]),
         Sy=flint.arb_mat(len(rows[1]), c.q + 2),
         T=T,
-        delay=rational(implementation.delay) if delay is None else delay,
+        delay=rational(implementation.run_delay) if delay is None else delay,
         uncertain=tuple(_uncertain_bound(u, k, n) for k in acting),
         mu=mu,
         eta=upper_rational_of(implementation.input_quantum) / 2,
         Y=_reference_bounds(system, c.q),
-        lipschitz=_lipschitz(system, c.q + 1),
+        **_smoothness(system, c.q + 1, T),
         offset=-constant / gain,
         **_controller_matrices(rows, n),
     )
@@ -272,16 +278,11 @@ def sensor_bounds(implementation: Implementation, n: int) -> tuple[Any, ...]:
     NoCertificate
         If there is noise without a bound.
     """
-    zeros = (0.0,) * n
-    quanta = implementation.measurement_quantum or zeros
-    noise = implementation.noise or zeros
-    stated: tuple[float, ...] | None = getattr(implementation, "noise_bound", None)
-    if stated is None and any(noise):
-        raise NoCertificate(
-            "implementation.noise is normal and has no bound, so the worst case has none; state "
-            "implementation.noise_bound, or leave noise out"
-        )
-    bounds = stated or zeros
+    quanta = implementation.measurement_quantum or (0.0,) * n
+    try:
+        bounds = implementation.largest_noise(n)
+    except InputError as problem:
+        raise NoCertificate(str(problem)) from None
     return tuple(
         upper_rational_of(step) / 2 + upper_rational_of(bound)
         for step, bound in zip(quanta, bounds, strict=True)
@@ -306,19 +307,22 @@ def _reference_bounds(system: System, q: int) -> tuple[Any, ...]:
     return tuple(exact_float(bound, rational) for bound in bounds)
 
 
-def _lipschitz(system: System, order: int) -> Any | None:
-    """Lipschitz constant of y_d^(order), or None."""
+def _smoothness(system: System, order: int, T: Any) -> dict[str, Any]:
+    """Lipschitz constant and jumps of y_d^(order), as :class:`Drive` has them."""
     reference = system.reference
-    stated = getattr(reference, "lipschitz_bound", None)
-    if stated is not None:
-        value = stated(order)
-        return value if value is None else exact_float(value, rational)
-    if reference.order <= order:  # the derivative of this order may jump
-        return None
-    try:
-        return exact_float(bound_of(reference, order + 1)[0], rational)
-    except InputError:
-        return None
+    steepest, jumping = lipschitz_bound(reference, order), None
+    if steepest is None:
+        steepest = lipschitz_bound(reference, order, between_jumps=True)
+        jumping = jumps(reference, order)
+        apart = jumping is not None and (math.isinf(jumping[1]) or rational(jumping[1]) >= T)
+        if steepest is None or not apart:
+            return {"lipschitz": None, "jumps": None}
+    if jumping is not None and math.isinf(jumping[1]):
+        jumping = None
+    return {
+        "lipschitz": exact_float(steepest, rational),
+        "jumps": None if jumping is None else tuple(exact_float(v, rational) for v in jumping),
+    }
 
 
 def _ball_matrix(rows: list[list[Any]]) -> flint.arb_mat:

@@ -72,6 +72,8 @@ class OutputBounds:
         r = r + share * np.array([row.in_cell.r for row in rows], dtype=object)
         constant = static @ Y[:-1] + r * Y[-1] + _as_balls(gains.noise) @ mu
         constant = constant + _as_balls(gains.sample) * sample + _as_balls(gains.step) * drive.eta
+        if drive.jumps is not None:
+            constant = constant + _as_balls(gains.jump) * drive.jumps[0]
         nw = len(drive.uncertain)
         in_cell_w = np.array([row.in_cell.w for row in rows], dtype=object).reshape(len(rows), nw)
         return cls(
@@ -154,6 +156,7 @@ class OutputBounds:
         sensors = gains.noise[i] @ _floats(drive.mu)
         converter = gains.step[i] * float(drive.eta)
         sampling = gains.sample[i] * float(self.sample) + gains.first[i] * float(drive.Y[-1])
+        sampling += gains.jump[i] * float(drive.jumps[0]) if drive.jumps else 0.0
         constant_w = float(w[i] @ np.array(beta))
         return {
             "reference": float(constant[i] - sensors - converter - sampling),

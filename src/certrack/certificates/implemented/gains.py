@@ -4,7 +4,9 @@ A row is pushed back in time through a period, lambda <- lambda M, and its kerne
 cells' ends: k_w(s) = lambda e^{A s} W and k_r(s) = -lambda Pi Gamma(s) + lambda_0 R_{q+1}/T, where
 lambda_0 is the row right after the period's jump. The sample r(t_k) is the mean of r over the
 period that follows but for (T/2) Lipschitz, so sampled feed-forward and the reference's motion are
-one kernel, and cancel as they do in the loop. Without a Lipschitz constant the two stand apart.
+one kernel, and cancel as they do in the loop. Where r jumps in a period the sample differs by the
+jump more, once in as many periods as the jumps are apart. Without a Lipschitz constant sample and
+motion stand apart.
 
 In a cell of length h, |k| has the integral of the line between the ends, and h^3/12 sup|k''| more
 at most. The row of l periods before is lambda M^l: heads lambda M^{bK} and a table of M^j columns,
@@ -53,6 +55,8 @@ class PeakGains:
         Of the converter.
     first : (rows,) array
         Of the sample of y_d^(q+1) of the period that runs at the output's time.
+    jump : (rows,) array
+        Of jumps of y_d^(q+1).
     """
 
     w: np.ndarray
@@ -61,11 +65,7 @@ class PeakGains:
     sample: np.ndarray
     step: np.ndarray
     first: np.ndarray
-
-    def table(self) -> np.ndarray:
-        """All of them as columns: w, r, noise, sample, step, first."""
-        one = [v[:, None] for v in (self.r, self.sample, self.step, self.first)]
-        return np.hstack([self.w, one[0], self.noise, *one[1:]])
+    jump: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     running, past = _running(period, rows)
     heads = above(past, identity(period.size))
     of_period = kernel_columns(period, len(period.cells), smeared)
-    sums, last = _sums(period, of_period, heads, doublings)
+    sums, samples, last = _sums(period, of_period, heads, doublings)
     count = len(rows)
     of_rows, each = (
         _table(of_period, drive.n, sums[:count]),
@@ -181,7 +181,12 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     )
     tail = _tail(last[:count], each, last[count:])
     total = widened(running + of_rows + tail, 16)
-    return _as_gains(total, drive.W.ncols(), drive.n)
+    at = drive.W.ncols() + 1 + drive.n  # the sample's column
+    jump = np.zeros(count)
+    if drive.jumps is not None:
+        apart = max(1, int((drive.jumps[1] / drive.T).floor()))
+        jump = widened(_largest_of_each(samples[:count], apart) + tail[:, at], 2**doublings)
+    return _as_gains(total, drive.W.ncols(), drive.n, jump)
 
 
 def _running(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb_mat]:
@@ -242,7 +247,7 @@ def mean_magnitude(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _table(columns: KernelColumns, n: int, sums: np.ndarray) -> np.ndarray:
-    """KernelColumns of :meth:`PeakGains.table` from the sums of :func:`_sums_over_time`."""
+    """Columns w, r, noise, sample, step, first from the sums of :func:`_sums_over_time`."""
     size = columns.nodes.nrows()
     width = columns.nodes.ncols() // (len(columns.lengths) + 1)
     lines = sums[:, :width]
@@ -256,8 +261,17 @@ def _table(columns: KernelColumns, n: int, sums: np.ndarray) -> np.ndarray:
 
 def _sums(
     period: Period, of_period: KernelColumns, rows: flint.arb_mat, doublings: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of :func:`_sums_over_time` over whole periods, and the rows' magnitudes after them."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sums of :func:`_sums_over_time` over whole periods; what each sample adds; the rows after.
+
+    Returns
+    -------
+    sums : (rows, columns) array
+    samples : (rows, periods) array
+        Magnitudes in the column of the sample, the newest period first.
+    last : (rows, N) array
+        Magnitudes of the rows after the periods.
+    """
     count, inner = rows.nrows(), doublings // 2
     block, blocks = 2**inner, 2 ** (doublings - inner)
     balls, jumped = _powers(period.map, of_period.all(), inner)
@@ -265,10 +279,24 @@ def _sums(
     heads, last = _heads(jumped, rows, doublings - inner)
     error = _product_error(heads, table, count, block)
     total: np.ndarray | float = 0.0
+    at, samples = of_period.nodes.ncols() + period.drive.n, []
     for b in range(blocks):
         values = (heads.value[b * count : (b + 1) * count] @ table.value).reshape(count, block, -1)
         total = total + _sums_over_time(of_period, values, 0 * error)
-    return widened(total + _sums_of_errors(of_period, error), blocks + 8), last
+        samples.append(np.abs(values[:, :, at]))
+    each = np.hstack(samples)
+    each[:, 0] += error[:, at]  # of all of them
+    return widened(total + _sums_of_errors(of_period, error), blocks + 8), each, last
+
+
+def _largest_of_each(samples: np.ndarray, apart: int) -> np.ndarray:
+    """Sums of the largest sample of each `apart` periods in a row.
+
+    The errors of all samples stand in the first one, so no sum is too small for them.
+    """
+    starts = np.arange(0, samples.shape[1], apart)
+    largest: np.ndarray = np.maximum.reduceat(samples, starts, axis=1).sum(axis=1)
+    return largest
 
 
 def _sums_of_errors(columns: KernelColumns, error: np.ndarray) -> np.ndarray:
@@ -344,7 +372,7 @@ def _tail(last: np.ndarray, each: np.ndarray, power: np.ndarray) -> np.ndarray:
     return widened(last @ (each + beyond), size + 8)
 
 
-def _as_gains(table: np.ndarray, nw: int, n: int) -> PeakGains:
+def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray) -> PeakGains:
     return PeakGains(
         w=table[:, :nw],
         r=table[:, nw],
@@ -352,4 +380,5 @@ def _as_gains(table: np.ndarray, nw: int, n: int) -> PeakGains:
         sample=table[:, nw + 1 + n],
         step=table[:, nw + 2 + n],
         first=table[:, nw + 3 + n],
+        jump=jump,
     )

@@ -110,7 +110,7 @@ def one_period(drive: Drive, parts: tuple[int, int]) -> Period:
         If a constant reference has no steady motion of the loop.
     """
     n, memories, q = drive.n, drive.memories, drive.q
-    periods = math.floor(drive.delay)
+    periods = int(drive.delay.floor())
     fraction = drive.delay - periods
     inputs = periods + 2  # the last one, too, where the delay is a whole number: it tells the step
     size = n + memories + inputs

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.exact import float_up
 from certrack.certificates.implemented.certify import is_limited
 from certrack.certificates.implemented.drive import drive_of
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
 from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
-from certrack.core.errors import InputError
 from certrack.core.rounding import rounded_up
 from certrack.model.implementation import Implementation
-from certrack.references.base import bound_of
+from certrack.references import SymbolicReference
+from certrack.references.base import Reference, lipschitz_bound
 from certrack.systems.system import System
 
 #: Names, in the order of the list; they stand in the place of the continuous law's.
@@ -62,11 +65,10 @@ def premises_as_implemented(system: System) -> tuple[Premise, ...]:
 
 
 def _covered(system: System, drive: Implementation) -> str:
-    delays = drive.delay if isinstance(drive.delay, (tuple, list)) else (drive.delay,)
-    listed = " or ".join(f"{value:g}" for value in delays)
+    listed = " or ".join(f"{value:g}" for value in drive.delays)
     parts = [f"sampled every {drive.period:g} s, its input acts {listed} periods later and is held"]
     errors = [
-        f"{rounded_up(_float_up(mu), 4)} for {name}"
+        f"{rounded_up(float_up(mu), 4)} for {name}"
         for name, mu in zip(system.plant.states, drive_of(system).mu, strict=True)
         if mu and name not in drive.velocity
     ]
@@ -78,35 +80,43 @@ def _covered(system: System, drive: Implementation) -> str:
     return "; ".join(parts)
 
 
-def _float_up(value: object) -> float:
-    from certrack.certificates.exact import float_up
-
-    return float_up(value)
-
-
 def _sampled_reference(system: System) -> Premise:
     """The Lipschitz constant of the last derivative that the law uses."""
     order = system.controller.coordinates.q + 1
     try:
-        constant = drive_of(system).lipschitz
-    except NoCertificate:
-        constant = None
-    if constant is None:
+        drive = drive_of(system)
+    except NoCertificate as refusal:
+        return Premise(SAMPLED_REFERENCE, ASSUMED, f"y_d^({order})", remedy=str(refusal))
+    if drive.lipschitz is None:
         return Premise(
             SAMPLED_REFERENCE,
             PROVEN,
-            f"y_d^({order}) may jump: what is sampled of it and what the plant has to follow are "
-            "counted apart",
+            f"y_d^({order}) may jump at any time: what is sampled of it and what the plant has to "
+            "follow are counted apart",
             remedy="a reference with one more derivative has a smaller bound",
         )
-    text = f"y_d^({order}) changes by at most {rounded_up(_float_up(constant), 6)} per s"
-    reference = system.reference
+    text = f"y_d^({order}) changes by at most {rounded_up(float_up(drive.lipschitz), 6)} per s"
+    if drive.jumps is not None:
+        size, spacing = drive.jumps
+        text += (
+            f" and jumps by at most {rounded_up(float_up(size), 6)}, at least {float(spacing):.6g} "
+            "s apart"
+        )
+    return Premise(SAMPLED_REFERENCE, _status(system.reference, order), text)
+
+
+def _status(reference: Reference, order: int) -> str:
+    """What is known of the Lipschitz constant of y_d^(order)."""
     if not type(reference).__module__.startswith("certrack."):
-        return Premise(SAMPLED_REFERENCE, ASSUMED, f"{text}, as the reference's own class says")
-    try:
-        declared = bound_of(reference, order + 1)[1] == "declared"
-    except InputError:
-        declared = False
-    if declared:
-        return Premise(SAMPLED_REFERENCE, CHECKED, f"{text} (declared)")
-    return Premise(SAMPLED_REFERENCE, PROVEN, text)
+        return ASSUMED
+    declared = getattr(reference, "declared", None)
+    if (
+        declared is None
+        or order + 1 >= len(declared)
+        or not isinstance(reference, SymbolicReference)
+    ):
+        return PROVEN
+    proven = lipschitz_bound(replace(reference, declared=None, bound=None), order)
+    if proven is not None and proven <= declared[order + 1]:
+        return PROVEN
+    return CHECKED if order + 1 <= reference.order else ASSUMED

@@ -79,9 +79,7 @@ def delays(system: System) -> tuple[Any, ...]:
     """The delays that must be proven, periods."""
     if system.implementation is None:
         return ()
-    stated: Any = system.implementation.delay
-    values = stated if isinstance(stated, (tuple, list)) else (stated,)
-    return tuple(rational(value) for value in values)
+    return tuple(rational(value) for value in system.implementation.delays)
 
 
 def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dict[str, float]]:
