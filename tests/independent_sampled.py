@@ -13,7 +13,7 @@ import independent_checker as checker
 import numpy as np
 
 #: Steps of each cell in which kernels are summed, and what is left of rows.
-GRID, LEFT = 4, 1e-12
+GRID, LEFT = 2, 1e-11
 
 
 def check(proof, table, system):
@@ -203,46 +203,45 @@ class Loop:
     def image(self, X, U):
         """F: e_1, the states, u, its steps."""
         w = self.gamma * np.linalg.norm(self.S * X, axis=1) + self.Delta @ X + self.beta
-        of_y = np.eye(self.q + 1)[0]
-        values = [self._largest(np.eye(self.n)[0], of_y, max(3, self.q), w, X, U)]
-        values += [self._largest(c, 0 * of_y, 2, w, X, U) for c in np.eye(self.n)]
-        newest, older = np.eye(len(self.J))[self.newest : self.newest + 2]
-        for row in (newest, newest - older):
-            values.append(float(self._responses(row[None], 0, w)[0]))
-            values[-1] += float(np.abs(row @ self.Pi[0]) @ self.Y[:-1])
-        return np.array(values)
-
-    def _largest(self, c, of_y, N, w, X, U):
-        largest = 0.0
-        for p, (step, acting, _) in enumerate(self.cells):
-            if p % GRID:
-                continue
-            h, rows, of_Y = step * GRID, [], []
-            derivatives = [c]
-            for _ in range(N + 30):
-                derivatives.append(derivatives[-1] @ self.A)
-            for k in range(N + 1):
-                row = np.zeros(len(self.J))
-                row[: self.n] = derivatives[k]
-                row[acting] = derivatives[k - 1] @ self.b if k else 0.0
-                rows.append(row)
-                of_Y.append(np.concatenate([np.zeros(k), of_y])[: self.q + 1])
-            change = np.array(
-                [
-                    [
-                        math.comb(i, k) / math.comb(N, k) * h**k / math.factorial(k)
-                        for k in range(N + 1)
-                    ]
-                    for i in range(N + 1)
-                ]
-            )
-            rows, of_Y = change @ np.array(rows), change @ np.array(of_Y)
-            still = np.abs(rows @ self.Pi[p] - of_Y) @ self.Y[:-1]
-            share = np.arange(N + 1) / N
-            value = still + self._responses(rows, p, w)
-            value += share * self._in_cell(h, derivatives, of_y, N, w, X, U)
-            largest = max(largest, float(value.max()))
+        of_y, eye = np.eye(self.q + 1)[0], np.eye(self.n)
+        outputs = [(eye[0], of_y, max(3, self.q)), *((c, 0 * of_y, 2) for c in eye)]
+        largest = np.zeros(self.n + 3)
+        for p in range(0, len(self.cells), GRID):
+            rows, values, owners = [], [], []
+            for output, (c, of_Y, N) in enumerate(outputs):
+                more, value = self._rows(p, c, of_Y, N, w, X, U)
+                rows, values = [*rows, more], [*values, value]
+                owners += [output] * len(more)
+            if p == 0:
+                newest, older = np.eye(len(self.J))[self.newest : self.newest + 2]
+                commands = np.array([newest, newest - older])
+                rows.append(commands)
+                values.append(np.abs(commands @ self.Pi[0]) @ self.Y[:-1])
+                owners += [self.n + 1, self.n + 2]
+            total = np.concatenate(values) + self._responses(np.vstack(rows), p, w)
+            np.maximum.at(largest, owners, total)
         return largest
+
+    def _rows(self, p, c, of_y, N, w, X, U):
+        """Bernstein rows of an output in a cell, and all of their bound but the gains."""
+        step, acting, _ = self.cells[p]
+        h, rows, of_Y, derivatives = step * GRID, [], [], [c]
+        for _ in range(N + 30):
+            derivatives.append(derivatives[-1] @ self.A)
+        for k in range(N + 1):
+            row = np.zeros(len(self.J))
+            row[: self.n] = derivatives[k]
+            row[acting] = derivatives[k - 1] @ self.b if k else 0.0
+            rows.append(row)
+            of_Y.append(np.concatenate([np.zeros(k), of_y])[: self.q + 1])
+        change = [
+            [math.comb(i, k) / math.comb(N, k) * h**k / math.factorial(k) for k in range(N + 1)]
+            for i in range(N + 1)
+        ]
+        rows, of_Y = np.array(change) @ np.array(rows), np.array(change) @ np.array(of_Y)
+        still = np.abs(rows @ self.Pi[p] - of_Y) @ self.Y[:-1]
+        share = np.arange(N + 1) / N
+        return rows, still + share * self._in_cell(h, derivatives, of_y, N, w, X, U)
 
     def _in_cell(self, h, derivatives, of_y, N, w, X, U):
         total = sum(
