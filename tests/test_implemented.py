@@ -212,6 +212,7 @@ def bare_drive(A, b, W, Ly, T, Y, lipschitz, uncertain, mu=None):
             Sx=flint.arb_mat(0, n),
             Ss=flint.arb_mat(0, 0),
             Sy=flint.arb_mat(0, wide),
+            first=flint.arb_mat(0, n),
             T=rational(T),
             delay=rational(0.0),
             uncertain=tuple(uncertain),
@@ -341,7 +342,7 @@ def test_floats_enclose_what_balls_compute():
         period = one_period(drive_of(system), (1, 1))
         rows = output_rows(period)
         columns = gains_room.kernel_columns(period, 2, smeared=True)
-        past = gains_room._running(period, rows)[1]
+        past = gains_room.running_period(period, rows)[1]
         sums, _, _ = gains_room._sums(period, columns, past, doublings)
         row = flint.arb_mat([past.tolist()[0]])
         width = columns.nodes.ncols() // 3
@@ -399,18 +400,18 @@ def wrong_sign(monkeypatch):
 def forgotten_tail(monkeypatch):
     """The sums end after two periods."""
     monkeypatch.setattr(gains_room, "_tail", lambda last, each, power: 0 * last @ each)
-    monkeypatch.setattr("certrack.certificates.implemented.proof._doublings_needed", lambda _: 1)
+    monkeypatch.setattr("certrack.certificates.implemented.proof.periods_needed", lambda _: 1)
 
 
 def forgotten_running_period(monkeypatch):
     """What acts since the last sample is left out."""
-    honest = gains_room._running
+    honest = gains_room.running_period
 
     def without(period, rows):
         table, past = honest(period, rows)
         return 0 * table, past
 
-    monkeypatch.setattr(gains_room, "_running", without)
+    monkeypatch.setattr(gains_room, "running_period", without)
 
 
 def forgotten_samples(monkeypatch):

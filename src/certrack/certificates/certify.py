@@ -20,6 +20,7 @@ from certrack.certificates.implemented.certify import (
     missing_implemented,
 )
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
+from certrack.certificates.implemented.limits import input_limits
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.own_multipliers import own_solution
@@ -192,7 +193,12 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     )
     progress(4, STEPS, None)
     implemented, implemented_proof = certify_implemented(system)
-    rests_on = premises_as_implemented(system) if implemented.exists else premises(system)
+    if implemented.exists:
+        limits = input_limits(system)
+        implemented = replace(implemented, saturation=limits.status, starts=limits.starts)
+        rests_on = premises_as_implemented(system, limits)
+    else:
+        rests_on = premises(system)
     result = Certificates(
         **classical,
         semidefinite=semidefinite,

@@ -275,6 +275,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
         | {
             "peak_input": results.implemented.peak_input,
             "states": list(results.implemented.states),
+            "starts": results.implemented.starts,
             "saturation": results.implemented.saturation,
             "parts": dict(results.implemented.parts),
         },

@@ -10,6 +10,12 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
 from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.implemented.drive import drive_of
+from certrack.certificates.implemented.limits import (
+    ANY_START,
+    MAY_ACT,
+    NO_LIMITS,
+    is_limited,
+)
 from certrack.certificates.implemented.proof import (
     ImplementedProof,
     delays,
@@ -19,9 +25,6 @@ from certrack.certificates.implemented.proof import (
 from certrack.certificates.premises import assumptions
 from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
-
-#: What limits of the input mean for the bound.
-NO_LIMITS, MAY_ACT = "none", "may act"
 
 KIND = "implemented"
 
@@ -36,9 +39,12 @@ class ImplementedCertificate(Certificate):
         limsup |u| is at most this.
     states : n floats
         limsup |x_i| are at most these.
-    saturation : str
-        ``"none"``; or ``"may act"`` where the file limits the input: the bound is for runs in which
-        the limits are not met from some time on. They are not met where the bounds hold.
+    saturation : {"none", "inactive", "may act"}
+        Whether the file limits the input, and then whether it is proven that this never acts from
+        the `starts`. Where it may act, the bound is for runs in which it does not from some time
+        on; where the bounds hold it does not.
+    starts : {"any", "x0", "box"} or None
+        From which starts the bound is proven without that.
     parts : mapping of str to float
         What the bound is made of.
     """
@@ -46,6 +52,7 @@ class ImplementedCertificate(Certificate):
     peak_input: float = math.inf
     states: tuple[float, ...] = ()
     saturation: str = NO_LIMITS
+    starts: str | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -66,6 +73,7 @@ def certify_implemented(
     Returns
     -------
     certificate : ImplementedCertificate
+        Limits of the input may act; `input_limits` of :mod:`limits` says whether they do.
     proofs : one ImplementedProof per delay
         Empty where there is no certificate.
 
@@ -77,7 +85,7 @@ def certify_implemented(
     >>> drive = certrack.Implementation(period=0.003, delay=0.5)
     >>> found, proofs = certify_implemented(system.replace(implementation=drive))
     >>> found
-    Certificate(implemented: limsup |e_1| <= 0.001301, verified)
+    Certificate(implemented: limsup |e_1| <= 0.001279, verified)
     """
     try:
         with within_floats():
@@ -99,14 +107,9 @@ def certify_implemented(
         peak_input=float_up(peak),
         states=tuple(float_up(max(map(from_text, values))) for values in states),
         saturation=MAY_ACT if is_limited(system) else NO_LIMITS,
+        starts=None if is_limited(system) else ANY_START,
         parts=proven[worst][1],
     ), proofs
-
-
-def is_limited(system: System) -> bool:
-    """Whether the file limits the input or its rate."""
-    drive = system.implementation
-    return drive is not None and (drive.saturation is not None or drive.rate_limit is not None)
 
 
 def limits_met(system: System, proofs: Sequence[ImplementedProof]) -> str:

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up
-from certrack.certificates.implemented.certify import is_limited
 from certrack.certificates.implemented.drive import drive_of
+from certrack.certificates.implemented.limits import INACTIVE, NO_LIMITS, InputLimits, input_limits
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
 from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
 from certrack.core.rounding import rounded_up
@@ -25,13 +25,17 @@ SAMPLED_LOOP, SAMPLED_REFERENCE, TIMING, LIMITS = (
 )
 
 
-def premises_as_implemented(system: System) -> tuple[Premise, ...]:
+def premises_as_implemented(
+    system: System, limits: InputLimits | None = None
+) -> tuple[Premise, ...]:
     """What the implemented certificate of `system` rests on; see :func:`premises`.
 
     Parameters
     ----------
     system : System
         With an implementation.
+    limits : InputLimits, optional
+        What is known of the input's; found if left out.
 
     Returns
     -------
@@ -51,13 +55,16 @@ def premises_as_implemented(system: System) -> tuple[Premise, ...]:
             remedy="keep a margin for jitter and for 32-bit rounding",
         ),
     ]
-    if is_limited(system):
+    limits = input_limits(system) if limits is None else limits
+    if limits.status == INACTIVE:
+        added.append(Premise(LIMITS, PROVEN, limits.detail))
+    elif limits.status != NO_LIMITS:
         added.append(
             Premise(
                 LIMITS,
                 ASSUMED,
                 "from some time on the input does not meet its limits; where the bounds hold it "
-                "does not, but no one has proven that every start gets there",
+                f"does not, but nothing proves that every start gets there ({limits.detail})",
                 remedy="certrack ensemble counts runs that stay at the limits",
             )
         )
