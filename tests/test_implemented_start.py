@@ -14,6 +14,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented import start as start_room
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.limits import input_limits
+from certrack.certificates.implemented.polytope import certified_starts
 from certrack.certificates.implemented.start import bounds_from_start, starting_loop
 
 X0 = (-1.0, 1.0, 1.0, 0.0)
@@ -154,3 +155,51 @@ def test_a_constant_of_the_law_counts():
     assert run.metrics.peak_input <= bounds.peak_input
     assert beyond(moved, bounds, run) < 0
     assert math.isclose(bounds.offset, 0.3)
+
+
+# The polytope of starts ---------------------------------------------------------------------------
+
+
+def test_starts_at_the_edge_of_the_polytope_just_keep_the_limits():
+    system = on_a_drive("dual-motor-lean", 0.01, saturation=(-15.0, 15.0))
+    starts = certified_starts(system, [(-1, 1)] * 4)
+    rng, loop, peaks = np.random.default_rng(2), SampledLoop(system), []
+    for direction in rng.choice([-1.0, 1.0], (6, 4)) * rng.uniform(0.5, 1, (6, 4)):
+        scales = np.linspace(0, 1, 400)[:, None] * direction / np.abs(direction).max()
+        edge = scales[starts.contains(scales)][-1]
+        if np.abs(edge).max() > 0.999:
+            continue  # the box ends first
+        first = np.argmin(starts.room - np.abs(starts.slopes @ edge + starts.offsets))
+        peaks.append(loop.from_start(edge, int(first), 0, None, 0.1, 0.75))
+    assert len(peaks) > 2 and max(peaks) <= 15 and min(peaks) > 14
+
+
+def test_membership_of_starts():
+    system = on_a_drive("dual-motor-lean", 0.003, saturation=(-15.0, 15.0))
+    starts = certified_starts(system, [(-1, 1)] * 4)
+    many = np.random.default_rng(0).uniform(-1, 1, (20_000, 4))
+    assert 0.6 < starts.contains(many).mean() < 0.76
+    part = starts.largest_part()
+    assert 0.29 < part < 0.4
+    corners = part * 0.999 * np.array(np.meshgrid(*[[-1, 1]] * 4)).reshape(4, -1).T
+    assert starts.contains(corners).all()
+    assert not starts.contains([2, 0, 0, 0])  # outside the box
+    asymmetric = on_a_drive("dual-motor-lean", 0.003, saturation=(-15.0, 8.0))
+    assert certified_starts(asymmetric, [(-1, 1)] * 4).contains(many).mean() < 0.5
+    with pytest.raises(NoCertificate, match="too large"):
+        certified_starts(system, [(-1e6, 1e6)] * 4)
+    with pytest.raises(certrack.InputError, match="saturation"):
+        certified_starts(on_a_drive("dual-motor-lean", 0.003), [(-1, 1)] * 4)
+
+
+@pytest.mark.slow
+def test_members_that_start_inside_never_saturate():
+    base = certrack.load("dual-motor-drive")
+    starts = certified_starts(base, [(-1, 1)] * 4)
+    found = certrack.ensemble(base, 500)
+    table = found.frame()
+    members = [certrack.member(base, i).settings.x0 for i in range(500)]
+    inside = starts.contains(np.array(members))
+    assert 0.4 < inside.mean() < 0.9
+    assert (table["peak_input"][inside] < 15).all()
+    assert (table["tail_error"][inside] <= found.limit).all()
