@@ -19,6 +19,7 @@ from certrack.certificates.implemented import outputs as outputs_room
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.drive import DRIVE_BITS, Drive, UncertainBound, drive_of
 from certrack.certificates.implemented.enclosed import Enclosed
+from certrack.certificates.implemented.estimate import estimate_implemented
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import mean_magnitude, output_gains
 from certrack.certificates.implemented.outputs import output_rows
@@ -659,3 +660,23 @@ def test_another_checker_agrees_on_more():
             by_both(system)
             held += 1
     assert held > 4
+
+
+def test_estimate_is_near_the_proof_and_fast():
+    for name, T in (("dual-motor-lean", 0.001), ("dual-motor", 0.003)):
+        system = on_a_drive(name, T, ("x2", "x4"))
+        found, _ = certify_implemented(system)
+        seconds = []
+        for _ in range(4):
+            start = time.process_time()
+            estimate = estimate_implemented(system)
+            seconds.append(time.process_time() - start)
+        assert estimate.bound == pytest.approx(found.bound, rel=1e-4)
+        assert estimate.peak_input == pytest.approx(found.peak_input, rel=1e-4)
+        assert min(seconds) < 0.06
+    corners = with_triangles(0.03)
+    assert estimate_implemented(corners).bound == pytest.approx(
+        certify_implemented(corners)[0].bound, rel=0.01
+    )
+    with pytest.raises(certrack.NoCertificate, match="unstable"):
+        estimate_implemented(on_a_drive("dual-motor-lean", 0.3))
