@@ -504,9 +504,10 @@ def test_refusals_say_why():
 
 
 def test_limits_that_are_not_met_are_an_assumption():
-    system = on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), saturation=(-15.0, 15.0))
+    system = on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), saturation=(-2.0, 2.0))
     result = certify(system)
     assert result.implemented.verified and result.implemented.saturation == "may act"
+    assert result.implemented.starts is None
     assert {p.name: p.status for p in result.premises}["input limits"] == "assumed"
     slow = on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), rate_limit=1.0)
     assert "rate limit" in certify_implemented(slow)[0].reason

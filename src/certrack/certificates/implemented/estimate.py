@@ -74,7 +74,7 @@ def estimate_implemented(system: System, delay: Any | None = None) -> Estimate:
     >>> drive = certrack.Implementation(period=0.003, delay=0.5)
     >>> found = estimate_implemented(certrack.load("dual-motor-lean").replace(implementation=drive))
     >>> round(found.bound, 6)
-    0.001278
+    0.001279
     """
     drive = drive_of(system, delay)
     with flint.ctx.workprec(ESTIMATE_BITS), within_floats():

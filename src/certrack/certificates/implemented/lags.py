@@ -67,8 +67,8 @@ def lags_of(period: Period, rows: Sequence[Row], doublings: int) -> Lags:
     values, error = _products(heads, table, count + size, 2**inner)
     at_rows, off = values[..., -size:], error[..., -size:]
     ends = len(seen.lengths) + 1
-    lines = mean_magnitude(*_pairs(values, ends, nw))
-    less, more = _pairs(error, ends, nw)
+    lines = mean_magnitude(*_at_both_ends(values, ends, nw))
+    less, more = _at_both_ends(error, ends, nw)
     area = np.einsum("c,rlcw->rlw", seen.lengths, lines + (less + more) / 2)
     w = area + (np.abs(at_rows) + off) @ seen.curvature
     entire = widened(w[:count], size + ends + 16)
@@ -84,7 +84,7 @@ def lags_of(period: Period, rows: Sequence[Row], doublings: int) -> Lags:
     )
 
 
-def _pairs(values: np.ndarray, ends: int, nw: int) -> tuple[np.ndarray, np.ndarray]:
+def _at_both_ends(values: np.ndarray, ends: int, nw: int) -> tuple[np.ndarray, np.ndarray]:
     """Kernels of w at both ends of every cell."""
     at_ends = values[:, :, : ends * (nw + 1)].reshape(*values.shape[:2], ends, nw + 1)[..., :nw]
     return at_ends[:, :, :-1], at_ends[:, :, 1:]

@@ -88,10 +88,10 @@ def _box_is_inside(system: System, loops: Sequence[StartingLoop]) -> bool:
         return False
     try:
         with within_floats():
-            found = [bounds_from_start(system, box, loop=loop) for loop in loops]
+            of_box = [bounds_from_start(system, box, loop=loop) for loop in loops]
     except NoCertificate:
         return False
-    return not beyond_limits(system, loops, found)
+    return not beyond_limits(system, loops, of_box)
 
 
 def beyond_limits(

@@ -122,14 +122,14 @@ def certified_starts(
     pairs = checks.sequence("box", box, system.plant.n, "one pair (low, high) per state")
     loop = starting_loop(system) if loop is None else loop
     with flint.ctx.workprec(DRIVE_BITS):
-        limit = _limit(loop, implementation.saturation)
+        limit = _largest_input(loop, implementation.saturation)
         bounds = bounds_from_start(system, pairs, loop=loop)
         if not bounds.last[-2] <= limit:
             raise NoCertificate("the box is too large: its starts may meet the limits at any time")
         return _polytope(system, loop, pairs, bounds.values[:, -2], limit)
 
 
-def _limit(loop: StartingLoop, saturation: tuple[float, float]) -> float:
+def _largest_input(loop: StartingLoop, saturation: tuple[float, float]) -> float:
     """What |u| must not exceed, without the constant of the law."""
     low, high = map(rational, saturation)
     return float_down(min(high - loop.drive.offset, loop.drive.offset - low))
@@ -149,8 +149,8 @@ def _polytope(
     of_columns = products_above(past, spread)  # the middle, n half widths, what is left
     transient = widened(of_columns.sum(axis=1), of_columns.shape[1])
     # all of the bound of the box but what its starts themselves add
-    rest = widened(largest - transient * (1 - 1e-9)) + of_columns[:, n + 1 :].sum(axis=1)
-    rest = np.maximum(rest, 0)
+    others = widened(largest - transient * (1 - 1e-9)) + of_columns[:, n + 1 :].sum(axis=1)
+    others = np.maximum(others, 0)
     Z = Enclosed.of(loop.Z)
     slopes = past.value @ Z.value
     centre = Enclosed(spread.value[:, :1], spread.error[:, :1])
@@ -162,5 +162,5 @@ def _polytope(
         tuple((float(low), float(high)) for low, high in box),
         slopes,
         middle,
-        (limit - widened(rest + lost, 64)) * (1 - 1e-12),
+        (limit - widened(others + lost, 64)) * (1 - 1e-12),
     )

@@ -41,7 +41,7 @@ from certrack.systems.system import System
 IMPLICIT_STEPS, IMPLICIT_MARGIN = 60, 1e-9
 
 #: Added where a number might be zero.
-TINY = 1e-290
+NEARLY_ZERO = 1e-290
 
 #: What may be left of the rows where the bounds of single periods end.
 LEFT_OF_TRANSIENT = 1e-6
@@ -212,9 +212,12 @@ def zeta_at_start(
         centre = [flint.arb((low + high) / 2) for low, high in pairs]
         half = [flint.arb((high - low) / 2) for low, high in pairs]
     middle = loop.Z * flint.arb_mat([[v] for v in centre]) + loop.inputs
-    scaled = [_scaled(loop.Z, half), _scaled(loop.noise, [flint.arb(v) for v in drive.mu])]
+    scaled = [
+        _columns_times(loop.Z, half),
+        _columns_times(loop.noise, [flint.arb(v) for v in drive.mu]),
+    ]
     if any_reference:
-        scaled.append(_scaled(loop.period.Pi[-1], [flint.arb(v) for v in drive.Y[:-1]]))
+        scaled.append(_columns_times(loop.period.Pi[-1], [flint.arb(v) for v in drive.Y[:-1]]))
     else:
         Y, proven = reference_at_start(system, drive.q)
         if not proven:
@@ -223,7 +226,7 @@ def zeta_at_start(
     return Enclosed.of(beside(middle, *scaled))
 
 
-def _scaled(matrix: flint.arb_mat, factors: Sequence[Any]) -> flint.arb_mat:
+def _columns_times(matrix: flint.arb_mat, factors: Sequence[Any]) -> flint.arb_mat:
     """The columns times factors."""
     rows = [[v * f for v, f in zip(row, factors, strict=True)] for row in matrix.tolist()]
     return flint.arb_mat(rows)
@@ -236,7 +239,7 @@ def _transient(loop: StartingLoop, zeta: Enclosed) -> tuple[np.ndarray, np.ndarr
     size = len(units)
     power = loop.lags.power
     start = units.max(axis=1)
-    d = np.maximum(start, TINY + 1e-30 * start.max())
+    d = np.maximum(start, NEARLY_ZERO + 1e-30 * start.max())
     nu = float(widened((power @ d) / d, size + 4).max())
     if not nu < 1:
         raise NoCertificate("the transient of the sampled loop does not shrink in time")
@@ -263,11 +266,11 @@ def _volterra(loop: StartingLoop, transient: np.ndarray, later: np.ndarray) -> S
     in_cell = _uppers([row.in_cell.w for row in loop.rows]).reshape(len(outputs), -1)
     w = loop.lags.w.copy()
     w[:, 0] += share[:, None] * in_cell
-    D = _largest(widened(w), groups)
-    constant = _largest(_uppers(bounds.constant), groups)
-    total = _largest(_uppers(bounds.w).reshape(len(outputs), -1), groups)
-    x, u = _largest(_uppers(bounds.x), groups), _largest(_uppers(bounds.u), groups)
-    free = _largest(transient, groups) + constant[:, None]
+    D = _per_output(widened(w), groups)
+    constant = _per_output(_uppers(bounds.constant), groups)
+    total = _per_output(_uppers(bounds.w).reshape(len(outputs), -1), groups)
+    x, u = _per_output(_uppers(bounds.x), groups), _per_output(_uppers(bounds.u), groups)
+    free = _per_output(transient, groups) + constant[:, None]
     size = _Size(drive)
     count = free.shape[1]
     v, sizes = np.zeros((count, n + 3)), np.zeros((count, D.shape[2]))
@@ -293,7 +296,10 @@ def _volterra(loop: StartingLoop, transient: np.ndarray, later: np.ndarray) -> S
     def at_last(value: np.ndarray) -> np.ndarray:
         late, early = np.maximum(recent, value), np.maximum(ever, value)
         past = (
-            constant + _largest(later, groups) + near @ size(late[1:-2]) + far @ size(early[1:-2])
+            constant
+            + _per_output(later, groups)
+            + near @ size(late[1:-2])
+            + far @ size(early[1:-2])
         )
         return widened(past + x @ early[1:-2] + u * early[-2], count + 64)
 
@@ -315,7 +321,7 @@ def _implicit(image: Any, guess: np.ndarray) -> np.ndarray:
         if (after[1:] < value[1:]).all():
             after[1:] = value[1:]
             return after
-        value = np.maximum(after, value * 0) * (1 + IMPLICIT_MARGIN) + TINY
+        value = np.maximum(after, value * 0) * (1 + IMPLICIT_MARGIN) + NEARLY_ZERO
     raise NoCertificate("the uncertain terms grow faster than the sampled loop can hold them")
 
 
@@ -346,6 +352,6 @@ def _uppers(balls: Any) -> np.ndarray:
     return Enclosed.of(flint.arb_mat([entries])).upper.reshape(array.shape)
 
 
-def _largest(values: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
+def _per_output(values: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
     """The largest of the rows of each output."""
     return np.array([values[rows].max(axis=0) for rows in groups])
