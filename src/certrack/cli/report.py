@@ -16,8 +16,10 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
+from certrack.certificates.implemented.certify import ImplementedCertificate
+from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.methods import NOMINAL_KINDS, QUADRATIC_KINDS, RANGE_KINDS
-from certrack.core.rounding import printed_bound, rounded_down
+from certrack.core.rounding import printed_bound, rounded_down, rounded_up
 from certrack.simulation.metrics import METRIC_LABELS
 
 if TYPE_CHECKING:
@@ -262,6 +264,14 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
 
     return {
         **{kind: entries(getattr(results, kind)) for kind in (*NOMINAL_KINDS, *RANGE_KINDS)},
+        "implemented": entries(results.implemented)
+        | {
+            "peak_input": results.implemented.peak_input,
+            "states": list(results.implemented.states),
+            "starts": results.implemented.starts,
+            "saturation": results.implemented.saturation,
+            "parts": dict(results.implemented.parts),
+        },
         "attainable": results.attainable,
         "verified": results.verified,
         "best": _best(results),
@@ -289,7 +299,8 @@ def _best(results: Certificates) -> dict[str, Any] | None:
     if not results.verified:
         return None
     best = results.best
-    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": "continuous"}
+    loop = "implemented" if best is results.implemented else "continuous"
+    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": loop}
 
 
 def certificates_table(results: Certificates) -> Table:
@@ -305,9 +316,11 @@ def certificates_table(results: Certificates) -> Table:
         if results.kinds == RANGE_KINDS
         else "peak gains of the error loop",
         "cells": "the ranges cut into cells, for constants that stand still",
+        "implemented": "peak gains of the loop as the drive runs it: the one to ship with",
     }
     rows = []
-    for kind in results.kinds:
+    sampled = results.implemented.reason != NO_IMPLEMENTATION
+    for kind in (*results.kinds, "implemented") if sampled else results.kinds:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = notes[kind] if entry.exists else entry.reason
@@ -342,9 +355,10 @@ def certificates_notes(results: Certificates) -> list[str]:
             ),
         ]
     lines = [
+        *_implemented_notes(results.implemented),
         "critical strength (common scale of tau): published "
         f"{_strength_text(results.critical_published)}, semidefinite "
-        f"{_strength_text(results.critical_semidefinite)}"
+        f"{_strength_text(results.critical_semidefinite)}",
     ]
     if results.tube is not None:
         level = (1 + SETTLED_MARGIN) * math.sqrt(results.tube.floor)
@@ -356,6 +370,22 @@ def certificates_notes(results: Certificates) -> list[str]:
             f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
         )
     return lines
+
+
+def _implemented_notes(sampled: ImplementedCertificate) -> list[str]:
+    """What is known of the loop as the drive runs it, and which bound to ship with."""
+    if not sampled.exists:
+        return []
+    bound, peak, *states = (
+        rounded_up(v, BOUND_TEXT_DIGITS)
+        for v in (sampled.bound, sampled.peak_input, *sampled.states)
+    )
+    listed = ", ".join(f"|x_{i + 1}| <= {v}" for i, v in enumerate(states))
+    return [
+        f"ship with implemented: limsup |e_1| <= {bound} holds for the sampled loop, between its "
+        "samples too; the others speak of the continuous law",
+        f"as implemented, in the long run: |u| <= {peak}, {listed}",
+    ]
 
 
 def _strength_text(scale: float) -> str:
