@@ -20,7 +20,10 @@ from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.published import certify_published, critical_strength
 from certrack.certificates.ranges.certify import certify_ranges, without_ranges
+from certrack.certificates.ranges.costs import ConstantCost
 from certrack.certificates.ranges.proofs import CellProof
+from certrack.certificates.ranges.strength import RangeStrength
+from certrack.certificates.ranges.tube import range_tube
 from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
@@ -54,11 +57,17 @@ class Certificates(ShownInNotebooks):
         Behind the best of vertices, peak and cells.
     attainable : float or None
         What the linear loop reaches at the worst corner of the ranges; no proof.
+    constants : tuple of ConstantCost
+        What the range of each constant costs: the bound with that range closed. Empty with the
+        effort ``fast``.
+    critical_ranges : RangeStrength or None
+        Largest common scale of all half widths of the ranges with a proof, and what ends it; None
+        where constants have no ranges, and with the effort ``fast``.
     critical_published, critical_semidefinite : float
         Largest common scale of tau with a certificate; the second is verified exactly.
     tube : Tube or None
         Bound on |e_1(t)| from the system's own start, of the tightest verified certificate of the
-        nominal loop; None where constants have ranges or nothing is verified.
+        nominal loop, or where constants have ranges of *vertices*; None where that is not verified.
     premises : tuple of Premise
         What all of it rests on, and whether the system's own truth keeps it. Where it breaks one,
         nothing is verified and there is no tube: bounds are those of the design that the truth
@@ -81,6 +90,8 @@ class Certificates(ShownInNotebooks):
     premises: tuple[Premise, ...] = ()
     cover: tuple[CellProof, ...] = ()
     attainable: float | None = None
+    constants: tuple[ConstantCost, ...] = ()
+    critical_ranges: RangeStrength | None = None
 
     def __repr__(self) -> str:
         entries = [getattr(self, entry.name) for entry in fields(self)]
@@ -166,7 +177,12 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     stages = tightest(semidefinite, proof, cascade, cascade_proof)
     progress(3, STEPS, None)
     ranges = (
-        certify_ranges(system, effort, lambda _, __, best: progress(3, STEPS, best))
+        certify_ranges(
+            system,
+            effort,
+            lambda _, __, best: progress(3, STEPS, best),
+            details=effort != "fast",
+        )
         if has_ranges(system)
         else without_ranges()
     )
@@ -183,13 +199,24 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         cascade_proof=cascade_proof,
         critical_published=critical_strength(system),
         critical_semidefinite=critical_semidefinite(system, semidefinite),
-        tube=tube(system, stages) if stages and not contradicted(rests_on) else None,
+        tube=None if contradicted(rests_on) else _tube(system, stages, ranges.whole),
         premises=rests_on,
         cover=ranges.proof,
         attainable=ranges.attainable,
+        constants=ranges.constants,
+        critical_ranges=ranges.strength,
     )
     progress(STEPS, STEPS, None)
     return _unverified(result) if result.contradicted else result
+
+
+def _tube(
+    system: System, stages: tuple[Proof, ...], whole: CellProof | None
+) -> Tube | None:
+    """The tube of the nominal loop's certificate, or of one quadratic function for all ranges."""
+    if whole is not None:
+        return range_tube(system, whole)
+    return tube(system, stages) if stages else None
 
 
 def _unverified(result: Certificates) -> Certificates:

@@ -22,6 +22,7 @@ def divided(
     most: int,
     worthwhile: float,
     report: Callable[[list[Cell]], None],
+    enough: float = 0.0,
 ) -> list[Cell]:
     """Cells that cover a box.
 
@@ -36,10 +37,12 @@ def divided(
         The search ends when twice as many cells have lowered the bound by less than this part.
     report : callable
         Gets the cells so far.
+    enough : float
+        The search ends where no cell has a larger bound.
     """
     sizes = [high - low for low, high in box]
     cells, history = [box], [bound(box)]
-    while len(cells) < most:
+    while len(cells) < most and history[-1] > enough:
         before = history[(len(history) - 1) // 2]
         if len(history) > 2 and math.isfinite(before) and history[-1] > (1 - worthwhile) * before:
             break

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,9 +19,11 @@ from certrack.certificates.certificate import (
 from certrack.certificates.exact import float_down, float_up, from_text
 from certrack.certificates.premises import assumptions
 from certrack.certificates.ranges.attainable import worst_reference
+from certrack.certificates.ranges.costs import ConstantCost, costs
 from certrack.certificates.ranges.loop import error_form
 from certrack.certificates.ranges.proofs import CellProof, RangeProver
 from certrack.certificates.ranges.search import RangeBounds, bound_ranges
+from certrack.certificates.ranges.strength import RangeStrength, critical_ranges
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
@@ -46,6 +50,12 @@ class RangeCertificates:
         Of the smallest bound; empty if there is none.
     attainable : float or None
         What the linear loop reaches at the worst corner: an estimate from below, not a proof.
+    whole : CellProof or None
+        By one quadratic function for the whole box: what a tube can be made of.
+    constants : tuple of ConstantCost
+        What the range of each constant costs, if that was asked for.
+    strength : RangeStrength or None
+        How far all ranges may grow together, if that was asked for.
     """
 
     vertices: Certificate
@@ -53,6 +63,9 @@ class RangeCertificates:
     cells: Certificate
     proof: tuple[CellProof, ...]
     attainable: float | None
+    whole: CellProof | None = None
+    constants: tuple[ConstantCost, ...] = ()
+    strength: RangeStrength | None = None
 
     @property
     def best(self) -> Certificate:
@@ -61,7 +74,11 @@ class RangeCertificates:
 
 
 def certify_ranges(
-    system: System, effort: str = "default", progress: Progress = silent
+    system: System,
+    effort: str = "default",
+    progress: Progress = silent,
+    *,
+    details: bool = False,
 ) -> RangeCertificates:
     """Certify a system for all values of its constants in their ranges.
 
@@ -72,6 +89,8 @@ def certify_ranges(
         ``fast`` makes no cells.
     progress : callable
         Gets the number of cells, None and the bound so far.
+    details : bool
+        Whether it is also asked what each constant costs, and how far the ranges may grow.
 
     Returns
     -------
@@ -80,17 +99,48 @@ def certify_ranges(
     varies = system.plant.uncertainty.constants_vary
     try:
         with within_floats():
-            prover = RangeProver(system)
-            if varies and not prover.by_peak_gains:
-                raise NoCertificate(
-                    "constants_vary = true has no certificate with the adaptive law, whose V "
-                    "contains g_n; use the robust law, or let the constants stand still"
-                )
-            bounds = bound_ranges(prover, cells=not varies, effort=effort, progress=progress)
+            prover = range_prover(system)
+            search = partial(
+                bound_ranges, prover, cells=not varies, effort=effort, progress=progress
+            )
+            bounds = search()
             attainable = attainable_error(prover)
+        found = _certificates(system, bounds, attainable, varies, effort)
+        return _detailed(found, prover, search, bounds, progress) if details else found
     except NoCertificate as refusal:
         return _nothing(str(refusal))
-    return _certificates(system, bounds, attainable, varies, effort)
+
+
+def range_prover(system: System) -> RangeProver:
+    """What proves bounds for the ranges of a system.
+
+    Raises
+    ------
+    NoCertificate
+        If no certificate covers such a system.
+    """
+    prover = RangeProver(system)
+    if system.plant.uncertainty.constants_vary and not prover.by_peak_gains:
+        raise NoCertificate(
+            "constants_vary = true has no certificate with the adaptive law, whose V "
+            "contains g_n; use the robust law, or let the constants stand still"
+        )
+    return prover
+
+
+def _detailed(
+    found: RangeCertificates,
+    prover: RangeProver,
+    search: Callable[..., RangeBounds],
+    bounds: RangeBounds,
+    progress: Progress,
+) -> RangeCertificates:
+    """With what each constant costs, and how far the ranges may grow."""
+    varies = prover.loop.system.plant.uncertainty.constants_vary
+    constants = costs(prover, lambda box: search(box=box), bounds)
+    known = bool(bounds.best)
+    strength = critical_ranges(prover, cells=not varies, known=known, progress=progress)
+    return replace(found, constants=constants, strength=strength)
 
 
 def without_ranges() -> RangeCertificates:
@@ -124,7 +174,9 @@ def _certificates(
     }
     order = ("cells", "vertices", "peak")
     best = min(order, key=lambda kind: by_kind[kind].bound)
-    return RangeCertificates(**by_kind, proof=options[best], attainable=attainable)
+    return RangeCertificates(
+        **by_kind, proof=options[best], attainable=attainable, whole=bounds.vertices
+    )
 
 
 def _certificate(kind: str, system: System, proofs: tuple[CellProof, ...]) -> Certificate:

@@ -36,6 +36,9 @@ from certrack.systems.system import System
 #: Cells of a proof in a file.
 MAX_PROOF_CELLS = 1024
 
+#: Whether any certificate exists is asked at this part of the fastest alpha.
+SLOW_RATE = 1e-3
+
 #: A bound by peak gains is written larger by this part, and with this many digits: the quadrature
 #: of another machine may differ in the last bits.
 PEAK_SLACK, PEAK_DIGITS = 1e-6, 12
@@ -83,7 +86,7 @@ class RangeProver:
     def vertices(self, cell: Cell) -> CellProof | None:
         """A proof by one quadratic function, or None if none is found."""
         try:
-            problems = self._at(cell)
+            problems = self.problems(cell)
         except NoCertificate:
             return None
         solution = best_solution(VertexProgram([p.in_floats() for p in problems]))
@@ -91,6 +94,21 @@ class RangeProver:
         if proofs is None:
             return None
         return CellProof(texts(cell), proofs[0].bound, proofs)
+
+    def holds(self, cell: Cell) -> bool:
+        """Whether a cell has a proof at all, of whatever bound: a quadratic function or peak gains.
+
+        A small alpha asks least of the loop.
+        """
+        if self.by_peak_gains and self.peak(cell) is not None:
+            return True
+        try:
+            problems = self.problems(cell)
+        except NoCertificate:
+            return False
+        program = VertexProgram([p.in_floats() for p in problems])
+        solution = program.solve(SLOW_RATE * program.fastest) if program.fastest > 0 else None
+        return solution is not None and prove_vertices(problems, solution) is not None
 
     def peak(self, cell: Cell) -> CellProof | None:
         """A proof by peak gains, or None if there is none."""
@@ -110,7 +128,7 @@ class RangeProver:
                 bound = peak_bound(self.loop, self.coefficients, cell).bound
                 holds = rational(Fraction(bound)) <= from_text(proof.bound)
                 return "" if holds else "the bound is smaller than the peak gains give"
-            problems = self._at(cell)
+            problems = self.problems(cell)
         except NoCertificate as refusal:
             return str(refusal)
         if len(problems) != len(proof.points):
@@ -123,7 +141,7 @@ class RangeProver:
                 return reason
         return ""
 
-    def _at(self, cell: Cell) -> list[ErrorProblem]:
+    def problems(self, cell: Cell) -> list[ErrorProblem]:
         """The problems that prove a cell: at each point of its hull, or one at its centre.
 
         Which of the two follows from the ranges alone, so that who checks a proof knows it.
