@@ -210,9 +210,7 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     return _unverified(result) if result.contradicted else result
 
 
-def _tube(
-    system: System, stages: tuple[Proof, ...], whole: CellProof | None
-) -> Tube | None:
+def _tube(system: System, stages: tuple[Proof, ...], whole: CellProof | None) -> Tube | None:
     """The tube of the nominal loop's certificate, or of one quadratic function for all ranges."""
     if whole is not None:
         return range_tube(system, whole)
@@ -228,7 +226,8 @@ def _unverified(result: Certificates) -> Certificates:
         for kind in kinds
         for c in [getattr(result, kind)]
     }
-    return replace(result, **changed)
+    constants = tuple(replace(entry, verified=False) for entry in result.constants)
+    return replace(result, **changed, constants=constants)
 
 
 def tightest(

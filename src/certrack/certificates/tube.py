@@ -323,7 +323,9 @@ def _allowed(problem: ErrorProblem, inner: Sequence[Proof]) -> Callable[[Any], f
     return lambda level: float_up(min(steep * level + offset for steep, offset in lines))
 
 
-def starts_of(system: System, box: Sequence[tuple[float, float]] | None) -> tuple[list[Start], bool]:
+def starts_of(
+    system: System, box: Sequence[tuple[float, float]] | None
+) -> tuple[list[Start], bool]:
     """Starts at which the convex V can be largest, and whether their numbers are proven."""
     with ball_precision():
         Y, proven = reference_at_start(system, system.controller.coordinates.q)

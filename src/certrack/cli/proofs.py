@@ -38,7 +38,7 @@ def certify(
     """
     from certrack import certificates
     from certrack.certificates.premises import has_ranges
-    from certrack.cli import report
+    from certrack.cli import range_report, report
     from certrack.systems.reader import load
 
     system = load(file)
@@ -53,11 +53,14 @@ def certify(
         run = run_system(system)
         plotting.save_figure(plotting.tube_figure(run, result.tube, system.title), plot, "tube")
     if as_json:
-        click.echo(report.to_json(report.certificates_summary(result)))
+        click.echo(report.to_json(range_report.certificates_summary(result)))
     else:
         click.echo(system.title or file)
         report.console().print(report.certificates_table(result))
+        if result.constants:
+            report.console().print(range_report.costs_table(result))
         report.print_lines(report.certificates_notes(result))
+        report.print_lines(range_report.strength_line(result))
         report.print_lines(["resting on:", *premise_lines(result.premises)])
     say_contradicted(result.contradicted)
     if not result.best.exists:

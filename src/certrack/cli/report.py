@@ -283,12 +283,19 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
             "start": results.tube.start,
             "floor": results.tube.floor,
             "alpha": results.tube.alpha,
-            "kind": "cascade" if len(results.stages) > 1 else "semidefinite",
+            "kind": _tube_kind(results),
             "pieces": results.tube.pieces,
             "verified": results.tube.verified,
         },
         "premises": [premise.record() for premise in results.premises],
     }
+
+
+def _tube_kind(results: Certificates) -> str:
+    """Which certificate the tube is made of."""
+    if results.cover:
+        return "vertices"
+    return "cascade" if len(results.stages) > 1 else "semidefinite"
 
 
 def _best(results: Certificates) -> dict[str, Any] | None:
@@ -335,23 +342,18 @@ SETTLED_MARGIN = 0.1
 def certificates_notes(results: Certificates) -> list[str]:
     """Critical strengths, tube and assumptions in words."""
     if results.cover:
-        attained = results.attainable
-        return [
-            "the nominal certificates do not cover plant.ranges",
-            *(
-                []
-                if attained is None
-                else [
-                    f"attainable at the worst corner of the ranges: {rounded_down(attained, 5)} "
-                    "(a linear program over references; no proof)"
-                ]
-            ),
+        attained, lines = results.attainable, ["the nominal certificates do not cover plant.ranges"]
+        if attained is not None:
+            lines.append(
+                f"attainable at the worst corner of the ranges: {rounded_down(attained, 5)} "
+                "(a linear program over references; no proof)"
+            )
+    else:
+        lines = [
+            "critical strength (common scale of tau): published "
+            f"{_strength_text(results.critical_published)}, semidefinite "
+            f"{_strength_text(results.critical_semidefinite)}"
         ]
-    lines = [
-        "critical strength (common scale of tau): published "
-        f"{_strength_text(results.critical_published)}, semidefinite "
-        f"{_strength_text(results.critical_semidefinite)}"
-    ]
     if results.tube is not None:
         level = (1 + SETTLED_MARGIN) * math.sqrt(results.tube.floor)
         start = printed_bound(float(results.tube(0.0)), BOUND_TEXT_DIGITS)
@@ -359,7 +361,8 @@ def certificates_notes(results: Certificates) -> list[str]:
         margin = f"{100 * SETTLED_MARGIN:g} %"
         lines.append(
             f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound "
-            f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
+            f"{'of vertices ' if results.cover else ''}after {settled} s"
+            + ("" if results.tube.verified else " (the start is not verified)")
         )
     return lines
 

@@ -53,9 +53,9 @@ def forbidden(loop: RangedLoop, box: Cell) -> str:
             rows.append((str(symbol), *ends))  # type: ignore[arg-type]
     formulas = {f"plant.chain[{i}]": g for i, g in enumerate(plant.chain)}
     formulas |= {} if plant.input_gain is None else {"plant.input_gain": plant.input_gain}
-    try:
-        for key, formula in formulas.items():
+    for key, formula in formulas.items():
+        try:
             check_sign_at_ends(key, formula, rows, plant.open_values)
-    except InputError as refusal:
-        return str(refusal)
+        except InputError:
+            return f"{key} = {formula.text} would vanish, change its sign or have no value"
     return ""

@@ -26,10 +26,12 @@ class ConstantCost:
     low, nominal, high : float
         Its range, and the value that the law knows.
     known : float
-        Bound on limsup |e_1| if it had this value exactly, all else as in the file; rounded up,
-        and proven as the bound itself is; inf if there is none.
+        Bound on limsup |e_1| if it had this value exactly, all else as in the file; rounded up;
+        inf if there is none.
     bound : float
         The bound of the file, for all ranges; inf if there is none.
+    verified : bool
+        Whether `known` is proven for this file, as the bound itself is.
     """
 
     name: str
@@ -38,6 +40,7 @@ class ConstantCost:
     high: float
     known: float
     bound: float
+    verified: bool = True
 
     @property
     def cost(self) -> float:
@@ -52,7 +55,7 @@ class ConstantCost:
             "nominal": self.nominal,
             "bound_if_known": self.known,
             "cost": self.cost,
-            "verified": math.isfinite(self.known),
+            "verified": self.verified,
         }
 
 
@@ -75,17 +78,9 @@ def costs(
         (low, high), nominal = loop.box[k], loop.nominal[k]
         with within_floats():
             found = _bound(search(closed(loop, k)).best)
-        inside = low <= nominal <= high
-        result.append(
-            ConstantCost(
-                name,
-                float_down(low),
-                float(nominal),
-                float_up(high),
-                min(found, whole) if inside else found,
-                whole,
-            )
-        )
+        known = min(found, whole) if low <= nominal <= high else found
+        ends = float_down(low), float(nominal), float_up(high)
+        result.append(ConstantCost(name, *ends, known, whole, math.isfinite(known)))
     return tuple(result)
 
 
