@@ -233,7 +233,26 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
         f"worst member {index}: tail error {value:.5g}; to replay it:",
         f"  certrack simulate {file} --member {index} --seed {ensemble.seed}",
     ]
-    return lines
+    return [*lines, *_corner_lines(ensemble, file)]
+
+
+def _corner_lines(ensemble: Ensemble, file: str) -> list[str]:
+    """What the corners of the ranges gave."""
+    corners, ranged = ensemble.corners, ensemble.system.plant.constant_boxes
+    if corners is None:
+        most = "more than 6 ranges have too many"
+        return [f"corners of plant.ranges: not run, {most}"] if len(ranged) > 6 else []
+    worst = corners.worst
+    values = ", ".join(f"{name} = {v:.5g}" for name, v in corners.constants[worst].items())
+    counts = f"{corners.lost} of {len(corners.errors)} lost"
+    if corners.beyond is not None:
+        counts += f", {corners.beyond} beyond the limit"
+    error = f"tail error {corners.errors[worst]:.5g}" if corners.lost == 0 else "lost"
+    return [
+        f"corners of plant.ranges, apart from the members: worst {worst} ({values}): {error}; "
+        f"{counts}; to replay it:",
+        f"  certrack simulate {file} --corner {worst} --seed {ensemble.seed}",
+    ]
 
 
 def _replaced_omega(ensemble: Ensemble) -> list[str]:

@@ -125,6 +125,8 @@ def drift_figure(drift: Drift, title: str) -> Figure:
                 low, high = (scale * (end - size) for end in (entry.low, entry.high))
                 ax.barh(y - 0.17, high - low, 0.3, low, color=GREEN, label="largest, by itself")
         ax.axvline(0.0, color="k", lw=0.8)
+        ax.use_sticky_edges = False
+        ax.margins(x=0.05)
         ax.set_yticks(range(len(entries)), [entry.name for entry in entries])
         percent = all(shares)
         ax.set_xlabel("from the nominal value" + (" [%]" if percent else " [% where it is not 0]"))
