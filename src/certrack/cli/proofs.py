@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_engine, note_implementation
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
+
+if TYPE_CHECKING:
+    from certrack.certificates import Certificates
+    from certrack.systems.system import System
 
 
 @click.command()
@@ -63,6 +68,7 @@ def certify(
         report.print_lines(range_report.strength_line(result))
         report.print_lines(["resting on:", *premise_lines(result.premises)])
     say_contradicted(result.contradicted)
+    _hint_of_weights(system, result, effort)
     if not result.best.exists:
         reason = result.vertices.reason if has_ranges(system) else result.semidefinite.reason
         click.echo(f"certrack: no certificate: {reason}", err=True)
@@ -70,6 +76,21 @@ def certify(
         click.echo(f"certrack: {out} is not written: there is nothing verified", err=True)
     if result.contradicted or ((require or out is not None) and not result.verified):
         raise click.exceptions.Exit(1)
+
+
+def _hint_of_weights(system: System, result: Certificates, effort: str) -> None:
+    """Say once that weights in the norm of gamma would help, where the states differ in size."""
+    from certrack.core.rounding import printed_bound
+    from certrack.studies.norm_weights import helpful_weights
+
+    helpful = None if effort == "fast" else helpful_weights(system, result)
+    if helpful is not None:
+        weights, bound = helpful
+        click.echo(
+            f"certrack: note: {weights.text(system.plant.states)}; {weights.remedy}: the bound "
+            f"would then be {printed_bound(bound, 5)}",
+            err=True,
+        )
 
 
 @click.command()
