@@ -174,9 +174,8 @@ def _certificates(
     }
     order = ("cells", "vertices", "peak")
     best = min(order, key=lambda kind: by_kind[kind].bound)
-    return RangeCertificates(
-        **by_kind, proof=options[best], attainable=attainable, whole=bounds.vertices
-    )
+    kinds = by_kind["vertices"], by_kind["peak"], by_kind["cells"]
+    return RangeCertificates(*kinds, options[best], attainable, bounds.vertices)
 
 
 def _certificate(kind: str, system: System, proofs: tuple[CellProof, ...]) -> Certificate:
