@@ -135,6 +135,7 @@ def test_compare(capfd):
     assert "settling time" in out
 
 
+@pytest.mark.slow
 def test_reproduce(capfd, tmp_path):
     found = result(capfd, "reproduce", "--out", str(tmp_path))
     verdicts = [claim["verdict"] for claim in found["claims"]]

@@ -28,6 +28,12 @@ from certrack.systems.system import Settings, System
 
 ROOT = Path(__file__).parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+#: Their commands or programs take long.
+LONG = {"README", "ensembles", "friction", "mismatch", "new-law", "sampled", "tutorial"}
+PARAMETERS = [
+    pytest.param(page, id=page.stem, marks=[pytest.mark.slow] * (page.stem in LONG))
+    for page in PAGES
+]
 #: What works only where there is a C compiler.
 NEEDS_C = re.compile(r"export fmu|export\.fmu|--with-c")
 
@@ -42,7 +48,7 @@ def blocks(page, language):
     return [text for kind, text in BLOCK.findall(page.read_text()) if kind == language]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PARAMETERS)
 def test_commands_run_in_order(page, tmp_path):
     for block in blocks(page, "console"):
         for line in block.splitlines():
@@ -59,7 +65,7 @@ def test_commands_run_in_order(page, tmp_path):
             assert done.returncode == 0, f"{line}\n{done.stderr}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PARAMETERS)
 def test_programs_run(page, tmp_path):
     for text in blocks(page, "python"):
         if unavailable(text):

@@ -115,6 +115,7 @@ def random_agreement(examples, orders, least):
     assert min(counted.values()) >= least, counted  # enough had a certificate
 
 
+@pytest.mark.slow
 def test_random_systems_agree():
     random_agreement(12, st.integers(1, 2), least=3)
 
@@ -339,8 +340,8 @@ def test_mutants_are_refused_or_hold_by_both():
     documents = originals()
     assert all(map(verified, documents))
     assert {len(document["proof"]) for document in documents} == {1, 3}
-    held = hunt(documents, 200, seed=0)
-    assert 5 < held < 150  # some changes weaken the claim, and both see it
+    held = hunt(documents, 60, seed=0)
+    assert 2 < held < 45  # some changes weaken the claim, and both see it
 
 
 @pytest.mark.slow

@@ -59,6 +59,7 @@ def test_example_1_in_every_known_sign_variant():
             assert found.input_energy == pytest.approx(energy, abs=0.051)
 
 
+@pytest.mark.slow
 def test_claims_are_judged_as_the_theory_does(result):
     verdicts = {(claim.where, claim.statement): claim.verdict for claim in result.claims}
     by_start = {statement[:40]: verdict for (_, statement), verdict in verdicts.items()}
@@ -104,6 +105,7 @@ MEASURED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", MEASURED)
 def test_values_that_the_rows_must_show(result, where):
     texts = [claim.measured for claim in result.claims if claim.where == where]
@@ -112,6 +114,7 @@ def test_values_that_the_rows_must_show(result, where):
         assert value in " ".join(texts)
 
 
+@pytest.mark.slow
 def test_every_row_says_how_it_was_measured(result):
     for claim in result.claims:
         assert claim.where and claim.statement and claim.measure and claim.measured
@@ -122,6 +125,7 @@ def test_every_row_says_how_it_was_measured(result):
         assert part in sections.replace("Remarks 1, 2", "Remark 1, Remark 2"), part
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [80, 120])
 def test_no_word_is_broken(result, width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
@@ -134,6 +138,7 @@ def test_no_word_is_broken(result, width, monkeypatch, capsys):
             assert set(text.split()) <= set(printed) | {f"{claim.where.split()[-1]}"}
 
 
+@pytest.mark.slow
 def test_figures_show_what_the_paper_describes(result):
     figures = result.figures
     names = {f"{i}{c}" for i, letters in ((2, "abcd"), (3, "abc"), (4, "abc")) for c in letters}
@@ -250,6 +255,7 @@ def test_theorem_1_is_exceeded_in_every_period_while_V_falls(counterexample):
     assert V[0] == pytest.approx(1 / (2 * 0.02))  # theta_tilde = 1, e = 0, delta_tilde = 0
 
 
+@pytest.mark.slow
 def test_counterexample_by_two_integrators(counterexample):
     system = counterexample.system.with_settings(tolerance=1e-13)
     found = [
@@ -261,6 +267,7 @@ def test_counterexample_by_two_integrators(counterexample):
     assert counterexample.metrics.tail_error == pytest.approx(max(one[1:]), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_slower_adaptation_exceeds_further_by_two_integrators(counterexample):
     system = counterexample.system
     slow = replace(system.law, Gamma=(0.01,))
@@ -369,6 +376,7 @@ def test_26_further_variants_against_both_bounds():
     assert certrack.simulate(system).metrics.tail_error == pytest.approx(error, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_page_has_every_row(result):
     """The table of docs/reproduction.md is the one that the command prints."""
     page = (Path(__file__).parents[1] / "docs" / "reproduction.md").read_text()

@@ -80,6 +80,7 @@ def drawn_labels(axis):
     return sorted(boxes, key=lambda box: box.x0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("span", [(0.00125, 0.0013), (0.0005, 0.002), (1e-4, 2e-2), (1e-5, 3.0)])
 def test_margin_figure_of_any_span(tmp_path, span):
     values = tuple(np.geomspace(*span, 9).tolist())

@@ -43,6 +43,7 @@ def found_by_mypy(program, tmp_path):
     return re.findall(pattern, done.stdout, re.M), done.stdout
 
 
+@pytest.mark.slow
 def test_mypy_knows_the_types_of_a_users_program(tmp_path):
     entries, output = found_by_mypy(PROGRAM, tmp_path)
     lines = PROGRAM.read_text().splitlines()
@@ -291,6 +292,7 @@ def tail_error(system):
     return certrack.simulate(system).metrics.tail_error
 
 
+@pytest.mark.slow
 def test_spawned_processes_take_systems_simulators_and_runs():
     system = certrack.load("example1").with_settings(duration=2.0, tail=None)
     simulator, systems = certrack.Simulator(system), starts(system, 4)
@@ -327,7 +329,8 @@ def eager_switches():
 @pytest.mark.parametrize(
     ("name", "changes", "count"),
     [
-        ("example1", {"duration": 1.0}, 1000),
+        ("example1", {"duration": 1.0}, 100),
+        pytest.param("example1", {"duration": 1.0}, 1000, marks=pytest.mark.slow),
         ("example1", {"duration": 0.5, "integrator": "scipy"}, 20),
         ("dual-motor-drive", {"duration": 0.05}, 60),
     ],

@@ -12,6 +12,7 @@ from scipy.linalg import expm
 import certrack
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.native import vector_compiler
+from certrack.integrators.sampled.run import sensed
 from certrack.loops.stability import linear_loop
 from certrack.model.noise import keys, normal
 from certrack.studies.ensembles.methods.choice import fastest_adjustable
@@ -28,6 +29,7 @@ EVERYTHING = {
     "input_quantum": 0.001,
     "measurement_quantum": (1e-3, 0),
     "noise": (0.001, 0.002),
+    "noise_bound": (0.0015, 0.001),
     "velocity": ("x2",),
     "velocity_filter": 0.02,
     "update": "exact_leak",
@@ -369,6 +371,47 @@ def test_noise_is_normal_and_reproducible():
     assert finals(first).tolist() == finals(again).tolist() != finals(other).tolist()
 
 
+def test_noise_is_clipped_to_its_bound():
+    drive = certrack.Implementation(0.01, noise=(1.0, 2.0), noise_bound=(0.5, 3.0))
+    members, samples = keys(3, 0, 500), range(20)
+    free = replace(drive, noise_bound=None)
+    zero = np.zeros((2, 500))
+    clipped, drawn = (
+        np.array([sensed(zero, one, members, k) for k in samples]) for one in (drive, free)
+    )
+    assert np.array_equal(clipped, np.clip(drawn, [[-0.5], [-3.0]], [[0.5], [3.0]]))
+    assert (clipped != drawn).any(axis=(0, 2)).all() and (clipped == drawn).any(axis=(0, 2)).all()
+
+
+def test_the_largest_noise_is_its_bound_and_normal_noise_has_none():
+    noisy = sampled("example1", period=0.01, noise=(0, 0.1), noise_bound=(0.2, 0.5))
+    assert noisy.implementation.largest_noise(2) == (0.2, 0.5)
+    assert sampled("example1", period=0.01).implementation.largest_noise(2) == (0, 0)
+    with pytest.raises(certrack.InputError, match=r"noise_bound: is missing: normal noise has no"):
+        sampled("example1", period=0.01, noise=(0, 0.1)).implementation.largest_noise(2)
+
+
+def test_of_several_delays_a_run_has_the_first():
+    one, several = (sampled("example1", period=0.02, delay=d) for d in (1.5, [1.5, 0, "7/2"]))
+    assert several.implementation.delays == (1.5, 0, 3.5)
+    assert one.implementation.delays == (1.5,) == (several.implementation.run_delay,)
+    runs = [certrack.simulate(system, duration=2, tail=1) for system in (one, several)]
+    assert finals(runs[0]).tolist() == finals(runs[1]).tolist()
+    again = certrack.loads(certrack.to_text(several))
+    assert again.implementation == several.implementation
+
+
+def test_check_takes_the_worst_of_several_delays():
+    lean = certrack.load("dual-motor-lean")
+
+    def finding(delay):
+        system = lean.replace(implementation=certrack.Implementation(0.02, delay=delay))
+        return next(f for f in certrack.check(system).findings if f.name == "sampled stability")
+
+    assert finding(0.0).status != "fault" and finding(5.0).status == "fault"
+    assert finding([0.0, 5.0]) == finding(5.0) == finding([5.0, 0.0])
+
+
 # ---- exact edges and margins ---------------------------------------------------------------------
 
 
@@ -641,6 +684,24 @@ def test_survives_a_system_file():
         (
             {"period": 0.01, "noise": (0.1,)},
             "implementation.noise: must be a list of 2: one number per state",
+        ),
+        (
+            {"period": 0.01, "noise_bound": (0.1,)},
+            "implementation.noise_bound: must be a list of 2: one number per state",
+        ),
+        (
+            {"period": 0.01, "noise": (0, 0.1), "noise_bound": (1, 0)},
+            "implementation.noise_bound[1]: must be positive where there is noise; got 0",
+        ),
+        ({"period": 0.01, "delay": []}, "implementation.delay: must be a number or a list of 1 to"),
+        ({"period": 0.01, "delay": [0.5] * 17}, "a list of 1 to 16; got a list of 17"),
+        (
+            {"period": 0.01, "delay": [0.5, -1]},
+            "implementation.delay[1]: must be 0 to 100 periods; got -1",
+        ),
+        (
+            {"period": 0.01, "delay": None},
+            "implementation.delay: must be a formula (text) or a number",
         ),
         ({"period": 0.01, "velocity": ("x1",)}, "the first state has none before it"),
         ({"period": 0.01, "velocity_filter": 1}, "implementation.velocity_filter: filters nothing"),

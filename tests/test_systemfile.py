@@ -470,6 +470,7 @@ INVALID = [
     (Implementation, {"period": 1, "saturation": (1, 0)}, "implementation.saturation"),
     (Implementation, {"period": 1, "saturation": (1, 2)}, "implementation.initial_input"),
     (Implementation, {"period": 1, "noise": [-1]}, "implementation.noise[0]"),
+    (Implementation, {"period": 1, "noise_bound": [-1]}, "implementation.noise_bound[0]"),
     (Implementation, {"period": 1, "seed": -1}, "implementation.seed"),
     (Implementation, {"period": 1, "velocity": "x2"}, "implementation.velocity"),
     (Implementation, {"period": 1, "velocity_filter": 1}, "implementation.velocity_filter"),

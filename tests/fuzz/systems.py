@@ -102,9 +102,9 @@ KEYS = (
     "rates outputs signal kind amplitude period offset start rise times levels slope values file "
     "interpolation bound bounds c k p feedforward Gamma gain_rate leak_gain leak_theta delta0 "
     "theta0 x0 duration estimates band tail tolerance integrator max_state delay saturation "
-    "rate_limit input_quantum measurement_quantum noise seed stream velocity velocity_filter "
-    "update anti_windup projection initial_input disturbance sines frequencies sampling points "
-    "limit frequency __class__ __init__ self"
+    "rate_limit input_quantum measurement_quantum noise noise_bound seed stream velocity "
+    "velocity_filter update anti_windup projection initial_input disturbance sines frequencies "
+    "sampling points limit frequency __class__ __init__ self"
 ).split()
 SUFFIXES = (
     *("+1", "*2", "**2", "/3", "+abs(x1)", "*sin(x1)", " + t", "*0", "/0", "(", ")", "^2"),

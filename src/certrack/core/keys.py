@@ -38,6 +38,7 @@ KIND_WORDS = {
     "metric": "diagonal or matrix",
     "names": "list of names",
     "number": "number",
+    "number or numbers": "number or list of numbers",
     "numbers": "list of numbers",
     "rows": "list of lists of numbers",
     "text": "text",
@@ -45,8 +46,11 @@ KIND_WORDS = {
 }
 
 #: Kinds whose texts are formulas of the plant's constants that give numbers: one, lists, tables.
-SCALARS = ("number", "distribution")
-LISTS = ("distributions", "interval", "intervals", "metric", "numbers", "rows")
+SCALARS = ("number", "distribution", "number or numbers")
+LISTS = (
+    *("distributions", "interval", "intervals", "metric"),
+    *("number or numbers", "numbers", "rows"),
+)
 BY_NAME = ("distributions by name",)
 
 
@@ -169,7 +173,9 @@ class Key:
         match self.kind:
             case "number":
                 return self._number(key, value, constants)
-            case "numbers":
+            case "number or numbers" if isinstance(value, str) or not hasattr(value, "__len__"):
+                return self._number(key, value, constants)
+            case "numbers" | "number or numbers":
                 entries = checks.sequence(key, value, count, self.shape)
                 return tuple(
                     self._number(f"{key}[{i}]", v, constants) for i, v in enumerate(entries)

@@ -241,8 +241,8 @@ class _SampledPlant:
             surfaces=simulator.surfaces,
         )
         self._p = SampledRun(simulator.maps, self._problem).parameters
-        whole_periods = math.floor(implementation.delay)
-        self._fraction = implementation.delay - whole_periods
+        whole_periods = math.floor(implementation.run_delay)
+        self._fraction = implementation.run_delay - whole_periods
         self._commands = whole_periods + (self._fraction > 0)
 
     def block(self) -> _BlockFunctions:

@@ -2,6 +2,9 @@
 
 At t_k = offset + k T the states are measured, the law is evaluated and its estimates take one step.
 The input is limited, and acts from t_k + delay T until the next one does (zero-order hold).
+
+A simulation has one delay and random noise. A proof speaks of several delays, each of them
+constant, and of noise with a largest value.
 """
 
 from __future__ import annotations
@@ -23,6 +26,9 @@ ANTI_WINDUPS = ("leak", "hold", "none")
 #: Longest computation delay, periods.
 MAX_DELAY = 100.0
 
+#: Delays in a list: each is a proof of its own.
+MAX_DELAYS = 16
+
 #: More samples than this in a run are refused: a period in the wrong unit.
 MAX_RUN_SAMPLES = 20_000_000
 
@@ -30,13 +36,16 @@ MAX_RUN_SAMPLES = 20_000_000
 MAX_SEED = 2**63
 
 #: Fields with one number per state; None means zero for all of them.
-PER_STATE = ("measurement_quantum", "noise")
+PER_STATE = ("measurement_quantum", "noise", "noise_bound")
 
 #: Rounding of (duration - offset)/period that must not cost the last sample, relative.
 COUNT_ROUNDING = 1e-12
 
 #: Rounding of a limit that must not cost the converter its last step, steps.
 STEP_ROUNDING = 1e-9
+
+#: Standard deviations that are suggested as a bound: beyond them lies one number in two million.
+NOISE_BOUND_DEVIATIONS = 5
 
 
 @dataclass(frozen=True)
@@ -49,8 +58,9 @@ class Implementation:
         T, sampling period.
     offset : float, s
         Time of the first sample, 0 <= offset < period; before it `initial_input` acts.
-    delay : float >= 0, periods
-        From a sample until its input acts; fractions and more than one period are possible.
+    delay : float >= 0, or several, periods
+        From a sample until its input acts; fractions and more than one period are possible. Of
+        several a run has the first, and a certificate of the sampled loop covers each.
     saturation : (low, high), optional
         Limits of the input.
     rate_limit : float > 0, optional
@@ -61,6 +71,10 @@ class Implementation:
         Step of each sensor (an encoder of N lines per turn with x in rad: 2 pi/(4 N)).
     noise : n numbers >= 0, optional
         Standard deviation of the normal noise on each measured state.
+    noise_bound : n numbers >= 0, optional
+        Largest |noise| of each sensor, positive where there is noise: simulated noise is clipped
+        to it, and a certificate admits every noise within it. Without it normal noise has no
+        largest value, and the loop no worst case.
     seed, stream : int
         Of the noise; every member of an ensemble has a stream of its own.
     velocity : names of states, optional
@@ -88,10 +102,10 @@ class Implementation:
     offset: float = keyed(
         "number", 0.0, help="time of the first sample, below the period", unit="s", least=0
     )
-    delay: float = keyed(
-        "number",
+    delay: float | tuple[float, ...] = keyed(
+        "number or numbers",
         0.0,
-        help="from a sample until its input acts",
+        help="from a sample until its input acts; of several a run has the first",
         unit="periods",
         least=0,
         most=MAX_DELAY,
@@ -124,6 +138,14 @@ class Implementation:
         shape="one number per state",
         least=0,
         otherwise="zero",
+    )
+    noise_bound: tuple[float, ...] | None = keyed(
+        "numbers",
+        None,
+        help="largest noise of each sensor: simulated noise is clipped to it",
+        shape="one number per state",
+        least=0,
+        otherwise="no limit",
     )
     seed: int = keyed("integer", 0, help="seed of the noise", least=0, most=MAX_SEED)
     stream: int = keyed(
@@ -169,6 +191,19 @@ class Implementation:
             raise InputError("implementation.offset", "must be less than the period", self.offset)
         if self.saturation is not None:
             self._check_saturation(self.saturation)
+        if not 1 <= len(self.delays) <= MAX_DELAYS:
+            count, wanted = len(self.delays), f"must be a number or a list of 1 to {MAX_DELAYS}"
+            raise InputError("implementation.delay", wanted, f"a list of {count}")
+        for i, (noise, bound) in enumerate(
+            zip(self.noise or (), self.noise_bound or (), strict=False)
+        ):
+            if noise and not bound:
+                raise InputError(
+                    f"implementation.noise_bound[{i}]",
+                    "must be positive where there is noise",
+                    bound,
+                    f"State the largest noise, or set implementation.noise[{i}] = 0",
+                )
         if self.velocity_filter and not self.velocity:
             raise InputError(
                 "implementation.velocity_filter",
@@ -190,7 +225,10 @@ class Implementation:
                 )
 
     def bound_to(self, plant: Plant, estimates: int) -> Implementation:
-        """This implementation checked against `plant` and the number of estimates."""
+        """This implementation checked against `plant` and the number of estimates.
+
+        Lists of zeros become None.
+        """
         keys = keys_of(self)
         for name, count in (*((name, plant.n) for name in PER_STATE), ("projection", estimates)):
             if getattr(self, name) is not None:
@@ -208,6 +246,32 @@ class Implementation:
         if in_order != self.velocity:
             changes["velocity"] = in_order
         return replace(self, **changes) if changes else self
+
+    @property
+    def delays(self) -> tuple[float, ...]:
+        """All delays, periods: a certificate of the sampled loop covers each."""
+        return self.delay if isinstance(self.delay, tuple) else (self.delay,)
+
+    @property
+    def run_delay(self) -> float:
+        """The delay of a run, periods: the first."""
+        return self.delays[0]
+
+    def largest_noise(self, states: int) -> tuple[float, ...]:
+        """The largest |noise| on each of the `states`; what noise_bound says, or zero.
+
+        Raises
+        ------
+        InputError
+            If there is normal noise without a bound.
+        """
+        if self.noise is not None and self.noise_bound is None:
+            raise InputError(
+                "implementation.noise_bound",
+                "is missing: normal noise has no largest value, so the loop has no worst case",
+                remedy=f"State one number per state, e.g. {NOISE_BOUND_DEVIATIONS} times the noise",
+            )
+        return self.noise_bound or (0.0,) * states
 
     @property
     def converter(self) -> tuple[float, float, float]:

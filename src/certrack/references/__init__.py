@@ -12,7 +12,15 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, symbol
 from certrack.core.keys import Key, check_fields
 from certrack.core.keys import keyed as key
-from certrack.references.base import Bounds, Reference, pieces_at, require_order, round_up
+from certrack.references.base import (
+    Bounds,
+    Reference,
+    jumps,
+    lipschitz_bound,
+    pieces_at,
+    require_order,
+    round_up,
+)
 from certrack.references.piecewise import PiecewiseReference
 from certrack.references.registry import check_reference, known_references
 from certrack.references.registry import register_reference as register
@@ -29,8 +37,10 @@ __all__ = [
     "SymbolicReference",
     "check_fields",
     "check_reference",
+    "jumps",
     "key",
     "known_references",
+    "lipschitz_bound",
     "pieces_at",
     "register",
     "require_order",

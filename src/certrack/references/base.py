@@ -55,7 +55,9 @@ class Reference(Protocol):
        them.
 
     A reference of which y_d or a derivative has no bound, such as a ramp, may have `bound_of(i)`
-    besides, which gives Y_i and its origin: what no proof needs is then not asked for.
+    besides, which gives Y_i and its origin: what no proof needs is then not asked for. One whose
+    derivative of the order `order` jumps may have `jumps(i)` and `lipschitz_bound(i,
+    between_jumps=False)`, as :func:`jumps` and :func:`lipschitz_bound` ask for them.
 
     Optional, with what holds if they are left out: `declared_bound` (None: nobody has declared D),
     `breaks` (none), and the symbols with their values (none). Symbols begin with ``ref_`` or
@@ -147,6 +149,56 @@ def bound_of(reference: Reference, i: int) -> tuple[float, str]:
         return alone(i)
     bounds = reference.bounds(i)
     return bounds.values[i], bounds.origin[i]
+
+
+def lipschitz_bound(
+    reference: Reference, order: int, *, between_jumps: bool = False
+) -> float | None:
+    """Upper bound of the Lipschitz constant of y_d^(order) over t >= 0, rounded up.
+
+    Where y_d^(order + 1) exists piecewise and y_d^(order) is continuous, that is Y_{order+1}.
+
+    Parameters
+    ----------
+    reference : Reference
+    order : int
+        Of the derivative; 0 for y_d itself.
+    between_jumps : bool
+        Whether y_d^(order) may jump, as :func:`jumps` says, and what counts is between the jumps.
+
+    Returns
+    -------
+    float or None
+        None where there is none: y_d^(order) jumps or does not exist, or no bound is known.
+    """
+    own: Callable[..., float | None] | None = getattr(reference, "lipschitz_bound", None)
+    if own is not None:
+        return own(order, between_jumps=between_jumps)
+    if order + 1 > reference.order:
+        return None
+    try:
+        return bound_of(reference, order + 1)[0]
+    except InputError:
+        return None
+
+
+def jumps(reference: Reference, order: int) -> tuple[float, float] | None:
+    """Size of the largest jump of y_d^(order), and the least time between two jumps, s.
+
+    Parameters
+    ----------
+    reference : Reference
+    order : int
+
+    Returns
+    -------
+    (size, spacing), or None
+        The size is rounded up, the spacing down; it is inf where there is one jump. None where
+        y_d^(order) does not jump, and where its jumps are not known: whoever asks takes
+        :func:`lipschitz_bound` first, which tells the two apart.
+    """
+    own: Callable[[int], tuple[float, float] | None] | None = getattr(reference, "jumps", None)
+    return None if own is None else own(order)
 
 
 def require_order(reference: Reference, order: int, who: str) -> None:

@@ -26,8 +26,8 @@ FORMULA_KEYS: dict[str, Key] = {
     "bound": _BOUND,
     "bounds": Key(
         "numbers",
-        help="bounds of |y_d|, |y_d'|, ... where they cannot be proven",
-        shape="Y_0, Y_1, ...",
+        help="bounds of |y_d|, |y_d'|, ... where they cannot be proven; the last may be of a slope",
+        shape="Y_0, Y_1, ..., Y_{q+2}",
         least=0,
         otherwise="proven",
     ),

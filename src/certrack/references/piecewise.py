@@ -20,7 +20,14 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.keys import set_fields
 from certrack.references.base import Bounds, round_up
-from certrack.references.polynomials import DEGREE, derived, evaluate, stationary
+from certrack.references.polynomials import (
+    DEGREE,
+    ROUNDINGS,
+    derived,
+    evaluate,
+    largest_slope,
+    stationary,
+)
 
 #: Relative to the time or the length of the knots: times closer than this are the same, for the
 #: knots of a periodic reference are sums of floats.
@@ -230,3 +237,34 @@ class PiecewiseReference:
             best = max(float(np.abs(evaluate(derived(a, i), s)).max()) for s in points)
             values.append(round_up(best * EXTREME_ROUNDING))
         return Bounds(tuple(values), ("exact",) * (order + 1))
+
+    def lipschitz_bound(self, order: int, *, between_jumps: bool = False) -> float | None:
+        """That of y_d^(order); see :func:`certrack.references.lipschitz_bound`."""
+        if order > self.smoothness or (not between_jumps and self.jumps(order) is not None):
+            return None
+        slope = largest_slope(np.array(self.coefficients), order + 1, np.diff(self._knots))
+        return round_up(slope)
+
+    def jumps(self, order: int) -> tuple[float, float] | None:
+        """Those of y_d^(order); see :func:`certrack.references.jumps`."""
+        if order != self.smoothness:
+            return None
+        terms, width = derived(np.array(self.coefficients), order), np.diff(self._knots)
+        ends, size = evaluate(terms, width), evaluate(np.abs(terms), width)
+        if self.period is None:  # it stands still before and after
+            before, after, times = np.append(0.0, ends), np.append(terms[:, 0], 0.0), self._knots
+            size = np.maximum(np.append(size, 0.0), np.append(0.0, size))
+        else:
+            before, after, times = np.roll(ends, 1), terms[:, 0], self._knots[:-1]
+            size = np.maximum(size, np.roll(size, 1))
+        steps = np.abs(after - before)
+        jumping = steps > SAME_VALUE * size
+        if self.period is None:
+            jumping &= times > 0
+        if not jumping.any():
+            return None
+        times = times[jumping]
+        if self.period is not None:
+            times = np.append(times, times[0] + self.period)
+        spacing = float(np.diff(times).min(initial=np.inf)) - SAME_TIME * float(np.ptp(times))
+        return round_up(float((steps + ROUNDINGS * size)[jumping].max())), spacing

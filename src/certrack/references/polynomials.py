@@ -9,6 +9,9 @@ import numpy as np
 #: Enough for a cubic interpolant.
 DEGREE = 3
 
+#: Of the size of its terms: what a dozen roundings may take from a value.
+ROUNDINGS = 2.0**-48
+
 
 def derived(a: np.ndarray, i: int) -> np.ndarray:
     """Coefficient rows of the i-th derivative, padded with zeros."""
@@ -24,6 +27,29 @@ def evaluate(a: np.ndarray, s: np.ndarray) -> np.ndarray:
     for k in range(DEGREE, -1, -1):
         value = value * s + a[:, k]
     return value
+
+
+def value_above(a: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Upper bound of |p(s)| of each row's polynomial at its own s >= 0, its roundings included.
+
+    Coefficients and s may be a few roundings away from the exact ones.
+    """
+    value: np.ndarray = np.abs(evaluate(a, s)) + ROUNDINGS * evaluate(np.abs(a), s)
+    return value
+
+
+def largest_slope(a: np.ndarray, i: int, width: np.ndarray) -> float:
+    """Upper bound of |p^(i)|, i >= 1, of all rows' polynomials on [0, width]."""
+    terms = derived(a, i)  # c_0 + c_1 s + c_2 s^2 at most
+    c1, c2 = terms[:, 1], terms[:, 2]
+    best = np.maximum(np.abs(terms[:, 0]) * (1 + ROUNDINGS), value_above(terms, width))
+    with np.errstate(all="ignore"):
+        turning = np.nan_to_num(-c1 / (2 * c2), nan=-1.0, posinf=-1.0, neginf=-1.0)
+    inside = (turning > 0) & (turning < width)
+    there = np.zeros_like(terms)
+    there[:, 0], there[:, 1] = terms[:, 0], c1 / 2  # its value where it turns
+    best[inside] = np.maximum(best, value_above(there, turning))[inside]
+    return float(best.max())
 
 
 def stationary(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import sympy
 from flint import arb, arb_poly, fmpq, fmpq_poly
@@ -73,8 +74,26 @@ class Smoothness:
     order: float
     stretches: tuple[Stretch, ...]
 
+    def jumps(self, i: int) -> tuple[tuple[float, float], ...] | None:
+        """Where f^(i) jumps, i being the order: times and sizes, both as the next float above.
+
+        None where the kinks could not be located.
+        """
+        if len(self.stretches) == 1:
+            return None
+        found = []
+        for left, right in pairwise(self.stretches):
+            gap = put_in((left.formula - right.formula).diff(TIME, i), {TIME: right.begin})
+            if not sympy.expand(gap).is_zero:
+                size = float_above_ball(abs(arb(constant(gap))).upper())
+                found.append((_above(right.begin), size))
+        return tuple(found)
+
     def bound(self, i: int) -> float | None:
-        """Upper bound of |f^(i)| over t >= 0, i at most the order; None where none was found."""
+        """Upper bound of |f^(i)| between the kinks, t >= 0; None where none was found.
+
+        Up to the order it is that of f^(i) over all t >= 0.
+        """
         largest = 0.0
         for stretch in self.stretches:
             bound = stretch.bound(i)

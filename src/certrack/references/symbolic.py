@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -111,9 +113,25 @@ class SymbolicReference:
         values[~np.isfinite(values)] = 0.0  # beyond floats, so no sample
         for i, limit in enumerate((self.declared or ())[: highest + 1]):
             self._refuse_above(f"reference.bounds[{i}]", f"|y_d^({i})|", values[i], limit)
+        if self.declared is not None and len(self.declared) > highest + 1:
+            self._refuse_steep(highest, self.declared[highest + 1])
         if self.bound is not None and self.order >= 1:
             total = values[0] + values[1]
             self._refuse_above("reference.bound", "|y_d| + |y_d'|", total, self.bound)
+
+    def _refuse_steep(self, order: int, limit: float) -> None:
+        """A declared bound of the slope of y_d^(order), the last derivative, between its jumps."""
+        values = self.values(CHECK_TIMES, order)[order]
+        known = [time for time, _ in self.smoothness.jumps(order) or ()]
+        with np.errstate(all="ignore"):
+            size = np.maximum(np.abs(values[:-1]), np.abs(values[1:]))
+            slopes = (np.abs(np.diff(values)) - CHECK_TOLERANCE * size) / np.diff(CHECK_TIMES)
+        slopes[~np.isfinite(slopes)] = 0.0
+        for beside in (-2, -1, 0):  # a jump may be at a time of the check, but for rounding
+            places = np.searchsorted(CHECK_TIMES, known) + beside
+            slopes[np.clip(places, 0, len(slopes) - 1)] = 0.0
+        what = f"the slope of y_d^({order})" + (" between its jumps" if known else "")
+        self._refuse_above(f"reference.bounds[{order + 1}]", what, slopes, limit)
 
     def _refuse_above(self, key: str, what: str, values: np.ndarray, limit: float) -> None:
         worst = int(np.argmax(values))
@@ -219,6 +237,34 @@ class SymbolicReference:
                 f"State it: bounds = [{'Y_0' if i == 0 else f'Y_0, ..., Y_{i}'}]",
             )
         return bound, "exact" if exact else "proven"
+
+    def lipschitz_bound(self, order: int, *, between_jumps: bool = False) -> float | None:
+        """That of y_d^(order); see :func:`certrack.references.lipschitz_bound`.
+
+        Where y_d^(order) has kinks whose places are unknown, it is Y_{order+1} if that is stated.
+        """
+        if order > self.order:
+            return None
+        if order < self.order:
+            try:
+                return self.bound_of(order + 1)[0]
+            except InputError:
+                return None
+        known = self.smoothness.jumps(order)
+        if known and not between_jumps:
+            return None
+        if self.declared is not None and order + 1 < len(self.declared):
+            return stated_above(self.declared[order + 1])
+        return None if known is None else self.smoothness.bound(order + 1)
+
+    def jumps(self, order: int) -> tuple[float, float] | None:
+        """Those of y_d^(order); see :func:`certrack.references.jumps`."""
+        known = self.smoothness.jumps(order) if order == self.order else None
+        if not known:
+            return None
+        times = [time for time, _ in known]
+        gaps = [math.nextafter(b - a - math.ulp(b), 0.0) for a, b in pairwise(times)]
+        return max(size for _, size in known), min(gaps, default=math.inf)
 
     @cached_property
     def _bounds(self) -> dict[int, tuple[float | None, bool]]:

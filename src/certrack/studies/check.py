@@ -164,9 +164,9 @@ def _findings(system: System) -> Iterator[Finding]:
 def _pole_period(system: System, implementation: Implementation) -> Finding:
     """The fastest pole of the error system against the period and the delay."""
     fastest = system.controller.coordinates.fastest_pole
-    lag = implementation.period * (1 + implementation.delay)
+    lag = implementation.period * (1 + max(implementation.delays))
     product = fastest * lag
-    what = "period" if not implementation.delay else "(period + delay)"
+    what = "period" if not max(implementation.delays) else "(period + delay)"
     detail = f"fastest pole {fastest:.4g} rad/s x {what} {lag:.4g} s = {product:.3g}"
     remedy = f"take a period of {SMALL_POLE_PERIOD / fastest:.2g} s or less, or lower law.c"
     if product > LARGE_POLE_PERIOD:
@@ -181,7 +181,7 @@ def _sampled_stability(system: System, implementation: Implementation) -> Iterat
     loop = linear_loop(system)
     if loop is None:
         longest = longest_speed_period(
-            system.controller.coordinates.fastest_pole, implementation.delay
+            system.controller.coordinates.fastest_pole, max(implementation.delays)
         )
         if implementation.period >= longest:
             yield Finding(
@@ -192,7 +192,7 @@ def _sampled_stability(system: System, implementation: Implementation) -> Iterat
                 SHORTEN,
             )
         return
-    radius = loop.radius(implementation.period, implementation.delay)
+    radius = max(loop.radius(implementation.period, delay) for delay in implementation.delays)
     detail = f"largest eigenvalue of one period of the nominal loop: {radius:.6g}"
     if radius < 1:
         yield Finding("sampled stability", FINE, detail)

@@ -227,7 +227,7 @@ def margins(
         lambda T: replace(base, period=T),
         sweep,
         limits,
-        stability_edge(linear, lambda T: (T, base.delay), sweep),
+        stability_edge(linear, lambda T: (T, base.run_delay), sweep),
         _leak_period(system),
     )
     at = (period.within or first) / 10 if implementation is None else implementation.period

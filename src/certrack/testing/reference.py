@@ -10,7 +10,13 @@ from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable, rows
 from certrack.integrators.base import Outcome
 from certrack.model.implementation import Implementation
-from certrack.references import Reference, check_reference, pieces_at
+from certrack.references import (
+    Reference,
+    check_reference,
+    jumps,
+    lipschitz_bound,
+    pieces_at,
+)
 from certrack.simulation.simulator import simulate
 from certrack.studies.ensembles.ensemble import ensemble
 from certrack.systems.reader import load, loads
@@ -83,6 +89,18 @@ class ReferenceConformance:
         bounds = self.reference.bounds(self._order).values
         largest = np.abs(self.reference.values(self._times, self._order)).max(axis=1)
         assert np.all(largest <= np.array(bounds)), f"{largest} exceeds {bounds}"
+
+    def test_slopes_hold(self) -> None:
+        """Of every derivative, between the breaks: no two neighbours are steeper."""
+        edges = [0.0, *self.reference.breaks(0.0, self.duration).tolist(), self.duration]
+        for order in range(self._order + 1):
+            jumping = jumps(self.reference, order) is not None
+            slope = lipschitz_bound(self.reference, order, between_jumps=jumping)
+            for a, b in pairwise(edges if slope is not None else ()):
+                t = a + (b - a) * np.linspace(0.01, 0.99, 200)
+                y = self.reference.values(t, order)[order]
+                allowed = slope * np.diff(t) * (1 + 1e-6) + 1e-9 * np.abs(y).max()
+                assert np.all(np.abs(np.diff(y)) <= allowed), f"y_d^({order}) is steeper"
 
     def test_survives_a_system_file(self) -> None:
         """Saved and loaded, it is the same."""

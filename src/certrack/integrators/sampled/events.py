@@ -73,7 +73,7 @@ def event_timeline(
     period = implementation.period
     samples = implementation.offset + period * np.arange(implementation.samples(duration))
     samples = samples[samples < duration * (1 - END_MARGIN)]
-    actions = samples + implementation.delay * period
+    actions = samples + implementation.run_delay * period
     actions = actions[actions < duration * (1 - END_MARGIN)]
     columns = [samples, actions, np.asarray(breaks), np.asarray(marks), np.array([0.0, duration])]
     times = np.concatenate(columns)

@@ -39,7 +39,7 @@ typedef struct {
   const int32_t *segments; /* which row of `shared` holds from an event on */
   const double *shared; /* segments x SHARED */
   int64_t depth; /* commands that may wait, and one */
-  const double *noise, *quantum; /* MEASURED each */
+  const double *noise, *noise_bound, *quantum; /* MEASURED each */
   double input_quantum, input_low, input_high; /* of the converter */
   double initial_input, tolerance, max_state;
   double *values; /* times of interest x SHOWN x count */
@@ -208,8 +208,11 @@ static void take_sample(Group *g, const Task *task, double t, const double *s, V
   V m[MEASURED], c[LAW_COMMON + 1], u;
   measure(g->x, g->p, m);
   for (int j = 0; j < MEASURED; j++) {
-    if (task->noise[j] > 0.0)
-      m[j] += task->noise[j] * normal(g->key, (uint64_t)(g->samples * MEASURED + j + 1));
+    if (task->noise[j] > 0.0) {
+      V noise = task->noise[j] * normal(g->key, (uint64_t)(g->samples * MEASURED + j + 1));
+      V bound = SPLAT(task->noise_bound[j]);
+      m[j] += choose(noise > bound, bound, choose(noise < -bound, -bound, noise));
+    }
     if (task->quantum[j] > 0.0) m[j] = rounded(m[j], task->quantum[j]);
   }
   law_common(SPLAT(t), s, c);

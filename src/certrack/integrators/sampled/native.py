@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -54,7 +55,7 @@ class _SampledTask(ctypes.Structure):
         ("events", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in ("times", "kinds", "marks", "segments", "shared")),
         ("depth", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("noise", "quantum")),
+        *((name, ctypes.c_void_p) for name in ("noise", "noise_bound", "quantum")),
         *(
             (name, ctypes.c_double)
             for name in (
@@ -123,10 +124,13 @@ class SampledNative:
         values = np.full((marks, self._shown, count), np.nan)
         totals, ends = np.full((self._totals + 1, count), np.nan), np.zeros(count)
         outcomes = np.zeros(count, dtype=np.uint8)
-        nothing = (0.0,) * self._sensors
         sensors = [
-            np.array(row or nothing)
-            for row in (implementation.noise, implementation.measurement_quantum)
+            np.array(row or (default,) * self._sensors)
+            for row, default in (
+                (implementation.noise, 0.0),
+                (implementation.noise_bound, math.inf),
+                (implementation.measurement_quantum, 0.0),
+            )
         ]
         starts = (problem.x, problem.states, problem.totals, problem.parameters)
         arrays = [
@@ -145,7 +149,7 @@ class SampledNative:
             *pointers[:5],
             len(line.times),
             *pointers[5:10],
-            int(implementation.delay) + 2,
+            int(implementation.run_delay) + 2,
             *pointers[10:],
             *implementation.converter,
             implementation.initial_input,

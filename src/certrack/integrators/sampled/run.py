@@ -260,6 +260,9 @@ def sensed(true: Array, implementation: Implementation, keys: Array, sample: int
     measured = true
     if implementation.noise is not None:
         noise = np.array(implementation.noise)[:, None] * normal(keys, sample, len(true))
+        if implementation.noise_bound is not None:
+            bound = np.array(implementation.noise_bound)[:, None]
+            noise = np.clip(noise, -bound, bound)
         measured = measured + noise
     if implementation.measurement_quantum is not None:
         quantum = np.array(implementation.measurement_quantum)[:, None]
