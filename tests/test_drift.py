@@ -12,15 +12,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.linalg import expm
+from test_ranges import attained, random_system
 
 import certrack
 from certrack.certificates.arithmetic import rational
-from certrack.certificates.ranges.boxes import closed, forbidden, scaled
+from certrack.certificates.ranges.boxes import closed, forbidden, scaled, with_range
 from certrack.certificates.ranges.certify import attainable_error, certify_ranges
 from certrack.certificates.ranges.edges import LARGEST_SCALE, largest_scale
 from certrack.certificates.ranges.loop import error_form
 from certrack.certificates.ranges.proofs import RangeProver
-from certrack.certificates.ranges.strength import ACCURACY, critical_ranges
+from certrack.certificates.ranges.strength import STRENGTH_ACCURACY, critical_ranges
 from certrack.certificates.ranges.tube import range_tube
 from certrack.cli import cli
 from certrack.core.errors import Cancelled, InputError
@@ -76,7 +77,7 @@ def test_the_edge_is_found_from_inside(edge, known):
     known = (Q(1),) if known and edge >= 1 else None
     found = largest_scale(find, known=known, accuracy=1e-3)
     assert edge / (1 + 2e-3) <= float(found.scale) <= edge and found.reason == "too much"
-    assert (Q(found.scale),) == found.found  # what was found there, not near there
+    assert (Q(found.scale),) == found.result  # what was found there, not near there
     assert len(tried) < 60
 
 
@@ -84,7 +85,7 @@ def test_an_edge_that_is_nowhere():
     found = largest_scale(lambda scale: True)
     assert found.unlimited and float(found.scale) == LARGEST_SCALE and found.reason == ""
     found = largest_scale(lambda scale: "never")
-    assert (found.scale, found.found, found.reason) == ("0", None, "never")
+    assert (found.scale, found.result, found.reason) == ("0", None, "never")
 
 
 # what each range costs
@@ -124,7 +125,7 @@ def test_costs_are_printed_and_in_the_json():
     (entry,) = values["constants"]
     assert entry["name"] == "M" and entry["verified"]
     assert entry["bound_if_known"] + entry["cost"] == pytest.approx(values["best"]["bound"])
-    assert values["critical_strength"]["ranges"] == pytest.approx(10 / 3, rel=2 * ACCURACY)
+    assert values["critical_strength"]["ranges"] == pytest.approx(10 / 3, rel=2 * STRENGTH_ACCURACY)
     assert "plant.input_gain" in values["critical_strength"]["ranges_end"]
     assert values["tube"]["kind"] == "vertices"
     fast = ["certify", str(CASES / "ranges-axis.toml"), "--json", "--effort", "fast"]
@@ -249,6 +250,38 @@ def test_margin_tells_the_drift(tmp_path):
     run = CliRunner().invoke(cli, ["margin", file, "--error", "0.001", "-n", "2", "--json"])
     (entry,) = json.loads(run.stdout)["drift"]["constants"]
     assert entry["bound"] <= 0.001 and entry["low"] < 0.7 * 95.1089
+
+
+@pytest.mark.parametrize(
+    "seed", [3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 16))]
+)
+def test_what_is_said_of_random_chains_is_not_beaten(seed):
+    """Attained with a range closed, at the largest drift, and at the critical strength."""
+    rng = np.random.default_rng([seed, 4])
+    system = random_system(rng, states=3, constants=2)
+    result = certify_ranges(system, details=True)
+    if not result.best.exists:
+        return
+    prover = RangeProver(system)
+    loop = prover.loop
+    for k, entry in enumerate(result.constants):
+        assert reached(loop, closed(loop, k)) <= entry.known <= entry.bound
+    drifts = drift(system)
+    for k, entry in enumerate(drifts.constants):
+        box = with_range(loop, k, Q(entry.low), Q(entry.high))
+        assert reached(loop, box) <= entry.bound <= drifts.error
+        assert entry.low <= float(loop.nominal[k]) <= entry.high
+    if not math.isinf(result.strength.scale):
+        for corner in itertools.product(*scaled(loop, Q(result.strength.scale))):
+            M = error_form(loop, loop.entries.at(corner)).M.astype(float)
+            assert np.linalg.eigvals(M).real.max() < 0
+
+
+def reached(loop, box):
+    """What linear programs over references reach at the corners of a box; 0 if not linear."""
+    if loop.brackets:
+        return 0.0
+    return max(attained(loop, corner) for corner in itertools.product(*box))
 
 
 # the tube

@@ -19,7 +19,14 @@ from certrack.certificates.cascade import certify_cascade, head_problem
 from certrack.certificates.centred import centred_problem
 from certrack.certificates.exact import from_text, squared_bound
 from certrack.certificates.formulation import error_problem
-from certrack.certificates.tube import Tube, _allowed, _centred_steps, _fall, single_stage, starts_of
+from certrack.certificates.tube import (
+    Tube,
+    _allowed,
+    _centred_steps,
+    _fall,
+    single_stage,
+    starts_of,
+)
 from certrack.certificates.tube import tube as tube_of
 from certrack.cli import cli
 from certrack.core.rounding import rounded_down, rounded_up

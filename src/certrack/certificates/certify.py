@@ -199,7 +199,7 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         cascade_proof=cascade_proof,
         critical_published=critical_strength(system),
         critical_semidefinite=critical_semidefinite(system, semidefinite),
-        tube=None if contradicted(rests_on) else _tube(system, stages, ranges.whole),
+        tube=None if contradicted(rests_on) else _tube(system, stages, ranges.vertex_proof),
         premises=rests_on,
         cover=ranges.proof,
         attainable=ranges.attainable,
@@ -210,10 +210,10 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     return _unverified(result) if result.contradicted else result
 
 
-def _tube(system: System, stages: tuple[Proof, ...], whole: CellProof | None) -> Tube | None:
+def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:
     """The tube of the nominal loop's certificate, or of one quadratic function for all ranges."""
-    if whole is not None:
-        return range_tube(system, whole)
+    if vertex_proof is not None:
+        return range_tube(system, vertex_proof)
     return tube(system, stages) if stages else None
 
 

@@ -80,11 +80,11 @@ def drift_table(drift: Drift) -> Table:
                 f"[{', '.join(map(report.short_number, entry.file))}]",
                 "none" if entry.low is None else f"{more}+-{part}",
                 _range_text(entry.low, entry.high),
-                printed_bound(entry.bound if entry.low is not None else None, DIGITS),
+                printed_bound(entry.bound if entry.low is not None else None, RANGE_DIGITS),
             ]
         )
     columns = ["constant", "nominal", "in the file", "may drift by", "that is", "certified there"]
-    return report.table("", columns, rows, digits=DIGITS)
+    return report.table("", columns, rows, digits=RANGE_DIGITS)
 
 
 def drift_notes(drift: Drift) -> list[str]:
@@ -108,8 +108,8 @@ def drift_notes(drift: Drift) -> list[str]:
     if not together.ranges:
         return [*lines, f"together: no common scale of the ranges serves: {together.reason}"]
     ranges = ", ".join(f"{name} {_range_text(low, high)}" for name, low, high in together.ranges)
-    scale = ("> " if together.unlimited else "") + rounded_down(together.scale, DIGITS)
-    bound = printed_bound(together.bound, DIGITS)
+    scale = ("> " if together.unlimited else "") + rounded_down(together.scale, RANGE_DIGITS)
+    bound = printed_bound(together.bound, RANGE_DIGITS)
     return [*lines, f"together: all half widths times {scale}: {ranges}; certified {bound}"]
 
 
@@ -117,11 +117,11 @@ def _range_text(low: float | None, high: float | None) -> str:
     """A range, its ends rounded inward."""
     if low is None or high is None:
         return "-"
-    return f"[{rounded_up(low, DIGITS)}, {rounded_down(high, DIGITS)}]"
+    return f"[{rounded_up(low, RANGE_DIGITS)}, {rounded_down(high, RANGE_DIGITS)}]"
 
 
 #: Digits of a range.
-DIGITS = 5
+RANGE_DIGITS = 5
 
 
 def _last_errors(margins: Margins) -> Iterator[tuple[float, float]]:

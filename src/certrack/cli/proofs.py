@@ -58,7 +58,7 @@ def certify(
         run = run_system(system)
         plotting.save_figure(plotting.tube_figure(run, result.tube, system.title), plot, "tube")
     if as_json:
-        click.echo(report.to_json(range_report.certificates_summary(result)))
+        click.echo(report.to_json(range_report.ranged_summary(result)))
     else:
         click.echo(system.title or file)
         report.console().print(report.certificates_table(result))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from certrack.certificates.ranges.strength import ACCURACY
+from certrack.certificates.ranges.strength import STRENGTH_ACCURACY
 from certrack.cli import report
 from certrack.core.rounding import printed_bound, rounded_down
 
@@ -19,7 +19,9 @@ def costs_table(results: Certificates) -> Table:
     """What each range costs, the dearest first."""
     rows = []
     for entry in sorted(results.constants, key=lambda c: c.known):
-        known = printed_bound(entry.known if math.isfinite(entry.known) else None, DIGITS)
+        known = printed_bound(
+            entry.known if math.isfinite(entry.known) else None, report.BOUND_TEXT_DIGITS
+        )
         share = entry.cost / entry.bound if math.isfinite(entry.bound) and entry.bound else math.nan
         rows.append(
             [
@@ -48,11 +50,12 @@ def strength_line(results: Certificates) -> list[str]:
         return [f"{what}> 1e9 (there is a certificate even there)"]
     if not strength.scale:
         return [f"{what}none: {strength.reason}"]
-    scale = rounded_down(strength.scale, DIGITS)
-    return [f"{what}{scale}; at the next one tried, {100 * ACCURACY:g} % beyond: {strength.reason}"]
+    scale = rounded_down(strength.scale, report.BOUND_TEXT_DIGITS)
+    beyond = f"{100 * STRENGTH_ACCURACY:g} %"
+    return [f"{what}{scale}; within {beyond} beyond it: {strength.reason}"]
 
 
-def certificates_summary(results: Certificates) -> dict[str, Any]:
+def ranged_summary(results: Certificates) -> dict[str, Any]:
     """All certificates, ready for JSON, and what is said of ranges."""
     values, strength = report.certificates_summary(results), results.critical_ranges
     critical = values["critical_strength"] | {"ranges": None, "ranges_end": None}
@@ -62,7 +65,3 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
         critical["beyond"] = math.isinf(strength.scale)
     constants = [entry.record() for entry in results.constants]
     return values | {"critical_strength": critical, "constants": constants}
-
-
-#: Digits of bounds and scales.
-DIGITS = 5

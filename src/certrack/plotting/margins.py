@@ -130,8 +130,8 @@ def drift_figure(drift: Drift, title: str) -> Figure:
         ax.set_yticks(range(len(entries)), [entry.name for entry in entries])
         percent = all(shares)
         ax.set_xlabel("from the nominal value" + (" [%]" if percent else " [% where it is not 0]"))
-        found = dict(zip(*ax.get_legend_handles_labels()[::-1], strict=True))
-        drawing.legend(found.values(), found.keys(), loc="outside lower center", ncols=len(found))
+        shown = dict(zip(*ax.get_legend_handles_labels()[::-1], strict=True))
+        drawing.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=len(shown))
         set_title(drawing, title)
     return drawing
 

@@ -32,7 +32,7 @@ from certrack.systems.system import System, require_system
 ADMITTED_FACTOR = 1.5
 
 #: Relative accuracy of a range, and corners at which the error is looked at before cells are made.
-ACCURACY, MOST_CORNERS = 0.02, 64
+DRIFT_ACCURACY, ADMITTED_CORNERS = 0.02, 64
 
 
 @dataclass(frozen=True)
@@ -178,8 +178,8 @@ def drift(system: System, *, error: float | None = None, progress: Progress = si
     try:
         with within_floats():
             prover = range_prover(system)
-            search = _Search(prover, progress)
-            admitted, origin = _admitted(system, error, search)
+            search = _Boxes(prover, progress)
+            admitted, origin = _admitted_drift(system, error, search)
     except NoCertificate as refusal:
         return Drift(math.nan, "", reason=str(refusal))
     search.error = admitted
@@ -189,7 +189,7 @@ def drift(system: System, *, error: float | None = None, progress: Progress = si
     return Drift(admitted, origin, constants, together, not contradicted(premises(system)))
 
 
-def _admitted(system: System, error: float | None, search: _Search) -> tuple[float, str]:
+def _admitted_drift(system: System, error: float | None, search: _Boxes) -> tuple[float, str]:
     """The admitted error, and where it comes from."""
     if error is not None:
         return error, "given"
@@ -205,7 +205,7 @@ def _admitted(system: System, error: float | None, search: _Search) -> tuple[flo
     return ADMITTED_FACTOR * bound, f"{ADMITTED_FACTOR:g} times the certified bound"
 
 
-class _Search:
+class _Boxes:
     """Bounds for one box after the other."""
 
     def __init__(self, prover: RangeProver, progress: Progress) -> None:
@@ -216,7 +216,7 @@ class _Search:
     def bound(self, box: Cell, enough: float) -> float:
         """The bound for a box, rounded up; inf if there is none."""
         done = next(self._tried)
-        found = bound_ranges(
+        bounds = bound_ranges(
             self.prover,
             cells=self._cells,
             box=box,
@@ -224,7 +224,7 @@ class _Search:
             progress=lambda *_: self._progress(done, None, None),
         )
         self._progress(done + 1, None, None)
-        return max((float_up(from_text(proof.bound)) for proof in found.best), default=math.inf)
+        return max((float_up(from_text(proof.bound)) for proof in bounds.best), default=math.inf)
 
     def edge(self, box_at: Callable[[Any], Cell]) -> Edge[float]:
         """The largest scale of a box whose bound is admitted, and the bound."""
@@ -242,12 +242,12 @@ class _Search:
                 return str(refusal)
             return bound if bound <= self.error else "no bound within the admitted error was found"
 
-        return largest_scale(find, accuracy=ACCURACY)
+        return largest_scale(find, accuracy=DRIFT_ACCURACY)
 
     def _exceeded_at_a_corner(self, box: Cell) -> bool:
         """Whether a corner alone has no bound that is admitted: then no cell around it has."""
         corners = itertools.product(*(dict.fromkeys(pair) for pair in box))
-        for corner in itertools.islice(corners, MOST_CORNERS):
+        for corner in itertools.islice(corners, ADMITTED_CORNERS):
             point = tuple((value, value) for value in corner)
             if (
                 bound_ranges(self.prover, cells=False, box=point, enough=self.error).bound
@@ -257,7 +257,7 @@ class _Search:
         return False
 
 
-def _one(search: _Search, k: int) -> ConstantDrift:
+def _one(search: _Boxes, k: int) -> ConstantDrift:
     """The largest symmetric range of one constant."""
     loop = search.prover.loop
     (low, high), nominal = loop.box[k], loop.nominal[k]
@@ -269,7 +269,7 @@ def _one(search: _Search, k: int) -> ConstantDrift:
     edge = search.edge(box_at)
     file = float_down(low), float_up(high)
     name, value = names(loop)[k], float(nominal)
-    if edge.found is None:
+    if edge.result is None:
         return ConstantDrift(name, value, file, None, None, None, math.inf, edge.reason, False)
     width = from_text(edge.scale) * half
     return ConstantDrift(
@@ -279,21 +279,21 @@ def _one(search: _Search, k: int) -> ConstantDrift:
         float_up(nominal - width),
         float_down(nominal + width),
         float_down(width / abs(nominal)) if nominal else None,
-        edge.found,
+        edge.result,
         edge.reason,
         edge.unlimited,
     )
 
 
-def _together(search: _Search) -> CommonDrift:
+def _together(search: _Boxes) -> CommonDrift:
     """The largest common scale of all ranges."""
     loop = search.prover.loop
     edge = search.edge(lambda scale: scaled(loop, scale))
-    if edge.found is None:
+    if edge.result is None:
         return CommonDrift(0.0, (), math.inf, edge.reason, False)
     scale = from_text(edge.scale)
     ranges = tuple(
         (name, float_up(low), float_down(high))
         for name, (low, high) in zip(names(loop), scaled(loop, scale), strict=True)
     )
-    return CommonDrift(float_down(scale), ranges, edge.found, edge.reason, edge.unlimited)
+    return CommonDrift(float_down(scale), ranges, edge.result, edge.reason, edge.unlimited)

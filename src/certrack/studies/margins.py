@@ -209,7 +209,7 @@ def margins(
     require_system(system)
     checks.integer("members", members, 1, 100_000)
     checks.integer("seed", seed, 0, 2**63)
-    given = system
+    stated = system
     implementation, duration = system.implementation, system.settings.duration
     first = _first_period(system)
     base = implementation or Implementation(first)
@@ -249,9 +249,9 @@ def margins(
         limits,
     )
     as_given = None if implementation is None else trials.worst(base)
-    drifts = drift(given, error=error, progress=progress) if has_ranges(given) else None
-    found = period, delay, lowest
-    return Margins(admitted, origin, members, at, as_given, *found, limits[1], drifts)
+    drifts = drift(stated, error=error, progress=progress) if has_ranges(stated) else None
+    searched = period, delay, lowest
+    return Margins(admitted, origin, members, at, as_given, *searched, limits[1], drifts)
 
 
 def _first_period(system: System) -> float:

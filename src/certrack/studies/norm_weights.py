@@ -23,10 +23,10 @@ from certrack.systems.system import System
 SMALLEST_RATIO = 100.0
 
 #: A bound must fall by this part to be worth a word.
-WORTHWHILE = 0.05
+WORTH_A_WORD = 0.05
 
 #: Digits of a weight.
-DIGITS = 3
+SIZE_DIGITS = 3
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,11 @@ def proposed_weights(system: System) -> NormWeights | None:
         return None
     if sizes.max() < SMALLEST_RATIO * sizes.min():
         return None
-    S = tuple(float(f"{sizes[0] / size:.{DIGITS}g}") for size in sizes)
+    S = tuple(float(f"{sizes[0] / size:.{SIZE_DIGITS}g}") for size in sizes)
     return NormWeights(tuple(sizes.tolist()), S)
 
 
-def helpful_weights(system: System, found: Certificates) -> tuple[NormWeights, float] | None:
+def helpful_weights(system: System, certificates: Certificates) -> tuple[NormWeights, float] | None:
     """Weights with which the bound is clearly smaller, and that bound; None if there are none."""
     weights = proposed_weights(system)
     if weights is None:
@@ -90,9 +90,9 @@ def helpful_weights(system: System, found: Certificates) -> tuple[NormWeights, f
     stated = replace(plant, uncertainty=replace(plant.uncertainty, S=weights.S))
     weighed = system.replace(plant=stated)
     if has_ranges(system):
-        before = min(found.vertices.bound, found.peak.bound)
+        before = min(certificates.vertices.bound, certificates.peak.bound)
         after = certify_ranges(weighed, "fast").best.bound
     else:
-        before, after = found.semidefinite.bound, certify_semidefinite(weighed)[0].bound
-    better = math.isfinite(after) and after < (1 - WORTHWHILE) * before
+        before, after = certificates.semidefinite.bound, certify_semidefinite(weighed)[0].bound
+    better = math.isfinite(after) and after < (1 - WORTH_A_WORD) * before
     return (weights, after) if better else None

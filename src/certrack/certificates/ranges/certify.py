@@ -50,7 +50,7 @@ class RangeCertificates:
         Of the smallest bound; empty if there is none.
     attainable : float or None
         What the linear loop reaches at the worst corner: an estimate from below, not a proof.
-    whole : CellProof or None
+    vertex_proof : CellProof or None
         By one quadratic function for the whole box: what a tube can be made of.
     constants : tuple of ConstantCost
         What the range of each constant costs, if that was asked for.
@@ -63,7 +63,7 @@ class RangeCertificates:
     cells: Certificate
     proof: tuple[CellProof, ...]
     attainable: float | None
-    whole: CellProof | None = None
+    vertex_proof: CellProof | None = None
     constants: tuple[ConstantCost, ...] = ()
     strength: RangeStrength | None = None
 
@@ -105,8 +105,8 @@ def certify_ranges(
             )
             bounds = search()
             attainable = attainable_error(prover)
-        found = _certificates(system, bounds, attainable, varies, effort)
-        return _detailed(found, prover, search, bounds, progress) if details else found
+        result = _certificates(system, bounds, attainable, varies, effort)
+        return _detailed(result, prover, search, bounds, progress) if details else result
     except NoCertificate as refusal:
         return _nothing(str(refusal))
 
@@ -129,7 +129,7 @@ def range_prover(system: System) -> RangeProver:
 
 
 def _detailed(
-    found: RangeCertificates,
+    result: RangeCertificates,
     prover: RangeProver,
     search: Callable[..., RangeBounds],
     bounds: RangeBounds,
@@ -140,7 +140,7 @@ def _detailed(
     constants = costs(prover, lambda box: search(box=box), bounds)
     known = bool(bounds.best)
     strength = critical_ranges(prover, cells=not varies, known=known, progress=progress)
-    return replace(found, constants=constants, strength=strength)
+    return replace(result, constants=constants, strength=strength)
 
 
 def without_ranges() -> RangeCertificates:

@@ -13,10 +13,10 @@ from typing import Any, Generic, TypeVar
 from certrack.certificates.arithmetic import rational
 
 #: Nobody asks for more than this; and for less than the other, relative to where the search begins.
-LARGEST_SCALE, SMALLEST_PART = 1e9, 1e-6
+LARGEST_SCALE, SMALLEST_SCALE_PART = 1e9, 1e-6
 
 #: Digits of the scales that are tried.
-DIGITS = 5
+SCALE_DIGITS = 5
 
 T = TypeVar("T")
 
@@ -29,7 +29,7 @@ class Edge(Generic[T]):
     ----------
     scale : str
         A short decimal; "0" where nothing was found at any scale.
-    found : what was found there, or None
+    result : what was found there, or None
     reason : str
         Why nothing was found at the first scale beyond.
     unlimited : bool
@@ -37,7 +37,7 @@ class Edge(Generic[T]):
     """
 
     scale: str
-    found: T | None
+    result: T | None
     reason: str
     unlimited: bool = False
 
@@ -63,16 +63,16 @@ def largest_scale(
     """
     low, best, reason = 0.0, known, ""
     high = begin
-    text = _short(begin) if known is not None else "0"
+    text = _decimal(begin) if known is not None else "0"
     if known is not None:
         low = begin
     else:
-        while not low and high >= SMALLEST_PART * begin:
-            found = find(rational(_short(high)))
-            if isinstance(found, str):
-                reason, high = found, high / 4
+        while not low and high >= SMALLEST_SCALE_PART * begin:
+            answer = find(rational(_decimal(high)))
+            if isinstance(answer, str):
+                reason, high = answer, high / 4
             else:
-                low, best, text = high, found, _short(high)
+                low, best, text = high, answer, _decimal(high)
         if not low:
             return Edge("0", None, reason)
         high = 4 * low if low < begin else low
@@ -80,21 +80,21 @@ def largest_scale(
         if low >= LARGEST_SCALE:
             return Edge(text, best, "", unlimited=True)
         trial = min(2 * low, LARGEST_SCALE) if low < 100 * begin else LARGEST_SCALE
-        found = find(rational(_short(trial)))
-        if isinstance(found, str):
-            reason, high = found, trial
+        answer = find(rational(_decimal(trial)))
+        if isinstance(answer, str):
+            reason, high = answer, trial
         else:
-            low, high, best, text = trial, trial, found, _short(trial)
+            low, high, best, text = trial, trial, answer, _decimal(trial)
     while high > (1 + accuracy) * low:
         middle = (low * high) ** 0.5 if high > 4 * low else (low + high) / 2
-        found = find(rational(_short(middle)))
-        if isinstance(found, str):
-            reason, high = found, middle
+        answer = find(rational(_decimal(middle)))
+        if isinstance(answer, str):
+            reason, high = answer, middle
         else:
-            low, best, text = middle, found, _short(middle)
+            low, best, text = middle, answer, _decimal(middle)
     return Edge(text, best, reason)
 
 
-def _short(scale: float) -> str:
+def _decimal(scale: float) -> str:
     """The scale as a decimal of few digits, rounded down."""
-    return format(Context(prec=DIGITS, rounding=ROUND_FLOOR).plus(Decimal(scale)), "f")
+    return format(Context(prec=SCALE_DIGITS, rounding=ROUND_FLOOR).plus(Decimal(scale)), "f")

@@ -30,14 +30,12 @@ from certrack.certificates.ranges.vertices import (
     prove_vertices,
 )
 from certrack.certificates.semidefinite import best_solution
+from certrack.certificates.strength import SLOW_RATE
 from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
 
 #: Cells of a proof in a file.
 MAX_PROOF_CELLS = 1024
-
-#: Whether any certificate exists is asked at this part of the fastest alpha.
-SLOW_RATE = 1e-3
 
 #: A bound by peak gains is written larger by this part, and with this many digits: the quadrature
 #: of another machine may differ in the last bits.

@@ -43,8 +43,8 @@ class RangeBounds:
     @property
     def best(self) -> tuple[CellProof, ...]:
         """The proofs of the smallest bound; empty if there is none."""
-        whole = [(proof,) for proof in (self.vertices, self.peak) if proof is not None]
-        return min([p for p in (self.cells, *whole) if p], key=largest, default=())
+        single = [(proof,) for proof in (self.vertices, self.peak) if proof is not None]
+        return min([p for p in (self.cells, *single) if p], key=largest, default=())
 
     @property
     def bound(self) -> float:

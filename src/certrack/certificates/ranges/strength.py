@@ -22,10 +22,10 @@ from certrack.certificates.ranges.proofs import RangeProver
 from certrack.core.progress import Progress, silent
 
 #: Cells into which a box is cut to find any proof, and corners that are looked at beforehand.
-MOST_CELLS, MOST_CORNERS = 16, 64
+PROVABLE_CELLS, STABLE_CORNERS = 16, 64
 
 #: Relative accuracy of the scale.
-ACCURACY = 0.01
+STRENGTH_ACCURACY = 0.01
 
 #: Why nothing was found, where nothing forbids the ranges.
 NO_PROOF = "no certificate was found"
@@ -76,7 +76,7 @@ def critical_ranges(
         except NoCertificate as refusal:
             return str(refusal)
 
-    edge = largest_scale(find, known=True if known else None, accuracy=ACCURACY)
+    edge = largest_scale(find, known=True if known else None, accuracy=STRENGTH_ACCURACY)
     return RangeStrength(math.inf if edge.unlimited else float(edge.scale), edge.reason)
 
 
@@ -86,11 +86,11 @@ def provable(prover: RangeProver, box: Cell, *, cells: bool) -> bool:
         return False
     if prover.holds(box):
         return True
-    sizes, waiting, made = [high - low for low, high in box], [box], 1
+    sizes, waiting, count = [high - low for low, high in box], [box], 1
     while cells and waiting:
-        if made >= MOST_CELLS:
+        if count >= PROVABLE_CELLS:
             return False
-        made += 1
+        count += 1
         waiting += [half for half in halved(waiting.pop(), sizes) if not prover.holds(half)]
     return not waiting
 
@@ -100,7 +100,7 @@ def stable_at_corners(prover: RangeProver, box: Cell) -> bool:
     loop = prover.loop
     if not prover.by_peak_gains:
         return True
-    for corner in itertools.islice(itertools.product(*box), MOST_CORNERS):
+    for corner in itertools.islice(itertools.product(*box), STABLE_CORNERS):
         M = error_form(loop, loop.entries.at(corner)).M.astype(float)
         if not np.linalg.eigvals(M).real.max() < 0:
             return False
