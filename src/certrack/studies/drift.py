@@ -184,7 +184,7 @@ def drift(system: System, *, error: float | None = None, progress: Progress = si
         return Drift(math.nan, "", reason=str(refusal))
     search.error = admitted
     loop = prover.loop
-    constants = tuple(_one(search, k) for k in range(len(loop.box)))
+    constants = tuple(_one(search, k) for k in range(len(names(loop))))
     together = _together(search) if len(constants) > 1 else None
     return Drift(admitted, origin, constants, together, not contradicted(premises(system)))
 
@@ -294,6 +294,6 @@ def _together(search: _Boxes) -> CommonDrift:
     scale = from_text(edge.scale)
     ranges = tuple(
         (name, float_up(low), float_down(high))
-        for name, (low, high) in zip(names(loop), scaled(loop, scale), strict=True)
+        for name, (low, high) in zip(names(loop), scaled(loop, scale), strict=False)
     )
     return CommonDrift(float_down(scale), ranges, edge.result, edge.reason, edge.unlimited)

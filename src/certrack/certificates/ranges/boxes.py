@@ -17,7 +17,8 @@ from certrack.model.ranges import ConstantRange, check_sign_at_ends
 
 def names(loop: RangedLoop) -> tuple[str, ...]:
     """What has a range, as [plant.ranges] calls it."""
-    return tuple(str(s).removeprefix("ranges.") for s in loop.symbols)
+    constants = loop.symbols[: len(loop.symbols) - loop.moving]
+    return tuple(str(s).removeprefix("ranges.") for s in constants)
 
 
 def closed(loop: RangedLoop, k: int) -> Cell:
@@ -32,10 +33,12 @@ def with_range(loop: RangedLoop, k: int, low: Any, high: Any) -> Cell:
 
 def scaled(loop: RangedLoop, scale: Any) -> Cell:
     """All distances of the ends from the nominal values times a scale (a rational)."""
-    return tuple(
+    ends = tuple(
         (value + scale * (low - value), value + scale * (high - value))
         for value, (low, high) in zip(loop.nominal, loop.box, strict=True)
     )
+    count = len(ends) - loop.moving
+    return (*ends[:count], *loop.box[count:])
 
 
 def forbidden(loop: RangedLoop, box: Cell) -> str:

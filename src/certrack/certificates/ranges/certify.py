@@ -104,6 +104,7 @@ def certify_ranges(
                 bound_ranges, prover, cells=not varies, effort=effort, progress=progress
             )
             bounds = search()
+            prover, search, bounds = _better(prover, search, bounds)
             attainable = attainable_error(prover)
         result = _certificates(system, bounds, attainable, varies, effort)
         return _detailed(result, prover, search, bounds, progress) if details else result
@@ -119,13 +120,34 @@ def range_prover(system: System) -> RangeProver:
     NoCertificate
         If no certificate covers such a system.
     """
-    prover = RangeProver(system)
+    try:
+        prover = RangeProver(system)
+    except NoCertificate:
+        prover = RangeProver(system, sectors=True)  # for a term that is not bounded
+        if not prover.loop.moving:
+            raise
     if system.plant.uncertainty.constants_vary and not prover.by_peak_gains:
         raise NoCertificate(
             "constants_vary = true has no certificate with the adaptive law, whose V "
             "contains g_n; use the robust law, or let the constants stand still"
         )
     return prover
+
+
+def _better(
+    prover: RangeProver, search: Callable[..., RangeBounds], bounds: RangeBounds
+) -> tuple[RangeProver, Callable[..., RangeBounds], RangeBounds]:
+    """The same with bounded terms within their sectors, where that gives a smaller bound."""
+    if not prover.loop.brackets:
+        return prover, search, bounds
+    within = RangeProver(prover.loop.system, sectors=True)
+    if not within.loop.moving:
+        return prover, search, bounds
+    search_within = partial(bound_ranges, within, **search.keywords)  # type: ignore[attr-defined]
+    other = search_within()
+    return (
+        (within, search_within, other) if other.bound < bounds.bound else (prover, search, bounds)
+    )
 
 
 def _detailed(
@@ -203,7 +225,7 @@ def attainable_error(prover: RangeProver) -> float | None:
     None for a loop that is not linear, or is unstable at a corner.
     """
     loop = prover.loop
-    if not prover.by_peak_gains or loop.brackets:
+    if not prover.by_peak_gains or loop.brackets or loop.moving:
         return None
     u, A = loop.system.plant.uncertainty, loop.coordinates.A.astype(float)
     inputs = [A[:, k] * u.tau[k] * u.beta[k] for k in range(loop.n) if u.tau[k] * u.beta[k]]

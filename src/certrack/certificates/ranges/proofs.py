@@ -65,8 +65,8 @@ class CellProof:
 class RangeProver:
     """Proves and checks bounds for cells of a system's constants."""
 
-    def __init__(self, system: System) -> None:
-        self.loop: RangedLoop = ranged_loop(system)
+    def __init__(self, system: System, *, sectors: bool = False) -> None:
+        self.loop: RangedLoop = ranged_loop(system, sectors=sectors)
         self.coefficients = Coefficients(self.loop)
         self._problems = ProblemMaker(self.loop)
         self._adaptation = adaptation_of(system, rational)
@@ -185,11 +185,28 @@ def numbers(cell: Sequence[tuple[str, str]]) -> Cell:
     return tuple((exact(low), exact(high)) for low, high in cell)
 
 
+def prover_of(system: System, intervals: int) -> RangeProver:
+    """The prover whose cells have so many intervals: those of more also have slopes in them.
+
+    Raises
+    ------
+    NoCertificate
+        If no certificate covers such a system.
+    """
+    try:
+        prover = RangeProver(system)
+        if len(prover.box) >= intervals:
+            return prover
+    except NoCertificate:
+        pass  # a term that is not bounded, but may lie within a sector
+    return RangeProver(system, sectors=True)
+
+
 def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
     """Empty if every cell is proven, they cover the ranges, and none exceeds the bound."""
-    prover = RangeProver(system)
     if len(proofs) > MAX_PROOF_CELLS:
         return f"there are more than {MAX_PROOF_CELLS} cells"
+    prover = prover_of(system, max((len(proof.cell) for proof in proofs), default=0))
     if system.plant.uncertainty.constants_vary:
         if len(proofs) != 1:
             return "constants that vary in time need one cell: they do not stay in one of many"
@@ -200,6 +217,9 @@ def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
         return "a cell has not one interval for each range"
     if not cells_fill(cells, prover.box):
         return "the cells do not cover the ranges"
+    count = len(prover.box) - prover.loop.moving
+    if any(cell[count:] != prover.box[count:] for cell in cells):
+        return "a cell cuts the slope of a nonlinear term, which varies in time"
     for proof in proofs:
         if from_text(proof.bound) > from_text(bound):
             return "the bound is smaller than that of a cell"

@@ -82,7 +82,8 @@ def bound_ranges(
     if peak is not None and float(peak.bound) <= enough:
         return RangeBounds(None, peak)
     vertices = prover.vertices(box)
-    is_point = all(low == high for low, high in box)
+    moving = prover.loop.moving
+    is_point = all(low == high for low, high in box[: len(box) - moving])
     if not cells or effort == "fast" or is_point or RangeBounds(vertices, peak).bound <= enough:
         return RangeBounds(vertices, peak)
     many = 4 if effort == "high" else 1
@@ -148,7 +149,9 @@ class _Cells:
             return math.inf if proof is None else float(proof.bound)
 
         report = partial(self._report, bound)
-        cells = divided(self._box, bound, most, WORTHWHILE, report, self._enough)
+        cells = divided(
+            self._box, bound, most, WORTHWHILE, report, self._enough, self._prover.loop.moving
+        )
         cover = {cell: proof for cell in cells if (proof := proofs[cell]) is not None}
         return cover if len(cover) == len(cells) else {}
 

@@ -86,12 +86,13 @@ def provable(prover: RangeProver, box: Cell, *, cells: bool) -> bool:
         return False
     if prover.holds(box):
         return True
+    moving = prover.loop.moving
     sizes, waiting, count = [high - low for low, high in box], [box], 1
     while cells and waiting:
         if count >= PROVABLE_CELLS:
             return False
         count += 1
-        waiting += [half for half in halved(waiting.pop(), sizes) if not prover.holds(half)]
+        waiting += [half for half in halved(waiting.pop(), sizes, moving) if not prover.holds(half)]
     return not waiting
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from certrack.certificates.ranges.proofs import CellProof, RangeProver, numbers
+from certrack.certificates.ranges.proofs import CellProof, numbers, prover_of
 from certrack.certificates.tube import Tube, single_stage, starts_of
 from certrack.systems.system import System
 
@@ -34,7 +34,7 @@ def range_tube(
     InputError
         If the box does not fit the plant or has too many corners.
     """
-    prover = RangeProver(system)
+    prover = prover_of(system, len(proof.cell))
     starts, verified = starts_of(system, box)
     tubes = [
         Tube(*single_stage(system, problem, stage, starts))
