@@ -20,10 +20,10 @@ from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.boxes import forbidden, names, scaled, with_range
 from certrack.certificates.ranges.cells import Cell
-from certrack.certificates.ranges.certify import NO_RANGES, range_prover
+from certrack.certificates.ranges.certify import NO_RANGES, range_prover, smaller_bounds
 from certrack.certificates.ranges.edges import Edge, largest_scale
 from certrack.certificates.ranges.proofs import RangeProver
-from certrack.certificates.ranges.search import bound_ranges
+from certrack.certificates.ranges.search import RangeBounds, bound_ranges
 from certrack.core import checks
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system
@@ -177,39 +177,39 @@ def drift(system: System, *, error: float | None = None, progress: Progress = si
         return Drift(math.nan, "", reason=NO_RANGES)
     try:
         with within_floats():
-            prover = range_prover(system)
-            search = _Boxes(prover, progress)
-            admitted, origin = _admitted_drift(system, error, search)
+            cells = not system.plant.uncertainty.constants_vary
+            options = {"cells": cells, "progress": lambda *_: progress(0, None, None)}
+            prover, bounds = smaller_bounds(range_prover(system), options)
+            admitted, origin = _admitted_drift(system, error, bounds)
     except NoCertificate as refusal:
         return Drift(math.nan, "", reason=str(refusal))
-    search.error = admitted
-    loop = prover.loop
-    constants = tuple(_one(search, k) for k in range(len(names(loop))))
+    search = _Boxes(prover, admitted, progress)
+    constants = tuple(_one(search, k) for k in range(len(names(prover.loop))))
     together = _together(search) if len(constants) > 1 else None
     return Drift(admitted, origin, constants, together, not contradicted(premises(system)))
 
 
-def _admitted_drift(system: System, error: float | None, search: _Boxes) -> tuple[float, str]:
+def _admitted_drift(system: System, error: float | None, bounds: RangeBounds) -> tuple[float, str]:
     """The admitted error, and where it comes from."""
     if error is not None:
         return error, "given"
     limit = system.varied.limit
     if limit is not None:
         return limit, "file"
-    bound = search.bound(search.prover.box, 0.0)
-    if not math.isfinite(bound):
+    if not bounds.best:
         raise NoCertificate(
             "the file's own ranges have no certificate, whose bound could be admitted; state the "
             "admitted error"
         )
+    bound = max(float_up(from_text(proof.bound)) for proof in bounds.best)
     return ADMITTED_FACTOR * bound, f"{ADMITTED_FACTOR:g} times the certified bound"
 
 
 class _Boxes:
     """Bounds for one box after the other."""
 
-    def __init__(self, prover: RangeProver, progress: Progress) -> None:
-        self.prover, self.error = prover, math.inf
+    def __init__(self, prover: RangeProver, error: float, progress: Progress) -> None:
+        self.prover, self.error = prover, error
         self._progress, self._tried = progress, itertools.count()
         self._cells = not prover.loop.system.plant.uncertainty.constants_vary
 

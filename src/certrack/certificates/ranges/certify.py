@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -100,14 +99,11 @@ def certify_ranges(
     try:
         with within_floats():
             prover = range_prover(system)
-            search = partial(
-                bound_ranges, prover, cells=not varies, effort=effort, progress=progress
-            )
-            bounds = search()
-            prover, search, bounds = _better(prover, search, bounds)
+            options = {"cells": not varies, "effort": effort, "progress": progress}
+            prover, bounds = smaller_bounds(prover, options)
             attainable = attainable_error(prover)
         result = _certificates(system, bounds, attainable, varies, effort)
-        return _detailed(result, prover, search, bounds, progress) if details else result
+        return _detailed(result, prover, options, bounds) if details else result
     except NoCertificate as refusal:
         return _nothing(str(refusal))
 
@@ -134,34 +130,29 @@ def range_prover(system: System) -> RangeProver:
     return prover
 
 
-def _better(
-    prover: RangeProver, search: Callable[..., RangeBounds], bounds: RangeBounds
-) -> tuple[RangeProver, Callable[..., RangeBounds], RangeBounds]:
-    """The same with bounded terms within their sectors, where that gives a smaller bound."""
+def smaller_bounds(prover: RangeProver, options: dict[str, Any]) -> tuple[RangeProver, RangeBounds]:
+    """What is proven with bounded terms as inputs or within their sectors: the smaller bound."""
+    bounds = bound_ranges(prover, **options)
     if not prover.loop.brackets:
-        return prover, search, bounds
+        return prover, bounds
     within = RangeProver(prover.loop.system, sectors=True)
     if not within.loop.moving:
-        return prover, search, bounds
-    search_within = partial(bound_ranges, within, **search.keywords)  # type: ignore[attr-defined]
-    other = search_within()
-    return (
-        (within, search_within, other) if other.bound < bounds.bound else (prover, search, bounds)
-    )
+        return prover, bounds
+    other = bound_ranges(within, **options)
+    return (within, other) if other.bound < bounds.bound else (prover, bounds)
 
 
 def _detailed(
-    result: RangeCertificates,
-    prover: RangeProver,
-    search: Callable[..., RangeBounds],
-    bounds: RangeBounds,
-    progress: Progress,
+    result: RangeCertificates, prover: RangeProver, options: dict[str, Any], bounds: RangeBounds
 ) -> RangeCertificates:
     """With what each constant costs, and how far the ranges may grow."""
-    varies = prover.loop.system.plant.uncertainty.constants_vary
-    constants = costs(prover, lambda box: search(box=box), bounds)
-    known = bool(bounds.best)
-    strength = critical_ranges(prover, cells=not varies, known=known, progress=progress)
+    constants = costs(prover, lambda box: bound_ranges(prover, box=box, **options), bounds)
+    strength = critical_ranges(
+        prover,
+        cells=options["cells"],
+        known=bool(bounds.best),
+        progress=options["progress"],
+    )
     return replace(result, constants=constants, strength=strength)
 
 
