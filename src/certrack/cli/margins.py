@@ -37,7 +37,7 @@ from certrack.cli.base import FOLDER, MEMBER_SEED, json_option, naming, note_eng
 def margin(
     file: str, error: float | None, members: int, seed: int, plot: Path | None, as_json: bool
 ) -> None:
-    """Find the limits of sampling period, delay, saturation and drifting constants.
+    """Find the limits of period, delay, saturation and constants.
 
     These are the longest period and delay and the lowest saturation at which the tail error stays
     admissible. Every value is tried on members of the file's ensemble, which proves nothing. For
