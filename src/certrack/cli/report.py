@@ -16,7 +16,7 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
-from certrack.certificates.ranges.certify import NO_RANGES
+from certrack.certificates.methods import NOMINAL_KINDS, QUADRATIC_KINDS, RANGE_KINDS
 from certrack.core.rounding import printed_bound, rounded_down
 from certrack.simulation.metrics import METRIC_LABELS
 
@@ -267,13 +267,6 @@ def _replaced_omega(ensemble: Ensemble) -> list[str]:
     ]
 
 
-#: Certificates, in the order in which they are shown.
-CERTIFICATE_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade")
-
-#: Those that cover ranges of constants; shown where there are some.
-RANGE_KINDS = ("vertices", "peak", "cells")
-
-
 def certificates_summary(results: Certificates) -> dict[str, Any]:
     """All certificates, ready for JSON; a bound that does not exist is null."""
 
@@ -287,7 +280,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
         }
 
     return {
-        **{kind: entries(getattr(results, kind)) for kind in (*CERTIFICATE_KINDS, *RANGE_KINDS)},
+        **{kind: entries(getattr(results, kind)) for kind in (*NOMINAL_KINDS, *RANGE_KINDS)},
         "attainable": results.attainable,
         "verified": results.verified,
         "best": _best(results),
@@ -302,19 +295,14 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
             "start": results.tube.start,
             "floor": results.tube.floor,
             "alpha": results.tube.alpha,
-            "kind": _tube_kind(results),
+            "kind": "vertices"
+            if results.kinds == RANGE_KINDS
+            else min(QUADRATIC_KINDS, key=lambda kind: getattr(results, kind).bound),
             "pieces": results.tube.pieces,
             "verified": results.tube.verified,
         },
         "premises": [premise.record() for premise in results.premises],
     }
-
-
-def _tube_kind(results: Certificates) -> str:
-    """Which certificate the tube is made of."""
-    if results.cover:
-        return "vertices"
-    return "cascade" if len(results.stages) > 1 else "semidefinite"
 
 
 def _best(results: Certificates) -> dict[str, Any] | None:
@@ -334,12 +322,13 @@ def certificates_table(results: Certificates) -> Table:
         "semidefinite": "best Lyapunov function",
         "cascade": "e_n first, then e_1 with e_n as bounded input",
         "vertices": "one Lyapunov function for all constants, which may vary",
-        "peak": "peak gains for all constants, which may vary",
+        "peak": "peak gains for all constants, which may vary"
+        if results.kinds == RANGE_KINDS
+        else "peak gains of the error loop",
         "cells": "the ranges cut into cells, for constants that stand still",
     }
     rows = []
-    ranged = any(getattr(results, kind).reason != NO_RANGES for kind in RANGE_KINDS)
-    for kind in RANGE_KINDS if ranged else CERTIFICATE_KINDS:
+    for kind in results.kinds:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = notes[kind] if entry.exists else entry.reason
@@ -360,7 +349,7 @@ SETTLED_MARGIN = 0.1
 
 def certificates_notes(results: Certificates) -> list[str]:
     """Critical strengths, tube and assumptions in words."""
-    if results.cover:
+    if results.kinds == RANGE_KINDS and results.tightest:
         attained, lines = results.attainable, ["the nominal certificates do not cover plant.ranges"]
         if attained is not None:
             lines.append(
@@ -378,10 +367,10 @@ def certificates_notes(results: Certificates) -> list[str]:
         start = printed_bound(float(results.tube(0.0)), BOUND_TEXT_DIGITS)
         settled = printed_bound(results.tube.settling_time(level), BOUND_TEXT_DIGITS)
         margin = f"{100 * SETTLED_MARGIN:g} %"
+        whose = "of vertices " if results.kinds == RANGE_KINDS else ""
         lines.append(
-            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound "
-            f"{'of vertices ' if results.cover else ''}after {settled} s"
-            + ("" if results.tube.verified else " (the start is not verified)")
+            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound {whose}"
+            f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
         )
     return lines
 

@@ -81,13 +81,13 @@ class Smoothness:
         """
         if len(self.stretches) == 1:
             return None
-        found = []
+        places = []
         for left, right in pairwise(self.stretches):
             gap = put_in((left.formula - right.formula).diff(TIME, i), {TIME: right.begin})
             if not sympy.expand(gap).is_zero:
                 size = float_above_ball(abs(arb(constant(gap))).upper())
-                found.append((_above(right.begin), size))
-        return tuple(found)
+                places.append((_above(right.begin), size))
+        return tuple(places)
 
     def bound(self, i: int) -> float | None:
         """Upper bound of |f^(i)| between the kinks, t >= 0; None where none was found.

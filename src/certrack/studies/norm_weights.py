@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from certrack.certificates.certify import Certificates, certify_semidefinite
+from certrack.certificates.certify import Certificates
+from certrack.certificates.methods import certify_semidefinite
 from certrack.certificates.premises import has_ranges
 from certrack.certificates.ranges.certify import certify_ranges
 from certrack.core.errors import InputError
