@@ -51,7 +51,7 @@ def span_of(system: System) -> Range | None:
     return (FIRST_CORNER, FIRST_CORNER + count) if count else None
 
 
-def values_at(
+def constants_at(
     ranges: Mapping[str, tuple[float, float]], corners: np.ndarray
 ) -> dict[str, np.ndarray]:
     """The constants at some corners, by name."""
@@ -88,7 +88,7 @@ class Corners:
         parts = sorted(statistics.table.parts, key=lambda part: part[0])
         tails = np.concatenate([metrics[METRICS.index("tail_error")] for _, metrics, _ in parts])
         codes = np.concatenate([outcomes for *_, outcomes in parts])
-        values = values_at(ranges, np.arange(len(tails)))
+        values = constants_at(ranges, np.arange(len(tails)))
         names = [outcome.name for outcome in Outcome]
         return cls(
             tuple({n: float(v[k]) for n, v in values.items()} for k in range(len(tails))),

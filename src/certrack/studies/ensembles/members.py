@@ -30,7 +30,7 @@ from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import Simulator
-from certrack.studies.ensembles.corners import FIRST_CORNER, count_of, ranges_of, values_at
+from certrack.studies.ensembles.corners import FIRST_CORNER, count_of, ranges_of, constants_at
 from certrack.systems.system import System, require_system
 
 #: Members and times at which the pattern of a registered disturbance is looked at.
@@ -165,7 +165,7 @@ class Members:
             count = count_of(ranges)  # registers are filled with corners from the first on
             corners = np.arange(begin - FIRST_CORNER, end - FIRST_CORNER) % count
             drawn = {name: values[corners] for name, values in self.draws(0, count).items()}
-            values = values_at(ranges, corners)
+            values = constants_at(ranges, corners)
             return drawn | {f"constants.{name}": column for name, column in values.items()}
         free = [name for name, entry in self.columns.items() if not entry.fixed]
         table = probabilities(self.population.sampling, self.seed, begin, end, len(free))
