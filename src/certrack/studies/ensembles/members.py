@@ -30,7 +30,7 @@ from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import Simulator
-from certrack.studies.ensembles.corners import FIRST_CORNER, count_of, ranges_of, constants_at
+from certrack.studies.ensembles.corners import FIRST_CORNER, constants_at, count_of, ranges_of
 from certrack.systems.system import System, require_system
 
 #: Members and times at which the pattern of a registered disturbance is looked at.
