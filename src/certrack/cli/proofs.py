@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_engine, note_implementation
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
+
+if TYPE_CHECKING:
+    from certrack.certificates import Certificates
+    from certrack.systems.system import System
 
 
 @click.command()
@@ -38,7 +43,7 @@ def certify(
     """
     from certrack import certificates
     from certrack.certificates.premises import has_ranges
-    from certrack.cli import report
+    from certrack.cli import range_report, report
     from certrack.systems.reader import load
 
     system = load(file)
@@ -53,13 +58,17 @@ def certify(
         run = run_system(system)
         plotting.save_figure(plotting.tube_figure(run, result.tube, system.title), plot, "tube")
     if as_json:
-        click.echo(report.to_json(report.certificates_summary(result)))
+        click.echo(report.to_json(range_report.ranged_summary(result)))
     else:
         click.echo(system.title or file)
         report.console().print(report.certificates_table(result))
+        if result.constants:
+            report.console().print(range_report.costs_table(result))
         report.print_lines(report.certificates_notes(result))
+        report.print_lines(range_report.strength_line(result))
         report.print_lines(["resting on:", *premise_lines(result.premises)])
     say_contradicted(result.contradicted)
+    _hint_of_weights(system, result, effort)
     if not result.best.exists:
         reason = result.vertices.reason if has_ranges(system) else result.semidefinite.reason
         click.echo(f"certrack: no certificate: {reason}", err=True)
@@ -67,6 +76,21 @@ def certify(
         click.echo(f"certrack: {out} is not written: there is nothing verified", err=True)
     if result.contradicted or ((require or out is not None) and not result.verified):
         raise click.exceptions.Exit(1)
+
+
+def _hint_of_weights(system: System, result: Certificates, effort: str) -> None:
+    """Say once that weights in the norm of gamma would help, where the states differ in size."""
+    from certrack.core.rounding import printed_bound
+    from certrack.studies.norm_weights import helpful_weights
+
+    helpful = None if effort == "fast" else helpful_weights(system, result)
+    if helpful is not None:
+        weights, bound = helpful
+        click.echo(
+            f"certrack: note: {weights.text(system.plant.states)}; {weights.remedy}: the bound "
+            f"would then be {printed_bound(bound, 5)}",
+            err=True,
+        )
 
 
 @click.command()

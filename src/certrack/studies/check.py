@@ -25,6 +25,7 @@ from certrack.simulation.implementation_notes import (
     SMALL_POLE_PERIOD,
     longest_speed_period,
 )
+from certrack.studies.norm_weights import proposed_weights
 from certrack.studies.units import misfits
 from certrack.systems.system import System, require_system
 
@@ -153,6 +154,7 @@ def _findings(system: System) -> Iterator[Finding]:
         yield from _sensor_quanta(system, implementation)
         yield from _input_quantum(system, implementation)
     yield from _units(system)
+    yield from _scales(system)
 
 
 def _pole_period(system: System, implementation: Implementation) -> Finding:
@@ -313,3 +315,10 @@ def _units(system: System) -> Iterator[Finding]:
             NOTE,
             f"||x|| of Assumption 1 adds squares of {mixed}: gamma depends on the choice of units",
         )
+
+
+def _scales(system: System) -> Iterator[Finding]:
+    """Whether the states differ so much in size that the norm of gamma hardly sees some."""
+    weights = proposed_weights(system)
+    if weights is not None:
+        yield Finding("scales of states", NOTE, weights.text(system.plant.states), weights.remedy)

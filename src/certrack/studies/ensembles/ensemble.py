@@ -19,7 +19,8 @@ from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
 from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.checkpoints import Checkpoints
-from certrack.studies.ensembles.completion import complete
+from certrack.studies.ensembles.completion import complete, complete_corners
+from certrack.studies.ensembles.corners import Corners
 from certrack.studies.ensembles.engine import Engine, fastest
 from certrack.studies.ensembles.error_limit import tail_error_limit
 from certrack.studies.ensembles.member_table import KEPT_MEMBERS
@@ -62,6 +63,9 @@ class Ensemble(ShownInNotebooks):
         Members computed by this call; the others were on disk.
     seconds : float
         Integration and statistics of the computed ones, without start-up and compilation.
+    corners : Corners or None
+        The corners of the ranges of constants, which run besides the members and are counted in
+        nothing else; None where no constant has a range, or more than six have.
     """
 
     system: System
@@ -71,6 +75,7 @@ class Ensemble(ShownInNotebooks):
     limit_origin: str
     computed: int
     seconds: float
+    corners: Corners | None = None
 
     def __repr__(self) -> str:
         tail = self.statistics.metrics["tail_error"]
@@ -247,6 +252,7 @@ class Ensemble(ShownInNotebooks):
             "tail_error": tail,
             "violations": self.violations(),
             "outcomes": {name: statistics.outcomes[name] for name in sorted(statistics.outcomes)},
+            "corners": None if self.corners is None else self.corners.summary(),
             "metrics": metrics,
             "worst": worst,
             "computed": self.computed,
@@ -374,7 +380,9 @@ def ensemble(
         wanted, seconds = complete(
             plan, engine, client, total, checkpoints, members, chunk, progress
         )
-    return Ensemble(system, seed, total, limit, origin, wanted, seconds)
+        at_corners = complete_corners(plan, engine, client, checkpoints)
+    corners = None if at_corners is None else Corners.of(system, at_corners, limit)
+    return Ensemble(system, seed, total, limit, origin, wanted, seconds, corners)
 
 
 def _prepared(
