@@ -152,8 +152,9 @@ def test_covers_are_recognised(seed):
 # kernels
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**6))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_peak_gains_are_above_and_near_the_integrals(seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 5))
@@ -402,6 +403,7 @@ def test_many_functions_have_one_multiplier_each():
     assert float(prover.vertices(prover.box).bound) < float(proofs[0].bound) < 0.0338
 
 
+@pytest.mark.slow
 def test_seven_constants_are_proven_at_the_centre():
     """Their hull has more points than a proof may have; the one stage is checked at the centre."""
     system = seven_constants()
