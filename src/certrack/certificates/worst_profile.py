@@ -81,7 +81,10 @@ def worst_profile(
         held[:] = 0.0
         held[0, m + k] = 1.0
         state = np.vstack([S, held])
-        parts = [_taylor(sizes, width * (j + 1) / LOOKS_PER_PIECE) for j in range(LOOKS_PER_PIECE)]
+        parts = [
+            _one_step_later(sizes, width * (j + 1) / LOOKS_PER_PIECE)
+            for j in range(LOOKS_PER_PIECE)
+        ]
         looked_at += [part @ state for part in parts]
         S = parts[-1] @ state
     table = np.vstack([*rows, S])
@@ -118,7 +121,7 @@ def stopping_widths(sizes: np.ndarray, count: int) -> np.ndarray:
     return np.full(count, STOPPING_TIMES * slowest / count)
 
 
-def _taylor(sizes: np.ndarray, width: float) -> np.ndarray:
+def _one_step_later(sizes: np.ndarray, width: float) -> np.ndarray:
     """(y_d ... y_d^(m-1)) a time later from (y_d ... y_d^(m)), all over their sizes."""
     m = len(sizes) - 1
     step = np.zeros((m, m + 1))

@@ -242,13 +242,11 @@ def _corner_lines(ensemble: Ensemble, file: str) -> list[str]:
     """What the corners of the ranges gave."""
     corners, ranged = ensemble.corners, ensemble.system.plant.constant_boxes
     if corners is None:
-        most = "more than 6 ranges have too many"
-        return [f"corners of plant.ranges: not run, {most}"] if len(ranged) > 6 else []
+        return ["corners of plant.ranges: not run, of more than 6"] if len(ranged) > 6 else []
     worst = corners.worst
     values = ", ".join(f"{name} = {v:.5g}" for name, v in corners.constants[worst].items())
-    counts = f"{corners.lost} of {len(corners.errors)} lost"
-    if corners.beyond is not None:
-        counts += f", {corners.beyond} beyond the limit"
+    beyond = "" if corners.beyond is None else f", {corners.beyond} beyond the limit"
+    counts = f"{corners.lost} of {len(corners.errors)} lost{beyond}"
     error = f"tail error {corners.errors[worst]:.5g}" if corners.lost == 0 else "lost"
     return [
         f"corners of plant.ranges, apart from the members: worst {worst} ({values}): {error}; "

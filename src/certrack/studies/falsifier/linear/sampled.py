@@ -69,7 +69,7 @@ def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
         row,
         start,
         bounds,
-        sensor_bounds(implementation, system.plant.n),
+        largest_sensor_errors(implementation, system.plant.n),
         np.full(REFERENCE_PIECES, math.ceil(periods / REFERENCE_PIECES)),
     )
 
@@ -103,7 +103,7 @@ def noise_bounds(implementation: Implementation, n: int) -> np.ndarray:
     return DEVIATIONS * np.array(implementation.noise or (0.0,) * n)
 
 
-def sensor_bounds(implementation: Implementation, n: int) -> np.ndarray:
+def largest_sensor_errors(implementation: Implementation, n: int) -> np.ndarray:
     """The largest error of each sensor, half a step of it included."""
     half: np.ndarray = np.array(implementation.measurement_quantum or (0.0,) * n) / 2
     return noise_bounds(implementation, n) + half
