@@ -704,6 +704,8 @@ def check(document, stated_bounds=None):
         from independent_ranges import check_cells
 
         return check_cells(document, stated_bounds)
+    if basis == "premises" and is_sampled(proof):
+        return check_sampled(document, stated_bounds)
     demand(isinstance(proof, list) and 1 <= len(proof) <= 3, "the proof has no one to three stages")
     for i, stage in enumerate(proof):
         numbers_of(stage)
@@ -729,7 +731,27 @@ def check(document, stated_bounds=None):
     return check_stage(proof[-1], head(system, E), 0)[0]
 
 
-def check_premises(premises, system, table):
+#: Keys of the proof for one delay of the implemented loop.
+SAMPLED = {"delay", "parts", "doublings", "states", "input", "step", "bound"}
+
+
+def is_sampled(proof):
+    return bool(proof) and all(isinstance(e, dict) and set(e) == SAMPLED for e in proof)
+
+
+def check_sampled(document, stated_bounds):
+    """The implemented loop; its arithmetic is in a file of its own."""
+    import independent_sampled
+
+    table = tomllib.loads(document["system"])
+    system = System(document["system"], stated_bounds)
+    bound = max(document["proof"], key=lambda entry: decimal(entry["bound"]))["bound"]
+    demand(document["claim"] == f"limsup |e_1(t)| <= {bound}", "the claim is not the proof's")
+    check_premises(document["premises"], system, table, sampled=True)
+    return independent_sampled.check(document["proof"], table, system)
+
+
+def check_premises(premises, system, table, sampled=False):
     """Step 11: names, their order, and that none is contradicted."""
     demand(isinstance(premises, list), "the premises are no list")
     names = []
@@ -747,7 +769,13 @@ def check_premises(premises, system, table):
     expected += [] if own else [f"w_{k + 1}" for k in range(system.n)]
     expected += ["domain", "reference"]
     optional = ["irrational numbers"] if "irrational numbers" in names else []
-    expected += optional + (["continuous law, exact states"] if "implementation" in table else [])
+    expected += optional
+    drive = table.get("implementation", {})
+    if sampled:
+        expected += ["sampled loop", "sampled reference", "timing and arithmetic"]
+        expected += ["input limits"] if {"saturation", "rate_limit"} & set(drive) else []
+    elif "implementation" in table:
+        expected += ["continuous law, exact states"]
     demand(names == expected, "the premises are not those of the system")
 
 

@@ -70,11 +70,14 @@ def test_shipped_systems_keep_every_premise_and_most_are_proven():
     assert {p.status for p in premises(LEAN)} == {"proven"}
 
 
-def test_a_sampled_file_assumes_the_continuous_law_and_says_so(capfd):
-    code, out, _ = invoke(capfd, "certify", "dual-motor-drive")
+def test_a_sampled_file_assumes_the_continuous_law_and_says_so(capfd, tmp_path):
+    """Where no certificate is of the sampled loop: here the law is adaptive."""
+    file = str(tmp_path / "sampled.toml")
+    certrack.save(EXAMPLE.replace(implementation=certrack.Implementation(period=1e-3)), file)
+    code, out, _ = invoke(capfd, "certify", file)
     assert code == 0
     assert "assumed       continuous law, exact states" in out
-    _, out, _ = invoke(capfd, "certify", "dual-motor-drive", "--json")
+    _, out, _ = invoke(capfd, "certify", file, "--json")
     (entry,) = [p for p in json.loads(out)["premises"] if p["name"].startswith("continuous")]
     assert entry["status"] == "assumed" and entry["witness"] is None
 

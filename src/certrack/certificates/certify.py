@@ -6,6 +6,15 @@ from dataclasses import dataclass, fields, replace
 
 from certrack.certificates.certificate import Certificate
 from certrack.certificates.exact import Proof
+from certrack.certificates.implemented.certify import (
+    ImplementedCertificate,
+    certify_implemented,
+    missing_implemented,
+)
+from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
+from certrack.certificates.implemented.limits import input_limits
+from certrack.certificates.implemented.premises import premises_as_implemented
+from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.methods import (
     METHOD_STEPS,
     NOMINAL_KINDS,
@@ -62,6 +71,11 @@ class Certificates(ShownInNotebooks):
     critical_ranges : RangeStrength or None
         Largest common scale of all half widths of the ranges with a proof, and what ends it; None
         where constants have no ranges, and with the effort ``fast``.
+    implemented : ImplementedCertificate
+        Of the loop as the drive runs it: sampled, delayed, quantised; none without
+        ``[implementation]``.
+    implemented_proof
+        The exactly verified numbers behind it, one for each delay.
     critical_published, critical_semidefinite : float
         Largest common scale of tau with a certificate; the second is verified exactly.
     tube : Tube or None
@@ -69,8 +83,8 @@ class Certificates(ShownInNotebooks):
         or of vertices where constants have ranges; None where none of these is verified. It falls
         to their bound: peak gains say nothing of a transient.
     premises : tuple of Premise
-        What all of it rests on, and whether the system's own truth keeps it. Where it breaks one,
-        nothing is verified and there is no tube: bounds are those of the design that the truth
+        What the best of it rests on, and whether the system's own truth keeps it. Where it breaks
+        one, nothing is verified and there is no tube: bounds are those of the design that the truth
         leaves.
     """
 
@@ -93,6 +107,8 @@ class Certificates(ShownInNotebooks):
     attainable: float | None = None
     constants: tuple[ConstantCost, ...] = ()
     critical_ranges: RangeStrength | None = None
+    implemented: ImplementedCertificate = missing_implemented(NO_IMPLEMENTATION)
+    implemented_proof: tuple[ImplementedProof, ...] = ()
 
     def __repr__(self) -> str:
         entries = [getattr(self, entry.name) for entry in fields(self)]
@@ -105,7 +121,9 @@ class Certificates(ShownInNotebooks):
 
     @property
     def best(self) -> Certificate:
-        """The tightest certificate among the verified ones."""
+        """The certificate to ship with: the implemented loop's, else the tightest verified one."""
+        if self.implemented.verified:
+            return self.implemented
         entries = (getattr(self, entry.name) for entry in fields(self))
         best = smallest(entry for entry in entries if isinstance(entry, Certificate))
         return self.semidefinite if best is None else best
@@ -121,12 +139,12 @@ class Certificates(ShownInNotebooks):
         return self.best.verified and not self.contradicted
 
     @property
-    def stages(self) -> Proofs:
-        """Proof of the tightest bound that a file holds: one to three stages, or cells.
+    def stages(self) -> Proofs | tuple[ImplementedProof, ...]:
+        """Proof of the best: of the implemented loop; else of the tightest that a file holds.
 
         Empty where there is none, and where a premise is contradicted.
         """
-        return () if self.contradicted else self.tightest
+        return () if self.contradicted else self.implemented_proof or self.tightest
 
     @property
     def quadratic(self) -> tuple[Proof, ...]:
@@ -146,7 +164,8 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     """Certify `system` by every method.
 
     Published, corrected, rate, semidefinite, cascade and peak speak of the nominal loop; where
-    constants have ranges, vertices, peak and cells cover them.
+    constants have ranges, vertices, peak and cells cover them. Implemented speaks of the loop as
+    the drive runs it, if the file has ``[implementation]``.
 
     Parameters
     ----------
@@ -184,7 +203,14 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         details=effort != "fast",
     )
     progress(METHOD_STEPS, STEPS, None)
-    rests_on, stages = premises(system), methods.stages
+    stages = methods.stages
+    implemented, implemented_proof = certify_implemented(system)
+    if implemented.exists:
+        limits = input_limits(system)
+        implemented = replace(implemented, saturation=limits.status, starts=limits.starts)
+        rests_on = premises_as_implemented(system, limits)
+    else:
+        rests_on = premises(system)
     result = Certificates(
         **methods.certificates,
         proof=next(iter(methods.stages_of("semidefinite")), None),
@@ -198,6 +224,8 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         attainable=methods.attainable,
         constants=methods.ranges.constants,
         critical_ranges=methods.ranges.strength,
+        implemented=implemented,
+        implemented_proof=implemented_proof,
     )
     progress(STEPS, STEPS, None)
     return _unverified(result) if result.contradicted else result

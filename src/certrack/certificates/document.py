@@ -20,6 +20,10 @@ from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.implemented.certify import failed_cover, largest_bound
+from certrack.certificates.implemented.document import implemented_proofs, is_implemented
+from certrack.certificates.implemented.premises import premises_as_implemented
+from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises import assumptions
 from certrack.certificates.premises_of_truth import premises
@@ -83,15 +87,19 @@ class Verdict:
         return rounded_up(self.bound, 6)
 
 
-def to_document(system: System, *stages: Proof | CellProof) -> dict[str, Any]:
+#: What a document holds: a stage, a cell, or the proof for one delay.
+Stage = Proof | CellProof | ImplementedProof
+
+
+def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     """The certificate as a JSON-ready dictionary.
 
     Parameters
     ----------
     system : System
     *stages : Proof
-        One for a semidefinite bound, two or three for a cascade, or the cells of a cover of the
-        ranges of constants.
+        One for a semidefinite bound, two or three for a cascade, the cells of a cover of the
+        ranges of constants, or the proofs of the implemented loop.
 
     Returns
     -------
@@ -110,13 +118,16 @@ def to_document(system: System, *stages: Proof | CellProof) -> dict[str, Any]:
     >>> certrack.certificates.to_document(system, *found.stages)["format"]
     'certrack-certificate/2'
     """
-    rests_on = premises(system)
-    if broken := contradicted(rests_on):
-        raise InputError("premises", f"the truth contradicts one: {broken[0]}")
     if not stages:
         raise InputError("stages", "there is no proof to save")
     cells = tuple(stage for stage in stages if isinstance(stage, CellProof))
-    bound = cover_bound(cells) if cells else stages[-1].bound
+    sampled = tuple(stage for stage in stages if isinstance(stage, ImplementedProof))
+    rests_on = premises_as_implemented(system) if sampled else premises(system)
+    if broken := contradicted(rests_on):
+        raise InputError("premises", f"the truth contradicts one: {broken[0]}")
+    bound = stages[-1].bound
+    if cells or sampled:
+        bound = cover_bound(cells) if cells else largest_bound(sampled)
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
@@ -128,9 +139,7 @@ def to_document(system: System, *stages: Proof | CellProof) -> dict[str, Any]:
     return body | {"sha256": _digest(body)}
 
 
-def save_certificate(
-    system: System, stages: Sequence[Proof | CellProof], path: str | os.PathLike[str]
-) -> None:
+def save_certificate(system: System, stages: Sequence[Stage], path: str | os.PathLike[str]) -> None:
     """Write the certificate to `path`; a failure leaves what was there.
 
     Parameters
@@ -198,6 +207,8 @@ def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
         body = source if isinstance(source, dict) else _read_document(Path(source))
         if _is_cover(body):
             return _verify_cover(body)
+        if is_implemented(body):
+            return _verify_implemented(body)
         stages = _stages(body)
         proof = stages[-1]
         if body["sha256"] != _digest(body):
@@ -216,7 +227,7 @@ def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
         )
         if reason:
             return Verdict(False, proof.bound, reason)
-        return _rests_on(system, body, proof.bound)
+        return _rests_on(body, proof.bound, premises(system), assumptions(system))
     except NoCertificate as refusal:
         return Verdict(False, "", str(refusal))
 
@@ -251,7 +262,24 @@ def _verify_cover(body: dict[str, Any]) -> Verdict:
     system = loads(body["system"], "system")
     if reason := check_cover(system, cells, bound):
         return Verdict(False, bound, reason)
-    return _rests_on(system, body, bound)
+    return _rests_on(body, bound, premises(system), assumptions(system))
+
+
+def _verify_implemented(body: dict[str, Any]) -> Verdict:
+    """Check a proof of the implemented loop."""
+    _check_layout(body)
+    if body["format"] != FORMAT:
+        raise InputError("format", f"must be {FORMAT} for an implemented loop", body["format"])
+    proofs = implemented_proofs(body["proof"])
+    bound = largest_bound(proofs)
+    if body["sha256"] != _digest(body):
+        return Verdict(False, bound, "the file was changed after it was made")
+    if body["claim"] != f"limsup |e_1(t)| <= {bound}":
+        return Verdict(False, bound, "the claim is not that of the proof")
+    system = loads(body["system"], "system")
+    if reason := failed_cover(system, proofs):
+        return Verdict(False, bound, reason)
+    return _rests_on(body, bound, premises_as_implemented(system), ())
 
 
 def _cell(entries: Any) -> CellProof:
@@ -276,13 +304,14 @@ def _not_centred(stages: tuple[Proof, ...]) -> tuple[Proof, ...]:
     return stages if len(stages) < 3 else (stages[0], *stages[2:])
 
 
-def _rests_on(system: System, body: dict[str, Any], bound: str) -> Verdict:
+def _rests_on(
+    body: dict[str, Any], bound: str, rests_on: tuple[Premise, ...], texts: Sequence[str]
+) -> Verdict:
     """The verdict on a proof that holds: do the premises, and are they those that are written?"""
-    rests_on = premises(system)
     if broken := contradicted(rests_on):
         return Verdict(False, bound, f"a premise is contradicted: {broken[0]}", broken)
     if body["format"] == FORMAT_1:
-        if body["assumptions"] != assumptions(system):
+        if body["assumptions"] != list(texts):
             return Verdict(False, bound, "the assumptions are not those of the system")
     elif body["premises"] != [premise.record() for premise in rests_on]:
         return Verdict(False, bound, "the premises are not those of the system")

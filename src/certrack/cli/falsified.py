@@ -46,6 +46,9 @@ def _of_drive(drive: DriveFalsification) -> dict[str, Any]:
         "worst_error": drive.worst_error,
         "estimate": drive.estimate,
         "stopped": drive.stopped,
+        "certified": drive.certificate.bound,
+        "verified": drive.certificate.verified,
+        "ratio": drive.certificate.bound / drive.worst_error if drive.worst_error else math.inf,
     }
 
 
@@ -55,6 +58,7 @@ def drive_lines(drive: Mapping[str, Any]) -> list[str]:
     return [
         f"as implemented, worst |e_1| found: {drive['worst_error']:.6g} (simulated)",
         f"{rounding}, by the linear loop: {drive['estimate']:.6g}",
+        f"certified as implemented: {printed_bound(drive['certified'])}",
     ]
 
 

@@ -16,8 +16,10 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
+from certrack.certificates.implemented.certify import ImplementedCertificate
+from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.methods import NOMINAL_KINDS, QUADRATIC_KINDS, RANGE_KINDS
-from certrack.core.rounding import printed_bound, rounded_down
+from certrack.core.rounding import printed_bound, rounded_down, rounded_up
 from certrack.simulation.metrics import METRIC_LABELS
 
 if TYPE_CHECKING:
@@ -240,13 +242,11 @@ def _corner_lines(ensemble: Ensemble, file: str) -> list[str]:
     """What the corners of the ranges gave."""
     corners, ranged = ensemble.corners, ensemble.system.plant.constant_boxes
     if corners is None:
-        most = "more than 6 ranges have too many"
-        return [f"corners of plant.ranges: not run, {most}"] if len(ranged) > 6 else []
+        return ["corners of plant.ranges: not run, of more than 6"] if len(ranged) > 6 else []
     worst = corners.worst
     values = ", ".join(f"{name} = {v:.5g}" for name, v in corners.constants[worst].items())
-    counts = f"{corners.lost} of {len(corners.errors)} lost"
-    if corners.beyond is not None:
-        counts += f", {corners.beyond} beyond the limit"
+    beyond = "" if corners.beyond is None else f", {corners.beyond} beyond the limit"
+    counts = f"{corners.lost} of {len(corners.errors)} lost{beyond}"
     error = f"tail error {corners.errors[worst]:.5g}" if corners.lost == 0 else "lost"
     return [
         f"corners of plant.ranges, apart from the members: worst {worst} ({values}): {error}; "
@@ -281,6 +281,14 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
 
     return {
         **{kind: entries(getattr(results, kind)) for kind in (*NOMINAL_KINDS, *RANGE_KINDS)},
+        "implemented": entries(results.implemented)
+        | {
+            "peak_input": results.implemented.peak_input,
+            "states": list(results.implemented.states),
+            "starts": results.implemented.starts,
+            "saturation": results.implemented.saturation,
+            "parts": dict(results.implemented.parts),
+        },
         "attainable": results.attainable,
         "verified": results.verified,
         "best": _best(results),
@@ -310,7 +318,8 @@ def _best(results: Certificates) -> dict[str, Any] | None:
     if not results.verified:
         return None
     best = results.best
-    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": "continuous"}
+    loop = "implemented" if best is results.implemented else "continuous"
+    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": loop}
 
 
 def certificates_table(results: Certificates) -> Table:
@@ -326,9 +335,11 @@ def certificates_table(results: Certificates) -> Table:
         if results.kinds == RANGE_KINDS
         else "peak gains of the error loop",
         "cells": "the ranges cut into cells, for constants that stand still",
+        "implemented": "peak gains of the loop as the drive runs it: the one to ship with",
     }
     rows = []
-    for kind in results.kinds:
+    sampled = results.implemented.reason != NO_IMPLEMENTATION
+    for kind in (*results.kinds, "implemented") if sampled else results.kinds:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = notes[kind] if entry.exists else entry.reason
@@ -362,6 +373,7 @@ def certificates_notes(results: Certificates) -> list[str]:
             f"{_strength_text(results.critical_published)}, semidefinite "
             f"{_strength_text(results.critical_semidefinite)}"
         ]
+    lines = [*_implemented_notes(results.implemented), *lines]
     if results.tube is not None:
         level = (1 + SETTLED_MARGIN) * math.sqrt(results.tube.floor)
         start = printed_bound(float(results.tube(0.0)), BOUND_TEXT_DIGITS)
@@ -373,6 +385,22 @@ def certificates_notes(results: Certificates) -> list[str]:
             f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
         )
     return lines
+
+
+def _implemented_notes(sampled: ImplementedCertificate) -> list[str]:
+    """What is known of the loop as the drive runs it, and which bound to ship with."""
+    if not sampled.exists:
+        return []
+    bound, peak, *states = (
+        rounded_up(v, BOUND_TEXT_DIGITS)
+        for v in (sampled.bound, sampled.peak_input, *sampled.states)
+    )
+    listed = ", ".join(f"|x_{i + 1}| <= {v}" for i, v in enumerate(states))
+    return [
+        f"ship with implemented: limsup |e_1| <= {bound} holds for the sampled loop, between its "
+        "samples too; the others speak of the continuous law",
+        f"as implemented, in the long run: |u| <= {peak}, {listed}",
+    ]
 
 
 def _strength_text(scale: float) -> str:

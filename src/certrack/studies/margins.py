@@ -355,7 +355,9 @@ def _admitted(
     """The admitted tail error and where it comes from."""
     if error is not None:
         return checks.real("error", error, above=0), "given"
-    limit, origin = tail_error_limit(system.replace(implementation=None), None)
+    limit, origin = tail_error_limit(system, None)
+    if limit is None and system.implementation is not None:
+        limit, origin = tail_error_limit(system.replace(implementation=None), None)
     if not math.isfinite(finest_error):
         raise InputError(
             "margin",

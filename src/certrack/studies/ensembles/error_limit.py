@@ -6,6 +6,7 @@ import math
 
 from certrack.certificates import best_sound_bound
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
@@ -42,6 +43,11 @@ def tail_error_limit(system: System, limit: float | None) -> tuple[float | None,
     reason = uncovered(system, population)
     if reason is not None:
         return None, f"no certificate covers the population: {reason}"
+    if system.implementation is not None:
+        sampled, _ = certify_implemented(system)
+        if sampled.exists:
+            return sampled.bound, "certificate"
+        return None, f"no certificate covers the sampled loop: {sampled.reason}"
     bound = best_sound_bound(system)
     return (bound, "certificate") if math.isfinite(bound) else (None, "no certificate exists")
 
@@ -50,8 +56,6 @@ def uncovered(system: System, population: Population) -> str | None:
     """Why the certificate's assumptions do not hold for every member; None if they do."""
     if system.truth.states:
         return "the simulated plant has states of its own, the certified one has the design's form"
-    if system.implementation is not None:
-        return "the certificate is that of the continuous law, the controller is sampled"
     plant, u = system.plant, system.plant.uncertainty
     nominal = {name: float(value) for name, value in plant.constant_values.items()}
     drawn = dict(population.constants)

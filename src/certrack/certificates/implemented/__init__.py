@@ -1,0 +1,13 @@
+"""The certificate of the loop as it runs: sampled, delayed, held, quantised, speeds by differences.
+
+For a linear error loop (a law of known parameters, a linear drift) one period is a matrix, and what
+acts on it is bounded: the uncertain terms, the sensors, the converter, the reference. The largest
+error that they can cause together is a sum of peak gains, and where the uncertain terms grow with
+the state, a fixed point of them. Nothing is searched and no solver is used.
+
+:mod:`drive` states the loop as data, from a system; :mod:`period` makes one period of it in balls;
+:mod:`outputs` the rows by which an output between two samples is seen; :mod:`gains` what the inputs
+of all past periods add to a row; :mod:`fixed_point` the bounds v with v > F(v); :mod:`proof` what
+is saved and checked; :mod:`certify` the certificate of a system; :mod:`premises` what it
+rests on.
+"""

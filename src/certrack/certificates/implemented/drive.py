@@ -1,0 +1,338 @@
+"""The loop of a system with an implementation as data, in exact rationals and balls.
+
+    x' = A x + b u + W w,    |w_j| <= gamma_j ||S_j x|| + sum_i Delta_ji |x_i| + beta_j
+    u_k = Lx (x(t_k) + n_k) + Ls s_k + Ly Y'_k + eta_k,    |n_k,i| <= mu_i,  |eta_k| <= eta
+    s_{k+1} = Sx (x(t_k) + n_k) + Ss s_k + Sy Y'_k,        t_k = k T
+
+with Y' = (y_d ... y_d^(q+1)); u_k acts from t_k + delay T on, until the next one does. A constant
+in the drift is cancelled by a constant in u, which is left out here and kept as `offset`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import flint
+import sympy
+
+from certrack.certificates.arithmetic import exact_float, rational
+from certrack.certificates.balls import ball_of
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.formulation import error_coordinates
+from certrack.certificates.premises import refuse
+from certrack.certificates.stated import stated_error_system
+from certrack.core.errors import InputError
+from certrack.core.expressions import TIME
+from certrack.core.powers import put_in
+from certrack.laws.error_system import KnownParameters
+from certrack.model.implementation import Implementation
+from certrack.references.base import bound_of, jumps, lipschitz_bound
+from certrack.systems.system import System
+
+
+@dataclass(frozen=True)
+class UncertainBound:
+    """|w| <= gamma ||S x|| + Delta |x| + beta, for one column of W; all of it >= 0.
+
+    Attributes
+    ----------
+    gamma, beta : rationals
+    weights : n rationals
+        Diagonal of S.
+    Delta : n rationals
+    """
+
+    gamma: Any
+    beta: Any
+    weights: tuple[Any, ...]
+    Delta: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What a certificate of the implemented loop is computed from.
+
+    Attributes
+    ----------
+    A, b, W : ball matrices of n rows
+    Lx, Ls, Ly : ball matrices of one row
+    Sx, Ss, Sy : ball matrices of a row per memory
+    first : (memories, n) ball matrix
+        The memories before the first sample, over what it measures: its differences are zero.
+    T : rational
+        Period, s.
+    delay : rational
+        Periods.
+    uncertain : one UncertainBound per column of W
+    mu : n upper bounds of the sensors' errors, rationals
+    eta : rational
+        Half a step of the converter.
+    Y : q + 2 rationals
+        OutputBounds of y_d ... y_d^(q+1).
+    lipschitz : rational or None
+        Lipschitz constant of y_d^(q+1) between its jumps; None where it has none, or the jumps are
+        closer than a period.
+    jumps : (size, spacing), rationals, or None
+        The largest jump of y_d^(q+1) and the least time between two of them, s; None if there are
+        none, or finitely many, which the long run forgets.
+    offset : rational
+        The constant part of the law, which cancels that of the drift; not in u above.
+    """
+
+    A: flint.arb_mat
+    b: flint.arb_mat
+    W: flint.arb_mat
+    Lx: flint.arb_mat
+    Ls: flint.arb_mat
+    Ly: flint.arb_mat
+    Sx: flint.arb_mat
+    Ss: flint.arb_mat
+    Sy: flint.arb_mat
+    first: flint.arb_mat
+    T: Any
+    delay: Any
+    uncertain: tuple[UncertainBound, ...]
+    mu: tuple[Any, ...]
+    eta: Any
+    Y: tuple[Any, ...]
+    lipschitz: Any | None
+    jumps: tuple[Any, Any] | None
+    offset: Any
+
+    @property
+    def n(self) -> int:
+        """Order of the plant."""
+        return self.A.nrows()
+
+    @property
+    def memories(self) -> int:
+        """Number of the controller's memories."""
+        return self.Ss.nrows()
+
+    @property
+    def q(self) -> int:
+        """Order of the feed-forward."""
+        return len(self.Y) - 2
+
+
+#: Bits of all balls of this room.
+DRIVE_BITS = 256
+
+
+def drive_of(system: System, delay: Any | None = None) -> Drive:
+    """The implemented loop of a system.
+
+    Parameters
+    ----------
+    system : System
+    delay : rational, optional
+        Periods; that of the file if left out.
+
+    Raises
+    ------
+    NoCertificate
+        If the loop is not one that this room covers, with the reason.
+    """
+    implementation = system.implementation
+    if implementation is None:
+        raise NoCertificate(NO_IMPLEMENTATION)
+    refuse(system)
+    if not isinstance(stated_error_system(system), KnownParameters):
+        raise NoCertificate(
+            "only loops that are linear are covered as implemented, and the adaptive law is not; "
+            'use law.kind = "robust", or certrack margin for what samples say'
+        )
+    if system.controller.equations.u.has(TIME) or system.controller.states:
+        raise NoCertificate("a law with the time or states of its own is not covered")
+    sensors = sensor_bounds(implementation, system.plant.n)
+    with flint.ctx.workprec(DRIVE_BITS):
+        return _drive(system, implementation, sensors, delay)
+
+
+#: Why there is none without a table [implementation].
+NO_IMPLEMENTATION = "the file has no [implementation]"
+
+
+def _drive(
+    system: System, implementation: Implementation, mu: tuple[Any, ...], delay: Any | None
+) -> Drive:
+    plant, n = system.plant, system.plant.n
+    slopes, constant = _linear_drift(system)
+    assert plant.input_gain is not None
+    gain = rational(plant.input_gain)
+    c = error_coordinates(system, rational)
+    A = [[flint.fmpq(0)] * n for _ in range(n)]
+    for i, g in enumerate(plant.chain):
+        for j, value in enumerate(plant.linear[i] if plant.linear else ()):
+            A[i][j] = rational(value)
+        A[i][i + 1] += rational(g)
+    A[n - 1] = slopes
+    u = plant.uncertainty
+    acting = [k for k in range(n) if u.tau[k] and u.acts(k)]
+    K = [(v - h) / gain for v, h in zip(c.nu_x, slopes, strict=True)]
+    rows = _controller_rows(system, implementation, A, K)
+    T = rational(implementation.period)
+    return Drive(
+        A=_ball_matrix(A),
+        b=_ball_matrix([[flint.fmpq(0)]] * (n - 1) + [[gain]]),
+        W=_ball_matrix([[rational(u.tau[k]) if i == k else 0 for k in acting] for i in range(n)]),
+        Ly=_ball_matrix([[v / gain for v in c.nu_Y]]),
+        Sy=flint.arb_mat(len(rows[1]), c.q + 2),
+        T=T,
+        delay=rational(implementation.run_delay) if delay is None else delay,
+        uncertain=tuple(_uncertain_bound(u, k, n) for k in acting),
+        mu=mu,
+        eta=upper_rational_of(implementation.input_quantum) / 2,
+        Y=_reference_bounds(system, c.q),
+        **_smoothness(system, c.q + 1, T),
+        offset=-constant / gain,
+        **_controller_matrices(rows, n),
+    )
+
+
+def _uncertain_bound(u: Any, k: int, n: int) -> UncertainBound:
+    Delta = (0.0,) * n if u.Delta is None else u.Delta[k]
+    return UncertainBound(
+        rational(u.gamma[k]),
+        rational(u.beta[k]),
+        tuple(map(rational, u.norm_weights(k))),
+        tuple(map(rational, Delta)),
+    )
+
+
+def _linear_drift(system: System) -> tuple[list[Any], Any]:
+    """h + phi^T theta = slopes x + constant.
+
+    Raises
+    ------
+    NoCertificate
+        If it is not linear.
+    """
+    plant = system.plant
+    total = plant.drift.expr
+    for phi, theta in zip(plant.regressor, plant.theta or (), strict=True):
+        total += phi.expr * theta.expr
+    constants = plant.constant_values
+    named = {s: constants[s.name] for s in total.free_symbols if s.name in constants}
+    total = sympy.expand(put_in(total, named))
+    slopes = [sympy.simplify(sympy.diff(total, x)) for x in plant.symbols]
+    if any(slope.free_symbols for slope in slopes):
+        raise NoCertificate(
+            "only loops that are linear are covered as implemented: plant.drift (with the known "
+            f"regressors) is {total}"
+        )
+    constant = total.xreplace(dict.fromkeys(plant.symbols, sympy.S.Zero))
+    return [rational(slope) for slope in slopes], rational(sympy.simplify(constant))
+
+
+def _controller_rows(
+    system: System, implementation: Implementation, A: list[list[Any]], K: list[Any]
+) -> tuple[list[Any], list[list[Any]], list[list[Any]]]:
+    """u and the next memories, over the measured states and the memories; and the first memories.
+
+    A state that is not measured has two memories: the state before it at the last sample, and the
+    filtered difference; see :mod:`certrack.loops.controller`.
+    """
+    plant, n = system.plant, system.plant.n
+    differenced = [i for i in range(1, n) if plant.states[i] in implementation.velocity]
+    width = n + 2 * len(differenced)
+    eye = [[flint.arb(int(i == j)) for j in range(width)] for i in range(width)]
+    x, after, still, first = eye[:n], [], [list(row) for row in eye[:n]], []
+    T = rational(implementation.period)
+    pole = flint.arb(1)
+    if implementation.velocity_filter:
+        pole = 1 - (-flint.arb(T / rational(implementation.velocity_filter))).exp()
+    for index, i in enumerate(differenced):
+        position, before, speed = x[i - 1], eye[n + 2 * index], eye[n + 2 * index + 1]
+        filtered = [
+            v + pole * ((p - last) / T - v)
+            for p, last, v in zip(position, before, speed, strict=True)
+        ]
+        gain, row = A[i - 1][i], A[i - 1][:i]
+        x[i] = [
+            (f - sum((a * x[j][k] for j, a in enumerate(row)), flint.arb(0))) / gain
+            for k, f in enumerate(filtered)
+        ]
+        after += [position, filtered]
+        first += [still[i - 1][:n], [flint.arb(0)] * n]
+        still[i] = [
+            sum((-a * still[j][k] for j, a in enumerate(row)), flint.arb(0)) / gain
+            for k in range(width)
+        ]
+    command = [sum((K[i] * x[i][k] for i in range(n)), flint.arb(0)) for k in range(width)]
+    return command, after, first
+
+
+def _controller_matrices(
+    rows: tuple[list[Any], list[list[Any]], list[list[Any]]], n: int
+) -> dict[str, flint.arb_mat]:
+    command, after, first = rows
+    count = len(after)
+    return {
+        "Lx": flint.arb_mat([command[:n]]),
+        "Ls": flint.arb_mat(1, count, command[n:]),
+        "Sx": flint.arb_mat(count, n, [v for row in after for v in row[:n]]),
+        "Ss": flint.arb_mat(count, count, [v for row in after for v in row[n:]]),
+        "first": flint.arb_mat(count, n, [v for row in first for v in row]),
+    }
+
+
+def sensor_bounds(implementation: Implementation, n: int) -> tuple[Any, ...]:
+    """|n_k,i|: half a step of the encoder, which rounds to the nearest, and the noise's bound.
+
+    Raises
+    ------
+    NoCertificate
+        If there is noise without a bound.
+    """
+    quanta = implementation.measurement_quantum or (0.0,) * n
+    try:
+        bounds = implementation.largest_noise(n)
+    except InputError as problem:
+        raise NoCertificate(str(problem)) from None
+    return tuple(
+        upper_rational_of(step) / 2 + upper_rational_of(bound)
+        for step, bound in zip(quanta, bounds, strict=True)
+    )
+
+
+def upper_rational_of(value: float) -> Any:
+    """Not below a number that may stand for an irrational one (2 pi/2^16 of an encoder)."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        ball = ball_of(value)
+        mantissa, exponent = ball.upper().man_exp()
+    return flint.fmpq(int(mantissa)) * flint.fmpq(2) ** int(exponent)
+
+
+def _reference_bounds(system: System, q: int) -> tuple[Any, ...]:
+    try:
+        bounds = [bound_of(system.reference, i)[0] for i in range(q + 2)]
+    except InputError as problem:
+        raise NoCertificate(
+            f"the implemented loop needs bounds of the reference: {problem}"
+        ) from None
+    return tuple(exact_float(bound, rational) for bound in bounds)
+
+
+def _smoothness(system: System, order: int, T: Any) -> dict[str, Any]:
+    """Lipschitz constant and jumps of y_d^(order), as :class:`Drive` has them."""
+    reference = system.reference
+    steepest, jumping = lipschitz_bound(reference, order), None
+    if steepest is None:
+        steepest = lipschitz_bound(reference, order, between_jumps=True)
+        jumping = jumps(reference, order)
+        apart = jumping is not None and (math.isinf(jumping[1]) or rational(jumping[1]) >= T)
+        if steepest is None or not apart:
+            return {"lipschitz": None, "jumps": None}
+    if jumping is not None and math.isinf(jumping[1]):
+        jumping = None
+    return {
+        "lipschitz": exact_float(steepest, rational),
+        "jumps": None if jumping is None else tuple(exact_float(v, rational) for v in jumping),
+    }
+
+
+def _ball_matrix(rows: list[list[Any]]) -> flint.arb_mat:
+    return flint.arb_mat([[flint.arb(v) for v in row] for row in rows])

@@ -1,0 +1,49 @@
+"""Floats that stand for balls, with what they may be off by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import flint
+import numpy as np
+
+#: What a float may be off by that was taken from the middle of a ball, relatively and absolutely,
+#: and by how much a radius may be rounded down.
+CONVERSION, SMALLEST_ROUNDING, RADIUS_ROUNDING = 2.0**-51, 1e-300, 1 + 1e-9
+
+#: Unit roundoff of floats.
+ROUNDOFF = 2.0**-53
+
+
+@dataclass(frozen=True)
+class Enclosed:
+    """Numbers within `error` of `value`, entry by entry.
+
+    Attributes
+    ----------
+    value, error : arrays of one shape
+    """
+
+    value: np.ndarray
+    error: np.ndarray
+
+    @classmethod
+    def of(cls, balls: flint.arb_mat) -> Enclosed:
+        """The entries of a ball matrix."""
+        entries, shape = balls.entries(), (balls.nrows(), balls.ncols())
+        value = np.array([float(v.mid()) for v in entries], dtype=float).reshape(shape)
+        radius = np.array([float(v.rad()) for v in entries], dtype=float).reshape(shape)
+        return cls(value, radius * RADIUS_ROUNDING + CONVERSION * np.abs(value) + SMALLEST_ROUNDING)
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper bounds of the magnitudes."""
+        return widened(np.abs(self.value) + self.error)
+
+
+def widened(values: np.ndarray, roundings: int = 8) -> np.ndarray:
+    """Not below the exact results of so many roundings of sums, products and quotients >= 0.
+
+    Below about 2^-1022 a float has fewer digits, which the smallest addition makes good.
+    """
+    return values * (1 + 2 * (roundings + 4) * ROUNDOFF) + SMALLEST_ROUNDING

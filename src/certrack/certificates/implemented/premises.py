@@ -1,0 +1,129 @@
+"""What a certificate of the implemented loop rests on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.exact import float_up
+from certrack.certificates.implemented.drive import drive_of
+from certrack.certificates.implemented.limits import INACTIVE, NO_LIMITS, InputLimits, input_limits
+from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
+from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
+from certrack.core.rounding import rounded_up
+from certrack.model.implementation import Implementation
+from certrack.references import SymbolicReference
+from certrack.references.base import Reference, lipschitz_bound
+from certrack.systems.system import System
+
+#: Names, in the order of the list; they stand in the place of the continuous law's.
+SAMPLED_LOOP, SAMPLED_REFERENCE, TIMING, LIMITS = (
+    "sampled loop",
+    "sampled reference",
+    "timing and arithmetic",
+    "input limits",
+)
+
+
+def premises_as_implemented(
+    system: System, limits: InputLimits | None = None
+) -> tuple[Premise, ...]:
+    """What the implemented certificate of `system` rests on; see :func:`premises`.
+
+    Parameters
+    ----------
+    system : System
+        With an implementation.
+    limits : InputLimits, optional
+        What is known of the input's; found if left out.
+
+    Returns
+    -------
+    tuple of Premise
+    """
+    drive = system.implementation
+    assert drive is not None
+    others = [premise for premise in premises(system) if premise.name != CONTINUOUS_LAW]
+    added = [
+        Premise(SAMPLED_LOOP, PROVEN, _covered(system, drive)),
+        _sampled_reference(system),
+        Premise(
+            TIMING,
+            ASSUMED,
+            "samples come exactly every period and their inputs exactly after the delay; the "
+            "controller computes exactly, and encoders and converter round to the nearest step",
+            remedy="keep a margin for jitter and for 32-bit rounding",
+        ),
+    ]
+    limits = input_limits(system) if limits is None else limits
+    if limits.status == INACTIVE:
+        added.append(Premise(LIMITS, PROVEN, limits.detail))
+    elif limits.status != NO_LIMITS:
+        added.append(
+            Premise(
+                LIMITS,
+                ASSUMED,
+                "from some time on the input does not meet its limits; where the bounds hold it "
+                f"does not, but nothing proves that every start gets there ({limits.detail})",
+                remedy="certrack ensemble counts runs that stay at the limits",
+            )
+        )
+    return (*others, *added)
+
+
+def _covered(system: System, drive: Implementation) -> str:
+    listed = " or ".join(f"{value:g}" for value in drive.delays)
+    parts = [f"sampled every {drive.period:g} s, its input acts {listed} periods later and is held"]
+    errors = [
+        f"{rounded_up(float_up(mu), 4)} for {name}"
+        for name, mu in zip(system.plant.states, drive_of(system).mu, strict=True)
+        if mu and name not in drive.velocity
+    ]
+    parts += [f"sensors within {', '.join(errors)}"] if errors else ["exact sensors"]
+    if drive.velocity:
+        parts.append(f"{', '.join(drive.velocity)} by filtered differences")
+    if drive.input_quantum:
+        parts.append(f"the input in steps of {drive.input_quantum:g}")
+    return "; ".join(parts)
+
+
+def _sampled_reference(system: System) -> Premise:
+    """The Lipschitz constant of the last derivative that the law uses."""
+    order = system.controller.coordinates.q + 1
+    try:
+        drive = drive_of(system)
+    except NoCertificate as refusal:
+        return Premise(SAMPLED_REFERENCE, ASSUMED, f"y_d^({order})", remedy=str(refusal))
+    if drive.lipschitz is None:
+        return Premise(
+            SAMPLED_REFERENCE,
+            PROVEN,
+            f"y_d^({order}) may jump at any time: what is sampled of it and what the plant has to "
+            "follow are counted apart",
+            remedy="a reference with one more derivative has a smaller bound",
+        )
+    text = f"y_d^({order}) changes by at most {rounded_up(float_up(drive.lipschitz), 6)} per s"
+    if drive.jumps is not None:
+        size, spacing = drive.jumps
+        text += (
+            f" and jumps by at most {rounded_up(float_up(size), 6)}, at least {float(spacing):.6g} "
+            "s apart"
+        )
+    return Premise(SAMPLED_REFERENCE, _status(system.reference, order), text)
+
+
+def _status(reference: Reference, order: int) -> str:
+    """What is known of the Lipschitz constant of y_d^(order)."""
+    if not type(reference).__module__.startswith("certrack."):
+        return ASSUMED
+    declared = getattr(reference, "declared", None)
+    if (
+        declared is None
+        or order + 1 >= len(declared)
+        or not isinstance(reference, SymbolicReference)
+    ):
+        return PROVEN
+    proven = lipschitz_bound(replace(reference, declared=None, bound=None), order)
+    if proven is not None and proven <= declared[order + 1]:
+        return PROVEN
+    return CHECKED if order + 1 <= reference.order else ASSUMED

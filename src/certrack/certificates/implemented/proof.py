@@ -1,0 +1,207 @@
+"""What is saved of a proof for the implemented loop, and its check.
+
+The numbers say how the proof is carried out and where v is; the checker computes the loop, its
+gains and F(v) anew, in balls, from the text of the system.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import flint
+import numpy as np
+
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.balls import upper_rational
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.exact import from_text, root_up
+from certrack.certificates.implemented.drive import DRIVE_BITS, Drive, drive_of
+from certrack.certificates.implemented.enclosed import Enclosed
+from certrack.certificates.implemented.fixed_point import OutputBounds
+from certrack.certificates.implemented.gains import output_gains
+from certrack.certificates.implemented.outputs import output_rows
+from certrack.certificates.implemented.period import Period, one_period
+from certrack.systems.system import System
+
+#: A cell is at most this part of the time that the plant's fastest motion takes for one radian.
+CELL_PART = 0.2
+
+#: Cells before and after the input changes, at most; doublings of the periods that are summed.
+MAX_CELLS_OF_INPUT, MAX_DOUBLINGS = 32, 18
+
+#: What may be left of the rows where the sums end.
+LEFT = 1e-9
+
+#: Numbers in the tables of one proof, at most: a few seconds and some 100 MB.
+MAX_NUMBERS = 20_000_000
+
+#: Digits of the states' and the input's bounds in a file, and the factor on the bound, so that a
+#: checker with another quadrature confirms it.
+DIGITS, TEXT_MARGIN = 13, flint.fmpq(1_000_001, 1_000_000)
+
+
+@dataclass(frozen=True)
+class ImplementedProof:
+    """The numbers of a proof for one delay; texts are decimals or fractions.
+
+    Attributes
+    ----------
+    delay : str
+        Periods.
+    parts : two ints
+        Cells before and after the delayed input takes over.
+    doublings : int
+        2^doublings periods are summed one by one.
+    states : n texts
+        OutputBounds of limsup |x_i|.
+    input : str
+        Bound of limsup |u|, without the constant of the law.
+    step : str
+        Bound of limsup |u_k - u_{k-1}|.
+    bound : str
+        Of limsup |e_1|.
+    """
+
+    delay: str
+    parts: tuple[int, int]
+    doublings: int
+    states: tuple[str, ...]
+    input: str
+    step: str
+    bound: str
+
+
+def delays(system: System) -> tuple[Any, ...]:
+    """The delays that must be proven, periods."""
+    if system.implementation is None:
+        return ()
+    return tuple(rational(value) for value in system.implementation.delays)
+
+
+def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dict[str, float]]:
+    """Prove a bound for one delay; also what it is made of, in floats.
+
+    Raises
+    ------
+    NoCertificate
+        If there is none, or the loop is not covered.
+    """
+    drive = drive_of(system, delay)
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = one_period(drive, cells_of(drive))
+        doublings = periods_needed(period)
+        bounds = _bounds(period, doublings)
+        X, U = bounds.search()
+        states = tuple(f"{v:.{DIGITS}g}" for v in X)
+        proof = ImplementedProof(
+            str(delay), cells_of(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0"
+        )
+        image = _image(bounds, proof)
+        if reason := _not_above(image, proof):
+            raise NoCertificate(reason)
+        bound, step = (_text_above(image[i]) for i in (0, -1))
+        parts = bounds.parts(X, U)
+    return replace(proof, bound=bound, step=step), parts
+
+
+def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> str:
+    """Empty if the proof holds for the system with this delay, else what fails."""
+    if rational(Fraction(proof.delay)) != delay:
+        return "the delay is not that of the system"
+    if not (
+        0 <= proof.doublings <= MAX_DOUBLINGS
+        and all(1 <= v <= MAX_CELLS_OF_INPUT for v in proof.parts)
+    ):
+        return f"parts must be 1 ... {MAX_CELLS_OF_INPUT}, doublings 0 ... {MAX_DOUBLINGS}"
+    try:
+        drive = drive_of(system, delay)
+        if len(proof.states) != drive.n:
+            return "the proof does not have the shape of the system"
+        with flint.ctx.workprec(DRIVE_BITS):
+            bounds = _bounds(one_period(drive, proof.parts), proof.doublings)
+            return _not_proven(_image(bounds, proof), proof)
+    except NoCertificate as refusal:
+        return str(refusal)
+
+
+def cells_of(drive: Drive) -> tuple[int, int]:
+    """So many cells that none is long against the plant's motions."""
+    A = Enclosed.of(drive.A).value
+    fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
+    fraction = float(drive.delay) - math.floor(float(drive.delay))
+    T = float(drive.T)
+    counts = (T * part * fastest / CELL_PART for part in (fraction, 1 - fraction))
+    return tuple(min(max(1, math.ceil(count)), MAX_CELLS_OF_INPUT) for count in counts)  # type: ignore[return-value]
+
+
+def periods_needed(period: Period, left: float = LEFT) -> int:
+    """The doublings after which no more than `left` is left of a row.
+
+    Raises
+    ------
+    NoCertificate
+        If the loop is unstable, or too slow.
+    """
+    M = Enclosed.of(period.map).value
+    radius = float(np.abs(np.linalg.eigvals(M)).max()) if np.isfinite(M).all() else math.inf
+    if not radius < 1:
+        raise NoCertificate(
+            f"the sampled loop is unstable: the spectral radius of one period is {radius:.4g}; "
+            "shorten implementation.period or delay, or lower c"
+        )
+    periods = math.log(left) / math.log(radius) if radius > 0 else 1.0
+    doublings = max(1, math.ceil(math.log2(max(periods, 1.0))))
+    if doublings > MAX_DOUBLINGS:
+        raise NoCertificate(
+            f"the sampled loop forgets too slowly: {periods:.3g} periods would have to be summed; "
+            "raise c, or sample less often"
+        )
+    return doublings
+
+
+def _bounds(period: Period, doublings: int) -> OutputBounds:
+    rows = output_rows(period)
+    size, width = period.size, (len(period.cells) + 1) * (period.W.ncols() + 1) + period.size
+    block = 2 ** (doublings // 2 + 1)
+    if (len(rows) + size) * block * max(width, size) > MAX_NUMBERS:
+        raise NoCertificate(
+            "the sampled loop is too large for its peak gains: fewer states or memories"
+        )
+    return OutputBounds.of(period, rows, output_gains(period, rows, doublings))
+
+
+def _image(bounds: OutputBounds, proof: ImplementedProof) -> list[Any]:
+    return bounds.image([from_text(v) for v in proof.states], from_text(proof.input))
+
+
+def _not_proven(image: Sequence[Any], proof: ImplementedProof) -> str:
+    """Empty if v > F(v), and the bounds are not below what follows from it."""
+    if reason := _not_above(image, proof):
+        return reason
+    if not flint.arb(from_text(proof.bound)) >= image[0]:
+        return "the bound is smaller than what the fixed point gives"
+    if not flint.arb(from_text(proof.step)) >= image[-1]:
+        return "the bound of the input's steps is smaller than what the fixed point gives"
+    return ""
+
+
+def _not_above(image: Sequence[Any], proof: ImplementedProof) -> str:
+    """Empty if v > F(v) in every entry."""
+    for name, text, value in zip(
+        (*(f"state {i + 1}" for i in range(len(proof.states))), "the input"),
+        (*proof.states, proof.input),
+        image[1:],
+        strict=False,
+    ):
+        if not flint.arb(from_text(text)) > value:
+            return f"the bound of {name} is not above what follows from all of them"
+    return ""
+
+
+def _text_above(ball: Any) -> str:
+    """A decimal text above a ball's numbers, which are not negative."""
+    return root_up((upper_rational(ball) * TEXT_MARGIN) ** 2)

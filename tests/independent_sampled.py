@@ -1,0 +1,303 @@
+"""The implemented loop of docs/certificate-file.md, checked from that page and numpy alone.
+
+Kernels are summed period by period on a grid of its own, in floats: an estimate, for which the
+page leaves room. What it says of an exact proof is whether another reading of the page agrees.
+"""
+
+import ast
+import math
+import random
+from fractions import Fraction as Q
+
+import independent_checker as checker
+import numpy as np
+
+#: Steps of each cell in which kernels are summed, and what is left of rows.
+GRID, LEFT = 2, 1e-11
+
+
+def check(proof, table, system):
+    """The largest bound of the entries."""
+    drive = table["implementation"]
+    delays = drive.get("delay", 0)
+    delays = delays if isinstance(delays, list) else [delays]
+    checker.demand(len(proof) == len(delays), "there is not one entry for each delay")
+    bounds = []
+    for entry, delay in zip(proof, delays, strict=True):
+        delay = checker.number(delay, system.constants)
+        checker.demand(Q(entry["delay"]) == delay, "the delay is another")
+        loop = Loop(table, system, delay, entry["parts"])
+        X = np.array([float(checker.decimal(v)) for v in entry["states"]])
+        checker.demand(len(X) == system.n, "the states are others")
+        U, step, bound = (float(checker.decimal(entry[k])) for k in ("input", "step", "bound"))
+        image = loop.image(X, U)
+        checker.demand((image[1:-2] < X).all() and image[-2] < U, "v is not above F(v)")
+        checker.demand(bound >= image[0] and step >= image[-1], "a bound is too small")
+        loop.check_limits(drive, U, step)
+        bounds.append(checker.decimal(entry["bound"]))
+    return max(bounds)
+
+
+def area(a, b):
+    """Under the magnitude of a line over a unit of time."""
+    size = np.abs(a) + np.abs(b)
+    crossing = (a * b < 0) & (size > 0)
+    return np.where(crossing, (a * a + b * b) / np.where(size > 0, size, 1), size) / 2
+
+
+def exponential(A):
+    """e^A, by squaring its Taylor polynomial."""
+    halvings = max(0, math.ceil(math.log2(max(np.abs(A).sum(axis=1).max(), 1e-9))) + 4)
+    B, total, term = A / 2**halvings, np.eye(len(A)), np.eye(len(A))
+    for k in range(1, 15):
+        term = term @ B / k
+        total = total + term
+    for _ in range(halvings):
+        total = total @ total
+    return total
+
+
+def linear(text, names, constants):
+    """Slopes and constant of a linear formula."""
+    node = ast.parse(str(text).strip(), mode="eval").body
+
+    def at(values):
+        return checker.rational(node, constants | dict(zip(names, values, strict=True)))
+
+    zero = [Q(0)] * len(names)
+    constant = at(zero)
+    slopes = [at([Q(int(i == j)) for j in range(len(names))]) - constant for i in range(len(names))]
+    for _ in range(5):
+        point = [Q(random.Random(str(_)).randint(-99, 99), 7) for _ in names]
+        value = sum((a * x for a, x in zip(slopes, point, strict=True)), constant)
+        checker.demand(at(point) == value, "the drift is not linear")
+    return slopes, constant
+
+
+class Loop:
+    def __init__(self, table, system, delay, parts):
+        plant, drive, n, q = table["plant"], table["implementation"], system.n, system.q
+        names, constants = plant["states"], system.constants
+        checker.demand(not system.adaptive and not plant.get("ranges"), "the loop is not covered")
+        slopes, constant = linear(plant.get("drift", 0), names, constants)
+        for phi, theta in zip(
+            plant.get("regressor", []), system.numbers(plant.get("theta", [])), strict=True
+        ):
+            more, offset = linear(phi, names, constants)
+            slopes = [a + theta * b for a, b in zip(slopes, more, strict=True)]
+            constant += theta * offset
+        gain = checker.number(plant["input_gain"], constants)
+        g = system.numbers(plant.get("chain", []))
+        rows = plant.get("linear", [[0] * (i + 1) for i in range(n - 1)])
+        b = [system.numbers(row) for row in rows]
+        A = [[*b[i], g[i], *[Q(0)] * (n - 2 - i)] for i in range(n - 1)] + [slopes]
+        K = [(v - h) / gain for v, h in zip(system.nu_x, slopes, strict=True)]
+        self.constant = float(-constant / gain)
+        self.T, self.n, self.q = float(checker.number(drive["period"], constants)), n, q
+        self.A, self.b = np.array(A, float), np.array([0.0] * (n - 1) + [float(gain)])
+        self._uncertainty(plant, system)
+        self._reference(table["reference"], system)
+        quanta = system.numbers(drive.get("measurement_quantum", [0] * n))
+        noise = system.numbers(drive.get("noise_bound", [0] * n))
+        checker.demand("noise_bound" in drive or not any(drive.get("noise", [])), "noise")
+        self.mu = np.array([float(a / 2 + c) for a, c in zip(quanta, noise, strict=True)])
+        self.eta = float(checker.number(drive.get("input_quantum", 0), constants)) / 2
+        self._controller(drive, names, g, b, np.array(K, float))
+        self.forward = np.array([float(v / gain) for v in system.nu_Y])
+        self._period(delay, parts)
+
+    def _uncertainty(self, plant, system):
+        u, n = plant.get("uncertainty", {}), self.n
+        tau, gamma, beta = (
+            np.array(system.numbers(u.get(k, [0] * n)), float) for k in ("tau", "gamma", "beta")
+        )
+        S = u.get("S", [1] * n)
+        S = S if isinstance(S[0], list) else [S] * n
+        self.W, self.gamma, self.beta = np.diag(tau), gamma, beta
+        self.S = np.array([system.numbers(row) for row in S], float)
+        Delta = u.get("Delta", [[0] * n] * n)
+        self.Delta = np.array([system.numbers(row) for row in Delta], float)
+
+    def _reference(self, table, system):
+        self.Y = np.array(system.Y, float)
+        if table.get("kind") in ("triangle", "trapezoid"):
+            checker.demand(table["kind"] == "triangle" and self.q == 0, "an unknown reference")
+            self.slope, self.jump = 0.0, 2 * self.Y[1]
+            self.apart = float(checker.number(table["period"], system.constants)) / 2
+            return
+        bounds = checker.reference_bounds(table, self.q + 2, system.constants)
+        checker.demand(bounds is not None and len(bounds) > self.q + 2, "an unknown reference")
+        self.slope, self.jump, self.apart = float(bounds[-1]), 0.0, math.inf
+
+    def _controller(self, drive, names, g, b, K):
+        """u and the next memories over (m, memories)."""
+        n, T = self.n, self.T
+        computed = [i for i in range(1, n) if names[i] in drive.get("velocity", [])]
+        filter_time = float(drive.get("velocity_filter", 0))
+        pole = 1 - math.exp(-T / filter_time) if filter_time else 1.0
+        signals = np.eye(n + 2 * len(computed))
+        x, after = list(signals[:n]), []
+        for place, i in enumerate(computed):
+            p, v = signals[n + 2 * place], signals[n + 2 * place + 1]
+            f = v + pole * ((x[i - 1] - p) / T - v)
+            after += [x[i - 1], f]
+            others = sum((float(c) * x[j] for j, c in enumerate(b[i - 1])), 0 * f)
+            x[i] = (f - others) / float(g[i - 1])
+        self.command = K @ np.array(x)
+        self.after = np.array(after).reshape(len(after), len(signals))
+
+    def _period(self, delay, parts):
+        n, memories = self.n, len(self.after)
+        late, part = math.floor(delay), float(delay - math.floor(delay))
+        self.newest, size = n + memories, n + memories + late + 2
+        J = np.zeros((size, size))
+        J[:n, :n] = np.eye(n)
+        J[n : self.newest, : self.newest] = self.after
+        J[self.newest, : self.newest] = self.command
+        for i in range(self.newest + 1, size):
+            J[i, i - 1] = 1
+        self.J, self.R = J, np.zeros((size, self.q + 2))
+        self.R[self.newest] = self.forward
+        self.N = J[:, :n].copy()
+        self.N[:n] = 0
+        self.cells = []
+        for length, count, acting in (
+            (part * self.T, parts[0], self.newest + late + 1),
+            ((1 - part) * self.T, parts[1], self.newest + late),
+        ):
+            if length:
+                self.cells += [self._cell(length / count / GRID, acting, size)] * count * GRID
+        self._motion()
+
+    def _cell(self, h, acting, size):
+        n = self.n
+        block = np.zeros((n + 1, n + 1))
+        block[:n, :n], block[:n, n] = self.A * h, self.b * h
+        over, E = exponential(block), np.eye(size)
+        E[:n, :n] = over[:n, :n]
+        E[:n, acting] = over[:n, n]
+        return h, acting, E
+
+    def _shift(self, t):
+        orders = range(self.q + 1)
+        return np.array(
+            [
+                [t ** (j - i) / math.factorial(j - i) if j >= i else 0.0 for j in orders]
+                for i in orders
+            ]
+        )
+
+    def _motion(self):
+        through = np.eye(len(self.J))
+        for _, _, E in self.cells:
+            through = E @ through
+        M, forced = through @ self.J, through @ self.R[:, :-1]
+        Phi, columns = self._shift(self.T), []
+        for j in range(self.q + 1):
+            right = forced[:, j] - sum(columns[k] * Phi[k, j] for k in range(j))
+            columns.append(np.linalg.solve(np.eye(len(M)) - M, right))
+        self.Pi = [self.J @ np.array(columns).T + self.R[:, :-1]]
+        for h, _, E in self.cells:
+            self.Pi.append(E @ self.Pi[-1] @ self._shift(-h))
+
+    def image(self, X, U):
+        """F: e_1, the states, u, its steps."""
+        w = self.gamma * np.linalg.norm(self.S * X, axis=1) + self.Delta @ X + self.beta
+        of_y, eye = np.eye(self.q + 1)[0], np.eye(self.n)
+        outputs = [(eye[0], of_y, max(3, self.q)), *((c, 0 * of_y, 2) for c in eye)]
+        largest = np.zeros(self.n + 3)
+        for p in range(0, len(self.cells), GRID):
+            rows, values, owners = [], [], []
+            for output, (c, of_Y, N) in enumerate(outputs):
+                more, value = self._rows(p, c, of_Y, N, w, X, U)
+                rows, values = [*rows, more], [*values, value]
+                owners += [output] * len(more)
+            if p == 0:
+                newest, older = np.eye(len(self.J))[self.newest : self.newest + 2]
+                commands = np.array([newest, newest - older])
+                rows.append(commands)
+                values.append(np.abs(commands @ self.Pi[0]) @ self.Y[:-1])
+                owners += [self.n + 1, self.n + 2]
+            total = np.concatenate(values) + self._responses(np.vstack(rows), p, w)
+            np.maximum.at(largest, owners, total)
+        return largest
+
+    def _rows(self, p, c, of_y, N, w, X, U):
+        """Bernstein rows of an output in a cell, and all of their bound but the gains."""
+        step, acting, _ = self.cells[p]
+        h, rows, of_Y, derivatives = step * GRID, [], [], [c]
+        for _ in range(N + 30):
+            derivatives.append(derivatives[-1] @ self.A)
+        for k in range(N + 1):
+            row = np.zeros(len(self.J))
+            row[: self.n] = derivatives[k]
+            row[acting] = derivatives[k - 1] @ self.b if k else 0.0
+            rows.append(row)
+            of_Y.append(np.concatenate([np.zeros(k), of_y])[: self.q + 1])
+        change = [
+            [math.comb(i, k) / math.comb(N, k) * h**k / math.factorial(k) for k in range(N + 1)]
+            for i in range(N + 1)
+        ]
+        rows, of_Y = np.array(change) @ np.array(rows), np.array(change) @ np.array(of_Y)
+        still = np.abs(rows @ self.Pi[p] - of_Y) @ self.Y[:-1]
+        share = np.arange(N + 1) / N
+        return rows, still + share * self._in_cell(h, derivatives, of_y, N, w, X, U)
+
+    def _in_cell(self, h, derivatives, of_y, N, w, X, U):
+        total = sum(
+            np.abs(d @ self.W) @ w * h ** (k + 1) / math.factorial(k + 1)
+            for k, d in enumerate(derivatives)
+        )
+        total += sum(
+            abs(v) * h ** (self.q - j + 1) / math.factorial(self.q - j + 1) * self.Y[-1]
+            for j, v in enumerate(of_y)
+        )
+        growth = np.abs(derivatives[N + 1]) @ exponential(np.abs(self.A) * h)
+        rest = growth @ X + abs(derivatives[N] @ self.b) * U + h * growth @ np.abs(self.b) * U
+        return total + rest * h ** (N + 1) / math.factorial(N + 1)
+
+    def _responses(self, rows, phase, w):
+        """The gains of rows at the beginning of a cell times the bounds of the inputs."""
+        q, n = self.q, self.n
+        first, last = True, self.R[:, -1]
+        total = np.zeros(len(rows))
+        largest, since, group = np.zeros(len(rows)), 0, math.inf
+        if self.jump:
+            group = math.floor(self.apart / self.T)
+        start = np.abs(rows).max()
+        for _ in range(10**6):
+            below, kernels = rows, []
+            for p in range(phase - 1, -1, -1):
+                h, _, E = self.cells[p]
+                before = below @ E
+                total += h * area(below[:, :n] @ self.W, before[:, :n] @ self.W) @ w
+                tip = np.array([h ** (q - j) / math.factorial(q - j) for j in range(q + 1)])
+                motion = below @ self.Pi[p + 1]
+                kernels.append((h, -motion[:, -1], -motion @ tip))
+                below = before
+            sampled = below @ last
+            spread = 0 * sampled if first else sampled / self.T
+            for h, new, old in kernels:
+                total += h * area(new + spread, old + spread) * self.Y[-1]
+            total += np.abs(below @ self.N) @ self.mu + np.abs(below[:, self.newest]) * self.eta
+            if first:
+                total += np.abs(sampled) * self.Y[-1]
+            else:
+                total += np.abs(sampled) * self.T / 2 * self.slope
+                largest, since = np.maximum(largest, np.abs(sampled)), since + 1
+                if since == group:
+                    total += largest * self.jump
+                    largest, since = 0 * largest, 0
+            rows, phase, first = below @ self.J, len(self.cells), False
+            if np.abs(rows).max() < LEFT * start:
+                return total + largest * self.jump
+            checker.demand(np.abs(rows).max() < 1e12 * start, "the loop is unstable")
+        raise checker.Refused("the loop does not forget")
+
+    def check_limits(self, drive, U, step):
+        if "saturation" in drive:
+            low, high = map(float, drive["saturation"])
+            inside = low <= self.constant - U and self.constant + U <= high
+            checker.demand(inside, "the input may stay at its limits")
+        if "rate_limit" in drive:
+            checker.demand(step <= float(drive["rate_limit"]) * self.T, "so may its rate")
