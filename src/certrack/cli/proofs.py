@@ -184,6 +184,8 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         ratio = values["ratio"]
         click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
         report.console().print(falsified.falsification_table(values["certificates"]))
+        if values["settling"]:
+            report.print_lines([STILL_SETTLING])
         if values["certificates"].get("published", {}).get("exceeded"):
             report.print_lines([PUBLISHED_EXCEEDED])
         if values["drive"] is not None:
@@ -205,6 +207,12 @@ ORIGIN_WORDS = {
     "own": ", the file's own",
     "kernels": ", by kernels and a linear program",
 }
+
+#: What the user is told where the worst run has not reached its long run.
+STILL_SETTLING = (
+    "The worst run has not settled from its start: it is beyond the bound and within the tube, so "
+    "it says nothing against a bound in the long run."
+)
 
 #: What the user is told where the falsifier passes the paper's bound, which nobody has proven.
 PUBLISHED_EXCEEDED = (

@@ -335,7 +335,8 @@ def certificates_table(results: Certificates) -> Table:
         if results.kinds == RANGE_KINDS
         else "peak gains of the error loop",
         "cells": "the ranges cut into cells, for constants that stand still",
-        "implemented": "peak gains of the loop as the drive runs it: the one to ship with",
+        "implemented": "peak gains of the loop as the drive runs it"
+        + (": the one to ship with" if results.implemented.verified else ""),
     }
     rows = []
     sampled = results.implemented.reason != NO_IMPLEMENTATION
@@ -389,7 +390,7 @@ def certificates_notes(results: Certificates) -> list[str]:
 
 def _implemented_notes(sampled: ImplementedCertificate) -> list[str]:
     """What is known of the loop as the drive runs it, and which bound to ship with."""
-    if not sampled.exists:
+    if not sampled.verified:  # nothing to ship with where the file's truth breaks a premise
         return []
     bound, peak, *states = (
         rounded_up(v, BOUND_TEXT_DIGITS)
