@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_engine, note_implementation
+from certrack.cli.base import (
+    FOLDER,
+    NEW_FILE,
+    json_option,
+    keep_source,
+    note_engine,
+    note_implementation,
+)
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
 
 if TYPE_CHECKING:
@@ -47,6 +54,7 @@ def certify(
     from certrack.systems.reader import load
 
     system = load(file)
+    keep_source(file, *filter(None, [out]))
     with report.progress("Certifying") as advance:
         result = certificates.certify(system, effort, advance)
     if out is not None and result.stages:
@@ -157,6 +165,8 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     from certrack.systems.writer import save
 
     system = load(file)
+    beside = None if out is None else out.with_name(f"{out.stem}-drive{out.suffix}")
+    keep_source(file, *filter(None, [out, beside]))
     note_engine(compiled=False)
     note_contradictions(system, file)
     with report.progress("Searching") as advance:
@@ -165,8 +175,8 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     if drive is None:
         note_implementation(system)
     cases = {} if out is None else {out: result.system}
-    if out is not None and drive is not None:
-        cases[out.with_name(f"{out.stem}-drive{out.suffix}")] = drive.system
+    if beside is not None and drive is not None:
+        cases[beside] = drive.system
     for path, case in cases.items():
         save(case, path)
     values = falsified.falsification_summary(result) | {
