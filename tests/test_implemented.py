@@ -222,6 +222,7 @@ def bare_drive(A, b, W, Ly, T, Y, lipschitz, uncertain, mu=None):
             Y=tuple(map(rational, Y)),
             lipschitz=None if lipschitz is None else rational(lipschitz),
             jumps=None,
+            jumps_once=False,
             offset=rational(0.0),
         )
 
@@ -419,8 +420,8 @@ def forgotten_samples(monkeypatch):
     """Sensors exact at every sample."""
     honest = gains_room._as_gains
 
-    def silent(table, nw, n, jump):
-        return replace(honest(table, nw, n, jump), noise=np.zeros((len(table), n)))
+    def silent(table, nw, n, jump, tail):
+        return replace(honest(table, nw, n, jump, tail), noise=np.zeros((len(table), n)))
 
     monkeypatch.setattr(gains_room, "_as_gains", silent)
 
