@@ -52,7 +52,7 @@ from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.start import Start, reference_at_start, starting_energy, states_at_start
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: Corners of a box of starts at which V is evaluated: all of a box in 12 states.
 MAX_BOX_CORNERS = 4096
@@ -175,6 +175,7 @@ def tube(
     >>> bool(tube(0.0) > tube(10.0) >= 0)
     True
     """
+    require_system(system)
     stages = (proof,) if isinstance(proof, Proof) else tuple(proof)
     if not stages or not all(isinstance(stage, Proof) for stage in stages):
         raise InputError(

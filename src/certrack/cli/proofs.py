@@ -115,10 +115,13 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     """Search for the worst admissible case.
 
     Disturbance, reference and parameters are varied within what the certificate covers; the file's
-    own run is a candidate, too. The worst error found is compared with every certificate: the ratio
-    of bound to error tells how tight a bound is. A run beyond the best verified bound is an alarm,
-    with exit code 1: a premise is broken, or certrack is wrong. The paper's bound, whose proof has
-    a gap, may be exceeded.
+    own run is a candidate, too. Where the error loop is linear, its kernels and a linear program
+    give another, at the corners of plant.ranges; with [implementation] also one of the sampled
+    loop with the worst noise, which --out FILE.toml writes as FILE-drive.toml.
+
+    The worst error found is compared with every certificate: the ratio of bound to error tells how
+    tight a bound is. A run beyond the best verified bound is an alarm, with exit code 1: a premise
+    is broken, or certrack is wrong. The paper's bound, whose proof has a gap, may be exceeded.
 
     \b
     Example: certrack falsify example1 --out worst.toml
@@ -132,11 +135,16 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     system = load(file)
     note_engine(compiled=False)
     note_contradictions(system, file)
-    note_implementation(system)
     with report.progress("Searching") as advance:
         result = search(system, budget=budget, seed=seed, progress=advance)
-    if out is not None:
-        save(result.system, out)
+    drive = result.drive
+    if drive is None:
+        note_implementation(system)
+    cases = {} if out is None else {out: result.system}
+    if out is not None and drive is not None:
+        cases[out.with_name(f"{out.stem}-drive{out.suffix}")] = drive.system
+    for path, case in cases.items():
+        save(case, path)
     values = falsified.falsification_summary(result) | {
         "seed": seed,
         "file": None if out is None else str(out),
@@ -144,7 +152,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     if as_json:
         click.echo(report.to_json(values))
     else:
-        origin = ", the file's own" if result.own_run else ""
+        origin = ORIGIN_WORDS[result.origin]
         click.echo(
             f"worst |e_1| found in {result.evaluations} runs{origin}: {result.worst_error:.6g}"
         )
@@ -154,8 +162,10 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         report.console().print(falsified.falsification_table(values["certificates"]))
         if values["certificates"].get("published", {}).get("exceeded"):
             report.print_lines([PUBLISHED_EXCEEDED])
-        if out is not None:
-            click.echo(f"{out} replays it: certrack simulate {out}")
+        if values["drive"] is not None:
+            report.print_lines(falsified.drive_lines(values["drive"]))
+        for path in cases:
+            click.echo(f"{path} replays it: certrack simulate {path}")
     if result.alarm is not None:
         click.echo(
             f"certrack: ALARM: a run is beyond the verified bound ({result.alarm}): "
@@ -164,6 +174,13 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         )
         raise click.exceptions.Exit(1)
 
+
+#: Where the worst case comes from, in words.
+ORIGIN_WORDS = {
+    "search": "",
+    "own": ", the file's own",
+    "kernels": ", by kernels and a linear program",
+}
 
 #: What the user is told where the falsifier passes the paper's bound, which nobody has proven.
 PUBLISHED_EXCEEDED = (

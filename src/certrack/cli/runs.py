@@ -221,7 +221,7 @@ def ensemble(
         raise click.UsageError("--keep must be below --members", click.get_current_context())
     note_contradictions(system, file, replaced=system.varied.disturbance != "file")
     note_unlikely(system)
-    note_engine()
+    note_engine(alone=system.implementation is None)
     try:
         with (
             workers.connect(cluster) if cluster is not None else nullcontext() as client,
