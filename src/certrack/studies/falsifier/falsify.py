@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
 from certrack.certificates import Certificate
+from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.methods import Methods, every_certificate
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
@@ -69,12 +70,15 @@ class DriveFalsification:
         Replays it.
     stopped : str or None
         How the run ended, where it did not reach its end.
+    certificate : Certificate
+        Of the implemented loop; maybe none.
     """
 
     worst_error: float
     estimate: float
     system: System
     stopped: str | None
+    certificate: Certificate
 
 
 #: Where a worst case comes from.
@@ -181,7 +185,7 @@ def falsify(
     progress(0, budget, None)
     methods = every_certificate(system)
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
-    drive = None if system.implementation is None else _of_drive(sampled_case(system, bounds))
+    drive = None if system.implementation is None else _of_drive(system, bounds)
     system = system.replace(implementation=None)
     linear = continuous_case(system, bounds)
     cases, evaluations = {OWN: system}, 0
@@ -241,10 +245,13 @@ def _worst_member(system: System, linear: LinearCase | None) -> System:
     return system.replace(truth=truth)
 
 
-def _of_drive(case: LinearCase | None) -> DriveFalsification | None:
+def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification | None:
+    case = sampled_case(system, bounds)
     if case is None:
         return None
-    return DriveFalsification(case.error, case.estimate, case.system, _stopped(case.run))
+    certificate, _ = certify_implemented(system)
+    stopped = _stopped(case.run)
+    return DriveFalsification(case.error, case.estimate, case.system, stopped, certificate)
 
 
 def _stopped(run: Run) -> str | None:
