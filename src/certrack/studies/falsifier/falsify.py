@@ -17,6 +17,7 @@ from scipy.optimize import differential_evolution, minimize
 
 from certrack.certificates import Certificate
 from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.methods import Methods, every_certificate
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
@@ -29,7 +30,7 @@ from certrack.integrators.registers import LANES
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.adversary import Adversary, reference_bounds
-from certrack.studies.falsifier.alarm import alarm
+from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
 from certrack.studies.falsifier.linear.search import (
     LinearCase,
     continuous_case,
@@ -71,7 +72,7 @@ class DriveFalsification:
     stopped : str or None
         How the run ended, where it did not reach its end.
     certificate : Certificate
-        Of the implemented loop; maybe none.
+        Of the loop as it is implemented; not verified if a premise is contradicted.
     """
 
     worst_error: float
@@ -80,6 +81,17 @@ class DriveFalsification:
     stopped: str | None
     certificate: Certificate
 
+    @property
+    def exceeds(self) -> bool:
+        """Whether the case is beyond a verified bound: then certrack is wrong."""
+        return self.certificate.verified and self.worst_error > self.certificate.bound
+
+
+#: What an alarm of the sampled loop says.
+BEYOND_IMPLEMENTED = (
+    "the worst case of the loop as implemented is beyond its certificate: certrack itself is "
+    "wrong; please report this file"
+)
 
 #: Where a worst case comes from.
 SEARCH, OWN, KERNELS = "search", "own", "kernels"
@@ -207,6 +219,8 @@ def falsify(
             alarm(system, cases[origin], run, against, stages) for origin, run in runs.items()
         )
         raised = next(filter(None, alarms), None)
+    if raised is None and drive is not None and drive.exceeds:
+        raised = Alarm(DEFECT, BEYOND_IMPLEMENTED)
     return Falsification(
         errors[worst],
         cases[worst],
@@ -246,12 +260,15 @@ def _worst_member(system: System, linear: LinearCase | None) -> System:
 
 
 def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification | None:
+    """The worst case of the loop as it is implemented, and its certificate."""
     case = sampled_case(system, bounds)
     if case is None:
         return None
-    certificate, _ = certify_implemented(system)
-    stopped = _stopped(case.run)
-    return DriveFalsification(case.error, case.estimate, case.system, stopped, certificate)
+    certificate: Certificate = certify_implemented(system)[0]
+    if contradicted(premises_as_implemented(system)):
+        certificate = replace(certificate, verified=False)
+    run = case.run
+    return DriveFalsification(case.error, case.estimate, case.system, _stopped(run), certificate)
 
 
 def _stopped(run: Run) -> str | None:
