@@ -149,7 +149,7 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
         )
     if system.controller.equations.u.has(TIME) or system.controller.states:
         raise NoCertificate("a law with the time or states of its own is not covered")
-    sensors = sensor_bounds(implementation, system.plant.n)
+    sensors = sensor_errors(implementation, system.plant.n)
     with flint.ctx.workprec(DRIVE_BITS):
         return _drive(system, implementation, sensors, delay)
 
@@ -282,7 +282,7 @@ def _controller_matrices(
     }
 
 
-def sensor_bounds(implementation: Implementation, n: int) -> tuple[Any, ...]:
+def sensor_errors(implementation: Implementation, n: int) -> tuple[Any, ...]:
     """|n_k,i|: half a step of the encoder, which rounds to the nearest, and the noise's bound.
 
     Raises
