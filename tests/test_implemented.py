@@ -696,3 +696,23 @@ def test_the_unit_of_time_does_not_matter():
         return bounded(drive, parts=(1, 3))
 
     assert scaled(1.0) == pytest.approx(scaled(1024.0), rel=1e-9)
+
+
+def test_what_products_lose_is_counted():
+    """Sums of the errors of heads times table, for true numbers anywhere in their balls."""
+    rng = np.random.default_rng(4)
+    heads, table = rng.normal(size=(6, 4)), rng.normal(size=(4, 10))
+    head_error, table_error = 1e-3 * np.abs(heads), 1e-2 * rng.random((4, 10))
+    found = gains_room._product_error(
+        Enclosed(heads, head_error), Enclosed(table, table_error), 2, 5
+    )
+    for _ in range(200):
+        h = heads + head_error * rng.choice([-1, 1], heads.shape)
+        t = table + table_error * rng.choice([-1, 1], table.shape)
+        lost = np.abs(h @ t - heads @ table).reshape(3, 2, 5, 2).sum(axis=(0, 2))
+        assert (lost <= found).all()
+    worst = (np.abs(heads) + head_error) @ (np.abs(table) + table_error)
+    most = (worst - np.abs(heads) @ np.abs(table)).reshape(3, 2, 5, 2).sum(axis=(0, 2))
+    assert found == pytest.approx(most, rel=1e-6)
+    exact = gains_room._product_error(Enclosed(heads, 0 * heads), Enclosed(table, 0 * table), 2, 5)
+    assert (exact > 0).all() and (exact < 1e-13).all()  # the floats' own roundings
