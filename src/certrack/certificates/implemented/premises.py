@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up
-from certrack.certificates.implemented.certify import is_limited
 from certrack.certificates.implemented.drive import drive_of
+from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
 from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
 from certrack.core.rounding import rounded_up

@@ -1,0 +1,152 @@
+"""What is found of runs from starts: peaks from x0, and starts that no limit is met from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import flint
+
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.certificate import NoCertificate, within_floats
+from certrack.certificates.exact import float_up, from_text
+from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
+from certrack.certificates.implemented.input_limits import is_limited
+from certrack.certificates.implemented.polytope import Polytope, common
+from certrack.certificates.implemented.proof import ImplementedProof, start_prover
+from certrack.certificates.implemented.start_proof import (
+    POLYTOPE,
+    X0,
+    limit_met,
+    polytope_of,
+)
+from certrack.systems.system import System
+
+#: Starts that a bound may be for, besides "x0" and "polytope": all, the box of the ensemble with
+#: x0, none.
+ANY_START, BOX, NO_START = "any", "box", "none"
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Bounds for all t >= 0 from x(0) = simulation.x0, if no limit of the input acts.
+
+    Attributes
+    ----------
+    error : float
+        Of |e_1|.
+    states : n floats
+        Of |x_i|.
+    input : float
+        Of |u|.
+    input_step : float
+        Of |u_k - u_{k-1}|, from the input before the first sample on.
+    """
+
+    error: float
+    states: tuple[float, ...]
+    input: float
+    input_step: float
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What was found of runs from starts.
+
+    Attributes
+    ----------
+    proofs : one ImplementedProof per delay
+        With the proofs of starts.
+    peaks : Peaks or None
+    polytope : Polytope or None
+    reason : str
+        Why the limits may be met from x0; empty if they are not.
+    """
+
+    proofs: tuple[ImplementedProof, ...]
+    peaks: Peaks | None = None
+    polytope: Polytope | None = None
+    reason: str = ""
+
+    @property
+    def starts(self) -> str:
+        """See :class:`ImplementedCertificate`."""
+        if self.reason:
+            return NO_START if self.polytope is None else POLYTOPE
+        return BOX if self.polytope is not None and self.polytope.is_region else X0
+
+
+def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
+    """Proofs from x0, and of the starts from which no limit is met."""
+    found = [_starts_of_delay(system, proof) for proof in proofs]
+    reason = next((entry.reason for entry in found if entry.reason), "")
+    polytopes = [entry.polytope for entry in found if entry.polytope is not None]
+    polytope = common(polytopes) if len(polytopes) == len(found) else None
+    if polytope is not None and polytope.largest_box() is None:
+        polytope = None
+    return Findings(
+        tuple(entry.proofs[0] for entry in found),
+        peaks_of(system, [entry.proofs[0] for entry in found]),
+        polytope,
+        reason,
+    )
+
+
+def _starts_of_delay(system: System, proof: ImplementedProof) -> Findings:
+    limited, polytope, kept, reason = is_limited(system), None, [], ""
+    with flint.ctx.workprec(DRIVE_BITS):
+        prover = start_prover(system, rational(Fraction(proof.delay)), proof.parts)
+        try:
+            kept.append(prover.prove(X0))
+            if limited and (limit := limit_met(system, prover.drive, kept[0])):
+                reason = f"the limits of the input may act: {limit}"
+        except NoCertificate as refusal:
+            reason = f"the limits of the input may act: {refusal}" if limited else ""
+        if limited:
+            try:
+                region = prover.prove(POLYTOPE)
+                polytope = polytope_of(prover, region)
+                kept.append(region)
+            except NoCertificate:
+                polytope = None
+    return Findings((replace(proof, starts=tuple(kept)),), None, polytope, reason)
+
+
+def peaks_of(system: System, proofs: Sequence[ImplementedProof]) -> Peaks | None:
+    """The peaks from x0 over all delays; None if one of them has none."""
+    from_x0 = [start for proof in proofs for start in proof.starts if start.of == X0]
+    if len(from_x0) != len(proofs):
+        return None
+    offset, n = abs(drive_of(system).offset), system.plant.n
+    columns = zip(*(map(from_text, start.peaks) for start in from_x0), strict=True)
+    error, *states, size, step = (max(column) for column in columns)
+    assert len(states) == n
+    return Peaks(
+        float_up(error), tuple(map(float_up, states)), float_up(size + offset), float_up(step)
+    )
+
+
+def failed_starts(system: System, proof: ImplementedProof, delay: Any) -> str:
+    """Empty if what is said of starts holds, and no limit is met from x0; else what fails."""
+    limited, kinds = is_limited(system), [start.of for start in proof.starts]
+    if len(set(kinds)) < len(kinds) or not set(kinds) <= {X0, POLYTOPE}:
+        return "there must be at most one proof from x0 and one of a polytope"
+    if limited and X0 not in kinds:
+        return "the input has limits, and nothing is said of the start"
+    if POLYTOPE in kinds and not limited:
+        return "a polytope of starts is for an input with limits"
+    try:
+        with within_floats(), flint.ctx.workprec(DRIVE_BITS):
+            prover = start_prover(system, delay, proof.parts)
+            for start in proof.starts:
+                if start.of == POLYTOPE:
+                    polytope_of(prover, start)
+                    continue
+                prover.evidence(start)
+                if limited and (reason := limit_met(system, prover.drive, start)):
+                    return f"the limits of the input may act: {reason}"
+    except NoCertificate as refusal:
+        return str(refusal)
+    return ""
