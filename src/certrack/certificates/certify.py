@@ -191,8 +191,8 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         else without_ranges()
     )
     progress(4, STEPS, None)
-    implemented, implemented_proof = certify_implemented(system)
-    rests_on = premises_as_implemented(system) if implemented.exists else premises(system)
+    implemented, implemented_proof = certify_implemented(system, from_start=True)
+    rests_on = premises_as_implemented(system) if implemented.verified else premises(system)
     result = Certificates(
         **classical,
         semidefinite=semidefinite,

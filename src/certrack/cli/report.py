@@ -16,10 +16,10 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
-from certrack.certificates.implemented.certify import ImplementedCertificate
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.ranges.certify import NO_RANGES
-from certrack.core.rounding import printed_bound, rounded_down, rounded_up
+from certrack.cli.sampled_report import implemented_notes, implemented_summary
+from certrack.core.rounding import printed_bound, rounded_down
 from certrack.simulation.metrics import METRIC_LABELS
 
 if TYPE_CHECKING:
@@ -271,13 +271,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
 
     return {
         **{kind: entries(getattr(results, kind)) for kind in (*CERTIFICATE_KINDS, *RANGE_KINDS)},
-        "implemented": entries(results.implemented)
-        | {
-            "peak_input": results.implemented.peak_input,
-            "states": list(results.implemented.states),
-            "saturation": results.implemented.saturation,
-            "parts": dict(results.implemented.parts),
-        },
+        "implemented": entries(results.implemented) | implemented_summary(results.implemented),
         "attainable": results.attainable,
         "verified": results.verified,
         "best": _best(results),
@@ -329,7 +323,7 @@ def certificates_table(results: Certificates) -> Table:
     for kind in (*kinds, "implemented") if sampled else kinds:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
-        text = notes[kind] if entry.exists else entry.reason
+        text = entry.reason if entry.reason and not entry.verified else notes[kind]
         bound = printed_bound(entry.bound if entry.exists else None, BOUND_TEXT_DIGITS)
         rows.append([kind, bound, checked, text])
     return table("limsup |e_1| <=", ["certificate", "bound", "verified", "note"], rows)
@@ -361,7 +355,7 @@ def certificates_notes(results: Certificates) -> list[str]:
             ),
         ]
     lines = [
-        *_implemented_notes(results.implemented),
+        *implemented_notes(results.implemented, BOUND_TEXT_DIGITS),
         "critical strength (common scale of tau): published "
         f"{_strength_text(results.critical_published)}, semidefinite "
         f"{_strength_text(results.critical_semidefinite)}",
@@ -376,22 +370,6 @@ def certificates_notes(results: Certificates) -> list[str]:
             f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
         )
     return lines
-
-
-def _implemented_notes(sampled: ImplementedCertificate) -> list[str]:
-    """What is known of the loop as the drive runs it, and which bound to ship with."""
-    if not sampled.exists:
-        return []
-    bound, peak, *states = (
-        rounded_up(v, BOUND_TEXT_DIGITS)
-        for v in (sampled.bound, sampled.peak_input, *sampled.states)
-    )
-    listed = ", ".join(f"|x_{i + 1}| <= {v}" for i, v in enumerate(states))
-    return [
-        f"ship with implemented: limsup |e_1| <= {bound} holds for the sampled loop, between its "
-        "samples too; the others speak of the continuous law",
-        f"as implemented, in the long run: |u| <= {peak}, {listed}",
-    ]
 
 
 def _strength_text(scale: float) -> str:

@@ -15,6 +15,7 @@ from certrack.certificates.implemented.drive import drive_of
 from certrack.certificates.implemented.from_starts import (
     ANY_START,
     BOX,
+    NO_START,
     Findings,
     Peaks,
     failed_starts,
@@ -59,7 +60,7 @@ class ImplementedCertificate(Certificate):
         Which starts the bound is proven for: ``"any"``; ``"box"``, that of the ensemble with x0;
         ``"x0"``, with those in `polytope`; ``"polytope"``, but not x0; ``"none"``.
     start : n floats
-        x0.
+        x0; none if the simulated plant has states of its own.
     peaks : Peaks or None
     polytope : Polytope or None
         Starts from which the limits are proven never to be met.
@@ -94,14 +95,14 @@ class ImplementedCertificate(Certificate):
         admitted = np.full(x0.shape[:-1], self.exists and self.starts == ANY_START)
         if self.polytope is not None:
             admitted = self.polytope.contains(x0)
-        if self.starts in (X0, BOX):
+        if self.starts in (X0, BOX) and self.start:
             admitted = admitted | (x0 == np.array(self.start)).all(axis=-1)
         return admitted if x0.ndim > 1 else bool(admitted)
 
 
 def missing_implemented(reason: str) -> ImplementedCertificate:
     """The certificate that says there is none."""
-    return ImplementedCertificate(KIND, math.inf, reason=reason)
+    return ImplementedCertificate(KIND, math.inf, reason=reason, starts=NO_START)
 
 
 def certify_implemented(
@@ -156,7 +157,7 @@ def certify_implemented(
         states=tuple(float_up(max(map(from_text, values))) for values in states),
         saturation=NO_LIMITS if not limited else INACTIVE if verified else MAY_ACT,
         starts=evidence.starts if limited else ANY_START,
-        start=system.settings.x0,
+        start=() if system.truth.states else system.settings.x0,
         peaks=evidence.peaks,
         polytope=evidence.polytope,
         parts=proven[worst][1],
@@ -193,6 +194,12 @@ def limits_met(system: System, proofs: Sequence[ImplementedProof]) -> str:
 def largest_bound(proofs: Sequence[ImplementedProof]) -> str:
     """The largest of the bounds, as its text."""
     return max((proof.bound for proof in proofs), key=from_text)
+
+
+def claim_of(system: System, bound: str) -> str:
+    """What a certificate file claims; with limits of the input, of the file's own start."""
+    claim = f"limsup |e_1(t)| <= {bound}"
+    return f"{claim} from simulation.x0" if is_limited(system) else claim
 
 
 def failed_cover(system: System, proofs: Sequence[ImplementedProof]) -> str:

@@ -55,10 +55,9 @@ def premises_as_implemented(system: System) -> tuple[Premise, ...]:
         added.append(
             Premise(
                 LIMITS,
-                ASSUMED,
-                "from some time on the input does not meet its limits; where the bounds hold it "
-                "does not, but no one has proven that every start gets there",
-                remedy="certrack ensemble counts runs that stay at the limits",
+                PROVEN,
+                "from simulation.x0 the input never meets its limits; from elsewhere it may, "
+                "unless the start is in the proven polytope",
             )
         )
     return (*others, *added)

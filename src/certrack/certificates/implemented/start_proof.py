@@ -309,7 +309,8 @@ def polytope_of(prover: StartProver, proof: StartProof) -> Polytope:
     Raises
     ------
     NoCertificate
-        If the proof does not hold, or the limits may be met after the periods that are looked at, from every start.
+        If the proof does not hold, or the limits may be met after the periods that are looked at,
+        from every start.
     """
     system, drive, evidence = prover.system, prover.drive, prover.evidence(proof)
     limits, run, transient = input_limits(system, drive), evidence.run, evidence.transient
