@@ -222,10 +222,16 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
     if violations is None:
         lines.append(f"no limit: {ensemble.limit_origin}")
     else:
+        inside = violations.get("started_inside")
         text = (
             f"tail error beyond {limit_text(violations['limit'], violations['origin'])}: "
-            f"{violations['count']} of {ensemble.members} members"
+            f"{violations['count']} of {ensemble.members if inside is None else inside} members"
         )
+        if inside is not None:
+            text += (
+                f" that start where no limit of the input is met, and {violations['others']} of "
+                f"{ensemble.members - inside} others"
+            )
         if violations["interval"] is not None:
             low, high = violations["interval"]
             text += f", probability within [{low:.3g}, {high:.3g}] (95 %, Clopper-Pearson)"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from certrack.certificates.implemented.certify import ImplementedCertificate
 from certrack.core import checks
 from certrack.core.errors import InputError, shorten
 from certrack.core.notebook import ShownInNotebooks
@@ -21,7 +22,7 @@ from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.checkpoints import Checkpoints
 from certrack.studies.ensembles.completion import complete
 from certrack.studies.ensembles.engine import Engine, fastest
-from certrack.studies.ensembles.error_limit import tail_error_limit
+from certrack.studies.ensembles.error_limit import limit_and_starts, started_inside
 from certrack.studies.ensembles.member_table import KEPT_MEMBERS
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, band_times, make_plan
@@ -62,6 +63,9 @@ class Ensemble(ShownInNotebooks):
         Members computed by this call; the others were on disk.
     seconds : float
         Integration and statistics of the computed ones, without start-up and compilation.
+    proven : ImplementedCertificate, optional
+        Of a drive with limits of its input: whose starts the limit is proven for. Members that
+        start elsewhere are counted apart.
     """
 
     system: System
@@ -71,6 +75,7 @@ class Ensemble(ShownInNotebooks):
     limit_origin: str
     computed: int
     seconds: float
+    proven: ImplementedCertificate | None = None
 
     def __repr__(self) -> str:
         tail = self.statistics.metrics["tail_error"]
@@ -80,7 +85,7 @@ class Ensemble(ShownInNotebooks):
         )
         figures = f"tail error: median {median}, largest {largest}"
         if self.limit is not None:
-            figures += f"; {self.statistics.violations} beyond {self.limit:.5g}"
+            figures += f"; {self._violations['count']} beyond {self.limit:.5g}"
         title = shorten(self.system.title)
         return f"Ensemble({title!r}: {self.members} members, seed {self.seed}; {figures})"
 
@@ -208,18 +213,40 @@ class Ensemble(ShownInNotebooks):
         return self.statistics.bands.quantiles(LEVELS)
 
     def violations(self) -> dict[str, Any] | None:
-        """Violations of the limit with their probability and its 95 % interval."""
-        if self.limit is None:
-            return None
-        count, total = self.statistics.violations, self.members
-        interval = binomial_interval(count, total) if self.independent else None
+        """Violations of the limit with their probability and its 95 % interval.
+
+        Where the limit is proven for some starts only, `count`, `probability` and `interval` are
+        of the `started_inside` members, and `others` of the rest are beyond it, which is no
+        violation. Without the metrics of single members all are counted.
+        """
+        return None if self.limit is None else dict(self._violations)
+
+    @cached_property
+    def _violations(self) -> dict[str, Any]:
+        count, total, apart = self.statistics.violations, self.members, {}
+        inside = self._started_inside()
+        if inside is not None:
+            tail = self.per_member()[0][METRICS.index("tail_error")]
+            beyond = ~(tail <= self.limit)
+            count, total = int((beyond & inside).sum()), int(inside.sum())
+            apart = {"started_inside": total, "others": int((beyond & ~inside).sum())}
+        interval = binomial_interval(count, total) if self.independent and total else None
         return {
             "limit": self.limit,
             "origin": self.limit_origin,
             "count": count,
-            "probability": count / total,
+            "probability": count / total if total else None,
             "interval": None if interval is None else list(interval),
-        }
+        } | apart
+
+    def _started_inside(self) -> np.ndarray | None:
+        """Which members start where the limit is proven; None if all do, or it is not known."""
+        table = self.statistics.table
+        if self.proven is None or table is None or table.arrays(self.members) is None:
+            return None
+        draws, x0 = self._members.draws(0, self.members), self.system.settings.x0
+        starts = [np.broadcast_to(draws.get(f"x0[{i}]", v), self.members) for i, v in enumerate(x0)]
+        return started_inside(self.system, self.proven, np.array(starts).T)
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON.
@@ -364,7 +391,7 @@ def ensemble(
     checks.real("tolerance", tolerance, least=MIN_TOLERANCE)
     if tolerance > MAX_TOLERANCE:
         raise InputError("tolerance", f"must be at most {MAX_TOLERANCE:g}", tolerance)
-    limit, origin = tail_error_limit(system, limit)
+    limit, origin, proven = limit_and_starts(system, limit)
     per_member = members <= KEPT_MEMBERS if per_member is None else per_member
     plan = make_plan(system, seed, tolerance, limit, method or METHODS[0], per_member=per_member)
     plan, engine = _prepared(plan, method, threads, client)
@@ -374,7 +401,7 @@ def ensemble(
         wanted, seconds = complete(
             plan, engine, client, total, checkpoints, members, chunk, progress
         )
-    return Ensemble(system, seed, total, limit, origin, wanted, seconds)
+    return Ensemble(system, seed, total, limit, origin, wanted, seconds, proven)
 
 
 def _prepared(
