@@ -82,6 +82,29 @@ class SampledLoop:
             row = row @ self.jump
         return acting[::-1]
 
+    def from_start(self, x0, periods, step, output, amplitude, frequency, before=None):
+        """The largest |x_output| (|u| with None) so late, from a start, for the file's sine."""
+        row = np.zeros(len(self.jump))
+        row[self.newest if output is None else output] = 1
+        orders = np.arange(self.q + 2)
+        acting, largest = self.signs(row, step, periods), 0.0
+        for side in (1.0, -1.0):
+            chi = np.zeros(len(row))
+            chi[: self.n] = x0
+            for place in (before or {}).values():
+                chi[self.n + place] = x0[0]  # the first difference is zero
+            for k, (of_w, of_noise, of_step) in enumerate(acting):
+                angle = frequency * k * self.T + orders * np.pi / 2
+                Y = amplitude * frequency**orders * np.sin(angle)
+                chi = self.jump @ chi + side * self.noise @ (self.mu * of_noise)
+                chi[self.newest] += self.forward @ Y + side * self.eta * of_step
+                for p, sign in enumerate(of_w):
+                    size = GROWTH * self.gamma * np.linalg.norm(chi[: self.n]) + self.beta
+                    chi = self.steps[p] @ chi
+                    chi[: self.n] += self.through_w @ (side * sign * size)
+            largest = max(largest, abs(row @ chi))
+        return largest
+
     def error(self, step, periods, amplitude, frequency, phases=8, output=0):
         """The largest |e_1| (|u| with output = None) after so many periods and steps."""
         row = np.zeros(len(self.jump))

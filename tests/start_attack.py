@@ -16,9 +16,9 @@ class FromStart(SampledLoop):
         self.mu = self.mu + np.array(drive.noise_bound or [0.0] * self.n)
         self.x_from = len(drive.velocity)
         plant = system.plant
-        at_rest = float(plant.drift.expr.xreplace(dict.fromkeys(plant.symbols, 0)).subs(
-            {name: value.expr for name, value in plant.constant_values.items()}
-        ))
+        numbers = {str(name): float(v) for name, v in plant.constant_values.items()}
+        names = {v: numbers.get(v.name, 0.0) for v in plant.drift.expr.free_symbols}
+        at_rest = float(plant.drift.expr.xreplace(names))
         self.constant = -at_rest / float(plant.input_gain.expr)  # of the law; not in chi
         self.input = drive.initial_input - self.constant
 

@@ -27,6 +27,7 @@ from certrack.certificates.cascade import certify_cascade, check_cascade
 from certrack.certificates.document import _digest, verify
 from certrack.certificates.exact import Proof, failed_condition, float_up, from_text, prove, root_up
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.methods import NOMINAL_KINDS
 from certrack.certificates.published import certify_published, collect, critical_strength
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 from certrack.core.errors import InputError
@@ -151,7 +152,7 @@ def test_modelling_layer_finds_the_same_optimum():
 
 @pytest.mark.parametrize("name", ["example1", "dual-motor", "theorem1-counterexample"])
 def test_the_designs_own_multipliers_prove_the_rate_form_without_a_solver(name, monkeypatch):
-    module = sys.modules["certrack.certificates.certify"]
+    module = sys.modules["certrack.certificates.methods"]
     monkeypatch.setattr(module, "best_solution", lambda _: None)
     system = certrack.load(name)
     found, proof = certify_semidefinite(system)
@@ -417,9 +418,9 @@ def test_tube_holds_for_runs_from_the_start_and_from_a_box(name):
     found = certify(system)
     run = simulate(system)
     assert np.all(np.abs(run.e[0]) <= found.tube(run.t))
-    assert found.tube(1e6) == pytest.approx(found.best.bound, rel=1e-9)
+    assert found.tube(1e6) == pytest.approx(float(found.quadratic[-1].bound), rel=1e-9)
     box = [(v - 0.3, v + 0.3) for v in system.settings.x0]
-    wide = certrack.certificates.tube(system, found.stages, box)
+    wide = certrack.certificates.tube(system, found.quadratic, box)
     rng = np.random.default_rng(0)
     for _ in range(5):
         x0 = [rng.uniform(*pair) for pair in box]
@@ -618,5 +619,6 @@ def test_extreme_numbers_end_in_a_bound_or_a_reason(change):
     else:
         system = system.replace(law=replace(system.law, **{name: value}))
     found = certrack.certify(system)
-    for one in (found.published, found.corrected, found.rate, found.semidefinite, found.cascade):
+    for kind in NOMINAL_KINDS:
+        one = getattr(found, kind)
         assert one.exists != bool(one.reason)

@@ -171,10 +171,10 @@ def test_certify_and_verify(capfd, tmp_path):
     assert (tmp_path / "p" / "tube.png").exists()
     checked = result(capfd, "verify", str(path))
     assert checked["verified"] is True
-    path.write_text(path.read_text().replace('"lam"', '"lamb"'))
+    path.write_text(path.read_text().replace('"points"', '"point"'))
     code, _, err = invoke(capfd, "verify", str(path))
     assert code == 2
-    assert "proof: must have" in err
+    assert "proof: a cell must have" in err
     code, _, err = invoke(capfd, "certify", "example1-classic", "--require")
     assert code == 1
     assert "without leakage" in err
@@ -203,10 +203,11 @@ def test_falsify(capfd, tmp_path):
     assert 1 <= found["ratio"] < 1.2
     replayed = result(capfd, "simulate", str(path))
     assert replayed["tail_error"] == pytest.approx(found["worst_error"], rel=1e-12)
-    kinds = ["published", "corrected", "rate", "semidefinite", "cascade"]
+    kinds = ["published", "corrected", "rate", "semidefinite", "cascade", "peak"]
     assert list(found["certificates"]) == kinds
     assert not any(entry["exceeded"] for entry in found["certificates"].values())
-    assert found["certificates"]["semidefinite"]["ratio"] == found["ratio"]
+    assert found["against"]["method"] == "peak"
+    assert found["certificates"]["peak"]["ratio"] == found["ratio"]
     assert found["certificates"]["cascade"]["bound"] is None
 
 

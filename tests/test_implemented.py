@@ -19,6 +19,7 @@ from certrack.certificates.implemented import outputs as outputs_room
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.drive import DRIVE_BITS, Drive, UncertainBound, drive_of
 from certrack.certificates.implemented.enclosed import Enclosed
+from certrack.certificates.implemented.estimate import estimate_implemented
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import mean_magnitude, output_gains
 from certrack.certificates.implemented.outputs import output_rows
@@ -212,6 +213,7 @@ def bare_drive(A, b, W, Ly, T, Y, lipschitz, uncertain, mu=None):
             Sx=flint.arb_mat(0, n),
             Ss=flint.arb_mat(0, 0),
             Sy=flint.arb_mat(0, wide),
+            first=flint.arb_mat(0, n),
             T=rational(T),
             delay=rational(0.0),
             uncertain=tuple(uncertain),
@@ -341,7 +343,7 @@ def test_floats_enclose_what_balls_compute():
         period = one_period(drive_of(system), (1, 1))
         rows = output_rows(period)
         columns = gains_room.kernel_columns(period, 2, smeared=True)
-        past = gains_room._running(period, rows)[1]
+        past = gains_room.running_period(period, rows)[1]
         sums, _, _ = gains_room._sums(period, columns, past, doublings)
         row = flint.arb_mat([past.tolist()[0]])
         width = columns.nodes.ncols() // 3
@@ -399,18 +401,18 @@ def wrong_sign(monkeypatch):
 def forgotten_tail(monkeypatch):
     """The sums end after two periods."""
     monkeypatch.setattr(gains_room, "_tail", lambda last, each, power: 0 * last @ each)
-    monkeypatch.setattr("certrack.certificates.implemented.proof._doublings_needed", lambda _: 1)
+    monkeypatch.setattr("certrack.certificates.implemented.proof.periods_needed", lambda _: 1)
 
 
 def forgotten_running_period(monkeypatch):
     """What acts since the last sample is left out."""
-    honest = gains_room._running
+    honest = gains_room.running_period
 
     def without(period, rows):
         table, past = honest(period, rows)
         return 0 * table, past
 
-    monkeypatch.setattr(gains_room, "_running", without)
+    monkeypatch.setattr(gains_room, "running_period", without)
 
 
 def forgotten_samples(monkeypatch):
@@ -502,9 +504,10 @@ def test_refusals_say_why():
 
 
 def test_limits_that_are_not_met_are_an_assumption():
-    system = on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), saturation=(-15.0, 15.0))
+    system = on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), saturation=(-2.0, 2.0))
     result = certify(system)
     assert result.implemented.verified and result.implemented.saturation == "may act"
+    assert result.implemented.starts is None
     assert {p.name: p.status for p in result.premises}["input limits"] == "assumed"
     slow = on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), rate_limit=1.0)
     assert "rate limit" in certify_implemented(slow)[0].reason
@@ -658,3 +661,23 @@ def test_another_checker_agrees_on_more():
             by_both(system)
             held += 1
     assert held > 4
+
+
+def test_estimate_is_near_the_proof_and_fast():
+    for name, T in (("dual-motor-lean", 0.001), ("dual-motor", 0.003)):
+        system = on_a_drive(name, T, ("x2", "x4"))
+        found, _ = certify_implemented(system)
+        seconds = []
+        for _ in range(4):
+            start = time.process_time()
+            estimate = estimate_implemented(system)
+            seconds.append(time.process_time() - start)
+        assert estimate.bound == pytest.approx(found.bound, rel=1e-4)
+        assert estimate.peak_input == pytest.approx(found.peak_input, rel=1e-4)
+        assert min(seconds) < 0.06
+    corners = with_triangles(0.03)
+    assert estimate_implemented(corners).bound == pytest.approx(
+        certify_implemented(corners)[0].bound, rel=0.01
+    )
+    with pytest.raises(certrack.NoCertificate, match="unstable"):
+        estimate_implemented(on_a_drive("dual-motor-lean", 0.3))

@@ -80,6 +80,13 @@ def test_a_spline_jumps_only_where_it_begins_and_ends():
     assert spacing == pytest.approx(5)
 
 
+def test_the_shortest_time_may_be_from_one_period_to_the_next():
+    rows = ((0.0, 1.0, 0.0, 0.0), (1.0, -0.5, 0.0, 0.0), (0.5, -5.0, 0.0, 0.0))
+    saw = PiecewiseReference((0.0, 1.0, 2.0, 2.1), rows, 1, 2.1)
+    assert jumps(saw, 1) == pytest.approx((6.0, 0.1), rel=1e-9)
+    assert jumps(saw, 1)[0] >= 6 and jumps(saw, 1)[1] <= 0.1
+
+
 @pytest.mark.parametrize(
     ("signal", "order"), [("abs(sin(t))", 1), ("sin(t**2)", 0), ("t**2", 0), ("asin(sin(t))", 1)]
 )

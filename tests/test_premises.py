@@ -310,7 +310,7 @@ def test_an_underflow_is_no_failure():
 
 def test_format_1_is_verified_unless_its_truth_breaks_a_premise():
     found = certrack.certify(LEAN)
-    body = to_document(LEAN, *found.stages)
+    body = to_document(LEAN, *found.quadratic)
     assert body["format"].endswith("/2")
     old = {key: value for key, value in body.items() if key not in ("premises", "sha256")}
     old |= {"format": FORMAT_1, "assumptions": assumptions(LEAN)}
@@ -356,7 +356,7 @@ def test_premises_of_a_certificate_cannot_be_changed(change):
 def test_what_the_page_does_not_define_is_refused(change, tmp_path):
     path = tmp_path / "cert.json"
     found = certrack.certify(LEAN)
-    certrack.certificates.save_certificate(LEAN, found.stages, path)
+    certrack.certificates.save_certificate(LEAN, found.quadratic, path)
     text = path.read_text()
     assert change(text) != text
     path.write_text(change(text))
@@ -402,12 +402,15 @@ def test_omega_that_leaves_its_bound_on_the_run_is_a_broken_premise():
 
 def test_a_run_beyond_its_tube_without_a_broken_premise_is_a_defect(monkeypatch):
     found, run = certrack.certify(LEAN), certrack.simulate(LEAN)
-    assert alarm(LEAN, LEAN, run, found.best, found.stages) is None
-    false = replace(found.best, bound=found.best.bound / 10)  # as a wrong program would claim
-    assert alarm(LEAN, LEAN, run, false, found.stages) is None  # below the true tube
+    assert alarm(LEAN, LEAN, run, found.best, found.quadratic) is None
+    assert alarm(LEAN, LEAN, run, found.semidefinite, found.quadratic) is None
+    wrong = replace(found.peak, bound=found.peak.bound / 10)  # as a wrong program would claim
+    assert alarm(LEAN, LEAN, run, wrong, found.quadratic).kind == "defect"
+    false = replace(found.semidefinite, bound=found.semidefinite.bound / 10)
+    assert alarm(LEAN, LEAN, run, false, found.quadratic) is None  # below the true tube
     constant = "certrack.studies.falsifier.alarm.tube"
     monkeypatch.setattr(constant, lambda *_: lambda t: np.full(len(t), false.bound))
-    raised = alarm(LEAN, LEAN, run, false, found.stages)
+    raised = alarm(LEAN, LEAN, run, false, found.quadratic)
     assert raised.kind == "defect" and "report" in raised.reason
 
 

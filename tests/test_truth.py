@@ -493,7 +493,7 @@ def test_estimates_are_drawn_without_true_values(tmp_path):
     assert "true values" not in labels and any("hat" in label for label in labels)
 
 
-@pytest.mark.parametrize(("backlash", "published"), [(0.001, 0.00236), (0.01, 0.00954)])
+@pytest.mark.parametrize(("backlash", "published"), [(0.001, 0.00199), (0.01, 0.00835)])
 def test_play_within_widened_bounds_is_covered(backlash, published):
     """The torque of a shaft is wrong by at most K_L times the play, hence beta."""
     beta = (0, 12 * backlash, 0, 0.1 + 30 * backlash)
@@ -506,7 +506,9 @@ def test_play_within_widened_bounds_is_covered(backlash, published):
     varied = Population(x0=start, constants={"backlash": backlash})
     found = certrack.ensemble(PHYSICAL.replace(population=varied), 200, limit=bound)
     assert found.violations()["count"] == 0
-    assert simulate(physical(backlash=backlash)).metrics.tail_error > 0.00154  # the file's bound
+    assert (
+        simulate(physical(backlash=backlash)).metrics.tail_error > 0.00154
+    )  # the file's bound is 0.00129
 
 
 TABLE = {  # docs/mismatch.md: tail error, peak input, input energy

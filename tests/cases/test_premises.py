@@ -51,7 +51,7 @@ def test_nothing_is_verified_where_the_truth_breaks_a_premise(capfd, name, tmp_p
     assert code == 1
     assert not out.exists()
     assert found["verified"] is False and found["best"] is None and found["tube"] is None
-    kinds = ("published", "corrected", "rate", "semidefinite", "cascade")
+    kinds = ("published", "corrected", "rate", "semidefinite", "cascade", "peak")
     assert not any(found[kind]["verified"] for kind in kinds)
     (broken,) = [entry for entry in found["premises"] if entry["status"] == "contradicted"]
     assert broken["name"] == premise
@@ -155,7 +155,7 @@ def test_a_run_beyond_the_bound_is_an_alarm_that_names_the_premise(capfd):
     found = json.loads(out)
     assert code == 1
     assert found["alarm"] == "premise" and found["ratio"] is None
-    assert found["against"]["method"] == "semidefinite"
+    assert found["against"]["method"] == "peak"
     assert "ALARM" in err and "g_n = 20, the true one is 3" in err
 
 

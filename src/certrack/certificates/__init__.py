@@ -1,7 +1,8 @@
 """Certificates: bounds on limsup |e_1(t)| that hold for everything the assumptions admit.
 
 Each method is a file: `published` (the paper's, and two sound forms of it), `semidefinite`,
-`cascade` with its `centred` stage; `ranges` is the room of constants that have a range. They share
+`cascade` with its `centred` stage; `ranges` is the room of constants that have a range, whose peak
+gains serve loops without ranges, too; `methods` lists them all. They share
 `problem` (the error system as a matrix inequality), `scaling` (the units a solver sees it in) and
 `adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys
 the error system that it states (`stated`), `own_multipliers` (a proof without a solver), `exact`
@@ -29,21 +30,18 @@ the truth keeps of Assumption 1 is found by `majorants` and `cover`, where formu
    text of the system alone and with no solver: ``to_document`` and ``verify``. Another layout of
    the proof is another FORMAT, described in docs/certificate-file.md, and files of the old one stay
    readable;
-6. enter :class:`Certificates`, its `best` and :func:`best_sound_bound`, and the report of the
-   command line. A tube follows from the stages of its proof (:mod:`tube`);
+6. enter :func:`methods.every_certificate`, the one list of all methods, be a field of
+   :class:`Certificates`, and have a note in the report of the command line. A tube follows from the
+   stages of its proof (:mod:`tube`), if it is a quadratic function;
 7. prove by tests that a document with any of its numbers changed for the better is refused (the
    MUTANTS of tests/test_certificates.py), and that no run and no search exceeds the bound.
 """
 
 from certrack.certificates.certificate import Certificate, NoCertificate
-from certrack.certificates.certify import (
-    Certificates,
-    best_sound_bound,
-    certify,
-    certify_semidefinite,
-)
+from certrack.certificates.certify import Certificates, certify
 from certrack.certificates.document import Verdict, save_certificate, to_document, verify
 from certrack.certificates.exact import Proof
+from certrack.certificates.methods import best_sound_bound, certify_peak, certify_semidefinite
 from certrack.certificates.premise import Premise
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.tube import Tube, tube
@@ -58,6 +56,7 @@ __all__ = [
     "Verdict",
     "best_sound_bound",
     "certify",
+    "certify_peak",
     "certify_semidefinite",
     "premises",
     "save_certificate",

@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-from certrack.certificates.arithmetic import rational
-from certrack.certificates.cascade import certify_cascade
-from certrack.certificates.certificate import (
-    Certificate,
-    NoCertificate,
-    missing,
-    within_floats,
-)
-from certrack.certificates.exact import Proof, prove, proven
-from certrack.certificates.formulation import error_problem
+from certrack.certificates.certificate import Certificate
+from certrack.certificates.exact import Proof
 from certrack.certificates.implemented.certify import (
     ImplementedCertificate,
     certify_implemented,
@@ -22,14 +14,16 @@ from certrack.certificates.implemented.certify import (
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
-from certrack.certificates.own_multipliers import own_solution
+from certrack.certificates.methods import (
+    METHOD_STEPS,
+    NOMINAL_KINDS,
+    Proofs,
+    every_certificate,
+    smallest,
+)
 from certrack.certificates.premise import Premise, contradicted
-from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
-from certrack.certificates.published import certify_published, critical_strength
-from certrack.certificates.ranges.certify import certify_ranges, without_ranges
-from certrack.certificates.ranges.proofs import CellProof
-from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
+from certrack.certificates.published import critical_strength
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
 from certrack.core import checks
@@ -42,8 +36,8 @@ from certrack.systems.system import System, require_system
 #: all of them.
 EFFORTS = ("fast", "default", "high")
 
-#: Steps of which `certify` reports: closed forms, semidefinite, cascade, ranges, and the rest.
-STEPS = 5
+#: Steps of which `certify` reports: the methods, and the rest.
+STEPS = METHOD_STEPS + 1
 
 
 @dataclass(frozen=True)
@@ -54,12 +48,16 @@ class Certificates(ShownInNotebooks):
     ----------
     published, corrected, rate, semidefinite, cascade : Certificate
         Of the nominal loop; none where constants have ranges.
-    vertices, peak, cells : Certificate
-        For all constants in their ranges: one quadratic function, peak gains, cells.
+    peak : Certificate
+        Peak gains: of the nominal loop, or for all constants in their ranges.
+    vertices, cells : Certificate
+        For all constants in their ranges: one quadratic function, cells.
     proof, cascade_proof
         The exactly verified numbers behind the semidefinite bound and the cascade.
-    cover : cells with their proofs
-        Behind the best of vertices, peak and cells.
+    tightest : stages or cells
+        The proof of the smallest bound of those that a file holds.
+    kinds : tuple of str
+        Which certificates speak of this loop.
     attainable : float or None
         What the linear loop reaches at the worst corner of the ranges; no proof.
     implemented : ImplementedCertificate
@@ -70,8 +68,9 @@ class Certificates(ShownInNotebooks):
     critical_published, critical_semidefinite : float
         Largest common scale of tau with a certificate; the second is verified exactly.
     tube : Tube or None
-        Bound on |e_1(t)| from the system's own start, of the tightest verified certificate of the
-        nominal loop; None where constants have ranges or nothing is verified.
+        Bound on |e_1(t)| from the system's own start, of the tighter of semidefinite and cascade;
+        None where constants have ranges or neither is verified. It falls to their bound: peak
+        gains say nothing of a transient.
     premises : tuple of Premise
         What the best of it rests on, and whether the system's own truth keeps it. Where it breaks
         one, nothing is verified and there is no tube: bounds are those of the design that the truth
@@ -83,8 +82,8 @@ class Certificates(ShownInNotebooks):
     rate: Certificate
     semidefinite: Certificate
     cascade: Certificate
-    vertices: Certificate
     peak: Certificate
+    vertices: Certificate
     cells: Certificate
     proof: Proof | None
     cascade_proof: tuple[Proof, ...] | None
@@ -92,7 +91,8 @@ class Certificates(ShownInNotebooks):
     critical_semidefinite: float
     tube: Tube | None
     premises: tuple[Premise, ...] = ()
-    cover: tuple[CellProof, ...] = ()
+    tightest: Proofs = ()
+    kinds: tuple[str, ...] = NOMINAL_KINDS
     attainable: float | None = None
     implemented: ImplementedCertificate = missing_implemented(NO_IMPLEMENTATION)
     implemented_proof: tuple[ImplementedProof, ...] = ()
@@ -111,10 +111,9 @@ class Certificates(ShownInNotebooks):
         """The certificate to ship with: the implemented loop's, else the tightest verified one."""
         if self.implemented.verified:
             return self.implemented
-        nominal = (self.semidefinite, self.cascade, self.rate, self.corrected)
-        sound = (*nominal, self.cells, self.vertices, self.peak)
-        verified = [c for c in sound if c.verified]
-        return min(verified, key=lambda c: c.bound) if verified else self.semidefinite
+        entries = (getattr(self, entry.name) for entry in fields(self))
+        best = smallest(entry for entry in entries if isinstance(entry, Certificate))
+        return self.semidefinite if best is None else best
 
     @property
     def contradicted(self) -> tuple[Premise, ...]:
@@ -127,33 +126,40 @@ class Certificates(ShownInNotebooks):
         return self.best.verified and not self.contradicted
 
     @property
-    def stages(self) -> tuple[Proof, ...] | tuple[CellProof, ...] | tuple[ImplementedProof, ...]:
-        """Proof of the best bound: implemented, one stage, a cascade's two or three, or cells.
+    def stages(self) -> Proofs | tuple[ImplementedProof, ...]:
+        """Proof of the best: of the implemented loop; else of the tightest that a file holds.
 
         Empty where there is none, and where a premise is contradicted.
         """
+        return () if self.contradicted else self.implemented_proof or self.tightest
+
+    @property
+    def quadratic(self) -> tuple[Proof, ...]:
+        """The tighter of the proofs by quadratic functions, from which a tube follows.
+
+        One stage, or the two or three of the cascade. Empty as :attr:`stages` is, and where
+        constants have ranges.
+        """
         if self.contradicted:
             return ()
-        return (
-            self.implemented_proof
-            or self.cover
-            or tightest(self.semidefinite, self.proof, self.cascade, self.cascade_proof)
-        )
+        if self.cascade_proof is not None and self.cascade.bound < self.semidefinite.bound:
+            return self.cascade_proof
+        return () if self.proof is None else (self.proof,)
 
 
 def certify(system: System, effort: str = "default", progress: Progress = silent) -> Certificates:
     """Certify `system` by every method.
 
-    Published, corrected, rate, semidefinite and cascade speak of the nominal loop; where constants
-    have ranges, vertices, peak and cells cover them. Implemented speaks of the loop as the drive
-    runs it, if the file has ``[implementation]``.
+    Published, corrected, rate, semidefinite, cascade and peak speak of the nominal loop; where
+    constants have ranges, vertices, peak and cells cover them. Implemented speaks of the loop as
+    the drive runs it, if the file has ``[implementation]``.
 
     Parameters
     ----------
     system : System
     effort : {"fast", "default", "high"}
-        How long it may take: ``fast`` cuts no ranges of constants into cells, ``high`` cuts them
-        into four times as many as the default.
+        How long it may take: ``fast`` cuts no ranges of constants into cells and leaves out peak
+        gains of large orders, ``high`` cuts them into four times as many as the default.
     progress : callable
         Gets the number of the step that begins, their number and, for ranges, the bound so far.
 
@@ -177,37 +183,22 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     """
     require_system(system)
     checks.choice("effort", effort, EFFORTS)
-    progress(0, STEPS, None)
-    classical = certify_published(system)
-    progress(1, STEPS, None)
-    semidefinite, proof = certify_semidefinite(system)
-    progress(2, STEPS, None)
-    cascade, cascade_proof = certify_cascade(system)
-    stages = tightest(semidefinite, proof, cascade, cascade_proof)
-    progress(3, STEPS, None)
-    ranges = (
-        certify_ranges(system, effort, lambda _, __, best: progress(3, STEPS, best))
-        if has_ranges(system)
-        else without_ranges()
-    )
-    progress(4, STEPS, None)
+    methods = every_certificate(system, effort, lambda step, _, best: progress(step, STEPS, best))
+    progress(METHOD_STEPS, STEPS, None)
+    stages = methods.stages
     implemented, implemented_proof = certify_implemented(system, from_start=True)
     rests_on = premises_as_implemented(system) if implemented.verified else premises(system)
     result = Certificates(
-        **classical,
-        semidefinite=semidefinite,
-        cascade=cascade,
-        vertices=ranges.vertices,
-        peak=ranges.peak,
-        cells=ranges.cells,
-        proof=proof,
-        cascade_proof=cascade_proof,
+        **methods.certificates,
+        proof=next(iter(methods.stages_of("semidefinite")), None),
+        cascade_proof=methods.stages_of("cascade") or None,
         critical_published=critical_strength(system),
-        critical_semidefinite=critical_semidefinite(system, semidefinite),
+        critical_semidefinite=critical_semidefinite(system, methods.certificates["semidefinite"]),
         tube=tube(system, stages) if stages and not contradicted(rests_on) else None,
         premises=rests_on,
-        cover=ranges.proof,
-        attainable=ranges.attainable,
+        tightest=methods.tightest,
+        kinds=methods.kinds,
+        attainable=methods.attainable,
         implemented=implemented,
         implemented_proof=implemented_proof,
     )
@@ -225,100 +216,3 @@ def _unverified(result: Certificates) -> Certificates:
         for c in [getattr(result, kind)]
     }
     return replace(result, **changed)
-
-
-def tightest(
-    semidefinite: Certificate,
-    proof: Proof | None,
-    cascade: Certificate,
-    cascade_proof: tuple[Proof, ...] | None,
-) -> tuple[Proof, ...]:
-    """Proof of the tightest verified bound: one stage, or the two or three of the cascade."""
-    if cascade_proof is not None and cascade.bound < semidefinite.bound:
-        return cascade_proof
-    return () if proof is None else (proof,)
-
-
-def best_sound_bound(system: System) -> float:
-    """The tightest sound bound on limsup |e_1|; inf if there is none.
-
-    Parameters
-    ----------
-    system : System
-
-    Returns
-    -------
-    float
-
-    Examples
-    --------
-    >>> import certrack
-    >>> system = certrack.load("dual-motor-lean")
-    >>> found = certrack.certify(system)
-    >>> certrack.certificates.best_sound_bound(system) == found.best.bound
-    True
-    """
-    if has_ranges(system):
-        return certify_ranges(system).best.bound
-    classical = certify_published(system)
-    semidefinite, _ = certify_semidefinite(system)
-    cascade, _ = certify_cascade(system)
-    return min(classical["rate"].bound, semidefinite.bound, cascade.bound)
-
-
-def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
-    """The tight certificate of `system`, verified exactly, and the numbers that prove it.
-
-    Parameters
-    ----------
-    system : System
-
-    Returns
-    -------
-    certificate : Certificate
-    proof : Proof or None
-        None where there is no certificate.
-
-    Examples
-    --------
-    >>> import certrack
-    >>> found, proof = certrack.certificates.certify_semidefinite(certrack.load("dual-motor-lean"))
-    >>> found.verified
-    True
-    """
-    try:
-        with within_floats():
-            exact = error_problem(system, rational)
-            program = SemidefiniteProgram(exact.in_floats())
-            solution = best_solution(program)
-            proof = None if solution is None else prove(exact, solution)
-            if proof is None:
-                damped = own_solution(system, exact)
-                proof = None if damped is None else prove(exact, damped)
-            if proof is None:
-                raise NoCertificate(_why_none(program, solution))
-    except NoCertificate as problem:
-        return missing("semidefinite", str(problem)), None
-    return proven("semidefinite", system, proof), proof
-
-
-#: The leakage is said to be too slow below this part of the slowest pole.
-SLOWEST_LEAKAGE = 1e-9
-
-
-def _why_none(program: SemidefiniteProgram, solution: Solution | None) -> str:
-    """Why there is no proof, and the remedy."""
-    if program.fastest < SLOWEST_LEAKAGE * program.slowest_pole:
-        return (
-            "the estimates forget too slowly for a bound to be found: raise gain_rate leak_gain, "
-            "or the smallest eigenvalue of Gamma, which may be nearly singular, times leak_theta"
-        )
-    if solution is None:
-        return (
-            "no certificate found: the uncertainty is too strong for this design; "
-            "lower tau, raise c, or use fewer damping terms"
-        )
-    return (
-        "the solver's certificate did not survive exact verification; rescale the states or use "
-        "fewer damping terms"
-    )

@@ -151,7 +151,7 @@ def tube(
     system : System
         The one the proof is for; its reference at t = 0 and its initial estimates count.
     proof : Proof, or the stages of a cascade
-        The semidefinite certificate's proof, or ``Certificates.stages``.
+        The semidefinite certificate's proof, or ``Certificates.quadratic``.
     box : n intervals, optional
         Set of initial plant states; the system's x0 if left out.
 
@@ -162,7 +162,7 @@ def tube(
     Raises
     ------
     InputError
-        If the box does not fit the plant or has too many corners.
+        If the box does not fit the plant or has too many corners, or the proof is by cells.
     NoCertificate
         If a stage of a cascade has the bound 0.
 
@@ -176,6 +176,12 @@ def tube(
     True
     """
     stages = (proof,) if isinstance(proof, Proof) else tuple(proof)
+    if not stages or not all(isinstance(stage, Proof) for stage in stages):
+        raise InputError(
+            "proof",
+            "must be one to three stages: peak gains and cells say nothing of a transient",
+            remedy="Take Certificates.quadratic",
+        )
     problem = error_problem(system, rational)
     starts, verified = _starts(system, box)
     if len(stages) > 1:

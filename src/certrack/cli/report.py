@@ -17,7 +17,7 @@ from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
-from certrack.certificates.ranges.certify import NO_RANGES
+from certrack.certificates.methods import NOMINAL_KINDS, QUADRATIC_KINDS, RANGE_KINDS
 from certrack.cli.sampled_report import implemented_notes, implemented_summary
 from certrack.core.rounding import printed_bound, rounded_down
 from certrack.simulation.metrics import METRIC_LABELS
@@ -256,13 +256,6 @@ def _replaced_omega(ensemble: Ensemble) -> list[str]:
     ]
 
 
-#: Certificates, in the order in which they are shown.
-CERTIFICATE_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade")
-
-#: Those that cover ranges of constants; shown where there are some.
-RANGE_KINDS = ("vertices", "peak", "cells")
-
-
 def certificates_summary(results: Certificates) -> dict[str, Any]:
     """All certificates, ready for JSON; a bound that does not exist is null."""
 
@@ -276,7 +269,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
         }
 
     return {
-        **{kind: entries(getattr(results, kind)) for kind in (*CERTIFICATE_KINDS, *RANGE_KINDS)},
+        **{kind: entries(getattr(results, kind)) for kind in (*NOMINAL_KINDS, *RANGE_KINDS)},
         "implemented": entries(results.implemented) | implemented_summary(results.implemented),
         "attainable": results.attainable,
         "verified": results.verified,
@@ -292,7 +285,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
             "start": results.tube.start,
             "floor": results.tube.floor,
             "alpha": results.tube.alpha,
-            "kind": "cascade" if len(results.stages) > 1 else "semidefinite",
+            "kind": min(QUADRATIC_KINDS, key=lambda kind: getattr(results, kind).bound),
             "pieces": results.tube.pieces,
             "verified": results.tube.verified,
         },
@@ -318,15 +311,15 @@ def certificates_table(results: Certificates) -> Table:
         "semidefinite": "best Lyapunov function",
         "cascade": "e_n first, then e_1 with e_n as bounded input",
         "vertices": "one Lyapunov function for all constants, which may vary",
-        "peak": "peak gains for all constants, which may vary",
+        "peak": "peak gains for all constants, which may vary"
+        if results.kinds == RANGE_KINDS
+        else "peak gains of the error loop",
         "cells": "the ranges cut into cells, for constants that stand still",
         "implemented": "peak gains of the loop as the drive runs it: the one to ship with",
     }
     rows = []
-    ranged = any(getattr(results, kind).reason != NO_RANGES for kind in RANGE_KINDS)
     sampled = results.implemented.reason != NO_IMPLEMENTATION
-    kinds = RANGE_KINDS if ranged else CERTIFICATE_KINDS
-    for kind in (*kinds, "implemented") if sampled else kinds:
+    for kind in (*results.kinds, "implemented") if sampled else results.kinds:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = entry.reason if entry.reason and not entry.verified else notes[kind]
@@ -347,7 +340,7 @@ SETTLED_MARGIN = 0.1
 
 def certificates_notes(results: Certificates) -> list[str]:
     """Critical strengths, tube and assumptions in words."""
-    if results.cover:
+    if results.kinds == RANGE_KINDS and results.tightest:
         attained = results.attainable
         return [
             "the nominal certificates do not cover plant.ranges",

@@ -171,9 +171,9 @@ def lipschitz_bound(
     float or None
         None where there is none: y_d^(order) jumps or does not exist, or no bound is known.
     """
-    stated: Callable[..., float | None] | None = getattr(reference, "lipschitz_bound", None)
-    if stated is not None:
-        return stated(order, between_jumps=between_jumps)
+    method: Callable[..., float | None] | None = getattr(reference, "lipschitz_bound", None)
+    if method is not None:
+        return method(order, between_jumps=between_jumps)
     if order + 1 > reference.order:
         return None
     try:
@@ -197,8 +197,8 @@ def jumps(reference: Reference, order: int) -> tuple[float, float] | None:
         y_d^(order) does not jump, and where its jumps are not known: whoever asks takes
         :func:`lipschitz_bound` first, which tells the two apart.
     """
-    stated: Callable[[int], tuple[float, float] | None] | None = getattr(reference, "jumps", None)
-    return None if stated is None else stated(order)
+    method: Callable[[int], tuple[float, float] | None] | None = getattr(reference, "jumps", None)
+    return None if method is None else method(order)
 
 
 def require_order(reference: Reference, order: int, who: str) -> None:

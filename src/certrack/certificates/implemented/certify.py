@@ -119,6 +119,7 @@ def certify_implemented(
     Returns
     -------
     certificate : ImplementedCertificate
+        Limits of the input may act; `input_limits` of :mod:`limits` says whether they do.
     proofs : one ImplementedProof per delay
         Empty where nothing is verified.
 
@@ -130,7 +131,7 @@ def certify_implemented(
     >>> drive = certrack.Implementation(period=0.003, delay=0.5)
     >>> found, proofs = certify_implemented(system.replace(implementation=drive))
     >>> found
-    Certificate(implemented: limsup |e_1| <= 0.001301, verified)
+    Certificate(implemented: limsup |e_1| <= 0.001279, verified)
     """
     limited = is_limited(system)
     try:

@@ -59,6 +59,8 @@ class Drive:
     A, b, W : ball matrices of n rows
     Lx, Ls, Ly : ball matrices of one row
     Sx, Ss, Sy : ball matrices of a row per memory
+    first : (memories, n) ball matrix
+        The memories before the first sample, over what it measures: its differences are zero.
     T : rational
         Period, s.
     delay : rational
@@ -88,6 +90,7 @@ class Drive:
     Sx: flint.arb_mat
     Ss: flint.arb_mat
     Sy: flint.arb_mat
+    first: flint.arb_mat
     T: Any
     delay: Any
     uncertain: tuple[UncertainBound, ...]
@@ -226,8 +229,8 @@ def _linear_drift(system: System) -> tuple[list[Any], Any]:
 
 def _controller_rows(
     system: System, implementation: Implementation, A: list[list[Any]], K: list[Any]
-) -> tuple[list[Any], list[list[Any]]]:
-    """u, and the next memories, over the measured states and the memories.
+) -> tuple[list[Any], list[list[Any]], list[list[Any]]]:
+    """u and the next memories, over the measured states and the memories; and the first memories.
 
     A state that is not measured has two memories: the state before it at the last sample, and the
     filtered difference; see :mod:`certrack.loops.controller`.
@@ -236,7 +239,7 @@ def _controller_rows(
     differenced = [i for i in range(1, n) if plant.states[i] in implementation.velocity]
     width = n + 2 * len(differenced)
     eye = [[flint.arb(int(i == j)) for j in range(width)] for i in range(width)]
-    x, after = eye[:n], []
+    x, after, still, first = eye[:n], [], [list(row) for row in eye[:n]], []
     T = rational(implementation.period)
     pole = flint.arb(1)
     if implementation.velocity_filter:
@@ -253,20 +256,26 @@ def _controller_rows(
             for k, f in enumerate(filtered)
         ]
         after += [position, filtered]
+        first += [still[i - 1][:n], [flint.arb(0)] * n]
+        still[i] = [
+            sum((-a * still[j][k] for j, a in enumerate(row)), flint.arb(0)) / gain
+            for k in range(width)
+        ]
     command = [sum((K[i] * x[i][k] for i in range(n)), flint.arb(0)) for k in range(width)]
-    return command, after
+    return command, after, first
 
 
 def _controller_matrices(
-    rows: tuple[list[Any], list[list[Any]]], n: int
+    rows: tuple[list[Any], list[list[Any]], list[list[Any]]], n: int
 ) -> dict[str, flint.arb_mat]:
-    command, after = rows
+    command, after, first = rows
     count = len(after)
     return {
         "Lx": flint.arb_mat([command[:n]]),
         "Ls": flint.arb_mat(1, count, command[n:]),
         "Sx": flint.arb_mat(count, n, [v for row in after for v in row[:n]]),
         "Ss": flint.arb_mat(count, count, [v for row in after for v in row[n:]]),
+        "first": flint.arb_mat(count, n, [v for row in first for v in row]),
     }
 
 

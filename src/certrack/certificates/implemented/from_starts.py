@@ -8,20 +8,27 @@ from fractions import Fraction
 from typing import Any
 
 import flint
+import numpy as np
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
+from certrack.certificates.implemented.enclosed import widened
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.polytope import Polytope, common
-from certrack.certificates.implemented.proof import ImplementedProof, start_prover
+from certrack.certificates.implemented.proof import ImplementedProof, cells_of, start_prover
 from certrack.certificates.implemented.start_proof import (
+    ANY_PHASE,
+    FILE_PHASE,
     POLYTOPE,
     X0,
     limit_met,
+    phase_of,
     polytope_of,
+    starts_of,
 )
+from certrack.core import checks
 from certrack.systems.system import System
 
 #: Starts that a bound may be for, besides "x0" and "polytope": all, the box of the ensemble with
@@ -49,6 +56,86 @@ class Peaks:
     states: tuple[float, ...]
     input: float
     input_step: float
+
+
+@dataclass(frozen=True)
+class StartBounds:
+    """What holds for all time from some starts, if no limit of the input acts; rounded up.
+
+    Attributes
+    ----------
+    period : float, s
+    values : (K, n + 3) array
+        Of |e_1| and the states from t_k to t_{k+1}, of |u_k|, and of |u_k - u_{k-1}|; u is without
+        the constant of the law.
+    last : (n + 3,) array
+        The same for all t >= K period.
+    offset : float
+        The constant of the law, as a magnitude.
+    """
+
+    period: float
+    values: np.ndarray
+    last: np.ndarray
+    offset: float
+
+    @property
+    def peaks(self) -> Peaks:
+        """The largest of all of them."""
+        error, *states, size, step = np.maximum(self.values.max(axis=0), self.last).tolist()
+        return Peaks(error, tuple(states), float(widened(np.array(size + self.offset))), step)
+
+
+def bounds_from_start(
+    system: System,
+    box: Sequence[tuple[float, float]] | None = None,
+    *,
+    any_reference: bool = False,
+    delay: Any | None = None,
+) -> StartBounds:
+    """Bounds for all time from the system's own start, or from a box of starts.
+
+    Parameters
+    ----------
+    system : System
+        With an implementation; limits of its input are not looked at.
+    box : n pairs (low, high), optional
+    any_reference : bool
+        Whether the reference may begin anywhere within its bounds, and not only as the file's.
+    delay : rational, optional
+        Periods; the first of the file if left out.
+
+    Returns
+    -------
+    StartBounds
+
+    Raises
+    ------
+    NoCertificate
+        If there are none.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> from certrack.certificates.implemented.from_starts import bounds_from_start
+    >>> drive = certrack.Implementation(period=0.01, delay=0.5)
+    >>> system = certrack.load("dual-motor-lean").replace(implementation=drive)
+    >>> bool(13 < bounds_from_start(system).peaks.input < 14)
+    True
+    """
+    region: tuple[tuple[str, str], ...] = ()
+    if box is not None:
+        pairs = checks.sequence("box", box, system.plant.n, "one pair (low, high) per state")
+        ends = (checks.ordered_pair(f"box[{i}]", pair) for i, pair in enumerate(pairs))
+        region = tuple((repr(low), repr(high)) for low, high in ends)
+    with within_floats(), flint.ctx.workprec(DRIVE_BITS):
+        drive = drive_of(system, delay)
+        prover = start_prover(system, delay, cells_of(drive))
+        known = not any_reference and phase_of(system, drive, X0) == FILE_PHASE
+        starts = starts_of(system, drive, FILE_PHASE if known else ANY_PHASE, region)
+        _, found = prover.search(starts, lambda _: True)
+    offset = float_up(abs(drive.offset))
+    return StartBounds(float(drive.T), found.run.bounds, found.after, offset)
 
 
 @dataclass(frozen=True)

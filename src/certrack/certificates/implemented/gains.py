@@ -170,7 +170,7 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
         If the tail does not shrink: the loop may be unstable, or needs more periods.
     """
     drive, smeared = period.drive, period.drive.lipschitz is not None
-    running, past = _running(period, rows)
+    running, past = running_period(period, rows)
     heads = above(past, identity(period.size))
     of_period = kernel_columns(period, len(period.cells), smeared)
     sums, samples, last = _sums(period, of_period, heads, doublings)
@@ -189,7 +189,7 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     return _as_gains(total, drive.W.ncols(), drive.n, jump)
 
 
-def _running(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb_mat]:
+def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb_mat]:
     """PeakGains of the running period, and the rows before its jump."""
     drive, nw = period.drive, period.drive.W.ncols()
     table = np.zeros((len(rows), nw + 1 + drive.n + 3))
@@ -274,9 +274,9 @@ def _sums(
     """
     count, inner = rows.nrows(), doublings // 2
     block, blocks = 2**inner, 2 ** (doublings - inner)
-    balls, jumped = _powers(period.map, of_period.all(), inner)
+    balls, jumped = powers_of_columns(period.map, of_period.all(), inner)
     table = Enclosed.of(balls)  # N rows, the columns of M^0, M^1 ... beside each other
-    heads, last = _heads(jumped, rows, doublings - inner)
+    heads, last = powers_of_rows(jumped, rows, doublings - inner)
     error = _product_error(heads, table, count, block)
     total: np.ndarray | float = 0.0
     at, samples = of_period.nodes.ncols() + period.drive.n, []
@@ -319,7 +319,7 @@ def _product_error(heads: Enclosed, table: Enclosed, count: int, block: int) -> 
     return widened(rounding + off, 4 * blocks + 2 * block + 4 * size)
 
 
-def _powers(
+def powers_of_columns(
     M: flint.arb_mat, columns: flint.arb_mat, doublings: int
 ) -> tuple[flint.arb_mat, flint.arb_mat]:
     """2^doublings of columns, M columns, M^2 columns ... side by side; and the next power of M."""
@@ -330,7 +330,7 @@ def _powers(
     return columns, power
 
 
-def _heads(
+def powers_of_rows(
     power: flint.arb_mat, rows: flint.arb_mat, doublings: int
 ) -> tuple[Enclosed, np.ndarray]:
     """2^doublings of rows, rows P, rows P^2 ..., one above the other; magnitudes of the next."""

@@ -16,14 +16,14 @@ import numpy as np
 from certrack.certificates.implemented.enclosed import Enclosed, widened
 from certrack.certificates.implemented.gains import (
     KernelColumns,
-    _heads,
-    _powers,
     _product_error,
-    _running,
     _sums_over_time,
     _table,
     _tail,
     kernel_columns,
+    powers_of_columns,
+    powers_of_rows,
+    running_period,
 )
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import Period, above, identity
@@ -74,7 +74,7 @@ def lag_gains(period: Period, rows: Sequence[Row], doublings: int) -> LagGains:
         If the tail does not shrink.
     """
     drive, count, size = period.drive, len(rows), period.size
-    running, past = _running(period, rows)
+    running, past = running_period(period, rows)
     columns = kernel_columns(period, len(period.cells), drive.lipschitz is not None)
     lags, entries, error, last = _by_lag(period, columns, above(past, identity(size)), doublings)
     each = widened(lags[:, count:].sum(axis=0), len(lags))
@@ -106,9 +106,9 @@ def _by_lag(
     """
     count, size, inner = rows.nrows(), period.size, doublings // 2
     block = 2**inner
-    balls, jumped = _powers(period.map, columns.all(), inner)
+    balls, jumped = powers_of_columns(period.map, columns.all(), inner)
     table = Enclosed.of(balls)
-    heads, last = _heads(jumped, rows, doublings - inner)
+    heads, last = powers_of_rows(jumped, rows, doublings - inner)
     error = _product_error(heads, table, count, block)
     repeated = np.repeat(error, block, axis=0)
     lags, entries = [], []

@@ -97,13 +97,13 @@ def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dic
     """
     drive = drive_of(system, delay)
     with flint.ctx.workprec(DRIVE_BITS):
-        period = one_period(drive, _cell_counts(drive))
-        doublings = _doublings_needed(period)
+        period = one_period(drive, cells_of(drive))
+        doublings = periods_needed(period)
         bounds = _bounds(period, doublings)
         X, U = bounds.search()
         states = tuple(f"{v:.{DIGITS}g}" for v in X)
         proof = ImplementedProof(
-            str(delay), _cell_counts(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0"
+            str(delay), cells_of(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0"
         )
         image = _image(bounds, proof)
         if reason := _not_above(image, proof):
@@ -146,7 +146,7 @@ def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> s
         return str(refusal)
 
 
-def _cell_counts(drive: Drive) -> tuple[int, int]:
+def cells_of(drive: Drive) -> tuple[int, int]:
     """So many cells that none is long against the plant's motions."""
     A = Enclosed.of(drive.A).value
     fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
@@ -156,8 +156,8 @@ def _cell_counts(drive: Drive) -> tuple[int, int]:
     return tuple(min(max(1, math.ceil(count)), MAX_CELLS_OF_INPUT) for count in counts)  # type: ignore[return-value]
 
 
-def _doublings_needed(period: Period) -> int:
-    """So many that what is left is no more than LEFT.
+def periods_needed(period: Period, left: float = LEFT) -> int:
+    """The doublings after which no more than `left` is left of a row.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def _doublings_needed(period: Period) -> int:
             f"the sampled loop is unstable: the spectral radius of one period is {radius:.4g}; "
             "shorten implementation.period or delay, or lower c"
         )
-    periods = math.log(LEFT) / math.log(radius) if radius > 0 else 1.0
+    periods = math.log(left) / math.log(radius) if radius > 0 else 1.0
     doublings = max(1, math.ceil(math.log2(max(periods, 1.0))))
     if doublings > MAX_DOUBLINGS:
         raise NoCertificate(

@@ -143,12 +143,12 @@ class FromStarts:
         self._set_in_cells(nw)
         self._set_constants(nw)
         self._growth = tuple(
-            np.array([[up(v) for v in values] for values in lists]).reshape(nw, -1)
-            for lists in (
-                [(b.gamma,) for b in drive.uncertain],
-                [(b.beta,) for b in drive.uncertain],
-                [b.weights for b in drive.uncertain],
-                [b.Delta for b in drive.uncertain],
+            np.array([[up(v) for v in values] for values in lists]).reshape(nw, width)
+            for width, lists in (
+                (1, [(b.gamma,) for b in drive.uncertain]),
+                (1, [(b.beta,) for b in drive.uncertain]),
+                (n, [b.weights for b in drive.uncertain]),
+                (n, [b.Delta for b in drive.uncertain]),
             )
         )
 
@@ -360,22 +360,14 @@ def is_above(later: Later, image: np.ndarray) -> bool:
 def first_state(drive: Drive, size: int) -> tuple[flint.arb_mat, flint.arb_mat]:
     """chi before the first sample over x(0), and over the sensors' errors at it.
 
-    Where a speed is differenced there is no difference yet, and it counts as zero: as if the
-    measured value had been the same before. So the first memory of each pair is what is measured
-    at the first sample, the second is zero.
+    The first memories are what is measured at the first sample: there is no difference yet.
     """
     n = drive.n
-    memories = flint.arb_mat(drive.memories, n)
-    for _ in range(drive.memories // 2):
-        after = drive.Sx + drive.Ss * memories
-        for i in range(0, drive.memories, 2):
-            for j in range(n):
-                memories[i, j] = after[i, j]
     Z, of_noise = flint.arb_mat(size, n), flint.arb_mat(size, n)
     for j in range(n):
         Z[j, j] = 1
         for i in range(drive.memories):
-            Z[n + i, j] = of_noise[n + i, j] = memories[i, j]
+            Z[n + i, j] = of_noise[n + i, j] = drive.first[i, j]
     return Z, of_noise
 
 

@@ -7,7 +7,7 @@ say that the next input, too, is within the limits, none is ever met.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -153,26 +153,42 @@ class StartProver:
         phase = phase_of(self.system, self.drive, of)
         region = region_of(self.system, self.drive, self.first_frame) if of == POLYTOPE else ()
         starts = starts_of(self.system, self.drive, phase, region)
+        enough = self.within_later if of == POLYTOPE else lambda _: True
+        doublings, evidence = self.search(starts, enough)
+        return StartProof(
+            of,
+            phase,
+            region,
+            doublings,
+            2 ** (doublings - 1),
+            tuple(f"{v:.{DIGITS}g}" for v in evidence.later.states),
+            f"{evidence.later.input:.{DIGITS}g}",
+            tuple(f"{v * TEXT_FACTOR:.{DIGITS}g}" for v in evidence.peaks),
+        )
+
+    def search(self, starts: Starts, enough: Callable[[Evidence], bool]) -> tuple[int, Evidence]:
+        """The fewest doublings after which nothing that comes is larger than before.
+
+        Parameters
+        ----------
+        starts : Starts
+        enough : callable
+            What else must hold of the bounds; the most doublings are taken if it never does.
+
+        Raises
+        ------
+        NoCertificate
+            If nothing is bounded for all time.
+        """
         found, reason = None, ""
         for doublings in range(FEWEST_DOUBLINGS, MOST_DOUBLINGS + 1):
-            middle = 2 ** (doublings - 1)
             try:
-                evidence = self._evidence(starts, doublings, middle, None)
+                evidence = self.bounds(starts, doublings, 2 ** (doublings - 1), None)
             except NoCertificate as refusal:
                 reason = str(refusal)
                 continue
-            found = StartProof(
-                of,
-                phase,
-                region,
-                doublings,
-                middle,
-                tuple(f"{v:.{DIGITS}g}" for v in evidence.later.states),
-                f"{evidence.later.input:.{DIGITS}g}",
-                tuple(f"{v * TEXT_FACTOR:.{DIGITS}g}" for v in evidence.peaks),
-            )
-            decided_early = (evidence.run.bounds.max(axis=0) >= evidence.peaks).all()
-            if decided_early and (of == X0 or self.within_later(evidence)):
+            found = doublings, evidence
+            if (evidence.run.bounds.max(axis=0) >= evidence.peaks).all() and enough(evidence):
                 break
         if found is None:
             raise NoCertificate(reason)
@@ -199,7 +215,7 @@ class StartProver:
         # rounded down: a text stands for no more than it says
         states = tuple(float_down(from_text(text)) for text in proof.states)
         later = Later(states, float_down(from_text(proof.input)))
-        evidence = self._evidence(starts, proof.doublings, proof.middle, later)
+        evidence = self.bounds(starts, proof.doublings, proof.middle, later)
         if not all(
             float_down(from_text(text)) >= value
             for text, value in zip(proof.peaks, evidence.peaks, strict=True)
@@ -220,9 +236,14 @@ class StartProver:
             and len(proof.peaks) == n + 3
         )
 
-    def _evidence(
-        self, starts: Starts, doublings: int, middle: int, later: Later | None
-    ) -> Evidence:
+    def bounds(self, starts: Starts, doublings: int, middle: int, later: Later | None) -> Evidence:
+        """Bounds from starts, with a bound of the later periods that is given or found.
+
+        Raises
+        ------
+        NoCertificate
+            If it is none, or none is found.
+        """
         frame = self.frame(doublings)
         transient = frame.transient(starts)
         run = frame.run(starts, transient)

@@ -13,6 +13,7 @@ the last block, come from a P > 0 with (M + mu I)^T P + P (M + mu I) < 0, verifi
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -22,7 +23,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from certrack.certificates.arithmetic import positive_definite, rational
-from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.certificate import OUT_OF_RANGE, NoCertificate
 
 #: Cells in a block; the first cells are this part of the fastest time constant; later ones are at
 #: most this part of the time.
@@ -70,28 +71,42 @@ def proven_decay(M: np.ndarray, B: np.ndarray) -> Decay:
         If none is proven: the matrix may be unstable.
     """
     floats = M.astype(float)
+    if not np.isfinite(floats).all():
+        raise NoCertificate(OUT_OF_RANGE)
     slowest = -float(np.linalg.eigvals(floats).real.max())
     if not slowest > 0:
-        raise NoCertificate("the loop is not stable for all constants of a cell")
+        raise NoCertificate("the loop is not stable, or not for all constants of a cell")
     mu = rational(Fraction(DECAY_PART * slowest))
     eye = np.eye(len(M), dtype=object)
     shifted = M + mu * eye
     scale = _sizes(floats, B.astype(float))
     moved = shifted.astype(float) / scale[:, None] * scale[None, :]
-    P = solve_continuous_lyapunov(moved.T, -np.eye(len(M))) / np.outer(scale, scale)
+    P = _lyapunov(moved.T, -np.eye(len(M))) / np.outer(scale, scale)
+    if not np.isfinite(P).all():
+        raise NoCertificate(OUT_OF_RANGE)
     exact = np.vectorize(lambda v: rational(Fraction(float(v))), otypes=[object])((P + P.T) / 2)
     form = shifted.T @ exact + exact @ shifted
     if not (positive_definite(exact) and positive_definite(-form)):
-        raise NoCertificate("no decay of the loop could be proven for all constants of a cell")
+        raise NoCertificate("no decay of the loop could be proven: it may be too stiff")
     balls = balls_of(exact)
     return Decay(mu, balls, balls.inv())
+
+
+def _lyapunov(M: np.ndarray, Q: np.ndarray) -> np.ndarray:
+    """X with M X + X M^T = Q, a guess: where it is a poor one SciPy warns, and no proof follows."""
+    if not (np.isfinite(M).all() and np.isfinite(Q).all()):
+        raise NoCertificate(OUT_OF_RANGE)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        X: np.ndarray = solve_continuous_lyapunov(M, Q)
+    return X
 
 
 def _sizes(M: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Sizes of the states relative to the first, under the column that makes them largest."""
     largest = np.full(len(M), LEAST_STATE_SIZE)
     for b in B.T:
-        gramian = np.diag(solve_continuous_lyapunov(M, -np.outer(b, b)))
+        gramian = np.diag(_lyapunov(M, -np.outer(b, b)))
         if gramian[0] > 0:
             largest = np.fmax(largest, np.sqrt(np.maximum(gramian, 0) / gramian[0]))
     return np.where(largest > LEAST_STATE_SIZE, largest, 1.0)
@@ -118,10 +133,11 @@ def peak_gains(M: np.ndarray, C: np.ndarray, B: np.ndarray) -> np.ndarray:
     NoCertificate
         If M is not proven stable, or too stiff.
     """
-    if not B.shape[1]:
-        return np.zeros((len(C), 0))
     with flint.ctx.workprec(PRECISION):
-        return _integrals(proven_decay(M, B), M, balls_of(C), balls_of(B))
+        decay = proven_decay(M, B)  # also where nothing acts: what begins must end
+        if not B.shape[1]:
+            return np.zeros((len(C), 0))
+        return _integrals(decay, M, balls_of(C), balls_of(B))
 
 
 def _integrals(decay: Decay, exact: np.ndarray, C: flint.arb_mat, B: flint.arb_mat) -> np.ndarray:

@@ -40,6 +40,7 @@ from certrack.core.expressions import Expression, parse, symbol
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.laws.error_system import EstimatedParameters
 from certrack.model.ranges import open_constants
+from certrack.references.base import bound_of
 from certrack.systems.system import System
 
 #: Symbols of ranges that no constant stands for: a dot, so they are the name of none.
@@ -95,6 +96,10 @@ class RangedLoop:
         bounds = self.system.reference.bounds(self.coordinates.q + 1).values
         return tuple(exact_float(bound, rational) for bound in bounds)
 
+    def bound_on(self, i: int) -> Any:
+        """Y_i alone: what no proof needs is not asked for."""
+        return exact_float(bound_of(self.system.reference, i)[0], rational)
+
     @cached_property
     def uncertain(self) -> UncertainInputs:
         """How the w_k act on e."""
@@ -140,7 +145,7 @@ def ranged_loop(system: System) -> RangedLoop:
         matrix[n - 1, n + j] += rho * _sympy(coordinates.nu_Y[j])
     brackets, sizes = [], []
     states = list(system.plant.symbols)
-    for function, coefficient in design.terms().items():
+    for function, coefficient in (design.terms() if design.symbols else {}).items():
         bracket = sympy.cancel(sympy.together(coefficient - rho * design.at_nominal(coefficient)))
         if bracket == 0:
             continue

@@ -18,7 +18,7 @@ proves limsup |q|, |x| <= v, for F is monotone, and homogeneous but for c.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,7 +90,7 @@ def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Inter
         *(c.A @ channels.columns).T,
         *uncertain.a,
     ]
-    constant, gains, levels = _responses(form, outputs, loop.Y, columns)
+    constant, gains, levels = _responses(form, outputs, loop.bound_on, columns)
     nb, nc = len(bounded), len(channels.rows)
     constant = constant + gains[:, :nb].sum(axis=1)
     through, from_norms = gains[:, nb : nb + nc], gains[:, nb + nc :]
@@ -133,21 +133,30 @@ def _outputs(loop: RangedLoop, rows: np.ndarray) -> _Outputs:
 
 
 def _responses(
-    form: ErrorForm, outputs: _Outputs, Y: Sequence[Any], columns: Sequence[np.ndarray]
+    form: ErrorForm,
+    outputs: _Outputs,
+    bound_on: Callable[[int], Any],
+    columns: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, list[int]]:
     """For each output: the part of reference and offset, and its gains from the columns."""
-    M, W, width = form.M, form.W, len(Y)
+    M, W = form.M, form.W
+    width = W.shape[1]
     last, residuals, statics = 0 * form.offset, [], []
     for s in range(width):
         residuals.append(W[:, s] - last)
         last = solve(M, -residuals[-1])  # Pi_s
         statics.append(last)
+    unused = [
+        not any(np.any(v != 0) for v in (W[:, j], outputs.D[:, j], statics[j], residuals[j]))
+        for j in range(width)
+    ]
+    Y = [rational(0) if unused[j] else bound_on(j) for j in range(width)]
     resting = solve(M, -form.offset)
     table = [*columns, *residuals, *(W[:, j] for j in range(1, width))]
     acting = [i for i, column in enumerate(table) if any(v != 0 for v in column)]
     gains = np.zeros((len(outputs.C), len(table)))
-    if acting:
-        gains[:, acting] = peak_gains(M, outputs.C, np.array([table[i] for i in acting]).T)
+    inputs = np.array([table[i] for i in acting], dtype=object).reshape(len(acting), len(M)).T
+    gains[:, acting] = peak_gains(M, outputs.C, inputs)
     first, later = len(columns), len(columns) + width
     sizes = [float_up(v) for v in Y]
     constant, levels = [], []
@@ -180,5 +189,5 @@ def _bound(image: Any, count: int) -> float:
     v = v * (1 + WIDENED) + LEAST
     after = image(v) * (1 + FIXED_POINT_ROUNDING)
     if not (after[1:] < v[1:]).all() or after.max() >= UNBOUNDED:
-        raise NoCertificate("the loop's gain through the ranges is not below 1")
+        raise NoCertificate("the loop's gain through the uncertain terms is not below 1")
     return float(after[0])

@@ -15,7 +15,7 @@ import sympy
 
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import rational
-from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import adaptation_of
 from certrack.certificates.problem import ErrorProblem
@@ -95,9 +95,19 @@ class RangeProver:
     def peak(self, cell: Cell) -> CellProof | None:
         """A proof by peak gains, or None if there is none."""
         try:
-            bound = peak_bound(self.loop, self.coefficients, cell).bound
+            return self.peak_proof(cell)
         except NoCertificate:
             return None
+
+    def peak_proof(self, cell: Cell) -> CellProof:
+        """A proof by peak gains.
+
+        Raises
+        ------
+        NoCertificate
+            If there is none, with the reason.
+        """
+        bound = peak_bound(self.loop, self.coefficients, cell).bound
         return CellProof(texts(cell), rounded_up(bound * (1 + PEAK_SLACK), PEAK_DIGITS))
 
     def check(self, proof: CellProof) -> str:
@@ -107,7 +117,8 @@ class RangeProver:
             if not proof.points:
                 if not self.by_peak_gains:
                     return "peak gains prove nothing with estimates in the loop"
-                bound = peak_bound(self.loop, self.coefficients, cell).bound
+                with within_floats():
+                    bound = peak_bound(self.loop, self.coefficients, cell).bound
                 holds = rational(Fraction(bound)) <= from_text(proof.bound)
                 return "" if holds else "the bound is smaller than the peak gains give"
             problems = self._at(cell)

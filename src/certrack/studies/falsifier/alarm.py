@@ -1,7 +1,8 @@
 """Is a run beyond the certificate? Then a premise is broken, or something is wrong here.
 
 A bound on limsup |e_1| says nothing of a transient, so a run is held against the certified *tube*
-from its own start, at every time.
+from its own start, at every time. A bound without a tube of its own, by peak gains, is granted for
+the start what the tube of the quadratic proof grants: the distance of its square from its floor.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from certrack.certificates import Certificate, NoCertificate, Proof, tube
 from certrack.certificates.assumption_1 import VIOLATION_TOLERANCE, uncertain_terms
+from certrack.certificates.methods import QUADRATIC_KINDS
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.sampling import Points
@@ -58,7 +60,7 @@ def alarm(
     against : Certificate
         The best verified one.
     stages : tuple of Proof
-        Its proof.
+        The proof of a tube.
     """
     if not _beyond(system, case, run, against, stages):
         return None
@@ -87,10 +89,16 @@ def _beyond(
     late = run.t >= case.settings.tail_start
     if not np.any(error[late] > against.bound + slack):
         return False
+    if not stages:
+        return True
     try:
-        limit = tube(_within_bounds(system, case), stages)(run.t)
+        around = tube(_within_bounds(system, case), stages)
     except (NoCertificate, InputError):
         return True
+    limit = around(run.t)
+    if against.kind not in QUADRATIC_KINDS:
+        from_start = np.sqrt(np.maximum(limit**2 - around.floor, 0.0))
+        limit = np.minimum(limit, against.bound + from_start)
     return bool(np.any(error > limit + slack))
 
 

@@ -13,13 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
-from certrack.certificates import Certificate, Proof, certify_semidefinite
-from certrack.certificates.cascade import certify_cascade
+from certrack.certificates import Certificate
+from certrack.certificates.methods import Methods, every_certificate
 from certrack.certificates.premise import contradicted
-from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
-from certrack.certificates.published import certify_published
-from certrack.certificates.ranges.certify import certify_ranges
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
@@ -138,7 +135,7 @@ def falsify(
             remedy="Give the truth in the design's form, or vary it by certrack ensemble",
         )
     progress(0, budget, None)
-    certificates = all_certificates(system)
+    methods = every_certificate(system)
     system = system.replace(implementation=None)
     search = _Search(AdversarialLoop(system), budget, progress)
     evolved = search.evolve(budget, seed)
@@ -148,7 +145,7 @@ def falsify(
     runs = [simulate(case) for case in cases]
     errors = list(map(_error, runs))
     worst = int(np.argmax(errors))
-    against, stages = _best_verified(certificates)
+    against, stages = methods.best, methods.stages
     raised = None
     if against is not None:
         alarms = (
@@ -159,7 +156,7 @@ def falsify(
         errors[worst],
         cases[worst],
         search.evaluations + 1,
-        _of_this_file(system, certificates),
+        _of_this_file(system, methods),
         against,
         None if raised is None else raised.kind,
         "" if raised is None else raised.reason,
@@ -167,39 +164,14 @@ def falsify(
     )
 
 
-def all_certificates(system: System) -> dict[str, tuple[Certificate, tuple[Proof, ...]]]:
-    """Every certificate of the system and its proof, where it has one, by kind."""
-    if has_ranges(system):
-        by_ranges = certify_ranges(system)
-        kinds = {"cells": by_ranges.cells, "vertices": by_ranges.vertices, "peak": by_ranges.peak}
-        return {kind: (entry, ()) for kind, entry in kinds.items()}
-    semidefinite, proof = certify_semidefinite(system)
-    cascade, stages = certify_cascade(system)
-    published = {kind: (entry, ()) for kind, entry in certify_published(system).items()}
-    return {
-        **published,
-        "semidefinite": (semidefinite, () if proof is None else (proof,)),
-        "cascade": (cascade, stages or ()),
-    }
-
-
-def _of_this_file(
-    system: System, certificates: Mapping[str, tuple[Certificate, tuple[Proof, ...]]]
-) -> dict[str, Certificate]:
+def _of_this_file(system: System, methods: Methods) -> dict[str, Certificate]:
     """The certificates, none of them verified where the file's truth breaks a premise."""
     broken = contradicted(premises(system))
+    entries = {kind: methods.certificates[kind] for kind in methods.kinds}
     return {
         kind: replace(entry, verified=entry.verified and not broken)
-        for kind, (entry, _) in certificates.items()
+        for kind, entry in entries.items()
     }
-
-
-def _best_verified(
-    certificates: Mapping[str, tuple[Certificate, tuple[Proof, ...]]],
-) -> tuple[Certificate | None, tuple[Proof, ...]]:
-    """The tightest bound that exact arithmetic has confirmed."""
-    verified = [pair for pair in certificates.values() if pair[0].verified]
-    return min(verified, key=lambda pair: pair[0].bound, default=(None, ()))
 
 
 class _Search:

@@ -1,0 +1,266 @@
+"""Every method, listed once: for `certify`, for the falsifier, for the limit of an ensemble."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.cascade import certify_cascade
+from certrack.certificates.certificate import (
+    Certificate,
+    NoCertificate,
+    missing,
+    within_floats,
+)
+from certrack.certificates.exact import Proof, float_up, from_text, prove, proven
+from certrack.certificates.formulation import error_problem
+from certrack.certificates.own_multipliers import own_solution
+from certrack.certificates.premises import assumptions, has_ranges
+from certrack.certificates.published import certify_published
+from certrack.certificates.ranges.certify import certify_ranges, without_ranges
+from certrack.certificates.ranges.proofs import CellProof, RangeProver
+from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
+from certrack.core.progress import Progress, silent
+from certrack.systems.system import System
+
+#: Those of a nominal loop, and those that cover ranges of constants, as they are shown.
+NOMINAL_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade", "peak")
+RANGE_KINDS = ("vertices", "peak", "cells")
+
+#: Of which a tube follows: inequalities for V, which hold for every t.
+QUADRATIC_KINDS = ("semidefinite", "cascade")
+
+#: Steps of which :func:`every_certificate` reports.
+METHOD_STEPS = 4
+
+#: Orders up to which peak gains take less than about a second.
+FAST_PEAK_ORDER = 25
+
+#: Stages, or cells; empty where there is none, or none that a file holds.
+Proofs = tuple[Proof, ...] | tuple[CellProof, ...]
+
+
+@dataclass(frozen=True)
+class Methods:
+    """What every method found.
+
+    Attributes
+    ----------
+    certificates : mapping
+        By kind; each method has one, if only to say why there is none.
+    proofs : mapping
+        By kind.
+    kinds : tuple of str
+        Those that speak of this loop.
+    attainable : float or None
+        What the linear loop reaches at the worst corner of the ranges; no proof.
+    """
+
+    certificates: Mapping[str, Certificate]
+    proofs: Mapping[str, Proofs]
+    kinds: tuple[str, ...]
+    attainable: float | None
+
+    @property
+    def best(self) -> Certificate | None:
+        """The smallest bound that exact arithmetic has confirmed."""
+        return smallest(self.certificates[kind] for kind in self.kinds)
+
+    @property
+    def tightest(self) -> Proofs:
+        """Proof of the smallest bound of those that a file holds."""
+        return self._tightest(self.kinds)
+
+    @property
+    def stages(self) -> tuple[Proof, ...]:
+        """The same of those from which a tube follows: one stage, or the two or three."""
+        return _quadratic(self._tightest(QUADRATIC_KINDS))
+
+    def stages_of(self, kind: str) -> tuple[Proof, ...]:
+        """The stages behind one of :data:`QUADRATIC_KINDS`."""
+        return _quadratic(self.proofs[kind])
+
+    def _tightest(self, kinds: Iterable[str]) -> Proofs:
+        saved = (kind for kind in kinds if self.proofs.get(kind))
+        best = min(saved, key=lambda kind: self.certificates[kind].bound, default="")
+        return self.proofs.get(best, ())
+
+
+def _quadratic(proofs: Proofs) -> tuple[Proof, ...]:
+    return tuple(stage for stage in proofs if isinstance(stage, Proof))
+
+
+def smallest(certificates: Iterable[Certificate]) -> Certificate | None:
+    """The smallest verified bound; None if there is none."""
+    verified = (entry for entry in certificates if entry.verified)
+    return min(verified, key=lambda entry: entry.bound, default=None)
+
+
+def every_certificate(
+    system: System, effort: str = "default", progress: Progress = silent
+) -> Methods:
+    """Certify `system` by every method.
+
+    Parameters
+    ----------
+    system : System
+    effort : {"fast", "default", "high"}
+    progress : callable
+        Gets the number of the method that begins, their number and, for ranges, the bound so far.
+
+    Raises
+    ------
+    InputError
+        If a bound of the reference can neither be proven nor is declared.
+    """
+    progress(0, METHOD_STEPS, None)
+    certificates = dict(certify_published(system))
+    progress(1, METHOD_STEPS, None)
+    certificates["semidefinite"], proof = certify_semidefinite(system)
+    progress(2, METHOD_STEPS, None)
+    certificates["cascade"], stages = certify_cascade(system)
+    progress(3, METHOD_STEPS, None)
+    proofs: dict[str, Proofs] = {
+        "semidefinite": () if proof is None else (proof,),
+        "cascade": stages or (),
+    }
+    ranged, attainable = has_ranges(system), None
+    if ranged:
+        ranges = certify_ranges(system, effort, lambda _, __, best: progress(3, METHOD_STEPS, best))
+        proofs |= {ranges.best.kind: ranges.proof}
+        attainable = ranges.attainable
+    else:
+        ranges = without_ranges()
+    certificates |= {"vertices": ranges.vertices, "peak": ranges.peak, "cells": ranges.cells}
+    if not ranged:
+        certificates["peak"], proofs["peak"] = certify_peak(system, effort)
+    kinds = RANGE_KINDS if ranged else NOMINAL_KINDS
+    return Methods(certificates, proofs, kinds, attainable)
+
+
+def best_sound_bound(system: System) -> float:
+    """The tightest sound bound on limsup |e_1|; inf if there is none.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.certify(system)
+    >>> certrack.certificates.best_sound_bound(system) == found.best.bound
+    True
+    """
+    best = every_certificate(system).best
+    return math.inf if best is None else best.bound
+
+
+def certify_peak(
+    system: System, effort: str = "default"
+) -> tuple[Certificate, tuple[CellProof, ...]]:
+    """The certificate by peak gains of a system without ranges, enclosed by balls, and its proof.
+
+    The error loop is linear but for the uncertain terms: each |w_k| counts with the integral of
+    its kernel, and where it grows with ||x|| the sizes of all states are a fixed point. The proof
+    is a cell without ranges: whoever checks it computes it again.
+
+    Parameters
+    ----------
+    system : System
+    effort : {"fast", "default", "high"}
+        ``fast`` leaves out what takes longer than about a second.
+
+    Returns
+    -------
+    certificate : Certificate
+    proof : one cell, or nothing
+
+    Examples
+    --------
+    >>> import certrack
+    >>> found, proof = certrack.certificates.certify_peak(certrack.load("dual-motor-lean"))
+    >>> found
+    Certificate(peak: limsup |e_1| <= 0.001288, verified)
+    """
+    try:
+        with within_floats():
+            error_problem(system, rational)  # refuses what no certificate of this room covers
+            prover = RangeProver(system)
+            if not prover.by_peak_gains:
+                raise NoCertificate(
+                    "peak gains are for the robust law: estimates make the loop nonlinear"
+                )
+            if effort == "fast" and system.plant.n > FAST_PEAK_ORDER:
+                raise NoCertificate("takes more time at this order: --effort default")
+            proof = prover.peak_proof(prover.box)
+    except NoCertificate as refusal:
+        return missing("peak", str(refusal)), ()
+    bound = float_up(from_text(proof.bound))
+    rests_on = tuple(assumptions(system))
+    return Certificate("peak", bound, verified=True, assumptions=rests_on), (proof,)
+
+
+def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
+    """The tight certificate of `system`, verified exactly, and the numbers that prove it.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    certificate : Certificate
+    proof : Proof or None
+        None where there is no certificate.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> found, proof = certrack.certificates.certify_semidefinite(certrack.load("dual-motor-lean"))
+    >>> found.verified
+    True
+    """
+    try:
+        with within_floats():
+            exact = error_problem(system, rational)
+            program = SemidefiniteProgram(exact.in_floats())
+            solution = best_solution(program)
+            proof = None if solution is None else prove(exact, solution)
+            if proof is None:
+                damped = own_solution(system, exact)
+                proof = None if damped is None else prove(exact, damped)
+            if proof is None:
+                raise NoCertificate(_why_none(program, solution))
+    except NoCertificate as problem:
+        return missing("semidefinite", str(problem)), None
+    return proven("semidefinite", system, proof), proof
+
+
+#: The leakage is said to be too slow below this part of the slowest pole.
+SLOWEST_LEAKAGE = 1e-9
+
+
+def _why_none(program: SemidefiniteProgram, solution: Solution | None) -> str:
+    """Why there is no proof, and the remedy."""
+    if program.fastest < SLOWEST_LEAKAGE * program.slowest_pole:
+        return (
+            "the estimates forget too slowly for a bound to be found: raise gain_rate leak_gain, "
+            "or the smallest eigenvalue of Gamma, which may be nearly singular, times leak_theta"
+        )
+    if solution is None:
+        return (
+            "no certificate found: the uncertainty is too strong for this design; "
+            "lower tau, raise c, or use fewer damping terms"
+        )
+    return (
+        "the solver's certificate did not survive exact verification; rescale the states or use "
+        "fewer damping terms"
+    )
