@@ -503,12 +503,12 @@ def test_refusals_say_why():
     assert "15.5" in certify_implemented(published)[0].reason  # it may saturate for ever
 
 
-def test_limits_that_are_not_met_are_an_assumption():
+def test_limits_that_may_act_leave_nothing_verified():
     system = on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), saturation=(-2.0, 2.0))
     result = certify(system)
-    assert result.implemented.verified and result.implemented.saturation == "may act"
-    assert result.implemented.starts is None
-    assert {p.name: p.status for p in result.premises}["input limits"] == "assumed"
+    assert not result.implemented.verified and result.implemented.saturation == "may act"
+    assert result.implemented.exists and result.best is not result.implemented
+    assert "input limits" not in {p.name for p in result.premises}
     slow = on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), rate_limit=1.0)
     assert "rate limit" in certify_implemented(slow)[0].reason
     assert certify_implemented(on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), rate_limit=1e4))[

@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 
 import flint
+import independent_checker
 import numpy as np
 import pytest
 from start_attack import worst_from
@@ -20,6 +21,7 @@ from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.proof import delays
 from certrack.certificates.implemented.start import FromStarts, Later, Starts, is_above
 from certrack.certificates.implemented.start_proof import POLYTOPE, X0
+from certrack.cli.sampled_report import implemented_notes, implemented_summary
 from certrack.model.distribution import Distribution
 from certrack.studies.ensembles.error_limit import limit_and_starts, started_inside
 
@@ -103,6 +105,29 @@ def test_the_simulator_starts_where_the_bounds_do():
     assert (np.abs(run.x).max(axis=1) <= found.peaks.states).all()
 
 
+def beyond(system, bounds, run):
+    """By how much a run leaves the bounds, at its worst; negative inside."""
+    k = (run.t / system.implementation.period * (1 + 1e-12)).astype(int)
+    late = (k >= len(bounds.values))[:, None]
+    limits = np.where(late, bounds.last, bounds.values[np.minimum(k, len(bounds.values) - 1)])
+    outputs = np.abs(np.vstack([run.e[:1], run.x]))
+    return (outputs.T - limits[:, : len(outputs)]).max()
+
+
+@pytest.mark.parametrize("speeds", [(), ("x2", "x4")])
+def test_runs_of_the_simulator_stay_inside(speeds):
+    """It quantises, delays and differences by its own code; a constant in the drift counts."""
+    base = lean(0.01, speeds)
+    system = base.replace(plant=replace(base.plant, drift="K_L/J_M*(x1 - x3) + 6"))
+    bounds = bounds_from_start(system)
+    run = certrack.simulate(system, duration=3.0)
+    assert beyond(system, bounds, run) < 0
+    assert run.metrics.peak_input <= bounds.peaks.input <= 1.15 * run.metrics.peak_input
+    smaller = replace(bounds, values=bounds.values * 0.9, last=bounds.last * 0.9)
+    assert beyond(system, smaller, run) > 0  # so it is near enough to be a test
+    assert math.isclose(bounds.offset, 0.3)
+
+
 def test_any_phase_of_the_reference():
     """With another phase than the file's the input may be larger, and the bounds know."""
     system = lean(0.01, ())
@@ -135,6 +160,7 @@ def test_a_short_horizon_is_not_all_time():
     A, W = [[0, 1], [-1, -2]], [[0], [1]]
     w = replace(UNIT_W, weights=UNIT_W.weights * 2, Delta=UNIT_W.Delta * 2)
     drive = bare_drive(A, [0, 0], W, [0, 0], 0.1, [0.0] * 2, 0.0, [w])
+    assert escape(np.array([0.0, 5.0])) < 3.6
     zero = flint.arb(0)
     starts = Starts((zero, flint.arb(5)), (zero,) * 2, (zero,), zero)
     with flint.ctx.workprec(DRIVE_BITS):
@@ -145,6 +171,9 @@ def test_a_short_horizon_is_not_all_time():
             assert not has_later(frame, starts, transient)
         small = Starts((zero, flint.arb(0.2)), (zero,) * 2, (zero,), zero)
         transient = frame.transient(small)
+        gains = frame.gains
+        total = frame.largest((gains.lags.sum(axis=0) + gains.tail + gains.running)[:, 0])
+        assert (total[1:3] * 0.5**2 < [0.5, 5]).all()  # the inequality at the first period's end
         run = frame.run(small, transient)  # from a small start it is a proof
         assert max(frame.find_later(small, transient, run, 16).states) < 0.4
 
@@ -204,6 +233,15 @@ def test_a_shortened_proof_is_refused():
     assert float(low[0]) < attack[1]
     mutant = (replace(proofs[0], starts=(short,)),)
     assert "does not shrink" in failed_cover(system, mutant) or failed_cover(system, mutant)
+
+
+def escape(x, h=1e-4):
+    """When a run of the loop above with w = +x1^2 passes 1e4, s."""
+    for k in range(100_000):
+        x = x + h * np.array([x[1], -x[0] - 2 * x[1] + x[0] ** 2])
+        if abs(x[0]) > 1e4:
+            return k * h
+    return math.inf
 
 
 # Certificates that are wrong --------------------------------------------------------------------
@@ -269,11 +307,19 @@ def test_limits_that_may_act():
     assert "13." in found.reason and found.peaks.input > 12
     lopsided, _ = certify_implemented(lean(0.01, (), saturation=(-15.0, 2.0)))
     assert lopsided.saturation == "may act"
+
+
+@pytest.mark.slow
+def test_limits_that_may_act_leave_the_continuous_certificate():
+    result = certify(lean(0.01, (), saturation=(-12.0, 12.0)))
+    assert result.best is not result.implemented and "input limits" not in str(result.premises)
+
+
+@pytest.mark.slow
+def test_the_published_gains_may_stay_at_their_limits():
     published = on_a_drive("dual-motor", 0.001, ("x2", "x4"), **LIMITS)
     refused, _ = certify_implemented(published)
     assert "15.5" in refused.reason and not refused.exists and refused.starts == "none"
-    result = certify(lean(0.01, (), saturation=(-12.0, 12.0)))
-    assert result.best is not result.implemented and "input limits" not in str(result.premises)
 
 
 def test_rate_limits():
@@ -385,15 +431,51 @@ def test_file_of_a_limited_drive(limited):
     assert "limits" in failed_cover(elsewhere, proofs) or failed_cover(elsewhere, proofs)
 
 
+def test_another_checker_agrees(limited):
+    """It was written from the page of the file, and sums every lag by itself."""
+    system, _, proofs = limited
+    assert independent_checker.check(to_document(system, *proofs)) > 0
+    x0, polytope = proofs[0].starts
+    for wrong in (
+        (replace(x0, peaks=scaled(x0.peaks, 0.99, 5)), polytope),
+        (replace(x0, peaks=scaled(x0.peaks, 0.99, 2)), polytope),
+        (replace(x0, states=scaled(x0.states, 0.5)), polytope),
+        (x0, replace(polytope, states=scaled(polytope.states, 0.5))),
+        (polytope,),
+    ):
+        document = to_document(system, replace(proofs[0], starts=wrong))
+        with pytest.raises(independent_checker.Refused):
+            independent_checker.check(document)
+
+
+@pytest.mark.slow
+def test_another_checker_agrees_on_random_loops():
+    rng, held = np.random.default_rng(31), 0
+    while held < 6:
+        system, _, _ = random_drive(rng)
+        x0 = tuple(np.round(rng.uniform(-1, 1, system.plant.n), 3).tolist())
+        system = system.replace(settings=replace(system.settings, x0=x0))
+        found, proofs = certify_implemented(system, from_start=True)
+        if found.exists:
+            assert independent_checker.check(to_document(system, *proofs)) > 0
+            held += 1
+
+
 def test_members_are_counted_apart():
     system = lean(0.01, (), **LIMITS)
+    system = system.replace(settings=replace(system.settings, duration=1.0, tail=0.1))
     limit, origin, proven = limit_and_starts(system, None)
     assert origin == "certificate" and proven.bound == limit
     result = certrack.ensemble(system, 64, method="lockstep")
     counted = result.violations()
-    assert counted["count"] == 0 and 30 < counted["started_inside"] < 64
+    assert f"; {counted['count']} beyond" in repr(result)
+    assert 30 < counted["started_inside"] < 64
     starts = np.array([result.member(i).settings.x0 for i in range(64)])
-    assert started_inside(system, proven, starts).sum() == counted["started_inside"]
+    inside = started_inside(system, proven, starts)
+    assert inside.sum() == counted["started_inside"]
+    beyond = result.frame()["tail_error"] > limit  # so early that many are
+    assert counted["count"] == (beyond & inside).sum() > 0
+    assert counted["others"] == (beyond & ~inside).sum() > 0
     moved = system.replace(
         population=replace(system.varied, amplitude=Distribution("uniform", (0.5, 1)))
     )
@@ -404,7 +486,8 @@ def test_members_are_counted_apart():
     assert proven.admits(x0).all() and not started_inside(moved, proven, x0).any()
 
 
-def test_command_line_and_picture(tmp_path, capsys):
+@pytest.mark.slow
+def test_command_line(tmp_path, capsys):
     file = tmp_path / "drive.toml"
     certrack.save(lean(0.01, (), **LIMITS), file)
     code, text = command(capsys, "certify", file, "--json", "--plot", tmp_path, "--states", "x1,x3")
@@ -415,11 +498,21 @@ def test_command_line_and_picture(tmp_path, capsys):
     text = command(capsys, "certify", file)[1]
     assert "its limits are never met" in text and "largest box" in text
     assert command(capsys, "certify", file, "--states", "x1,x1")[0] == 2
-    found, _ = certify_implemented(certrack.load(file))
+    assert "started" in command(capsys, "ensemble", file, "--members", "64")[1]
+
+
+def test_what_is_said_and_drawn(limited):
+    _, found, _ = limited
+    summary, lines = implemented_summary(found), " ".join(implemented_notes(found, 5))
+    assert summary["starts"] == "x0" and summary["peaks"]["input"] == found.peaks.input
+    assert "its limits are never met" in lines and "largest box" in lines
+    unlimited, _ = certify_implemented(lean(0.01, ()))
+    assert "met" not in " ".join(implemented_notes(unlimited, 5))
     (ax,) = certrack.plotting.starts_figure(found, ("x2", "x4")).axes
     assert "x_{2}" in ax.get_xlabel() and len(ax.patches) == 4
+    assert len(certrack.plotting.starts_figure(found).axes[0].patches) == 4
     with pytest.raises(certrack.InputError, match="polytope"):
-        certrack.plotting.starts_figure(certify_implemented(lean(0.01, ()))[0])
+        certrack.plotting.starts_figure(unlimited)
 
 
 @pytest.mark.slow

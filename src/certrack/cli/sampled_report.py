@@ -9,6 +9,12 @@ from typing import Any
 from certrack.certificates.implemented.certify import INACTIVE, MAY_ACT, ImplementedCertificate
 from certrack.core.rounding import rounded_down, rounded_up
 
+#: For which starts a bound is proven, in words; for all if it is not here.
+FOR_STARTS = {
+    "x0": ", from x0 and the proven polytope",
+    "box": ", from x0 and the ensemble's box",
+}
+
 
 def implemented_summary(sampled: ImplementedCertificate) -> dict[str, Any]:
     """What a certificate of the implemented loop has besides others, ready for JSON."""
@@ -44,7 +50,7 @@ def implemented_notes(sampled: ImplementedCertificate, digits: int) -> list[str]
     )
     ship = (
         f"ship with implemented: limsup |e_1| <= {bound} holds for the sampled loop, between its "
-        "samples too; the others speak of the continuous law"
+        f"samples too{FOR_STARTS.get(sampled.starts, '')}; the others speak of the continuous law"
     )
     if not sampled.verified:
         ship = (

@@ -133,9 +133,9 @@ def bounds_from_start(
         prover = start_prover(system, delay, cells_of(drive))
         known = not any_reference and phase_of(system, drive, X0) == FILE_PHASE
         starts = starts_of(system, drive, FILE_PHASE if known else ANY_PHASE, region)
-        _, found = prover.search(starts, lambda _: True)
+        _, evidence = prover.search(starts, lambda _: True)
     offset = float_up(abs(drive.offset))
-    return StartBounds(float(drive.T), found.run.bounds, found.after, offset)
+    return StartBounds(float(drive.T), evidence.run.bounds, evidence.after, offset)
 
 
 @dataclass(frozen=True)
@@ -167,27 +167,27 @@ class Findings:
 
 def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
     """Proofs from x0, and of the starts from which no limit is met."""
-    found = [_starts_of_delay(system, proof) for proof in proofs]
-    reason = next((entry.reason for entry in found if entry.reason), "")
-    polytopes = [entry.polytope for entry in found if entry.polytope is not None]
-    polytope = common(polytopes) if len(polytopes) == len(found) else None
+    findings = [_starts_of_delay(system, proof) for proof in proofs]
+    reason = next((entry.reason for entry in findings if entry.reason), "")
+    polytopes = [entry.polytope for entry in findings if entry.polytope is not None]
+    polytope = common(polytopes) if len(polytopes) == len(findings) else None
     if polytope is not None and polytope.largest_box() is None:
         polytope = None
     return Findings(
-        tuple(entry.proofs[0] for entry in found),
-        peaks_of(system, [entry.proofs[0] for entry in found]),
+        tuple(entry.proofs[0] for entry in findings),
+        peaks_of(system, [entry.proofs[0] for entry in findings]),
         polytope,
         reason,
     )
 
 
 def _starts_of_delay(system: System, proof: ImplementedProof) -> Findings:
-    limited, polytope, kept, reason = is_limited(system), None, [], ""
+    limited, polytope, starts, reason = is_limited(system), None, [], ""
     with flint.ctx.workprec(DRIVE_BITS):
         prover = start_prover(system, rational(Fraction(proof.delay)), proof.parts)
         try:
-            kept.append(prover.prove(X0))
-            if limited and (limit := limit_met(system, prover.drive, kept[0])):
+            starts.append(prover.prove(X0))
+            if limited and (limit := limit_met(system, prover.drive, starts[0])):
                 reason = f"the limits of the input may act: {limit}"
         except NoCertificate as refusal:
             reason = f"the limits of the input may act: {refusal}" if limited else ""
@@ -195,10 +195,10 @@ def _starts_of_delay(system: System, proof: ImplementedProof) -> Findings:
             try:
                 region = prover.prove(POLYTOPE)
                 polytope = polytope_of(prover, region)
-                kept.append(region)
+                starts.append(region)
             except NoCertificate:
                 polytope = None
-    return Findings((replace(proof, starts=tuple(kept)),), None, polytope, reason)
+    return Findings((replace(proof, starts=tuple(starts)),), None, polytope, reason)
 
 
 def peaks_of(system: System, proofs: Sequence[ImplementedProof]) -> Peaks | None:

@@ -19,7 +19,7 @@ REGION_DIGITS = 3
 
 #: What a state adds to the input counts as this part of what another one does, at least, where a
 #: region is looked for.
-SMALLEST_SHARE = 1e-2
+LEAST_SHARE_OF_STATE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def region_of(
     limits = input_limits(system, drive)
     room = np.array([float(limits.high - limits.low) / 2, float(limits.step)])
     magnitudes = np.abs(frame().gains.before.value[:, -2:, : drive.n]).max(axis=0)
-    least = SMALLEST_SHARE * magnitudes.max(axis=1, keepdims=True)
+    least = LEAST_SHARE_OF_STATE * magnitudes.max(axis=1, keepdims=True)
     reach = np.min(room[:, None] / np.maximum(magnitudes, least), axis=0)
     half = [max(float(f"{v:.{REGION_DIGITS}g}"), abs(x)) for v, x in zip(reach, x0, strict=True)]
     return tuple((repr(-v), repr(v)) for v in half)

@@ -127,14 +127,14 @@ class Polytope:
 
 def _cut(corners: list[np.ndarray], row: np.ndarray, limit: float) -> list[np.ndarray]:
     """The part of a convex polygon with row x <= limit."""
-    kept: list[np.ndarray] = []
+    left: list[np.ndarray] = []
     for p, q in pairwise([*corners, *corners[:1]]):
         a, b = float(row @ p) - limit, float(row @ q) - limit
         if a <= 0:
-            kept.append(p)
+            left.append(p)
         if (a < 0 < b) or (b < 0 < a):
-            kept.append(p + a / (a - b) * (q - p))
-    return kept
+            left.append(p + a / (a - b) * (q - p))
+    return left
 
 
 def half_spaces(

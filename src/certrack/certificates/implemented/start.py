@@ -100,7 +100,7 @@ class Transient:
 
 
 @dataclass(frozen=True)
-class Run:
+class PeriodBounds:
     """Bounds in the periods 0 ... K-1.
 
     Attributes
@@ -172,13 +172,13 @@ class FromStarts:
         sample = drive.Y[-1] if drive.lipschitz is None else drive.T / 2 * drive.lipschitz
         bounds = np.array([up(v) for v in (drive.Y[-1], *drive.mu, sample, drive.eta, drive.Y[-1])])
         still = np.array([[up(v) for v in steady(self.period, row)] for row in self.rows])
-        own = gains.running[:, nw:] @ bounds + self._of_r * bounds[0]
-        own = own + still @ np.array([up(v) for v in drive.Y[:-1]])
+        running = gains.running[:, nw:] @ bounds + self._of_r * bounds[0]
+        running = running + still @ np.array([up(v) for v in drive.Y[:-1]])
         each = gains.lags[:, :, nw:] @ bounds
         before = np.concatenate([np.zeros((1, len(self.rows))), np.cumsum(each, axis=0)])
         K = self.count
-        self._constant = widened(own + before[:K], K + 32)
-        self._constant_later = widened(own + before[K] + gains.tail[:, nw:] @ bounds, K + 32)
+        self._constant = widened(running + before[:K], K + 32)
+        self._constant_later = widened(running + before[K] + gains.tail[:, nw:] @ bounds, K + 32)
         self._sample_column = nw + 1 + drive.n
 
     def _jumping(self, starts: Starts) -> np.ndarray | float:
@@ -204,22 +204,22 @@ class FromStarts:
         fixed = flint.arb_mat(period.size, 1)
         for i in range(period.command, period.size):
             fixed[i, 0] = starts.initial
-        free = _times(before, Enclosed.of(of_noise)).upper @ mu
+        free = _product_with(before, Enclosed.of(of_noise)).upper @ mu
         start_free = Enclosed.of(of_noise).upper @ mu
         if starts.Y is not None:
             fixed = fixed - period.Pi[-1] * flint.arb_mat([[v] for v in starts.Y])
         else:
             Y = np.array([up(v) for v in drive.Y[:-1]])
             reference = Enclosed.of(period.Pi[-1])
-            free = free + _times(before, reference).upper @ Y
+            free = free + _product_with(before, reference).upper @ Y
             start_free = start_free + reference.upper @ Y
         center = fixed + Z * flint.arb_mat([[v] for v in starts.center])
         half = np.array([up(v) for v in starts.half])
-        of_x0 = _times(before, Enclosed.of(Z))
+        of_x0 = _product_with(before, Enclosed.of(Z))
         free = widened(free, period.size + 8)
-        size = _times(before, Enclosed.of(center)).upper[:, :, 0] + of_x0.upper @ half + free
+        size = _product_with(before, Enclosed.of(center)).upper[:, :, 0] + of_x0.upper @ half + free
         zeta = Enclosed.of(center).upper[:, 0] + Enclosed.of(Z).upper @ half + start_free
-        into = _times(before, Enclosed.of(fixed))
+        into = _product_with(before, Enclosed.of(fixed))
         return Transient(
             of_x0,
             Enclosed(into.value[:, :, 0], into.error[:, :, 0]),
@@ -251,7 +251,7 @@ class FromStarts:
         """The largest of the rows of each output."""
         return np.maximum.reduceat(values, self.begins)
 
-    def run(self, starts: Starts, transient: Transient) -> Run:
+    def run(self, starts: Starts, transient: Transient) -> PeriodBounds:
         """Bounds of all outputs in the periods 0 ... K-1.
 
         Raises
@@ -285,14 +285,14 @@ class FromStarts:
             history[(K - k - 1) * nw : (K - k) * nw] = self.sizes(X)
         if not np.isfinite(bounds).all():
             raise NoCertificate("bounds from the start leave the range of floating point")
-        return Run(bounds, forced)
+        return PeriodBounds(bounds, forced)
 
     def _image(self, base: np.ndarray, X: np.ndarray) -> np.ndarray:
         values = base + self._running_w @ self.sizes(X) + self._of_x @ X
         return self.largest(widened(values, 2 * len(X) + 8))
 
     def later_image(
-        self, starts: Starts, transient: Transient, run: Run, middle: int, later: Later
+        self, starts: Starts, transient: Transient, run: PeriodBounds, middle: int, later: Later
     ) -> np.ndarray:
         """Bounds of all outputs in the periods from K on, if `later` bounds them.
 
@@ -300,7 +300,7 @@ class FromStarts:
         ----------
         starts : Starts
         transient : Transient
-        run : Run
+        run : PeriodBounds
         middle : int
             K1.
         later : Later
@@ -329,7 +329,9 @@ class FromStarts:
         )
         return self.largest(widened(values, 4 * nw + n + 16))
 
-    def find_later(self, starts: Starts, transient: Transient, run: Run, middle: int) -> Later:
+    def find_later(
+        self, starts: Starts, transient: Transient, run: PeriodBounds, middle: int
+    ) -> Later:
         """A bound of all periods from K on.
 
         Raises
@@ -338,15 +340,15 @@ class FromStarts:
             If none is found.
         """
         n = self.drive.n
-        found = Later((0.0,) * n, 0.0)
+        later = Later((0.0,) * n, 0.0)
         for _ in range(LATER_STEPS):
-            image = self.later_image(starts, transient, run, middle, found)
-            if is_above(found, image):
-                return found
+            image = self.later_image(starts, transient, run, middle, later)
+            if is_above(later, image):
+                return later
             if not np.isfinite(image).all():
                 break
             widest = image * (1 + LATER_MARGIN) + SMALLEST
-            found = Later(tuple(widest[1 : n + 1].tolist()), float(widest[n + 1]))
+            later = Later(tuple(widest[1 : n + 1].tolist()), float(widest[n + 1]))
         raise NoCertificate("no bound was found for what comes after the periods looked at")
 
 
@@ -371,7 +373,7 @@ def first_state(drive: Drive, size: int) -> tuple[flint.arb_mat, flint.arb_mat]:
     return Z, of_noise
 
 
-def _times(a: Enclosed, b: Enclosed) -> Enclosed:
+def _product_with(a: Enclosed, b: Enclosed) -> Enclosed:
     """The product of stacks of matrices with a matrix."""
     size = b.value.shape[0]
     p, q = np.abs(a.value), np.abs(b.value)

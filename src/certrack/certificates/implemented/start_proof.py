@@ -25,7 +25,7 @@ from certrack.certificates.implemented.polytope import Polytope, half_spaces
 from certrack.certificates.implemented.start import (
     FromStarts,
     Later,
-    Run,
+    PeriodBounds,
     Starts,
     Transient,
     is_above,
@@ -43,7 +43,7 @@ FILE_PHASE, ANY_PHASE = "file", "any"
 FEWEST_DOUBLINGS, MOST_DOUBLINGS = 5, 13
 
 #: Digits of the bounds in a file, and the factor on them, so that other checkers confirm them.
-DIGITS, TEXT_FACTOR = 13, 1 + 1e-6
+START_DIGITS, TEXT_FACTOR = 13, 1 + 1e-6
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Evidence:
     frame : FromStarts
     starts : Starts
     transient : Transient
-    run : Run
+    run : PeriodBounds
     after : n + 3 floats
         Bounds of all outputs in the periods from K on.
     peaks : n + 3 floats
@@ -101,7 +101,7 @@ class Evidence:
     frame: FromStarts
     starts: Starts
     transient: Transient
-    run: Run
+    run: PeriodBounds
     later: Later
     after: np.ndarray
     peaks: np.ndarray
@@ -119,13 +119,13 @@ class StartProver:
 
     def __init__(self, system: System, drive: Drive, frames: Any) -> None:
         self.system, self.drive, self._frames = system, drive, frames
-        self._kept: dict[int, FromStarts] = {}
+        self._by_doublings: dict[int, FromStarts] = {}
 
     def frame(self, doublings: int) -> FromStarts:
         """The right-hand sides for so many periods."""
-        if doublings not in self._kept:
-            self._kept[doublings] = self._frames(doublings)
-        return self._kept[doublings]
+        if doublings not in self._by_doublings:
+            self._by_doublings[doublings] = self._frames(doublings)
+        return self._by_doublings[doublings]
 
     def first_frame(self) -> FromStarts:
         """The shortest one that has gains.
@@ -161,9 +161,9 @@ class StartProver:
             region,
             doublings,
             2 ** (doublings - 1),
-            tuple(f"{v:.{DIGITS}g}" for v in evidence.later.states),
-            f"{evidence.later.input:.{DIGITS}g}",
-            tuple(f"{v * TEXT_FACTOR:.{DIGITS}g}" for v in evidence.peaks),
+            tuple(f"{v:.{START_DIGITS}g}" for v in evidence.later.states),
+            f"{evidence.later.input:.{START_DIGITS}g}",
+            tuple(f"{v * TEXT_FACTOR:.{START_DIGITS}g}" for v in evidence.peaks),
         )
 
     def search(self, starts: Starts, enough: Callable[[Evidence], bool]) -> tuple[int, Evidence]:
@@ -180,19 +180,19 @@ class StartProver:
         NoCertificate
             If nothing is bounded for all time.
         """
-        found, reason = None, ""
+        best, reason = None, ""
         for doublings in range(FEWEST_DOUBLINGS, MOST_DOUBLINGS + 1):
             try:
                 evidence = self.bounds(starts, doublings, 2 ** (doublings - 1), None)
             except NoCertificate as refusal:
                 reason = str(refusal)
                 continue
-            found = doublings, evidence
+            best = doublings, evidence
             if (evidence.run.bounds.max(axis=0) >= evidence.peaks).all() and enough(evidence):
                 break
-        if found is None:
+        if best is None:
             raise NoCertificate(reason)
-        return found
+        return best
 
     def within_later(self, evidence: Evidence) -> bool:
         """Whether no limit is met in the periods from K on, from no start that is looked at."""
@@ -347,15 +347,15 @@ def polytope_of(prover: StartProver, proof: StartProof) -> Polytope:
         at = frame.begins[n + 1 + output]
         G, error = transient.of_x0.value[:, at], transient.of_x0.error[:, at]
         fixed, fixed_off = transient.fixed.value[:, at], transient.fixed.error[:, at]
-        rest = run.forced[:, output] + transient.free[:, at] + fixed_off
+        forced = run.forced[:, output] + transient.free[:, at] + fixed_off
         for sign, end in ((1, high), (-1, -low)):
             end = float_down(end)
-            left = end - sign * fixed - rest
-            left -= 8 * ROUNDOFF * (abs(end) + np.abs(fixed) + rest)
+            left = end - sign * fixed - forced
+            left -= 8 * ROUNDOFF * (abs(end) + np.abs(fixed) + forced)
             rows.append(sign * G)
             errors.append(error)
             ends.append(left)
     table, off, room = (np.concatenate(v) for v in (rows, errors, ends))
-    found = half_spaces(table, off, room, region)
+    rows_and_limits = half_spaces(table, off, room, region)
     pairs = tuple((low, high) for low, high in region.tolist())
-    return Polytope(*found, pairs, tuple(system.plant.states))
+    return Polytope(*rows_and_limits, pairs, tuple(system.plant.states))
