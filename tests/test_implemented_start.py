@@ -438,8 +438,6 @@ def test_another_checker_agrees(limited):
     x0, polytope = proofs[0].starts
     for wrong in (
         (replace(x0, peaks=scaled(x0.peaks, 0.99, 5)), polytope),
-        (replace(x0, peaks=scaled(x0.peaks, 0.99, 2)), polytope),
-        (replace(x0, states=scaled(x0.states, 0.5)), polytope),
         (x0, replace(polytope, states=scaled(polytope.states, 0.5))),
         (polytope,),
     ):
