@@ -395,6 +395,9 @@ class System:
         ]
         decay = self.numbers(law["c"])
         demand(len(g) == len(b) == n - 1 and len(decay) == n, "g, b or c has another length")
+        weights = self._weights(g, decay)
+        g = [v * weights[i] / weights[i + 1] for i, v in enumerate(g)]
+        b = [[v * weights[i] / weights[j] for j, v in enumerate(row)] for i, row in enumerate(b)]
 
         def young(value):
             return Q(0) if value in (math.inf, "inf") else 1 / (4 * number(value, self.constants))
@@ -433,25 +436,50 @@ class System:
             M[m][m] = -(decay[m] + kappa[m])
             if m < n - 1:
                 M[m][m + 1], M[m + 1][m] = g[m], -g[m]
+        for i, s in enumerate(weights):  # back from balanced coordinates
+            A[i] = [v * w / s for v, w in zip(A[i], weights, strict=True)]
+            M[i] = [v * w / s for v, w in zip(M[i], weights, strict=True)]
+            B[i] = [v / s for v in B[i]]
+        self.nu_x = [v * w / weights[-1] for v, w in zip(self.nu_x, weights, strict=True)]
+        self.nu_Y = [v / weights[-1] for v in self.nu_Y]
         self.A, self.B, self.M = A, B, M
         self.R = [B[m][q] for m in range(n - 1)] + [Q(0)]
         self.A_inverse = inverse(A)
         self.through = product(self.A_inverse, B)  # A^-1 B
 
+    def _weights(self, g, decay):
+        """s_1 ... s_n of balanced coordinates; ones without `coupling`."""
+        coupling = self.law.get("coupling")
+        if coupling is None:
+            return [Q(1)] * len(decay)
+        demand("k" not in self.law and "p" not in self.law, "balanced coordinates have no damping")
+        square, weights = Q(1), [Q(1)]  # s_i^2, and s_i to 12 digits
+        for i, v in enumerate(g):
+            rho = number(coupling, self.constants)
+            square *= v**2 / (rho**2 * decay[i] * decay[i + 1])
+            weights.append(Q(f"{float(root_above(square)):.12g}"))
+        return weights
+
     def _inputs(self):
         n, u = self.n, self.plant.get("uncertainty", {})
         tau, gamma, beta = (self.numbers(u.get(key, [0] * n)) for key in ("tau", "gamma", "beta"))
-        demand(min(*tau, *gamma, *beta) >= 0, "a strength is negative")
+        Delta = [self.numbers(row) for row in u.get("Delta", [[0] * n] * n)]
+        S = u.get("S", [1] * n)
+        S = [self.numbers(row if isinstance(row, list) else S) for row in S]
+        demand(min(*tau, *gamma, *beta, *map(min, Delta)) >= 0, "a strength is negative")
         columns = transposed(self.A)
-
-        def scaled(sizes):
-            return [
-                [t * s * v for v in columns[k]]
-                for k, (t, s) in enumerate(zip(tau, sizes, strict=True))
-                if t * s
-            ]
-
-        self.a, self.b = scaled(gamma), scaled(beta)
+        self.a, self.b, self.selections = [], [], []  # |a|^2 <= sum (row x + row y)^2
+        for k, t in enumerate(tau):
+            if t * gamma[k]:
+                self.a.append([t * gamma[k] * v for v in columns[k]])
+                unit = [[S[k][j] * (i == j) for j in range(n)] for i in range(n)]
+                self.selections.append([(row, None) for row in unit])
+            for j, entry in enumerate(Delta[k]):
+                if t * entry:
+                    self.a.append([t * entry * v for v in columns[k]])
+                    self.selections.append([([Q(i == j) for i in range(n)], None)])
+            if t * beta[k]:
+                self.b.append([t * beta[k] * v for v in columns[k]])
         self.y = []  # pairs: column, its part of x
         for i in range(self.q + 1):
             if self.a and self.Y[i] and any(row[i] for row in self.B):
@@ -460,7 +488,7 @@ class System:
             self.y.append(([-v * self.Y[-1] for v in self.R], [Q(0)] * n))
 
     def _parameters(self, truth):
-        plant, law, ranges = self.plant, self.law, self.plant.get("ranges", {})
+        plant, ranges = self.plant, self.plant.get("ranges", {})
         r = len(plant.get("regressor", []))
         if "states" not in truth:
             demand(not truth.get("constants"), "true constants make another plant")
@@ -483,6 +511,10 @@ class System:
         demand(gains and len(self.boxes) == r, "no g_n and theta are stated")
         demand(min(gains) > 0 or max(gains) < 0, "the range of g_n contains 0")
         self.gains = gains
+        self._gains_of_the_law(r)
+
+    def _gains_of_the_law(self, r):
+        law = self.law
         defaults = {"gain_rate": 1.0, "leak_gain": 0.1, "leak_theta": 0.1, "delta0": 0.0}
         self.gbar, self.gbar1, self.gbar2, self.delta0 = (
             number(law.get(key, value), self.constants) for key, value in defaults.items()
@@ -529,8 +561,9 @@ class System:
 class Problem:
     """What a stage is checked on."""
 
-    def __init__(self, M, X, a, b, y, leakage):
+    def __init__(self, M, X, a, b, y, leakage, selections):
         self.M, self.X, self.a, self.b, self.y, self.leakage = M, X, a, b, y, leakage
+        self.selections = selections
 
 
 def numbers_of(stage):
@@ -571,13 +604,21 @@ def check_stage(stage, problem, target):
             entry = sum((P[i][m] * column[m] for m in range(n)), Q(0)) / 2
             negative[i][n + j] -= entry
             negative[n + j][i] -= entry
-    if problem.a:
-        before = len(problem.a) + len(problem.b)
-        for m, row in enumerate(problem.X):  # ||x||^2, row by row
-            x = [*row, *[Q(0)] * before, *(part[m] for _, part in problem.y)]
-            for i, u in enumerate(x):
-                for j, v in enumerate(x):
-                    negative[i][j] -= sum(lam) * u * v
+    before = [Q(0)] * (len(problem.a) + len(problem.b))
+    states = [  # x_m, row by row
+        [*row, *before, *(part[m] for _, part in problem.y)] for m, row in enumerate(problem.X)
+    ]
+    sums = defaultdict(Q)  # of the multipliers of one row, which many a-inputs share
+    for factor, selection in zip(lam, problem.selections, strict=True):
+        for row, direct in selection:
+            sums[tuple(row), tuple(direct or ())] += factor
+    for (row, direct), factor in sums.items():
+        x = product([row], states)[0]
+        for j, v in enumerate(direct, start=size - len(direct)):
+            x[j] += v
+        for i, u in enumerate(x):
+            for j, v in enumerate(x):
+                negative[i][j] -= factor * u * v
     for j, value in enumerate([*lam, *nu, *k]):
         negative[n + j][n + j] += value
     demand(positive_definite(negative), "the inequality does not hold")
@@ -617,7 +658,9 @@ def centred(system, first, E, P, shift):
     for i, phi in enumerate(system.plant.get("regressor", [])):
         Z += largest(phi) * root_above(E**2 * system.Gamma[i][i] / P[-1][-1])
     b = [*system.b, [Q(0)] * (n - 1) + [abs(shift) * Z]] if shift * Z else system.b
-    return Problem(M, first.X, system.a, b, y, lambda alpha: system.leakage(alpha, shift))
+    return Problem(
+        M, first.X, system.a, b, y, lambda alpha: system.leakage(alpha, shift), system.selections
+    )
 
 
 def head(system, E):
@@ -631,7 +674,8 @@ def head(system, E):
     y = [(column[:m], part) for column, part in system.y]
     y.append(([system.M[i][m] * E for i in range(m)], [v * E for v in last]))
     M = [row[:m] for row in system.M[:m]]
-    return Problem(M, [r[:m] for r in system.A_inverse], cut(system.a), cut(system.b), y, None)
+    X = [row[:m] for row in system.A_inverse]
+    return Problem(M, X, cut(system.a), cut(system.b), y, None, system.selections)
 
 
 def check(document, stated_bounds=None):
@@ -652,6 +696,14 @@ def check(document, stated_bounds=None):
     digest = hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
     demand(digest == document["sha256"], "the file was changed")
     proof = document["proof"]
+    if (
+        isinstance(proof, list)
+        and proof
+        and all(isinstance(e, dict) and "cell" in e for e in proof)
+    ):
+        from independent_ranges import check_cells
+
+        return check_cells(document, stated_bounds)
     if basis == "premises" and is_sampled(proof):
         return check_sampled(document, stated_bounds)
     demand(isinstance(proof, list) and 1 <= len(proof) <= 3, "the proof has no one to three stages")
@@ -667,7 +719,8 @@ def check(document, stated_bounds=None):
     else:
         demand(all(isinstance(text, str) for text in document["assumptions"]), "no texts")
     adaptive = (lambda alpha: system.leakage(alpha, Q(0))) if system.adaptive else None
-    whole = Problem(system.M, system.A_inverse, system.a, system.b, system.y, adaptive)
+    parts = (system.a, system.b, system.y, adaptive, system.selections)
+    whole = Problem(system.M, system.A_inverse, *parts)
     if len(proof) == 1:
         return check_stage(proof[0], whole, 0)[0]
     demand(system.adaptive and system.n >= 2, "no cascade exists for this system")

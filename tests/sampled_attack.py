@@ -25,7 +25,7 @@ class SampledLoop:
     def __init__(self, system):
         loop = linear_loop(system)
         drive = system.implementation
-        law = loop._law_matrix(drive.period)
+        law = loop.law_matrix(drive.period)
         u = system.plant.uncertainty
         acting = [k for k in range(system.plant.n) if u.tau[k] and u.acts(k)]
         self.n, self.memories, self.T = len(loop.b), len(law) - 1, drive.period
@@ -49,8 +49,8 @@ class SampledLoop:
         self.newest = n + self.memories
         self.jump = np.zeros((size, size))
         self.jump[:n, :n] = np.eye(n)
-        self.jump[n : self.newest, : self.newest] = law[1:]
-        self.jump[self.newest, : self.newest] = law[0]
+        self.jump[n : self.newest, : self.newest] = law[1:, : self.newest]
+        self.jump[self.newest, : self.newest] = law[0, : self.newest]
         for i in range(1, inputs):
             self.jump[self.newest + i, self.newest + i - 1] = 1
         self.switch = round((drive.delay - late) * STEPS)

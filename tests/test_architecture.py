@@ -178,6 +178,7 @@ def test_public_surface_is_frozen():
         "Margins",
         "Metrics",
         "MissingExtra",
+        "Monitor",
         "NoCertificate",
         "Outcome",
         "PairedComparison",

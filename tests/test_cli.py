@@ -57,7 +57,7 @@ def test_ensemble(capfd, tmp_path):
         (("ensemble", "example1", "-n", "8", "--keep", "8", "--out", "x"), "below --members"),
         (("ensemble", "example1", "--cluster", "nowhere"), "cannot reach the scheduler"),
         (("ensemble", "example1", "--tolerance", "1"), "tolerance: must be at most"),
-        (("simulate", "example1", "--seed", "1"), "--seed needs --member"),
+        (("simulate", "example1", "--seed", "1"), "--seed needs --member or --corner"),
     ],
 )
 def test_bad_ensembles(capfd, arguments, message):

@@ -106,8 +106,8 @@ def test_the_table_of_keys_is_json_and_tells_what_a_form_needs():
     forms = json.loads(json.dumps(as_dicts()))
     assert set(forms) == set(KEYS)
     assert forms["implementation.delay"] == {
-        "kind": "number",
-        "help": "from a sample until its input acts",
+        "kind": "number or numbers",
+        "help": "from a sample until its input acts; of several a run has the first",
         "unit": "periods",
         "least": 0,
         "most": 100,

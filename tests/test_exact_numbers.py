@@ -28,6 +28,7 @@ from certrack.certificates.start import reference_at_start, states_at_start
 from certrack.certificates.tube import Tube
 from certrack.certificates.tube import tube as tube_of
 from certrack.cli import cli
+from certrack.core import checks
 from certrack.core.rationals import (
     RationalFloat,
     decimal_float,
@@ -508,3 +509,20 @@ def test_without_a_term_that_grows_the_strength_is_beyond_what_is_looked_for(tmp
     told = json.loads(CliRunner().invoke(cli, ["certify", str(path), "--json"]).stdout)
     assert told["critical_strength"]["semidefinite"] == 1e9
     assert told["critical_strength"]["beyond"] is True
+
+
+@pytest.mark.parametrize(
+    "exact",
+    [
+        Fraction(10**302 + 1, 3 * 10**100 + 1),
+        Fraction(-(10**250) - 7, 10**500 + 3),
+        Fraction(7**700, 11**560),
+        Fraction(10**200, 3),
+        Fraction(-(10**199), 7),
+        Fraction(3**5000, 5**3400),
+    ],
+)
+def test_rationals_of_many_digits_are_written_as_formulas_that_are_read_again(exact):
+    """A file holds no integer beyond 1e300; what was loaded was refused once it had been saved."""
+    value = RationalFloat(exact)
+    assert exact_rational(checks.real("key", value.text)) == exact

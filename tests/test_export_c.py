@@ -33,6 +33,7 @@ from certrack.export.golden_vectors import GOLDEN_TOLERANCE, golden_vectors
 from certrack.export.identifiers import C_RESERVED, free_name, stem
 from certrack.export.program import sampled_system
 from certrack.export.templates import fill_template
+from certrack.export.undecided import undecided_jumps
 from certrack.laws import Adaptive, leakage
 from certrack.loops import controller as loops_controller
 from certrack.loops import sampled as loops_sampled
@@ -560,3 +561,41 @@ class TestInTheLoop:
         monkeypatch.setenv("PATH", "")
         with pytest.raises(CompilerError, match="no C compiler was found: install gcc"):
             find_c_compiler()
+
+
+class TestUndecided:
+    """Points where a sign stands on what rounding, or absorption, leaves of terms that cancel."""
+
+    def points(self, formula, x, y=0.0, p=1.0):
+        symbols = sympy.symbols("x y p", real=True)
+        inputs = [np.atleast_2d(np.array(x, dtype=float)), np.full((1, len(x)), y)]
+        arguments = [[symbols[0]], [symbols[1]], [symbols[2]]]
+        formula = sympy.sympify(formula, {s.name: s for s in symbols})
+        return undecided_jumps([formula], arguments, inputs, np.array([p]), "double").tolist()
+
+    def test_a_difference_that_cancels(self):
+        assert self.points("sign(x - y)", [1.0, 1.0 + 1e-15, 1.1, 0.0], y=1.0) == [
+            True,
+            True,
+            False,
+            False,
+        ]
+
+    def test_a_tiny_coefficient_beside_terms_that_cancel_for_any_input(self):
+        formula = "sign(x + p*(0 - x) - y/10**241)"
+        assert self.points(formula, [3.0, 0.0], y=1.0) == [True, False]
+
+    def test_zero_without_terms_and_what_is_continuous_are_decided(self):
+        assert self.points("sign(x)", [0.0, 1e-300]) == [False, False]
+        assert self.points("Abs(x - y) + x", [1.0], y=1.0) == [False]
+
+    def test_golden_vectors_leave_them_out(self, tmp_path):
+        system = certrack.load("example1")
+        plant = replace(system.plant, linear=[["1e-129"]], drift="sign(x2) + x1")
+        turning = system.replace(
+            plant=plant, implementation=Implementation(0.001, velocity=("x2",))
+        )
+        code = c_code(turning, "turns")
+        write(tmp_path, code)
+        run("gcc", "-shared", "-fPIC", "turns.c", "-o", "all.so", "-lm", cwd=tmp_path)
+        assert worst(ctypes.CDLL(str(tmp_path / "all.so")), code) <= GOLDEN_TOLERANCE["double"]

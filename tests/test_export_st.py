@@ -41,6 +41,7 @@ OPERATORS = {
     "*": lambda a, b: a * b,
     "/": lambda a, b: a / b,
     ">": lambda a, b: a > b,
+    "<": lambda a, b: a < b,
     ">=": lambda a, b: a >= b,
     "<=": lambda a, b: a <= b,
     "AND": lambda a, b: a and b,
@@ -61,7 +62,9 @@ class FunctionBlock:
             if section.type.startswith("var_"):
                 title = section.text.decode().split("\n")[0]
                 self.sections[title] = [self.declare(node) for node in self.declared(section)]
-        self.values["U"] = 0.0  # what the standard gives every LREAL to begin with
+        for name in self.sections["VAR_OUTPUT"]:
+            if self.values[name] is None:  # what the standard gives to begin with
+                self.values[name] = 0.0 if self.types[name] == "LREAL" else False
 
     def declared(self, section):
         return [node for node in section.children if node.type == "variable_declaration"]
@@ -87,9 +90,10 @@ class FunctionBlock:
             if node.type == "assignment_statement":
                 target, value = node.named_children
                 name = target.text.decode().upper()
-                assert self.types[name] == "LREAL"
                 assert name not in self.sections.get("VAR CONSTANT", [])
                 self.values[name] = self.evaluate(value)
+                kind = {float: "LREAL", bool: "BOOL"}[type(self.values[name])]
+                assert self.types[name] == kind, name
             elif node.type == "if_statement":
                 self.choose(node)
 

@@ -3,13 +3,16 @@
 import math
 import time
 
+import numpy as np
 import pytest
 import sympy
 from hypothesis import given
 from hypothesis import strategies as st
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import Expression, derivative, parse, symbol, without_minmax
+from certrack.core.expressions import TIME, Expression, parse, symbol
+from certrack.core.kinks import derivative, without_minmax
+from certrack.core.lowering import numpy_callable
 
 HOSTILE = {
     "attribute": "x.__class__",
@@ -192,3 +195,34 @@ def test_derivative_of_kinks_is_the_one_sided_slope():
     slope = derivative(parse("", "max(x1, 2*x1) + abs(x1) + sign(x1)", ["x1"]).expr, x1)
     assert float(slope.subs(x1, 1.0)) == 3.0
     assert float(slope.subs(x1, -1.0)) == 0.0
+
+
+STEP = "min(max((t - 0.5)/0.8, 0), 1)"
+
+
+def test_derivatives_of_polynomials_of_a_kink_stay_small():
+    """min and max used to be written by abs within every power, and grew with each derivative."""
+    text = f"35*{STEP}**4 - 84*{STEP}**5 + 70*{STEP}**6 - 20*{STEP}**7"
+    slope, s = parse("", text, ["t"]).expr, sympy.Symbol("s")
+    polynomial = 35 * s**4 - 84 * s**5 + 70 * s**6 - 20 * s**7
+    t = np.linspace(-1.013, 3.03, 41)
+    inside = (t > 0.5) & (t < 1.3)
+    for _ in range(4):
+        slope = derivative(slope, TIME)
+        polynomial = sympy.diff(polynomial, s) / sympy.Rational("0.8")
+        (found,) = numpy_callable([TIME], [slope])(t)
+        exact = sympy.lambdify(s, polynomial)((t - 0.5) / 0.8)
+        assert np.allclose(found, np.where(inside, exact, 0), atol=1e-9)
+        assert sympy.count_ops(slope) < 2000
+
+
+@pytest.mark.parametrize(
+    "text", ["max(t, 1 - t, t**2)", "min(sin(t), abs(t - 1), 0.3*t)*t", "abs(max(t, -t) - 2)**3"]
+)
+def test_slopes_of_kinks_are_those_of_differences(text):
+    expr = parse("", text, ["t"]).expr
+    t, h = np.linspace(-3.03, 3, 97), 1e-6
+    value = numpy_callable([TIME], [expr])
+    (found,) = numpy_callable([TIME], [derivative(expr, TIME)])(t)
+    difference = (value(t + h)[0] - value(t - h)[0]) / (2 * h)
+    assert np.allclose(found, difference, atol=1e-6)

@@ -222,6 +222,7 @@ def bare_drive(A, b, W, Ly, T, Y, lipschitz, uncertain, mu=None):
             Y=tuple(map(rational, Y)),
             lipschitz=None if lipschitz is None else rational(lipschitz),
             jumps=None,
+            jumps_once=False,
             offset=rational(0.0),
         )
 
@@ -419,8 +420,8 @@ def forgotten_samples(monkeypatch):
     """Sensors exact at every sample."""
     honest = gains_room._as_gains
 
-    def silent(table, nw, n, jump):
-        return replace(honest(table, nw, n, jump), noise=np.zeros((len(table), n)))
+    def silent(table, nw, n, jump, tail):
+        return replace(honest(table, nw, n, jump, tail), noise=np.zeros((len(table), n)))
 
     monkeypatch.setattr(gains_room, "_as_gains", silent)
 
@@ -681,3 +682,17 @@ def test_estimate_is_near_the_proof_and_fast():
     )
     with pytest.raises(certrack.NoCertificate, match="unstable"):
         estimate_implemented(on_a_drive("dual-motor-lean", 0.3))
+
+
+def test_the_unit_of_time_does_not_matter():
+    """The same loop in seconds and in milliseconds, with q = 2."""
+
+    def scaled(unit):
+        Y = [1.0, 0.5 / unit, 0.3 / unit**2, 0.2 / unit**3]
+        law = [4.0, 4.0 * unit, unit**2, 0.1 * unit**3]
+        drive = bare_drive(
+            [[-1 / unit]], [0.25 / unit], [[1 / unit]], law, 0.25 * unit, Y, 0.4 / unit**4, [UNIT_W]
+        )
+        return bounded(drive, parts=(1, 3))
+
+    assert scaled(1.0) == pytest.approx(scaled(1024.0), rel=1e-9)

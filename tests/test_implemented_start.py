@@ -469,7 +469,9 @@ def test_members_are_counted_apart():
     assert f"; {counted['count']} beyond" in repr(result)
     assert 30 < counted["started_inside"] < 64
     starts = np.array([result.member(i).settings.x0 for i in range(64)])
-    inside = started_inside(system, proven, starts)
+    draws = {f"x0[{i}]": column for i, column in enumerate(starts.T)}
+    inside = started_inside(system, proven, draws)
+    assert (inside == proven.admits(starts)).all()
     assert inside.sum() == counted["started_inside"]
     beyond = result.frame()["tail_error"] > limit  # so early that many are
     assert counted["count"] == (beyond & inside).sum() > 0
@@ -479,9 +481,9 @@ def test_members_are_counted_apart():
     )
     _, _, proven = limit_and_starts(moved, None)
     # the polytope is for every phase; what is known of x0 is not
-    assert started_inside(moved, proven, starts).sum() < counted["started_inside"]
-    x0 = np.array([system.settings.x0])
-    assert proven.admits(x0).all() and not started_inside(moved, proven, x0).any()
+    assert started_inside(moved, proven, draws).sum() < counted["started_inside"]
+    x0 = {f"x0[{i}]": np.array([v]) for i, v in enumerate(system.settings.x0)}
+    assert proven.admits(system.settings.x0) and not started_inside(moved, proven, x0).any()
 
 
 @pytest.mark.slow

@@ -5,8 +5,10 @@ import time
 import pytest
 import sympy
 
+from certrack import export_c, loads, simulate
 from certrack.core.errors import InputError
 from certrack.core.expressions import parse, symbol
+from certrack.core.kinks import derivative
 from certrack.core.powers import put_in
 
 
@@ -59,3 +61,53 @@ def test_a_misspelt_name_is_corrected_among_thousands():
     with pytest.raises(InputError, match=r"Did you mean stiffness\?") as caught:
         parse("", "stifness", names)
     assert len(str(caught.value)) < 600
+
+
+FINE_ROOT = """
+[plant]
+states = ["x1", "x2"]
+chain = [1]
+gain_sign = 1
+input_gain = 1
+drift = "sin(sinh((x2+3)**0.123456789)) + abs(x1)**1.2345*cosh((x1+5)**(1/61)*(x1+5)**(1/63))"
+[law]
+kind = "robust"
+c = [1, 1]
+[reference]
+signal = "sin(t)"
+[truth]
+input_gain = 1
+[simulation]
+x0 = [0.5, 0]
+duration = 0.1
+"""
+
+
+def test_a_formula_with_fine_roots_is_simulated_and_exported(tmp_path):
+    """SymPy took it for a polynomial in the 10^9th root, whose coefficients filled the memory."""
+    system = loads(FINE_ROOT)
+    begin = time.process_time()
+    taylor = simulate(system)
+    scipy = simulate(system, integrator="scipy")
+    export_c(system, tmp_path, period=0.001)
+    assert time.process_time() - begin < 20
+    assert taylor.x[:, -1] == pytest.approx(scipy.x[:, -1], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "slope"),
+    [
+        ("x**1.2345", 0.0),
+        ("x**0.123*x**0.877", 1.0),
+        ("(x**2 + 1)**0.4567", 0.0),
+        ("(x**0.3456)**2.123*x**(1/63)*x**(60/61)", 0.0),
+        ("x**pi", 0.0),
+    ],
+)
+def test_the_slope_of_a_fine_root_exists_at_zero(text, slope):
+    x = symbol("x")
+    expr = derivative(parse("", text, ["x"]).expr, x)
+    assert float(expr.subs(x, 0)) == slope
+    values = {x: sympy.Float("0.7", 40)}
+    exact = sympy.diff(parse("", text, ["x"]).expr, x)
+    assert float(expr.subs(values)) == pytest.approx(float(exact.subs(values)), rel=1e-13)

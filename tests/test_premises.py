@@ -508,3 +508,43 @@ def test_points_include_the_origin_axes_and_late_times():
     assert ((points.x != 0).sum(axis=0) == 1).sum() > 5000
     assert points.t.max() > 1e4 and (points.t == 0).sum() > 1000
     assert isinstance(points[3], Points) and points[3].x.shape == (3, 1)
+
+
+RANGED = """
+[plant]
+states = ["x1", "x2"]
+chain = [1]
+drift = "-d*sqrt(3)*x2 - k*x1"
+gain_sign = 1
+input_gain = 1
+[plant.constants]
+k = 'sqrt(2)'
+d = 1
+[plant.ranges]
+k = ["1.2", "1.6"]
+d = ["0.6666666666", "4/3"]
+[law]
+kind = "robust"
+c = [1, 1]
+[reference]
+signal = "sin(t)"
+[truth]
+input_gain = 1
+[simulation]
+x0 = [0, 0]
+duration = 1
+"""
+
+
+def test_irrational_nominal_values_and_numbers_of_drift_are_named():
+    found = named(certrack.loads(RANGED), "irrational numbers")
+    assert "k = sqrt(2)" in found.detail and "sqrt(3)" in found.detail
+    rational = certrack.loads(RANGED.replace("'sqrt(2)'", "1.41").replace("sqrt(3)", "1.73"))
+    assert "irrational numbers" not in [premise.name for premise in premises(rational)]
+    unranged = certrack.loads(RANGED.split("[plant.ranges]")[0] + RANGED[RANGED.index("[law]") :])
+    assert "irrational numbers" not in [premise.name for premise in premises(unranged)]
+
+
+def test_ranges_are_printed_outward():
+    found = named(certrack.loads(RANGED), "plant")
+    assert "k in [1.2, 1.6], d in [0.666666, 1.33334]" in found.detail

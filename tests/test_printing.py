@@ -7,7 +7,7 @@ import pytest
 import sympy
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import fold_minmax, without_minmax
+from certrack.core.kinks import fold_minmax, without_minmax
 from certrack.core.lowering import numpy_callable
 from certrack.core.printing import ATOM, PRODUCT, SUM, FormulaPrinter, recognise_selection
 from certrack.core.select import Select, larger, magnitude, smaller

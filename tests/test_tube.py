@@ -19,7 +19,14 @@ from certrack.certificates.cascade import certify_cascade, head_problem
 from certrack.certificates.centred import centred_problem
 from certrack.certificates.exact import from_text, squared_bound
 from certrack.certificates.formulation import error_problem
-from certrack.certificates.tube import Tube, _allowed, _centred_steps, _fall, _single_stage, _starts
+from certrack.certificates.tube import (
+    Tube,
+    _allowed,
+    _centred_steps,
+    _fall,
+    single_stage,
+    starts_of,
+)
 from certrack.certificates.tube import tube as tube_of
 from certrack.cli import cli
 from certrack.core.rounding import rounded_down, rounded_up
@@ -90,7 +97,7 @@ def naive(system, stages):
     """The mutant: e_n within its bound from the start on."""
     problem = error_problem(system, rational)
     head = head_problem(problem, from_text(stages[-2].bound))
-    return Tube(*_single_stage(system, head, stages[-1], _starts(system, None)[0]))
+    return Tube(*single_stage(system, head, stages[-1], starts_of(system, None)[0]))
 
 
 def narrowed(system, stages):
@@ -106,8 +113,8 @@ def test_runs_leave_a_tube_that_is_too_small(mutant, runs, stages):
 
 def e_n_steps(system, stages):
     """Times, and bounds on |e_n| from each on, as the tube of the cascade uses them."""
-    problem, starts = error_problem(system, rational), _starts(system, None)[0]
-    start, _, alpha = _single_stage(system, problem, stages[0], starts, 1)
+    problem, starts = error_problem(system, rational), starts_of(system, None)[0]
+    start, _, alpha = single_stage(system, problem, stages[0], starts, 1)
     steps = _fall(start, alpha, problem, stages[0], 1)
     if len(stages) > 2:
         steps = _centred_steps(system, problem, stages[:-1], starts, steps)

@@ -14,6 +14,7 @@ from certrack import laws
 from certrack.cli import cli
 from certrack.core.errors import InputError
 from certrack.core.expressions import parse
+from certrack.export.monitor import default_parameters
 from certrack.laws.base import gain
 from certrack.studies.check import FAULT
 
@@ -157,6 +158,18 @@ SYSTEM_CALLS = {
     "margins": lambda: certrack.margins("example1"),
     "ensemble": lambda: certrack.ensemble("example1"),
     "member": lambda: certrack.member("example1", 0),
+    "design": lambda: certrack.design("example1"),
+    "save": lambda: certrack.save("example1", "file.toml"),
+    "to_text": lambda: certrack.to_text("example1"),
+    "export_c": lambda: certrack.export_c("example1", "folder", period=0.001),
+    "export_st": lambda: certrack.export_st("example1", "drive.st", period=0.001),
+    "export_fmu": lambda: certrack.export_fmu("example1", "drive.fmu", period=0.001),
+    "default_parameters": lambda: default_parameters("example1", period=0.001),
+    "simulate_with_c": lambda: certrack.simulate_with_c("example1"),
+    "to_control": lambda: certrack.to_control("example1"),
+    "check_assumption_1": lambda: certrack.check_assumption_1("example1"),
+    "tube": lambda: certrack.certificates.tube("example1", []),
+    "save_certificate": lambda: certrack.certificates.save_certificate("example1", [], "a.json"),
 }
 
 

@@ -26,6 +26,7 @@ from .export.c import Exported as Exported
 from .export.c import export_c as export_c
 from .export.c import simulate_with_c as simulate_with_c
 from .export.fmu import export_fmu as export_fmu
+from .export.monitor import Monitor as Monitor
 from .export.python_control import ControlBlocks as ControlBlocks
 from .export.python_control import to_control as to_control
 from .export.st import export_st as export_st

@@ -12,8 +12,12 @@
 #define JOIN(a, b) a##b
 #define NAME(prefix, end) JOIN(prefix, end)
 #define TEXT(a) #a
-#define FILE_OF(a) TEXT(a.h)
-#include FILE_OF(CONTROLLER)
+#define EXPANDED(a) TEXT(a)
+#ifdef MONITORED /* measures what monitored.c calls */
+#include EXPANDED(NAME(CONTROLLER, _monitor).h)
+#else
+#include EXPANDED(CONTROLLER.h)
+#endif
 
 #define STATES NAME(CONTROLLER, _STATES)
 #define REFERENCES NAME(CONTROLLER, _REFERENCES)
@@ -22,7 +26,16 @@
 #define PAINT 0xA5u
 
 typedef NAME(CONTROLLER, _real) real;
+#ifdef MONITORED
+typedef NAME(CONTROLLER, _monitor) state;
+#define INIT NAME(CONTROLLER, _monitor_init)
+#define STEP monitored
+real monitored(state *s, const real x[], const real y_d[]);
+#else
 typedef NAME(CONTROLLER, _state) state;
+#define INIT NAME(CONTROLLER, _init)
+#define STEP NAME(CONTROLLER, _step)
+#endif
 typedef real step(state *s, const real x[], const real y_d[]);
 
 #define SYST_CSR (*(volatile uint32_t *)0xE000E010u)
@@ -42,7 +55,7 @@ __attribute__((noinline)) static uint32_t ticks(step *function)
     state s;
     uint32_t begin;
 
-    NAME(CONTROLLER, _init)(&s);
+    INIT(&s);
     begin = SYST_CVR;
     for (uint32_t k = 0; k < STEPS; k++) {
         (void)function(&s, x[k], y_d);
@@ -59,7 +72,7 @@ __attribute__((noinline)) static uint32_t stack(step *function)
 
     __asm volatile("mov %0, sp" : "=r"(lowest));
     lowest -= PAINTED;
-    NAME(CONTROLLER, _init)(&s);
+    INIT(&s);
     for (uint32_t i = 0; i < PAINTED; i++) {
         lowest[i] = PAINT;
     }
@@ -86,8 +99,8 @@ int main(void)
     SYST_CVR = 0;
     SYST_CSR = 5; /* on, processor clock */
     const uint32_t loop = ticks(nothing);
-    const uint32_t all = ticks(NAME(CONTROLLER, _step));
+    const uint32_t all = ticks(STEP);
     printf("%u %u %u\n", (unsigned)((all - loop) * 40u / STEPS), (unsigned)sizeof(state),
-        (unsigned)stack(NAME(CONTROLLER, _step)));
+        (unsigned)stack(STEP));
     return 0;
 }

@@ -21,7 +21,7 @@ from certrack.core.expressions import TIME
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.powers import put_in
 from certrack.model.truth import constants_of_truth
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: Relative excess that is not reported: the evaluation of a formula rounds.
 VIOLATION_TOLERANCE = 1e-9
@@ -93,6 +93,7 @@ def check_assumption_1(system: System, seed: int = 0) -> list[Violation]:
     >>> certrack.check_assumption_1(certrack.load("example1"))
     []
     """
+    require_system(system)
     terms = [term for term in uncertain_terms(system) if not term.proven]
     if not terms:
         return []

@@ -13,6 +13,7 @@ import flint
 import sympy
 
 from certrack.certificates.arithmetic import rational
+from certrack.core.powers import ConstantPower
 from certrack.core.rationals import exact_rational
 
 #: Bits that balls are computed with: entries of A reach 1e150, and e = A x - B Y is their small
@@ -82,6 +83,8 @@ def _ball(expr: sympy.Expr, values: Mapping[sympy.Symbol, Any]) -> Any:
         return flint.arb.pi()
     if expr == sympy.E:
         return flint.arb(1).exp()
+    if isinstance(expr, ConstantPower):
+        return _ball_power(expr.base, expr.exponent, values)
     if isinstance(expr, sympy.Pow):
         return _ball_power(expr.base, expr.exp, values)
     if type(expr) in _FUNCTIONS:

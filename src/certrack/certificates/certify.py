@@ -24,6 +24,10 @@ from certrack.certificates.methods import (
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.published import critical_strength
+from certrack.certificates.ranges.costs import ConstantCost
+from certrack.certificates.ranges.proofs import CellProof
+from certrack.certificates.ranges.strength import RangeStrength
+from certrack.certificates.ranges.tube import range_tube
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
 from certrack.core import checks
@@ -65,12 +69,18 @@ class Certificates(ShownInNotebooks):
         ``[implementation]``.
     implemented_proof
         The exactly verified numbers behind it, one for each delay.
+    constants : tuple of ConstantCost
+        What the range of each constant costs: the bound with that range closed. Empty with the
+        effort ``fast``.
+    critical_ranges : RangeStrength or None
+        Largest common scale of all half widths of the ranges with a proof, and what ends it; None
+        where constants have no ranges, and with the effort ``fast``.
     critical_published, critical_semidefinite : float
         Largest common scale of tau with a certificate; the second is verified exactly.
     tube : Tube or None
-        Bound on |e_1(t)| from the system's own start, of the tighter of semidefinite and cascade;
-        None where constants have ranges or neither is verified. It falls to their bound: peak
-        gains say nothing of a transient.
+        Bound on |e_1(t)| from the system's own start, of the tighter of semidefinite and cascade,
+        or of vertices where constants have ranges; None where none of these is verified. It falls
+        to their bound: peak gains say nothing of a transient.
     premises : tuple of Premise
         What the best of it rests on, and whether the system's own truth keeps it. Where it breaks
         one, nothing is verified and there is no tube: bounds are those of the design that the truth
@@ -96,6 +106,8 @@ class Certificates(ShownInNotebooks):
     attainable: float | None = None
     implemented: ImplementedCertificate = missing_implemented(NO_IMPLEMENTATION)
     implemented_proof: tuple[ImplementedProof, ...] = ()
+    constants: tuple[ConstantCost, ...] = ()
+    critical_ranges: RangeStrength | None = None
 
     def __repr__(self) -> str:
         entries = [getattr(self, entry.name) for entry in fields(self)]
@@ -183,7 +195,12 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     """
     require_system(system)
     checks.choice("effort", effort, EFFORTS)
-    methods = every_certificate(system, effort, lambda step, _, best: progress(step, STEPS, best))
+    methods = every_certificate(
+        system,
+        effort,
+        lambda step, _, best: progress(step, STEPS, best),
+        details=effort != "fast",
+    )
     progress(METHOD_STEPS, STEPS, None)
     stages = methods.stages
     implemented, implemented_proof = certify_implemented(system, from_start=True)
@@ -194,16 +211,25 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         cascade_proof=methods.stages_of("cascade") or None,
         critical_published=critical_strength(system),
         critical_semidefinite=critical_semidefinite(system, methods.certificates["semidefinite"]),
-        tube=tube(system, stages) if stages and not contradicted(rests_on) else None,
+        tube=None if contradicted(rests_on) else _tube(system, stages, methods.ranges.vertex_proof),
         premises=rests_on,
         tightest=methods.tightest,
         kinds=methods.kinds,
         attainable=methods.attainable,
         implemented=implemented,
         implemented_proof=implemented_proof,
+        constants=methods.ranges.constants,
+        critical_ranges=methods.ranges.strength,
     )
     progress(STEPS, STEPS, None)
     return _unverified(result) if result.contradicted else result
+
+
+def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:
+    """The tube of the nominal loop's certificate, or of one quadratic function for all ranges."""
+    if vertex_proof is not None:
+        return range_tube(system, vertex_proof)
+    return tube(system, stages) if stages else None
 
 
 def _unverified(result: Certificates) -> Certificates:
@@ -215,4 +241,5 @@ def _unverified(result: Certificates) -> Certificates:
         for kind in kinds
         for c in [getattr(result, kind)]
     }
-    return replace(result, **changed)
+    constants = tuple(replace(entry, verified=False) for entry in result.constants)
+    return replace(result, **changed, constants=constants)

@@ -36,7 +36,7 @@ from certrack.core.files import write_text
 from certrack.core.rounding import rounded_up
 from certrack.core.version import version
 from certrack.systems.reader import loads
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 from certrack.systems.writer import to_text
 
 FORMAT = "certrack-certificate/2"
@@ -162,6 +162,7 @@ def save_certificate(system: System, stages: Sequence[Stage], path: str | os.Pat
     >>> certrack.certificates.verify("cert.json").verified
     True
     """
+    require_system(system)
     write_text(Path(path), json.dumps(to_document(system, *stages), indent=1) + "\n")
 
 

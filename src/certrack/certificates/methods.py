@@ -19,7 +19,11 @@ from certrack.certificates.formulation import error_problem
 from certrack.certificates.own_multipliers import own_solution
 from certrack.certificates.premises import assumptions, has_ranges
 from certrack.certificates.published import certify_published
-from certrack.certificates.ranges.certify import certify_ranges, without_ranges
+from certrack.certificates.ranges.certify import (
+    RangeCertificates,
+    certify_ranges,
+    without_ranges,
+)
 from certrack.certificates.ranges.proofs import CellProof, RangeProver
 from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
 from certrack.core.progress import Progress, silent
@@ -56,12 +60,15 @@ class Methods:
         Those that speak of this loop.
     attainable : float or None
         What the linear loop reaches at the worst corner of the ranges; no proof.
+    ranges : RangeCertificates
+        All that was asked of the ranges.
     """
 
     certificates: Mapping[str, Certificate]
     proofs: Mapping[str, Proofs]
     kinds: tuple[str, ...]
     attainable: float | None
+    ranges: RangeCertificates
 
     @property
     def best(self) -> Certificate | None:
@@ -99,7 +106,7 @@ def smallest(certificates: Iterable[Certificate]) -> Certificate | None:
 
 
 def every_certificate(
-    system: System, effort: str = "default", progress: Progress = silent
+    system: System, effort: str = "default", progress: Progress = silent, *, details: bool = False
 ) -> Methods:
     """Certify `system` by every method.
 
@@ -109,6 +116,8 @@ def every_certificate(
     effort : {"fast", "default", "high"}
     progress : callable
         Gets the number of the method that begins, their number and, for ranges, the bound so far.
+    details : bool
+        Whether it is also asked what each range costs, and how far the ranges may grow.
 
     Raises
     ------
@@ -128,7 +137,12 @@ def every_certificate(
     }
     ranged, attainable = has_ranges(system), None
     if ranged:
-        ranges = certify_ranges(system, effort, lambda _, __, best: progress(3, METHOD_STEPS, best))
+        ranges = certify_ranges(
+            system,
+            effort,
+            lambda _, __, best: progress(3, METHOD_STEPS, best),
+            details=details,
+        )
         proofs |= {ranges.best.kind: ranges.proof}
         attainable = ranges.attainable
     else:
@@ -137,7 +151,7 @@ def every_certificate(
     if not ranged:
         certificates["peak"], proofs["peak"] = certify_peak(system, effort)
     kinds = RANGE_KINDS if ranged else NOMINAL_KINDS
-    return Methods(certificates, proofs, kinds, attainable)
+    return Methods(certificates, proofs, kinds, attainable, ranges)
 
 
 def best_sound_bound(system: System) -> float:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import sympy
+
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.stated import stated_error_system
@@ -115,7 +119,23 @@ def irrational_numbers(system: System) -> list[str]:
     plant, truth = system.plant, system.truth
     numbers = [*plant.chain, *(v for row in plant.linear or () for v in row), *truth.theta]
     numbers += [*(plant.theta or ()), *filter(None, [truth.input_gain, plant.input_gain])]
-    return sorted({v.text for v in numbers if not v.expr.is_Rational})
+    texts = {v.text for v in numbers if not v.expr.is_Rational}
+    if plant.constant_ranges:  # only then does a proof take the numbers of drift and regressor
+        values = plant.constant_values
+        texts |= {
+            f"{name} = {value}"
+            for name, value in plant.constants
+            if name in plant.constant_boxes and not values[name].is_Rational
+        }
+        numbers = [plant.drift, *plant.regressor]
+        texts |= {v.text for v in numbers if _has_irrational_numbers(v.expr, values)}
+    return sorted(texts)
+
+
+def _has_irrational_numbers(formula: sympy.Expr, values: Mapping[str, sympy.Expr]) -> bool:
+    used = [values[str(s)] for s in formula.free_symbols if str(s) in values]
+    parts = (part for expr in (formula, *used) for part in sympy.preorder_traversal(expr))
+    return any(part.is_number and not part.is_Rational for part in parts)
 
 
 def _irrational(system: System) -> list[str]:

@@ -22,7 +22,7 @@ from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, parse
 from certrack.core.powers import put_in
-from certrack.core.rounding import rounded_up
+from certrack.core.rounding import rounded_range, rounded_up
 from certrack.laws.error_system import KnownParameters
 from certrack.model.plant import Plant
 from certrack.references import SymbolicReference
@@ -134,7 +134,7 @@ def _plant(system: System) -> Premise:
     detail = "chain, linear, drift and regressor exactly as in the file"
     if ranged:
         varying = "varying in time" if plant.uncertainty.constants_vary else "standing still"
-        named_ranges = ", ".join(f"{k} in [{a:g}, {b:g}]" for k, (a, b) in ranged.items())
+        named_ranges = ", ".join(f"{k} in {rounded_range(*ends)}" for k, ends in ranged.items())
         detail += f", with {named_ranges}, {varying}; the true values among them"
     return Premise(PLANT, PROVEN, detail)
 
@@ -206,8 +206,8 @@ def _input_gain(system: System) -> Premise:
     assert truth.input_gain is not None
     true = truth.input_gain
     if plant.input_gain_range is not None:  # the loader refuses a truth outside
-        low, high = plant.input_gain_range
-        return Premise(GAIN, PROVEN, f"every g_n in [{low:g}, {high:g}], the true one among them")
+        stated = rounded_range(*plant.input_gain_range)
+        return Premise(GAIN, PROVEN, f"every g_n in {stated}, the true one among them")
     built = _as_built(system).input_gain
     if not _knows_parameters(system) and not _follows_ranges(system, plant.input_gain):
         return Premise(GAIN, PROVEN, f"the true g_n = {true} (the file gives no range)")

@@ -52,7 +52,7 @@ from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.start import Start, reference_at_start, starting_energy, states_at_start
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: Corners of a box of starts at which V is evaluated: all of a box in 12 states.
 MAX_BOX_CORNERS = 4096
@@ -175,6 +175,7 @@ def tube(
     >>> bool(tube(0.0) > tube(10.0) >= 0)
     True
     """
+    require_system(system)
     stages = (proof,) if isinstance(proof, Proof) else tuple(proof)
     if not stages or not all(isinstance(stage, Proof) for stage in stages):
         raise InputError(
@@ -183,13 +184,13 @@ def tube(
             remedy="Take Certificates.quadratic",
         )
     problem = error_problem(system, rational)
-    starts, verified = _starts(system, box)
+    starts, verified = starts_of(system, box)
     if len(stages) > 1:
         return replace(_cascade_tube(system, problem, stages, starts), verified=verified)
-    return Tube(*_single_stage(system, problem, stages[0], starts), verified=verified)
+    return Tube(*single_stage(system, problem, stages[0], starts), verified=verified)
 
 
-def _single_stage(
+def single_stage(
     system: System,
     problem: ErrorProblem,
     proof: Proof,
@@ -219,12 +220,12 @@ def _cascade_tube(
     """The chain of pieces of a cascade's last stage, from bounds on |e_n| in time."""
     *inner, last = stages
     target = problem.n - 1
-    start, _, alpha = _single_stage(system, problem, inner[0], starts, target)
+    start, _, alpha = single_stage(system, problem, inner[0], starts, target)
     steps = _fall(start, alpha, problem, inner[0], target)
     if len(inner) > 1:
         steps = _centred_steps(system, problem, inner, starts, steps)
     head = head_problem(problem, from_text(inner[-1].bound))
-    square, floor, alpha = _single_stage(system, head, last, starts)
+    square, floor, alpha = single_stage(system, head, last, starts)
     share = 2 * from_text(last.k[-1]) / from_text(last.alpha)  # of e_n in the floor
     total, pieces = squared_bound(head, last), []
     for (time, ratio), (end, _) in pairwise((*steps, (math.inf, 1.0))):
@@ -279,7 +280,7 @@ def _centred_steps(
     reached, proof = inner
     target, shift = problem.n - 1, from_text(proof.shift)
     centred = centred_problem(system, problem, reached, shift)
-    square, _, alpha = _single_stage(system, centred, proof, starts, target)
+    square, _, alpha = single_stage(system, centred, proof, starts, target)
     has_zeta = centred.counts[1] > problem.counts[1]
     share = 2 * from_text(proof.nu[-1]) / from_text(proof.alpha) if has_zeta else rational(0)
     floor, bound2 = squared_bound(centred, proof, target), from_text(reached.bound) ** 2
@@ -329,7 +330,9 @@ def _allowed(problem: ErrorProblem, inner: Sequence[Proof]) -> Callable[[Any], f
     return lambda level: float_up(min(steep * level + offset for steep, offset in lines))
 
 
-def _starts(system: System, box: Sequence[tuple[float, float]] | None) -> tuple[list[Start], bool]:
+def starts_of(
+    system: System, box: Sequence[tuple[float, float]] | None
+) -> tuple[list[Start], bool]:
     """Starts at which the convex V can be largest, and whether their numbers are proven."""
     with ball_precision():
         Y, proven = reference_at_start(system, system.controller.coordinates.q)

@@ -72,18 +72,22 @@ def note_implementation(system: System) -> None:
         )
 
 
-def note_engine(*, compiled: bool = True) -> None:
-    """Say that NumPy computes where nothing compiles; with `compiled`, a C compiler would do."""
+def note_engine(*, compiled: bool = True, alone: bool = False) -> None:
+    """Say that NumPy computes where nothing compiles; with `compiled`, a C compiler would do.
+
+    `alone`: members of an ensemble are then run by SciPy, one after the other.
+    """
     from certrack.core.compilers import c_compilers
     from certrack.core.heyoka import has_heyoka
 
     if not has_heyoka() and not (compiled and c_compilers()):
         missing = "neither heyoka nor a C compiler is" if compiled else "heyoka is not"
-        click.echo(
-            f"certrack: note: {missing} installed: computed by NumPy, which is about 50 times "
-            "slower",
-            err=True,
+        by = (
+            "by SciPy, one member after the other, which is some 5000 times slower"
+            if alone
+            else "by NumPy, which is about 50 times slower"
         )
+        click.echo(f"certrack: note: {missing} installed: computed {by}", err=True)
 
 
 def note_unlikely(system: System) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,9 +18,64 @@ from certrack.cli.base import (
     note_unlikely,
     period_option,
 )
+from certrack.core.errors import InputError
 
 if TYPE_CHECKING:
+    from certrack.export.monitor import Monitor
     from certrack.systems.system import System
+
+#: Fields of a monitor -> the options that fill them, with what they do.
+MONITOR_OPTIONS = {
+    "limit_reference": ("--limit-reference", "With --monitor: limit y_d^(i) to its bound."),
+    "parameters": ("--parameters", "With --monitor: gains may be changed at run time."),
+}
+
+
+def monitor_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add ``--monitor`` and what goes with it; the command gets a `monitor`, or None."""
+
+    @wraps(command)
+    def with_monitor(
+        *arguments: Any, monitor: bool, box: tuple[tuple[str, str, str], ...], **options: Any
+    ) -> Any:
+        requested = {name: options.pop(name) for name in MONITOR_OPTIONS}
+        return command(*arguments, monitor=_monitor(monitor, box, requested), **options)
+
+    for name, (flag, text) in reversed(MONITOR_OPTIONS.items()):
+        with_monitor = click.option(flag, name, is_flag=True, help=text)(with_monitor)
+    with_monitor = click.option(
+        "--box",
+        nargs=3,
+        multiple=True,
+        metavar="STATE LOW HIGH",
+        help="With --monitor: bounds of a state; may be repeated.",
+    )(with_monitor)
+    text = "Add enable, resets, and flags for the premises of the certificate."
+    return click.option("--monitor", is_flag=True, help=text)(with_monitor)
+
+
+def _monitor(
+    asked: bool, box: tuple[tuple[str, str, str], ...], requested: dict[str, bool]
+) -> Monitor | None:
+    from certrack.export.monitor import Monitor
+
+    if not asked:
+        alone = [MONITOR_OPTIONS[name][0] for name, value in requested.items() if value]
+        if alone := (["--box"] if box else []) + alone:
+            raise InputError(alone[0], "goes with --monitor", remedy="Add --monitor")
+        return None
+    with _named_as_options():
+        return Monitor(box=[(state, ends) for state, *ends in box], **requested)
+
+
+@contextmanager
+def _named_as_options() -> Iterator[None]:
+    """Refusals of the box under the name of its option."""
+    try:
+        yield
+    except InputError as problem:
+        problem.key = problem.key.replace("monitor.box.", "--box ").replace("monitor.box", "--box")
+        raise
 
 
 @click.group()
@@ -39,9 +97,17 @@ def export() -> None:
     show_default=True,
     help="Type of the numbers.",
 )
+@monitor_options
 @period_option
 @json_option
-def c(file: str, out: Path, real: str, period: float | None, as_json: bool) -> None:
+def c(
+    file: str,
+    out: Path,
+    real: str,
+    period: float | None,
+    monitor: Monitor | None,
+    as_json: bool,
+) -> None:
     """Write the controller in C99, with its acceptance test.
 
     \b
@@ -51,8 +117,8 @@ def c(file: str, out: Path, real: str, period: float | None, as_json: bool) -> N
     from certrack.export.c import export_c
     from certrack.systems.reader import load
 
-    with naming(file, "implementation", period=period):
-        exported = export_c(load(file), out, file, real=real, period=period)
+    with naming(file, "implementation", period=period), _named_as_options():
+        exported = export_c(load(file), out, file, real=real, period=period, monitor=monitor)
     for note in exported.notes:
         click.echo(f"certrack: note: {note}", err=True)
     if as_json:
@@ -67,9 +133,10 @@ def c(file: str, out: Path, real: str, period: float | None, as_json: bool) -> N
 @export.command()
 @click.argument("file")
 @click.option("--out", type=NEW_FILE, required=True, help="NAME.st; NAME names the block.")
+@monitor_options
 @period_option
 @json_option
-def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
+def st(file: str, out: Path, period: float | None, monitor: Monitor | None, as_json: bool) -> None:
     """Write the controller as a block in Structured Text.
 
     The file holds one function block as in IEC 61131-3.
@@ -81,8 +148,8 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     from certrack.systems.reader import load
 
     system = load(file)
-    with naming(file, "implementation", period=period):
-        export_st(system, out, period=period)
+    with naming(file, "implementation", period=period), _named_as_options():
+        export_st(system, out, period=period, monitor=monitor)
     _note_unlikely(system, period)
     _report_file(out, as_json)
 
@@ -97,9 +164,17 @@ def st(file: str, out: Path, period: float | None, as_json: bool) -> None:
     show_default=True,
     help="Version of the FMI standard.",
 )
+@monitor_options
 @period_option
 @json_option
-def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> None:
+def fmu(
+    file: str,
+    out: Path,
+    fmi: str,
+    period: float | None,
+    monitor: Monitor | None,
+    as_json: bool,
+) -> None:
     """Write the controller as an FMU for co-simulation.
 
     It holds the sources and a binary for this machine.
@@ -111,8 +186,8 @@ def fmu(file: str, out: Path, fmi: str, period: float | None, as_json: bool) -> 
     from certrack.systems.reader import load
 
     system = load(file)
-    with naming(file, "implementation", period=period):
-        export_fmu(system, out, version=fmi, period=period)
+    with naming(file, "implementation", period=period), _named_as_options():
+        export_fmu(system, out, version=fmi, period=period, monitor=monitor)
     _note_unlikely(system, period)
     _report_file(out, as_json)
 

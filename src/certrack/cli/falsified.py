@@ -13,7 +13,7 @@ from certrack.core.rounding import printed_bound
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificate
-    from certrack.studies.falsifier.falsify import Falsification
+    from certrack.studies.falsifier.falsify import DriveFalsification, Falsification
 
 
 def falsification_summary(result: Falsification) -> dict[str, Any]:
@@ -32,9 +32,34 @@ def falsification_summary(result: Falsification) -> dict[str, Any]:
         "alarm": result.alarm,
         "alarm_reason": result.reason or None,
         "own_run": result.own_run,
+        "origin": result.origin,
+        "stopped": result.stopped,
+        "drive": None if result.drive is None else _of_drive(result.drive),
         "certificates": {kind: _beside(c, error) for kind, c in result.certificates.items()},
         "runs": result.evaluations,
     }
+
+
+def _of_drive(drive: DriveFalsification) -> dict[str, Any]:
+    """The worst case of the loop as it is implemented."""
+    return {
+        "worst_error": drive.worst_error,
+        "estimate": drive.estimate,
+        "stopped": drive.stopped,
+        "certified": drive.certificate.bound,
+        "verified": drive.certificate.verified,
+        "ratio": drive.certificate.bound / drive.worst_error if drive.worst_error else math.inf,
+    }
+
+
+def drive_lines(drive: Mapping[str, Any]) -> list[str]:
+    """The same in words."""
+    rounding = "with the sensors' rounding at its worst"
+    return [
+        f"as implemented, worst |e_1| found: {drive['worst_error']:.6g} (simulated)",
+        f"{rounding}, by the linear loop: {drive['estimate']:.6g}",
+        f"certified as implemented: {printed_bound(drive['certified'])}",
+    ]
 
 
 def _beside(certificate: Certificate, error: float) -> dict[str, Any]:

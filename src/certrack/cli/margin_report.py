@@ -6,10 +6,12 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from certrack.cli import report
+from certrack.core.rounding import printed_bound, rounded_down, rounded_up
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from certrack.studies.drift import Drift
     from certrack.studies.margins import Margin, Margins
 
 
@@ -63,6 +65,63 @@ def margin_notes(margins: Margins) -> list[str]:
     if any(error <= limit for error, limit in _last_errors(margins)):
         lines.append("> and <: nothing failed up to the end of the range searched, no edge")
     return lines
+
+
+def drift_table(drift: Drift) -> Table:
+    """The largest range of each constant."""
+    rows = []
+    for entry in drift.constants:
+        part = "-" if entry.part is None else f"{rounded_down(100 * entry.part, 4)} %"
+        more = "> " if entry.unlimited else ""
+        rows.append(
+            [
+                entry.name,
+                report.short_number(entry.nominal),
+                f"[{', '.join(map(report.short_number, entry.file))}]",
+                "none" if entry.low is None else f"{more}+-{part}",
+                _range_text(entry.low, entry.high),
+                printed_bound(entry.bound if entry.low is not None else None, RANGE_DIGITS),
+            ]
+        )
+    columns = ["constant", "nominal", "in the file", "may drift by", "that is", "certified there"]
+    return report.table("", columns, rows, digits=RANGE_DIGITS)
+
+
+def drift_notes(drift: Drift) -> list[str]:
+    """What the ranges refer to, in words."""
+    if drift.reason:
+        return [f"how far constants may drift: not searched: {drift.reason}"]
+    proven = "each proven" if drift.verified else "not verified, for the file breaks a premise,"
+    lines = [
+        f"admitted limsup |e_1| of the continuous loop: "
+        f"{report.limit_text(drift.error, drift.origin)}; each constant by itself, the others as "
+        f"in the file; {proven} as printed",
+        *(
+            f"  {entry.name}: a little more: {entry.reason}"
+            for entry in drift.constants
+            if entry.reason
+        ),
+    ]
+    together = drift.together
+    if together is None:
+        return lines
+    if not together.ranges:
+        return [*lines, f"together: no common scale of the ranges serves: {together.reason}"]
+    ranges = ", ".join(f"{name} {_range_text(low, high)}" for name, low, high in together.ranges)
+    scale = ("> " if together.unlimited else "") + rounded_down(together.scale, RANGE_DIGITS)
+    bound = printed_bound(together.bound, RANGE_DIGITS)
+    return [*lines, f"together: all half widths times {scale}: {ranges}; certified {bound}"]
+
+
+def _range_text(low: float | None, high: float | None) -> str:
+    """A range, its ends rounded inward."""
+    if low is None or high is None:
+        return "-"
+    return f"[{rounded_up(low, RANGE_DIGITS)}, {rounded_down(high, RANGE_DIGITS)}]"
+
+
+#: Digits of a range.
+RANGE_DIGITS = 5
 
 
 def _last_errors(margins: Margins) -> Iterator[tuple[float, float]]:

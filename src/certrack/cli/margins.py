@@ -31,17 +31,21 @@ from certrack.cli.base import FOLDER, MEMBER_SEED, json_option, naming, note_eng
 @click.option(
     "--plot",
     type=FOLDER,
-    help="Folder for the picture: error against period, delay and saturation.",
+    help="Folder for the pictures: error against period, delay and saturation; drift of constants.",
 )
 @json_option
 def margin(
     file: str, error: float | None, members: int, seed: int, plot: Path | None, as_json: bool
 ) -> None:
-    """Find the limits of sampling period, delay and saturation.
+    """Find the limits of period, delay, saturation and constants.
 
     These are the longest period and delay and the lowest saturation at which the tail error stays
     admissible. Every value is tried on members of the file's ensemble, which proves nothing. For
     the robust law on a linear plant the exact edge of stability is computed too.
+
+    Where constants have ranges, it is also found how far each may drift: the largest symmetric
+    range with the admitted error, one by one and all together. These are proven, for the continuous
+    loop. Without --error the file's limit is admitted there, or else 1.5 times the certified bound.
 
     \b
     Example: certrack margin dual-motor-lean --plot pictures
@@ -60,10 +64,17 @@ def margin(
 
         figure = plotting.margin_figure(result, system.title, system.plant.units)
         pictures = plotting.save_figure(figure, plot, "margin")
+        if result.drift is not None and result.drift.constants:
+            figure = plotting.drift_figure(result.drift, system.title)
+            pictures += plotting.save_figure(figure, plot, "margin-drift")
     if as_json:
         click.echo(report.to_json(result.summary()))
     else:
         click.echo(system.title or file)
         report.console().print(margin_report.margin_table(result, system.plant.units))
         report.print_lines(margin_report.margin_notes(result))
+        if result.drift is not None:
+            if result.drift.constants:
+                report.console().print(margin_report.drift_table(result.drift))
+            report.print_lines(margin_report.drift_notes(result.drift))
     tell_written(as_json, *pictures)

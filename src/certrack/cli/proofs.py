@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,6 +12,10 @@ from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_engine, note_i
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
 from certrack.core import checks
 from certrack.core.errors import InputError
+
+if TYPE_CHECKING:
+    from certrack.certificates import Certificates
+    from certrack.systems.system import System
 
 
 @click.command()
@@ -57,7 +62,7 @@ def certify(
     """
     from certrack import certificates
     from certrack.certificates.premises import has_ranges
-    from certrack.cli import report
+    from certrack.cli import range_report, report
     from certrack.systems.reader import load
 
     system = load(file)
@@ -78,13 +83,17 @@ def certify(
         drawing = plotting.starts_figure(result.implemented, axes, system.title)
         plotting.save_figure(drawing, plot, "starts")
     if as_json:
-        click.echo(report.to_json(report.certificates_summary(result)))
+        click.echo(report.to_json(range_report.ranged_summary(result)))
     else:
         click.echo(system.title or file)
         report.console().print(report.certificates_table(result))
+        if result.constants:
+            report.console().print(range_report.costs_table(result))
         report.print_lines(report.certificates_notes(result))
+        report.print_lines(range_report.strength_line(result))
         report.print_lines(["resting on:", *premise_lines(result.premises)])
     say_contradicted(result.contradicted)
+    _hint_of_weights(system, result, effort)
     if not result.best.exists:
         reason = result.vertices.reason if has_ranges(system) else result.semidefinite.reason
         click.echo(f"certrack: no certificate: {reason}", err=True)
@@ -103,6 +112,21 @@ def _two_states(names: str | None, known: Sequence[str]) -> tuple[str, str] | No
         raise InputError("--states", "must be two different states", names, "Write x1,x2")
     first, second = (checks.choice("--states", name, known) for name in parts)
     return first, second
+
+
+def _hint_of_weights(system: System, result: Certificates, effort: str) -> None:
+    """Say once that weights in the norm of gamma would help, where the states differ in size."""
+    from certrack.core.rounding import printed_bound
+    from certrack.studies.norm_weights import helpful_weights
+
+    helpful = None if effort == "fast" else helpful_weights(system, result)
+    if helpful is not None:
+        weights, bound = helpful
+        click.echo(
+            f"certrack: note: {weights.text(system.plant.states)}; {weights.remedy}: the bound "
+            f"would then be {printed_bound(bound, 5)}",
+            err=True,
+        )
 
 
 @click.command()
@@ -151,10 +175,13 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     """Search for the worst admissible case.
 
     Disturbance, reference and parameters are varied within what the certificate covers; the file's
-    own run is a candidate, too. The worst error found is compared with every certificate: the ratio
-    of bound to error tells how tight a bound is. A run beyond the best verified bound is an alarm,
-    with exit code 1: a premise is broken, or certrack is wrong. The paper's bound, whose proof has
-    a gap, may be exceeded.
+    own run is a candidate, too. Where the error loop is linear, its kernels and a linear program
+    give another, at the corners of plant.ranges; with [implementation] also one of the sampled
+    loop with the worst noise, which --out FILE.toml writes as FILE-drive.toml.
+
+    The worst error found is compared with every certificate: the ratio of bound to error tells how
+    tight a bound is. A run beyond the best verified bound is an alarm, with exit code 1: a premise
+    is broken, or certrack is wrong. The paper's bound, whose proof has a gap, may be exceeded.
 
     \b
     Example: certrack falsify example1 --out worst.toml
@@ -168,11 +195,16 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     system = load(file)
     note_engine(compiled=False)
     note_contradictions(system, file)
-    note_implementation(system)
     with report.progress("Searching") as advance:
         result = search(system, budget=budget, seed=seed, progress=advance)
-    if out is not None:
-        save(result.system, out)
+    drive = result.drive
+    if drive is None:
+        note_implementation(system)
+    cases = {} if out is None else {out: result.system}
+    if out is not None and drive is not None:
+        cases[out.with_name(f"{out.stem}-drive{out.suffix}")] = drive.system
+    for path, case in cases.items():
+        save(case, path)
     values = falsified.falsification_summary(result) | {
         "seed": seed,
         "file": None if out is None else str(out),
@@ -180,7 +212,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     if as_json:
         click.echo(report.to_json(values))
     else:
-        origin = ", the file's own" if result.own_run else ""
+        origin = ORIGIN_WORDS[result.origin]
         click.echo(
             f"worst |e_1| found in {result.evaluations} runs{origin}: {result.worst_error:.6g}"
         )
@@ -190,8 +222,10 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         report.console().print(falsified.falsification_table(values["certificates"]))
         if values["certificates"].get("published", {}).get("exceeded"):
             report.print_lines([PUBLISHED_EXCEEDED])
-        if out is not None:
-            click.echo(f"{out} replays it: certrack simulate {out}")
+        if values["drive"] is not None:
+            report.print_lines(falsified.drive_lines(values["drive"]))
+        for path in cases:
+            click.echo(f"{path} replays it: certrack simulate {path}")
     if result.alarm is not None:
         click.echo(
             f"certrack: ALARM: a run is beyond the verified bound ({result.alarm}): "
@@ -200,6 +234,13 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         )
         raise click.exceptions.Exit(1)
 
+
+#: Where the worst case comes from, in words.
+ORIGIN_WORDS = {
+    "search": "",
+    "own": ", the file's own",
+    "kernels": ", by kernels and a linear program",
+}
 
 #: What the user is told where the falsifier passes the paper's bound, which nobody has proven.
 PUBLISHED_EXCEEDED = (

@@ -241,7 +241,24 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
         f"worst member {index}: tail error {value:.5g}; to replay it:",
         f"  certrack simulate {file} --member {index} --seed {ensemble.seed}",
     ]
-    return lines
+    return [*lines, *_corner_lines(ensemble, file)]
+
+
+def _corner_lines(ensemble: Ensemble, file: str) -> list[str]:
+    """What the corners of the ranges gave."""
+    corners, ranged = ensemble.corners, ensemble.system.plant.constant_boxes
+    if corners is None:
+        return ["corners of plant.ranges: not run, of more than 6"] if len(ranged) > 6 else []
+    worst = corners.worst
+    values = ", ".join(f"{name} = {v:.5g}" for name, v in corners.constants[worst].items())
+    beyond = "" if corners.beyond is None else f", {corners.beyond} beyond the limit"
+    counts = f"{corners.lost} of {len(corners.errors)} lost{beyond}"
+    error = f"tail error {corners.errors[worst]:.5g}" if corners.lost == 0 else "lost"
+    return [
+        f"corners of plant.ranges, apart from the members: worst {worst} ({values}): {error}; "
+        f"{counts}; to replay it:",
+        f"  certrack simulate {file} --corner {worst} --seed {ensemble.seed}",
+    ]
 
 
 def _replaced_omega(ensemble: Ensemble) -> list[str]:
@@ -285,7 +302,9 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
             "start": results.tube.start,
             "floor": results.tube.floor,
             "alpha": results.tube.alpha,
-            "kind": min(QUADRATIC_KINDS, key=lambda kind: getattr(results, kind).bound),
+            "kind": "vertices"
+            if results.kinds == RANGE_KINDS
+            else min(QUADRATIC_KINDS, key=lambda kind: getattr(results, kind).bound),
             "pieces": results.tube.pieces,
             "verified": results.tube.verified,
         },
@@ -341,31 +360,27 @@ SETTLED_MARGIN = 0.1
 def certificates_notes(results: Certificates) -> list[str]:
     """Critical strengths, tube and assumptions in words."""
     if results.kinds == RANGE_KINDS and results.tightest:
-        attained = results.attainable
-        return [
-            "the nominal certificates do not cover plant.ranges",
-            *(
-                []
-                if attained is None
-                else [
-                    f"attainable at the worst corner of the ranges: {rounded_down(attained, 5)} "
-                    "(a linear program over references; no proof)"
-                ]
-            ),
+        attained, lines = results.attainable, ["the nominal certificates do not cover plant.ranges"]
+        if attained is not None:
+            lines.append(
+                f"attainable at the worst corner of the ranges: {rounded_down(attained, 5)} "
+                "(a linear program over references; no proof)"
+            )
+    else:
+        lines = [
+            "critical strength (common scale of tau): published "
+            f"{_strength_text(results.critical_published)}, semidefinite "
+            f"{_strength_text(results.critical_semidefinite)}"
         ]
-    lines = [
-        *implemented_notes(results.implemented, BOUND_TEXT_DIGITS),
-        "critical strength (common scale of tau): published "
-        f"{_strength_text(results.critical_published)}, semidefinite "
-        f"{_strength_text(results.critical_semidefinite)}",
-    ]
+    lines = [*implemented_notes(results.implemented, BOUND_TEXT_DIGITS), *lines]
     if results.tube is not None:
         level = (1 + SETTLED_MARGIN) * math.sqrt(results.tube.floor)
         start = printed_bound(float(results.tube(0.0)), BOUND_TEXT_DIGITS)
         settled = printed_bound(results.tube.settling_time(level), BOUND_TEXT_DIGITS)
         margin = f"{100 * SETTLED_MARGIN:g} %"
+        whose = "of vertices " if results.kinds == RANGE_KINDS else ""
         lines.append(
-            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound "
+            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound {whose}"
             f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
         )
     return lines

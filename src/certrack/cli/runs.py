@@ -43,7 +43,12 @@ if TYPE_CHECKING:
     "--tolerance", type=float, help="Tolerance of the integrator, e.g. 1e-9; default: the file's."
 )
 @click.option("--member", type=click.IntRange(0), help="Replay this member of the ensemble.")
-@click.option("--seed", type=MEMBER_SEED, help="Seed of the ensemble, with --member; default: 0.")
+@click.option("--corner", type=click.IntRange(0), help="Replay this corner of plant.ranges.")
+@click.option(
+    "--seed",
+    type=MEMBER_SEED,
+    help="Seed of the ensemble, with --member or --corner; default: 0.",
+)
 @click.option(
     "--with-c",
     is_flag=True,
@@ -58,6 +63,7 @@ def simulate(
     integrator: str | None,
     tolerance: float | None,
     member: int | None,
+    corner: int | None,
     seed: int | None,
     with_c: bool,
     as_json: bool,
@@ -73,13 +79,19 @@ def simulate(
 
     if samples is not None and out is None:
         raise click.UsageError("--samples needs --out", click.get_current_context())
-    if seed is not None and member is None:
-        raise click.UsageError("--seed needs --member", click.get_current_context())
+    if seed is not None and member is None and corner is None:
+        raise click.UsageError("--seed needs --member or --corner", click.get_current_context())
+    if member is not None and corner is not None:
+        raise click.UsageError("--member or --corner, not both", click.get_current_context())
     system = load(file)
     if member is not None:
         from certrack.studies.ensembles.members import member as member_of
 
         system = member_of(system, member, seed=seed or 0)
+    if corner is not None:
+        from certrack.studies.ensembles.members import Members
+
+        system = Members(system, seed or 0).corner(corner)
     note_contradictions(system, file)
     changes = {"integrator": integrator, "tolerance": tolerance}
     system = system.with_settings(**{name: v for name, v in changes.items() if v is not None})
@@ -200,8 +212,8 @@ def ensemble(
     """Simulate many random members: plants, starts and disturbances.
 
     They are drawn as the file's [ensemble] says; without it, within plant.ranges and
-    plant.uncertainty. With --out, quantile bands (NetCDF), the summary (JSON) and pictures are
-    written there.
+    plant.uncertainty. The corners of the ranges of up to 6 constants run besides. With --out,
+    quantile bands (NetCDF), the summary (JSON) and pictures are written there.
 
     \b
     Example: certrack ensemble example1 -n 10000 --out ensemble
@@ -221,7 +233,7 @@ def ensemble(
         raise click.UsageError("--keep must be below --members", click.get_current_context())
     note_contradictions(system, file, replaced=system.varied.disturbance != "file")
     note_unlikely(system)
-    note_engine()
+    note_engine(alone=system.implementation is None)
     try:
         with (
             workers.connect(cluster) if cluster is not None else nullcontext() as client,

@@ -19,15 +19,15 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial, reduce
+from functools import partial
 from typing import Any
 
 import sympy
 
-from certrack.core.errors import InputError
+from certrack.core.errors import InputError, shorten
 from certrack.core.formula_mistakes import decimal_comma, node_remedy, syntax_remedy
 from certrack.core.formula_text import text_of
-from certrack.core.powers import exponential, has_fine_root, power, too_long
+from certrack.core.powers import exponential, power, too_long, without_fine_roots
 from certrack.core.rationals import RationalFloat
 from certrack.core.spelling import hint
 
@@ -41,8 +41,6 @@ MAX_INTEGER_BITS = 1000  # of an integer in the text; about MAX_MAGNITUDE
 MAX_MAGNITUDE = 1e300  # of any constant
 
 TIME = sympy.Symbol("t", real=True)
-
-_OfTwo = Callable[[sympy.Expr, sympy.Expr], sympy.Expr]
 
 
 def _sign(value: float) -> float:
@@ -193,41 +191,6 @@ def number(key: str, text: Any, names: Mapping[str, Any] | None = None) -> Expre
     return expression
 
 
-def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
-    """Classical derivative where it exists; kinks (abs, min, max) give their one-sided slopes."""
-    signs: dict[sympy.Symbol, sympy.Expr] = {}
-
-    def freeze(inside: sympy.Expr) -> sympy.Symbol:
-        name = sympy.Dummy("sign", real=True)
-        signs[name] = sympy.sign(inside)
-        return name
-
-    # |f| = s f with s constant: SymPy's own rule needs f to be provably real
-    frozen = without_minmax(expr).replace(sympy.Abs, lambda f: freeze(f) * f)
-    slope = sympy.diff(frozen.replace(sympy.sign, freeze), by)
-    for name in reversed(list(signs)):
-        slope = slope.xreplace({name: signs[name]})
-    return slope
-
-
-def fold_minmax(expr: sympy.Expr, larger: _OfTwo, smaller: _OfTwo) -> sympy.Expr:
-    """Write max and min of any number of arguments by functions of two, from left to right."""
-
-    def fold(of_two: _OfTwo) -> Callable[..., sympy.Expr]:
-        return lambda *args: reduce(of_two, args)
-
-    return expr.replace(sympy.Max, fold(larger)).replace(sympy.Min, fold(smaller))
-
-
-def without_minmax(expr: sympy.Expr) -> sympy.Expr:
-    """Write min and max by abs: max(a, b) = (a + b + |a - b|)/2."""
-    return fold_minmax(
-        expr,
-        lambda a, b: (a + b + sympy.Abs(a - b)) / 2,
-        lambda a, b: (a + b - sympy.Abs(a - b)) / 2,
-    )
-
-
 class _Builder:
     """One pass over the syntax tree; every node yields (SymPy expression, float or None)."""
 
@@ -257,6 +220,7 @@ class _Builder:
                 warnings.simplefilter("ignore")  # e.g. "1if": the tree decides, not the warning
                 tree = ast.parse(self.text.strip(), mode="eval")
             expr, value = self.visit(tree.body, 0)
+            expr = without_fine_roots(expr)
         except (SyntaxError, ValueError, MemoryError, RecursionError) as problem:
             if isinstance(problem, InputError):
                 raise
@@ -307,7 +271,9 @@ class _Builder:
             return symbol(name), None
         known = sorted({*self.names, "pi"})
         shown = ", ".join(known[:MAX_NAMES_SHOWN]) + ", ..." * (len(known) > MAX_NAMES_SHOWN)
-        raise self.fail(f"unknown name {name!r}", remedy=f"{hint(name, known)}Known here: {shown}")
+        raise self.fail(
+            f"unknown name {shorten(name)!r}", remedy=f"{hint(name, known)}Known here: {shown}"
+        )
 
     def constant(self, value: Any) -> tuple[sympy.Expr, float]:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -366,22 +332,21 @@ class _Builder:
         if name not in ALLOWED_FUNCTIONS:
             known = f"{hint(name, ALLOWED_FUNCTIONS)}Known: {', '.join(sorted(ALLOWED_FUNCTIONS))}"
             known = f"Write {name}*(...)" if name in self.names else known
-            raise self.fail(f"unknown function {name!r}", remedy=known)
+            raise self.fail(f"unknown function {shorten(name)!r}", remedy=known)
         function, compute, fewest, most = ALLOWED_FUNCTIONS[name]
         build = partial(self.built, _BUILDERS.get(function, function))
         if not fewest <= len(args) <= most:
             message, got = f"{name} takes {fewest} to {most} arguments", f"{len(args)} arguments"
             raise self.fail(message, got, decimal_comma(self.text))
         args = [(expr, self.constant_value(expr, value)) for expr, value in args]
-        exprs = [expr for expr, _ in args]
+        exprs = [without_fine_roots(expr) for expr, _ in args]
         values = [value for _, value in args if value is not None]
         if len(values) == len(args):
             return build(*exprs), self.checked(lambda: compute(*values))
         if name in ("min", "max") and len(exprs) > 1:  # SymPy would compare all pairs
             return function(*exprs, evaluate=False), None
         # |exp(acos(x))| would become exp(re(acos(x))), and tan(x + pi/2) a cotangent
-        fine = any(has_fine_root(part, MAX_POWER) for part in exprs)
-        if fine or (result := build(*exprs)).has(*FOREIGN):
+        if (result := build(*exprs)).has(*FOREIGN):
             result = function(*exprs, evaluate=False)
         return result, None
 

@@ -6,6 +6,8 @@ import ast
 import keyword
 import re
 
+from certrack.core.errors import shorten
+
 #: Signs of other keyboards, and what the language has for them.
 OTHER_SIGNS = {"\N{MINUS SIGN}": "-", "\N{MULTIPLICATION SIGN}": "*", "\N{MIDDLE DOT}": "*"}
 OTHER_SIGNS |= {"\N{SUPERSCRIPT TWO}": "**2", "\N{SUPERSCRIPT THREE}": "**3"}
@@ -56,7 +58,9 @@ def decimal_comma(text: str) -> str:
     'Write a decimal point, not a comma: 0.5'
     """
     slip = _DECIMAL_COMMA.search(text)
-    return f"Write a decimal point, not a comma: {slip[1]}.{slip[2]}" if slip else ""
+    if slip is None:
+        return ""
+    return f"Write a decimal point, not a comma: {shorten(f'{slip[1]}.{slip[2]}')}"
 
 
 def _product(text: str) -> str:
@@ -66,5 +70,5 @@ def _product(text: str) -> str:
             if not (keyword.iskeyword(first) or keyword.iskeyword(second)):
                 first = "(...)" if first == ")" else first
                 second = f"{second}...)" if second.endswith("(") else second
-                return f"Write {first}*{second}"
+                return f"Write {shorten(first)}*{shorten(second)}"
     return ""

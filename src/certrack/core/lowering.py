@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import sympy
 
-from certrack.core.expressions import TIME, derivative, without_minmax
+from certrack.core.expressions import TIME
+from certrack.core.kinks import derivative, without_minmax
 from certrack.core.select import Entry, Extremum, Select, by_selections, numpy_select
 
 

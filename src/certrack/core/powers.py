@@ -4,6 +4,10 @@ SymPy takes integer roots out of 4.076**0.0000001: it raises the prime factors o
 ten-millionth power first, and does so again whenever two such powers meet in a product. Roots other
 than square roots therefore become a :class:`ConstantPower`, which SymPy takes for a number like pi:
 real, positive, of any precision that is asked for.
+
+For the same reason the exponent of x**0.123456789 is one. As a rational it makes a formula a
+polynomial in the 10^9th root of x wherever SymPy asks for a common divisor, which fills the memory,
+and it asks whenever it makes a function of the formula anew.
 """
 
 from __future__ import annotations
@@ -17,6 +21,9 @@ from mpmath import mp
 #: Bits of the numerator and denominator of any constant: larger powers are not computed.
 MAX_BITS = 20_000
 
+#: Roots beyond this one are fine: x**(1/65) is written with an exponent that is no rational.
+FINEST_ROOT = 64
+
 #: Bits by which a base is known better than its power: those of its exponent, and some.
 GUARD_BITS = 40
 
@@ -28,6 +35,7 @@ class ConstantPower(sympy.NumberSymbol):
     ----------
     base : positive number
     exponent : number
+        1 for an exponent of a fine root, which is the base itself.
     """
 
     __slots__ = ("base", "exponent")
@@ -68,10 +76,14 @@ class ConstantPower(sympy.NumberSymbol):
         """None: there is no interval of integers or rationals to tell."""
 
     def _sympystr(self, printer: Any) -> str:
+        if self.exponent == 1:
+            return f"({printer.doprint(self.base)})"
         return f"(({printer.doprint(self.base)})**({printer.doprint(self.exponent)}))"
 
     def _latex(self, printer: Any) -> str:
         base, exponent = printer.doprint(self.base), printer.doprint(self.exponent)
+        if self.exponent == 1:
+            return str(base)
         return rf"\left({base}\right)^{{{exponent}}}"
 
 
@@ -99,7 +111,7 @@ def power(base: sympy.Expr, exponent: sympy.Expr) -> sympy.Expr:
         size = max(int(base.p).bit_length(), int(base.q).bit_length())
         if size * (abs(exponent.p) // exponent.q + 1) > MAX_BITS and base not in (0, 1, -1):
             raise OverflowError("a power of too many digits")
-    is_plain = exponent.is_Integer or base in (0, 1) or base.is_Symbol
+    is_plain = exponent.is_Integer or base in (0, 1)
     is_root = base.is_Rational and exponent.is_Rational and exponent.q == 2
     if is_plain or is_root or base.is_NumberSymbol or base is sympy.E:
         return base**exponent
@@ -107,7 +119,7 @@ def power(base: sympy.Expr, exponent: sympy.Expr) -> sympy.Expr:
         return ConstantPower(base, exponent) if base.is_positive is not False else base**exponent
     factor, remainder = base.as_coeff_Mul()
     if factor in (1, -1):
-        return base**exponent
+        return without_fine_roots(base**exponent)
     size = abs(factor)
     return power(size, exponent) * power(sympy.sign(factor) * remainder, exponent)
 
@@ -143,12 +155,42 @@ def put_in(formula: sympy.Expr, numbers: Mapping[sympy.Symbol, sympy.Expr]) -> s
             known[part] = BUILDERS.get(part.func, part.func)(*args)
         return known[part]
 
-    return build(formula)
+    return without_fine_roots(build(formula))
 
 
-def has_fine_root(expr: sympy.Expr, finest: int) -> bool:
-    """Whether a formula has a power such as x**0.123456789 in it: a root beyond the `finest`.
+def without_fine_roots(expr: sympy.Expr) -> sympy.Expr:
+    """The formula with kept exponents, where x**(1/61)*x**(1/63) has become a fine root.
 
-    SymPy may take it for a polynomial in the 10^9th root, whose coefficients fill the memory.
+    Powers of one base are gathered, so that the derivative of x**1.234 is no quotient of zeros
+    at x = 0.
     """
-    return any(part.exp.is_Rational and part.exp.q > finest for part in expr.atoms(sympy.Pow))
+    powers = [part for part in expr.atoms(sympy.Pow) if part.base.free_symbols]
+    if all(part.exp.is_Rational and not _is_fine(part.exp) for part in powers):
+        return expr
+    return expr.replace(
+        lambda part: isinstance(part, sympy.Pow) and part.base.free_symbols,
+        lambda part: part.base ** _written_exponent(part.exp),
+    ).replace(sympy.Mul, _gathered)
+
+
+def _gathered(*factors: sympy.Expr) -> sympy.Expr:
+    exponents: dict[sympy.Expr, list[sympy.Expr]] = {}
+    for factor in factors:
+        base, exponent = factor.as_base_exp() if factor.free_symbols else (factor, sympy.S.One)
+        exponents.setdefault(base, []).append(exponent)
+    return sympy.Mul(
+        *(base ** _written_exponent(sympy.Add(*parts)) for base, parts in exponents.items())
+    )
+
+
+def _is_fine(exponent: sympy.Expr) -> bool:
+    return bool(exponent.is_Rational and exponent.q > FINEST_ROOT)
+
+
+def _written_exponent(exponent: sympy.Expr) -> sympy.Expr:
+    """The exponent, as a number of its own if it is that of a fine root."""
+    exponents = [part for part in exponent.atoms(ConstantPower) if part.exponent == 1]
+    exact = exponent.xreplace({part: part.base for part in exponents})
+    if not _is_fine(exact):
+        return exact
+    return sympy.sign(exact) * ConstantPower(abs(exact), sympy.S.One)

@@ -19,6 +19,9 @@ COMPARED_DIGITS = 80
 #: Beyond these a literal is taken by its float: its rational would be of any length.
 LONGEST_LITERAL, SMALLEST_LITERAL = 200, 1e-300
 
+#: Longer integers are written in groups of so many digits: a file holds none beyond 1e300.
+DIGITS_AT_ONCE = 200
+
 
 class RationalFloat(float):
     """The float nearest to a rational that its own decimal text is not.
@@ -48,7 +51,27 @@ class RationalFloat(float):
     @property
     def text(self) -> str:
         """The rational as a formula that a system file can hold."""
-        return f"{self.exact.numerator}/{self.exact.denominator}"
+        (top, high), (bottom, low) = map(_grouped, self.exact.as_integer_ratio())
+        power = f"1e{DIGITS_AT_ONCE}"
+        return f"{top}/{bottom}" + f"*{power}" * (high - low) + f"/{power}" * (low - high)
+
+
+def _grouped(value: int) -> tuple[str, int]:
+    """An integer as a formula of integers that a file may hold, over a power of the group's size.
+
+    >>> _grouped(-12), _grouped(10**400)
+    (('-12', 0), ('(1 + (0 + 0/1e200)/1e200)', 2))
+    """
+    groups, remaining = [], abs(value)
+    while remaining >= 10**DIGITS_AT_ONCE:
+        remaining, group = divmod(remaining, 10**DIGITS_AT_ONCE)
+        groups.append(group)
+    if not groups:
+        return str(value), 0
+    text = str(groups[0])
+    for group in (*groups[1:], remaining):
+        text = f"({group} + {text}/1e{DIGITS_AT_ONCE})"
+    return f"{'-' * (value < 0)}{text}", len(groups)
 
 
 def exact_rational(value: float) -> Fraction:

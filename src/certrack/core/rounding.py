@@ -5,6 +5,11 @@ from __future__ import annotations
 import math
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 
+from certrack.core.rationals import exact_rational
+
+#: Digits of a fraction before it is rounded to those that are shown.
+EXACT_DIGITS = 40
+
 
 def rounded_up(value: float | str, digits: int) -> str:
     """The shortest text of at most `digits` digits that is not below the value.
@@ -31,6 +36,25 @@ def rounded_up(value: float | str, digits: int) -> str:
 def rounded_down(value: float | str, digits: int) -> str:
     """The same, not above the value: for strengths and margins."""
     return _short_text(value, digits, ROUND_FLOOR)
+
+
+def rounded_range(low: float, high: float, digits: int = 6) -> str:
+    """A range as text, its ends rounded outward; an exact end such as 0.3 or "1/3" as what it is.
+
+    >>> rounded_range(0.3, 2.00000001)
+    '[0.3, 2.00001]'
+    """
+    floor, ceiling = (
+        str(Context(prec=EXACT_DIGITS, rounding=rounding).divide(*map(Decimal, exact_pair(end))))
+        for end, rounding in ((low, ROUND_FLOOR), (high, ROUND_CEILING))
+    )
+    return f"[{rounded_down(floor, digits)}, {rounded_up(ceiling, digits)}]"
+
+
+def exact_pair(value: float) -> tuple[int, int]:
+    """Numerator and denominator of what a float stands for."""
+    exact = exact_rational(value)
+    return exact.numerator, exact.denominator
 
 
 def _short_text(value: float | str, digits: int, rounding: str) -> str:

@@ -28,6 +28,9 @@ The author of a new one
    compares: at the :func:`~certrack.export.golden_vectors.golden_vectors` or along a run, every
    function that a system file may use, limits, filters and projections, awkward names, and a wrong
    number in the text, which must be noticed;
-9. adds a verb to ``cli/exports.py`` and a section to ``docs/bridges.md`` or
-   ``docs/deployment.md``.
+9. if it runs on a drive, also prints a :class:`~certrack.export.monitor.MonitorProgram`: the flags,
+   what stands still while it is disabled, what a reset sets. Nothing of it changes an export
+   without a monitor;
+10. adds a verb to ``cli/exports.py`` and a section to ``docs/bridges.md`` or
+    ``docs/deployment.md``.
 """

@@ -20,6 +20,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable, rows
 from certrack.export.program import ControllerProgram
+from certrack.export.undecided import undecided_jumps
 from certrack.integrators.sampled.maps import SampledMaps, Scalar
 from certrack.loops.controller import COMMAND, FIRST, SAMPLE_NUMBER, controller_values
 from certrack.loops.sampled import SampledLoop, resolved
@@ -127,6 +128,7 @@ def golden_vectors(
     effects, answers, scales = _sensitivities(evaluate, len(numbers), inputs, carried, real)
     usable = np.isfinite(answers).all(axis=0) & np.isfinite(scales).all(axis=0)
     usable &= (np.abs(answers) < MAX_ANSWER).all(axis=0)
+    usable &= ~_undecided(system, program, inputs, real)
     usable[:carried] &= np.logical_and.accumulate(usable[:carried])
     effects = np.where(usable, effects / GOLDEN_TOLERANCE[real], 0.0)
     random_points = (
@@ -140,6 +142,18 @@ def golden_vectors(
     x, Y, states = (part[:, chosen] for part in inputs)
     count = int(usable[:carried].sum())
     return GoldenVectors(count, x, Y, states, answers[:, chosen], scales[:, chosen], blind)
+
+
+def _undecided(
+    system: System, program: ControllerProgram, inputs: Sequence[Array], real: str
+) -> Array:
+    """Points where rounding decides on a jump of the controller."""
+    controller, implementation = program.controller, system.implementation
+    assert implementation is not None
+    command, update = resolved(controller)
+    arguments = (controller.measured, controller.Y, controller.states, controller.parameters)
+    values = controller_values(controller, system.plant, system.law, implementation)
+    return undecided_jumps([command, *update], arguments, inputs, values, real)
 
 
 def _candidate_inputs(

@@ -15,7 +15,8 @@ from itertools import count, pairwise
 import sympy
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import TIME, fold_minmax, symbol
+from certrack.core.expressions import TIME, symbol
+from certrack.core.kinks import fold_minmax
 from certrack.core.printing import MAX_FACTORS
 from certrack.core.select import larger, magnitude, smaller
 from certrack.laws.base import Equations, Signals
@@ -33,12 +34,15 @@ from certrack.loops.controller import (
     starting_state,
 )
 from certrack.model.implementation import Implementation
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 E_N, NU, UBAR, DRIFT, CUT = (symbol(f"ctl_{name}") for name in ("e_n", "nu", "ubar", "h", "cut"))
 
 #: Gains that are printed as numbers in the linear forms e_n and nu; all others are named.
 LINEAR_FORM_GAINS = ("A_n", "B_n", "nu_x", "nu_Y", "sign_g")
+
+#: Those of them that are no parameters at run time either.
+FIXED_GAINS = ("sign_g",)
 
 #: What whoever tunes by hand must know of these forms.
 DERIVED_NUMBERS = (
@@ -92,6 +96,8 @@ class ControllerProgram:
         Natural name of every symbol but the period and Y.
     start : numbers
         The states before the first sample.
+    parameters : symbols
+        Those of the constants that may change at run time; usually none.
     """
 
     controller: SampledController
@@ -104,6 +110,7 @@ class ControllerProgram:
     constants: dict[sympy.Symbol, float]
     labels: dict[sympy.Symbol, str]
     start: tuple[float, ...]
+    parameters: tuple[sympy.Symbol, ...] = ()
 
 
 def sampled_system(system: System, period: float | None = None) -> System:
@@ -120,6 +127,7 @@ def sampled_system(system: System, period: float | None = None) -> System:
     InputError
         If there is no period.
     """
+    require_system(system)
     implementation = system.implementation
     if implementation is None and period is None:
         raise InputError(
@@ -149,8 +157,11 @@ def read_symbols(program: ControllerProgram) -> set[sympy.Symbol]:
     return set().union(*(formula.free_symbols for formula in (*formulas, *program.update)))
 
 
-def controller_program(system: System) -> ControllerProgram:
+def controller_program(system: System, *, parameters: bool = False) -> ControllerProgram:
     """The controller of a system that has an implementation.
+
+    With `parameters`, what the design made (gains, the coefficients of e_n and nu, weights of
+    rates) are named constants that may change at run time, unless they are zero.
 
     Raises
     ------
@@ -165,7 +176,8 @@ def controller_program(system: System) -> ControllerProgram:
     controller = sampled_controller(plant, system.controller, implementation)
     numbers = controller_values(controller, plant, system.law, implementation).tolist()
     values = dict(zip(controller.parameters, numbers, strict=True))
-    unnamed = _unnamed_numbers(system, controller, values)
+    printed = FIXED_GAINS if parameters else LINEAR_FORM_GAINS
+    unnamed = _unnamed_numbers(system, controller, values, printed)
     parts, equations = _named_parts(system)
     x = {
         name: differenced(name.name)
@@ -179,7 +191,11 @@ def controller_program(system: System) -> ControllerProgram:
     steps = _steps(controller, [*parts, Step(LAW_INPUT, equations.u, NOTES[LAW_INPUT])], x, unnamed)
     needed = {COMMAND}.union(*(f.free_symbols for f in (*update, *(r.formula for r in rates))))
     steps = _without_unused(steps, needed)
+    if parameters:
+        plain = {step: step.note.partition(f"\n{DERIVED_NUMBERS}")[0] for step in steps}
+        steps = [replace(step, note=note) for step, note in plain.items()]
     used = needed.union(*(step.formula.free_symbols for step in steps))
+    constants = {name: value for name, value in values.items() if name in used}
     program = ControllerProgram(
         controller=controller,
         measured=controller.measured,
@@ -188,11 +204,17 @@ def controller_program(system: System) -> ControllerProgram:
         steps=tuple(steps),
         rates=tuple(rates),
         update=update,
-        constants={name: value for name, value in values.items() if name in used},
+        constants=constants,
         labels={},
         start=tuple(starting_state(controller, system.estimates, implementation).tolist()),
+        parameters=tuple(filter(_is_designed, constants)) if parameters else (),
     )
     return replace(program, labels=_labels(system, program))
+
+
+def _is_designed(constant: sympy.Symbol) -> bool:
+    """Whether a number belongs to the design, not to the plant or the drive."""
+    return constant.name.startswith(("law_", "ctl_hold_"))
 
 
 #: Formulas that are written in place of symbols: numbers, or values of states not measured.
@@ -285,11 +307,14 @@ def _velocity_note(name: sympy.Symbol) -> str:
 
 
 def _unnamed_numbers(
-    system: System, controller: SampledController, values: dict[sympy.Symbol, float]
+    system: System,
+    controller: SampledController,
+    values: dict[sympy.Symbol, float],
+    printed: Sequence[str],
 ) -> dict[sympy.Symbol, sympy.Expr]:
     """Parameters that do not get a name: of linear forms, and gains that are zero."""
     groups = system.controller.signals.all_parameters
-    linear = {name for group in LINEAR_FORM_GAINS for name in groups.get(group, ())}
+    linear = {name for group in printed for name in groups.get(group, ())}
     gains = controller.parameters[: len(system.controller.symbols)]
     return {
         name: _exact_number(values[name]) for name in gains if name in linear or values[name] == 0

@@ -32,7 +32,7 @@ from certrack.loops.sampled import loop_values, resolved
 from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.sampled import SampledSimulator
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: A time this close before a break of the reference, relatively, is the break: what rounding does
 #: to a multiple of the period.
@@ -98,6 +98,7 @@ def to_control(system: System) -> ControlBlocks:
         import control
     except ImportError:
         raise MissingExtra("python-control", "control", "to_control") from None
+    require_system(system)
 
     implementation, x = system.implementation, list(system.plant.states)
     Y = ["y_d", *(f"y_d_{i}" for i in range(1, len(system.controller.signals.Y)))]
@@ -271,11 +272,13 @@ class _SampledPlant:
         """What the sensors show."""
         implementation, x = self._implementation, state[: len(self._states), None]
         true = x if self._problem.outputs is None else self._problem.outputs(x, self._p)
+        errors = implementation.sensor_errors(np.array([t]))
         return sensed(
             true,
             implementation,
             self._problem.keys,
             round((t - implementation.offset) / implementation.period),
+            None if errors is None else errors[:, 0],
         )[:, 0]
 
     def _advance(self, begin: float, end: float, x: Array, u: float) -> Array:

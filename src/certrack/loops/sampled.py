@@ -13,7 +13,8 @@ import numpy as np
 import sympy
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import TIME, derivative, symbol
+from certrack.core.expressions import TIME, symbol
+from certrack.core.kinks import derivative
 from certrack.core.select import STEP_LENGTH
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.controller import (

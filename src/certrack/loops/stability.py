@@ -56,7 +56,7 @@ class LinearLoop:
     controller : SampledController
     slopes : callable
         Of the controller's parameters: derivatives of the command and the next memories, a row
-        each, by the measured states and the memories.
+        each, by the measured states, the memories and the reference y_d ... y_d^(q+1).
     """
 
     system: System
@@ -79,8 +79,9 @@ class LinearLoop:
         (N + s + d + 1, N + s + d + 1) array
             d is the whole part of the delay, s the number of the controller's memories.
         """
-        law = self._law_matrix(period)
+        law = self.law_matrix(period)
         N, n, memories = len(self.b), len(self.C), len(law) - 1
+        law = law[:, : n + memories]
         d = math.floor(delay)
         size = N + memories + d + 1
         signals = np.zeros((n + memories, size))  # measured states and memories over xi
@@ -89,7 +90,7 @@ class LinearLoop:
         inputs = np.vstack([after[:1], np.eye(size)[N + memories :]])  # u_k, u_{k-1} ... u_{k-d-1}
         x = np.eye(size)[:N]
         for u, h in ((inputs[d + 1], delay - d), (inputs[d], 1 - delay + d)):
-            A, b = self._plant_over(h * period)
+            A, b = self.plant_over(h * period)
             x = A @ x + np.outer(b, u)
         M: np.ndarray = np.vstack([x, after[1:], inputs[: d + 1]])
         return M
@@ -110,8 +111,8 @@ class LinearLoop:
         M = self.period_map(period, delay)
         return float(np.abs(np.linalg.eigvals(M)).max()) if np.isfinite(M).all() else math.inf
 
-    def _law_matrix(self, period: float) -> np.ndarray:
-        """The command and the next memories, a row each, over measured states and memories."""
+    def law_matrix(self, period: float) -> np.ndarray:
+        """The command and the next memories, a row each, as :attr:`slopes` orders its columns."""
         system = self.system
         assert system.implementation is not None
         implementation = replace(system.implementation, period=period)
@@ -119,7 +120,7 @@ class LinearLoop:
         rows = 1 + len(self.controller.states)
         return np.array(self.slopes(*values), dtype=float).reshape(rows, -1)
 
-    def _plant_over(self, h: float) -> tuple[np.ndarray, np.ndarray]:
+    def plant_over(self, h: float) -> tuple[np.ndarray, np.ndarray]:
         """The plant over a time h with constant input."""
         from scipy.linalg import expm
 
@@ -159,7 +160,7 @@ def linear_loop(system: System) -> LinearLoop | None:
     table = [sympy.diff(f, v) for f in (*plant.rates, *plant.outputs) for v in moving]
     controller = sampled_controller(system.plant, system.controller, implementation)
     command, update = resolved(controller)
-    signals = (*controller.measured, *controller.states)
+    signals = (*controller.measured, *controller.states, *controller.Y)
     slopes = [sympy.diff(_after_first_sample(f), v) for f in (command, *update) for v in signals]
     if not (_only_of(table, plant.parameters) and _only_of(slopes, controller.parameters)):
         return None

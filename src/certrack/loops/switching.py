@@ -22,7 +22,8 @@ from itertools import combinations
 
 import sympy
 
-from certrack.core.expressions import TIME, derivative
+from certrack.core.expressions import TIME
+from certrack.core.kinks import derivative
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from typing import Any
 
 import sympy
 
-from certrack.core.expressions import TIME, derivative
+from certrack.core.expressions import TIME
+from certrack.core.kinks import derivative
 from certrack.loops.continuous import ClosedLoop
 from certrack.loops.sampled import SampledLoop
 

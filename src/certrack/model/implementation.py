@@ -17,7 +17,9 @@ import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.keys import check_fields, keyed, keys_of
+from certrack.core.expressions import TIME, Expression, parse
+from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.core.lowering import numpy_callable, rows
 from certrack.model.plant import Plant
 
 UPDATES = ("euler", "exact_leak")
@@ -75,6 +77,9 @@ class Implementation:
         Largest |noise| of each sensor, positive where there is noise: simulated noise is clipped
         to it, and a certificate admits every noise within it. Without it normal noise has no
         largest value, and the loop no worst case.
+    sensor_error : n formulas of t, optional
+        Added to the noise at the samples, before it is clipped: an offset, a ripple, or the worst
+        case that `falsify` found.
     seed, stream : int
         Of the noise; every member of an ensemble has a stream of its own.
     velocity : names of states, optional
@@ -147,6 +152,13 @@ class Implementation:
         least=0,
         otherwise="no limit",
     )
+    sensor_error: tuple[Expression, ...] | None = keyed(
+        "formulas",
+        None,
+        help="error of each sensor besides noise, a formula of t, within noise_bound",
+        shape="one per state",
+        otherwise="zero",
+    )
     seed: int = keyed("integer", 0, help="seed of the noise", least=0, most=MAX_SEED)
     stream: int = keyed(
         "integer",
@@ -186,7 +198,13 @@ class Implementation:
     initial_input: float = keyed("number", 0.0, help="input before the first sample acts")
 
     def __post_init__(self) -> None:
-        check_fields(self, "implementation")
+        names = [name for name in keys_of(self) if name != "sensor_error"]
+        check_fields(self, "implementation", *names)
+        if self.sensor_error is not None:
+            key, shape = "implementation.sensor_error", keys_of(self)["sensor_error"].shape
+            entries = checks.sequence(key, self.sensor_error, None, shape)
+            errors = (parse(f"{key}[{i}]", entry, ["t"]) for i, entry in enumerate(entries))
+            set_fields(self, sensor_error=tuple(errors))
         if self.offset >= self.period:
             raise InputError("implementation.offset", "must be less than the period", self.offset)
         if self.saturation is not None:
@@ -230,7 +248,8 @@ class Implementation:
         Lists of zeros become None.
         """
         keys = keys_of(self)
-        for name, count in (*((name, plant.n) for name in PER_STATE), ("projection", estimates)):
+        per_state = (*PER_STATE, "sensor_error")
+        for name, count in (*((name, plant.n) for name in per_state), ("projection", estimates)):
             if getattr(self, name) is not None:
                 values = getattr(self, name)
                 checks.sequence(f"implementation.{name}", values, count, keys[name].shape)
@@ -265,10 +284,13 @@ class Implementation:
         InputError
             If there is normal noise without a bound.
         """
-        if self.noise is not None and self.noise_bound is None:
+        noisy = self.noise is not None or self.sensor_error is not None
+        if noisy and self.noise_bound is None:
             raise InputError(
                 "implementation.noise_bound",
-                "is missing: normal noise has no largest value, so the loop has no worst case",
+                "is missing: normal noise has no largest value, so the loop has no worst case"
+                if self.noise is not None
+                else "is missing: it has to cover implementation.sensor_error",
                 remedy=f"State one number per state, e.g. {NOISE_BOUND_DEVIATIONS} times the noise",
             )
         return self.noise_bound or (0.0,) * states
@@ -288,6 +310,13 @@ class Implementation:
             return command
         inputs: np.ndarray = np.clip(np.rint(command / quantum) * quantum, low, high)
         return inputs
+
+    def sensor_errors(self, times: np.ndarray) -> np.ndarray | None:
+        """The errors of the sensors at times, a row each; None where there are none."""
+        if self.sensor_error is None:
+            return None
+        errors = numpy_callable([TIME], [formula.expr for formula in self.sensor_error])
+        return rows(errors(times), len(times))
 
     def samples(self, duration: float) -> int:
         """Number of samples in a run.

@@ -14,7 +14,7 @@ from certrack.plotting.ensembles import (
     plot_fan,
 )
 from certrack.plotting.main_picture import plot
-from certrack.plotting.margins import margin_figure
+from certrack.plotting.margins import drift_figure, margin_figure
 from certrack.plotting.runs import (
     PANELS,
     Panel,
@@ -38,6 +38,7 @@ __all__ = [
     "Panel",
     "Runs",
     "certificates_figure",
+    "drift_figure",
     "ensemble_figures",
     "fan_chart",
     "figure",

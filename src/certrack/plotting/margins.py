@@ -21,6 +21,7 @@ from certrack.plotting.shared import (
 )
 
 if TYPE_CHECKING:
+    from certrack.studies.drift import Drift
     from certrack.studies.margins import Margins
 
 
@@ -86,6 +87,51 @@ def margin_figure(margins: Margins, title: str, units: Sequence[str] | None) -> 
         handles, labels = zip(*(e for e in entries if exists.get(e[1], True)), strict=True)
         drawing.legend(handles, labels, loc="outside lower center", ncols=len(labels))
         axes[0].set_ylabel(f"tail error{output}")
+        set_title(drawing, title)
+    return drawing
+
+
+def drift_figure(drift: Drift, title: str) -> Figure:
+    """How far each constant may drift: the range of the file and the largest one, beside it.
+
+    Parameters
+    ----------
+    drift : Drift
+        With constants.
+    title : str
+
+    Returns
+    -------
+    Figure
+
+    Examples
+    --------
+    >>> import certrack
+    >>> from certrack.studies.drift import drift
+    >>> found = drift(certrack.load("axis"))
+    >>> len(certrack.plotting.drift_figure(found, "").axes)
+    1
+    """
+    entries = drift.constants[::-1]
+    shares = [entry.nominal for entry in entries]
+    with style():
+        drawing = new_figure(6.0, 1.2 + 0.45 * len(entries))
+        ax = drawing.subplots()
+        for y, (entry, size) in enumerate(zip(entries, shares, strict=True)):
+            scale = 100 / abs(size) if size else 1.0
+            low, high = (scale * (end - size) for end in entry.file)
+            ax.barh(y + 0.17, high - low, 0.3, low, color="0.75", label="in the file")
+            if entry.low is not None and entry.high is not None:
+                low, high = (scale * (end - size) for end in (entry.low, entry.high))
+                ax.barh(y - 0.17, high - low, 0.3, low, color=GREEN, label="largest, by itself")
+        ax.axvline(0.0, color="k", lw=0.8)
+        ax.use_sticky_edges = False
+        ax.margins(x=0.05)
+        ax.set_yticks(range(len(entries)), [entry.name for entry in entries])
+        percent = all(shares)
+        ax.set_xlabel("from the nominal value" + (" [%]" if percent else " [% where it is not 0]"))
+        shown = dict(zip(*ax.get_legend_handles_labels()[::-1], strict=True))
+        drawing.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=len(shown))
         set_title(drawing, title)
     return drawing
 

@@ -24,7 +24,7 @@ from certrack.references.base import (
 from certrack.references.piecewise import PiecewiseReference
 from certrack.references.registry import check_reference, known_references
 from certrack.references.registry import register_reference as register
-from certrack.references.shapes import samples, steps, trapezoid, triangle
+from certrack.references.shapes import profile, samples, steps, trapezoid, triangle
 from certrack.references.symbolic import SymbolicReference
 
 __all__ = [
@@ -42,6 +42,7 @@ __all__ = [
     "known_references",
     "lipschitz_bound",
     "pieces_at",
+    "profile",
     "register",
     "require_order",
     "round_up",

@@ -85,6 +85,25 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
             "bound": _BOUND,
         },
     ),
+    "profile": ReferenceKind(
+        shapes.profile,
+        {
+            "times": Key("numbers", help="times between the pieces", unit="s", required=True),
+            "start": Key(
+                "numbers",
+                help="at the first time; their number is the order",
+                shape="y_d, y_d', ...",
+                required=True,
+            ),
+            "highest": Key(
+                "numbers",
+                help="the next derivative, which is constant on each piece",
+                shape="one less than times",
+                required=True,
+            ),
+            "bound": _BOUND,
+        },
+    ),
     "samples": ReferenceKind(
         shapes.samples,
         {

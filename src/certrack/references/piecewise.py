@@ -22,6 +22,7 @@ from certrack.core.keys import set_fields
 from certrack.references.base import Bounds, round_up
 from certrack.references.polynomials import (
     DEGREE,
+    HIGHER_ROUNDING,
     ROUNDINGS,
     derived,
     evaluate,
@@ -33,8 +34,11 @@ from certrack.references.polynomials import (
 #: knots of a periodic reference are sums of floats.
 SAME_TIME = 1e-12
 
-#: Relative to the sizes of its terms: ends of pieces closer than this are the same value.
+#: Relative to the largest size of its terms: ends of pieces closer than this are the same value.
 SAME_VALUE = 1e-12
+
+#: No law asks for more derivatives.
+MAX_PIECE_DEGREE = 52
 
 #: Factor on the extremes of a piece, whose evaluation is some ten float operations.
 EXTREME_ROUNDING = 1 + 1e-13
@@ -45,15 +49,15 @@ BOUND_TOLERANCE, BOUND_POINTS = 1e-9, 33
 
 @dataclass(frozen=True)
 class PiecewiseReference:
-    """A continuous piecewise polynomial of degree at most 3.
+    """A continuous piecewise polynomial.
 
     Outside the knots the reference repeats with the period, or holds its end values.
 
     Parameters
     ----------
     knots : m + 1 increasing times, s
-    coefficients : m rows of 4 numbers
-        a_0 ... a_3 of each piece, in powers of the time since its knot.
+    coefficients : m rows of 4 or more numbers
+        a_0 ... a_3 ... of each piece, in powers of the time since its knot.
     smoothness : int
         The order: derivatives up to it are bounded, those below it continuous.
     period : float, optional
@@ -96,14 +100,16 @@ class PiecewiseReference:
         if len(knots) < 2:
             raise InputError("reference.knots", "must be at least two times", len(knots))
         table = checks.finite_array("reference.coefficients", self.coefficients, 2)
-        if table.shape != (len(knots) - 1, DEGREE + 1):
+        if len(table) != len(knots) - 1 or not DEGREE < table.shape[1] <= MAX_PIECE_DEGREE + 1:
             wanted = f"must be {len(knots) - 1} rows of {DEGREE + 1} numbers, one per piece"
             raise InputError("reference.coefficients", wanted, f"shape {table.shape}")
         set_fields(
             self,
             knots=tuple(knots.tolist()),
             coefficients=tuple(map(tuple, table.tolist())),
-            smoothness=checks.integer("reference.smoothness", self.smoothness, 1, DEGREE),
+            smoothness=checks.integer(
+                "reference.smoothness", self.smoothness, 1, table.shape[1] - 1
+            ),
         )
 
     def _check_times(self) -> None:
@@ -128,20 +134,25 @@ class PiecewiseReference:
                 raise InputError("reference.period", wanted, self.period)
 
     def _check_continuity(self) -> None:
-        """Derivatives below the order are continuous, also where it repeats or holds."""
+        """Derivatives below the order are continuous, also where it repeats or holds.
+
+        Before t = 0 there is no reference: what begins there may be moving.
+        """
+        begins = self.knots[0] <= 0
         a, width = np.array(self.coefficients), np.diff(self._knots)
         for i in range(self.smoothness):
             with np.errstate(all="ignore"):
                 terms = derived(a, i)
                 ends, size = evaluate(terms, width), evaluate(np.abs(terms), width)
-                first = terms[0, 0] if self.period or i == 0 else 0.0
+                first = terms[0, 0] if self.period or i == 0 or begins else 0.0
                 last = first if self.period else (ends[-1] if i == 0 else 0.0)
                 jumps = np.abs(np.append(terms[:, 0], last) - np.append(first, ends))
                 size = np.maximum(np.append(size, size[0]), np.append(size[-1], size))
             if not np.isfinite(size).all():
                 raise InputError("reference", "must not be so large or steep that it overflows")
-            if (jumps > SAME_VALUE * size).any():
-                at = self._knots[int(np.argmax(jumps > SAME_VALUE * size))]
+            allowed = SAME_VALUE * size.max()
+            if (jumps > allowed).any():
+                at = self._knots[int(np.argmax(jumps > allowed))]
                 what = f"the derivative of order {i}" if i else "y_d"
                 raise InputError("reference", f"must not jump: {what} does at t = {at:g} s")
 
@@ -157,11 +168,15 @@ class PiecewiseReference:
     def _knots(self) -> np.ndarray:
         return np.array(self.knots)
 
+    @property
+    def _degree(self) -> int:
+        return len(self.coefficients[0]) - 1
+
     @cached_property
     def _table(self) -> np.ndarray:
-        """Coefficients with a constant piece before and after, shape (m + 2, 4)."""
+        """Coefficients with a constant piece before and after, a row each."""
         inner = np.array(self.coefficients)
-        first, last = np.zeros((2, DEGREE + 1))
+        first, last = np.zeros((2, self._degree + 1))
         first[0] = inner[0, 0]
         last[0] = np.polyval(inner[-1][::-1], self._knots[-1] - self._knots[-2])
         return np.vstack([first, inner, last])
@@ -192,7 +207,7 @@ class PiecewiseReference:
 
     @property
     def piece_symbols(self) -> tuple[sympy.Symbol, ...]:
-        names = ("piece_start", *(f"piece_a{k}" for k in range(DEGREE + 1)))
+        names = ("piece_start", *(f"piece_a{k}" for k in range(self._degree + 1)))
         return tuple(sympy.Symbol(name, real=True) for name in names)
 
     def piece_values(self, t: float) -> np.ndarray:
@@ -213,17 +228,17 @@ class PiecewiseReference:
     def formulas(self, order: int) -> tuple[sympy.Expr, ...]:
         start, *a = self.piece_symbols
         since = TIME - start
-        signal = sum((a[k] * since**k for k in range(1, DEGREE + 1)), a[0])
+        signal = sum((a[k] * since**k for k in range(1, self._degree + 1)), a[0])
         return tuple(sympy.diff(signal, TIME, i) for i in range(order + 1))
 
     def values(self, t: np.ndarray, order: int) -> np.ndarray:
         row, start = self._locate(t)
         since = np.asarray(t, dtype=float) - start
         a = self._table[row]
-        derivatives = []
+        derivatives, count = [], self._degree + 1
         for i in range(order + 1):
-            falling = [math.perm(k, i) for k in range(DEGREE + 1)]
-            terms = (falling[k] * a[..., k] * since ** (k - i) for k in range(i, DEGREE + 1))
+            falling = [math.perm(k, i) for k in range(count)]
+            terms = (falling[k] * a[..., k] * since ** (k - i) for k in range(i, count))
             derivatives.append(sum(terms, np.zeros_like(since)))
         return np.array(derivatives)
 
@@ -231,11 +246,12 @@ class PiecewiseReference:
         """Exact up to rounding: extremes at the ends and stationary points of each piece."""
         a = np.array(self.coefficients)
         width = np.diff(self._knots)
+        rounding = EXTREME_ROUNDING if self._degree == DEGREE else HIGHER_ROUNDING
         values = []
         for i in range(order + 1):
             points = [np.zeros_like(width), width, *stationary(derived(a, i + 1), width)]
             best = max(float(np.abs(evaluate(derived(a, i), s)).max()) for s in points)
-            values.append(round_up(best * EXTREME_ROUNDING))
+            values.append(round_up(best * rounding))
         return Bounds(tuple(values), ("exact",) * (order + 1))
 
     def lipschitz_bound(self, order: int, *, between_jumps: bool = False) -> float | None:

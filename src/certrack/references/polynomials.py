@@ -1,4 +1,4 @@
-"""Polynomials of degree 3 at most, many at once: a row of coefficients each, lowest power first."""
+"""Polynomials of one degree, many at once: a row of coefficients each, lowest power first."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import math
 
 import numpy as np
 
-#: Enough for a cubic interpolant.
+#: Enough for a cubic interpolant; a profile may have more.
 DEGREE = 3
+
+#: Above degree 3 a derivative is largest where numerical roots say, and larger by less than this.
+HIGHER_ROUNDING = 1 + 1e-11
 
 #: Of the size of its terms: what a dozen roundings may take from a value.
 ROUNDINGS = 2.0**-48
@@ -16,7 +19,7 @@ ROUNDINGS = 2.0**-48
 def derived(a: np.ndarray, i: int) -> np.ndarray:
     """Coefficient rows of the i-th derivative, padded with zeros."""
     rows = np.zeros_like(a)
-    for k in range(i, DEGREE + 1):
+    for k in range(i, a.shape[1]):
         rows[:, k - i] = math.perm(k, i) * a[:, k]
     return rows
 
@@ -24,7 +27,7 @@ def derived(a: np.ndarray, i: int) -> np.ndarray:
 def evaluate(a: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Value of each row's polynomial at its own s."""
     value = np.zeros_like(s)
-    for k in range(DEGREE, -1, -1):
+    for k in range(a.shape[1] - 1, -1, -1):
         value = value * s + a[:, k]
     return value
 
@@ -40,7 +43,10 @@ def value_above(a: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 def largest_slope(a: np.ndarray, i: int, width: np.ndarray) -> float:
     """Upper bound of |p^(i)|, i >= 1, of all rows' polynomials on [0, width]."""
-    terms = derived(a, i)  # c_0 + c_1 s + c_2 s^2 at most
+    terms = derived(a, i)
+    if terms[:, 3:].any():
+        points = [np.zeros_like(width), width, *stationary(derived(terms, 1), width)]
+        return max(float(value_above(terms, s).max()) for s in points) * HIGHER_ROUNDING
     c1, c2 = terms[:, 1], terms[:, 2]
     best = np.maximum(np.abs(terms[:, 0]) * (1 + ROUNDINGS), value_above(terms, width))
     with np.errstate(all="ignore"):
@@ -53,7 +59,9 @@ def largest_slope(a: np.ndarray, i: int, width: np.ndarray) -> float:
 
 
 def stationary(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
-    """Roots of each row's quadratic, moved into the piece (any point of it is admissible)."""
+    """Roots of each row, moved into the piece (any point of it is admissible)."""
+    if slope[:, 3:].any():
+        return _roots(slope, width)
     # in units of the piece's width and height, so that nothing under- or overflows
     scaled = slope[:, :3] * width[:, None] ** np.arange(3)
     scaled = scaled / np.maximum(np.abs(scaled).max(axis=1, keepdims=True), 1e-300)
@@ -63,3 +71,14 @@ def stationary(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
         roots = (half / c2, c0 / half)
     finite = (np.nan_to_num(root, nan=0.0, posinf=0.0, neginf=0.0) for root in roots)
     return [width * np.clip(root, 0.0, 1.0) for root in finite]
+
+
+def _roots(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:
+    """The same for rows of any degree; of a complex pair, maybe a double root, its middle."""
+    count = slope.shape[1] - 1
+    points = np.zeros((count, len(slope)))
+    scaled = slope * width[:, None] ** np.arange(count + 1)
+    for i, row in enumerate(scaled):
+        roots = np.roots(row[::-1] / max(np.abs(row).max(), 1e-300)).real
+        points[: len(roots), i] = np.nan_to_num(roots, nan=0.0, posinf=0.0, neginf=0.0)
+    return list(width * np.clip(points, 0.0, 1.0))

@@ -17,7 +17,8 @@ from functools import cached_property
 import sympy
 from flint import arb
 
-from certrack.core.expressions import TIME, without_minmax
+from certrack.core.expressions import TIME
+from certrack.core.kinks import without_minmax
 from certrack.references.growth import (
     INFINITE,
     LINEAR,

@@ -1,15 +1,17 @@
-"""Shapes of piecewise polynomials: triangle, trapezoid, limited steps, samples."""
+"""Shapes of piecewise polynomials: triangle, trapezoid, limited steps, samples, profiles."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.references.piecewise import SAME_TIME, PiecewiseReference
+from certrack.references.piecewise import MAX_PIECE_DEGREE, SAME_TIME, PiecewiseReference
+from certrack.references.polynomials import DEGREE
 
 #: Units of time in which samples may be given, s.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
@@ -220,6 +222,75 @@ def samples(
     if time_unit != "s":
         fields = (*fields, ("time_unit", time_unit))
     return PiecewiseReference(tuple(t.tolist()), rows, 2, None, fields, bound)
+
+
+def profile(
+    times: tuple[float, ...],
+    start: tuple[float, ...],
+    highest: tuple[float, ...],
+    bound: float | None = None,
+) -> PiecewiseReference:
+    """A motion profile: its highest derivative is constant between times.
+
+    With two numbers in `start` the acceleration is piecewise constant, with three the jerk. It
+    begins at the first time, at or before t = 0 or from rest, and ends at rest.
+
+    Parameters
+    ----------
+    times : m + 1 increasing times, s
+    start : d numbers
+        y_d ... y_d^(d-1) at the first time.
+    highest : m numbers
+        y_d^(d) on each piece.
+    bound : float, optional
+        D of Assumption 2.
+
+    Returns
+    -------
+    PiecewiseReference
+
+    Examples
+    --------
+    >>> from certrack.references import profile
+    >>> profile(times=(0, 1, 3, 4), start=(0, 0), highest=(2, 0, -2)).bounds(2).values[1] >= 2
+    True
+    """
+    times = checks.reals("reference.times", times, None, "times between the pieces, s")
+    start = checks.reals("reference.start", start, None, "y_d, y_d' ... at the first time")
+    if not 2 <= len(times) <= MAX_REFERENCE_SAMPLES:
+        wanted = f"must be 2 to {MAX_REFERENCE_SAMPLES} times"
+        raise InputError("reference.times", wanted, len(times))
+    if not 1 <= len(start) <= MAX_PIECE_DEGREE:
+        raise InputError("reference.start", f"must be 1 to {MAX_PIECE_DEGREE} numbers", len(start))
+    highest = checks.reals("reference.highest", highest, len(times) - 1, "one per piece")
+    order, factorials = len(start), [math.factorial(k) for k in range(len(start) + 1)]
+    for i, width in enumerate(np.diff(times)):
+        if width <= 0:
+            raise InputError(f"reference.times[{i + 1}]", "times must increase", times[i + 1])
+    rows = tuple(
+        tuple([v / f for v, f in zip((*values, top), factorials, strict=True)])
+        + (0.0,) * (DEGREE - order)
+        for values, top in zip(derivatives_between(times, start, highest), highest, strict=False)
+    )
+    fields = _fields("profile", times=list(times), start=list(start), highest=list(highest))
+    return PiecewiseReference(tuple(times), rows, order, None, fields, bound)
+
+
+def derivatives_between(
+    times: Sequence[float], start: Sequence[float], highest: Sequence[float]
+) -> list[tuple[float, ...]]:
+    """y_d ... y_d^(d-1) of a profile at all of its times."""
+    order, values = len(start), tuple(start)
+    rows = [values]
+    for top, begin, end in zip(highest, times, times[1:], strict=False):
+        every, powers = (*values, top), [1.0]
+        for j in range(order):
+            powers.append(powers[-1] * (end - begin) / (j + 1))
+        values = tuple(
+            sum(every[j] * powers[j - k] for j in range(k, order + 1)) for k in range(order)
+        )
+        rows.append(values)
+    return rows
 
 
 TOO_CLOSE = ("reference.times", "must not be so close that the slopes overflow")

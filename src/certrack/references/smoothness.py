@@ -16,7 +16,8 @@ from itertools import pairwise
 import sympy
 from flint import arb, arb_poly, fmpq, fmpq_poly
 
-from certrack.core.expressions import TIME, without_minmax
+from certrack.core.expressions import TIME
+from certrack.core.kinks import without_minmax
 from certrack.core.powers import put_in
 from certrack.references.growth import Undefined
 from certrack.references.search import Formula, derivative_bound, float_above_ball, prove_defined

@@ -13,16 +13,9 @@ import sympy
 
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.core.expressions import (
-    TIME,
-    Expression,
-    check_name,
-    derivative,
-    number,
-    parse,
-    symbol,
-)
+from certrack.core.expressions import TIME, Expression, check_name, number, parse, symbol
 from certrack.core.keys import set_fields
+from certrack.core.kinks import derivative
 from certrack.core.lowering import numpy_callable, rows
 from certrack.core.powers import put_in
 from certrack.core.rationals import stated_above
@@ -195,7 +188,10 @@ class SymbolicReference:
 
     def _numeric(self, order: int) -> tuple[sympy.Expr, ...]:
         """y_d ... y_d^(order) with the values of the constants."""
-        return self._derivatives(self.numeric, order)
+        known: list[sympy.Expr] = self._cache.setdefault("numeric", [self.numeric])
+        while len(known) <= order:
+            known.append(derivative(known[-1], TIME))
+        return tuple(known[: order + 1])
 
     @cached_property
     def numeric(self) -> sympy.Expr:

@@ -303,6 +303,8 @@ def constant(expr: sympy.Expr) -> Any:
     if expr is sympy.E:
         return arb(1).exp()
     if isinstance(expr, ConstantPower):
+        if expr.exponent == 1:
+            return constant(expr.base)
         return (_value(constant(expr.exponent)) * _value(constant(expr.base)).log()).exp()
     if not expr.args:
         raise Undefined(f"{expr} has no value")

@@ -150,7 +150,7 @@ class ContinuousSimulator:
             ]
         if not has_heyoka():
             warnings.warn(
-                "heyoka is not installed: using SciPy, which is about 60 times slower",
+                "heyoka is not installed: using SciPy, which is about 45 times slower",
                 stacklevel=4,  # whoever called Simulator.run
             )
             return "scipy", []

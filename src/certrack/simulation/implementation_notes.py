@@ -18,6 +18,16 @@ from certrack.systems.system import System
 #: Below this part of the period at which the fastest pole fails, no loop is looked at closer.
 SURELY_SHORT = 0.05
 
+#: Period and delay times the fastest pole: below the first, sampling changes little; above the
+#: second a design of this speed does not survive it as a rule.
+SMALL_POLE_PERIOD, LARGE_POLE_PERIOD = 0.3, 1.0
+
+#: Forward Euler of an estimate's leak, 1 - rate T: above 1 the estimate alternates.
+ALTERNATING_LEAK = 1.0
+
+#: The remedy for a loop that is unstable as it is sampled.
+SHORTEN = "shorten implementation.period or delay, or lower law.c (certrack margin finds the edge)"
+
 
 def implementation_notes(system: System) -> tuple[str, ...]:
     """Notes on the implementation of a system; none where it has none or all is well.

@@ -18,21 +18,18 @@ from certrack.certificates.sampling import random_points
 from certrack.laws.leakage import leak_matrix
 from certrack.loops.stability import linear_loop
 from certrack.model.implementation import Implementation
-from certrack.simulation.implementation_notes import longest_speed_period
+from certrack.simulation.implementation_notes import (
+    ALTERNATING_LEAK,
+    LARGE_POLE_PERIOD,
+    SHORTEN,
+    SMALL_POLE_PERIOD,
+    longest_speed_period,
+)
+from certrack.studies.norm_weights import proposed_weights
 from certrack.studies.units import misfits
 from certrack.systems.system import System, require_system
 
 FINE, NOTE, WARNING, FAULT = "fine", "note", "warning", "fault"
-
-#: Period and delay times the fastest pole: below the first, sampling changes little; above the
-#: second a design of this speed does not survive it as a rule.
-SMALL_POLE_PERIOD, LARGE_POLE_PERIOD = 0.3, 1.0
-
-#: Forward Euler of an estimate's leak, 1 - rate T: above 1 the estimate alternates.
-ALTERNATING_LEAK = 1.0
-
-#: The remedy for a loop that is unstable as it is sampled.
-SHORTEN = "shorten implementation.period or delay, or lower law.c (certrack margin finds the edge)"
 
 #: Part of the input's range that one step of a sensor should not move it by.
 LARGE_INPUT_STEP = 0.1
@@ -157,6 +154,7 @@ def _findings(system: System) -> Iterator[Finding]:
         yield from _sensor_quanta(system, implementation)
         yield from _input_quantum(system, implementation)
     yield from _units(system)
+    yield from _scales(system)
 
 
 def _pole_period(system: System, implementation: Implementation) -> Finding:
@@ -317,3 +315,10 @@ def _units(system: System) -> Iterator[Finding]:
             NOTE,
             f"||x|| of Assumption 1 adds squares of {mixed}: gamma depends on the choice of units",
         )
+
+
+def _scales(system: System) -> Iterator[Finding]:
+    """Whether the states differ so much in size that the norm of gamma hardly sees some."""
+    weights = proposed_weights(system)
+    if weights is not None:
+        yield Finding("scales of states", NOTE, weights.text(system.plant.states), weights.remedy)

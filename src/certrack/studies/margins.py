@@ -1,10 +1,11 @@
-"""What a real drive may take away: longest period, longest delay, lowest saturation.
+"""What a real drive may take away: period, delay, saturation, and the constants it was made for.
 
 A period (delay, saturation) *holds* where all members that are tried track within the stated error.
 From the harmless end on, values are tried in geometric steps until one does not hold, and the edge
 is bisected: what is reported held, and so did everything tried before it. For the robust law on a
 linear plant the edge of stability is exact besides (see :mod:`certrack.loops.stability`); beyond it
-nothing holds, though a run may end before it shows.
+nothing holds, though a run may end before it shows. How far constants with a range may drift is
+proven (:mod:`certrack.studies.drift`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from certrack.certificates.premises import has_ranges
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.notebook import ShownInNotebooks
@@ -24,6 +26,7 @@ from certrack.laws.leakage import longest_euler_period
 from certrack.loops.stability import linear_loop
 from certrack.model.implementation import MAX_DELAY, MAX_RUN_SAMPLES, Implementation
 from certrack.simulation.metrics import REFERENCE_POINTS
+from certrack.studies.drift import Drift, drift
 from certrack.studies.edge_search import VALUE_RATIO, Sweep, last_before_failure, stability_edge
 from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.error_limit import tail_error_limit
@@ -123,6 +126,9 @@ class Margins(ShownInNotebooks):
     bounded_error : float
         What counts as bounded: the largest |y_d|, for an output at rest would do as well; ten
         times the admitted error where y_d is no larger than that.
+    drift : Drift or None
+        How far each constant with a range may drift, proven for the continuous loop, with an
+        admitted error of its own where none was given; None where nothing has a range.
     """
 
     error: float
@@ -134,6 +140,7 @@ class Margins(ShownInNotebooks):
     delay: Margin
     saturation: Margin
     bounded_error: float = math.inf
+    drift: Drift | None = None
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
@@ -145,6 +152,7 @@ class Margins(ShownInNotebooks):
             "at_period": self.at,
             "as_given": self.as_given,
             **{name: getattr(self, name).summary() for name in ("period", "delay", "saturation")},
+            "drift": None if self.drift is None else self.drift.summary(),
         }
 
     def __repr__(self) -> str:
@@ -174,12 +182,13 @@ def margins(
         if it has one.
     error : float, optional
         Admitted tail error; by default the population's limit, the certified bound where it covers
-        the population, else twice the worst tail error of the finest sampling.
+        the population, else twice the worst tail error of the finest sampling. For the drift of
+        constants, which is proven, it is the population's limit or 1.5 times the certified bound.
     members : int
         Members of the population, tried at every value.
     seed : int
     progress : callable
-        Gets how many values were tried, None and None.
+        Gets how many values were tried, None and None; then how many ranges.
 
     Returns
     -------
@@ -200,6 +209,7 @@ def margins(
     require_system(system)
     checks.integer("members", members, 1, 100_000)
     checks.integer("seed", seed, 0, 2**63)
+    stated = system
     implementation, duration = system.implementation, system.settings.duration
     first = _first_period(system)
     base = implementation or Implementation(first)
@@ -239,7 +249,9 @@ def margins(
         limits,
     )
     as_given = None if implementation is None else trials.worst(base)
-    return Margins(admitted, origin, members, at, as_given, period, delay, lowest, limits[1])
+    drifts = drift(stated, error=error, progress=progress) if has_ranges(stated) else None
+    searched = period, delay, lowest
+    return Margins(admitted, origin, members, at, as_given, *searched, limits[1], drifts)
 
 
 def _first_period(system: System) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from certrack.core.errors import InputError
 from certrack.core.notebook import ShownInNotebooks
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.systems import formulas
@@ -89,6 +90,8 @@ def design(system: System) -> Design:
     >>> print(certrack.design(certrack.load("example1-classic")).formulas[0])
     e_1 = x1 - y_d
     """
+    if not callable(getattr(system, "design", None)):  # System itself needs this module
+        raise InputError("system", "must be a System", system, "certrack.load makes one")
     return Design(
         title=system.title,
         kind=system.law.kind,

@@ -23,7 +23,7 @@ from certrack.model.population import Population
 from certrack.model.truth import Truth
 from certrack.references import PiecewiseReference, Reference, SymbolicReference
 from certrack.references.registry import kind_of
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: Lists of numbers from this length on are written as one item.
 LONG_LIST = 200
@@ -46,6 +46,7 @@ def to_text(system: System) -> str:
     >>> certrack.to_text(certrack.load("dual-motor")).splitlines()[0]
     'title = "Dual-motor drive servo (Actuators 14:367, Example 2)"'
     """
+    require_system(system)
     import tomlkit
 
     document = tomlkit.document()
@@ -100,6 +101,7 @@ def save(system: System, path: str | os.PathLike[str]) -> None:
     >>> certrack.load("mine.toml") == certrack.load("example1")
     True
     """
+    require_system(system)
     if known_laws().get(system.law.kind) is not type(system.law):
         raise InputError(
             "law.kind",

@@ -13,13 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.optimize import linprog
+
+from certrack.certificates.worst_profile import WorstProfile, worst_profile
 
 #: Pieces of the reference, and the horizon in slowest time constants.
 PIECES, HORIZON_TIME_CONSTANTS = 160, 12.0
-
-#: Points within a piece at which the derivatives are looked at, to scale the reference down.
-LOOKS_PER_PIECE = 8
 
 
 @dataclass(frozen=True)
@@ -32,19 +30,12 @@ class Attained:
         |e_1| at the end of the horizon.
     by_reference : float
         The reference's part of it.
-    start : (q+1,) array
-        y_d, y_d' ... y_d^(q) at the beginning.
-    pieces : array
-        y_d^(q+1) on each piece.
-    width : float, s
-        Of a piece.
+    reference : WorstProfile
     """
 
     error: float
     by_reference: float
-    start: np.ndarray
-    pieces: np.ndarray
-    width: float
+    reference: WorstProfile
 
 
 def worst_reference(
@@ -73,34 +64,20 @@ def worst_reference(
         A[n + i, n + i + 1] = sizes[i + 1] / sizes[i]
     step = expm(A * h)
     Ad, bd = step[:-1, :-1], step[:-1, -1]
-    inner = [expm(A * h * (j + 1) / LOOKS_PER_PIECE) for j in range(LOOKS_PER_PIECE)]
     count = q + 1 + PIECES
     S = np.zeros((n + q + 1, count))
     S[n:, : q + 1] = np.eye(q + 1)
-    rows, looked_at = [], []
     for k in range(PIECES):
-        rows.append(S[n:].copy())
-        held = np.zeros((1, count))
-        held[0, q + 1 + k] = 1.0
-        looked_at += [(part @ np.vstack([S, held]))[n:-1] for part in inner]
         S = Ad @ S
         S[:, q + 1 + k] += bd
-    table = np.vstack([*rows, S[n:]])
-    optimum = linprog(
-        -S[0],
-        A_ub=np.vstack([table, -table]),
-        b_ub=np.ones(2 * len(table)),
-        bounds=[(-1, 1)] * count,
-        method="highs",
-    )
-    if optimum.status != 0:
+    gains = S[0] / np.concatenate([sizes[:-1], np.full(PIECES, sizes[-1])])
+    worst = worst_profile(gains, sizes, np.full(PIECES, h))
+    if worst is None:
         return None
-    largest = max(1.0, float(np.abs(np.vstack(looked_at) @ optimum.x).max(initial=0.0)))
-    x = optimum.x / largest
-    reference = float(S[0] @ x)
+    reference = worst.value
     e_o = -np.linalg.solve(M, offset)[0] if offset.any() else 0.0
     error = reference + _by_inputs(M, inputs, slowest) + abs(float(e_o))
-    return Attained(error, reference, x[: q + 1] * sizes[:-1], x[q + 1 :] * sizes[-1], h)
+    return Attained(error, reference, worst)
 
 
 def _by_inputs(M: np.ndarray, inputs: np.ndarray, slowest: float) -> float:

@@ -22,6 +22,8 @@ def divided(
     most: int,
     worthwhile: float,
     report: Callable[[list[Cell]], None],
+    enough: float = 0.0,
+    moving: int = 0,
 ) -> list[Cell]:
     """Cells that cover a box.
 
@@ -36,23 +38,28 @@ def divided(
         The search ends when twice as many cells have lowered the bound by less than this part.
     report : callable
         Gets the cells so far.
+    enough : float
+        The search ends where no cell has a larger bound.
+    moving : int
+        So many intervals, the last ones, are not cut: what they hold varies in time.
     """
     sizes = [high - low for low, high in box]
     cells, history = [box], [bound(box)]
-    while len(cells) < most:
+    while len(cells) < most and history[-1] > enough:
         before = history[(len(history) - 1) // 2]
         if len(history) > 2 and math.isfinite(before) and history[-1] > (1 - worthwhile) * before:
             break
         worst = max(range(len(cells)), key=lambda i: bound(cells[i]))
-        cells[worst : worst + 1] = halved(cells[worst], sizes)
+        cells[worst : worst + 1] = halved(cells[worst], sizes, moving)
         history.append(max(map(bound, cells)))
         report(cells)
     return cells
 
 
-def halved(cell: Cell, sizes: Sequence[Any]) -> tuple[Cell, Cell]:
+def halved(cell: Cell, sizes: Sequence[Any], moving: int = 0) -> tuple[Cell, Cell]:
     """The cell cut in the middle of its widest constant, relative to `sizes`."""
-    widest = max(range(len(cell)), key=lambda i: (cell[i][1] - cell[i][0]) / (sizes[i] or 1))
+    constants = range(len(cell) - moving)
+    widest = max(constants, key=lambda i: (cell[i][1] - cell[i][0]) / (sizes[i] or 1))
     low, high = cell[widest]
     middle = (low + high) / 2
     below, above = list(cell), list(cell)

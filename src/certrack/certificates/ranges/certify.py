@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +18,11 @@ from certrack.certificates.certificate import (
 from certrack.certificates.exact import float_down, float_up, from_text
 from certrack.certificates.premises import assumptions
 from certrack.certificates.ranges.attainable import worst_reference
+from certrack.certificates.ranges.costs import ConstantCost, costs
 from certrack.certificates.ranges.loop import error_form
 from certrack.certificates.ranges.proofs import CellProof, RangeProver
 from certrack.certificates.ranges.search import RangeBounds, bound_ranges
+from certrack.certificates.ranges.strength import RangeStrength, critical_ranges
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
@@ -46,6 +49,12 @@ class RangeCertificates:
         Of the smallest bound; empty if there is none.
     attainable : float or None
         What the linear loop reaches at the worst corner: an estimate from below, not a proof.
+    vertex_proof : CellProof or None
+        By one quadratic function for the whole box: what a tube can be made of.
+    constants : tuple of ConstantCost
+        What the range of each constant costs, if that was asked for.
+    strength : RangeStrength or None
+        How far all ranges may grow together, if that was asked for.
     """
 
     vertices: Certificate
@@ -53,6 +62,9 @@ class RangeCertificates:
     cells: Certificate
     proof: tuple[CellProof, ...]
     attainable: float | None
+    vertex_proof: CellProof | None = None
+    constants: tuple[ConstantCost, ...] = ()
+    strength: RangeStrength | None = None
 
     @property
     def best(self) -> Certificate:
@@ -61,7 +73,11 @@ class RangeCertificates:
 
 
 def certify_ranges(
-    system: System, effort: str = "default", progress: Progress = silent
+    system: System,
+    effort: str = "default",
+    progress: Progress = silent,
+    *,
+    details: bool = False,
 ) -> RangeCertificates:
     """Certify a system for all values of its constants in their ranges.
 
@@ -72,6 +88,8 @@ def certify_ranges(
         ``fast`` makes no cells.
     progress : callable
         Gets the number of cells, None and the bound so far.
+    details : bool
+        Whether it is also asked what each constant costs, and how far the ranges may grow.
 
     Returns
     -------
@@ -80,17 +98,62 @@ def certify_ranges(
     varies = system.plant.uncertainty.constants_vary
     try:
         with within_floats():
-            prover = RangeProver(system)
-            if varies and not prover.by_peak_gains:
-                raise NoCertificate(
-                    "constants_vary = true has no certificate with the adaptive law, whose V "
-                    "contains g_n; use the robust law, or let the constants stand still"
-                )
-            bounds = bound_ranges(prover, cells=not varies, effort=effort, progress=progress)
+            prover = range_prover(system)
+            options = {"cells": not varies, "effort": effort, "progress": progress}
+            prover, bounds = smaller_bounds(prover, options)
             attainable = attainable_error(prover)
+        result = _certificates(system, bounds, attainable, varies, effort)
+        return _detailed(result, prover, options, bounds) if details else result
     except NoCertificate as refusal:
         return _nothing(str(refusal))
-    return _certificates(system, bounds, attainable, varies, effort)
+
+
+def range_prover(system: System) -> RangeProver:
+    """What proves bounds for the ranges of a system.
+
+    Raises
+    ------
+    NoCertificate
+        If no certificate covers such a system.
+    """
+    try:
+        prover = RangeProver(system)
+    except NoCertificate:
+        prover = RangeProver(system, sectors=True)  # for a term that is not bounded
+        if not prover.loop.moving:
+            raise
+    if system.plant.uncertainty.constants_vary and not prover.by_peak_gains:
+        raise NoCertificate(
+            "constants_vary = true has no certificate with the adaptive law, whose V "
+            "contains g_n; use the robust law, or let the constants stand still"
+        )
+    return prover
+
+
+def smaller_bounds(prover: RangeProver, options: dict[str, Any]) -> tuple[RangeProver, RangeBounds]:
+    """What is proven with bounded terms as inputs or within their sectors: the smaller bound."""
+    bounds = bound_ranges(prover, **options)
+    if not prover.loop.brackets:
+        return prover, bounds
+    within = RangeProver(prover.loop.system, sectors=True)
+    if not within.loop.moving:
+        return prover, bounds
+    other = bound_ranges(within, **options)
+    return (within, other) if other.bound < bounds.bound else (prover, bounds)
+
+
+def _detailed(
+    result: RangeCertificates, prover: RangeProver, options: dict[str, Any], bounds: RangeBounds
+) -> RangeCertificates:
+    """With what each constant costs, and how far the ranges may grow."""
+    constants = costs(prover, lambda box: bound_ranges(prover, box=box, **options), bounds)
+    strength = critical_ranges(
+        prover,
+        cells=options["cells"],
+        known=bool(bounds.best),
+        progress=options["progress"],
+    )
+    return replace(result, constants=constants, strength=strength)
 
 
 def without_ranges() -> RangeCertificates:
@@ -124,7 +187,8 @@ def _certificates(
     }
     order = ("cells", "vertices", "peak")
     best = min(order, key=lambda kind: by_kind[kind].bound)
-    return RangeCertificates(**by_kind, proof=options[best], attainable=attainable)
+    kinds = by_kind["vertices"], by_kind["peak"], by_kind["cells"]
+    return RangeCertificates(*kinds, options[best], attainable, bounds.vertices)
 
 
 def _certificate(kind: str, system: System, proofs: tuple[CellProof, ...]) -> Certificate:
@@ -152,7 +216,7 @@ def attainable_error(prover: RangeProver) -> float | None:
     None for a loop that is not linear, or is unstable at a corner.
     """
     loop = prover.loop
-    if not prover.by_peak_gains or loop.brackets:
+    if not prover.by_peak_gains or loop.brackets or loop.moving:
         return None
     u, A = loop.system.plant.uncertainty, loop.coordinates.A.astype(float)
     inputs = [A[:, k] * u.tau[k] * u.beta[k] for k in range(loop.n) if u.tau[k] * u.beta[k]]

@@ -96,12 +96,16 @@ def _function(formula: sympy.Expr, symbols: tuple[sympy.Symbol, ...]) -> Rationa
 
 
 def _parts(entry: sympy.Expr, symbols: Sequence[sympy.Symbol]) -> list[tuple[sympy.Expr, Any]]:
-    """The entry as a sum of numbers times functions (with the coefficient 1) of the symbols."""
+    """The entry as a sum of numbers times functions (with the coefficient 1) of the symbols.
+
+    In lexicographic order of the exponents in the numerator, which a certificate file relies on.
+    """
     if not entry.free_symbols:
         return [(sympy.S.One, rational(entry))] if entry != 0 else []
     top, bottom = sympy.fraction(sympy.cancel(sympy.together(entry)))
     factors = []
-    for term in sympy.Add.make_args(sympy.expand(top)):
+    for powers, number in sympy.Poly(top, *symbols).terms():
+        term = number * sympy.Mul(*(s**k for s, k in zip(symbols, powers, strict=True)))
         value, function = sympy.cancel(term / bottom).as_independent(*symbols, as_Add=False)
         numerator, denominator = sympy.fraction(function)
         content, denominator = sympy.Poly(denominator, *symbols).primitive()

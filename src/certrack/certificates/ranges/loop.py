@@ -36,6 +36,7 @@ from certrack.certificates.formulation import (
 from certrack.certificates.intervals import enclosure
 from certrack.certificates.premises import refuse_unknown
 from certrack.certificates.ranges.rational import Interval, RationalVector
+from certrack.certificates.ranges.sectors import sector_of
 from certrack.core.expressions import Expression, parse, symbol
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.laws.error_system import EstimatedParameters
@@ -68,6 +69,8 @@ class RangedLoop:
     estimated : formulas of g_n and theta, or None
         Of the adaptive law, where the constants determine them; None in the place of one that has a
         range of its own.
+    moving : int
+        So many symbols, the last ones, are no constants: they vary in time (``sectors``).
     """
 
     system: System
@@ -79,6 +82,7 @@ class RangedLoop:
     brackets: tuple[sympy.Expr, ...]
     sizes: tuple[Any, ...]
     estimated: tuple[sympy.Expr | None, tuple[sympy.Expr, ...] | None]
+    moving: int = 0
 
     @property
     def n(self) -> int:
@@ -117,8 +121,15 @@ class RangedLoop:
         return values[:size].reshape(self.matrix.shape), values[size:]
 
 
-def ranged_loop(system: System) -> RangedLoop:
+def ranged_loop(system: System, *, sectors: bool = False) -> RangedLoop:
     """The loop of a system as a function of what has a range.
+
+    Parameters
+    ----------
+    system : System
+    sectors : bool
+        Whether nonlinear terms within a sector become numbers that vary in time; otherwise they are
+        bounded inputs, and an unbounded one is refused.
 
     Raises
     ------
@@ -144,6 +155,7 @@ def ranged_loop(system: System) -> RangedLoop:
     for j in range(q + 2):
         matrix[n - 1, n + j] += rho * _sympy(coordinates.nu_Y[j])
     brackets, sizes = [], []
+    slopes: list[tuple[sympy.Symbol, Interval]] = []
     states = list(system.plant.symbols)
     for function, coefficient in (design.terms() if design.symbols else {}).items():
         bracket = sympy.cancel(sympy.together(coefficient - rho * design.at_nominal(coefficient)))
@@ -153,19 +165,26 @@ def ranged_loop(system: System) -> RangedLoop:
             matrix[n - 1, n + q + 2] += bracket
         elif function in states:
             matrix[n - 1, states.index(function)] += bracket
+        elif sectors and (sector := sector_of(function, states)) is not None:
+            slope = sympy.Symbol(
+                f"slope.{len(slopes)}", real=True
+            )  # a dot: the name of no constant
+            slopes.append((slope, sector[1:]))
+            matrix[n - 1, sector[0]] += bracket * slope
         else:
             brackets.append(bracket)
             sizes.append(_largest(function, states, bracket))
     return RangedLoop(
         system,
         coordinates,
-        design.symbols,
-        design.box,
-        design.nominal,
+        (*design.symbols, *(slope for slope, _ in slopes)),
+        (*design.box, *(ends for _, ends in slopes)),
+        (*design.nominal, *((low + high) / 2 for _, (low, high) in slopes)),
         matrix,
         tuple(brackets),
         tuple(sizes),
         design.estimated,
+        len(slopes),
     )
 
 

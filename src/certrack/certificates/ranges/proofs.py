@@ -30,6 +30,7 @@ from certrack.certificates.ranges.vertices import (
     prove_vertices,
 )
 from certrack.certificates.semidefinite import best_solution
+from certrack.certificates.strength import SLOW_RATE
 from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
 
@@ -64,8 +65,8 @@ class CellProof:
 class RangeProver:
     """Proves and checks bounds for cells of a system's constants."""
 
-    def __init__(self, system: System) -> None:
-        self.loop: RangedLoop = ranged_loop(system)
+    def __init__(self, system: System, *, sectors: bool = False) -> None:
+        self.loop: RangedLoop = ranged_loop(system, sectors=sectors)
         self.coefficients = Coefficients(self.loop)
         self._problems = ProblemMaker(self.loop)
         self._adaptation = adaptation_of(system, rational)
@@ -83,7 +84,7 @@ class RangeProver:
     def vertices(self, cell: Cell) -> CellProof | None:
         """A proof by one quadratic function, or None if none is found."""
         try:
-            problems = self._at(cell)
+            problems = self.problems(cell)
         except NoCertificate:
             return None
         solution = best_solution(VertexProgram([p.in_floats() for p in problems]))
@@ -91,6 +92,21 @@ class RangeProver:
         if proofs is None:
             return None
         return CellProof(texts(cell), proofs[0].bound, proofs)
+
+    def holds(self, cell: Cell) -> bool:
+        """Whether a cell has a proof at all, of whatever bound: a quadratic function or peak gains.
+
+        A small alpha asks least of the loop.
+        """
+        if self.by_peak_gains and self.peak(cell) is not None:
+            return True
+        try:
+            problems = self.problems(cell)
+        except NoCertificate:
+            return False
+        program = VertexProgram([p.in_floats() for p in problems])
+        solution = program.solve(SLOW_RATE * program.fastest) if program.fastest > 0 else None
+        return solution is not None and prove_vertices(problems, solution) is not None
 
     def peak(self, cell: Cell) -> CellProof | None:
         """A proof by peak gains, or None if there is none."""
@@ -121,7 +137,7 @@ class RangeProver:
                     bound = peak_bound(self.loop, self.coefficients, cell).bound
                 holds = rational(Fraction(bound)) <= from_text(proof.bound)
                 return "" if holds else "the bound is smaller than the peak gains give"
-            problems = self._at(cell)
+            problems = self.problems(cell)
         except NoCertificate as refusal:
             return str(refusal)
         if len(problems) != len(proof.points):
@@ -134,7 +150,7 @@ class RangeProver:
                 return reason
         return ""
 
-    def _at(self, cell: Cell) -> list[ErrorProblem]:
+    def problems(self, cell: Cell) -> list[ErrorProblem]:
         """The problems that prove a cell: at each point of its hull, or one at its centre.
 
         Which of the two follows from the ranges alone, so that who checks a proof knows it.
@@ -180,11 +196,28 @@ def numbers(cell: Sequence[tuple[str, str]]) -> Cell:
     return tuple((exact(low), exact(high)) for low, high in cell)
 
 
+def prover_of(system: System, intervals: int) -> RangeProver:
+    """The prover whose cells have so many intervals: those of more also have slopes in them.
+
+    Raises
+    ------
+    NoCertificate
+        If no certificate covers such a system.
+    """
+    try:
+        prover = RangeProver(system)
+        if len(prover.box) >= intervals:
+            return prover
+    except NoCertificate:
+        pass  # a term that is not bounded, but may lie within a sector
+    return RangeProver(system, sectors=True)
+
+
 def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
     """Empty if every cell is proven, they cover the ranges, and none exceeds the bound."""
-    prover = RangeProver(system)
     if len(proofs) > MAX_PROOF_CELLS:
         return f"there are more than {MAX_PROOF_CELLS} cells"
+    prover = prover_of(system, max((len(proof.cell) for proof in proofs), default=0))
     if system.plant.uncertainty.constants_vary:
         if len(proofs) != 1:
             return "constants that vary in time need one cell: they do not stay in one of many"
@@ -195,6 +228,9 @@ def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
         return "a cell has not one interval for each range"
     if not cells_fill(cells, prover.box):
         return "the cells do not cover the ranges"
+    count = len(prover.box) - prover.loop.moving
+    if any(cell[count:] != prover.box[count:] for cell in cells):
+        return "a cell cuts the slope of a nonlinear term, which varies in time"
     for proof in proofs:
         if from_text(proof.bound) > from_text(bound):
             return "the bound is smaller than that of a cell"

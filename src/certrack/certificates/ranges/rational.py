@@ -95,6 +95,7 @@ class RationalVector:
         numerators, denominator = self.numerators, self.denominator
         for axis, (low, high) in enumerate(box):
             change = _bernstein(denominator.shape[axis] - 1, low, high)
+            change = change if low < high else change[:1]  # a value alone: all points are one
             denominator = _along(change, denominator, axis)
             numerators = _along(change, numerators, axis + 1)
         bottom = denominator.ravel()

@@ -40,9 +40,26 @@ class RangeBounds:
     peak: CellProof | None
     cells: tuple[CellProof, ...] = ()
 
+    @property
+    def best(self) -> tuple[CellProof, ...]:
+        """The proofs of the smallest bound; empty if there is none."""
+        single = [(proof,) for proof in (self.vertices, self.peak) if proof is not None]
+        return min([p for p in (self.cells, *single) if p], key=largest, default=())
+
+    @property
+    def bound(self) -> float:
+        """The smallest bound, as a float that is near it; inf if there is none."""
+        return largest(self.best) if self.best else math.inf
+
 
 def bound_ranges(
-    prover: RangeProver, *, cells: bool, effort: str = "default", progress: Progress = silent
+    prover: RangeProver,
+    *,
+    cells: bool,
+    effort: str = "default",
+    progress: Progress = silent,
+    box: Cell | None = None,
+    enough: float = 0.0,
 ) -> RangeBounds:
     """Prove the best bounds.
 
@@ -55,13 +72,22 @@ def bound_ranges(
         ``fast`` makes no cells, ``high`` four times as many.
     progress : callable
         Gets the number of cells, None and the bound so far.
+    box : Cell, optional
+        What the constants may be; the file's ranges if left out.
+    enough : float
+        A bound that is small enough: the search ends with the first that is not above it.
     """
-    vertices = prover.vertices(prover.box)
-    peak = prover.peak(prover.box) if prover.by_peak_gains else None
-    if not cells or effort == "fast" or not prover.box:
+    box = prover.box if box is None else box
+    peak = prover.peak(box) if prover.by_peak_gains else None
+    if peak is not None and float(peak.bound) <= enough:
+        return RangeBounds(None, peak)
+    vertices = prover.vertices(box)
+    moving = prover.loop.moving
+    is_point = all(low == high for low, high in box[: len(box) - moving])
+    if not cells or effort == "fast" or is_point or RangeBounds(vertices, peak).bound <= enough:
         return RangeBounds(vertices, peak)
     many = 4 if effort == "high" else 1
-    search = _Cells(prover, vertices, peak, progress)
+    search = _Cells(prover, box, vertices, peak, enough, progress)
     covers: list[tuple[CellProof, ...]] = []
     if prover.by_peak_gains:
         covers.append(search.by_peak_gains(MOST_CELLS * many))
@@ -82,18 +108,25 @@ class _Cells:
     def __init__(
         self,
         prover: RangeProver,
+        box: Cell,
         vertices: CellProof | None,
         peak: CellProof | None,
+        enough: float,
         progress: Progress,
     ) -> None:
         self._prover, self._progress = prover, progress
+        self._box, self._enough = box, enough
         self._known = {"vertices": vertices, "peak": peak}
 
     def by_peak_gains(self, most: int) -> tuple[CellProof, ...]:
         """Cells by peak gains; the worst of them by the better of the two."""
         proofs = self._cover("peak", most)
+        if self._enough and sum(float(p.bound) > self._enough for p in proofs.values()) > RETRIED:
+            return tuple(proofs.values())
         for _ in range(RETRIED if proofs else 0):
             worst = max(proofs, key=lambda cell: float(proofs[cell].bound))
+            if float(proofs[worst].bound) <= self._enough:
+                break
             other = self._prover.vertices(worst)
             if other is None or float(other.bound) >= float(proofs[worst].bound):
                 break
@@ -106,7 +139,7 @@ class _Cells:
 
     def _cover(self, method: str, most: int) -> dict[Cell, CellProof]:
         """Proven cells; empty where one of them has no proof."""
-        proofs: dict[Cell, CellProof | None] = {self._prover.box: self._known[method]}
+        proofs: dict[Cell, CellProof | None] = {self._box: self._known[method]}
         prove: Callable[[Cell], CellProof | None] = getattr(self._prover, method)
 
         def bound(cell: Cell) -> float:
@@ -116,7 +149,9 @@ class _Cells:
             return math.inf if proof is None else float(proof.bound)
 
         report = partial(self._report, bound)
-        cells = divided(self._prover.box, bound, most, WORTHWHILE, report)
+        cells = divided(
+            self._box, bound, most, WORTHWHILE, report, self._enough, self._prover.loop.moving
+        )
         cover = {cell: proof for cell in cells if (proof := proofs[cell]) is not None}
         return cover if len(cover) == len(cells) else {}
 

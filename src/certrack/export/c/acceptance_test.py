@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from certrack.export.c.printer import c_literal
+from certrack.export.c.monitor_checks import monitor_checks
+from certrack.export.c.printer import c_literal, initialiser
 from certrack.export.c.source import CCode
 from certrack.export.golden_vectors import GOLDEN_TOLERANCE, GoldenVectors
 from certrack.export.templates import fill_template
@@ -14,6 +15,7 @@ def acceptance_test(code: CCode, vectors: GoldenVectors) -> str:
     """Contents of NAME_test.c."""
     implementation = code.system.implementation
     assert implementation is not None
+    with_parameters = bool(code.program.parameters)
     started = "    compare_states(&worst, &s, &samples[0].before, &samples[0].scale);\n"
     compared = [
         f"    compare(worst, got->{member}, want->{member}, scale->{member});"
@@ -32,25 +34,28 @@ def acceptance_test(code: CCode, vectors: GoldenVectors) -> str:
         compared="\n".join(compared),
         period=c_literal(implementation.period, code.real),
         started=started if vectors.carried else "",
+        parameters=f"static {code.name}_parameters parameters;\n\n" * with_parameters,
+        p="&parameters, " * with_parameters,
+        preset=f"    {code.name}_preset(&parameters);\n" * with_parameters,
+        monitor_include=f'#include "{code.name}_monitor.h"\n' if code.monitor else "",
+        monitor_checks=monitor_checks(code, vectors) if code.monitor else "",
+        monitor_call="    check_monitor(&worst);\n" if code.monitor else "",
     )
 
 
 def _table(code: CCode, vectors: GoldenVectors) -> str:
     """One initialiser per sample."""
 
-    def numbers(values: Iterable[float]) -> str:
-        return "{" + ", ".join(c_literal(float(value), code.real) for value in values) + "}"
-
     def state(values: Iterable[float], unused: float = 0.0) -> str:
-        return numbers(values if code.program.states else [unused])
+        return initialiser(values if code.program.states else [unused], code.real)
 
     lines = []
     for k in range(vectors.x.shape[1]):
         answers, scales = vectors.answers[:, k], vectors.scales[:, k]
         parts = [
             state(vectors.states[:, k]),
-            numbers(vectors.x[:, k]),
-            numbers(vectors.Y[:, k]),
+            initialiser(vectors.x[:, k], code.real),
+            initialiser(vectors.Y[:, k], code.real),
             c_literal(float(answers[0]), code.real),
             state(answers[1:]),
             c_literal(float(f"{scales[0]:.3g}"), code.real),

@@ -10,9 +10,11 @@ from certrack.core.errors import InputError
 from certrack.core.files import write_folder
 from certrack.export.c.acceptance_test import acceptance_test
 from certrack.export.c.guard import guard_header
+from certrack.export.c.monitor import monitor_header
 from certrack.export.c.readme import README_KIND, readme
 from certrack.export.c.source import CCode, c_code
 from certrack.export.golden_vectors import golden_vectors
+from certrack.export.monitor import Monitor
 from certrack.systems.system import System
 
 
@@ -34,13 +36,23 @@ class Exported:
     notes: tuple[str, ...]
 
 
+def controller_files(code: CCode) -> dict[str, str]:
+    """Contents of the files of a controller, by name; those that run on the drive."""
+    files = {
+        f"{code.name}.h": code.header,
+        f"{code.name}.c": code.source,
+        f"{code.name}_guard.h": guard_header(code),
+    }
+    if code.monitor is not None:
+        files[f"{code.name}_monitor.h"] = monitor_header(code)
+    return files
+
+
 def c_files(code: CCode) -> dict[str, str]:
     """Contents of all files of an export, by name."""
     vectors = golden_vectors(code.system, code.program, code.real)
     return {
-        f"{code.name}.h": code.header,
-        f"{code.name}.c": code.source,
-        f"{code.name}_guard.h": guard_header(code),
+        **controller_files(code),
         f"{code.name}_test.c": acceptance_test(code, vectors),
         "README.md": readme(code, code.notes),
     }
@@ -53,6 +65,7 @@ def export_c(
     *,
     real: str = "double",
     period: float | None = None,
+    monitor: Monitor | None = None,
 ) -> Exported:
     """Write the controller as C to a folder: header, source, guard, test and README, or nothing.
 
@@ -66,6 +79,9 @@ def export_c(
     real : {"double", "float"}
     period : float > 0, s, optional
         Instead of that of the system's implementation; needed if it has none.
+    monitor : Monitor, optional
+        Adds NAME_monitor.h: enable and disable, reset of the estimates, flags for the premises of
+        the certificate, and what the monitor asks for besides.
 
     Returns
     -------
@@ -83,7 +99,7 @@ def export_c(
     >>> [path.name for path in written.files]
     ['drive.h', 'drive.c', 'drive_guard.h', 'drive_test.c', 'README.md']
     """
-    code = c_code(system, name, real=real, period=period)
+    code = c_code(system, name, real=real, period=period, monitor=monitor)
     return Exported(code.name, write_all(Path(folder), c_files(code)), code.notes)
 
 

@@ -27,6 +27,8 @@ def guard_header(code: CCode) -> str:
         "c/templates/controller_guard.h",
         name=name,
         guard=f"{name.upper()}_GUARD_H",
+        parameters=code.parameter_argument,
+        p="p, " if program.parameters else "",
         largest=LARGEST_NUMBERS[code.real],
         inputs=_all_finite(inputs),
         unused="".join(unused),

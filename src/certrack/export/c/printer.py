@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 import sympy
@@ -55,6 +55,11 @@ def c_literal(value: float, real: str) -> str:
     if not np.isfinite(single):
         raise InputError("--real", f"float cannot hold the number {value:g}", remedy="Use double")
     return f"{single!s}F"
+
+
+def initialiser(values: Iterable[float], real: str) -> str:
+    """An initialiser of an array or a structure of numbers."""
+    return "{" + ", ".join(c_literal(float(value), real) for value in values) + "}"
 
 
 class CPrinter(FormulaPrinter):

@@ -20,7 +20,7 @@ from certrack.integrators.sampled.maps import SampledMaps, Scalar
 from certrack.loops.sampled import SampledLoop
 from certrack.simulation.run import Run
 from certrack.simulation.sampled import SampledSimulator
-from certrack.systems.system import System
+from certrack.systems.system import System, require_system
 
 #: As strict as the language allows.
 STRICT_FLAGS = (
@@ -93,6 +93,7 @@ def simulate_with_c(system: System) -> Run:
     >>> run.outcome.name
     'finished'
     """
+    require_system(system)
     if system.implementation is None:
         raise InputError(
             "implementation",

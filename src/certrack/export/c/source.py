@@ -14,31 +14,26 @@ from functools import cached_property
 import sympy
 
 from certrack.core import checks
-from certrack.core.version import version
+from certrack.export.c.comments import inputs_comment, introduction, member_note
 from certrack.export.c.notes import notes_for
 from certrack.export.c.printer import (
     NUMBER_TYPES,
     CPrinter,
     c_literal,
-    comment,
     helper_definition,
     wrapped,
 )
 from certrack.export.identifiers import free_name, stem
+from certrack.export.monitor import Monitor, MonitorProgram, monitor_program, wanted_parameters
 from certrack.export.program import (
     ControllerProgram,
     Step,
     controller_program,
     sampled_system,
-    unread_states,
 )
 from certrack.export.templates import fill_template
 from certrack.loops.controller import COMMAND, PERIOD
 from certrack.systems.system import System
-from certrack.systems.writer import to_text
-
-#: Characters; a longer text of the system is not repeated in the header.
-MAX_SYSTEM_TEXT = 20_000
 
 #: Names that the functions use themselves.
 LOCAL_NAMES = ("s", "x", "y_d", "v", "clamp", "larger", "smaller", "sign", "evaluate", "advance")
@@ -57,12 +52,15 @@ class CCode:
         With the implementation that is exported.
     program : ControllerProgram
         What the code computes; ``program.start`` are the numbers that NAME_init sets.
+    monitor : MonitorProgram, optional
+        Of the optional header NAME_monitor.h.
     """
 
     name: str
     real: str
     system: System
     program: ControllerProgram
+    monitor: MonitorProgram | None = None
 
     @cached_property
     def members(self) -> tuple[str, ...]:
@@ -92,11 +90,17 @@ class CCode:
         """Name of the type of real numbers."""
         return f"{self.name}_real"
 
+    @property
+    def parameter_argument(self) -> str:
+        """Argument of the functions, for the parameters at run time if there are any."""
+        return f"const {self.name}_parameters *p, " if self.program.parameters else ""
+
     @cached_property
     def names(self) -> dict[sympy.Symbol, str]:
         """Of everything that is a variable within a function."""
         program, names = self.program, dict[sympy.Symbol, str]()
         used_names = {*LOCAL_NAMES, *(f"{self.name}_{end}" for end in ("real", "state", "signals"))}
+        used_names |= {"p"} if program.parameters else set()
         steps = [step.name for step in (*program.steps, *program.rates)]
         for symbol in (*steps, *program.constants, *program.measured):
             names[symbol] = free_name(program.labels[symbol], used_names)
@@ -105,7 +109,12 @@ class CCode:
 
 
 def c_code(
-    system: System, name: str = "controller", *, real: str = "double", period: float | None = None
+    system: System,
+    name: str = "controller",
+    *,
+    real: str = "double",
+    period: float | None = None,
+    monitor: Monitor | None = None,
 ) -> CCode:
     """The controller of a system in C.
 
@@ -117,19 +126,22 @@ def c_code(
     real : {"double", "float"}
     period : float > 0, s, optional
         Instead of that of the implementation.
+    monitor : Monitor, optional
     """
     checks.choice("real", real, NUMBER_TYPES)
     system = sampled_system(system, period)
-    return CCode(stem(name), real, system, controller_program(system))
+    program = controller_program(system, parameters=wanted_parameters(monitor))
+    watched = monitor_program(monitor, system, program, real) if monitor else None
+    return CCode(stem(name), real, system, program, watched)
 
 
 def _header_text(code: CCode) -> str:
     program, name, real = code.program, code.name, code.type
     implementation = code.system.implementation
     assert implementation is not None
-    inputs = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
+    inputs = _inputs(code)
     members = [
-        f"    {real} {member};{_member_note(program, symbol)}"
+        f"    {real} {member};{member_note(program, symbol)}"
         for symbol, member in zip(program.states, code.members, strict=False)
     ] or [f"    {real} unused; /* this controller keeps nothing */"]
     state = f"{name}_state *s"
@@ -139,6 +151,8 @@ def _header_text(code: CCode) -> str:
         "From this sample to the next one.": f"void {name}_update({state}, {inputs})",
         "Both: the input u, then on to the next sample.": f"{real} {name}_step({state}, {inputs})",
     }
+    if program.parameters:
+        declared["Sets the parameters of the design."] = _preset_signature(code)
     functions = [
         f"/* {note} */\n{wrapped(f'{signature};', '')}" for note, signature in declared.items()
     ]
@@ -146,65 +160,31 @@ def _header_text(code: CCode) -> str:
         "c/templates/controller.h",
         name=name,
         guard=f"{name.upper()}_H",
-        introduction=comment(_introduction_lines(code)),
+        introduction=introduction(name, code.system),
         number=code.real,
         period=c_literal(implementation.period, code.real),
-        inputs=_inputs_comment(code),
+        inputs=inputs_comment(code.system),
         states=len(program.measured),
         order=len(program.Y) - 1,
         references=len(program.Y),
         members="\n".join(members),
+        parameters=_parameters_text(code),
         functions="\n\n".join(functions),
     )
 
 
-def _introduction_lines(code: CCode) -> list[str]:
-    """What the first comment says."""
-    system, implementation = code.system, code.system.implementation
-    assert implementation is not None
-    text = to_text(system).splitlines()
-    if sum(map(len, text)) > MAX_SYSTEM_TEXT:
-        text = [f"({sum(map(len, text))} characters: too long to be repeated here)"]
-    c = ", ".join(f"{value:g}" for value in system.law.c)
-    order = system.controller.coordinates.q
-    return [
-        f"{code.name}: tracking controller, sampled every {implementation.period!r} s.",
-        "",
-        f"Written by certrack {version()}. Design: {system.law.kind} law, c = ({c}) 1/s,",
-        f"feed-forward order {order}. This is no certificate: guarantees are proven in continuous",
-        "time; simulate the sampled loop before you rely on them.",
-        "",
-        "The system it was made for:",
-        "",
-        *(f"  {line}" for line in text),
-    ]
+def _preset_signature(code: CCode) -> str:
+    return f"void {code.name}_preset({code.name}_parameters *p)"
 
 
-def _inputs_comment(code: CCode) -> str:
-    """The comment on the entries of x."""
-    states, unread = ", ".join(code.system.plant.states), unread_states(code.system)
-    if not unread:
-        return f"/* Measured plant states x: {states}. */"
-    notes = (f" * {name}: {note}." for name, note in unread.items())
-    return "\n".join([f"/* Plant states x, measured: {states};", *notes, " */"])
-
-
-def _member_note(program: ControllerProgram, symbol: sympy.Symbol) -> str:
-    """A comment on a member of the state."""
-    kind, _, which = program.labels[symbol].partition("_")
-    if symbol in program.controller.estimates:
-        notes = {"delta": "estimate of 1/g_n", "theta": "estimate of an unknown parameter"}
-        return f" /* {notes[kind]} */" if kind in notes and which.startswith("hat") else ""
-    notes = {
-        "before": "the state before it, one sample ago",
-        "speed": "its filtered difference",
-        "first": "1 before the first sample, then 0",
-        "sample": "number of the sample: its time over the period",
-        "u": "the last input",
-    }
-    return (
-        f" /* {which}: {notes[kind]} */" if kind in ("before", "speed") else f" /* {notes[kind]} */"
-    )
+def _parameters_text(code: CCode) -> str:
+    """The structure of the parameters at run time, if there are any."""
+    program, name = code.program, code.name
+    if not program.parameters:
+        return ""
+    members = "".join(f"    {code.type} {code.names[c]};\n" for c in program.parameters)
+    note = "/* What may change at run time; other values than the design's void its certificate. */"
+    return f"\n{note}\ntypedef struct {{\n{members}}} {name}_parameters;\n"
 
 
 def _source_text(code: CCode) -> str:
@@ -216,7 +196,8 @@ def _source_text(code: CCode) -> str:
         *(formula.free_symbols for formula in program.update),
     )
     shared = [step.name for step in program.steps if step.name in late | {COMMAND}]
-    shared_constants = [c for c in program.constants if c in early & late and c is not PERIOD]
+    fixed = [c for c in program.constants if c is not PERIOD and c not in program.parameters]
+    shared_constants = [c for c in fixed if c in early & late]
     evaluating = CPrinter(_symbol_texts(code, {}), code.real, program.constants)
     signals = {symbol: f"v->{code.names[symbol]}" for symbol in shared}
     advancing = CPrinter(_symbol_texts(code, signals), code.real, program.constants)
@@ -241,7 +222,10 @@ def _source_text(code: CCode) -> str:
     unused = _unused_arguments(program, late)
     needed = [argument for argument in ("x", "y_d") if argument not in unused]
     inputs = "".join(f"const {real} {argument}[], " for argument in needed)
-    arguments = f"const {name}_state *s, const {real} x[], const {real} y_d[], {name}_signals *v"
+    leading = f"const {name}_state *s, {code.parameter_argument}"
+    arguments = f"{leading}const {real} x[], const {real} y_d[], {name}_signals *v"
+    if late.intersection(program.parameters):
+        needed, inputs = ["p", *needed], code.parameter_argument + inputs
     constants = [f"static const {real} {_constant_definition(code, c)}" for c in shared_constants]
     helpers = sorted(evaluating.helpers | advancing.helpers)
     parts = [
@@ -267,17 +251,25 @@ def _source_text(code: CCode) -> str:
     return "\n".join(part for part in parts if part)
 
 
+def _inputs(code: CCode) -> str:
+    """Arguments of the functions after the state."""
+    name, real = code.name, code.type
+    inputs = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
+    return code.parameter_argument + inputs
+
+
 def _interface_text(code: CCode, advance: str) -> str:
     """The functions of the header; `advance` is the call for the next state, if there is one."""
     program, name, real = code.program, code.name, code.type
-    inputs = f"const {real} x[{name}_STATES], const {real} y_d[{name}_REFERENCES]"
+    inputs, p = _inputs(code), "p, " if code.program.parameters else ""
     start = [
         f"    s->{member} = {c_literal(value, code.real)};"
         for member, value in zip(code.members, program.start or (0.0,), strict=True)
     ]
-    evaluate = [f"    {name}_signals v;", "", "    evaluate(s, x, y_d, &v);"]
+    evaluate = [f"    {name}_signals v;", "", f"    evaluate(s, {p}x, y_d, &v);"]
+    unneeded = ("s", *(["p"] if p else []), "x", "y_d")
     forward = [f"    {advance}"] if advance else []
-    update = [*evaluate, *forward] if advance else [f"    (void){a};" for a in ("s", "x", "y_d")]
+    update = [*evaluate, *forward] if advance else [f"    (void){a};" for a in unneeded]
     result, state = f"    return v.{code.names[COMMAND]};", f"{name}_state *s"
     functions = {
         f"void {name}_init({state})": start,
@@ -285,6 +277,11 @@ def _interface_text(code: CCode, advance: str) -> str:
         f"void {name}_update({state}, {inputs})": update,
         f"{real} {name}_step({state}, {inputs})": [*evaluate, *forward, result],
     }
+    if program.parameters:
+        functions[_preset_signature(code)] = [
+            f"    p->{code.names[c]} = {c_literal(program.constants[c], code.real)};"
+            for c in program.parameters
+        ]
     return "\n".join(_function_text("", signature, body) for signature, body in functions.items())
 
 
@@ -314,7 +311,7 @@ def _local_definitions(code: CCode, used: set[sympy.Symbol]) -> list[str]:
     lines = [
         f"    const {real} {_constant_definition(code, symbol)}"
         for symbol in program.constants
-        if symbol in used and symbol is not PERIOD
+        if symbol in used and symbol is not PERIOD and symbol not in program.parameters
     ]
     lines += [
         f"    const {real} {code.names[symbol]} = x[{i}];"
@@ -348,6 +345,7 @@ def _symbol_texts(code: CCode, signals: dict[sympy.Symbol, str]) -> dict[sympy.S
         **{s: f"s->{member}" for s, member in zip(program.states, code.members, strict=False)},
         **{step.name: names[step.name] for step in (*program.steps, *program.rates)},
         **{symbol: names[symbol] for symbol in program.constants},
+        **{symbol: f"p->{names[symbol]}" for symbol in program.parameters},
         **signals,
         PERIOD: f"{code.name}_PERIOD",
     }
@@ -356,4 +354,5 @@ def _symbol_texts(code: CCode, signals: dict[sympy.Symbol, str]) -> dict[sympy.S
 def _unused_arguments(program: ControllerProgram, used: set[sympy.Symbol]) -> list[str]:
     """Arguments of a function that it does not need."""
     arguments = {"s": program.states, "x": program.measured, "y_d": program.Y}
+    arguments |= {"p": program.parameters} if program.parameters else {}
     return [name for name, symbols in arguments.items() if not used & set(symbols)]

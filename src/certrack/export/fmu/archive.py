@@ -22,10 +22,12 @@ from certrack.core import checks
 from certrack.core.compilers import shared_library
 from certrack.core.errors import InputError
 from certrack.core.files import write_bytes
-from certrack.export.c.guard import guard_header
+from certrack.export.c.export import controller_files
 from certrack.export.c.source import CCode, c_code
 from certrack.export.fmu.description import DESCRIPTIONS, documentation_page
+from certrack.export.fmu.monitored import monitored_header, monitored_variables
 from certrack.export.identifiers import stem
+from certrack.export.monitor import Monitor
 from certrack.export.templates import fill_template, packaged_text
 from certrack.systems.system import System
 
@@ -56,7 +58,12 @@ ARCHIVE_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def fmu(
-    system: System, name: str = "controller", *, version: str = "2", period: float | None = None
+    system: System,
+    name: str = "controller",
+    *,
+    version: str = "2",
+    period: float | None = None,
+    monitor: Monitor | None = None,
 ) -> bytes:
     """The controller of a system as an FMU.
 
@@ -69,6 +76,7 @@ def fmu(
         Of FMI.
     period : float > 0, s, optional
         Instead of that of the implementation.
+    monitor : Monitor, optional
 
     Returns
     -------
@@ -83,8 +91,8 @@ def fmu(
         If there is no C compiler, or it failed.
     """
     checks.choice("--fmi", version, FMI_VERSIONS)
-    code = c_code(system, name, period=period)
-    interface = (*SHARED_SOURCES, *WRAPPERS[version], "model.h")
+    code = c_code(system, name, period=period, monitor=monitor)
+    interface = (*SHARED_SOURCES, *WRAPPERS[version], "model.h", *["monitored.h"] * bool(monitor))
     if code.name.lower() in {Path(file).stem for file in interface}:
         code = replace(code, name=stem(f"{code.name}_c"))
     folder = BINARY_FOLDERS[_machine()][FMI_VERSIONS.index(version)]
@@ -111,6 +119,7 @@ def export_fmu(
     *,
     version: str = "2",
     period: float | None = None,
+    monitor: Monitor | None = None,
 ) -> Path:
     """Write the controller as an FMU, whole or not at all.
 
@@ -123,6 +132,9 @@ def export_fmu(
         Of FMI.
     period : float > 0, s, optional
         Instead of that of the implementation; needed if the system has none.
+    monitor : Monitor, optional
+        Adds inputs to enable and reset the controller, outputs that say which premise of the
+        certificate does not hold, and what the monitor asks for besides.
 
     Returns
     -------
@@ -143,16 +155,14 @@ def export_fmu(
     'drive.fmu'
     """
     file = Path(path)
-    write_bytes(file, fmu(system, file.name, version=version, period=period))
+    write_bytes(file, fmu(system, file.name, version=version, period=period, monitor=monitor))
     return file
 
 
 def _sources(code: CCode, version: str) -> dict[str, str]:
-    controller = {
-        f"{code.name}.h": code.header,
-        f"{code.name}.c": code.source,
-        f"{code.name}_guard.h": guard_header(code),
-    }
+    controller = controller_files(code)
+    if code.monitor is not None:
+        controller["monitored.h"] = monitored_header(code)
     interface = (*SHARED_SOURCES, *WRAPPERS[version])
     return controller | {name: packaged_text(f"fmu/fmi/{name}") for name in interface}
 
@@ -172,8 +182,11 @@ def _model_header(code: CCode, token: str) -> str:
     return fill_template(
         "fmu/templates/model.h",
         name=code.name,
+        header=f"{code.name}_guard.h" if code.monitor is None else "monitored.h",
+        part=code.name if code.monitor is None else "monitored",
+        step=f"{code.name}_guarded_step" if code.monitor is None else "monitored_step",
         token=token,
-        kept=len(code.members),
+        kept=len(code.members) + len(monitored_variables(code)),
         period=repr(implementation.period),
         start=repr(implementation.initial_input),
     )

@@ -3,38 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from html import escape
 from xml.etree import ElementTree as Tree
 
 from certrack.core.version import version
 from certrack.export.c.source import CCode
+from certrack.export.fmu.monitored import monitored_variables
+from certrack.export.fmu.variables import Variable
 from certrack.export.program import unread_states
 from certrack.export.templates import fill_template
-
-
-@dataclass(frozen=True)
-class Variable:
-    """A variable of the FMU; its value reference is its place in the list."""
-
-    name: str
-    causality: str
-    start: float
-    description: str
-    unit: str = ""
-
-    @property
-    def attributes(self) -> dict[str, str]:
-        """What both versions call the same."""
-        common = {"name": self.name, "causality": self.causality, "description": self.description}
-        if self.causality == "input":
-            return common | {"variability": "continuous"}
-        return common | {"variability": "discrete", "initial": "exact"}
-
-    @property
-    def value(self) -> dict[str, str]:
-        """Start and unit."""
-        return {"start": repr(self.start)} | ({"unit": self.unit} if self.unit else {})
 
 
 def variables(code: CCode) -> list[Variable]:
@@ -56,7 +33,9 @@ def variables(code: CCode) -> list[Variable]:
         declared.append(
             Variable(f"kept.{program.labels[symbol]}", "local", start, "kept from sample to sample")
         )
-    return declared
+    if not program.states and code.monitor is not None:  # C wants a member at least
+        declared.append(Variable("kept.unused", "local", 0.0, "this controller keeps nothing"))
+    return [*declared, *monitored_variables(code)]
 
 
 def _root_element(code: CCode, fmi: str, token: dict[str, str]) -> Tree.Element:

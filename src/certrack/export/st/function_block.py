@@ -15,6 +15,7 @@ import sympy
 from certrack.core.files import write_text
 from certrack.core.version import version
 from certrack.export.identifiers import stem
+from certrack.export.monitor import Monitor, monitor_program, wanted_parameters
 from certrack.export.program import (
     ControllerProgram,
     controller_program,
@@ -23,11 +24,13 @@ from certrack.export.program import (
     unread_states,
 )
 from certrack.export.st.guard import GUARD, guarded
+from certrack.export.st.monitor import MONITOR_INPUTS, PREMISES_HOLD, BlockMonitor
 from certrack.export.st.statements import (
     INDENT,
     Statements,
     Variables,
     comment_text,
+    declaration,
     st_literal,
     unused_name,
 )
@@ -51,8 +54,25 @@ ST_RESERVED = frozenset(
 )
 
 
+#: Inputs of a block without a monitor -> what they are for.
+SWITCHES = {"RESET": "start again", GUARD: "hold at a sample that is not finite"}
+
+#: What the introduction says of them, and of a monitor.
+GUARDED = ("GUARD = TRUE holds u and all states at a sample that is not finite.",)
+MONITORED = (
+    "ENABLE = FALSE: u is its initial value, the estimates stand still, and differences and",
+    "filters go on. A sample that is not finite holds u and all states.",
+    "premises_hold = FALSE says that the certificate did not speak of this loop at some call",
+    "since CLEAR_FLAGS; the flags say why.",
+)
+
+
 def structured_text(
-    system: System, name: str = "controller", *, period: float | None = None
+    system: System,
+    name: str = "controller",
+    *,
+    period: float | None = None,
+    monitor: Monitor | None = None,
 ) -> str:
     """A function block that computes what the sampled controller computes.
 
@@ -63,6 +83,7 @@ def structured_text(
         Of the system or its file; the block's name is derived from it.
     period : float > 0, s, optional
         Instead of that of the implementation; needed if the system has none.
+    monitor : Monitor, optional
 
     Returns
     -------
@@ -75,43 +96,61 @@ def structured_text(
         If there is no period.
     """
     system = sampled_system(system, period)
-    program, used_names = controller_program(system), {*ST_RESERVED, GUARD.lower()}
+    program = controller_program(system, parameters=wanted_parameters(monitor))
+    used_names = {*ST_RESERVED, GUARD.lower()}
+    if monitor is not None:
+        used_names |= {name.lower() for name in (*MONITOR_INPUTS, PREMISES_HOLD)}
     block = unused_name(stem(name), used_names)
     names = _identifiers(program, used_names)
+    watch = None
+    if monitor is not None:
+        watched = monitor_program(monitor, system, program)
+        watch = BlockMonitor.of(program, watched, names, used_names)
     start = {
         names[state]: value for state, value in zip(program.states, program.start, strict=True)
     }
     computed = [
         names[step.name] for step in (*program.steps, *program.rates) if step.name != COMMAND
     ]
-    variables = Variables(names)
-    statements = _statements(program, variables)
+    variables = Variables(names if watch is None else watch.law_names)
+    law = _statements(program, variables).lines
     results = [names[COMMAND], *(names[state] for state in program.states)]
     saved = {name: unused_name(f"saved_{name}", used_names) for name in results}
     read = read_symbols(program)
     inputs = [names[s] for s in (*program.measured, *program.Y) if s in read]
+    temporary = (*computed, *variables.temporary, *saved.values())
+    if watch is None:
+        switches = [declaration(name, note=text, kind="BOOL") for name, text in SWITCHES.items()]
+        flags, off = [], None
+        begun, body = start, guarded(inputs, saved, law)
+    else:
+        switches, flags, off = watch.inputs(), watch.outputs(), watch.monitor.off
+        begun, body = start | {names[COMMAND]: off}, watch.statements(inputs, saved, law)
+        temporary = (*watch.limited, *temporary)
+    command = declaration(names[COMMAND], off, _with_unit("input", system, -1))
+    fixed = {s: v for s, v in program.constants.items() if s not in program.parameters}
     lines = [
-        *_introduction(system, start),
+        *_introduction(system, start, watch is not None),
         f"FUNCTION_BLOCK {block}",
-        *_variable_section("VAR_INPUT", _input_declarations(system, program, names)),
-        *_variable_section(
-            "VAR_OUTPUT", [_declaration(names[COMMAND], note=_with_unit("input", system, -1))]
-        ),
+        *_variable_section("VAR_INPUT", [*_input_declarations(system, program, names), *switches]),
+        *_variable_section("VAR_OUTPUT", [command, *flags]),
         *_variable_section("VAR", _state_declarations(program, names)),
-        *_variable_section(
-            "VAR CONSTANT", (_declaration(names[s], v) for s, v in program.constants.items())
-        ),
-        *_variable_section(
-            "VAR_TEMP", map(_declaration, (*computed, *variables.temporary, *saved.values()))
-        ),
-        *_reset_statements(start),
-        *guarded(inputs, saved, statements.lines),
+        *_variable_section("VAR CONSTANT", (declaration(names[s], v) for s, v in fixed.items())),
+        *_variable_section("VAR_TEMP", map(declaration, temporary)),
+        *_reset_statements(begun),
+        *body,
         "END_FUNCTION_BLOCK",
     ]
     return "\n".join(lines) + "\n"
 
 
-def export_st(system: System, path: str | os.PathLike[str], *, period: float | None = None) -> Path:
+def export_st(
+    system: System,
+    path: str | os.PathLike[str],
+    *,
+    period: float | None = None,
+    monitor: Monitor | None = None,
+) -> Path:
     """Write the controller as a function block in Structured Text, whole or not at all.
 
     Parameters
@@ -121,6 +160,9 @@ def export_st(system: System, path: str | os.PathLike[str], *, period: float | N
         NAME.st; NAME names the block.
     period : float > 0, s, optional
         Instead of that of the implementation; needed if the system has none.
+    monitor : Monitor, optional
+        Adds inputs to enable and reset the block, outputs that say which premise of the certificate
+        does not hold, and what the monitor asks for besides; it replaces the input GUARD.
 
     Returns
     -------
@@ -139,7 +181,7 @@ def export_st(system: System, path: str | os.PathLike[str], *, period: float | N
     'drive.st'
     """
     file = Path(path)
-    write_text(file, structured_text(system, file.name, period=period))
+    write_text(file, structured_text(system, file.name, period=period, monitor=monitor))
     return file
 
 
@@ -171,7 +213,7 @@ def _statements(program: ControllerProgram, variables: Variables) -> Statements:
     return statements
 
 
-def _introduction(system: System, states: Mapping[str, float]) -> list[str]:
+def _introduction(system: System, states: Mapping[str, float], monitored: bool) -> list[str]:
     """The first comment."""
     assert system.implementation is not None
     lines = [
@@ -181,7 +223,7 @@ def _introduction(system: System, states: Mapping[str, float]) -> list[str]:
         f"Call the block once every {system.implementation.period!r} s with the states measured at",
         "this moment and the reference y_d and its derivatives; u acts until the next call.",
         "RESET = TRUE starts again." if states else "It keeps nothing: RESET has no effect.",
-        "GUARD = TRUE holds u and all states at a sample that is not finite.",
+        *(MONITORED if monitored else GUARDED),
     ]
     return ["(*", *((INDENT + comment_text(line)).rstrip() for line in lines), "*)"]
 
@@ -190,11 +232,6 @@ def _variable_section(title: str, declarations: Iterable[str]) -> list[str]:
     """A block of variables, if there are any."""
     lines = [INDENT + line for line in declarations]
     return [title, *lines, "END_VAR"] if lines else []
-
-
-def _declaration(name: str, value: float | None = None, note: str = "", kind: str = "LREAL") -> str:
-    start = "" if value is None else f" := {st_literal(value)}"
-    return f"{name} : {kind}{start};" + (f" (* {comment_text(note)} *)" if note else "")
 
 
 def _input_declarations(
@@ -207,12 +244,7 @@ def _input_declarations(
     ]
     notes += ["reference", *(f"its derivative no. {i}" for i in range(1, len(program.Y)))]
     inputs = zip((*program.measured, *program.Y), notes, strict=True)
-    declarations = [_declaration(names[name], note=note) for name, note in inputs]
-    return [
-        *declarations,
-        _declaration("RESET", note="start again", kind="BOOL"),
-        _declaration(GUARD, note="hold at a sample that is not finite", kind="BOOL"),
-    ]
+    return [declaration(names[name], note=note) for name, note in inputs]
 
 
 def _with_unit(what: str, system: System, index: int) -> str:
@@ -223,7 +255,7 @@ def _with_unit(what: str, system: System, index: int) -> str:
 def _state_declarations(program: ControllerProgram, names: Mapping[sympy.Symbol, str]) -> list[str]:
     estimates = set(program.controller.estimates)
     return [
-        _declaration(names[state], start, "estimate" if state in estimates else "of the last call")
+        declaration(names[state], start, "estimate" if state in estimates else "of the last call")
         for state, start in zip(program.states, program.start, strict=True)
     ]
 

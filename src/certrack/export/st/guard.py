@@ -41,7 +41,12 @@ def guarded(
 
 def _condition(start: str, names: Sequence[str]) -> list[str]:
     """A condition that all numbers are finite: no comparison holds for what is not a number."""
-    number = st_literal(LARGEST_LREAL)
-    tests = [f"({name} >= -{number}) AND ({name} <= {number})" for name in names] or ["TRUE"]
+    tests = finite_conditions(names)
     lines = [f"{INDENT}{test} AND" for test in tests[:-1]]
     return [f"{start} (", *lines, f"{INDENT}{tests[-1]}) THEN"]
+
+
+def finite_conditions(names: Sequence[str]) -> list[str]:
+    """One condition per number: TRUE for those that are finite."""
+    number = st_literal(LARGEST_LREAL)
+    return [f"({name} >= -{number}) AND ({name} <= {number})" for name in names] or ["TRUE"]

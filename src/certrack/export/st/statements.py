@@ -74,6 +74,12 @@ def comment_text(text: str) -> str:
     return re.sub(r"\*(?=\))|\((?=\*)", r"\g<0> ", text).encode("ascii", "replace").decode()
 
 
+def declaration(name: str, value: float | None = None, note: str = "", kind: str = "LREAL") -> str:
+    """The declaration of a variable, with its initial value and a comment."""
+    start = "" if value is None else f" := {st_literal(value)}"
+    return f"{name} : {kind}{start};" + (f" (* {comment_text(note)} *)" if note else "")
+
+
 def unused_name(label: str, used_names: set[str]) -> str:
     """The label, or one like it, that is an identifier and not taken; it is from now on."""
     name = label = re.sub("_+", "_", label).strip("_")

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import sympy
 
-from certrack.core.expressions import TIME, without_minmax
+from certrack.core.expressions import TIME
+from certrack.core.kinks import without_minmax
 from certrack.core.printing import (
     ATOM,
     MAX_FACTORS,

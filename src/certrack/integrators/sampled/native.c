@@ -40,6 +40,7 @@ typedef struct {
   const double *shared; /* segments x SHARED */
   int64_t depth; /* commands that may wait, and one */
   const double *noise, *noise_bound, *quantum; /* MEASURED each */
+  const double *errors; /* samples x MEASURED, or none */
   double input_quantum, input_low, input_high; /* of the converter */
   double initial_input, tolerance, max_state;
   double *values; /* times of interest x SHOWN x count */
@@ -208,10 +209,12 @@ static void take_sample(Group *g, const Task *task, double t, const double *s, V
   V m[MEASURED], c[LAW_COMMON + 1], u;
   measure(g->x, g->p, m);
   for (int j = 0; j < MEASURED; j++) {
-    if (task->noise[j] > 0.0) {
-      V noise = task->noise[j] * normal(g->key, (uint64_t)(g->samples * MEASURED + j + 1));
-      V bound = SPLAT(task->noise_bound[j]);
-      m[j] += choose(noise > bound, bound, choose(noise < -bound, -bound, noise));
+    if (task->noise[j] > 0.0 || task->errors) {
+      V bound = SPLAT(task->noise_bound[j]), error = SPLAT(0.0);
+      if (task->noise[j] > 0.0)
+        error = task->noise[j] * normal(g->key, (uint64_t)(g->samples * MEASURED + j + 1));
+      if (task->errors) error += task->errors[g->samples * MEASURED + j];
+      m[j] += choose(error > bound, bound, choose(error < -bound, -bound, error));
     }
     if (task->quantum[j] > 0.0) m[j] = rounded(m[j], task->quantum[j]);
   }

@@ -55,7 +55,7 @@ class _SampledTask(ctypes.Structure):
         ("events", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in ("times", "kinds", "marks", "segments", "shared")),
         ("depth", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("noise", "noise_bound", "quantum")),
+        *((name, ctypes.c_void_p) for name in ("noise", "noise_bound", "quantum", "errors")),
         *(
             (name, ctypes.c_double)
             for name in (
@@ -132,6 +132,8 @@ class SampledNative:
                 (implementation.measurement_quantum, 0.0),
             )
         ]
+        errors = implementation.sensor_errors(line.times[line.samples])
+        errors = None if errors is None else np.ascontiguousarray(errors.T)
         starts = (problem.x, problem.states, problem.totals, problem.parameters)
         arrays = [
             *(np.ascontiguousarray(a, dtype=float) for a in starts),
@@ -151,6 +153,7 @@ class SampledNative:
             *pointers[5:10],
             int(implementation.run_delay) + 2,
             *pointers[10:],
+            None if errors is None else errors.ctypes.data,
             *implementation.converter,
             implementation.initial_input,
             problem.tolerance,

@@ -114,6 +114,8 @@ class SampledRun:
         self._waiting: deque[Array] = deque()
         self._samples = self.marks = 0
         self.variation = np.zeros(count)
+        line = problem.timeline
+        self._errors = problem.implementation.sensor_errors(line.times[line.samples])
         pieces = problem.pieces(0.0)
         last = values_of(pieces, problem.surfaces)
         self.parameters = np.vstack([problem.parameters, np.repeat(last[:, None], count, axis=1)])
@@ -163,7 +165,8 @@ class SampledRun:
         implementation, x = self._problem.implementation, self.x
         outputs = self._problem.outputs
         true = x if outputs is None else outputs(x, self.parameters)
-        measured = sensed(true, implementation, self._problem.keys, self._samples)
+        error = None if self._errors is None else self._errors[:, self._samples]
+        measured = sensed(true, implementation, self._problem.keys, self._samples, error)
         self._samples += 1
         u, self.states = self._maps.control(t, measured, self.states, self.parameters)
         self._waiting.append(implementation.converted(u))
@@ -255,11 +258,29 @@ class SampledRun:
         return bool(self.alive.any())
 
 
-def sensed(true: Array, implementation: Implementation, keys: Array, sample: int) -> Array:
-    """What the sensors give for measured values (n, N) at a sample: with noise, and rounded."""
-    measured = true
+def sensed(
+    true: Array,
+    implementation: Implementation,
+    keys: Array,
+    sample: int,
+    error: Array | None = None,
+) -> Array:
+    """What the sensors give for measured values (n, N) at a sample: with noise, and rounded.
+
+    Parameters
+    ----------
+    true : (n, N) array
+    implementation : Implementation
+    keys : (N,) array of unsigned integers
+    sample : int
+    error : (n,) array, optional
+        The errors that the implementation states for this sample.
+    """
+    measured, noise = true, None if error is None else error[:, None]
     if implementation.noise is not None:
-        noise = np.array(implementation.noise)[:, None] * normal(keys, sample, len(true))
+        normal_noise = np.array(implementation.noise)[:, None] * normal(keys, sample, len(true))
+        noise = normal_noise if noise is None else normal_noise + noise
+    if noise is not None:
         if implementation.noise_bound is not None:
             bound = np.array(implementation.noise_bound)[:, None]
             noise = np.clip(noise, -bound, bound)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import sympy
 
-from certrack.core.expressions import TIME, without_minmax
+from certrack.core.expressions import TIME
+from certrack.core.kinks import without_minmax
 from certrack.core.lowering import jacobian, numpy_callable, rows
 from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory, parts_of
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
@@ -33,6 +34,67 @@ EXPLICIT_SHARE, IMPLICIT_SHARE = 0.03, 0.05
 MIN_RELATIVE_TOLERANCE = 3e-14
 
 
+class SolverFactory:
+    """Solvers of SciPy for the rates of a loop, to the accuracy of a run.
+
+    Parameters
+    ----------
+    states : symbols
+    others : symbols, or nested lists of them
+        What the rates depend on besides the time and the states.
+    rates : formulas
+    implicit : bool
+        Radau (order 5, with the exact Jacobian) instead of DOP853 (explicit, order 8).
+    """
+
+    def __init__(
+        self, states: Sequence[Any], others: Sequence[Any], rates: Sequence[Any], *, implicit: bool
+    ) -> None:
+        arguments = [TIME, states, *others]
+        self._rates = numpy_callable(arguments, rates)
+        self._size, self._share = len(states), IMPLICIT_SHARE if implicit else EXPLICIT_SHARE
+        self._jacobian = numpy_callable(arguments, jacobian(rates, states)) if implicit else None
+
+    def rates(self, t: float, y: np.ndarray, *values: np.ndarray) -> np.ndarray:
+        """The rates at values of what else they depend on."""
+        with np.errstate(all="ignore"):
+            return np.array(self._rates(t, y, *values), dtype=float)
+
+    def are_defined(self, t: float, y: np.ndarray, *values: np.ndarray) -> bool:
+        """Whether every rate is finite."""
+        return bool(np.isfinite(self.rates(t, y, *values)).all())
+
+    def of(
+        self, problem: Problem, *values: np.ndarray, max_step: float = np.inf
+    ) -> Callable[[float, np.ndarray, float], Any]:
+        """Makes a solver for a begin, a state and an end."""
+        from scipy.integrate import DOP853, Radau
+
+        tolerance = problem.tolerance * self._share
+        absolute = np.full(self._size, tolerance)
+        absolute[-len(INTEGRALS) :] /= INTEGRAL_SCALE
+        options: dict[str, Any] = {
+            "rtol": max(tolerance, MIN_RELATIVE_TOLERANCE),
+            "atol": absolute,
+            "max_step": max_step,
+        }
+        if self._jacobian is None:  # its interpolant is poor on steps that only stability limits
+            options["max_step"] = min(max_step, 1.0 / problem.fastest_pole)
+        else:
+            options["jac"] = lambda t, y: self._jacobian_at(t, y, *values)
+        return partial(
+            DOP853 if self._jacobian is None else Radau,
+            lambda t, y: self.rates(t, y, *values),
+            **options,
+        )
+
+    def _jacobian_at(self, t: float, y: np.ndarray, *values: np.ndarray) -> np.ndarray:
+        assert self._jacobian is not None
+        with np.errstate(all="ignore"):
+            entries = np.array(self._jacobian(t, y, *values), dtype=float)
+        return np.nan_to_num(entries.reshape(self._size, self._size))
+
+
 class ScipyIntegrator:
     """A closed loop as NumPy functions; an :class:`~certrack.integrators.base.Integrator`.
 
@@ -40,49 +102,29 @@ class ScipyIntegrator:
     ----------
     loop : ClosedLoop
     implicit : bool
-        Radau (order 5, with the exact Jacobian) instead of DOP853 (explicit, order 8).
+        Radau instead of DOP853.
     """
 
     def __init__(self, loop: ClosedLoop, implicit: bool = False) -> None:
-        arguments = [TIME, loop.states, loop.parameters]
-        self._rates = numpy_callable(arguments, loop.rates)
-        self._size = len(loop.states)
         kinks = set().union(*(without_minmax(rate).atoms(sympy.Abs) for rate in loop.rates))
         inside = sorted((kink.args[0] for kink in kinks), key=sympy.default_sort_key)
+        arguments = [TIME, loop.states, loop.parameters]
         self._kinks = numpy_callable(arguments, inside) if inside else None
+        self._solvers = SolverFactory(loop.states, [loop.parameters], loop.rates, implicit=implicit)
         self.implicit = implicit
-        self._jacobian: Callable[..., list[Any]] | None = None
-        if implicit:
-            self._jacobian = numpy_callable(arguments, jacobian(loop.rates, loop.states))
 
     def integrate(self, problem: Problem) -> Trajectory:
         """Solve `problem`; stops early at an escape, an undefined rate or the step limit."""
-        from scipy.integrate import DOP853, Radau
-
         method = "implicit" if self.implicit else "scipy"
         times: list[float] = [0.0]
         pieces: list[Any] = []
         y, outcome = np.array(problem.start, dtype=float), Outcome.finished
-        tolerance = problem.tolerance * (IMPLICIT_SHARE if self.implicit else EXPLICIT_SHARE)
-        absolute = np.full(self._size, tolerance)
-        absolute[-len(INTEGRALS) :] /= INTEGRAL_SCALE
         for begin, stop in problem.segments:
             p = np.concatenate([problem.parameters, problem.schedule.piece_values(begin)])
-
-            def rates(t: float, y: np.ndarray, p: np.ndarray = p) -> np.ndarray:
-                with np.errstate(all="ignore"):
-                    return np.array(self._rates(t, y, p), dtype=float)
-
-            if not np.isfinite(rates(begin, y)).all():
+            if not self._solvers.are_defined(begin, y, p):
                 outcome = Outcome.undefined
                 break
-            relative = max(tolerance, MIN_RELATIVE_TOLERANCE)
-            options: dict[str, Any] = {"rtol": relative, "atol": absolute}
-            if not self.implicit:  # its interpolant is poor on steps that only stability limits
-                options["max_step"] = 1.0 / problem.fastest_pole
-            if self.implicit:
-                options["jac"] = lambda t, y, p=p: self._jacobian_at(t, y, p)
-            make = partial(Radau if self.implicit else DOP853, rates, **options)
+            make = self._solvers.of(problem, p)
             kinks = None if self._kinks is None else partial(self._kink_values, p)
             y, outcome = _advance(make, (begin, y, stop), problem, times, pieces, kinks)
             if outcome is not Outcome.finished:
@@ -95,12 +137,6 @@ class ScipyIntegrator:
         assert self._kinks is not None
         with np.errstate(all="ignore"):
             return rows(self._kinks(t, y, p), len(t))
-
-    def _jacobian_at(self, t: float, y: np.ndarray, p: np.ndarray) -> np.ndarray:
-        assert self._jacobian is not None
-        with np.errstate(all="ignore"):
-            entries = np.array(self._jacobian(t, y, p), dtype=float)
-        return np.nan_to_num(entries.reshape(self._size, self._size))
 
 
 #: Values whose change of sign is a kink, of times and states.

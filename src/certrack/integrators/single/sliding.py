@@ -15,18 +15,14 @@ import numpy as np
 
 from certrack.core.expressions import TIME
 from certrack.core.heyoka import quiet_heyoka
-from certrack.core.lowering import extract_switches, jacobian, numpy_callable, to_heyoka
+from certrack.core.lowering import extract_switches, to_heyoka
 from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
 from certrack.integrators.event_location import EVENT_TIME_ROUNDING, first_event
-from certrack.integrators.single.scipy import (
-    MAX_EVALUATIONS,
-    MIN_RELATIVE_TOLERANCE,
-    SteppedOutput,
-)
+from certrack.integrators.single.scipy import MAX_EVALUATIONS, SolverFactory, SteppedOutput
 from certrack.integrators.single.switches import Switches
 from certrack.integrators.single.taylor import TaylorSeries, _safe_step, _StepRecord
 from certrack.integrators.switching import ModeRecord, Rush, SlidingRefused, Surfaces
-from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS, ClosedLoop
+from certrack.loops.continuous import INTEGRALS, ClosedLoop
 from certrack.loops.switching import Switching
 
 #: A step is at most this part of the run and this many time constants of the fastest error pole: so
@@ -261,11 +257,9 @@ class _ScipyStepper:
     """DOP853 or Radau of SciPy; its error control follows the kinks of abs, min and max."""
 
     def __init__(self, loop: ClosedLoop, switching: Switching, *, implicit: bool) -> None:
-        arguments = [TIME, loop.states, loop.parameters, switching.modes]
         self.method = "implicit" if implicit else "scipy"
-        self._rates = numpy_callable(arguments, switching.rates)
-        self._jacobian = (
-            numpy_callable(arguments, jacobian(switching.rates, loop.states)) if implicit else None
+        self._solvers = SolverFactory(
+            loop.states, [loop.parameters, switching.modes], switching.rates, implicit=implicit
         )
 
     def begin(self, problem: Problem) -> None:
@@ -273,40 +267,16 @@ class _ScipyStepper:
         self._times: list[float] = [0.0]
         self._pieces: list[Any] = []
         self._last = np.array(problem.start, dtype=float)
-        self._absolute = np.full(len(self._last), problem.tolerance)
-        self._absolute[-len(INTEGRALS) :] /= INTEGRAL_SCALE
 
     def restart(self, t: float, stop: float, x: np.ndarray, p: np.ndarray, m: np.ndarray) -> None:
-        from scipy.integrate import DOP853, Radau
-
-        problem, size = self._problem, len(x)
-        compiled = self._jacobian
-
-        def rates(t: float, y: np.ndarray) -> np.ndarray:
-            with np.errstate(all="ignore"):
-                return np.array(self._rates(t, y, p, m), dtype=float)
-
-        def slopes(t: float, y: np.ndarray) -> np.ndarray:
-            assert compiled is not None
-            with np.errstate(all="ignore"):
-                entries = np.array(compiled(t, y, p, m), dtype=float)
-            return np.nan_to_num(entries.reshape(size, size))
-
         self._last, self._dense, self._now = x, None, t
-        self._defined = bool(np.isfinite(rates(t, x)).all())
+        self._defined = self._solvers.are_defined(t, x, p, m)
         if not self._defined:
             return
-        options: dict[str, Any] = {
-            "rtol": max(problem.tolerance, MIN_RELATIVE_TOLERANCE),
-            "atol": self._absolute,
-            "max_step": problem.duration * LONGEST_STEP,
-        }
-        if compiled is None:  # its interpolant is poor on steps that only stability limits
-            options["max_step"] = min(options["max_step"], 1.0 / problem.fastest_pole)
-        else:
-            options["jac"] = slopes
+        longest = self._problem.duration * LONGEST_STEP
+        make = self._solvers.of(self._problem, p, m, max_step=longest)
         with np.errstate(all="ignore"):
-            self._solver = (Radau if compiled else DOP853)(rates, t, x, stop, **options)
+            self._solver = make(t, x, stop)
         self._evaluated = 0
 
     def step(self, left: float) -> tuple[float, Outcome]:

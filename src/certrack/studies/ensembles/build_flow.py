@@ -10,7 +10,8 @@ from collections.abc import Iterable
 
 import sympy
 
-from certrack.core.expressions import TIME, derivative, symbol
+from certrack.core.expressions import TIME, symbol
+from certrack.core.kinks import derivative
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
 from certrack.loops.switching import switching

@@ -1,6 +1,7 @@
 """Chunks of an ensemble on disk: written whole or not at all, so a killed run goes on.
 
-The folder holds ``ensemble.toml`` (what is run), ``merged.npz`` and ``chunk-BEGIN-END.npz``. When
+The folder holds ``ensemble.toml`` (what is run), ``merged.npz``, ``chunk-BEGIN-END.npz`` and, where
+constants have ranges, ``corners.npz`` with the runs at their corners. When
 many chunks have gathered they are merged into one file, which says which members it covers; chunks
 it covers are ignored, so a kill between the two steps counts nothing twice. What is read back is
 checked (``stored.py``), and one process at a time writes.
@@ -30,6 +31,9 @@ MAX_CHUNK_FILES = 32
 
 #: Held while a process computes into the folder; the system lets go of it when the process ends.
 LOCK_NAME = ".lock"
+
+#: The runs at the corners of the ranges.
+CORNERS_NAME = "corners.npz"
 
 
 class Checkpoints:
@@ -131,6 +135,14 @@ class Checkpoints:
     def save(self, span: Range, arrays: dict[str, np.ndarray]) -> None:
         """Write one chunk."""
         self._save(self.folder / f"chunk-{span[0]:010d}-{span[1]:010d}.npz", arrays, [span])
+
+    def load_corners(self, span: Range) -> Statistics | None:
+        """Statistics of the corners of the ranges; None where they have to be computed."""
+        return self._read(self.folder / CORNERS_NAME, span)[0]
+
+    def save_corners(self, span: Range, arrays: dict[str, np.ndarray]) -> None:
+        """Write the corners of the ranges."""
+        self._save(self.folder / CORNERS_NAME, arrays, [span])
 
     def gather(self, total: Statistics, covered: list[Range]) -> None:
         """Replace many chunk files by one."""

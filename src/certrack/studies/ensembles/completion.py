@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from certrack.core.progress import Progress
 from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.all_lost import probe_first, require_survivors
 from certrack.studies.ensembles.checkpoints import Checkpoints
+from certrack.studies.ensembles.corners import span_of
 from certrack.studies.ensembles.engine import Engine
 from certrack.studies.ensembles.plan import Plan, Range
 from certrack.studies.ensembles.statistics import Statistics
@@ -46,6 +48,26 @@ def complete(
         progress(total.members, members, _largest(total))
         require_survivors(total, members, plan.system)
     return wanted, seconds
+
+
+def complete_corners(
+    plan: Plan, engine: Engine | None, client: Any, checkpoints: Checkpoints | None
+) -> Statistics | None:
+    """The runs at the corners of the ranges: from disk, or computed; None where there are none."""
+    span = span_of(plan.system)
+    if span is None:
+        return None
+    plan = replace(plan, per_member=True)
+    stored = None if checkpoints is None else checkpoints.load_corners(span)
+    if stored is not None:
+        return stored
+    if engine is None:
+        ((_, statistics, _),) = workers.on_cluster(plan, [span], client)
+    else:
+        statistics = engine.compute(*span, plan.empty())
+    if checkpoints is not None:
+        checkpoints.save_corners(span, statistics.packed())
+    return statistics
 
 
 def _largest(total: Statistics) -> float | None:

@@ -20,7 +20,8 @@ from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
 from certrack.studies.ensembles import workers
 from certrack.studies.ensembles.checkpoints import Checkpoints
-from certrack.studies.ensembles.completion import complete
+from certrack.studies.ensembles.completion import complete, complete_corners
+from certrack.studies.ensembles.corners import Corners
 from certrack.studies.ensembles.engine import Engine, fastest
 from certrack.studies.ensembles.error_limit import limit_and_starts, started_inside
 from certrack.studies.ensembles.member_table import KEPT_MEMBERS
@@ -63,6 +64,9 @@ class Ensemble(ShownInNotebooks):
         Members computed by this call; the others were on disk.
     seconds : float
         Integration and statistics of the computed ones, without start-up and compilation.
+    corners : Corners or None
+        The corners of the ranges of constants, which run besides the members and are counted in
+        nothing else; None where no constant has a range, or more than six have.
     proven : ImplementedCertificate, optional
         Of a drive with limits of its input: whose starts the limit is proven for. Members that
         start elsewhere are counted apart.
@@ -75,6 +79,7 @@ class Ensemble(ShownInNotebooks):
     limit_origin: str
     computed: int
     seconds: float
+    corners: Corners | None = None
     proven: ImplementedCertificate | None = None
 
     def __repr__(self) -> str:
@@ -223,11 +228,13 @@ class Ensemble(ShownInNotebooks):
 
     @cached_property
     def _violations(self) -> dict[str, Any]:
+        assert self.limit is not None
         count, total, apart = self.statistics.violations, self.members, {}
-        inside = self._started_inside()
-        if inside is not None:
-            tail = self.per_member()[0][METRICS.index("tail_error")]
-            beyond = ~(tail <= self.limit)
+        table = self.statistics.table
+        arrays = None if table is None else table.arrays(self.members)
+        if self.proven is not None and arrays is not None:
+            beyond = ~(arrays[0][METRICS.index("tail_error")] <= self.limit)
+            inside = started_inside(self.system, self.proven, self._members.draws(0, self.members))
             count, total = int((beyond & inside).sum()), int(inside.sum())
             apart = {"started_inside": total, "others": int((beyond & ~inside).sum())}
         interval = binomial_interval(count, total) if self.independent and total else None
@@ -238,15 +245,6 @@ class Ensemble(ShownInNotebooks):
             "probability": count / total if total else None,
             "interval": None if interval is None else list(interval),
         } | apart
-
-    def _started_inside(self) -> np.ndarray | None:
-        """Which members start where the limit is proven; None if all do, or it is not known."""
-        table = self.statistics.table
-        if self.proven is None or table is None or table.arrays(self.members) is None:
-            return None
-        draws, x0 = self._members.draws(0, self.members), self.system.settings.x0
-        starts = [np.broadcast_to(draws.get(f"x0[{i}]", v), self.members) for i, v in enumerate(x0)]
-        return started_inside(self.system, self.proven, np.array(starts).T)
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON.
@@ -274,6 +272,7 @@ class Ensemble(ShownInNotebooks):
             "tail_error": tail,
             "violations": self.violations(),
             "outcomes": {name: statistics.outcomes[name] for name in sorted(statistics.outcomes)},
+            "corners": None if self.corners is None else self.corners.summary(),
             "metrics": metrics,
             "worst": worst,
             "computed": self.computed,
@@ -401,7 +400,9 @@ def ensemble(
         wanted, seconds = complete(
             plan, engine, client, total, checkpoints, members, chunk, progress
         )
-    return Ensemble(system, seed, total, limit, origin, wanted, seconds, proven)
+        at_corners = complete_corners(plan, engine, client, checkpoints)
+    corners = None if at_corners is None else Corners.of(system, at_corners, limit)
+    return Ensemble(system, seed, total, limit, origin, wanted, seconds, corners, proven)
 
 
 def _prepared(

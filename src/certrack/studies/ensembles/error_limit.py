@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -70,9 +71,23 @@ def limit_and_starts(
     return None, "no certificate exists", None
 
 
-def started_inside(system: System, proven: ImplementedCertificate, x0: np.ndarray) -> np.ndarray:
-    """Which starts of members, (M, n), a limit is proven for."""
-    population = system.varied
+def started_inside(
+    system: System, proven: ImplementedCertificate, draws: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """Which members start where a limit is proven.
+
+    Parameters
+    ----------
+    system : System
+    proven : ImplementedCertificate
+    draws : mapping
+        What was drawn for each member.
+    """
+    members = len(next(iter(draws.values()), np.zeros(1)))
+    columns = [
+        np.broadcast_to(draws.get(f"x0[{i}]", v), members) for i, v in enumerate(system.settings.x0)
+    ]
+    x0, population = np.array(columns).T, system.varied
     if population.amplitude is None and population.frequency is None:
         return np.asarray(proven.admits(x0))
     if proven.polytope is None:  # what is proven of x0 is for the file's own reference

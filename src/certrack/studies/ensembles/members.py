@@ -30,6 +30,7 @@ from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import Simulator
+from certrack.studies.ensembles.corners import FIRST_CORNER, constants_at, count_of, ranges_of
 from certrack.systems.system import System, require_system
 
 #: Members and times at which the pattern of a registered disturbance is looked at.
@@ -136,7 +137,7 @@ class Members:
         for name in ("x0", "estimates", "theta", "tau"):
             entries = getattr(population, name)
             columns |= {f"{name}[{i}]": entry for i, entry in enumerate(entries or ())}
-        columns |= {f"constants.{name}": entry for name, entry in population.constants}
+        columns |= {f"constants.{name}": entry for name, entry in self._constants_drawn.items()}
         for name in ("input_gain", "amplitude", "frequency"):
             columns[name] = getattr(population, name)
         if self.family is not None:
@@ -146,8 +147,26 @@ class Members:
                     columns |= {_disturbance_name(k, name): d for name, d in numbers.items()}
         return {name: entry for name, entry in columns.items() if entry is not None}
 
+    @cached_property
+    def _constants_drawn(self) -> dict[str, Distribution]:
+        """What the population draws; another constant with a range is as in the truth.
+
+        So it is a number of each member, and the corners of the ranges can have another.
+        """
+        drawn, true = dict(self.population.constants), true_constants(self.system)
+        ranges = ranges_of(self.system)
+        others = {n: Distribution("fixed", (true[n],)) for n in ranges if n not in drawn}
+        return drawn | (others if count_of(ranges) else {})
+
     def draws(self, begin: int, end: int) -> dict[str, np.ndarray]:
-        """Every drawn number of the members begin ... end-1, by name."""
+        """Every drawn number of the members begin ... end-1, or of some corners, by name."""
+        if begin >= FIRST_CORNER:
+            ranges = ranges_of(self.system)
+            count = count_of(ranges)  # registers are filled with corners from the first on
+            corners = np.arange(begin - FIRST_CORNER, end - FIRST_CORNER) % count
+            drawn = {name: values[corners] for name, values in self.draws(0, count).items()}
+            values = constants_at(ranges, corners)
+            return drawn | {f"constants.{name}": column for name, column in values.items()}
         free = [name for name, entry in self.columns.items() if not entry.fixed]
         table = probabilities(self.population.sampling, self.seed, begin, end, len(free))
         p = dict(zip(free, table, strict=True))
@@ -171,6 +190,24 @@ class Members:
             If the index is negative or beyond the sequence.
         """
         checks.integer("index", index, 0, MAX_MEMBERS - 1)
+        return self._written(index)
+
+    def corner(self, index: int) -> System:
+        """Corner `index` of the ranges as a system of its own, its numbers written out.
+
+        Raises
+        ------
+        InputError
+            If there is no such corner.
+        """
+        count = count_of(ranges_of(self.system))
+        if not count:
+            message = "there are no corners: they are run for 1 to 6 constants in [plant.ranges]"
+            raise InputError("corner", message, index)
+        checks.integer("corner", index, 0, count - 1)
+        return self._written(FIRST_CORNER + index)
+
+    def _written(self, index: int) -> System:
         draws = self.draws(index, index + 1)
         return self._one(index, {name: float(v[0]) for name, v in draws.items()}, written=True)
 
@@ -187,10 +224,16 @@ class Members:
 
     def _one(self, index: int, point: dict[str, float], *, written: bool) -> System:
         """Member `index`, whose draws are `point`."""
+        is_corner = index >= FIRST_CORNER
+        if written and not is_corner:  # what nobody draws is as in the truth
+            drawn = dict(self.population.constants)
+            added = {f"constants.{n}" for n in self._constants_drawn if n not in drawn}
+            point = {name: value for name, value in point.items() if name not in added}
         system = self._system(point, written=written)
         implementation = system.implementation
+        what = f"Corner {index - FIRST_CORNER}" if is_corner else f"Member {index}"
         return system.replace(
-            title=f"Member {index} (seed {self.seed}) of: {self.system.title}",
+            title=f"{what} (seed {self.seed}) of: {self.system.title}",
             implementation=None
             if implementation is None
             else replace(implementation, seed=self.seed, stream=index),
@@ -232,7 +275,7 @@ class Members:
     def _following(self) -> tuple[list[str], Callable[..., list[Any]], dict[str, float]]:
         """Parameters that follow from varying constants, their formulas, and all constants."""
         plant, truth = self.system.plant, self.system.truth
-        varying, values = dict(self.population.constants), true_constants(self.system)
+        varying, values = self._constants_drawn, true_constants(self.system)
         texts: dict[str, str] = {}
         if truth.input_gain is not None:
             texts |= {f"true_g_{i}": entry.text for i, entry in enumerate(plant.chain)}

@@ -19,6 +19,7 @@ import numpy as np
 
 from certrack.integrators.base import Outcome
 from certrack.model.sampling import MAX_MEMBERS
+from certrack.studies.ensembles.corners import MAX_RANGES
 from certrack.studies.ensembles.plan import METRICS, Plan, Range
 from certrack.studies.ensembles.statistics import (
     BAND_BINS,
@@ -193,7 +194,8 @@ def _ranges(arrays: Mapping[str, np.ndarray]) -> list[Range]:
     require(rows.shape[1] == 2 and len(rows), "no ranges")
     ends = rows.ravel()
     require((rows[:, 0] < rows[:, 1]).all() and (np.diff(ends) >= 0).all(), "ranges overlap")
-    require(ends[0] >= 0 and ends[-1] <= MAX_MEMBERS, "ranges of members that do not exist")
+    most = MAX_MEMBERS + 2**MAX_RANGES  # the corners have the numbers behind all members
+    require(ends[0] >= 0 and ends[-1] <= most, "ranges of members that do not exist")
     return [(begin, end) for begin, end in rows.tolist()]
 
 

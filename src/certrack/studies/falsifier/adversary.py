@@ -317,7 +317,7 @@ class Adversary:
         refuse_prefix(plant, ADVERSARY_PREFIX, "falsify")
         coordinates = system.controller.coordinates
         fastest = max(LEAST_FASTEST, min(MAX_FREQUENCY, coordinates.fastest_pole))
-        bounds = _reference_bounds(system, coordinates.q + 1)
+        bounds = reference_bounds(system, coordinates.q + 1)
         bound = partial(u.bound_formula, states=plant.states, offset=ADVERSARY_NORM_OFFSET)
         others: list[AdversaryPart] = [
             DisturbancePattern(k, plant.states, bound(k), fastest)
@@ -359,7 +359,7 @@ class Adversary:
         return np.clip(rows, low, high)
 
 
-def _reference_bounds(system: System, order: int) -> list[float]:
+def reference_bounds(system: System, order: int) -> list[float]:
     """Y_0 ... Y_order; where there is none any is admissible: what the run reaches."""
     bounds = []
     for i in range(order + 1):

@@ -52,6 +52,7 @@ class SystemDraft:
                 self.input_gain,
                 tuple(self.theta),
                 tuple(self.omega),  # type: ignore[arg-type]
+                constants=self.system.truth.constants,
             ),
             settings=settings,
             title=f"Worst case found for: {self.system.title}",

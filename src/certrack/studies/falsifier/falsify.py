@@ -1,12 +1,14 @@
 """The falsifier: hunt for the worst that the assumptions admit, to see how tight a certificate is.
 
 A population of adversaries is evolved on the batched integrator to maximise |e_1| after the
-transient; the best case is polished alone, written as a system file and replayed there.
+transient; the best case is polished alone. Where the error loop is linear, its kernels and a linear
+program give another case, also at the corners of what has a range, and of the loop as a drive
+carries it out (:mod:`certrack.studies.falsifier.linear`). Cases are written as system files and
+replayed there.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -14,6 +16,8 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
 from certrack.certificates import Certificate
+from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.methods import Methods, every_certificate
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
@@ -25,7 +29,14 @@ from certrack.integrators.base import Outcome
 from certrack.integrators.registers import LANES
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
-from certrack.studies.falsifier.alarm import alarm
+from certrack.studies.falsifier.adversary import Adversary, reference_bounds
+from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
+from certrack.studies.falsifier.linear.search import (
+    LinearCase,
+    continuous_case,
+    sampled_case,
+    tail_error,
+)
 from certrack.studies.falsifier.loop import AdversarialLoop
 from certrack.systems.system import System, require_system
 
@@ -44,6 +55,46 @@ MIN_POLISH_RUNS, RUNS_PER_POLISH_RUN = 50, 20
 POLISHED_POINT, POLISHED_ERROR = 1e-6, 1e-9
 #: Runs of a search that is asked for by mistake would take years.
 MAX_BUDGET = 10**9
+
+
+@dataclass(frozen=True)
+class DriveFalsification:
+    """The worst case found of the loop as it is implemented.
+
+    Attributes
+    ----------
+    worst_error : float
+        Largest |e_1| of its last part, by the ordinary sampled simulation; inf if it escapes.
+    estimate : float
+        The same by the linear loop, where the sensors' rounding is the worst error of half a step.
+    system : System
+        Replays it.
+    stopped : str or None
+        How the run ended, where it did not reach its end.
+    certificate : Certificate
+        Of the loop as it is implemented; not verified if a premise is contradicted.
+    """
+
+    worst_error: float
+    estimate: float
+    system: System
+    stopped: str | None
+    certificate: Certificate
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether the case is beyond a verified bound: then certrack is wrong."""
+        return self.certificate.verified and self.worst_error > self.certificate.bound
+
+
+#: What an alarm of the sampled loop says.
+BEYOND_IMPLEMENTED = (
+    "the worst case of the loop as implemented is beyond its certificate: certrack itself is "
+    "wrong; please report this file"
+)
+
+#: Where a worst case comes from.
+SEARCH, OWN, KERNELS = "search", "own", "kernels"
 
 
 @dataclass(frozen=True)
@@ -69,6 +120,12 @@ class Falsification:
         Of the alarm: which premise, or that none was found.
     own_run : bool
         Whether the worst case is the file's own run.
+    origin : {"search", "kernels", "own"}
+        Where the worst case comes from: the search, the kernels of the linear loop, the file.
+    stopped : str or None
+        How the worst run ended, where it did not reach its end.
+    drive : DriveFalsification or None
+        The worst case of the loop as the file's implementation carries it out, where it is linear.
     """
 
     worst_error: float
@@ -79,6 +136,9 @@ class Falsification:
     alarm: str | None
     reason: str
     own_run: bool
+    origin: str = "search"
+    stopped: str | None = None
+    drive: DriveFalsification | None = None
 
     def __repr__(self) -> str:
         proven = "none" if self.against is None else rounded_up(self.against.bound, 4)
@@ -99,8 +159,8 @@ def falsify(
     Parameters
     ----------
     system : System
-        Its law, ranges and uncertainty; the search replaces disturbance and reference. The
-        loop is the continuous one, which certificates are of; an implementation is left out.
+        Its law, ranges and uncertainty; disturbance and reference are replaced. The search is of
+        the continuous loop; a linear one that has an implementation is attacked as such, too.
     budget : int
         Number of runs.
     seed : int
@@ -136,32 +196,83 @@ def falsify(
         )
     progress(0, budget, None)
     methods = every_certificate(system)
+    bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
+    drive = None if system.implementation is None else _of_drive(system, bounds)
     system = system.replace(implementation=None)
-    search = _Search(AdversarialLoop(system), budget, progress)
-    evolved = search.evolve(budget, seed)
-    candidates = (evolved, search.polish(evolved, budget))
-    best = min(candidates, key=lambda point: float(search.scores(point[:, None])[0]))
-    cases = [search.loop.case(best), system]
-    runs = [simulate(case) for case in cases]
-    errors = list(map(_error, runs))
-    worst = int(np.argmax(errors))
+    linear = continuous_case(system, bounds)
+    cases, evaluations = {OWN: system}, 0
+    search = _search(_worst_member(system, linear), linear, budget, progress)
+    if search is not None:
+        evolved = search.evolve(budget, seed)
+        candidates = (evolved, search.polish(evolved, budget))
+        best = min(candidates, key=lambda point: float(search.scores(point[:, None])[0]))
+        cases, evaluations = {SEARCH: search.loop.case(best)} | cases, search.evaluations
+    runs = {origin: simulate(case) for origin, case in cases.items()}
+    if linear is not None:
+        cases[KERNELS], runs[KERNELS] = linear.system, linear.run
+    errors = {origin: tail_error(run) for origin, run in runs.items()}
+    worst = max(errors, key=lambda origin: errors[origin])
     against, stages = methods.best, methods.stages
     raised = None
     if against is not None:
         alarms = (
-            alarm(system, case, run, against, stages) for case, run in zip(cases, runs, strict=True)
+            alarm(system, cases[origin], run, against, stages) for origin, run in runs.items()
         )
         raised = next(filter(None, alarms), None)
+    if raised is None and drive is not None and drive.exceeds:
+        raised = Alarm(DEFECT, BEYOND_IMPLEMENTED)
     return Falsification(
         errors[worst],
         cases[worst],
-        search.evaluations + 1,
+        evaluations + 1,
         _of_this_file(system, methods),
         against,
         None if raised is None else raised.kind,
         "" if raised is None else raised.reason,
-        own_run=worst == 1,
+        own_run=worst == OWN,
+        origin=worst,
+        stopped=_stopped(runs[worst]),
+        drive=drive,
     )
+
+
+def _search(
+    system: System, linear: LinearCase | None, budget: int, progress: Progress
+) -> _Search | None:
+    """The search; None for a plant or law with a sign or a kink, where there is a linear case."""
+    Adversary.against(system)  # refuses names of the user
+    try:
+        return _Search(AdversarialLoop(system), budget, progress)
+    except InputError:
+        if linear is None:
+            raise
+        return None
+
+
+def _worst_member(system: System, linear: LinearCase | None) -> System:
+    """The system, with its constants where the linear loop is worst."""
+    if linear is None:
+        return system
+    member = linear.system.truth
+    constants, theta = member.constants, member.theta
+    truth = replace(system.truth, constants=constants, theta=theta, input_gain=member.input_gain)
+    return system.replace(truth=truth)
+
+
+def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification | None:
+    """The worst case of the loop as it is implemented, and its certificate."""
+    case = sampled_case(system, bounds)
+    if case is None:
+        return None
+    certificate: Certificate = certify_implemented(system)[0]
+    if contradicted(premises_as_implemented(system)):
+        certificate = replace(certificate, verified=False)
+    run = case.run
+    return DriveFalsification(case.error, case.estimate, case.system, _stopped(run), certificate)
+
+
+def _stopped(run: Run) -> str | None:
+    return None if run.outcome is Outcome.finished else run.outcome.name
 
 
 def _of_this_file(system: System, methods: Methods) -> dict[str, Certificate]:
@@ -232,11 +343,3 @@ class _Search:
 
     def _clipped(self, point: np.ndarray) -> np.ndarray:
         return np.clip(point, self._low, self._high)
-
-
-def _error(run: Run) -> float:
-    """Tail error of a run; inf if it escapes, 0 if it ends before the tail."""
-    if run.outcome is Outcome.escaped:
-        return math.inf
-    error = float(run.metrics.tail_error)
-    return 0.0 if math.isnan(error) else error

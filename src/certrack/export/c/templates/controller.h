@@ -17,7 +17,7 @@ ${inputs}
 typedef struct {
 ${members}
 } ${name}_state;
-
+${parameters}
 ${functions}
 
 #endif

@@ -24,7 +24,7 @@ ${unused}    return ${inputs};
  * unchanged state where the inputs, the answer or the next state are not finite.
  */
 static inline ${name}_real ${name}_guarded_step(${name}_state *s,
-    const ${name}_real x[${name}_STATES], const ${name}_real y_d[${name}_REFERENCES],
+    ${parameters}const ${name}_real x[${name}_STATES], const ${name}_real y_d[${name}_REFERENCES],
     ${name}_real u_last)
 {
     const ${name}_real largest = ${largest};
@@ -32,7 +32,7 @@ static inline ${name}_real ${name}_guarded_step(${name}_state *s,
 
     if (${name}_valid(x, y_d)) {
         ${name}_state next = *s;
-        const ${name}_real u = ${name}_step(&next, x, y_d);
+        const ${name}_real u = ${name}_step(&next, ${p}x, y_d);
 
         if (${results}) {
             *s = next;

@@ -11,7 +11,7 @@
 
 #include "${name}.h"
 #include "${name}_guard.h"
-
+${monitor_include}
 #include <math.h>
 #include <stdio.h>
 
@@ -33,7 +33,7 @@ static const sample samples[SAMPLES] = {
 ${table}
 };
 
-static void compare(${name}_real *worst, ${name}_real got, ${name}_real want, ${name}_real scale)
+${parameters}static void compare(${name}_real *worst, ${name}_real got, ${name}_real want, ${name}_real scale)
 {
     const ${name}_real deviation = ${magnitude}(got - want) / scale;
 
@@ -56,7 +56,7 @@ static void check_guard(${name}_real *worst, const sample *p)
     int i;
     int k;
 
-    compare(worst, ${name}_guarded_step(&s, p->x, p->y_d, ${one}), p->u, p->u_scale);
+    compare(worst, ${name}_guarded_step(&s, ${p}p->x, p->y_d, ${one}), p->u, p->u_scale);
     compare_states(worst, &s, &p->after, &p->scale);
     for (i = 0; i < (${name}_STATES + ${name}_REFERENCES); i++) {
         for (k = 0; k < 3; k++) {
@@ -70,13 +70,13 @@ static void check_guard(${name}_real *worst, const sample *p)
             }
             valid = ${name}_valid(q.x, q.y_d); /* true where this input is not read */
             s = p->before;
-            compare(worst, ${name}_guarded_step(&s, q.x, q.y_d, p->u), p->u, p->u_scale);
+            compare(worst, ${name}_guarded_step(&s, ${p}q.x, q.y_d, p->u), p->u, p->u_scale);
             compare_states(worst, &s, valid ? &p->after : &p->before, &p->scale);
         }
     }
 }
 
-int main(void)
+${monitor_checks}int main(void)
 {
     ${name}_state s;
     ${name}_real worst = ${zero};
@@ -84,7 +84,7 @@ int main(void)
 
     compare(&worst, ${name}_PERIOD, ${period}, ${period});
     ${name}_init(&s);
-${started}    for (i = 0; i < SAMPLES; i++) {
+${preset}${started}    for (i = 0; i < SAMPLES; i++) {
         const sample *p = &samples[i];
         ${name}_state updated;
         ${name}_real u;
@@ -93,16 +93,16 @@ ${started}    for (i = 0; i < SAMPLES; i++) {
             s = p->before;
         }
         updated = s;
-        u = ${name}_output(&s, p->x, p->y_d);
+        u = ${name}_output(&s, ${p}p->x, p->y_d);
         compare(&worst, u, p->u, p->u_scale);
-        ${name}_update(&updated, p->x, p->y_d);
+        ${name}_update(&updated, ${p}p->x, p->y_d);
         compare_states(&worst, &updated, &p->after, &p->scale);
-        u = ${name}_step(&s, p->x, p->y_d);
+        u = ${name}_step(&s, ${p}p->x, p->y_d);
         compare(&worst, u, p->u, p->u_scale);
         compare_states(&worst, &s, &p->after, &p->scale);
         check_guard(&worst, p);
     }
-    (void)printf("${name}: %d samples, worst deviation %.3g of %.3g allowed: %s\n", SAMPLES,
+${monitor_call}    (void)printf("${name}: %d samples, worst deviation %.3g of %.3g allowed: %s\n", SAMPLES,
         (double)worst, (double)TOLERANCE, (worst <= TOLERANCE) ? "passed" : "FAILED");
     return (worst <= TOLERANCE) ? 0 : 1;
 }

@@ -2,7 +2,7 @@
 #ifndef MODEL_H
 #define MODEL_H
 
-#include "${name}_guard.h"
+#include "${header}"
 
 #define MODEL_TOKEN "${token}"
 #define MODEL_STATES ${name}_STATES
@@ -12,9 +12,9 @@
 #define MODEL_PERIOD_TEXT "${period}"
 #define MODEL_START ${start}
 
-#define model_state ${name}_state
-#define model_init ${name}_init
+#define model_state ${part}_state
+#define model_init ${part}_init
 #define model_valid ${name}_valid
-#define model_guarded_step ${name}_guarded_step
+#define model_guarded_step ${step}
 
 #endif

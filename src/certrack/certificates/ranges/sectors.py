@@ -1,0 +1,71 @@
+"""Nonlinear terms within a sector: m(x) = s x_j, where s stays in an interval along every motion.
+
+s is no constant: it is m(x(t))/x_j(t), and so varies in time even where the constants stand still.
+It joins the box of the constants as a number that no cell may cut: a loop that is stable for every
+constant s may be unstable for one that varies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import sympy
+from mpmath import iv, mp
+
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.intervals import enclosure
+
+#: sin(z)/z is nowhere below this: its least value is -0.21723362821...
+LEAST_SINC = Fraction(-2173, 10000)
+
+#: f(z)/z of functions with f(0) = 0.
+SECTORS = {
+    sympy.sin: (LEAST_SINC, Fraction(1)),
+    sympy.tanh: (Fraction(0), Fraction(1)),
+    sympy.atan: (Fraction(0), Fraction(1)),
+}
+
+
+def sector_of(function: sympy.Expr, states: Sequence[sympy.Symbol]) -> tuple[int, Any, Any] | None:
+    """The state j and the interval of m(x)/x_j over all x, in rationals; None if none is known."""
+    if type(function) in SECTORS:
+        return _along_a_line(function, states)
+    for j, state in enumerate(states):
+        for factor in sympy.Mul.make_args(function):
+            if factor == state:
+                ends = _ends(function / state, states)
+            elif factor == sympy.Abs(state):
+                ends = _ends(function / factor, states)
+                size = None if ends is None else max(abs(ends[0]), abs(ends[1]))
+                ends = None if size is None else (-size, size)
+            else:
+                continue
+            if ends is not None:
+                return j, *ends
+    return None
+
+
+def _along_a_line(
+    function: sympy.Expr, states: Sequence[sympy.Symbol]
+) -> tuple[int, Any, Any] | None:
+    """f(a x_j) = a x_j f(z)/z with a rational a."""
+    scale, state = function.args[0].as_independent(*states, as_Add=False)
+    if state not in states or not scale.is_Rational:
+        return None
+    low, high = (rational(end) * rational(scale) for end in SECTORS[type(function)])
+    return list(states).index(state), min(low, high), max(low, high)
+
+
+def _ends(remaining: sympy.Expr, states: Sequence[sympy.Symbol]) -> tuple[Any, Any] | None:
+    """Rational bounds of a function over all x; None if it may be unbounded."""
+    everywhere = {state: iv.mpf(["-inf", "inf"]) for state in states}
+    try:
+        interval = enclosure(remaining, everywhere)
+        ends = mp.mpf(interval.a), mp.mpf(interval.b)
+    except (ArithmeticError, ValueError, TypeError):
+        return None
+    if not all(map(mp.isfinite, ends)):
+        return None
+    return tuple(rational(Fraction(*float(end).as_integer_ratio())) for end in ends)  # type: ignore[return-value]

@@ -1,0 +1,70 @@
+"""Derivatives of formulas with kinks, and kinks by each other: min and max of two, or by abs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import reduce
+
+import sympy
+
+from certrack.core.powers import without_fine_roots
+
+_OfTwo = Callable[[sympy.Expr, sympy.Expr], sympy.Expr]
+
+#: What has a kink or a jump.
+_KINKED = (sympy.Abs, sympy.sign, sympy.Max, sympy.Min)
+
+
+def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
+    """Classical derivative where it exists; kinks (abs, min, max) give their one-sided slopes.
+
+    Every outermost kink is a variable of its own (the chain rule), so that a polynomial of
+    min(max(t, 0), 1) stays one.
+    """
+    kinks: dict[sympy.Expr, sympy.Symbol] = {}
+
+    def freeze(part: sympy.Expr) -> sympy.Expr:
+        if by not in part.free_symbols:
+            return part
+        if isinstance(part, _KINKED):
+            return kinks.setdefault(part, sympy.Dummy("kink", real=True))
+        return part.func(*map(freeze, part.args)) if part.args else part
+
+    frozen = freeze(expr) if expr.has(*_KINKED) else expr
+    slope = sympy.diff(frozen, by)
+    for kink, name in kinks.items():
+        slope += sympy.diff(frozen, name) * _slope_of_kink(kink, by)
+    return without_fine_roots(slope.xreplace({name: kink for kink, name in kinks.items()}))
+
+
+def _slope_of_kink(kink: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
+    if isinstance(kink, sympy.sign):
+        return sympy.S.Zero
+    if isinstance(kink, sympy.Abs):  # SymPy's own rule needs its argument to be provably real
+        return sympy.sign(kink.args[0]) * derivative(kink.args[0], by)
+    upper = 1 if isinstance(kink, sympy.Max) else -1
+    first, *others = kink.args
+    value, slope = first, derivative(first, by)
+    for other in others:
+        of_other, side = derivative(other, by), sympy.sign(value - other)
+        slope = (slope + of_other + upper * side * (slope - of_other)) / 2
+        value = kink.func(value, other, evaluate=False)
+    return slope
+
+
+def fold_minmax(expr: sympy.Expr, larger: _OfTwo, smaller: _OfTwo) -> sympy.Expr:
+    """Write max and min of any number of arguments by functions of two, from left to right."""
+
+    def fold(of_two: _OfTwo) -> Callable[..., sympy.Expr]:
+        return lambda *args: reduce(of_two, args)
+
+    return expr.replace(sympy.Max, fold(larger)).replace(sympy.Min, fold(smaller))
+
+
+def without_minmax(expr: sympy.Expr) -> sympy.Expr:
+    """Write min and max by abs: max(a, b) = (a + b + |a - b|)/2."""
+    return fold_minmax(
+        expr,
+        lambda a, b: (a + b + sympy.Abs(a - b)) / 2,
+        lambda a, b: (a + b - sympy.Abs(a - b)) / 2,
+    )

@@ -1,0 +1,64 @@
+"""What the header of exported C says in comments: for which system, of which inputs and states."""
+
+from __future__ import annotations
+
+import sympy
+
+from certrack.core.version import version
+from certrack.export.c.printer import comment
+from certrack.export.program import ControllerProgram, unread_states
+from certrack.systems.system import System
+from certrack.systems.writer import to_text
+
+#: Characters; a longer text of the system is not repeated in the header.
+MAX_SYSTEM_TEXT = 20_000
+
+
+def introduction(name: str, system: System) -> str:
+    """What the first comment says."""
+    implementation = system.implementation
+    assert implementation is not None
+    text = to_text(system).splitlines()
+    if sum(map(len, text)) > MAX_SYSTEM_TEXT:
+        text = [f"({sum(map(len, text))} characters: too long to be repeated here)"]
+    c = ", ".join(f"{value:g}" for value in system.law.c)
+    order = system.controller.coordinates.q
+    lines = [
+        f"{name}: tracking controller, sampled every {implementation.period!r} s.",
+        "",
+        f"Written by certrack {version()}. Design: {system.law.kind} law, c = ({c}) 1/s,",
+        f"feed-forward order {order}. This is no certificate: guarantees are proven in continuous",
+        "time; simulate the sampled loop before you rely on them.",
+        "",
+        "The system it was made for:",
+        "",
+        *(f"  {line}" for line in text),
+    ]
+    return comment(lines)
+
+
+def inputs_comment(system: System) -> str:
+    """The comment on the entries of x."""
+    states, unread = ", ".join(system.plant.states), unread_states(system)
+    if not unread:
+        return f"/* Measured plant states x: {states}. */"
+    notes = (f" * {name}: {note}." for name, note in unread.items())
+    return "\n".join([f"/* Plant states x, measured: {states};", *notes, " */"])
+
+
+def member_note(program: ControllerProgram, symbol: sympy.Symbol) -> str:
+    """A comment on a member of the state."""
+    kind, _, which = program.labels[symbol].partition("_")
+    if symbol in program.controller.estimates:
+        notes = {"delta": "estimate of 1/g_n", "theta": "estimate of an unknown parameter"}
+        return f" /* {notes[kind]} */" if kind in notes and which.startswith("hat") else ""
+    notes = {
+        "before": "the state before it, one sample ago",
+        "speed": "its filtered difference",
+        "first": "1 before the first sample, then 0",
+        "sample": "number of the sample: its time over the period",
+        "u": "the last input",
+    }
+    return (
+        f" /* {which}: {notes[kind]} */" if kind in ("before", "speed") else f" /* {notes[kind]} */"
+    )

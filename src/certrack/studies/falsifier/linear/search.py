@@ -1,0 +1,165 @@
+"""The worst case of a linear error loop, found by kernels and linear programs, and simulated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from certrack.certificates.certificate import NoCertificate, within_floats
+from certrack.certificates.premises import refuse_unknown
+from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
+from certrack.core.errors import InputError
+from certrack.integrators.base import Outcome
+from certrack.laws.error_system import EstimatedParameters
+from certrack.simulation.run import Run
+from certrack.simulation.simulator import simulate
+from certrack.studies.falsifier.linear.ascent import worst_inputs
+from certrack.studies.falsifier.linear.case import at_point, written_case
+from certrack.studies.falsifier.linear.chain import Chain
+from certrack.studies.falsifier.linear.continuous import continuous_chain
+from certrack.studies.falsifier.linear.corners import worst_corners
+from certrack.studies.falsifier.linear.sampled import (
+    reference_class,
+    sampled_chain,
+    with_jumps,
+)
+from certrack.systems.system import System
+
+#: Corners whose worst inputs are computed and simulated.
+MAX_CANDIDATES = 3
+
+
+@dataclass(frozen=True)
+class LinearCase:
+    """A worst case of a linear loop.
+
+    Attributes
+    ----------
+    estimate : float
+        |e_1| at the end, by the linear loop.
+    system : System
+        Replays it.
+    run : Run
+    error : float
+        Tail error of the run; inf if it escapes, 0 if it ends before the tail.
+    """
+
+    estimate: float
+    system: System
+    run: Run
+    error: float
+
+
+def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None:
+    """The worst case of the continuous loop at constant parameters.
+
+    Parameters
+    ----------
+    system : System
+        Without an implementation.
+    bounds : Y_0 ... Y_{q+1}
+
+    Returns
+    -------
+    LinearCase, or None for a law whose loop is not linear, or where nothing is found.
+    """
+    loop = linear_error_loop(system)
+    if loop is None or not all(map(math.isfinite, bounds)):
+        return None
+    points = worst_corners(loop, bounds, MAX_CANDIDATES)
+    return _worst_of(
+        loop,
+        (
+            (continuous_chain(loop, point, bounds), at_point(system, values_at(loop, point)))
+            for point in points
+        ),
+    )
+
+
+def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None:
+    """The worst case of the loop as a drive carries it out.
+
+    Parameters
+    ----------
+    system : System
+        With an implementation.
+    bounds : Y_0 ... Y_{q+1}
+
+    Returns
+    -------
+    LinearCase, or None where the loop is not linear or not stable, or nothing is found.
+    """
+    loop = linear_error_loop(system)
+    if loop is None or not all(map(math.isfinite, bounds)):
+        return None
+    implementation, references = system.implementation, reference_class(system, bounds)
+    assert implementation is not None
+    members = [
+        at_point(system, values_at(loop, point)).replace(
+            implementation=replace(implementation, delay=delay)
+        )
+        for point in worst_corners(loop, bounds, MAX_CANDIDATES)
+        for delay in implementation.delays
+    ]
+    chains = (
+        (entry, member)
+        for member in members
+        if (chain := sampled_chain(member, references.bounds))
+        for entry in [_worst_partition(with_jumps(chain, references))]
+    )
+    return _worst_of(loop, chains)
+
+
+def _worst_partition(chains: list[Chain]) -> Chain:
+    """The chain whose pieces are worst, by the first turn of the search for worst inputs."""
+    if len(chains) == 1:
+        return chains[0]
+    firsts = [worst_inputs(chain, turns=1) for chain in chains]
+    errors = [0.0 if first is None else first.error for first in firsts]
+    return chains[errors.index(max(errors))]
+
+
+def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -> LinearCase | None:
+    """The worst inputs of all chains, each with its system, simulated."""
+    attacks = [
+        (worst, member)
+        for chain, member in chains
+        if chain is not None and (worst := worst_inputs(chain)) is not None
+    ]
+    if not attacks:
+        return None
+    worst, member = max(attacks, key=lambda pair: pair[0].error)
+    odd = not loop.brackets and all(entry == 0 for entry in loop.matrix[:, -1])
+    try:
+        cases = [written_case(member, worst, sense) for sense in ((1,) if odd else (1, -1))]
+    except InputError:  # beyond what a system may be: too many samples, too large a state
+        return None
+    played = [(case, simulate(case)) for case in cases]
+    entries = [LinearCase(worst.error, case, run, tail_error(run)) for case, run in played]
+    return max(entries, key=lambda entry: entry.error)
+
+
+def linear_error_loop(system: System) -> RangedLoop | None:
+    """The error loop as a function of the constants; None where it is not linear."""
+    try:
+        with within_floats():
+            if isinstance(refuse_unknown(system), EstimatedParameters):
+                return None
+            return ranged_loop(system)
+    except NoCertificate:
+        return None
+
+
+def values_at(loop: RangedLoop, point: tuple[Any, ...]) -> dict[str, Any]:
+    """The values of what has a range, as texts of fractions by name."""
+    return {str(name): str(value) for name, value in zip(loop.symbols, point, strict=True)}
+
+
+def tail_error(run: Run) -> float:
+    """Tail error of a run; inf if it escapes, 0 if it ends before the tail."""
+    if run.outcome is Outcome.escaped:
+        return math.inf
+    error = float(run.metrics.tail_error)
+    return 0.0 if math.isnan(error) else error
