@@ -26,7 +26,7 @@ from certrack.certificates.implemented.start_proof import (
     limit_met,
     phase_of,
     polytope_of,
-    starts_of,
+    start_set_of,
 )
 from certrack.core import checks
 from certrack.systems.system import System
@@ -132,7 +132,7 @@ def bounds_from_start(
         drive = drive_of(system, delay)
         prover = start_prover(system, delay, cells_of(drive))
         known = not any_reference and phase_of(system, drive, X0) == FILE_PHASE
-        starts = starts_of(system, drive, FILE_PHASE if known else ANY_PHASE, region)
+        starts = start_set_of(system, drive, FILE_PHASE if known else ANY_PHASE, region)
         _, evidence = prover.search(starts, lambda _: True)
     offset = float_up(abs(drive.offset))
     return StartBounds(float(drive.T), evidence.run.bounds, evidence.after, offset)

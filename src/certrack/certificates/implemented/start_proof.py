@@ -152,7 +152,7 @@ class StartProver:
         """
         phase = phase_of(self.system, self.drive, of)
         region = region_of(self.system, self.drive, self.first_frame) if of == POLYTOPE else ()
-        starts = starts_of(self.system, self.drive, phase, region)
+        starts = start_set_of(self.system, self.drive, phase, region)
         enough = self.within_later if of == POLYTOPE else lambda _: True
         doublings, evidence = self.search(starts, enough)
         return StartProof(
@@ -211,7 +211,7 @@ class StartProver:
             raise NoCertificate("the proof of the start does not have the shape of the system")
         if proof.phase == FILE_PHASE and phase_of(self.system, self.drive, X0) != FILE_PHASE:
             raise NoCertificate("the reference at t = 0 is not known exactly")
-        starts = starts_of(self.system, self.drive, proof.phase, proof.region)
+        starts = start_set_of(self.system, self.drive, proof.phase, proof.region)
         # rounded down: a text stands for no more than it says
         states = tuple(float_down(from_text(text)) for text in proof.states)
         later = Later(states, float_down(from_text(proof.input)))
@@ -271,7 +271,7 @@ def phase_of(system: System, drive: Drive, of: str) -> str:
     return FILE_PHASE if known and not (of == POLYTOPE and varied) else ANY_PHASE
 
 
-def starts_of(
+def start_set_of(
     system: System, drive: Drive, phase: str, region: Sequence[tuple[str, str]]
 ) -> Starts:
     """x(0) and what else is there at t = 0.
