@@ -11,8 +11,8 @@ of all past periods add to a row; :mod:`fixed_point` the bounds v with v > F(v);
 is saved and checked; :mod:`certify` the certificate of a system; :mod:`premises` what it
 rests on. :mod:`estimate` is the bound in floats.
 
-From a start on: :mod:`lags` has the gains of each past period, :mod:`start` the bounds of one period
-after the other and of all that come later, :mod:`start_proof` what is saved of them and checked,
-:mod:`input_limits` what they are compared with, :mod:`polytope` the starts from which no limit is
-met, and :mod:`from_starts` what of all that is in a certificate.
+From a start on: :mod:`lags` has the gains of each past period, :mod:`start` the bounds of one
+period after the other and of all that come later, :mod:`start_proof` what is saved of them and
+checked, :mod:`input_limits` what they are compared with, :mod:`polytope` the starts from which no
+limit is met, and :mod:`from_starts` what of all that is in a certificate.
 """

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import flint
 import numpy as np
 
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.enclosed import Enclosed, widened
 from certrack.certificates.implemented.gains import (
     KernelColumns,
@@ -27,6 +28,10 @@ from certrack.certificates.implemented.gains import (
 )
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import Period, above, identity
+
+
+#: Numbers in the tables of all lags, at most: some 300 MB.
+MAX_LAG_NUMBERS = 40_000_000
 
 
 @dataclass(frozen=True)
@@ -71,9 +76,12 @@ def lag_gains(period: Period, rows: Sequence[Row], doublings: int) -> LagGains:
     Raises
     ------
     NoCertificate
-        If the tail does not shrink.
+        If the tail does not shrink, or there are too many numbers.
     """
     drive, count, size = period.drive, len(rows), period.size
+    width = drive.W.ncols() + drive.n + 4 + size
+    if 2**doublings * (count + size) * width > MAX_LAG_NUMBERS:
+        raise NoCertificate("the sampled loop is too large, or too slow, for bounds from a start")
     running, past = running_period(period, rows)
     columns = kernel_columns(period, len(period.cells), drive.lipschitz is not None)
     lags, entries, error, last = _by_lag(period, columns, above(past, identity(size)), doublings)
