@@ -401,7 +401,7 @@ def wrong_sign(monkeypatch):
 
 def forgotten_tail(monkeypatch):
     """The sums end after two periods."""
-    monkeypatch.setattr(gains_room, "_tail", lambda last, each, power: 0 * last @ each)
+    monkeypatch.setattr(gains_room, "tail_gains", lambda last, each, power: 0 * last @ each)
     monkeypatch.setattr("certrack.certificates.implemented.proof.periods_needed", lambda _: 1)
 
 

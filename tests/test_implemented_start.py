@@ -231,8 +231,30 @@ def test_a_shortened_proof_is_refused():
         start, doublings=3, middle=4, states=low, input="10", peaks=("0.8", *low, "12", "12")
     )
     assert float(low[0]) < attack[1]
-    mutant = (replace(proofs[0], starts=(short,)),)
-    assert "does not shrink" in failed_cover(system, mutant) or failed_cover(system, mutant)
+    assert "does not shrink" in failed_cover(system, (replace(proofs[0], starts=(short,)),))
+    early = replace(start, doublings=start.doublings - 1, middle=start.middle // 2, states=low)
+    assert failed_cover(system, (replace(proofs[0], starts=(early,)),)) != ""
+
+
+def test_an_engine_with_a_finite_horizon_is_beaten_by_the_attack(monkeypatch):
+    """Four periods, and nothing asked of what comes later."""
+    system = certrack.systems.reader.loads(SLOW, "slow")
+    attack = worst_from(system, (0, 5), 0.1, 0.1, [10, 20])
+    assert (attack <= peaks(certify_implemented(system, from_start=True)[0])).all()
+
+    def last(self, starts, transient, run, middle):
+        return Later(tuple(run.bounds[-1, 1:-2].tolist()), float(run.bounds[-1, -2]))
+
+    def below(self, starts, transient, run, middle, later):
+        return np.array([0, *later.states, later.input, 0]) * 0.999
+
+    monkeypatch.setattr(lags_room, "tail_gains", lambda last, each, power: 0 * last @ each)
+    monkeypatch.setattr(FromStarts, "_later_transient", lambda self, zeta: np.zeros(len(self.rows)))
+    monkeypatch.setattr(FromStarts, "find_later", last)
+    monkeypatch.setattr(FromStarts, "later_image", below)
+    monkeypatch.setattr(start_proof_room, "FEWEST_DOUBLINGS", 2)
+    wrong, _ = certify_implemented(system, from_start=True)
+    assert attack[1] > 1.2 * wrong.peaks.states[0]
 
 
 def escape(x, h=1e-4):

@@ -17,18 +17,17 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.enclosed import Enclosed, widened
 from certrack.certificates.implemented.gains import (
     KernelColumns,
-    _product_error,
-    _sums_over_time,
-    _table,
-    _tail,
+    gains_table,
     kernel_columns,
     powers_of_columns,
     powers_of_rows,
+    product_error,
     running_period,
+    sums_over_time,
+    tail_gains,
 )
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import Period, above, identity
-
 
 #: Numbers in the tables of all lags, at most: some 300 MB.
 MAX_LAG_NUMBERS = 40_000_000
@@ -89,7 +88,7 @@ def lag_gains(period: Period, rows: Sequence[Row], doublings: int) -> LagGains:
     return LagGains(
         running=running,
         lags=lags[:, :count],
-        tail=_tail(last[:count], each, last[count:]),
+        tail=tail_gains(last[:count], each, last[count:]),
         before=Enclosed(
             entries[:, :count], np.broadcast_to(error[:count], (len(lags), count, size))
         ),
@@ -117,12 +116,12 @@ def _by_lag(
     balls, jumped = powers_of_columns(period.map, columns.all(), inner)
     table = Enclosed.of(balls)
     heads, last = powers_of_rows(jumped, rows, doublings - inner)
-    error = _product_error(heads, table, count, block)
+    error = product_error(heads, table, count, block)
     repeated = np.repeat(error, block, axis=0)
     lags, entries = [], []
     for head in heads.value.reshape(-1, count, size):
         values = (head @ table.value).reshape(count * block, 1, -1)
-        gains = _table(columns, period.drive.n, _sums_over_time(columns, values, repeated))
+        gains = gains_table(columns, period.drive.n, sums_over_time(columns, values, repeated))
         lags.append(gains.reshape(count, block, -1).swapaxes(0, 1))
         entries.append(values[:, 0, -size:].reshape(count, block, size).swapaxes(0, 1))
     return np.concatenate(lags), np.concatenate(entries), error[:, -size:], last

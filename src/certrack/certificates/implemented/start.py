@@ -29,7 +29,7 @@ import numpy as np
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.drive import Drive
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
-from certrack.certificates.implemented.gains import _largest_of_each
+from certrack.certificates.implemented.gains import largest_of_each
 from certrack.certificates.implemented.lags import LagGains, lag_gains
 from certrack.certificates.implemented.outputs import output_rows, steady
 from certrack.certificates.implemented.period import Period
@@ -187,7 +187,7 @@ class FromStarts:
             return 0.0
         each = self.gains.lags[:, :, self._sample_column].T
         apart = min(starts.jumps_apart or self.count, self.count)
-        total = _largest_of_each(each, apart) + self.gains.tail[:, self._sample_column]
+        total = largest_of_each(each, apart) + self.gains.tail[:, self._sample_column]
         return widened(total * up(starts.jump), self.count + 8)
 
     def transient(self, starts: Starts) -> Transient:
