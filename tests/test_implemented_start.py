@@ -14,6 +14,8 @@ from test_implemented import ENCODER, UNIT_W, bare_drive, command, on_a_drive, r
 import certrack
 from certrack.certificates import certify, to_document, verify
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import lags as lags_room
+from certrack.certificates.implemented import start_proof as start_proof_room
 from certrack.certificates.implemented.certify import certify_implemented, failed_cover
 from certrack.certificates.implemented.drive import DRIVE_BITS
 from certrack.certificates.implemented.from_starts import bounds_from_start, failed_starts
@@ -231,7 +233,7 @@ def test_a_shortened_proof_is_refused():
         start, doublings=3, middle=4, states=low, input="10", peaks=("0.8", *low, "12", "12")
     )
     assert float(low[0]) < attack[1]
-    assert "does not shrink" in failed_cover(system, (replace(proofs[0], starts=(short,)),))
+    assert "not forgotten" in failed_cover(system, (replace(proofs[0], starts=(short,)),))
     early = replace(start, doublings=start.doublings - 1, middle=start.middle // 2, states=low)
     assert failed_cover(system, (replace(proofs[0], starts=(early,)),)) != ""
 
