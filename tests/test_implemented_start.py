@@ -17,10 +17,13 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented import lags as lags_room
 from certrack.certificates.implemented import start_proof as start_proof_room
 from certrack.certificates.implemented.certify import certify_implemented, failed_cover
-from certrack.certificates.implemented.drive import DRIVE_BITS
+from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
 from certrack.certificates.implemented.from_starts import bounds_from_start, failed_starts
+from certrack.certificates.implemented.gains import output_gains
+from certrack.certificates.implemented.lags import lag_gains
+from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import one_period
-from certrack.certificates.implemented.proof import delays
+from certrack.certificates.implemented.proof import cells_of, delays
 from certrack.certificates.implemented.start import FromStarts, Later, Starts, is_above
 from certrack.certificates.implemented.start_proof import POLYTOPE, X0
 from certrack.cli.sampled_report import implemented_notes, implemented_summary
@@ -128,6 +131,38 @@ def test_runs_of_the_simulator_stay_inside(speeds):
     smaller = replace(bounds, values=bounds.values * 0.9, last=bounds.last * 0.9)
     assert beyond(system, smaller, run) > 0  # so it is near enough to be a test
     assert math.isclose(bounds.offset, 0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "signal", ["0.05*tanh(max(t - 1, 0))", "0.02*max(t - 1, 0) - 0.02*max(t - 1.5, 0)"]
+)
+def test_jumps_of_the_reference_count(signal):
+    """The long run forgets one that happens once; a run from its start does not."""
+    base = lean(0.01, ())
+    system = base.replace(
+        reference=certrack.SymbolicReference(signal),
+        law=replace(base.law, feedforward=0),
+        settings=replace(base.settings, x0=(0.0,) * 4),
+    )
+    bounds, run = bounds_from_start(system), certrack.simulate(system, duration=4.0)
+    assert beyond(system, bounds, run) < 0 and run.metrics.peak_input <= bounds.peaks.input
+    smaller = replace(bounds, values=bounds.values * 0.4, last=bounds.last * 0.4)
+    assert beyond(system, smaller, run) > 0
+
+
+def test_lags_are_the_gains_period_by_period():
+    system = lean(0.02)
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = drive_of(system)
+        period = one_period(drive, cells_of(drive))
+        rows = output_rows(period)
+        whole, lags = output_gains(period, rows, 8), lag_gains(period, rows, 8)
+    total = lags.running + lags.lags.sum(axis=0) + lags.tail
+    nw = drive.W.ncols()
+    assert total[:, :nw] == pytest.approx(whole.w, rel=1e-8, abs=1e-15)
+    assert total[:, nw] == pytest.approx(whole.r, rel=1e-8, abs=1e-15)
+    assert (lags.tail[:, :nw] > 0).any() and (lags.running[:, :nw] > 0).any()
 
 
 def test_any_phase_of_the_reference():

@@ -57,8 +57,6 @@ class PeakGains:
         Of the sample of y_d^(q+1) of the period that runs at the output's time.
     jump : (rows,) array
         Of jumps of y_d^(q+1).
-    older : (rows, columns of W) array, s
-        The part of `w` that is before the periods which were summed one by one.
     """
 
     w: np.ndarray
@@ -68,7 +66,6 @@ class PeakGains:
     step: np.ndarray
     first: np.ndarray
     jump: np.ndarray
-    older: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -189,7 +186,7 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     if drive.jumps is not None:
         apart = max(1, int((drive.jumps[1] / drive.T).floor()))
         jump = widened(largest_of_each(samples[:count], apart) + tail[:, at], 2**doublings)
-    return _as_gains(total, drive.W.ncols(), drive.n, jump, tail)
+    return _as_gains(total, drive.W.ncols(), drive.n, jump)
 
 
 def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb_mat]:
@@ -377,7 +374,7 @@ def tail_gains(last: np.ndarray, each: np.ndarray, power: np.ndarray) -> np.ndar
     return widened(last @ (each + beyond), size + 8)
 
 
-def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray, tail: np.ndarray) -> PeakGains:
+def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray) -> PeakGains:
     return PeakGains(
         w=table[:, :nw],
         r=table[:, nw],
@@ -386,5 +383,4 @@ def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray, tail: np.nda
         step=table[:, nw + 2 + n],
         first=table[:, nw + 3 + n],
         jump=jump,
-        older=tail[:, :nw],
     )

@@ -6,7 +6,6 @@ say that the next input, too, is within the limits, none is ever met.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,7 +31,7 @@ from certrack.certificates.implemented.start import (
     up,
 )
 from certrack.certificates.start import reference_at_start, states_at_start
-from certrack.references.base import jumps, lipschitz_bound
+from certrack.references.base import jumps
 from certrack.systems.system import System
 
 #: What a start proof is of, and which references at t = 0 it covers.
@@ -300,16 +299,12 @@ def start_set_of(
 
 
 def _jumps(system: System, drive: Drive) -> tuple[Any | None, int | None]:
-    """Size of the jumps of y_d^(q+1) where its Lipschitz constant is that between them."""
-    order = drive.q + 1
-    if drive.lipschitz is None or lipschitz_bound(system.reference, order) is not None:
-        return None, None
-    jumping = jumps(system.reference, order)
-    assert jumping is not None
-    size, spacing = jumping
-    if math.isinf(spacing):
-        return exact_float(size, rational), None
-    return exact_float(size, rational), max(1, int((rational(spacing) / drive.T).floor()))
+    """Size of the jumps of y_d^(q+1), and the least periods between two; None for one or none."""
+    if drive.jumps is not None:
+        size, spacing = drive.jumps
+        return size, max(1, int((spacing / drive.T).floor()))
+    jumping = jumps(system.reference, drive.q + 1) if drive.jumps_once else None
+    return (None, None) if jumping is None else (exact_float(jumping[0], rational), None)
 
 
 def limit_met(system: System, drive: Drive, proof: StartProof) -> str:
