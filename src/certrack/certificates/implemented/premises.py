@@ -56,8 +56,9 @@ def premises_as_implemented(system: System) -> tuple[Premise, ...]:
             Premise(
                 LIMITS,
                 PROVEN,
-                "from simulation.x0 the input never meets its limits; from elsewhere it may, "
-                "unless the start is in the proven polytope",
+                "from simulation.x0, for references that begin as the file's, the input never "
+                "meets its limits; from elsewhere it may, unless the start is in the proven "
+                "polytope",
             )
         )
     return (*others, *added)
