@@ -420,8 +420,8 @@ def forgotten_samples(monkeypatch):
     """Sensors exact at every sample."""
     honest = gains_room._as_gains
 
-    def silent(table, nw, n, jump, tail):
-        return replace(honest(table, nw, n, jump, tail), noise=np.zeros((len(table), n)))
+    def silent(table, nw, n, jump):
+        return replace(honest(table, nw, n, jump), noise=np.zeros((len(table), n)))
 
     monkeypatch.setattr(gains_room, "_as_gains", silent)
 
