@@ -554,7 +554,8 @@ def test_command_line(tmp_path, capsys):
     assert code == 0 and found["saturation"] == "inactive" and found["starts"] == "x0"
     assert len(found["peaks"]["states"]) == 4 and found["polytope"]["half_spaces"] > 4
     assert (tmp_path / "starts.png").exists()
-    text = command(capsys, "certify", file)[1]
+    text = command(capsys, "certify", file, "--out", tmp_path / "cert.json")[1]
+    assert "from simulation.x0" in command(capsys, "verify", tmp_path / "cert.json")[1]
     assert "its limits are never met" in text and "largest box" in text
     assert command(capsys, "certify", file, "--states", "x1,x1")[0] == 2
     assert "started" in command(capsys, "ensemble", file, "--members", "64")[1]

@@ -142,6 +142,7 @@ def verify(certificate: Path, as_json: bool) -> None:
     Example: certrack verify cert.json
     """
     from certrack import certificates
+    from certrack.certificates.implemented.premises import LIMITS
     from certrack.cli import report
 
     proof = certificates.verify(certificate)
@@ -150,7 +151,9 @@ def verify(certificate: Path, as_json: bool) -> None:
 
         click.echo(report.to_json(asdict(proof)))
     elif proof.verified:
-        click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}, resting on")
+        limited = any(premise.name == LIMITS for premise in proof.premises)
+        whose = " from simulation.x0" if limited else ""
+        click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}{whose}, resting on")
         report.print_lines(premise_lines(proof.premises))
     if not proof.verified:
         click.echo(f"certrack: {certificate}: not verified: {proof.reason}", err=True)
