@@ -558,7 +558,7 @@ def test_command_line(tmp_path, capsys):
     assert "from simulation.x0" in command(capsys, "verify", tmp_path / "cert.json")[1]
     assert "its limits are never met" in text and "largest box" in text
     assert command(capsys, "certify", file, "--states", "x1,x1")[0] == 2
-    assert "started" in command(capsys, "ensemble", file, "--members", "64")[1]
+    assert "members that start where" in command(capsys, "ensemble", file, "--members", "64")[1]
 
 
 def test_what_is_said_and_drawn(limited):
