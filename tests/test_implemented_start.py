@@ -203,3 +203,27 @@ def test_members_that_start_inside_never_saturate():
     assert 0.4 < inside.mean() < 0.9
     assert (table["peak_input"][inside] < 15).all()
     assert (table["tail_error"][inside] <= found.limit).all()
+
+
+def test_a_reference_that_jumps_once_is_covered_in_the_long_run_only():
+    base = on_a_drive("dual-motor-lean", 0.01)
+    kink = base.replace(
+        reference=certrack.SymbolicReference("0.02*max(t - 1, 0) - 0.02*max(t - 1.5, 0)"),
+        law=replace(base.law, feedforward=0),
+    )
+    assert certify_implemented(kink)[0].verified
+    once = base.replace(
+        reference=certrack.SymbolicReference("0.05*tanh(max(t - 1, 0))"),
+        law=replace(base.law, feedforward=0),
+    )
+    assert certify_implemented(once)[0].verified
+    with pytest.raises(NoCertificate, match="jumps once"):
+        bounds_from_start(once)
+
+
+def test_lags_are_the_gains_period_by_period():
+    loop = starting_loop(on_a_drive("dual-motor-lean", 0.02, ("x2", "x4")))
+    gains = loop.bounds.gains
+    assert loop.lags.w.sum(axis=1) + gains.older == pytest.approx(gains.w, rel=1e-8, abs=1e-15)
+    later = [i for i, row in enumerate(loop.rows) if row.phase]
+    assert (loop.lags.w[later, 0] > 0).any()  # of the running period

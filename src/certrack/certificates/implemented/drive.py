@@ -75,8 +75,10 @@ class Drive:
         Lipschitz constant of y_d^(q+1) between its jumps; None where it has none, or the jumps are
         closer than a period.
     jumps : (size, spacing), rationals, or None
-        The largest jump of y_d^(q+1) and the least time between two of them, s; None if there are
-        none, or finitely many, which the long run forgets.
+        The largest jump of y_d^(q+1) and the least time between two of them, s; None if there is
+        none, or one, which the long run forgets.
+    jumps_once : bool
+        Whether there is one.
     offset : rational
         The constant part of the law, which cancels that of the drift; not in u above.
     """
@@ -99,6 +101,7 @@ class Drive:
     Y: tuple[Any, ...]
     lipschitz: Any | None
     jumps: tuple[Any, Any] | None
+    jumps_once: bool
     offset: Any
 
     @property
@@ -146,7 +149,7 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
         )
     if system.controller.equations.u.has(TIME) or system.controller.states:
         raise NoCertificate("a law with the time or states of its own is not covered")
-    sensors = sensor_bounds(implementation, system.plant.n)
+    sensors = sensor_errors(implementation, system.plant.n)
     with flint.ctx.workprec(DRIVE_BITS):
         return _drive(system, implementation, sensors, delay)
 
@@ -281,7 +284,7 @@ def _controller_matrices(
     }
 
 
-def sensor_bounds(implementation: Implementation, n: int) -> tuple[Any, ...]:
+def sensor_errors(implementation: Implementation, n: int) -> tuple[Any, ...]:
     """|n_k,i|: half a step of the encoder, which rounds to the nearest, and the noise's bound.
 
     Raises
@@ -327,12 +330,13 @@ def _smoothness(system: System, order: int, T: Any) -> dict[str, Any]:
         jumping = jumps(reference, order)
         apart = jumping is not None and (math.isinf(jumping[1]) or rational(jumping[1]) >= T)
         if steepest is None or not apart:
-            return {"lipschitz": None, "jumps": None}
-    if jumping is not None and math.isinf(jumping[1]):
-        jumping = None
+            return {"lipschitz": None, "jumps": None, "jumps_once": False}
+    once = jumping is not None and math.isinf(jumping[1])
+    several = None if jumping is None or once else jumping
     return {
         "lipschitz": exact_float(steepest, rational),
-        "jumps": None if jumping is None else tuple(exact_float(v, rational) for v in jumping),
+        "jumps": None if several is None else tuple(exact_float(v, rational) for v in several),
+        "jumps_once": once,
     }
 
 

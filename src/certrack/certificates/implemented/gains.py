@@ -57,6 +57,8 @@ class PeakGains:
         Of the sample of y_d^(q+1) of the period that runs at the output's time.
     jump : (rows,) array
         Of jumps of y_d^(q+1).
+    older : (rows, columns of W) array, s
+        The part of `w` that is before the periods which were summed one by one.
     """
 
     w: np.ndarray
@@ -66,6 +68,7 @@ class PeakGains:
     step: np.ndarray
     first: np.ndarray
     jump: np.ndarray
+    older: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -186,7 +189,7 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     if drive.jumps is not None:
         apart = max(1, int((drive.jumps[1] / drive.T).floor()))
         jump = widened(_largest_of_each(samples[:count], apart) + tail[:, at], 2**doublings)
-    return _as_gains(total, drive.W.ncols(), drive.n, jump)
+    return _as_gains(total, drive.W.ncols(), drive.n, jump, tail)
 
 
 def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb_mat]:
@@ -372,7 +375,7 @@ def _tail(last: np.ndarray, each: np.ndarray, power: np.ndarray) -> np.ndarray:
     return widened(last @ (each + beyond), size + 8)
 
 
-def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray) -> PeakGains:
+def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray, tail: np.ndarray) -> PeakGains:
     return PeakGains(
         w=table[:, :nw],
         r=table[:, nw],
@@ -381,4 +384,5 @@ def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray) -> PeakGains
         step=table[:, nw + 2 + n],
         first=table[:, nw + 3 + n],
         jump=jump,
+        older=tail[:, :nw],
     )

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import flint
@@ -141,11 +142,12 @@ def starting_loop(system: System, delay: Any | None = None) -> StartingLoop:
     assert implementation is not None
     if implementation.offset:
         raise NoCertificate("bounds from a start need the first sample at t = 0")
+    if drive.jumps_once:
+        raise NoCertificate("a reference that jumps once has no bounds from a start")
     with flint.ctx.workprec(DRIVE_BITS):
         period = one_period(drive, cells_of(drive))
         rows, doublings = output_rows(period), periods_needed(period, LEFT_OF_TRANSIENT)
-        gains = output_gains(period, rows, periods_needed(period))
-        bounds = OutputBounds.of(period, rows, gains)
+        bounds = OutputBounds.of(period, rows, output_gains(period, rows, doublings))
         n, size = drive.n, period.size
         Z, noise, inputs = (flint.arb_mat(size, columns) for columns in (n, n, 1))
         for i in range(n):
@@ -266,41 +268,38 @@ def _volterra(loop: StartingLoop, transient: np.ndarray, later: np.ndarray) -> S
     in_cell = _uppers([row.in_cell.w for row in loop.rows]).reshape(len(outputs), -1)
     w = loop.lags.w.copy()
     w[:, 0] += share[:, None] * in_cell
-    D = _per_output(widened(w), groups)
+    w = widened(w)
+    D = _per_output(w, groups)
     constant = _per_output(_uppers(bounds.constant), groups)
-    total = _per_output(_uppers(bounds.w).reshape(len(outputs), -1), groups)
     x, u = _per_output(_uppers(bounds.x), groups), _per_output(_uppers(bounds.u), groups)
     free = _per_output(transient, groups) + constant[:, None]
     size = _Size(drive)
     count = free.shape[1]
     v, sizes = np.zeros((count, n + 3)), np.zeros((count, D.shape[2]))
 
-    def image(past: np.ndarray, near: np.ndarray, value: np.ndarray) -> np.ndarray:
-        added = near @ size(value[1:-2]) + x @ value[1:-2] + u * value[-2]
+    def image(past: np.ndarray, largest: float, value: np.ndarray) -> np.ndarray:
+        added = D[:, 0] @ size(value[1:-2]) + x @ value[1:-2] + u * max(largest, value[-2])
         return widened(past + added, count + 64)
+
+    waiting = float(Enclosed.of(loop.inputs).upper.max())  # inputs that may act still
 
     for k in range(count):
         past = free[:, k].copy()
         if k:
             past += np.tensordot(D[:, 1 : k + 1], sizes[k - 1 :: -1], axes=([1, 2], [0, 1]))
-        v[k] = _implicit(
-            lambda value, past=past: image(past, D[:, 0], value), v[k - 1] if k else past
-        )
+        v[k] = _implicit(partial(image, past, waiting), v[k - 1] if k else past)
         sizes[k] = size(v[k][1:-2])
+        waiting = max(waiting, v[k][-2])
     half = count // 2
     recent, ever = v[half:].max(axis=0), v.max(axis=0)
-    near = widened(D[:, : half + 1].sum(axis=1), count)
-    far = np.maximum(total - near, 0)
-    far = far + 1e-12 * total
+    ever[-2] = max(ever[-2], waiting)
+    near = _per_output(widened(w[:, : half + 1].sum(axis=1), count), groups)
+    far = widened(w[:, half + 1 :].sum(axis=1) + bounds.gains.older, count)
+    far, remaining = _per_output(far, groups), _per_output(later, groups)
 
     def at_last(value: np.ndarray) -> np.ndarray:
         late, early = np.maximum(recent, value), np.maximum(ever, value)
-        past = (
-            constant
-            + _per_output(later, groups)
-            + near @ size(late[1:-2])
-            + far @ size(early[1:-2])
-        )
+        past = constant + remaining + near @ size(late[1:-2]) + far @ size(early[1:-2])
         return widened(past + x @ early[1:-2] + u * early[-2], count + 64)
 
     last = _implicit(at_last, recent)
