@@ -17,15 +17,20 @@ from certrack.systems.system import System
 
 def refuse(system: System) -> None:
     """Raise NoCertificate, with the reason, where no certificate of the nominal loop can hold."""
-    stated = refuse_unknown(system)
-    ranged = [name for name, _, _ in system.plant.constant_ranges]
-    if isinstance(stated, KnownParameters) and _open_parameters(system, stated):
-        ranged += _open_parameters(system, stated)
+    ranged = ranged_names(system, refuse_unknown(system))
     if ranged:
         raise NoCertificate(
             f"plant.ranges lets {', '.join(ranged)} vary: only vertices, cells and peak can cover "
             "it"
         )
+
+
+def ranged_names(system: System, stated: ErrorSystem) -> list[str]:
+    """What has a range that the nominal loop does not cover."""
+    ranged = [name for name, _, _ in system.plant.constant_ranges]
+    if isinstance(stated, KnownParameters):
+        ranged += _open_parameters(system, stated)
+    return ranged
 
 
 def refuse_unknown(system: System) -> ErrorSystem:

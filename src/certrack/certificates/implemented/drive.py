@@ -21,7 +21,7 @@ from certrack.certificates.arithmetic import exact_float, rational
 from certrack.certificates.balls import ball_of
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
-from certrack.certificates.premises import has_ranges, refuse
+from certrack.certificates.premises import ranged_names, refuse, refuse_unknown
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
@@ -75,8 +75,10 @@ class Drive:
         Lipschitz constant of y_d^(q+1) between its jumps; None where it has none, or the jumps are
         closer than a period.
     jumps : (size, spacing), rationals, or None
-        The largest jump of y_d^(q+1) and the least time between two of them, s; None if there are
-        none, or finitely many, which the long run forgets.
+        The largest jump of y_d^(q+1) and the least time between two of them, s; None if there is
+        none, or one, which the long run forgets.
+    jumps_once : bool
+        Whether there is one.
     offset : rational
         The constant part of the law, which cancels that of the drift; not in u above.
     """
@@ -99,6 +101,7 @@ class Drive:
     Y: tuple[Any, ...]
     lipschitz: Any | None
     jumps: tuple[Any, Any] | None
+    jumps_once: bool
     offset: Any
 
     @property
@@ -138,8 +141,8 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
     implementation = system.implementation
     if implementation is None:
         raise NoCertificate(NO_IMPLEMENTATION)
-    if has_ranges(system):
-        raise NoCertificate(RANGED)
+    if ranged := ranged_names(system, refuse_unknown(system)):
+        raise NoCertificate(f"plant.ranges lets {', '.join(ranged)} vary: {RANGED}")
     refuse(system)
     if not isinstance(stated_error_system(system), KnownParameters):
         raise NoCertificate(
@@ -148,7 +151,7 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
         )
     if system.controller.equations.u.has(TIME) or system.controller.states:
         raise NoCertificate("a law with the time or states of its own is not covered")
-    sensors = sensor_bounds(implementation, system.plant.n)
+    sensors = sensor_errors(implementation, system.plant.n)
     with flint.ctx.workprec(DRIVE_BITS):
         return _drive(system, implementation, sensors, delay)
 
@@ -158,8 +161,8 @@ NO_IMPLEMENTATION = "the file has no [implementation]"
 
 #: Why there is none where what the law takes for known has a range.
 RANGED = (
-    "plant.ranges is covered in continuous time only; without it there is a bound of the sampled "
-    "loop for the nominal constants"
+    "ranges are covered in continuous time only; without them there is a bound of the sampled loop "
+    "for the nominal constants"
 )
 
 
@@ -225,8 +228,10 @@ def _linear_drift(system: System) -> tuple[list[Any], Any]:
     constants = plant.constant_values
     named = {s: constants[s.name] for s in total.free_symbols if s.name in constants}
     total = sympy.expand(put_in(total, named))
+    # atan(tan(x)) has the slope 1 wherever it has one, and is not linear
+    linear = total.is_polynomial(*plant.symbols)
     slopes = [sympy.simplify(sympy.diff(total, x)) for x in plant.symbols]
-    if any(slope.free_symbols for slope in slopes):
+    if not linear or any(slope.free_symbols for slope in slopes):
         raise NoCertificate(
             "only loops that are linear are covered as implemented: plant.drift (with the known "
             f"regressors) is {total}"
@@ -287,7 +292,7 @@ def _controller_matrices(
     }
 
 
-def sensor_bounds(implementation: Implementation, n: int) -> tuple[Any, ...]:
+def sensor_errors(implementation: Implementation, n: int) -> tuple[Any, ...]:
     """|n_k,i|: half a step of the encoder, which rounds to the nearest, and the noise's bound.
 
     Raises
@@ -333,12 +338,13 @@ def _smoothness(system: System, order: int, T: Any) -> dict[str, Any]:
         jumping = jumps(reference, order)
         apart = jumping is not None and (math.isinf(jumping[1]) or rational(jumping[1]) >= T)
         if steepest is None or not apart:
-            return {"lipschitz": None, "jumps": None}
-    if jumping is not None and math.isinf(jumping[1]):
-        jumping = None
+            return {"lipschitz": None, "jumps": None, "jumps_once": False}
+    once = jumping is not None and math.isinf(jumping[1])
+    several = None if jumping is None or once else jumping
     return {
         "lipschitz": exact_float(steepest, rational),
-        "jumps": None if jumping is None else tuple(exact_float(v, rational) for v in jumping),
+        "jumps": None if several is None else tuple(exact_float(v, rational) for v in several),
+        "jumps_once": once,
     }
 
 

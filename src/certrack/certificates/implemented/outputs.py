@@ -88,7 +88,7 @@ def _state_rows(
     for p, cell in enumerate(period.cells):
         if cell.length not in in_cells:
             in_cells[cell.length] = _in_cell(period, cell.length, derivatives, of_Y, degree)
-        taylor = _taylor(period, cell, derivatives, of_Y, degree)
+        taylor = _polynomial_rows(period, cell, derivatives, of_Y, degree)
         for i in range(degree + 1):
             weights = [
                 flint.fmpq(math.comb(i, k), math.comb(degree, k) * math.factorial(k))
@@ -109,7 +109,7 @@ def _state_rows(
     return rows
 
 
-def _taylor(
+def _polynomial_rows(
     period: Period, cell: InputCell, derivatives: Sequence[Any], of_Y: Sequence[Any], degree: int
 ) -> tuple[list[list[Any]], list[list[Any]]]:
     """Derivatives 0 ... degree of the polynomial, over chi and over Y."""
