@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import sympy
@@ -57,7 +58,7 @@ class TimeSwitches:
     formulas: tuple[sympy.Expr, ...] = ()
     of_members: tuple[sympy.Expr, ...] = ()
 
-    @property
+    @cached_property
     def numbers(self) -> frozenset[sympy.Symbol]:
         """Parameters that the switches and formulas depend on."""
         every = (*self.functions, *self.branches, *self.formulas)

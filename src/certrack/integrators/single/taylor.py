@@ -42,6 +42,9 @@ ROOM_AT_LEAST = 256
 #: Steps whose samples are computed at once: the intermediate results stay small.
 STEPS_AT_ONCE = 8192
 
+#: Times at which the series are evaluated at once, for the same reason.
+TIMES_AT_ONCE = 4096
+
 #: Steps after which the progress is reported.
 STEPS_PER_REPORT = 1024
 
@@ -272,12 +275,18 @@ class TaylorSeries:
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         t = np.asarray(t, dtype=float)
-        k = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, None)
-        since = (t - self.starts[k])[:, None]
-        value = self.table[k, :, -1]
-        for order in range(self.table.shape[2] - 2, -1, -1):
-            value = value * since + self.table[k, :, order]
-        return value.T
+        states = np.empty((self.table.shape[1], len(t)))
+        for first in range(0, len(t), TIMES_AT_ONCE):
+            part = slice(first, first + TIMES_AT_ONCE)
+            k = np.maximum(self.starts.searchsorted(t[part], side="right") - 1, 0)
+            since = t[part] - self.starts[k]
+            orders = np.ascontiguousarray(self.table[k].transpose(2, 1, 0))
+            value = orders[-1]
+            for coefficient in orders[-2::-1]:  # Horner's rule, in place
+                value *= since
+                value += coefficient
+            states[:, part] = value
+        return states
 
     def subdivided(self, times: np.ndarray, parts: int) -> np.ndarray:
         """States at :func:`certrack.integrators.base.subdivide` of the steps, much faster."""
