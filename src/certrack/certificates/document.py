@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.assumptions import assumptions
 from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
@@ -25,7 +26,6 @@ from certrack.certificates.implemented.document import implemented_proofs, is_im
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.premise import Premise, contradicted
-from certrack.certificates.premises import assumptions
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.certify import cover_bound
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, CellProof, check_cover, numbers

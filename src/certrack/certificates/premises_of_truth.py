@@ -12,11 +12,11 @@ import numpy as np
 import sympy
 
 from certrack.certificates.assumption_1 import UncertainTerm, uncertain_terms
+from certrack.certificates.assumptions import irrational_numbers
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.cover import Cover, smallest_cover
 from certrack.certificates.domain import NONNEGATIVE, NONZERO, Condition, conditions, undefined_at
 from certrack.certificates.premise import ASSUMED, CHECKED, CONTRADICTED, PROVEN, Premise
-from certrack.certificates.premises import irrational_numbers
 from certrack.certificates.sampling import RANDOM_POINTS, Points, random_points
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError

@@ -42,7 +42,7 @@ def certify(
     Example: certrack certify dual-motor-lean --out cert.json
     """
     from certrack import certificates
-    from certrack.certificates.premises import has_ranges
+    from certrack.certificates.scope import has_ranges
     from certrack.cli import range_report, report
     from certrack.systems.reader import load
 

@@ -16,7 +16,6 @@ from typing import Any
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import float_down, float_up, from_text
 from certrack.certificates.premise import contradicted
-from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.boxes import forbidden, names, scaled, with_range
 from certrack.certificates.ranges.cells import Cell
@@ -24,6 +23,7 @@ from certrack.certificates.ranges.certify import NO_RANGES, range_prover, smalle
 from certrack.certificates.ranges.edges import Edge, largest_scale
 from certrack.certificates.ranges.proofs import RangeProver
 from certrack.certificates.ranges.search import RangeBounds, bound_ranges
+from certrack.certificates.scope import has_ranges
 from certrack.core import checks
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system

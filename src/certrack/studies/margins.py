@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from certrack.certificates.premises import has_ranges
+from certrack.certificates.scope import has_ranges
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.notebook import ShownInNotebooks

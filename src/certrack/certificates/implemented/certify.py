@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.assumptions import assumptions
 from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
 from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.implemented.drive import drive_of
@@ -22,7 +23,6 @@ from certrack.certificates.implemented.proof import (
     failed_implemented,
     prove_implemented,
 )
-from certrack.certificates.premises import assumptions
 from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
 

@@ -21,7 +21,7 @@ from certrack.certificates.arithmetic import exact_float, rational
 from certrack.certificates.balls import ball_of
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
-from certrack.certificates.premises import refuse
+from certrack.certificates.scope import refuse
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
