@@ -18,7 +18,7 @@ import flint
 import sympy
 
 from certrack.certificates.arithmetic import exact_float, rational
-from certrack.certificates.balls import ball_of
+from certrack.certificates.balls import ball_matrix, ball_of, upper_rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.scope import refuse
@@ -178,10 +178,10 @@ def _drive(
     rows = _controller_rows(system, implementation, A, K)
     T = rational(implementation.period)
     return Drive(
-        A=_ball_matrix(A),
-        b=_ball_matrix([[flint.fmpq(0)]] * (n - 1) + [[gain]]),
-        W=_ball_matrix([[rational(u.tau[k]) if i == k else 0 for k in acting] for i in range(n)]),
-        Ly=_ball_matrix([[v / gain for v in c.nu_Y]]),
+        A=ball_matrix(A),
+        b=ball_matrix([[flint.fmpq(0)]] * (n - 1) + [[gain]]),
+        W=ball_matrix([[rational(u.tau[k]) if i == k else 0 for k in acting] for i in range(n)]),
+        Ly=ball_matrix([[v / gain for v in c.nu_Y]]),
         Sy=flint.arb_mat(len(rows[1]), c.q + 2),
         T=T,
         delay=rational(implementation.run_delay) if delay is None else delay,
@@ -304,9 +304,7 @@ def sensor_errors(implementation: Implementation, n: int) -> tuple[Any, ...]:
 def upper_rational_of(value: float) -> Any:
     """Not below a number that may stand for an irrational one (2 pi/2^16 of an encoder)."""
     with flint.ctx.workprec(DRIVE_BITS):
-        ball = ball_of(value)
-        mantissa, exponent = ball.upper().man_exp()
-    return flint.fmpq(int(mantissa)) * flint.fmpq(2) ** int(exponent)
+        return upper_rational(ball_of(value))
 
 
 def _reference_bounds(system: System, q: int) -> tuple[Any, ...]:
@@ -336,7 +334,3 @@ def _smoothness(system: System, order: int, T: Any) -> dict[str, Any]:
         "jumps": None if several is None else tuple(exact_float(v, rational) for v in several),
         "jumps_once": once,
     }
-
-
-def _ball_matrix(rows: list[list[Any]]) -> flint.arb_mat:
-    return flint.arb_mat([[flint.arb(v) for v in row] for row in rows])
