@@ -31,8 +31,11 @@ from certrack.systems.system import System, require_system
 #: Where nobody says which error is admitted: so many times the certified bound of the file.
 ADMITTED_FACTOR = 1.5
 
-#: Relative accuracy of a range, and corners at which the error is looked at before cells are made.
-DRIFT_ACCURACY, ADMITTED_CORNERS = 0.02, 64
+#: Relative accuracy of a range: each further digit costs three more bounds.
+DRIFT_ACCURACY = 0.02
+
+#: Corners at which the error is looked at before cells are made: those of six ranges.
+ADMITTED_CORNERS = 64
 
 
 @dataclass(frozen=True)
@@ -249,10 +252,8 @@ class _Boxes:
         corners = itertools.product(*(dict.fromkeys(pair) for pair in box))
         for corner in itertools.islice(corners, ADMITTED_CORNERS):
             point = tuple((value, value) for value in corner)
-            if (
-                bound_ranges(self.prover, cells=False, box=point, enough=self.error).bound
-                > self.error
-            ):
+            bounds = bound_ranges(self.prover, cells=False, box=point, enough=self.error)
+            if bounds.bound > self.error:
                 return True
         return False
 
