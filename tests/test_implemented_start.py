@@ -219,3 +219,11 @@ def test_a_reference_that_jumps_once_is_covered_in_the_long_run_only():
     assert certify_implemented(once)[0].verified
     with pytest.raises(NoCertificate, match="jumps once"):
         bounds_from_start(once)
+
+
+def test_lags_are_the_gains_period_by_period():
+    loop = starting_loop(on_a_drive("dual-motor-lean", 0.02, ("x2", "x4")))
+    gains = loop.bounds.gains
+    assert loop.lags.w.sum(axis=1) + gains.older == pytest.approx(gains.w, rel=1e-8, abs=1e-15)
+    later = [i for i, row in enumerate(loop.rows) if row.phase]
+    assert (loop.lags.w[later, 0] > 0).any()  # of the running period
