@@ -31,6 +31,7 @@ def check(proof, table, system):
         X = np.array([float(checker.decimal(v)) for v in entry["states"]])
         checker.demand(len(X) == system.n, "the states are others")
         U, step, bound = (float(checker.decimal(entry[k])) for k in ("input", "step", "bound"))
+        checker.demand((X >= 0).all() and U >= 0, "v is negative")
         image = loop.image(X, U)
         checker.demand((image[1:-2] < X).all() and image[-2] < U, "v is not above F(v)")
         checker.demand(bound >= image[0] and step >= image[-1], "a bound is too small")

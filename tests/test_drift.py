@@ -160,6 +160,52 @@ def test_a_range_that_stability_does_not_see_has_no_critical_strength():
     assert math.isinf(found.scale) and found.reason == ""
 
 
+#: Stable with the gain that the law knows, unstable a little above it, and stable from 1.5 times on.
+GAIN_ELSEWHERE = """
+[plant]
+states = ["x1", "x2", "x3", "x4"]
+chain = [1, 1, 1]
+drift = "7621*x1 + 7759*x2 + 202.5*x3 + 68.5*x4"
+input_gain = 1
+gain_sign = 1
+[plant.ranges]
+input_gain = [2, 3]
+[plant.uncertainty]
+tau = [0, 0, 0, 1]
+gamma = [0, 0, 0, 0]
+beta = [0, 0, 0, 0.1]
+[truth]
+input_gain = 2.5
+omega = [0, 0, 0, 0]
+[reference]
+signal = "0.1*sin(t)"
+[law]
+kind = "robust"
+c = [2, 2, 2, 2]
+[simulation]
+x0 = [0, 0, 0, 0]
+duration = 1
+"""
+
+
+def test_the_critical_strength_holds_at_every_smaller_scale():
+    """Scales of [2, 3] about 1 leave out what is between: there the loop is unstable."""
+    prover = RangeProver(certrack.loads(GAIN_ELSEWHERE))
+    loop = prover.loop
+
+    def rate(gain):
+        M = error_form(loop, loop.entries.at((gain,))).M
+        return np.linalg.eigvals(M.astype(float)).real.max()
+
+    assert rate(Q(1)) < 0 and rate(Q(2)) < 0 and rate(Q(3)) < 0 < rate(Q("1.1"))
+    assert prover.peak(loop.box) is not None
+    found = critical_ranges(prover, cells=False, known=True)
+    assert 0 < found.scale < 0.05
+    for scale in np.linspace(0, found.scale, 9):
+        ((low, high),) = scaled(loop, Q(str(scale)))
+        assert low == 1 and rate(high) < 0
+
+
 @pytest.mark.slow
 def test_the_critical_strength_is_below_one_without_a_certificate():
     ranges = {"J_L": ["0.4*0.5", "1.6*0.5"], "K_L": ["0.6*3", "1.4*3"]}

@@ -336,6 +336,21 @@ def test_corners_of_the_reference():
     assert bounded(never)[0] < found.bound
 
 
+def test_errors_of_samples_count_where_the_largest_is_not_the_first(monkeypatch):
+    """Jumps of y_d' count by the largest sample of several periods, and by what floats lost."""
+    drive = drive_of(with_triangles(0.03))
+    product_error = gains_room._product_error
+
+    def jump():
+        with flint.ctx.workprec(DRIVE_BITS):
+            period = one_period(drive, (1, 1))
+            return output_gains(period, output_rows(period), 9).jump
+
+    exact = jump()
+    monkeypatch.setattr(gains_room, "_product_error", lambda *a: product_error(*a) + 1e-6)
+    assert (jump() >= exact + 0.999e-6).all()
+
+
 def test_floats_enclose_what_balls_compute():
     """The sums of the engine against the same sums in 2000 bits, period by period."""
     system = on_a_drive("dual-motor-lean", 0.02, ())

@@ -1,7 +1,8 @@
 """The bounds of all outputs at once: v = (|x_1| ... |x_n|, |u|) with v > F(v).
 
 F is what the gains make of the inputs' bounds where |x| <= X and |u| <= U: monotone, homogeneous
-but for a constant >= 0. A v with v > F(v) in every entry proves limsup |x| <= X, limsup |u| <= U:
+but for a constant >= 0. A v >= 0 with v > F(v) in every entry proves limsup |x| <= X, |u| <= U (a
+negative one proves nothing: where F grows faster than v, -v is above F(-v) for every large v):
 for every start some f >= 1 has f v above F(f v) plus the transient, so nothing leaves f v; and the
 least f with limsup <= f v is not above 1, for F(f v) < f v where f >= 1. |e_1| is then at most its
 own entry of F(v).

@@ -287,14 +287,14 @@ def _sums(
         total = total + sums_over_time(of_period, values, 0 * error)
         samples.append(np.abs(values[:, :, at]))
     each = np.hstack(samples)
-    each[:, 0] += error[:, at]  # of all of them
+    each[np.arange(len(each)), each.argmax(axis=1)] += error[:, at]  # of all of them
     return widened(total + _sums_of_errors(of_period, error), blocks + 8), each, last
 
 
 def largest_of_each(samples: np.ndarray, apart: int) -> np.ndarray:
     """Sums of the largest sample of each `apart` periods in a row.
 
-    The errors of all samples stand in the first one, so no sum is too small for them.
+    The errors of all samples stand in the largest of all, which is the largest of its periods.
     """
     starts = np.arange(0, samples.shape[1], apart)
     largest: np.ndarray = np.maximum.reduceat(samples, starts, axis=1).sum(axis=1)

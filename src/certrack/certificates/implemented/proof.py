@@ -139,6 +139,8 @@ def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> s
         drive = drive_of(system, delay)
         if len(proof.states) != drive.n:
             return "the proof does not have the shape of the system"
+        if any(from_text(text) < 0 for text in (*proof.states, proof.input)):
+            return "a bound of a state or of the input is negative"
         with flint.ctx.workprec(DRIVE_BITS):
             bounds = _bounds(one_period(drive, proof.parts), proof.doublings)
             return _not_proven(_image(bounds, proof), proof)

@@ -32,9 +32,13 @@ def with_range(loop: RangedLoop, k: int, low: Any, high: Any) -> Cell:
 
 
 def scaled(loop: RangedLoop, scale: Any) -> Cell:
-    """All distances of the ends from the nominal values times a scale (a rational)."""
+    """All distances of the ends from the nominal values times a scale (a rational).
+
+    A nominal value outside of its range is an end of it here: so the box of a smaller scale lies
+    inside that of a larger one.
+    """
     ends = tuple(
-        (value + scale * (low - value), value + scale * (high - value))
+        (value + scale * (min(low, value) - value), value + scale * (max(high, value) - value))
         for value, (low, high) in zip(loop.nominal, loop.box, strict=True)
     )
     count = len(ends) - loop.moving

@@ -1,7 +1,8 @@
 """The critical strength of ranges: how far all of them may grow together before no proof is left.
 
-All distances of the ends from the nominal values are scaled alike. What is returned was proven
-there, and so holds at every smaller scale: those boxes lie inside.
+All distances of the ends from the nominal values are scaled alike, and a nominal value outside of
+its range is an end of it. What is returned was proven there, and so holds at every smaller scale:
+those boxes lie inside.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.ranges.boxes import forbidden, scaled
 from certrack.certificates.ranges.cells import Cell, halved
@@ -76,7 +78,8 @@ def critical_ranges(
         except NoCertificate as refusal:
             return str(refusal)
 
-    edge = largest_scale(find, known=True if known else None, accuracy=STRENGTH_ACCURACY)
+    same = known and scaled(prover.loop, rational(1)) == tuple(prover.loop.box)
+    edge = largest_scale(find, known=True if same else None, accuracy=STRENGTH_ACCURACY)
     return RangeStrength(math.inf if edge.unlimited else float(edge.scale), edge.reason)
 
 
