@@ -62,7 +62,7 @@ def certify(
     """
     from certrack import certificates
     from certrack.certificates.scope import has_ranges
-    from certrack.cli import range_report, report
+    from certrack.cli import certificate_report, range_report, report
     from certrack.systems.reader import load
 
     system = load(file)
@@ -86,10 +86,10 @@ def certify(
         click.echo(report.to_json(range_report.ranged_summary(result)))
     else:
         click.echo(system.title or file)
-        report.console().print(report.certificates_table(result))
+        report.console().print(certificate_report.certificates_table(result))
         if result.constants:
             report.console().print(range_report.costs_table(result))
-        report.print_lines(report.certificates_notes(result))
+        report.print_lines(certificate_report.certificates_notes(result))
         report.print_lines(range_report.strength_line(result))
         report.print_lines(["resting on:", *premise_lines(result.premises)])
     say_contradicted(result.contradicted)
