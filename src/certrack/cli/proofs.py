@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,8 @@ import click
 
 from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_engine, note_implementation
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
+from certrack.core import checks
+from certrack.core.errors import InputError
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificates
@@ -18,7 +21,17 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("file")
 @click.option("--out", type=NEW_FILE, help="File for the certificate (JSON).")
-@click.option("--plot", type=FOLDER, help="Folder for the picture of the tube over the response.")
+@click.option(
+    "--plot",
+    type=FOLDER,
+    help="Folder for the pictures of the tube over the response, and of the starts from which a "
+    "drive's input is proven to stay within its limits.",
+)
+@click.option(
+    "--states",
+    metavar="NAME,NAME",
+    help="The two states of the picture of starts; the first two by default.",
+)
 @click.option(
     "--effort",
     type=click.Choice(["fast", "default", "high"]),
@@ -29,7 +42,13 @@ if TYPE_CHECKING:
 @click.option("--require", is_flag=True, help="Exit with 1 if nothing is verified.")
 @json_option
 def certify(
-    file: str, out: Path | None, plot: Path | None, effort: str, require: bool, as_json: bool
+    file: str,
+    out: Path | None,
+    plot: Path | None,
+    states: str | None,
+    effort: str,
+    require: bool,
+    as_json: bool,
 ) -> None:
     """Compute guaranteed bounds on the tracking error.
 
@@ -47,6 +66,7 @@ def certify(
     from certrack.systems.reader import load
 
     system = load(file)
+    axes = _two_states(states, system.plant.states)
     with report.progress("Certifying") as advance:
         result = certificates.certify(system, effort, advance)
     if out is not None and result.stages:
@@ -57,6 +77,11 @@ def certify(
 
         run = run_system(system)
         plotting.save_figure(plotting.tube_figure(run, result.tube, system.title), plot, "tube")
+    if plot is not None and result.implemented.polytope is not None and system.plant.n > 1:
+        from certrack import plotting
+
+        drawing = plotting.starts_figure(result.implemented, axes, system.title)
+        plotting.save_figure(drawing, plot, "starts")
     if as_json:
         click.echo(report.to_json(range_report.ranged_summary(result)))
     else:
@@ -76,6 +101,17 @@ def certify(
         click.echo(f"certrack: {out} is not written: there is nothing verified", err=True)
     if result.contradicted or ((require or out is not None) and not result.verified):
         raise click.exceptions.Exit(1)
+
+
+def _two_states(names: str | None, known: Sequence[str]) -> tuple[str, str] | None:
+    """The names of --states."""
+    if names is None:
+        return None
+    parts = [name.strip() for name in names.split(",")]
+    if len(parts) != 2 or parts[0] == parts[1]:
+        raise InputError("--states", "must be two different states", names, "Write x1,x2")
+    first, second = (checks.choice("--states", name, known) for name in parts)
+    return first, second
 
 
 def _hint_of_weights(system: System, result: Certificates, effort: str) -> None:
@@ -106,6 +142,7 @@ def verify(certificate: Path, as_json: bool) -> None:
     Example: certrack verify cert.json
     """
     from certrack import certificates
+    from certrack.certificates.implemented.premises import LIMITS
     from certrack.cli import report
 
     proof = certificates.verify(certificate)
@@ -114,7 +151,9 @@ def verify(certificate: Path, as_json: bool) -> None:
 
         click.echo(report.to_json(asdict(proof)))
     elif proof.verified:
-        click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}, resting on")
+        limited = any(premise.name == LIMITS for premise in proof.premises)
+        whose = " from simulation.x0" if limited else ""
+        click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}{whose}, resting on")
         report.print_lines(premise_lines(proof.premises))
     if not proof.verified:
         click.echo(f"certrack: {certificate}: not verified: {proof.reason}", err=True)
