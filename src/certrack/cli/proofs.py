@@ -176,11 +176,11 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     if as_json:
         click.echo(report.to_json(values))
     else:
-        origin = ORIGIN_WORDS[result.origin]
+        origin, of = ORIGIN_WORDS[result.origin], "" if drive is None else "continuous law, "
         click.echo(
-            f"worst |e_1| found in {result.evaluations} runs{origin}: {result.worst_error:.6g}"
+            f"{of}worst |e_1| found in {result.evaluations} runs{origin}: {result.worst_error:.6g}"
         )
-        click.echo(f"certified limsup |e_1|: {printed_bound(values['certified'])}")
+        click.echo(f"{of}certified limsup |e_1|: {printed_bound(values['certified'])}")
         ratio = values["ratio"]
         click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
         report.console().print(falsified.falsification_table(values["certificates"]))

@@ -337,14 +337,15 @@ def certificates_table(results: Certificates) -> Table:
         "cells": "the ranges cut into cells, for constants that stand still",
         "implemented": "peak gains of the loop as the drive runs it: the one to ship with",
     }
-    rows = []
+    rows, last = [], ""
     sampled = results.implemented.reason != NO_IMPLEMENTATION
     for kind in (*results.kinds, "implemented") if sampled else results.kinds:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = notes[kind] if entry.exists else entry.reason
         bound = printed_bound(entry.bound if entry.exists else None, BOUND_TEXT_DIGITS)
-        rows.append([kind, bound, checked, text])
+        rows.append([kind, bound, checked, "as above" if text == last else text])
+        last = text
     return table("limsup |e_1| <=", ["certificate", "bound", "verified", "note"], rows)
 
 
