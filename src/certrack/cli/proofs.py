@@ -56,7 +56,8 @@ def certify(
         from certrack.simulation.simulator import simulate as run_system
 
         run = run_system(system)
-        plotting.save_figure(plotting.tube_figure(run, result.tube, system.title), plot, "tube")
+        drawing = plotting.tube_figure(run, result.tube, system.title, result.best)
+        plotting.save_figure(drawing, plot, "tube")
     if as_json:
         click.echo(report.to_json(range_report.ranged_summary(result)))
     else:

@@ -31,8 +31,8 @@ While it is disabled the command is {off}, the estimates stand still, and differ
 go on; so call it every period all the same. `{name}_reset_estimates(&m)` starts the estimates
 again. """
 DISABLED_WITHOUT_ESTIMATES = """\
-While it is disabled the command is {off}, and differences and filters go on; so call it every period
-all the same. This law has no estimates: `{name}_reset_estimates(&m)` does nothing.
+While it is disabled the command is {off}, and differences and filters go on; so call it every
+period all the same. This law has no estimates: `{name}_reset_estimates(&m)` does nothing.
 """
 
 #: What every such file says.
