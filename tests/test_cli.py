@@ -105,6 +105,7 @@ def test_rows_of_the_table_of_certificates_do_not_repeat_a_reason(capfd):
     assert out.count("as above") == 2
 
 
+@pytest.mark.slow
 def test_falsify_says_which_loop_a_number_is_of(capfd):
     _, out, _ = invoke(capfd, "falsify", "dual-motor-drive", "--budget", "100")
     assert "continuous law, worst |e_1| found in" in out
