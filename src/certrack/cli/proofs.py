@@ -69,6 +69,7 @@ def certify(
         report.print_lines(range_report.strength_line(result))
         report.print_lines(["resting on:", *premise_lines(result.premises)])
     say_contradicted(result.contradicted)
+    _note_without_implemented(system, result)
     _hint_of_weights(system, result, effort)
     if not result.best.exists:
         reason = result.vertices.reason if has_ranges(system) else result.semidefinite.reason
@@ -77,6 +78,16 @@ def certify(
         click.echo(f"certrack: {out} is not written: there is nothing verified", err=True)
     if result.contradicted or ((require or out is not None) and not result.verified):
         raise click.exceptions.Exit(1)
+
+
+def _note_without_implemented(system: System, result: Certificates) -> None:
+    """Say that no bound is of the loop as the drive runs it, and why, where there is a drive."""
+    if system.implementation is not None and result.best.exists and not result.implemented.exists:
+        click.echo(
+            "certrack: note: every bound here is of the continuous law; the loop as "
+            f"[implementation] runs it has none: {result.implemented.reason}",
+            err=True,
+        )
 
 
 def _hint_of_weights(system: System, result: Certificates, effort: str) -> None:

@@ -18,7 +18,7 @@ from rich.table import Table
 from certrack.certificates import Certificate, Certificates
 from certrack.certificates.implemented.certify import ImplementedCertificate
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
-from certrack.certificates.methods import NOMINAL_KINDS, QUADRATIC_KINDS, RANGE_KINDS
+from certrack.certificates.methods import NOMINAL_KINDS, RANGE_KINDS
 from certrack.core.rounding import printed_bound, rounded_down, rounded_up
 from certrack.simulation.metrics import METRIC_LABELS
 
@@ -303,9 +303,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
             "start": results.tube.start,
             "floor": results.tube.floor,
             "alpha": results.tube.alpha,
-            "kind": "vertices"
-            if results.kinds == RANGE_KINDS
-            else min(QUADRATIC_KINDS, key=lambda kind: getattr(results, kind).bound),
+            "kind": results.tube_kind,
             "pieces": results.tube.pieces,
             "verified": results.tube.verified,
         },
@@ -380,10 +378,10 @@ def certificates_notes(results: Certificates) -> list[str]:
         start = printed_bound(float(results.tube(0.0)), BOUND_TEXT_DIGITS)
         settled = printed_bound(results.tube.settling_time(level), BOUND_TEXT_DIGITS)
         margin = f"{100 * SETTLED_MARGIN:g} %"
-        whose = "of vertices " if results.kinds == RANGE_KINDS else ""
         lines.append(
-            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound {whose}"
-            f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
+            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound of "
+            f"{results.tube_kind} after {settled} s"
+            + ("" if results.tube.verified else " (the start is not verified)")
         )
     return lines
 
