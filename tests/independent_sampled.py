@@ -7,6 +7,7 @@ page leaves room. What it says of an exact proof is whether another reading of t
 import ast
 import math
 import random
+import re
 from fractions import Fraction as Q
 
 import independent_checker as checker
@@ -34,6 +35,12 @@ def check(proof, table, system):
         checker.demand((image[1:-2] < X).all() and image[-2] < U, "v is not above F(v)")
         checker.demand(bound >= image[0] and step >= image[-1], "a bound is too small")
         loop.check_limits(drive, U, step)
+        limited = "saturation" in drive or "rate_limit" in drive
+        kinds = [start["of"] for start in entry["starts"]]
+        checker.demand("x0" in kinds or not limited, "nothing is said of the start")
+        checker.demand(kinds in ([], ["x0"], ["x0", "polytope"]), "other starts")
+        for start in entry["starts"]:
+            loop.check_start(start, table, system)
         bounds.append(checker.decimal(entry["bound"]))
     return max(bounds)
 
@@ -72,6 +79,14 @@ def linear(text, names, constants):
         value = sum((a * x for a, x in zip(slopes, point, strict=True)), constant)
         checker.demand(at(point) == value, "the drift is not linear")
     return slopes, constant
+
+
+def beginning(reference, q):
+    """y_d(0) ... of a sine."""
+    match = re.fullmatch(r"([\d.]+)\*sin\(([\d.]+)\*t\)", reference["signal"])
+    checker.demand(match is not None, "an unknown reference at t = 0")
+    size, frequency = map(float, match.groups())
+    return np.array([size * frequency**j * [0, 1, 0, -1][j % 4] for j in range(q + 1)])
 
 
 class Loop:
@@ -258,19 +273,32 @@ class Loop:
 
     def _responses(self, rows, phase, w):
         """The gains of rows at the beginning of a cell times the bounds of the inputs."""
-        q, n = self.q, self.n
-        first, last = True, self.R[:, -1]
         total = np.zeros(len(rows))
         largest, since, group = np.zeros(len(rows)), 0, math.inf
         if self.jump:
             group = math.floor(self.apart / self.T)
+        for first, of_w, others, sampled, _ in self._periods(rows, phase):
+            total += of_w @ w + others
+            if not first:
+                largest, since = np.maximum(largest, sampled), since + 1
+                if since == group:
+                    total += largest * self.jump
+                    largest, since = 0 * largest, 0
+        return total + largest * self.jump
+
+    def _periods(self, rows, phase):
+        """Period by period backwards, the running one first: the gains of w, the parts of the
+        other inputs, the magnitude of the sample's row, and the rows before the jump."""
+        q, n = self.q, self.n
+        first, last = True, self.R[:, -1]
         start = np.abs(rows).max()
         for _ in range(10**6):
             below, kernels = rows, []
+            of_w, others = np.zeros((len(rows), n)), np.zeros(len(rows))
             for p in range(phase - 1, -1, -1):
                 h, _, E = self.cells[p]
                 before = below @ E
-                total += h * area(below[:, :n] @ self.W, before[:, :n] @ self.W) @ w
+                of_w += h * area(below[:, :n] @ self.W, before[:, :n] @ self.W)
                 tip = np.array([h ** (q - j) / math.factorial(q - j) for j in range(q + 1)])
                 motion = below @ self.Pi[p + 1]
                 kernels.append((h, -motion[:, -1], -motion @ tip))
@@ -278,21 +306,124 @@ class Loop:
             sampled = below @ last
             spread = 0 * sampled if first else sampled / self.T
             for h, new, old in kernels:
-                total += h * area(new + spread, old + spread) * self.Y[-1]
-            total += np.abs(below @ self.N) @ self.mu + np.abs(below[:, self.newest]) * self.eta
-            if first:
-                total += np.abs(sampled) * self.Y[-1]
-            else:
-                total += np.abs(sampled) * self.T / 2 * self.slope
-                largest, since = np.maximum(largest, np.abs(sampled)), since + 1
-                if since == group:
-                    total += largest * self.jump
-                    largest, since = 0 * largest, 0
-            rows, phase, first = below @ self.J, len(self.cells), False
+                others += h * area(new + spread, old + spread) * self.Y[-1]
+            others += np.abs(below @ self.N) @ self.mu + np.abs(below[:, self.newest]) * self.eta
+            others += np.abs(sampled) * (self.Y[-1] if first else self.T / 2 * self.slope)
+            rows = below @ self.J
+            yield first, of_w, others, np.abs(sampled), rows
             if np.abs(rows).max() < LEFT * start:
-                return total + largest * self.jump
+                return
+            phase, first = len(self.cells), False
             checker.demand(np.abs(rows).max() < 1e12 * start, "the loop is unstable")
         raise checker.Refused("the loop does not forget")
+
+    # From a start on ----------------------------------------------------------------------------
+
+    def check_start(self, entry, table, system):
+        """The claims of a proof of runs from a start."""
+        n, K, middle = self.n, 2 ** entry["doublings"], entry["middle"]
+        checker.demand(not self.jump, "jumps are not covered here")
+        drive = table["implementation"]
+        checker.demand(not drive.get("offset"), "the first sample is late")
+        low, high = [system.numbers(table["simulation"]["x0"])] * 2
+        if entry["of"] == "polytope":
+            low, high = zip(*[map(checker.decimal, pair) for pair in entry["region"]], strict=True)
+        low, high = np.array(low, float), np.array(high, float)
+        Y0 = beginning(table["reference"], self.q) if entry["phase"] == "file" else None
+        first = float(checker.number(drive.get("initial_input", 0), system.constants))
+        parts = self._start_parts((low + high) / 2, (high - low) / 2, Y0, first - self.constant)
+        X_t = np.array([float(checker.decimal(v)) for v in entry["states"]])
+        U_t = float(checker.decimal(entry["input"]))
+        history, peaks, U = [], np.zeros(n + 3), abs(first - self.constant)
+        outputs = []
+        for k in range(K):
+            X = outputs[-1][1:-2] if outputs else np.abs(low) + np.abs(high)
+            for _ in range(30):
+                sizes = [*history, self.size(X)]
+                now = self._start_image(parts, k, sizes, X, U)
+                U = max(U, now[-2])
+                if np.allclose(now[1:-2], X, rtol=1e-12, atol=0):
+                    break
+                X = now[1:-2]
+            history.append(self.size(X))
+            outputs.append(now)
+            peaks = np.maximum(peaks, now)
+        recent = np.maximum(np.max([o[1:-2] for o in outputs[middle:]], axis=0), X_t)
+        ever = np.maximum(np.max([o[1:-2] for o in outputs], axis=0), X_t)
+        late = [self.size(ever)] * middle + [self.size(recent)] * (K - middle)
+        image = self._start_image(parts, K, [*late, self.size(X_t)], X_t, max(U, U_t), ever=True)
+        checker.demand((image[1:-2] < X_t).all() and image[-2] < U_t, "X_t is not above")
+        image[1:-1] = [*X_t, U_t]
+        claimed = np.array([float(checker.decimal(v)) for v in entry["peaks"]])
+        checker.demand((claimed >= np.maximum(peaks, image)).all(), "a peak is too small")
+        size, step = (image if entry["of"] == "polytope" else claimed)[-2:]
+        self.check_limits(drive, size, step)
+
+    def size(self, X):
+        return self.gamma * np.linalg.norm(self.S * X, axis=1) + self.Delta @ X + self.beta
+
+    def _start_parts(self, center, half, Y0, first):
+        """Of each phase: rows' owners, what of them is constant, in a cell, and of every lag."""
+        n, size = self.n, len(self.J)
+        of_y, eye = np.eye(self.q + 1)[0], np.eye(n)
+        outputs = [(eye[0], of_y, max(3, self.q)), *((c, 0 * of_y, 2) for c in eye)]
+        zero, Z, parts = np.zeros(n), self._first_memories(), []
+        at = np.vstack([eye, Z, np.zeros((size - self.newest, n))])
+        noise = np.vstack([0 * eye, Z, np.zeros((size - self.newest, n))])
+        zeta = at @ center
+        zeta[self.newest :] = first
+        last = self.Pi[-1]
+        if Y0 is not None:
+            zeta = zeta - last @ Y0
+        for p in range(0, len(self.cells), GRID):
+            rows, owners, still, near = [], [], [], []
+            for output, (c, of_Y, N) in enumerate(outputs):
+                more, base = self._rows(p, c, of_Y, N, zero, zero, 0.0)
+                units = [self._rows(p, c, of_Y, N, e, zero, 0.0)[1] - base for e in eye]
+                units += [self._rows(p, c, of_Y, N, zero, e, 0.0)[1] - base for e in eye]
+                units += [self._rows(p, c, of_Y, N, zero, zero, 1.0)[1] - base]
+                rows, still, near = [*rows, more], [*still, base], [*near, np.array(units).T]
+                owners += [output] * len(more)
+            if p == 0:
+                newest, older = np.eye(size)[self.newest : self.newest + 2]
+                commands = np.array([newest, newest - older])
+                rows.append(commands)
+                still.append(np.abs(commands @ self.Pi[0]) @ self.Y[:-1])
+                near.append(np.zeros((2, 2 * n + 1)))
+                owners += [n + 1, n + 2]
+            lags, transient = [], []
+            for _, of_w, others, _, before in self._periods(np.vstack(rows), p):
+                lags.append((of_w, others))
+                moved = np.abs(before @ zeta) + np.abs(before @ at) @ half
+                moved += np.abs(before @ noise) @ self.mu
+                if Y0 is None:
+                    moved += np.abs(before @ last) @ self.Y[:-1]
+                transient.append(moved)
+            of_w = np.array([lag[0] for lag in lags]).swapaxes(0, 1)
+            others = np.cumsum([lag[1] for lag in lags], axis=0)
+            parts.append((owners, np.concatenate(still), np.vstack(near), of_w, others, transient))
+        return parts
+
+    def _start_image(self, parts, k, sizes, X, U, ever=False):
+        """Bounds of all outputs in period k, or in all from k on."""
+        largest = np.zeros(self.n + 3)
+        for owners, still, near, of_w, others, transient in parts:
+            total = still + near @ np.concatenate([sizes[-1], X, [U]])
+            later = transient[k:] or [0 * still]
+            total += np.max(later, axis=0) if ever else later[0]
+            count = len(others) if ever else min(k + 1, len(others))
+            newest = np.array(sizes[::-1][:count])
+            newest = np.vstack([newest, np.tile(sizes[0], (count - len(newest), 1))])
+            total += others[count - 1] + np.tensordot(of_w[:, :count], newest, 2)
+            np.maximum.at(largest, owners, total)
+        return largest
+
+    def _first_memories(self):
+        """The memories at the first sample over what it measures: differences are zero."""
+        Z = np.zeros((len(self.after), self.n))
+        for place in range(0, len(Z), 2):
+            Z[place] = self.after[place, : self.n] + self.after[place, self.n :] @ Z
+        return Z
 
     def check_limits(self, drive, U, step):
         if "saturation" in drive:

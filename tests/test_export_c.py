@@ -321,7 +321,8 @@ def test_only_what_is_used_is_included_and_comments_are_of_c90(name, functions):
 
 class TestText:
     def test_a_template_and_its_values_fit(self):
-        values = dict.fromkeys(("name", "token", "kept", "period", "start"), "v")
+        names = ("name", "header", "part", "step", "token", "kept", "period", "start")
+        values = dict.fromkeys(names, "v")
         assert "#define model_init v_init" in fill_template("fmu/templates/model.h", **values)
         with pytest.raises(KeyError, match="no place for other"):
             fill_template("fmu/templates/model.h", **values, other=1)

@@ -401,7 +401,7 @@ def wrong_sign(monkeypatch):
 
 def forgotten_tail(monkeypatch):
     """The sums end after two periods."""
-    monkeypatch.setattr(gains_room, "_tail", lambda last, each, power: 0 * last @ each)
+    monkeypatch.setattr(gains_room, "tail_gains", lambda last, each, power: 0 * last @ each)
     monkeypatch.setattr("certrack.certificates.implemented.proof.periods_needed", lambda _: 1)
 
 
@@ -420,8 +420,8 @@ def forgotten_samples(monkeypatch):
     """Sensors exact at every sample."""
     honest = gains_room._as_gains
 
-    def silent(table, nw, n, jump, tail):
-        return replace(honest(table, nw, n, jump, tail), noise=np.zeros((len(table), n)))
+    def silent(table, nw, n, jump):
+        return replace(honest(table, nw, n, jump), noise=np.zeros((len(table), n)))
 
     monkeypatch.setattr(gains_room, "_as_gains", silent)
 
@@ -504,12 +504,12 @@ def test_refusals_say_why():
     assert "15.5" in certify_implemented(published)[0].reason  # it may saturate for ever
 
 
-def test_limits_that_are_not_met_are_an_assumption():
+def test_limits_that_may_act_leave_nothing_verified():
     system = on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), saturation=(-2.0, 2.0))
     result = certify(system)
-    assert result.implemented.verified and result.implemented.saturation == "may act"
-    assert result.implemented.starts is None
-    assert {p.name: p.status for p in result.premises}["input limits"] == "assumed"
+    assert not result.implemented.verified and result.implemented.saturation == "may act"
+    assert result.implemented.exists and result.best is not result.implemented
+    assert "input limits" not in {p.name for p in result.premises}
     slow = on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), rate_limit=1.0)
     assert "rate limit" in certify_implemented(slow)[0].reason
     assert certify_implemented(on_a_drive("dual-motor-lean", 0.003, ("x2", "x4"), rate_limit=1e4))[
@@ -696,3 +696,56 @@ def test_the_unit_of_time_does_not_matter():
         return bounded(drive, parts=(1, 3))
 
     assert scaled(1.0) == pytest.approx(scaled(1024.0), rel=1e-9)
+
+
+def test_what_products_lose_is_counted():
+    """Sums of the errors of heads times table, for true numbers anywhere in their balls."""
+    rng = np.random.default_rng(4)
+    heads, table = rng.normal(size=(6, 4)), rng.normal(size=(4, 10))
+    head_error, table_error = 1e-3 * np.abs(heads), 1e-2 * rng.random((4, 10))
+    found = gains_room.product_error(
+        Enclosed(heads, head_error), Enclosed(table, table_error), 2, 5
+    )
+    for _ in range(200):
+        h = heads + head_error * rng.choice([-1, 1], heads.shape)
+        t = table + table_error * rng.choice([-1, 1], table.shape)
+        lost = np.abs(h @ t - heads @ table).reshape(3, 2, 5, 2).sum(axis=(0, 2))
+        assert (lost <= found).all()
+    worst = (np.abs(heads) + head_error) @ (np.abs(table) + table_error)
+    most = (worst - np.abs(heads) @ np.abs(table)).reshape(3, 2, 5, 2).sum(axis=(0, 2))
+    assert found == pytest.approx(most, rel=1e-6)
+    exact = gains_room.product_error(Enclosed(heads, 0 * heads), Enclosed(table, 0 * table), 2, 5)
+    assert (exact > 0).all() and (exact < 1e-13).all()  # the floats' own roundings
+
+
+def test_kernels_that_bend_within_a_cell():
+    """x'' = -x' - 25 x + w in cells of a radian: the lines between the ends are too small."""
+    two = UncertainBound(rational(0.0), rational(1.0), (rational(1.0),) * 2, (rational(0.0),) * 2)
+    drive = bare_drive([[0, 1], [-25, -1]], [0, 0], [[0], [1]], [0, 0], 0.2, [0.0, 0.0], 0.0, [two])
+    s = np.linspace(0, 60, 1_200_001)
+    omega = math.sqrt(24.75)
+    kernel = np.abs(np.exp(-s / 2) * np.sin(omega * s) / omega)
+    truth = np.trapezoid(kernel, s)
+    assert np.trapezoid(kernel[::4000], s[::4000]) < 0.995 * truth
+    for parts, most in ((1, 1.3), (8, 1.005)):
+        with flint.ctx.workprec(DRIVE_BITS):
+            period = one_period(drive, (1, parts))
+            rows = output_rows(period)
+            gains = output_gains(period, rows, 9)
+        (at_sample,) = [i for i, r in enumerate(rows) if (r.output, r.phase, r.share) == (1, 0, 0)]
+        assert truth <= gains.w[at_sample, 0] < most * truth
+
+
+def test_what_is_before_the_summed_periods_counts(monkeypatch):
+    system = loads(SMALL, "small")
+    monkeypatch.setattr("certrack.certificates.implemented.proof.periods_needed", lambda _: 4)
+    short = certify_implemented(system)[0].bound
+    monkeypatch.undo()
+    full = certify_implemented(system)[0].bound
+    assert full * (1 - 1e-9) <= short < 1.1 * full
+
+
+def test_noise_and_half_a_step_add_up():
+    quiet = certify_implemented(on_a_drive("dual-motor-lean", 0.01))[0].parts["sensors"]
+    noisy = on_a_drive("dual-motor-lean", 0.01, noise_bound=(ENCODER, 0.0, ENCODER, 0.0))
+    assert certify_implemented(noisy)[0].parts["sensors"] == pytest.approx(3 * quiet, rel=1e-6)

@@ -100,6 +100,13 @@ class TestNewcomer(LawConformance):
     )
 
 
+@pytest.mark.parametrize("coupling", [0, -0.5])
+def test_a_coupling_that_is_not_positive_is_refused(coupling):
+    assert certrack.Robust(c=[1, 1], coupling=0.5).coupling == 0.5
+    with pytest.raises(InputError, match="coupling"):
+        certrack.Robust(c=[1, 1], coupling=coupling)
+
+
 def test_a_foreign_symbol_is_refused_when_the_law_meets_its_plant():
 
     @dataclass(frozen=True, kw_only=True)

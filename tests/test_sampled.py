@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import sympy
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -13,6 +14,7 @@ import certrack
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.native import vector_compiler
 from certrack.integrators.sampled.run import sensed
+from certrack.loops.sampled import sample_loop
 from certrack.loops.stability import linear_loop
 from certrack.model.noise import keys, normal
 from certrack.studies.ensembles.methods.choice import fastest_adjustable
@@ -261,6 +263,21 @@ def test_limits_are_kept_and_estimates_stand_still_meanwhile():
     moving = certrack.simulate(sampled("example1", **options, anti_windup="none"))
     changes = np.diff(moving.trajectory.interpolate.estimates, axis=1)
     assert np.abs(changes).max(axis=0).min() > 0
+
+
+def test_limits_are_those_of_the_rate_in_both_directions():
+    run = certrack.simulate(sampled("dual-motor-lean", period=0.002, rate_limit=50))
+    steps = np.diff(run.trajectory.interpolate.inputs, prepend=0.0)
+    assert (np.isclose(steps, 0.1)).any() and (np.isclose(steps, -0.1)).any()
+    assert np.abs(steps).max() <= 0.1 * (1 + 1e-9)
+
+
+def test_the_slope_by_hand_of_a_tracking_error():
+    """The slope of e_1 = x_1 - y_d(t), by which its peaks are placed, is x_1' - y_d'."""
+    system = sampled("example1", period=0.002)
+    loop, (y, dy) = sample_loop(system), system.reference.formulas(1)
+    assert loop.e_1 == loop.plant.outputs[0] - y and dy.free_symbols
+    assert sympy.expand(loop.slope - loop.plant.rates[0] + dy) == 0
 
 
 def test_estimates_forget_while_the_input_is_limited():

@@ -12,7 +12,6 @@ from certrack.certificates.implemented.certify import (
     missing_implemented,
 )
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
-from certrack.certificates.implemented.limits import input_limits
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.methods import (
@@ -213,13 +212,8 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     )
     progress(METHOD_STEPS, STEPS, None)
     stages = methods.stages
-    implemented, implemented_proof = certify_implemented(system)
-    if implemented.exists:
-        limits = input_limits(system)
-        implemented = replace(implemented, saturation=limits.status, starts=limits.starts)
-        rests_on = premises_as_implemented(system, limits)
-    else:
-        rests_on = premises(system)
+    implemented, implemented_proof = certify_implemented(system, from_start=True)
+    rests_on = premises_as_implemented(system) if implemented.verified else premises(system)
     result = Certificates(
         **methods.certificates,
         proof=next(iter(methods.stages_of("semidefinite")), None),

@@ -20,7 +20,7 @@ from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import error_problem
-from certrack.certificates.implemented.certify import failed_cover, largest_bound
+from certrack.certificates.implemented.certify import claim_of, failed_cover, largest_bound
 from certrack.certificates.implemented.document import implemented_proofs, is_implemented
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
@@ -131,7 +131,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
-        "claim": f"limsup |e_1(t)| <= {bound}",
+        "claim": claim_of(system, bound) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
         "proof": [json.loads(json.dumps(asdict(stage))) for stage in stages],
@@ -274,9 +274,9 @@ def _verify_implemented(body: dict[str, Any]) -> Verdict:
     bound = largest_bound(proofs)
     if body["sha256"] != _digest(body):
         return Verdict(False, bound, "the file was changed after it was made")
-    if body["claim"] != f"limsup |e_1(t)| <= {bound}":
-        return Verdict(False, bound, "the claim is not that of the proof")
     system = loads(body["system"], "system")
+    if body["claim"] != claim_of(system, bound):
+        return Verdict(False, bound, "the claim is not that of the proof")
     if reason := failed_cover(system, proofs):
         return Verdict(False, bound, reason)
     return _rests_on(body, bound, premises_as_implemented(system), ())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,8 @@ import click
 
 from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_engine, note_implementation
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
+from certrack.core import checks
+from certrack.core.errors import InputError
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificates
@@ -18,7 +21,17 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("file")
 @click.option("--out", type=NEW_FILE, help="File for the certificate (JSON).")
-@click.option("--plot", type=FOLDER, help="Folder for the picture of the tube over the response.")
+@click.option(
+    "--plot",
+    type=FOLDER,
+    help="Folder for the pictures of the tube over the response, and of the starts from which a "
+    "drive's input is proven to stay within its limits.",
+)
+@click.option(
+    "--states",
+    metavar="NAME,NAME",
+    help="The two states of the picture of starts; the first two by default.",
+)
 @click.option(
     "--effort",
     type=click.Choice(["fast", "default", "high"]),
@@ -29,7 +42,13 @@ if TYPE_CHECKING:
 @click.option("--require", is_flag=True, help="Exit with 1 if nothing is verified.")
 @json_option
 def certify(
-    file: str, out: Path | None, plot: Path | None, effort: str, require: bool, as_json: bool
+    file: str,
+    out: Path | None,
+    plot: Path | None,
+    states: str | None,
+    effort: str,
+    require: bool,
+    as_json: bool,
 ) -> None:
     """Compute guaranteed bounds on the tracking error.
 
@@ -47,6 +66,7 @@ def certify(
     from certrack.systems.reader import load
 
     system = load(file)
+    axes = _two_states(states, system.plant.states)
     with report.progress("Certifying") as advance:
         result = certificates.certify(system, effort, advance)
     if out is not None and result.stages:
@@ -58,6 +78,11 @@ def certify(
         run = run_system(system)
         drawing = plotting.tube_figure(run, result.tube, system.title, result.best)
         plotting.save_figure(drawing, plot, "tube")
+    if plot is not None and result.implemented.polytope is not None and system.plant.n > 1:
+        from certrack import plotting
+
+        drawing = plotting.starts_figure(result.implemented, axes, system.title)
+        plotting.save_figure(drawing, plot, "starts")
     if as_json:
         click.echo(report.to_json(range_report.ranged_summary(result)))
     else:
@@ -82,12 +107,23 @@ def certify(
 
 def _note_without_implemented(system: System, result: Certificates) -> None:
     """Say that no bound is of the loop as the drive runs it, and why, where there is a drive."""
-    if system.implementation is not None and result.best.exists and not result.implemented.exists:
+    if system.implementation is not None and result.best.exists and not result.implemented.verified:
         click.echo(
-            "certrack: note: every bound here is of the continuous law; the loop as "
-            f"[implementation] runs it has none: {result.implemented.reason}",
+            "certrack: note: what is verified here is of the continuous law, nothing is of the "
+            f"loop as [implementation] runs it: {result.implemented.reason}",
             err=True,
         )
+
+
+def _two_states(names: str | None, known: Sequence[str]) -> tuple[str, str] | None:
+    """The names of --states."""
+    if names is None:
+        return None
+    parts = [name.strip() for name in names.split(",")]
+    if len(parts) != 2 or parts[0] == parts[1]:
+        raise InputError("--states", "must be two different states", names, "Write x1,x2")
+    first, second = (checks.choice("--states", name, known) for name in parts)
+    return first, second
 
 
 def _hint_of_weights(system: System, result: Certificates, effort: str) -> None:
@@ -118,6 +154,7 @@ def verify(certificate: Path, as_json: bool) -> None:
     Example: certrack verify cert.json
     """
     from certrack import certificates
+    from certrack.certificates.implemented.premises import LIMITS
     from certrack.cli import report
 
     proof = certificates.verify(certificate)
@@ -126,7 +163,9 @@ def verify(certificate: Path, as_json: bool) -> None:
 
         click.echo(report.to_json(asdict(proof)))
     elif proof.verified:
-        click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}, resting on")
+        limited = any(premise.name == LIMITS for premise in proof.premises)
+        whose = " from simulation.x0" if limited else ""
+        click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}{whose}, resting on")
         report.print_lines(premise_lines(proof.premises))
     if not proof.verified:
         click.echo(f"certrack: {certificate}: not verified: {proof.reason}", err=True)

@@ -16,10 +16,10 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
-from certrack.certificates.implemented.certify import ImplementedCertificate
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.methods import NOMINAL_KINDS, RANGE_KINDS
-from certrack.core.rounding import printed_bound, rounded_down, rounded_up
+from certrack.cli.sampled_report import implemented_notes, implemented_summary
+from certrack.core.rounding import printed_bound, rounded_down
 from certrack.simulation.metrics import METRIC_LABELS
 
 if TYPE_CHECKING:
@@ -222,10 +222,16 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
     if violations is None:
         lines.append(f"no limit: {ensemble.limit_origin}")
     else:
+        inside = violations.get("started_inside")
         text = (
             f"tail error beyond {limit_text(violations['limit'], violations['origin'])}: "
-            f"{violations['count']} of {ensemble.members} members"
+            f"{violations['count']} of {ensemble.members if inside is None else inside} members"
         )
+        if inside is not None:
+            text += (
+                f" that start where no limit of the input is met, and {violations['others']} of "
+                f"{ensemble.members - inside} others"
+            )
         if violations["interval"] is not None:
             low, high = violations["interval"]
             text += f", probability within [{low:.3g}, {high:.3g}] (95 %, Clopper-Pearson)"
@@ -281,14 +287,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
 
     return {
         **{kind: entries(getattr(results, kind)) for kind in (*NOMINAL_KINDS, *RANGE_KINDS)},
-        "implemented": entries(results.implemented)
-        | {
-            "peak_input": results.implemented.peak_input,
-            "states": list(results.implemented.states),
-            "starts": results.implemented.starts,
-            "saturation": results.implemented.saturation,
-            "parts": dict(results.implemented.parts),
-        },
+        "implemented": entries(results.implemented) | implemented_summary(results.implemented),
         "attainable": results.attainable,
         "verified": results.verified,
         "best": _best(results),
@@ -340,7 +339,7 @@ def certificates_table(results: Certificates) -> Table:
     for kind in (*results.kinds, "implemented") if sampled else results.kinds:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
-        text = notes[kind] if entry.exists else entry.reason
+        text = entry.reason if entry.reason and not entry.verified else notes[kind]
         bound = printed_bound(entry.bound if entry.exists else None, BOUND_TEXT_DIGITS)
         rows.append([kind, bound, checked, "as above" if text == last else text])
         last = text
@@ -372,7 +371,7 @@ def certificates_notes(results: Certificates) -> list[str]:
             f"{_strength_text(results.critical_published)}, semidefinite "
             f"{_strength_text(results.critical_semidefinite)}"
         ]
-    lines = [*_implemented_notes(results.implemented), *lines]
+    lines = [*implemented_notes(results.implemented, BOUND_TEXT_DIGITS), *lines]
     if results.tube is not None:
         level = (1 + SETTLED_MARGIN) * math.sqrt(results.tube.floor)
         start = printed_bound(float(results.tube(0.0)), BOUND_TEXT_DIGITS)
@@ -384,22 +383,6 @@ def certificates_notes(results: Certificates) -> list[str]:
             + ("" if results.tube.verified else " (the start is not verified)")
         )
     return lines
-
-
-def _implemented_notes(sampled: ImplementedCertificate) -> list[str]:
-    """What is known of the loop as the drive runs it, and which bound to ship with."""
-    if not sampled.exists:
-        return []
-    bound, peak, *states = (
-        rounded_up(v, BOUND_TEXT_DIGITS)
-        for v in (sampled.bound, sampled.peak_input, *sampled.states)
-    )
-    listed = ", ".join(f"|x_{i + 1}| <= {v}" for i, v in enumerate(states))
-    return [
-        f"ship with implemented: limsup |e_1| <= {bound} holds for the sampled loop, between its "
-        "samples too; the others speak of the continuous law",
-        f"as implemented, in the long run: |u| <= {peak}, {listed}",
-    ]
 
 
 def _strength_text(scale: float) -> str:

@@ -30,6 +30,7 @@ from certrack.plotting.runs import (
     tube_figure,
 )
 from certrack.plotting.shared import STYLE, save_figure, style
+from certrack.plotting.starts import starts_figure
 
 __all__ = [
     "PANELS",
@@ -54,6 +55,7 @@ __all__ = [
     "plot_states",
     "plot_tube",
     "save_figure",
+    "starts_figure",
     "style",
     "tube_figure",
 ]

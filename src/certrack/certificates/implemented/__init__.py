@@ -9,5 +9,10 @@ the state, a fixed point of them. Nothing is searched and no solver is used.
 :mod:`outputs` the rows by which an output between two samples is seen; :mod:`gains` what the inputs
 of all past periods add to a row; :mod:`fixed_point` the bounds v with v > F(v); :mod:`proof` what
 is saved and checked; :mod:`certify` the certificate of a system; :mod:`premises` what it
-rests on.
+rests on. :mod:`estimate` is the bound in floats.
+
+From a start on: :mod:`lags` has the gains of each past period, :mod:`start` the bounds of one
+period after the other and of all that come later, :mod:`start_proof` what is saved of them and
+checked, :mod:`input_limits` what they are compared with, :mod:`polytope` the starts from which no
+limit is met, and :mod:`from_starts` what of all that is in a certificate.
 """

@@ -6,25 +6,38 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
 from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.implemented.drive import drive_of
-from certrack.certificates.implemented.limits import (
+from certrack.certificates.implemented.from_starts import (
     ANY_START,
-    MAY_ACT,
-    NO_LIMITS,
-    is_limited,
+    BOX,
+    NO_START,
+    Findings,
+    Peaks,
+    failed_starts,
+    from_starts,
 )
+from certrack.certificates.implemented.input_limits import is_limited
+from certrack.certificates.implemented.polytope import Polytope
 from certrack.certificates.implemented.proof import (
     ImplementedProof,
     delays,
     failed_implemented,
     prove_implemented,
 )
+from certrack.certificates.implemented.start_proof import X0
 from certrack.certificates.premises import assumptions
+from certrack.core.errors import InputError
 from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
+
+#: What limits of the input mean for the bound: there are none; they are proven never to be met from
+#: the starts that it is for; they may be met.
+NO_LIMITS, INACTIVE, MAY_ACT = "none", "inactive", "may act"
 
 KIND = "implemented"
 
@@ -39,12 +52,18 @@ class ImplementedCertificate(Certificate):
         limsup |u| is at most this.
     states : n floats
         limsup |x_i| are at most these.
-    saturation : {"none", "inactive", "may act"}
-        Whether the file limits the input, and then whether it is proven that this never acts from
-        the `starts`. Where it may act, the bound is for runs in which it does not from some time
-        on; where the bounds hold it does not.
-    starts : {"any", "x0", "box"} or None
-        From which starts the bound is proven without that.
+    saturation : str
+        ``"none"``: the file has no limits. ``"inactive"``: from `starts` the limits are proven
+        never to be met. ``"may act"``: from x0 they may, and nothing is verified; the bound is for
+        runs in which they are not met from some time on.
+    starts : str
+        Which starts the bound is proven for: ``"any"``; ``"box"``, that of the ensemble with x0;
+        ``"x0"``, with those in `polytope`; ``"polytope"``, but not x0; ``"none"``.
+    start : n floats
+        x0; none if the simulated plant has states of its own.
+    peaks : Peaks or None
+    polytope : Polytope or None
+        Starts from which the limits are proven never to be met.
     parts : mapping of str to float
         What the bound is made of.
     """
@@ -52,30 +71,57 @@ class ImplementedCertificate(Certificate):
     peak_input: float = math.inf
     states: tuple[float, ...] = ()
     saturation: str = NO_LIMITS
-    starts: str | None = None
+    starts: str = ANY_START
+    start: tuple[float, ...] = ()
+    peaks: Peaks | None = None
+    polytope: Polytope | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
+
+    def admits(self, x0: Sequence[float] | np.ndarray) -> np.ndarray | bool:
+        """Whether the bound is proven for runs from these starts.
+
+        Parameters
+        ----------
+        x0 : (n,) or (..., n) array
+
+        Returns
+        -------
+        bool, or array of bool of shape (...)
+        """
+        x0 = np.asarray(x0, dtype=float)
+        if x0.shape[-1:] != (len(self.states),):
+            wanted = f"must have {len(self.states)} numbers per start"
+            raise InputError("x0", wanted, list(x0.shape))
+        admitted = np.full(x0.shape[:-1], self.exists and self.starts == ANY_START)
+        if self.polytope is not None:
+            admitted = self.polytope.contains(x0)
+        if self.starts in (X0, BOX) and self.start:
+            admitted = admitted | (x0 == np.array(self.start)).all(axis=-1)
+        return admitted if x0.ndim > 1 else bool(admitted)
 
 
 def missing_implemented(reason: str) -> ImplementedCertificate:
     """The certificate that says there is none."""
-    return ImplementedCertificate(KIND, math.inf, reason=reason)
+    return ImplementedCertificate(KIND, math.inf, reason=reason, starts=NO_START)
 
 
 def certify_implemented(
-    system: System,
+    system: System, *, from_start: bool = False
 ) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
     """Certify the loop of a system with an implementation, for each of its delays.
 
     Parameters
     ----------
     system : System
+    from_start : bool
+        Find the peaks from x0 even if the input has no limits.
 
     Returns
     -------
     certificate : ImplementedCertificate
         Limits of the input may act; `input_limits` of :mod:`limits` says whether they do.
     proofs : one ImplementedProof per delay
-        Empty where there is no certificate.
+        Empty where nothing is verified.
 
     Examples
     --------
@@ -87,29 +133,36 @@ def certify_implemented(
     >>> found
     Certificate(implemented: limsup |e_1| <= 0.001279, verified)
     """
+    limited = is_limited(system)
     try:
         with within_floats():
             proven = [prove_implemented(system, delay) for delay in delays(system) or (None,)]
             proofs = tuple(proof for proof, _ in proven)
             if reason := limits_met(system, proofs):
                 raise NoCertificate(reason)
+            evidence = from_starts(system, proofs) if limited or from_start else Findings(proofs)
     except NoCertificate as refusal:
         return missing_implemented(str(refusal)), ()
     worst = max(range(len(proofs)), key=lambda i: from_text(proofs[i].bound))
     offset = drive_of(system).offset
     peak = max(abs(offset) + from_text(proof.input) for proof in proofs)
     states = zip(*(proof.states for proof in proofs), strict=True)
+    verified = not limited or not evidence.reason
     return ImplementedCertificate(
         KIND,
         float_up(from_text(proofs[worst].bound)),
-        verified=True,
+        verified=verified,
+        reason=evidence.reason if limited else "",
         assumptions=tuple(assumptions(system)),
         peak_input=float_up(peak),
         states=tuple(float_up(max(map(from_text, values))) for values in states),
-        saturation=MAY_ACT if is_limited(system) else NO_LIMITS,
-        starts=None if is_limited(system) else ANY_START,
+        saturation=NO_LIMITS if not limited else INACTIVE if verified else MAY_ACT,
+        starts=evidence.starts if limited else ANY_START,
+        start=() if system.truth.states else system.settings.x0,
+        peaks=evidence.peaks,
+        polytope=evidence.polytope,
         parts=proven[worst][1],
-    ), proofs
+    ), evidence.proofs if verified else ()
 
 
 def limits_met(system: System, proofs: Sequence[ImplementedProof]) -> str:
@@ -144,6 +197,12 @@ def largest_bound(proofs: Sequence[ImplementedProof]) -> str:
     return max((proof.bound for proof in proofs), key=from_text)
 
 
+def claim_of(system: System, bound: str) -> str:
+    """What a certificate file claims; with limits of the input, of the file's own start."""
+    claim = f"limsup |e_1(t)| <= {bound}"
+    return f"{claim} from simulation.x0" if is_limited(system) else claim
+
+
 def failed_cover(system: System, proofs: Sequence[ImplementedProof]) -> str:
     """Empty if the proofs hold, one for each delay of the system; else what fails."""
     wanted = delays(system)
@@ -151,5 +210,7 @@ def failed_cover(system: System, proofs: Sequence[ImplementedProof]) -> str:
         return "there must be one proof for each delay of [implementation]"
     for proof, delay in zip(proofs, wanted, strict=True):
         if reason := failed_implemented(system, proof, delay):
+            return reason
+        if reason := failed_starts(system, proof, delay):
             return reason
     return limits_met(system, proofs)

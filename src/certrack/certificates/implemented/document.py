@@ -8,13 +8,20 @@ from typing import Any
 
 from certrack.certificates.exact import MAX_TEXT_LENGTH, from_text
 from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.implemented.start_proof import StartProof
 from certrack.core.errors import InputError
 
 #: Keys of the proof for one delay.
 PROOF_KEYS = tuple(entry.name for entry in fields(ImplementedProof))
 
+#: Keys of what is proven of a set of starts.
+START_KEYS = tuple(entry.name for entry in fields(StartProof))
+
 #: Delays that a file may state proofs for.
 MAX_DELAY_PROOFS = 64
+
+#: And sets of starts for each delay.
+MAX_START_PROOFS = 2
 
 
 def is_implemented(body: Any) -> bool:
@@ -55,8 +62,35 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
             raise TypeError("parts must be two integers, doublings one")
     except (TypeError, ValueError, ZeroDivisionError) as problem:
         raise InputError("proof", f"must hold decimal texts ({problem})") from None
-    lists = {"parts": tuple(entry["parts"]), "states": tuple(entry["states"])}
+    starts = entry["starts"]
+    if not isinstance(starts, (list, tuple)) or len(starts) > MAX_START_PROOFS:
+        raise InputError("proof", f"starts must be a list of at most {MAX_START_PROOFS}")
+    lists = {
+        "parts": tuple(entry["parts"]),
+        "states": tuple(entry["states"]),
+        "starts": tuple(map(_start_proof, starts)),
+    }
     return ImplementedProof(**(entry | lists))
+
+
+def _start_proof(entry: Any) -> StartProof:
+    if not isinstance(entry, dict) or set(entry) != set(START_KEYS):
+        raise InputError("proof", f"starts must have {', '.join(START_KEYS)}")
+    try:
+        region = tuple(map(_as_tuple, _as_tuple(entry["region"])))
+        if any(len(pair) != 2 for pair in region):
+            raise TypeError("a region has pairs")
+        ends = [text for pair in region for text in pair]
+        lists = {name: _as_tuple(entry[name]) for name in ("states", "peaks")}
+        for text in (*ends, *lists["states"], entry["input"], *lists["peaks"]):
+            from_text(text)
+        if any(type(entry[name]) is not int for name in ("doublings", "middle")):
+            raise TypeError("doublings and middle must be integers")
+        if any(type(entry[name]) is not str for name in ("of", "phase")):
+            raise TypeError("of and phase must be words")
+    except (TypeError, ValueError) as problem:
+        raise InputError("proof", f"must hold decimal texts ({problem})") from None
+    return StartProof(**(entry | lists | {"region": region}))
 
 
 def _as_tuple(value: Any) -> tuple[Any, ...]:

@@ -127,5 +127,4 @@ def _estimated_gains(period: Period, rows: Sequence[Row], doublings: int) -> Pea
         total[:, -1],
         table[:, -1],
         jump,
-        np.zeros((count, nw)),
     )

@@ -57,8 +57,6 @@ class PeakGains:
         Of the sample of y_d^(q+1) of the period that runs at the output's time.
     jump : (rows,) array
         Of jumps of y_d^(q+1).
-    older : (rows, columns of W) array, s
-        The part of `w` that is before the periods which were summed one by one.
     """
 
     w: np.ndarray
@@ -68,7 +66,6 @@ class PeakGains:
     step: np.ndarray
     first: np.ndarray
     jump: np.ndarray
-    older: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -179,17 +176,17 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     sums, samples, last = _sums(period, of_period, heads, doublings)
     count = len(rows)
     of_rows, each = (
-        _table(of_period, drive.n, sums[:count]),
-        _table(of_period, drive.n, sums[count:]),
+        gains_table(of_period, drive.n, sums[:count]),
+        gains_table(of_period, drive.n, sums[count:]),
     )
-    tail = _tail(last[:count], each, last[count:])
+    tail = tail_gains(last[:count], each, last[count:])
     total = widened(running + of_rows + tail, 16)
     at = drive.W.ncols() + 1 + drive.n  # the sample's column
     jump = np.zeros(count)
     if drive.jumps is not None:
         apart = max(1, int((drive.jumps[1] / drive.T).floor()))
-        jump = widened(_largest_of_each(samples[:count], apart) + tail[:, at], 2**doublings)
-    return _as_gains(total, drive.W.ncols(), drive.n, jump, tail)
+        jump = widened(largest_of_each(samples[:count], apart) + tail[:, at], 2**doublings)
+    return _as_gains(total, drive.W.ncols(), drive.n, jump)
 
 
 def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb_mat]:
@@ -204,7 +201,9 @@ def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, fli
         matrix = flint.arb_mat([list(rows[i].row) for i in chosen])
         seen = kernel_columns(period, phase, smeared=False)
         values = Enclosed.of(matrix * seen.all())
-        gains = _table(seen, drive.n, _sums_over_time(seen, values.value[:, None], values.error))
+        gains = gains_table(
+            seen, drive.n, sums_over_time(seen, values.value[:, None], values.error)
+        )
         gains[:, -1] = gains[:, nw + 1 + drive.n]  # the sample is an input by itself
         gains[:, nw + 1 + drive.n] = 0
         table[chosen] = gains
@@ -217,7 +216,7 @@ def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, fli
     return table, flint.arb_mat(past)
 
 
-def _sums_over_time(columns: KernelColumns, values: np.ndarray, error: np.ndarray) -> np.ndarray:
+def sums_over_time(columns: KernelColumns, values: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Sums over periods (axis 1) of what the columns are for, with their errors summed.
 
     Returns
@@ -249,8 +248,8 @@ def mean_magnitude(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where(crossing & (total > 0), crossed, 0.5 * total)
 
 
-def _table(columns: KernelColumns, n: int, sums: np.ndarray) -> np.ndarray:
-    """Columns w, r, noise, sample, step, first from the sums of :func:`_sums_over_time`."""
+def gains_table(columns: KernelColumns, n: int, sums: np.ndarray) -> np.ndarray:
+    """Columns w, r, noise, sample, step, first from the sums of :func:`sums_over_time`."""
     size = columns.nodes.nrows()
     width = columns.nodes.ncols() // (len(columns.lengths) + 1)
     lines = sums[:, :width]
@@ -265,7 +264,7 @@ def _table(columns: KernelColumns, n: int, sums: np.ndarray) -> np.ndarray:
 def _sums(
     period: Period, of_period: KernelColumns, rows: flint.arb_mat, doublings: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sums of :func:`_sums_over_time` over whole periods; what each sample adds; the rows after.
+    """Sums of :func:`sums_over_time` over whole periods; what each sample adds; the rows after.
 
     Returns
     -------
@@ -280,19 +279,19 @@ def _sums(
     balls, jumped = powers_of_columns(period.map, of_period.all(), inner)
     table = Enclosed.of(balls)  # N rows, the columns of M^0, M^1 ... beside each other
     heads, last = powers_of_rows(jumped, rows, doublings - inner)
-    error = _product_error(heads, table, count, block)
+    error = product_error(heads, table, count, block)
     total: np.ndarray | float = 0.0
     at, samples = of_period.nodes.ncols() + period.drive.n, []
     for b in range(blocks):
         values = (heads.value[b * count : (b + 1) * count] @ table.value).reshape(count, block, -1)
-        total = total + _sums_over_time(of_period, values, 0 * error)
+        total = total + sums_over_time(of_period, values, 0 * error)
         samples.append(np.abs(values[:, :, at]))
     each = np.hstack(samples)
     each[:, 0] += error[:, at]  # of all of them
     return widened(total + _sums_of_errors(of_period, error), blocks + 8), each, last
 
 
-def _largest_of_each(samples: np.ndarray, apart: int) -> np.ndarray:
+def largest_of_each(samples: np.ndarray, apart: int) -> np.ndarray:
     """Sums of the largest sample of each `apart` periods in a row.
 
     The errors of all samples stand in the first one, so no sum is too small for them.
@@ -304,10 +303,10 @@ def _largest_of_each(samples: np.ndarray, apart: int) -> np.ndarray:
 
 def _sums_of_errors(columns: KernelColumns, error: np.ndarray) -> np.ndarray:
     """What errors of the columns add to the sums."""
-    return _sums_over_time(columns, np.zeros((len(error), 1, error.shape[1])), error)
+    return sums_over_time(columns, np.zeros((len(error), 1, error.shape[1])), error)
 
 
-def _product_error(heads: Enclosed, table: Enclosed, count: int, block: int) -> np.ndarray:
+def product_error(heads: Enclosed, table: Enclosed, count: int, block: int) -> np.ndarray:
     """Sum over all periods of what the products of heads and table are off by at most."""
     size = len(table.value)
     blocks = len(heads.value) // count
@@ -344,7 +343,7 @@ def powers_of_rows(
     return Enclosed.of(heads), Enclosed.of(rows * power).upper
 
 
-def _tail(last: np.ndarray, each: np.ndarray, power: np.ndarray) -> np.ndarray:
+def tail_gains(last: np.ndarray, each: np.ndarray, power: np.ndarray) -> np.ndarray:
     """What is before the periods that were summed.
 
     Parameters
@@ -375,7 +374,7 @@ def _tail(last: np.ndarray, each: np.ndarray, power: np.ndarray) -> np.ndarray:
     return widened(last @ (each + beyond), size + 8)
 
 
-def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray, tail: np.ndarray) -> PeakGains:
+def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray) -> PeakGains:
     return PeakGains(
         w=table[:, :nw],
         r=table[:, nw],
@@ -384,5 +383,4 @@ def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray, tail: np.nda
         step=table[:, nw + 2 + n],
         first=table[:, nw + 3 + n],
         jump=jump,
-        older=tail[:, :nw],
     )

@@ -1,6 +1,8 @@
-"""The gains of :mod:`gains` period by period, and the rows themselves: for bounds from a start.
+"""What the inputs of each past period add to rows over chi: the gains of :mod:`gains`, one by one.
 
-Lag 0 is the period that runs at the output's time, lag l the l-th whole period before it.
+The long run needs their sums only. From a start on there are no periods before the first one, the
+start itself decays along the rows, and what grows with the state is as large as the state was in
+that period.
 """
 
 from __future__ import annotations
@@ -8,99 +10,118 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import flint
 import numpy as np
 
-from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented.enclosed import Enclosed, widened
 from certrack.certificates.implemented.gains import (
+    KernelColumns,
+    gains_table,
     kernel_columns,
-    mean_magnitude,
     powers_of_columns,
     powers_of_rows,
+    product_error,
     running_period,
+    sums_over_time,
+    tail_gains,
 )
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import Period, above, identity
 
+#: Numbers in the tables of all lags, at most: some 300 MB.
+MAX_LAG_NUMBERS = 40_000_000
+
 
 @dataclass(frozen=True)
-class Lags:
-    """Of each output row, for L = 2^doublings whole periods.
+class LagGains:
+    """Gains of rows by lag; lag j is the period before the running one, j periods earlier.
+
+    The columns of a table are w, r, noise, sample, step, first, as :class:`PeakGains` has them; all
+    entries are rounded up.
 
     Attributes
     ----------
-    w : (rows, 1 + L, columns of W) array
-        Gains from the uncertain terms of each lag, rounded up; those within the cell at the
-        output's time are not among them.
-    past : (rows, L, N) Enclosed
-        The row over the state before the jump of the running period, of the one before it, ...
-    units : (N, L, N) Enclosed
-        The rows of M^0, M^1, ...
-    last : (rows, N) array
-        Upper bounds of the magnitudes of the rows L periods back.
-    power : (N, N) array
-        The same of M^L.
+    running : (rows, columns) array
+        Of the running period.
+    lags : (L, rows, columns) array
+    tail : (rows, columns) array
+        Of all lags from L on.
+    before : Enclosed, (L, rows, N)
+        The rows before the running period's jump, times M^j: over zeta of j periods before.
+    powers : (L, N, N) array
+        |M^j|.
+    last : (N, N) array
+        |M^L|.
     """
 
-    w: np.ndarray
-    past: Enclosed
-    units: Enclosed
+    running: np.ndarray
+    lags: np.ndarray
+    tail: np.ndarray
+    before: Enclosed
+    powers: np.ndarray
     last: np.ndarray
-    power: np.ndarray
 
 
-def lags_of(period: Period, rows: Sequence[Row], doublings: int) -> Lags:
-    """The lags of output rows.
+def lag_gains(period: Period, rows: Sequence[Row], doublings: int) -> LagGains:
+    """The gains of 2^doublings periods one by one, and of what is before them.
 
     Parameters
     ----------
     period : Period
     rows : of :func:`~certrack.certificates.implemented.outputs.output_rows`
     doublings : int
+
+    Raises
+    ------
+    NoCertificate
+        If the tail does not shrink, or there are too many numbers.
     """
-    nw, size, count = period.W.ncols(), period.size, len(rows)
-    running, before = running_period(period, rows)
-    seen = kernel_columns(period, len(period.cells), smeared=False)
-    inner = doublings // 2
-    columns, power = powers_of_columns(period.map, seen.all(), inner)
-    table = Enclosed.of(columns)
-    heads, _ = powers_of_rows(power, above(before, identity(size)), doublings - inner)
-    values, error = _products(heads, table, count + size, 2**inner)
-    at_rows, off = values[..., -size:], error[..., -size:]
-    ends = len(seen.lengths) + 1
-    lines = mean_magnitude(*_at_both_ends(values, ends, nw))
-    less, more = _at_both_ends(error, ends, nw)
-    area = np.einsum("c,rlcw->rlw", seen.lengths, lines + (less + more) / 2)
-    w = area + (np.abs(at_rows) + off) @ seen.curvature
-    entire = widened(w[:count], size + ends + 16)
-    power = period.map
-    for _ in range(doublings):
-        power = power * power
-    return Lags(
-        np.concatenate([running[:, None, :nw], entire], axis=1),
-        Enclosed(at_rows[:count], off[:count]),
-        Enclosed(at_rows[count:], off[count:]),
-        Enclosed.of(before * power).upper,
-        Enclosed.of(power).upper,
+    drive, count, size = period.drive, len(rows), period.size
+    width = drive.W.ncols() + drive.n + 4 + size
+    if 2**doublings * (count + size) * width > MAX_LAG_NUMBERS:
+        raise NoCertificate("the sampled loop is too large, or too slow, for bounds from a start")
+    running, past = running_period(period, rows)
+    columns = kernel_columns(period, len(period.cells), drive.lipschitz is not None)
+    lags, entries, error, last = _by_lag(period, columns, above(past, identity(size)), doublings)
+    each = widened(lags[:, count:].sum(axis=0), len(lags))
+    return LagGains(
+        running=running,
+        lags=lags[:, :count],
+        tail=tail_gains(last[:count], each, last[count:]),
+        before=Enclosed(
+            entries[:, :count], np.broadcast_to(error[:count], (len(lags), count, size))
+        ),
+        powers=widened(np.abs(entries[:, count:]) + error[count:]),
+        last=last[count:],
     )
 
 
-def _at_both_ends(values: np.ndarray, ends: int, nw: int) -> tuple[np.ndarray, np.ndarray]:
-    """Kernels of w at both ends of every cell."""
-    at_ends = values[:, :, : ends * (nw + 1)].reshape(*values.shape[:2], ends, nw + 1)[..., :nw]
-    return at_ends[:, :, :-1], at_ends[:, :, 1:]
+def _by_lag(
+    period: Period, columns: KernelColumns, rows: flint.arb_mat, doublings: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Tables of every lag, the rows themselves with what they are off by, and the rows after.
 
-
-def _products(
-    heads: Enclosed, table: Enclosed, count: int, block: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Heads times table, (rows, periods, columns), and what each entry is off by at most."""
-    size = len(table.value)
-
-    def arranged(products: np.ndarray) -> np.ndarray:
-        blocks = products.reshape(-1, count, block, products.shape[1] // block)
-        return np.swapaxes(blocks, 0, 1).reshape(count, -1, blocks.shape[-1])
-
-    head, entry = np.abs(heads.value), np.abs(table.value)
-    off = (2 * (size + 4) * ROUNDOFF * head + heads.error) @ entry
-    off += (head + heads.error) @ table.error
-    return arranged(heads.value @ table.value), arranged(widened(off, 4 * size))
+    Returns
+    -------
+    lags : (L, rows, columns) array
+    entries : (L, rows, N) array
+    error : (rows, N) array
+        Of every lag: the sum of what all of them are off by.
+    last : (rows, N) array
+        Magnitudes of the rows after L periods.
+    """
+    count, size, inner = rows.nrows(), period.size, doublings // 2
+    block = 2**inner
+    balls, jumped = powers_of_columns(period.map, columns.all(), inner)
+    table = Enclosed.of(balls)
+    heads, last = powers_of_rows(jumped, rows, doublings - inner)
+    error = product_error(heads, table, count, block)
+    repeated = np.repeat(error, block, axis=0)
+    lags, entries = [], []
+    for head in heads.value.reshape(-1, count, size):
+        values = (head @ table.value).reshape(count * block, 1, -1)
+        gains = gains_table(columns, period.drive.n, sums_over_time(columns, values, repeated))
+        lags.append(gains.reshape(count, block, -1).swapaxes(0, 1))
+        entries.append(values[:, 0, -size:].reshape(count, block, size).swapaxes(0, 1))
+    return np.concatenate(lags), np.concatenate(entries), error[:, -size:], last

@@ -1,166 +1,171 @@
-"""The starts from which the input's limits never act: a polytope inside a box.
+"""The starts from which the input is proven to stay within its limits: a polytope.
 
-With the bounds X(k) of all starts of a box, the input u_k of one start x(0) in it is at most
-
-    |g_k x(0) + h_k| + rest_k,    rest_k = c + noise of the first sample + sum_l D_l wbar(X(k - l))
-
-where g_k and h_k come from the row of u, k periods back. Where that is within the limits for all
-k < L, and the bound of the box for all later k is too, the loop of this start is the linear one.
+With the bounds X(k) of a whole region of starts, the input of period k is G_k x(0) plus what the
+reference at t = 0 adds, within what all the rest can: two half-spaces for each period. From every
+start in all of them, and in the region, no limit is ever met.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
-import flint
 import numpy as np
 
-from certrack.certificates.arithmetic import rational
-from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.exact import float_down
-from certrack.certificates.implemented.drive import DRIVE_BITS
-from certrack.certificates.implemented.enclosed import Enclosed, widened
-from certrack.certificates.implemented.start import (
-    StartingLoop,
-    bounds_from_start,
-    products_above,
-    starting_loop,
-    zeta_at_start,
-)
+from certrack.certificates.implemented.enclosed import ROUNDOFF, widened
 from certrack.core import checks
 from certrack.core.errors import InputError
-from certrack.systems.system import System
 
 
 @dataclass(frozen=True)
-class CertifiedStarts:
-    """Starts in a box with |slopes x + offsets| <= room: from them the limits never act.
+class Polytope:
+    """{x in region : rows x <= limits}, a set of starts x(0).
 
     Attributes
     ----------
-    box : n pairs (low, high)
-    slopes : (L, n) array
-    offsets, room : (L,) arrays
-        The room is rounded down, by all that the products may lose inside the box, too.
+    rows : (M, n) array
+    limits : (M,) array
+        Rounded down, so that a product in floats proves it.
+    region : n pairs (low, high)
+        For which the bounds behind it were computed.
+    states : n names
     """
 
-    box: tuple[tuple[float, float], ...]
-    slopes: np.ndarray
-    offsets: np.ndarray
-    room: np.ndarray
+    rows: np.ndarray
+    limits: np.ndarray
+    region: tuple[tuple[float, float], ...]
+    states: tuple[str, ...]
 
-    def contains(self, starts: np.ndarray) -> np.ndarray:
-        """Whether starts are among them.
+    def __contains__(self, x: Sequence[float] | np.ndarray) -> bool:
+        return bool(self.contains(x))
+
+    def contains(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Whether starts are proven.
 
         Parameters
         ----------
-        starts : (n,) or (members, n) array
+        x : (n,) or (..., n) array
 
         Returns
         -------
-        bool, or (members,) array of bool
+        array of bool, shape (...)
+
+        Raises
+        ------
+        InputError
+            If it has another number of states.
         """
-        x = np.asarray(starts, dtype=float)
-        low, high = np.array(self.box).T
-        inside = ((x >= low) & (x <= high)).all(axis=-1)
-        reached = np.abs(x @ self.slopes.T + self.offsets) <= self.room
-        return np.asarray(inside & reached.all(axis=-1))
+        x = np.asarray(x, dtype=float)
+        if x.shape[-1:] != (len(self.states),):
+            raise InputError("x0", f"must have {len(self.states)} numbers per start", x.shape)
+        low, high = np.array(self.region).T
+        within = ((low <= x) & (x <= high)).all(axis=-1)
+        inside: np.ndarray = within & (x @ self.rows.T <= self.limits).all(axis=-1)
+        return inside
 
-    def largest_part(self) -> float:
-        """The largest factor f <= 1 for which the box shrunk by f about its centre is inside."""
-        low, high = np.array(self.box).T
-        centre, half = (low + high) / 2, (high - low) / 2
-        at_centre = np.abs(self.slopes @ centre + self.offsets)
-        left = self.room - at_centre
-        if not (left > 0).all():
-            return 0.0
-        spread = np.abs(self.slopes) @ half
+    @property
+    def is_region(self) -> bool:
+        """Whether it is all of the region."""
+        return not len(self.rows)
+
+    def largest_box(self) -> tuple[tuple[float, float], ...] | None:
+        """The largest box of the region's middle and shape that lies in it; None if there is none.
+
+        Its corners are rounded inwards by a part in 10^9.
+        """
+        low, high = np.array(self.region).T
+        middle, half = (low + high) / 2, (high - low) / 2
+        room = self.limits - self.rows @ middle
+        reach = np.abs(self.rows) @ half
+        if (room < 0).any():
+            return None
         with np.errstate(divide="ignore"):
-            return float(min(1.0, (left / spread).min() * (1 - 1e-12)))
+            part = min(1.0, float(np.min(room / np.maximum(reach, 1e-300), initial=1.0)))
+        part *= 1 - 1e-9 if part < 1 else 1
+        ends = zip((middle - part * half).tolist(), (middle + part * half).tolist(), strict=True)
+        return tuple(ends)
+
+    def section(
+        self, first: str | int, second: str | int, at: Sequence[float] | None = None
+    ) -> np.ndarray:
+        """Corners of its section by two states, in order.
+
+        Parameters
+        ----------
+        first, second : names of states, or their numbers from 0
+        at : n numbers, optional
+            Values of the other states; zero if left out.
+
+        Returns
+        -------
+        (V, 2) array
+            Without rows if the plane does not meet it.
+        """
+        i, j = self.index(first), self.index(second)
+        if i == j:
+            raise InputError("states", "must be two different ones", [first, second])
+        n = len(self.states)
+        fixed = np.array(checks.reals("at", at or [0.0] * n, n, "one number per state"))
+        fixed[[i, j]] = 0.0
+        others = [k for k in range(n) if k not in (i, j)]
+        if any(not self.region[k][0] <= fixed[k] <= self.region[k][1] for k in others):
+            return np.empty((0, 2))
+        (a, b), (c, d) = self.region[i], self.region[j]
+        corners = [np.array(p) for p in ((a, c), (b, c), (b, d), (a, d))]
+        room = self.limits - self.rows @ fixed
+        for row, limit in zip(self.rows[:, [i, j]], room, strict=True):
+            corners = _cut(corners, row, float(limit))
+        return np.array(corners).reshape(-1, 2)
+
+    def index(self, state: str | int) -> int:
+        """Number of a state from 0."""
+        if isinstance(state, str):
+            return self.states.index(checks.choice("states", state, self.states))
+        return checks.integer("states", state, 0, len(self.states) - 1)
 
 
-def certified_starts(
-    system: System, box: Sequence[tuple[float, float]], loop: StartingLoop | None = None
-) -> CertifiedStarts:
-    """The starts in a box from which the saturation never acts, for references as the file's.
+def _cut(corners: list[np.ndarray], row: np.ndarray, limit: float) -> list[np.ndarray]:
+    """The part of a convex polygon with row x <= limit."""
+    left: list[np.ndarray] = []
+    for p, q in pairwise([*corners, *corners[:1]]):
+        a, b = float(row @ p) - limit, float(row @ q) - limit
+        if a <= 0:
+            left.append(p)
+        if (a < 0 < b) or (b < 0 < a):
+            left.append(p + a / (a - b) * (q - p))
+    return left
+
+
+def half_spaces(
+    rows: np.ndarray, error: np.ndarray, limits: np.ndarray, region: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and limits, in floats whose products prove it; without those that the region implies.
 
     Parameters
     ----------
-    system : System
-        With an implementation that has a saturation.
-    box : n pairs (low, high)
-    loop : StartingLoop, optional
-        Of the system, where it has been made before.
-
-    Returns
-    -------
-    CertifiedStarts
-
-    Raises
-    ------
-    InputError
-        If the file has no saturation, or the box another shape.
-    NoCertificate
-        If the box is so large that nothing holds for its starts in the long run.
-
-    Examples
-    --------
-    >>> import certrack
-    >>> from certrack.certificates.implemented.polytope import certified_starts
-    >>> drive = certrack.Implementation(period=0.01, saturation=(-15, 15))
-    >>> lean = certrack.load("dual-motor-lean").replace(implementation=drive)
-    >>> starts = certified_starts(lean, [(-1, 1)] * 4)
-    >>> bool(starts.contains(lean.settings.x0)), bool(starts.contains([1, 1, 1, 1]))
-    (True, False)
+    rows, error : (M, n) arrays
+        Rows, and what they may be off by.
+    limits : (M,) array
+        Rounded down.
+    region : (n, 2) array
     """
-    implementation = system.implementation
-    if implementation is None or implementation.saturation is None:
-        raise InputError(
-            "implementation.saturation", "is missing", remedy="Without it no start is lost"
-        )
-    pairs = checks.sequence("box", box, system.plant.n, "one pair (low, high) per state")
-    loop = starting_loop(system) if loop is None else loop
-    with flint.ctx.workprec(DRIVE_BITS):
-        limit = _largest_input(loop, implementation.saturation)
-        bounds = bounds_from_start(system, pairs, loop=loop)
-        if not bounds.last[-2] <= limit:
-            raise NoCertificate("the box is too large: its starts may meet the limits at any time")
-        return _polytope(system, loop, pairs, bounds.values[:, -2], limit)
+    size, n = np.abs(region).max(axis=1), len(region)
+    off = widened(error @ size + 4 * (n + 4) * ROUNDOFF * (np.abs(rows) @ size), 2 * n + 8)
+    limits = limits - off - 4 * ROUNDOFF * (np.abs(limits) + off)
+    least, most = region.T
+    reach = np.where(rows > 0, rows * most, rows * least).sum(axis=1)
+    slack = 4 * (n + 4) * ROUNDOFF * (np.abs(rows) @ size)
+    needed = reach + slack > limits
+    return rows[needed], limits[needed]
 
 
-def _largest_input(loop: StartingLoop, saturation: tuple[float, float]) -> float:
-    """What |u| must not exceed, without the constant of the law."""
-    low, high = map(rational, saturation)
-    return float_down(min(high - loop.drive.offset, loop.drive.offset - low))
-
-
-def _polytope(
-    system: System,
-    loop: StartingLoop,
-    box: Sequence[tuple[float, float]],
-    largest: np.ndarray,
-    limit: float,
-) -> CertifiedStarts:
-    n = loop.drive.n
-    (row,) = np.flatnonzero(loop.bounds.outputs == n + 1)
-    past = Enclosed(loop.lags.past.value[row], loop.lags.past.error[row])
-    spread = zeta_at_start(system, loop, box, any_reference=False)
-    of_columns = products_above(past, spread)  # the middle, n half widths, what is left
-    transient = widened(of_columns.sum(axis=1), of_columns.shape[1])
-    # all of the bound of the box but what its starts themselves add
-    others = widened(largest - transient * (1 - 1e-9)) + of_columns[:, n + 1 :].sum(axis=1)
-    others = np.maximum(others, 0)
-    Z = Enclosed.of(loop.Z)
-    slopes = past.value @ Z.value
-    centre = Enclosed(spread.value[:, :1], spread.error[:, :1])
-    middle = (past.value @ centre.value)[:, 0] - slopes @ np.array(box, dtype=float).mean(axis=1)
-    reach = np.abs(np.array(box, dtype=float)).max(axis=1)
-    exact = products_above(past, Z) @ reach + products_above(past, centre)[:, 0]
-    lost = (past.error @ Z.upper) @ reach + (past.error @ centre.upper)[:, 0] + 1e-12 * exact
-    return CertifiedStarts(
-        tuple((float(low), float(high)) for low, high in box),
-        slopes,
-        middle,
-        (limit - widened(others + lost, 64)) * (1 - 1e-12),
+def common(polytopes: Sequence[Polytope]) -> Polytope:
+    """What lies in all of them; they have one region."""
+    first = polytopes[0]
+    return Polytope(
+        np.concatenate([p.rows for p in polytopes]),
+        np.concatenate([p.limits for p in polytopes]),
+        first.region,
+        first.states,
     )

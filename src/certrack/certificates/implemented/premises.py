@@ -7,7 +7,7 @@ from dataclasses import replace
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up
 from certrack.certificates.implemented.drive import drive_of
-from certrack.certificates.implemented.limits import INACTIVE, NO_LIMITS, InputLimits, input_limits
+from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
 from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
 from certrack.core.rounding import rounded_up
@@ -25,17 +25,13 @@ SAMPLED_LOOP, SAMPLED_REFERENCE, TIMING, LIMITS = (
 )
 
 
-def premises_as_implemented(
-    system: System, limits: InputLimits | None = None
-) -> tuple[Premise, ...]:
+def premises_as_implemented(system: System) -> tuple[Premise, ...]:
     """What the implemented certificate of `system` rests on; see :func:`premises`.
 
     Parameters
     ----------
     system : System
         With an implementation.
-    limits : InputLimits, optional
-        What is known of the input's; found if left out.
 
     Returns
     -------
@@ -55,17 +51,14 @@ def premises_as_implemented(
             remedy="keep a margin for jitter and for 32-bit rounding",
         ),
     ]
-    limits = input_limits(system) if limits is None else limits
-    if limits.status == INACTIVE:
-        added.append(Premise(LIMITS, PROVEN, limits.detail))
-    elif limits.status != NO_LIMITS:
+    if is_limited(system):
         added.append(
             Premise(
                 LIMITS,
-                ASSUMED,
-                "from some time on the input does not meet its limits; where the bounds hold it "
-                f"does not, but nothing proves that every start gets there ({limits.detail})",
-                remedy="certrack ensemble counts runs that stay at the limits",
+                PROVEN,
+                "from simulation.x0, for references that begin as the file's, the input never "
+                "meets its limits; from elsewhere it may, unless the start is in the proven "
+                "polytope",
             )
         )
     return (*others, *added)

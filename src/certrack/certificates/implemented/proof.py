@@ -25,6 +25,8 @@ from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
+from certrack.certificates.implemented.start import FromStarts
+from certrack.certificates.implemented.start_proof import StartProof, StartProver
 from certrack.systems.system import System
 
 #: A cell is at most this part of the time that the plant's fastest motion takes for one radian.
@@ -64,6 +66,8 @@ class ImplementedProof:
         Bound of limsup |u_k - u_{k-1}|.
     bound : str
         Of limsup |e_1|.
+    starts : tuple of StartProof
+        What is proven of runs from x0, and from the polytope of starts, if anything.
     """
 
     delay: str
@@ -73,6 +77,7 @@ class ImplementedProof:
     input: str
     step: str
     bound: str
+    starts: tuple[StartProof, ...] = ()
 
 
 def delays(system: System) -> tuple[Any, ...]:
@@ -106,6 +111,19 @@ def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dic
         bound, step = (_text_above(image[i]) for i in (0, -1))
         parts = bounds.parts(X, U)
     return replace(proof, bound=bound, step=step), parts
+
+
+def start_prover(system: System, delay: Any, parts: tuple[int, int]) -> StartProver:
+    """What proves bounds from a start for one delay; call it with :data:`DRIVE_BITS`.
+
+    Raises
+    ------
+    NoCertificate
+        If the loop is not covered.
+    """
+    drive = drive_of(system, delay)
+    period = one_period(drive, parts)
+    return StartProver(system, drive, lambda doublings: FromStarts(period, doublings))
 
 
 def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> str:

@@ -1,356 +1,387 @@
-"""Bounds for all time from a start: of the error, of every state, and of the input.
+"""Bounds for all t >= 0 of |e_1|, |x_i|, |u| and the steps of u, from a start or a box of starts.
 
-From chi_0, zeta_0 = chi_0 - Pi Y(0), an output of the period k is at most
+In the running period k the row of an output is at most
 
-    X(k) = |lambda_k zeta_0| + c + sum_{l<=k} D_l wbar(X(k - l))
+    |lambda M^k (chi_0 - Pi Y(0))| + its part of the reference + sums over the lags j < k of
+    its gains times the inputs' bounds; w of lag j is bounded by the states of period k - 1 - j.
 
-with lambda_k the row k periods back, D_l its gains of lag l, and c all that does not come from the
-uncertain terms. X may be any sequence that is above this: nothing leaves it first. After L periods
-one X_t stands for all of them. With P and E the largest X(k) of all k < L, and of the later half,
+X(0), X(1) ... follow one after the other: an X(k) strictly above its own right-hand side bounds
+period k, for the state is continuous and would have to pass it first. A finite number K of periods
+says nothing of what comes later. So a last vector X_t is asked for that bounds every period from K
+on, with E the largest X(k) from K1 on and P the largest of all,
 
-    X_t > |lambda_L| sup_j |M^j zeta_0| + c + (sum_{l<=L/2} D_l) wbar(max(E, X_t))
-                                           + (sum_{l>L/2} D_l) wbar(max(P, X_t)).
+    X_t > T_K + sum_{j < K-K1} D_j w(max(E, X_t)) + sum_{j >= K-K1} D_j w(max(P, X_t)) + the rest,
 
-If what bounds the input so is within its limits, these never act: the loop is the linear one.
+where the sums go on to infinity by the tail of the gains, and T_K bounds what the start adds after
+K periods: |M^K z| <= d with |M^K| d <= d, so it stays below d at every later multiple of K.
+
+All numbers are floats rounded up, from balls.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import flint
 import numpy as np
 
-from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.exact import float_up
-from certrack.certificates.implemented.drive import DRIVE_BITS, Drive, drive_of
+from certrack.certificates.implemented.drive import Drive
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
-from certrack.certificates.implemented.fixed_point import OutputBounds
-from certrack.certificates.implemented.gains import output_gains
-from certrack.certificates.implemented.lags import Lags, lags_of
-from certrack.certificates.implemented.outputs import Row, output_rows
-from certrack.certificates.implemented.period import Period, beside, one_period
-from certrack.certificates.implemented.proof import cells_of, periods_needed
-from certrack.certificates.start import reference_at_start, states_at_start
-from certrack.systems.system import System
+from certrack.certificates.implemented.gains import largest_of_each
+from certrack.certificates.implemented.lags import LagGains, lag_gains
+from certrack.certificates.implemented.outputs import output_rows, steady
+from certrack.certificates.implemented.period import Period
 
-#: Steps towards the implicit part of a period, and by how much each is widened.
-IMPLICIT_STEPS, IMPLICIT_MARGIN = 60, 1e-9
+#: By how much an X(k) is widened before it is checked, and how often that is tried.
+PERIOD_MARGIN, PERIOD_STEPS = 1e-9, 60
 
-#: Added where a number might be zero.
-NEARLY_ZERO = 1e-290
-
-#: What may be left of the rows where the bounds of single periods end.
-LEFT_OF_TRANSIENT = 1e-6
+#: The same of X_t, which other checkers must find above their own right-hand sides.
+LATER_MARGIN, LATER_STEPS, SMALLEST = 1e-6, 2000, 1e-280
 
 
 @dataclass(frozen=True)
-class StartBounds:
-    """What holds for all time from the starts; every number is rounded up.
+class Starts:
+    """x(0) in a box, and the reference at t = 0.
 
     Attributes
     ----------
-    period : float, s
-    values : (L, n + 3) array
-        Of |e_1| and the states from t_k to t_{k+1}, of |u_k|, and of |u_k - u_{k-1}|; u is without
-        the constant of the law.
-    last : (n + 3,) array
-        The same for all t >= L period.
-    offset : float
-        The constant of the law, as a magnitude.
+    center, half : n balls
+    Y : q + 1 balls, or None
+        y_d(0) ... y_d^(q)(0); None for every reference within its bounds.
+    jump : rational, or None
+        Size of the jumps of y_d^(q+1), if there are some.
+    jumps_apart : int, or None
+        Periods between two of them at least; None if there is but one.
+    initial : ball
+        The input before the first sample, without the constant of the law.
     """
 
-    period: float
-    values: np.ndarray
-    last: np.ndarray
-    offset: float
-
-    @property
-    def error(self) -> np.ndarray:
-        """Bounds of |e_1| from t_k to t_{k+1}."""
-        errors: np.ndarray = self.values[:, 0]
-        return errors
-
-    @property
-    def peaks(self) -> np.ndarray:
-        """The largest of every column, for all time."""
-        largest: np.ndarray = np.maximum(self.values.max(axis=0), self.last)
-        return largest
-
-    @property
-    def peak_input(self) -> float:
-        """Of |u|, for all time."""
-        return float(widened(self.peaks[-2] + self.offset))
-
-    @property
-    def peak_states(self) -> tuple[float, ...]:
-        """Of |x_i|, for all time."""
-        return tuple(self.peaks[1:-2].tolist())
+    center: tuple[Any, ...]
+    half: tuple[Any, ...]
+    Y: tuple[Any, ...] | None
+    initial: Any
+    jump: Any | None = None
+    jumps_apart: int | None = None
 
 
 @dataclass(frozen=True)
-class StartingLoop:
-    """What bounds from any start are computed from; of one system and delay.
+class Later:
+    """What bounds every period from K on: X_t and the input's, floats."""
+
+    states: tuple[float, ...]
+    input: float
+
+
+@dataclass(frozen=True)
+class Transient:
+    """What a set of starts adds to the rows, and what they are.
 
     Attributes
+    ----------
+    of_x0 : Enclosed, (K, rows, n)
+        Rows over x(0).
+    fixed : Enclosed, (K, rows)
+        What the reference at t = 0 and the input before the first sample add.
+    free : (K, rows) array
+        Bounds of what is not known: the sensors at t = 0, and every phase.
+    size : (K, rows) array
+        Bounds of all of it.
+    later : (rows,) array
+        The same of all periods from K on.
+    """
+
+    of_x0: Enclosed
+    fixed: Enclosed
+    free: np.ndarray
+    size: np.ndarray
+    later: np.ndarray
+
+
+@dataclass(frozen=True)
+class PeriodBounds:
+    """Bounds in the periods 0 ... K-1.
+
+    Attributes
+    ----------
+    bounds : (K, n + 3) array
+        Of e_1, the states, u, its steps.
+    forced : (K, 2) array
+        What u and its steps have of it besides the start.
+    """
+
+    bounds: np.ndarray
+    forced: np.ndarray
+
+
+class FromStarts:
+    """Right-hand sides for one period of a drive.
+
+    Parameters
     ----------
     period : Period
-    rows : output rows
-    bounds : OutputBounds
-    lags : Lags
-    Z : (N, n) ball matrix
-        The state of the loop before its first sample, over x(0).
-    noise : (N, n) ball matrix
-        The same over the sensors' errors at the first sample.
-    inputs : (N, 1) ball matrix
-        What waits at t = 0.
-    """
-
-    period: Period
-    rows: Sequence[Row]
-    bounds: OutputBounds
-    lags: Lags
-    Z: flint.arb_mat
-    noise: flint.arb_mat
-    inputs: flint.arb_mat
-
-    @property
-    def drive(self) -> Drive:
-        """The loop's data."""
-        return self.period.drive
-
-
-def starting_loop(system: System, delay: Any | None = None) -> StartingLoop:
-    """Everything that does not depend on the start.
-
-    Parameters
-    ----------
-    system : System
-    delay : rational, optional
-        Periods; the first of the file if left out.
+    doublings : int
+        K = 2^doublings.
 
     Raises
     ------
     NoCertificate
-        Where the loop has no certificate as implemented, or its first sample is late.
+        If the gains' tail does not shrink.
     """
-    drive, implementation = drive_of(system, delay), system.implementation
-    assert implementation is not None
-    if implementation.offset:
-        raise NoCertificate("bounds from a start need the first sample at t = 0")
-    if drive.jumps_once:
-        raise NoCertificate("a reference that jumps once has no bounds from a start")
-    with flint.ctx.workprec(DRIVE_BITS):
-        period = one_period(drive, cells_of(drive))
-        rows, doublings = output_rows(period), periods_needed(period, LEFT_OF_TRANSIENT)
-        bounds = OutputBounds.of(period, rows, output_gains(period, rows, doublings))
-        n, size = drive.n, period.size
-        Z, noise, inputs = (flint.arb_mat(size, columns) for columns in (n, n, 1))
-        for i in range(n):
-            Z[i, i] = 1
-        for i in range(drive.memories):
-            for j in range(n):
-                Z[n + i, j] = noise[n + i, j] = drive.first[i, j]
-        for i in range(period.command, size):
-            inputs[i, 0] = flint.arb(rational(implementation.initial_input) - drive.offset)
-        lags = lags_of(period, rows, doublings)
-        return StartingLoop(period, rows, bounds, lags, Z, noise, inputs)
 
-
-def bounds_from_start(
-    system: System,
-    box: Sequence[tuple[float, float]] | None = None,
-    *,
-    any_reference: bool = False,
-    loop: StartingLoop | None = None,
-) -> StartBounds:
-    """Bounds for all time from the system's own start, or from a box of starts.
-
-    Parameters
-    ----------
-    system : System
-    box : n pairs (low, high), optional
-    any_reference : bool
-        Whether the reference may begin anywhere within its bounds, and not only as the file's.
-    loop : StartingLoop, optional
-        Of the system, where it has been made before.
-
-    Returns
-    -------
-    StartBounds
-        Of the linear loop: they hold for the one with limits if the input stays within them.
-
-    Raises
-    ------
-    NoCertificate
-        If there are none.
-    """
-    loop = starting_loop(system) if loop is None else loop
-    with flint.ctx.workprec(DRIVE_BITS):
-        spread = zeta_at_start(system, loop, box, any_reference)
-        return _volterra(loop, *_transient(loop, spread))
-
-
-def zeta_at_start(
-    system: System,
-    loop: StartingLoop,
-    box: Sequence[tuple[float, float]] | None,
-    any_reference: bool,
-) -> Enclosed:
-    """The starts as columns: |lambda zeta_0| <= sum over the columns of |lambda column|."""
-    drive = loop.drive
-    if box is None:
-        ends, proven = states_at_start(system)
-        if not proven:
-            raise NoCertificate("the start is not known exactly")
-        centre = [flint.arb(v.mid()) for v in ends]
-        half = [flint.arb(v.rad()) for v in ends]
-    else:
-        pairs = [tuple(map(rational, pair)) for pair in box]
-        centre = [flint.arb((low + high) / 2) for low, high in pairs]
-        half = [flint.arb((high - low) / 2) for low, high in pairs]
-    middle = loop.Z * flint.arb_mat([[v] for v in centre]) + loop.inputs
-    scaled = [
-        _columns_times(loop.Z, half),
-        _columns_times(loop.noise, [flint.arb(v) for v in drive.mu]),
-    ]
-    if any_reference:
-        scaled.append(_columns_times(loop.period.Pi[-1], [flint.arb(v) for v in drive.Y[:-1]]))
-    else:
-        Y, proven = reference_at_start(system, drive.q)
-        if not proven:
-            raise NoCertificate("the reference is not known exactly where it begins")
-        middle = middle - loop.period.Pi[-1] * flint.arb_mat([[v] for v in Y])
-    return Enclosed.of(beside(middle, *scaled))
-
-
-def _columns_times(matrix: flint.arb_mat, factors: Sequence[Any]) -> flint.arb_mat:
-    """The columns times factors."""
-    rows = [[v * f for v, f in zip(row, factors, strict=True)] for row in matrix.tolist()]
-    return flint.arb_mat(rows)
-
-
-def _transient(loop: StartingLoop, zeta: Enclosed) -> tuple[np.ndarray, np.ndarray]:
-    """|lambda_k zeta_0| of every row, (rows, L), and a bound of it for all later k, (rows,)."""
-    of_rows = products_above(loop.lags.past, zeta).sum(axis=2)
-    units = products_above(loop.lags.units, zeta).sum(axis=2)
-    size = len(units)
-    power = loop.lags.power
-    start = units.max(axis=1)
-    d = np.maximum(start, NEARLY_ZERO + 1e-30 * start.max())
-    nu = float(widened((power @ d) / d, size + 4).max())
-    if not nu < 1:
-        raise NoCertificate("the transient of the sampled loop does not shrink in time")
-    largest = widened(start + nu * d, 4)  # of |M^j zeta_0|, for all j
-    columns = zeta.value.shape[1]
-    return widened(of_rows, columns), widened(loop.lags.last @ largest, size + 4)
-
-
-def products_above(rows: Enclosed, columns: Enclosed) -> np.ndarray:
-    """Upper bounds of |row column|, (..., columns)."""
-    size = rows.value.shape[-1]
-    at = np.abs(rows.value @ columns.value)
-    magnitude = np.abs(rows.value) + rows.error
-    off = rows.error @ np.abs(columns.value) + magnitude @ columns.error
-    off += 2 * (size + 4) * ROUNDOFF * (np.abs(rows.value) @ np.abs(columns.value))
-    return widened(at + off, 4 * size)
-
-
-def _volterra(loop: StartingLoop, transient: np.ndarray, later: np.ndarray) -> StartBounds:
-    bounds, drive = loop.bounds, loop.drive
-    n, outputs = drive.n, bounds.outputs
-    groups = [np.flatnonzero(outputs == k) for k in range(n + 3)]
-    share = _uppers([row.share for row in loop.rows])
-    in_cell = _uppers([row.in_cell.w for row in loop.rows]).reshape(len(outputs), -1)
-    w = loop.lags.w.copy()
-    w[:, 0] += share[:, None] * in_cell
-    w = widened(w)
-    D = _per_output(w, groups)
-    constant = _per_output(_uppers(bounds.constant), groups)
-    x, u = _per_output(_uppers(bounds.x), groups), _per_output(_uppers(bounds.u), groups)
-    free = _per_output(transient, groups) + constant[:, None]
-    size = _Size(drive)
-    count = free.shape[1]
-    v, sizes = np.zeros((count, n + 3)), np.zeros((count, D.shape[2]))
-
-    def image(past: np.ndarray, largest: float, value: np.ndarray) -> np.ndarray:
-        added = D[:, 0] @ size(value[1:-2]) + x @ value[1:-2] + u * max(largest, value[-2])
-        return widened(past + added, count + 64)
-
-    waiting = float(Enclosed.of(loop.inputs).upper.max())  # inputs that may act still
-
-    for k in range(count):
-        past = free[:, k].copy()
-        if k:
-            past += np.tensordot(D[:, 1 : k + 1], sizes[k - 1 :: -1], axes=([1, 2], [0, 1]))
-        v[k] = _implicit(partial(image, past, waiting), v[k - 1] if k else past)
-        sizes[k] = size(v[k][1:-2])
-        waiting = max(waiting, v[k][-2])
-    half = count // 2
-    recent, ever = v[half:].max(axis=0), v.max(axis=0)
-    ever[-2] = max(ever[-2], waiting)
-    near = _per_output(widened(w[:, : half + 1].sum(axis=1), count), groups)
-    far = widened(w[:, half + 1 :].sum(axis=1) + bounds.gains.older, count)
-    far, remaining = _per_output(far, groups), _per_output(later, groups)
-
-    def at_last(value: np.ndarray) -> np.ndarray:
-        late, early = np.maximum(recent, value), np.maximum(ever, value)
-        past = constant + remaining + near @ size(late[1:-2]) + far @ size(early[1:-2])
-        return widened(past + x @ early[1:-2] + u * early[-2], count + 64)
-
-    last = _implicit(at_last, recent)
-    return StartBounds(float(drive.T), v, last, float_up(abs(drive.offset)))
-
-
-def _implicit(image: Any, guess: np.ndarray) -> np.ndarray:
-    """A value above its image.
-
-    Raises
-    ------
-    NoCertificate
-        If none is found.
-    """
-    value = guess
-    for _ in range(IMPLICIT_STEPS):
-        after = image(value)
-        if (after[1:] < value[1:]).all():
-            after[1:] = value[1:]
-            return after
-        value = np.maximum(after, value * 0) * (1 + IMPLICIT_MARGIN) + NEARLY_ZERO
-    raise NoCertificate("the uncertain terms grow faster than the sampled loop can hold them")
-
-
-class _Size:
-    """Upper bounds of |w| where |x| <= X, in floats."""
-
-    def __init__(self, drive: Drive) -> None:
-        uncertain = drive.uncertain
-        self.gamma = np.array([float_up(b.gamma) for b in uncertain])
-        self.beta = np.array([float_up(b.beta) for b in uncertain])
-        weights, Delta = (
-            np.array([[float_up(v) for v in row] for row in rows]).reshape(-1, drive.n)
-            for rows in ([b.weights for b in uncertain], [b.Delta for b in uncertain])
+    def __init__(self, period: Period, doublings: int) -> None:
+        drive, n = period.drive, period.drive.n
+        self.period, self.drive, self.rows = period, drive, output_rows(period)
+        self.gains: LagGains = lag_gains(period, self.rows, doublings)
+        self.count = len(self.gains.lags)
+        self.outputs = np.array([row.output for row in self.rows])
+        self.begins = np.searchsorted(self.outputs, np.arange(n + 3))
+        nw = drive.W.ncols()
+        self._w = self.gains.lags[:, :, :nw]
+        self._by_lag = np.ascontiguousarray(self._w.swapaxes(0, 1).reshape(len(self.rows), -1))
+        self._set_in_cells(nw)
+        self._set_constants(nw)
+        self._growth = tuple(
+            np.array([[up(v) for v in values] for values in lists]).reshape(nw, width)
+            for width, lists in (
+                (1, [(b.gamma,) for b in drive.uncertain]),
+                (1, [(b.beta,) for b in drive.uncertain]),
+                (n, [b.weights for b in drive.uncertain]),
+                (n, [b.Delta for b in drive.uncertain]),
+            )
         )
-        self.weights, self.Delta = weights, Delta
 
-    def __call__(self, X: np.ndarray) -> np.ndarray:
-        norm = np.sqrt(((self.weights * X) ** 2).sum(axis=1))
-        return widened(self.gamma * norm + self.Delta @ X + self.beta, 2 * len(X) + 8)
+    def _set_in_cells(self, nw: int) -> None:
+        rows = self.rows
+        of_w, of_x, of_u, of_r = (
+            np.array([[up(v * row.share) for v in values(row)] for row in rows])
+            for values in (
+                lambda row: row.in_cell.w,
+                lambda row: row.in_cell.x,
+                lambda row: (row.in_cell.u,),
+                lambda row: (row.in_cell.r,),
+            )
+        )
+        self._running_w = widened(self.gains.running[:, :nw] + of_w.reshape(len(rows), nw))
+        self._of_x, self._of_u, self._of_r = of_x, of_u[:, 0], of_r[:, 0]
+
+    def _set_constants(self, nw: int) -> None:
+        """What is added that neither the start nor the states bear on, without jumps."""
+        drive, gains = self.drive, self.gains
+        sample = drive.Y[-1] if drive.lipschitz is None else drive.T / 2 * drive.lipschitz
+        bounds = np.array([up(v) for v in (drive.Y[-1], *drive.mu, sample, drive.eta, drive.Y[-1])])
+        still = np.array([[up(v) for v in steady(self.period, row)] for row in self.rows])
+        running = gains.running[:, nw:] @ bounds + self._of_r * bounds[0]
+        running = running + still @ np.array([up(v) for v in drive.Y[:-1]])
+        each = gains.lags[:, :, nw:] @ bounds
+        before = np.concatenate([np.zeros((1, len(self.rows))), np.cumsum(each, axis=0)])
+        K = self.count
+        self._constant = widened(running + before[:K], K + 32)
+        self._constant_later = widened(running + before[K] + gains.tail[:, nw:] @ bounds, K + 32)
+        self._sample_column = nw + 1 + drive.n
+
+    def _jumping(self, starts: Starts) -> np.ndarray | float:
+        """What jumps of the last derivative add."""
+        if starts.jump is None:
+            return 0.0
+        each = self.gains.lags[:, :, self._sample_column].T
+        apart = min(starts.jumps_apart or self.count, self.count)
+        total = largest_of_each(each, apart) + self.gains.tail[:, self._sample_column]
+        return widened(total * up(starts.jump), self.count + 8)
+
+    def transient(self, starts: Starts) -> Transient:
+        """What the starts add to every row.
+
+        Raises
+        ------
+        NoCertificate
+            If it does not decay.
+        """
+        period, drive, before = self.period, self.drive, self.gains.before
+        Z, of_noise = first_state(drive, period.size)
+        mu = np.array([up(v) for v in drive.mu])
+        fixed = flint.arb_mat(period.size, 1)
+        for i in range(period.command, period.size):
+            fixed[i, 0] = starts.initial
+        free = _product_with(before, Enclosed.of(of_noise)).upper @ mu
+        start_free = Enclosed.of(of_noise).upper @ mu
+        if starts.Y is not None:
+            fixed = fixed - period.Pi[-1] * flint.arb_mat([[v] for v in starts.Y])
+        else:
+            Y = np.array([up(v) for v in drive.Y[:-1]])
+            reference = Enclosed.of(period.Pi[-1])
+            free = free + _product_with(before, reference).upper @ Y
+            start_free = start_free + reference.upper @ Y
+        center = fixed + Z * flint.arb_mat([[v] for v in starts.center])
+        half = np.array([up(v) for v in starts.half])
+        of_x0 = _product_with(before, Enclosed.of(Z))
+        free = widened(free, period.size + 8)
+        size = _product_with(before, Enclosed.of(center)).upper[:, :, 0] + of_x0.upper @ half + free
+        zeta = Enclosed.of(center).upper[:, 0] + Enclosed.of(Z).upper @ half + start_free
+        into = _product_with(before, Enclosed.of(fixed))
+        return Transient(
+            of_x0,
+            Enclosed(into.value[:, :, 0], into.error[:, :, 0]),
+            free,
+            widened(size, period.size + 8),
+            self._later_transient(widened(zeta, period.size + 8)),
+        )
+
+    def _later_transient(self, zeta: np.ndarray) -> np.ndarray:
+        """Bounds of what |zeta_0| <= zeta adds to the rows from period K on."""
+        gains, size = self.gains, self.period.size
+        largest = widened((gains.powers @ zeta).max(axis=0), size) + SMALLEST
+        d = widened(gains.last @ largest, size)
+        if not (widened(gains.last @ d, size) <= d).all():
+            raise NoCertificate("the start is not forgotten in the periods that are looked at")
+        magnitudes = widened(np.abs(gains.before.value) + gains.before.error)
+        later: np.ndarray = widened((magnitudes @ d).max(axis=0), size)
+        return later
+
+    def sizes(self, X: np.ndarray) -> np.ndarray:
+        """Bounds of w where |x| <= X."""
+        gamma, beta, weights, Delta = self._growth
+        if not len(gamma):
+            return np.zeros(0)
+        norm = np.sqrt(((weights * X) ** 2).sum(axis=1))
+        return widened(gamma[:, 0] * norm + Delta @ X + beta[:, 0], 2 * len(X) + 8)
+
+    def largest(self, values: np.ndarray) -> np.ndarray:
+        """The largest of the rows of each output."""
+        return np.maximum.reduceat(values, self.begins)
+
+    def run(self, starts: Starts, transient: Transient) -> PeriodBounds:
+        """Bounds of all outputs in the periods 0 ... K-1.
+
+        Raises
+        ------
+        NoCertificate
+            If a period has no bound.
+        """
+        n, nw, K = self.drive.n, self.drive.W.ncols(), self.count
+        constant = widened(self._constant + self._jumping(starts), 8)
+        history = np.zeros(K * nw)  # sizes of w, the newest period first
+        bounds, forced = np.zeros((K, n + 3)), np.zeros((K, 2))
+        center = np.array([up(v) for v in starts.center])
+        X = widened(center + np.array([up(v) for v in starts.half]))
+        U = up(starts.initial)
+        for k in range(K):
+            past = self._by_lag[:, : k * nw] @ history[(K - k) * nw :]
+            base = widened(constant[k] + past, k * nw + 8)
+            forced[k] = base[self.begins[n + 1] :]
+            base = widened(base + transient.size[k])
+            U = max(U, float(base[self.begins[n + 1]]))
+            base = widened(base + self._of_u * U)
+            image = self._image(base, X)
+            for _ in range(PERIOD_STEPS):
+                X = image[1 : n + 1] * (1 + PERIOD_MARGIN) + SMALLEST
+                image = self._image(base, X)
+                if (image[1 : n + 1] < X).all():
+                    break
+            else:
+                raise NoCertificate("the states have no bound in a period: it is too long for them")
+            bounds[k], bounds[k, 1 : n + 1] = image, X
+            history[(K - k - 1) * nw : (K - k) * nw] = self.sizes(X)
+        if not np.isfinite(bounds).all():
+            raise NoCertificate("bounds from the start leave the range of floating point")
+        return PeriodBounds(bounds, forced)
+
+    def _image(self, base: np.ndarray, X: np.ndarray) -> np.ndarray:
+        values = base + self._running_w @ self.sizes(X) + self._of_x @ X
+        return self.largest(widened(values, 2 * len(X) + 8))
+
+    def later_image(
+        self, starts: Starts, transient: Transient, run: PeriodBounds, middle: int, later: Later
+    ) -> np.ndarray:
+        """Bounds of all outputs in the periods from K on, if `later` bounds them.
+
+        Parameters
+        ----------
+        starts : Starts
+        transient : Transient
+        run : PeriodBounds
+        middle : int
+            K1.
+        later : Later
+
+        Returns
+        -------
+        n + 3 floats
+        """
+        n, nw, bounds = self.drive.n, self.drive.W.ncols(), run.bounds
+        X = np.array(later.states)
+        U = max(later.input, up(starts.initial), float(bounds[:, n + 1].max()))
+        recent = np.maximum(bounds[middle:, 1 : n + 1].max(axis=0, initial=0.0), X)
+        any_time = np.maximum(bounds[:, 1 : n + 1].max(axis=0), X)
+        split = self.count - middle
+        near = widened(self._w[:split].sum(axis=0), self.count)
+        far = widened(self._w[split:].sum(axis=0) + self.gains.tail[:, :nw], self.count)
+        values = (
+            self._constant_later
+            + transient.later
+            + self._jumping(starts)
+            + near @ self.sizes(recent)
+            + far @ self.sizes(any_time)
+            + self._running_w @ self.sizes(X)
+            + self._of_x @ X
+            + self._of_u * U
+        )
+        return self.largest(widened(values, 4 * nw + n + 16))
+
+    def find_later(
+        self, starts: Starts, transient: Transient, run: PeriodBounds, middle: int
+    ) -> Later:
+        """A bound of all periods from K on.
+
+        Raises
+        ------
+        NoCertificate
+            If none is found.
+        """
+        n = self.drive.n
+        later = Later((0.0,) * n, 0.0)
+        for _ in range(LATER_STEPS):
+            image = self.later_image(starts, transient, run, middle, later)
+            if is_above(later, image):
+                return later
+            if not np.isfinite(image).all():
+                break
+            widest = image * (1 + LATER_MARGIN) + SMALLEST
+            later = Later(tuple(widest[1 : n + 1].tolist()), float(widest[n + 1]))
+        raise NoCertificate("no bound was found for what comes after the periods looked at")
 
 
-def _uppers(balls: Any) -> np.ndarray:
-    """Floats not below balls or rationals that are not negative."""
-    array = np.array(balls, dtype=object)
-    entries = [flint.arb(v) for v in array.ravel()]
-    if not entries:
-        return np.zeros(array.shape)
-    return Enclosed.of(flint.arb_mat([entries])).upper.reshape(array.shape)
+def is_above(later: Later, image: np.ndarray) -> bool:
+    """Whether X_t is strictly above what follows from it."""
+    n = len(later.states)
+    states = bool((np.array(later.states) > image[1 : n + 1]).all())
+    return states and later.input > image[n + 1]
 
 
-def _per_output(values: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
-    """The largest of the rows of each output."""
-    return np.array([values[rows].max(axis=0) for rows in groups])
+def first_state(drive: Drive, size: int) -> tuple[flint.arb_mat, flint.arb_mat]:
+    """chi before the first sample over x(0), and over the sensors' errors at it.
+
+    The first memories are what is measured at the first sample: there is no difference yet.
+    """
+    n = drive.n
+    Z, of_noise = flint.arb_mat(size, n), flint.arb_mat(size, n)
+    for j in range(n):
+        Z[j, j] = 1
+        for i in range(drive.memories):
+            Z[n + i, j] = of_noise[n + i, j] = drive.first[i, j]
+    return Z, of_noise
+
+
+def _product_with(a: Enclosed, b: Enclosed) -> Enclosed:
+    """The product of stacks of matrices with a matrix."""
+    size = b.value.shape[0]
+    p, q = np.abs(a.value), np.abs(b.value)
+    rounding = 2 * (size + 4) * ROUNDOFF * (p @ q)
+    error = rounding + p @ b.error + a.error @ (q + b.error)
+    return Enclosed(a.value @ b.value, widened(error, 2 * size + 8))
+
+
+def up(value: Any) -> float:
+    """A float not below the magnitude of a rational or a ball."""
+    return float(Enclosed.of(flint.arb_mat([[flint.arb(value)]])).upper[0, 0])

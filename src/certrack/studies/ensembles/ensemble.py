@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from certrack.certificates.implemented.certify import ImplementedCertificate
 from certrack.core import checks
 from certrack.core.errors import InputError, shorten
 from certrack.core.notebook import ShownInNotebooks
@@ -22,7 +23,7 @@ from certrack.studies.ensembles.checkpoints import Checkpoints
 from certrack.studies.ensembles.completion import complete, complete_corners
 from certrack.studies.ensembles.corners import Corners
 from certrack.studies.ensembles.engine import Engine, fastest
-from certrack.studies.ensembles.error_limit import tail_error_limit
+from certrack.studies.ensembles.error_limit import limit_and_starts, started_inside
 from certrack.studies.ensembles.member_table import KEPT_MEMBERS
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, band_times, make_plan
@@ -66,6 +67,9 @@ class Ensemble(ShownInNotebooks):
     corners : Corners or None
         The corners of the ranges of constants, which run besides the members and are counted in
         nothing else; None where no constant has a range, or more than six have.
+    proven : ImplementedCertificate, optional
+        Of a drive with limits of its input: whose starts the limit is proven for. Members that
+        start elsewhere are counted apart.
     """
 
     system: System
@@ -76,6 +80,7 @@ class Ensemble(ShownInNotebooks):
     computed: int
     seconds: float
     corners: Corners | None = None
+    proven: ImplementedCertificate | None = None
 
     def __repr__(self) -> str:
         tail = self.statistics.metrics["tail_error"]
@@ -85,7 +90,7 @@ class Ensemble(ShownInNotebooks):
         )
         figures = f"tail error: median {median}, largest {largest}"
         if self.limit is not None:
-            figures += f"; {self.statistics.violations} beyond {self.limit:.5g}"
+            figures += f"; {self._violations['count']} beyond {self.limit:.5g}"
         title = shorten(self.system.title)
         return f"Ensemble({title!r}: {self.members} members, seed {self.seed}; {figures})"
 
@@ -213,18 +218,33 @@ class Ensemble(ShownInNotebooks):
         return self.statistics.bands.quantiles(LEVELS)
 
     def violations(self) -> dict[str, Any] | None:
-        """Violations of the limit with their probability and its 95 % interval."""
-        if self.limit is None:
-            return None
-        count, total = self.statistics.violations, self.members
-        interval = binomial_interval(count, total) if self.independent else None
+        """Violations of the limit with their probability and its 95 % interval.
+
+        Where the limit is proven for some starts only, `count`, `probability` and `interval` are
+        of the `started_inside` members, and `others` of the rest are beyond it, which is no
+        violation. Without the metrics of single members all are counted.
+        """
+        return None if self.limit is None else dict(self._violations)
+
+    @cached_property
+    def _violations(self) -> dict[str, Any]:
+        assert self.limit is not None
+        count, total, apart = self.statistics.violations, self.members, {}
+        table = self.statistics.table
+        arrays = None if table is None else table.arrays(self.members)
+        if self.proven is not None and arrays is not None:
+            beyond = ~(arrays[0][METRICS.index("tail_error")] <= self.limit)
+            inside = started_inside(self.system, self.proven, self._members.draws(0, self.members))
+            count, total = int((beyond & inside).sum()), int(inside.sum())
+            apart = {"started_inside": total, "others": int((beyond & ~inside).sum())}
+        interval = binomial_interval(count, total) if self.independent and total else None
         return {
             "limit": self.limit,
             "origin": self.limit_origin,
             "count": count,
-            "probability": count / total,
+            "probability": count / total if total else None,
             "interval": None if interval is None else list(interval),
-        }
+        } | apart
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON.
@@ -370,7 +390,7 @@ def ensemble(
     checks.real("tolerance", tolerance, least=MIN_TOLERANCE)
     if tolerance > MAX_TOLERANCE:
         raise InputError("tolerance", f"must be at most {MAX_TOLERANCE:g}", tolerance)
-    limit, origin = tail_error_limit(system, limit)
+    limit, origin, proven = limit_and_starts(system, limit)
     per_member = members <= KEPT_MEMBERS if per_member is None else per_member
     plan = make_plan(system, seed, tolerance, limit, method or METHODS[0], per_member=per_member)
     plan, engine = _prepared(plan, method, threads, client)
@@ -382,7 +402,7 @@ def ensemble(
         )
         at_corners = complete_corners(plan, engine, client, checkpoints)
     corners = None if at_corners is None else Corners.of(system, at_corners, limit)
-    return Ensemble(system, seed, total, limit, origin, wanted, seconds, corners)
+    return Ensemble(system, seed, total, limit, origin, wanted, seconds, corners, proven)
 
 
 def _prepared(

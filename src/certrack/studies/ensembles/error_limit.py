@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+
+import numpy as np
 
 from certrack.certificates import best_sound_bound
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.implemented.certify import (
+    ImplementedCertificate,
+    certify_implemented,
+)
+from certrack.certificates.implemented.from_starts import ANY_START, NO_START
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
@@ -19,7 +26,14 @@ from certrack.systems.system import System
 
 
 def tail_error_limit(system: System, limit: float | None) -> tuple[float | None, str]:
-    """Limit of the tail error, and where it comes from.
+    """Limit of the tail error, and where it comes from; see :func:`limit_and_starts`."""
+    return limit_and_starts(system, limit)[:2]
+
+
+def limit_and_starts(
+    system: System, limit: float | None
+) -> tuple[float | None, str, ImplementedCertificate | None]:
+    """Limit of the tail error, where it comes from, and the starts it holds for.
 
     Parameters
     ----------
@@ -32,24 +46,53 @@ def tail_error_limit(system: System, limit: float | None) -> tuple[float | None,
     limit : float or None
     origin : str
         ``"given"``, ``"file"``, ``"certificate"``, or why there is none.
+    proven : ImplementedCertificate or None
+        Whose starts the limit holds for; None if it is for all.
     """
     population = system.varied
     if limit == math.inf:
-        return None, "none was asked for"
+        return None, "none was asked for", None
     if limit is not None:
-        return checks.real("limit", limit, above=0), "given"
+        return checks.real("limit", limit, above=0), "given", None
     if population.limit is not None:
-        return population.limit, "file"
+        return population.limit, "file", None
     reason = uncovered(system, population)
     if reason is not None:
-        return None, f"no certificate covers the population: {reason}"
+        return None, f"no certificate covers the population: {reason}", None
     if system.implementation is not None:
         sampled, _ = certify_implemented(system)
-        if sampled.exists:
-            return sampled.bound, "certificate"
-        return None, f"no certificate covers the sampled loop: {sampled.reason}"
+        if sampled.exists and sampled.starts != NO_START:
+            proven = None if sampled.starts == ANY_START else sampled
+            return sampled.bound, "certificate", proven
+        return None, f"no certificate covers the sampled loop: {sampled.reason}", None
     bound = best_sound_bound(system)
-    return (bound, "certificate") if math.isfinite(bound) else (None, "no certificate exists")
+    if math.isfinite(bound):
+        return bound, "certificate", None
+    return None, "no certificate exists", None
+
+
+def started_inside(
+    system: System, proven: ImplementedCertificate, draws: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """Which members start where a limit is proven.
+
+    Parameters
+    ----------
+    system : System
+    proven : ImplementedCertificate
+    draws : mapping
+        What was drawn for each member.
+    """
+    members = len(next(iter(draws.values()), np.zeros(1)))
+    columns = [
+        np.broadcast_to(draws.get(f"x0[{i}]", v), members) for i, v in enumerate(system.settings.x0)
+    ]
+    x0, population = np.array(columns).T, system.varied
+    if population.amplitude is None and population.frequency is None:
+        return np.asarray(proven.admits(x0))
+    if proven.polytope is None:  # what is proven of x0 is for the file's own reference
+        return np.zeros(len(x0), dtype=bool)
+    return proven.polytope.contains(x0)
 
 
 def uncovered(system: System, population: Population) -> str | None:

@@ -73,6 +73,9 @@ class DriveFalsification:
         How the run ended, where it did not reach its end.
     certificate : Certificate
         Of the loop as it is implemented; not verified if a premise is contradicted.
+    limited : bool
+        Whether the input may have met its limits: the certificate is not for such a run, which
+        begins elsewhere than the file's.
     """
 
     worst_error: float
@@ -80,11 +83,13 @@ class DriveFalsification:
     system: System
     stopped: str | None
     certificate: Certificate
+    limited: bool = False
 
     @property
     def exceeds(self) -> bool:
         """Whether the case is beyond a verified bound: then certrack is wrong."""
-        return self.certificate.verified and self.worst_error > self.certificate.bound
+        beyond = self.certificate.verified and self.worst_error > self.certificate.bound
+        return beyond and not self.limited
 
 
 #: What an alarm of the sampled loop says.
@@ -268,7 +273,21 @@ def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification |
     if contradicted(premises_as_implemented(system)):
         certificate = replace(certificate, verified=False)
     run = case.run
-    return DriveFalsification(case.error, case.estimate, case.system, _stopped(run), certificate)
+    limited = _may_be_limited(system, run)
+    return DriveFalsification(
+        case.error, case.estimate, case.system, _stopped(run), certificate, limited
+    )
+
+
+def _may_be_limited(system: System, run: Run) -> bool:
+    """Whether the input of a run may have met limits that the file has."""
+    drive = system.implementation
+    assert drive is not None
+    if drive.saturation is None:
+        return drive.rate_limit is not None
+    low, high = drive.saturation
+    within = bool((run.u > low).all() and (run.u < high).all())
+    return drive.rate_limit is not None or not within
 
 
 def _stopped(run: Run) -> str | None:

@@ -1,0 +1,92 @@
+"""What is said of the loop as the drive runs it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from certrack.certificates.implemented.certify import INACTIVE, MAY_ACT, ImplementedCertificate
+from certrack.core.rounding import rounded_down, rounded_up
+
+#: For which starts a bound is proven, in words; for all if it is not here.
+FOR_STARTS = {
+    "x0": ", from x0 and the proven polytope",
+    "box": ", from x0 and the ensemble's box",
+}
+
+
+def implemented_summary(sampled: ImplementedCertificate) -> dict[str, Any]:
+    """What a certificate of the implemented loop has besides others, ready for JSON."""
+    return {
+        "peak_input": sampled.peak_input,
+        "states": list(sampled.states),
+        "saturation": sampled.saturation,
+        "starts": sampled.starts,
+        "peaks": None if sampled.peaks is None else asdict(sampled.peaks),
+        "polytope": _polytope(sampled),
+        "parts": dict(sampled.parts),
+    }
+
+
+def _polytope(sampled: ImplementedCertificate) -> dict[str, Any] | None:
+    """Starts from which no limit is met, without its rows."""
+    polytope = sampled.polytope
+    if polytope is None:
+        return None
+    return {
+        "half_spaces": len(polytope.rows),
+        "region": polytope.region,
+        "largest_box": polytope.largest_box(),
+    }
+
+
+def implemented_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
+    """What is known of the loop as the drive runs it, and which bound to ship with."""
+    if not sampled.exists:
+        return []
+    bound, peak, *states = (
+        rounded_up(v, digits) for v in (sampled.bound, sampled.peak_input, *sampled.states)
+    )
+    ship = (
+        f"ship with implemented: limsup |e_1| <= {bound} holds for the sampled loop, between its "
+        f"samples too{FOR_STARTS.get(sampled.starts, '')}; the others speak of the continuous law"
+    )
+    if not sampled.verified:
+        ship = (
+            f"the sampled loop is not verified: {sampled.reason}; |e_1| <= {bound} in the long "
+            "run where no limit is met any more"
+        )
+    return [
+        ship,
+        f"as implemented, in the long run: |u| <= {peak}, {_listed(states)}",
+        *_start_notes(sampled, digits),
+    ]
+
+
+def _start_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
+    """Peaks from x0, and from where the limits of the input are never met."""
+    lines, peaks, polytope = [], sampled.peaks, sampled.polytope
+    if peaks is not None:
+        error, size, *states = (
+            rounded_up(v, digits) for v in (peaks.error, peaks.input, *peaks.states)
+        )
+        limits = {INACTIVE: "; its limits are never met", MAY_ACT: ", if no limit acts"}
+        lines.append(
+            f"as implemented, from x0, at all times: |u| <= {size}, |e_1| <= {error}, "
+            f"{_listed(states)}{limits.get(sampled.saturation, '')}"
+        )
+    if polytope is not None:
+        if polytope.is_region:
+            lines.append("no limit of the input is met from any start of the ensemble's box")
+        elif (box := polytope.largest_box()) is not None:
+            ends = (f"[{-float(rounded_down(-a, 4)):g}, {rounded_down(b, 4)}]" for a, b in box)
+            lines.append(
+                "no limit of the input is met from starts in the proven polytope, whose largest box is "
+                f"{' x '.join(ends)}; from elsewhere they may be met"
+            )
+    return lines
+
+
+def _listed(states: Sequence[str]) -> str:
+    return ", ".join(f"|x_{i + 1}| <= {v}" for i, v in enumerate(states))
