@@ -9,7 +9,7 @@ from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
-from certrack.certificates.methods import NOMINAL_KINDS, QUADRATIC_KINDS, RANGE_KINDS
+from certrack.certificates.methods import NOMINAL_KINDS, RANGE_KINDS
 from certrack.cli.report import BOUND_TEXT_DIGITS, table
 from certrack.cli.sampled_report import implemented_notes, implemented_summary
 from certrack.core.rounding import printed_bound, rounded_down
@@ -50,9 +50,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
             "start": results.tube.start,
             "floor": results.tube.floor,
             "alpha": results.tube.alpha,
-            "kind": "vertices"
-            if results.kinds == RANGE_KINDS
-            else min(QUADRATIC_KINDS, key=lambda kind: getattr(results, kind).bound),
+            "kind": results.tube_kind,
             "pieces": results.tube.pieces,
             "verified": results.tube.verified,
         },
@@ -84,14 +82,15 @@ def certificates_table(results: Certificates) -> Table:
         "cells": "the ranges cut into cells, for constants that stand still",
         "implemented": "peak gains of the loop as the drive runs it: the one to ship with",
     }
-    rows = []
+    rows, last = [], ""
     sampled = results.implemented.reason != NO_IMPLEMENTATION
     for kind in (*results.kinds, "implemented") if sampled else results.kinds:
         entry: Certificate = getattr(results, kind)
         checked = "exactly" if entry.verified else "-"
         text = entry.reason if entry.reason and not entry.verified else notes[kind]
         bound = printed_bound(entry.bound if entry.exists else None, BOUND_TEXT_DIGITS)
-        rows.append([kind, bound, checked, text])
+        rows.append([kind, bound, checked, "as above" if text == last else text])
+        last = text
     return table("limsup |e_1| <=", ["certificate", "bound", "verified", "note"], rows)
 
 
@@ -116,10 +115,10 @@ def certificates_notes(results: Certificates) -> list[str]:
         start = printed_bound(float(results.tube(0.0)), BOUND_TEXT_DIGITS)
         settled = printed_bound(results.tube.settling_time(level), BOUND_TEXT_DIGITS)
         margin = f"{100 * SETTLED_MARGIN:g} %"
-        whose = "of vertices " if results.kinds == RANGE_KINDS else ""
         lines.append(
-            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound {whose}"
-            f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
+            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound of "
+            f"{results.tube_kind} after {settled} s"
+            + ("" if results.tube.verified else " (the start is not verified)")
         )
     return lines
 

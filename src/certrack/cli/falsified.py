@@ -58,7 +58,7 @@ def drive_lines(drive: Mapping[str, Any]) -> list[str]:
     return [
         f"as implemented, worst |e_1| found: {drive['worst_error']:.6g} (simulated)",
         f"{rounding}, by the linear loop: {drive['estimate']:.6g}",
-        f"certified as implemented: {printed_bound(drive['certified'])}",
+        f"as implemented, certified limsup |e_1|: {printed_bound(drive['certified'])}",
     ]
 
 
@@ -73,7 +73,7 @@ def _beside(certificate: Certificate, error: float) -> dict[str, Any]:
 
 
 def falsification_table(entries: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Every certificate beside the worst error."""
+    """Every bound that exists beside the worst error."""
     rows = [
         (
             kind,
@@ -83,5 +83,6 @@ def falsification_table(entries: Mapping[str, Mapping[str, Any]]) -> Table:
             "EXCEEDED by the case found" if entry["exceeded"] else "",
         )
         for kind, entry in entries.items()
+        if entry["bound"] is not None and math.isfinite(entry["bound"])
     ]
     return table("", ["certificate", "bound", "verified", "ratio", "note"], rows)
