@@ -88,6 +88,31 @@ def test_new_file_simulates_and_is_not_overwritten(capfd, tmp_path):
     assert "cannot be written" in err
 
 
+def test_a_new_file_may_be_a_shipped_system_with_its_comments(capfd, tmp_path):
+    path = tmp_path / "mine.toml"
+    assert result(capfd, "new", str(path), "--from", "dual-motor-drive") == {"file": str(path)}
+    assert "# 16-bit encoders" in path.read_text()
+    assert certrack.load(path) == certrack.load("dual-motor-drive")
+    code, _, err = invoke(capfd, "new", str(tmp_path / "no.toml"), "--from", "mine.toml")
+    assert code == 2
+    assert "--from: must be one of axis, dual-motor" in err
+    assert not (tmp_path / "no.toml").exists()
+
+
+def test_rows_of_the_table_of_certificates_do_not_repeat_a_reason(capfd):
+    _, out, _ = invoke(capfd, "certify", "dual-motor-lean", "--effort", "fast")
+    assert out.count("k[1][2]") == 1
+    assert out.count("as above") == 2
+
+
+@pytest.mark.slow
+def test_falsify_says_which_loop_a_number_is_of(capfd):
+    _, out, _ = invoke(capfd, "falsify", "dual-motor-drive", "--budget", "100")
+    assert "continuous law, worst |e_1| found in" in out
+    assert "as implemented, certified limsup |e_1|: 0.0016" in out
+    assert "published" not in out
+
+
 def test_design(capfd):
     found = result(capfd, "design", "dual-motor")
     assert found["B"] == pytest.approx([1, 3.5, 2.40451389, 53.18253642])

@@ -160,7 +160,7 @@ def test_a_range_that_stability_does_not_see_has_no_critical_strength():
     assert math.isinf(found.scale) and found.reason == ""
 
 
-#: Stable with the gain that the law knows, unstable a little above it, and stable from 1.5 times on.
+#: Stable with the gain that the law knows, unstable a little above, stable from 1.5 times on.
 GAIN_ELSEWHERE = """
 [plant]
 states = ["x1", "x2", "x3", "x4"]

@@ -12,7 +12,8 @@ from hypothesis import given
 import certrack
 from certrack.core.errors import InputError
 from certrack.laws import Classic, Robust
-from certrack.laws.base import Equations, Law, Signals, dot, gain
+from certrack.laws.base import Equations, Law, gain
+from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 from certrack.references import triangle
 from certrack.testing import LawConformance

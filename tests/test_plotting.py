@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 import certrack
 from certrack import plotting
+from certrack.certificates.certificate import Certificate
 from certrack.certificates.tube import Tube
 from certrack.core.errors import InputError
 from certrack.studies.ensembles.statistics import LEVELS
@@ -185,3 +186,29 @@ def test_a_fan_on_own_axes_refuses_what_is_not_there():
     assert ax.get_ylabel() == "$u$"
     with pytest.raises(InputError, match="signal: must be one of e_1, x1, x2, u; got x9"):
         plotting.plot_fan(ax, found, "x9")
+
+
+def test_the_tube_shows_the_certificate_to_rely_on_where_its_bound_is_another(runs):
+    run, tube = runs["dual-motor-lean"], Tube(start=9.0, floor=1e-6, alpha=1.0)
+    for bound, kind, names in (
+        (1e-3, "semidefinite", []),
+        (2.5e-3, "implemented", ["implemented"]),
+    ):
+        best = Certificate(kind, bound, verified=True)
+        magnified = plotting.tube_figure(run, tube, "title", best).axes[1]
+        legend = magnified.get_legend()
+        assert [text.partition(":")[0] for text in (texts(legend) if legend else [])] == names
+        drawn = {line.get_ydata()[0] for line in magnified.lines if len(line.get_xdata()) == 2}
+        assert {bound, -bound} <= drawn
+        assert magnified.get_ylim()[1] > bound
+
+
+def test_zeros_do_not_stretch_a_histogram_to_the_smallest_number():
+    """3 % of the members are settled from the start; a logarithmic axis would end at 1e-12."""
+    ensemble = certrack.ensemble(certrack.load("example1"), 97)
+    settling = ensemble.statistics.metrics["settling_time"]
+    settling.observe(np.zeros(3))
+    made = plotting.metric_histograms(ensemble)
+    (ax,) = [each for each in made.axes if "settling" in each.get_xlabel()]
+    assert ax.get_xscale() == "linear"
+    assert sum(bar.get_height() for bar in ax.patches) == 100

@@ -15,11 +15,11 @@ from scipy.optimize import brentq
 import certrack
 from certrack.certificates import premises, to_document, verify
 from certrack.certificates.assumption_1 import uncertain_terms
+from certrack.certificates.assumptions import assumptions
 from certrack.certificates.cover import smallest_cover
 from certrack.certificates.document import FORMAT_1, _digest
 from certrack.certificates.domain import always_defined, conditions, undefined_at
 from certrack.certificates.majorants import ROOT_FACTORS, majorants
-from certrack.certificates.premises import assumptions
 from certrack.certificates.sampling import Points, random_points
 from certrack.cli import main
 from certrack.core.errors import InputError

@@ -24,7 +24,7 @@ from certrack.certificates.ranges.cells import halved
 from certrack.certificates.ranges.certify import certify_ranges
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import error_form, ranged_loop
-from certrack.certificates.ranges.proofs import RangeProver, cells_fill, check_cover, numbers, texts
+from certrack.certificates.ranges.proofs import RangeProver, cells_fill, check_cells, numbers, texts
 from certrack.certificates.ranges.rational import MAX_HULL_POINTS, RationalVector
 from certrack.certificates.ranges.search import bound_ranges
 from certrack.certificates.ranges.tube import range_tube
@@ -289,7 +289,7 @@ def test_bounds_of_the_examples(name):
     assert float(bounds.vertices.bound) <= varying and prover.check(bounds.vertices) == ""
     cover = bounds.cells
     bound = max((proof.bound for proof in cover), key=float)
-    assert float(bound) <= fixed and check_cover(system, cover, bound) == ""
+    assert float(bound) <= fixed and check_cells(system, cover, bound) == ""
     best = 0.0
     for corner in itertools.product(*prover.box):
         best = max(best, attained(prover.loop, corner))
@@ -318,7 +318,7 @@ def test_bounds_of_the_joint_with_three_ranges():
     assert float(bounds.vertices.bound) <= 0.0541
     bound = max((proof.bound for proof in bounds.cells), key=float)
     assert float(bound) <= 0.0405
-    assert check_cover(system, bounds.cells, bound) == ""
+    assert check_cells(system, bounds.cells, bound) == ""
 
 
 @pytest.mark.parametrize(
@@ -418,7 +418,7 @@ def test_seven_constants_are_proven_at_the_centre():
     problem = ProblemMaker(prover.loop).at_centre(prover.coefficients, prover.box, None)
     (stage,) = proof.points
     assert len(stage.lam) == problem.counts[0] == len(prover.coefficients.functions)
-    assert check_cover(system, (proof,), proof.bound) == ""
+    assert check_cells(system, (proof,), proof.bound) == ""
     every = certify_ranges(system, effort="fast")
     assert every.vertices.bound == float(proof.bound) > every.attainable
     lower = f"{float(proof.bound) * (1 - 1e-6):.15g}"

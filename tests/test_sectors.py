@@ -19,7 +19,7 @@ from certrack.certificates.ranges.loop import error_form, ranged_loop
 from certrack.certificates.ranges.proofs import (
     CellProof,
     RangeProver,
-    check_cover,
+    check_cells,
     prover_of,
     texts,
 )
@@ -98,7 +98,7 @@ def test_an_unbounded_term_within_a_sector_has_a_certificate():
         found = certify_ranges(system)
         assert found.best.exists and found.attainable is None
         assert (
-            check_cover(system, found.proof, max((p.bound for p in found.proof), key=float)) == ""
+            check_cells(system, found.proof, max((p.bound for p in found.proof), key=float)) == ""
         )
         for K in (0.5, 1.5):
             member = system.replace(truth=replace(system.truth, constants={"K": K}))
@@ -157,13 +157,13 @@ def test_no_cell_cuts_a_slope():
     cut = [prover.vertices((prover.box[0], half)) for half in halves]
     assert all(prover.check(proof) == "" for proof in cut)
     bound = max((proof.bound for proof in cut), key=float)
-    assert "varies in time" in check_cover(tame, cut, bound)
+    assert "varies in time" in check_cells(tame, cut, bound)
     entire = prover.vertices(prover.box)
-    assert check_cover(tame, [entire], entire.bound) == ""
+    assert check_cells(tame, [entire], entire.bound) == ""
     lower = f"{float(entire.bound) * (1 - 1e-6):.15g}"
-    assert check_cover(tame, [replace(entire, bound=lower)], lower)
+    assert check_cells(tame, [replace(entire, bound=lower)], lower)
     narrower = replace(entire, cell=(entire.cell[0], ("-1/2", "1/2")))
-    assert check_cover(tame, [narrower], entire.bound)
+    assert check_cells(tame, [narrower], entire.bound)
 
 
 def test_saved_and_checked(tmp_path):

@@ -139,9 +139,9 @@ def test_the_rows_of_ranges_that_have_no_certificate_say_why():
     plant = dataclasses.replace(system.plant, constant_ranges=wide)
     found = certrack.certify(system.replace(plant=plant), "fast")
     assert not found.best.exists
-    from certrack.cli import report
+    from certrack.cli import certificate_report
 
-    rows = report.certificates_table(found)
+    rows = certificate_report.certificates_table(found)
     names = list(rows.columns[0].cells)
     notes = list(rows.columns[-1].cells)
     assert names == ["vertices", "peak", "cells"]

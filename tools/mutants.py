@@ -49,7 +49,13 @@ GROUPS = {
         ("laws/backstepping.py",), ("tests/test_backstepping.py", "-k", "not random_nominal")
     ),
     "laws": Group(
-        ("laws/base.py", "laws/robust.py", "laws/adaptive.py", "laws/classic.py"),
+        (
+            "laws/base.py",
+            "laws/signals.py",
+            "laws/robust.py",
+            "laws/adaptive.py",
+            "laws/classic.py",
+        ),
         (
             *("tests/test_laws.py", "tests/test_testing.py", "tests/test_backstepping.py", "-k"),
             "(FullGamma and (its or immutable or symbols or fields or survives or sampled))"

@@ -7,9 +7,14 @@ gains serve loops without ranges, too; `methods` lists them all. They share
 `adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys
 the error system that it states (`stated`), `own_multipliers` (a proof without a solver), `exact`
 (verification), `strength` (up to which scale of tau there is one), `document` (the saved
-certificate and its checker) and `tube` (the bound for every t, from the `start` in `balls`). What
-the truth keeps of Assumption 1 is found by `majorants` and `cover`, where formulas are defined by
-`domain`. A bound is a claim that others build on, so the author of a new method must:
+certificate and its checker) and `tube` (the bound for every t, from the `start` in `balls`).
+
+Which systems have a certificate at all is said by `scope`. What a bound rests on is a list of
+`premise` records, made by `premises_of_truth` (by `reference_premise` for y_d); `assumptions` has
+it as texts. What the truth keeps of Assumption 1 is found by `majorants` and `cover`, where
+formulas are defined by `domain`.
+
+A bound is a claim that others build on, so the author of a new method must:
 
 1. take a :class:`~certrack.systems.system.System` and nothing else, and build its data by
    ``error_problem(system, rational)`` (`decimal` where it claims no exactness), which refuses the

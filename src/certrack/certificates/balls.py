@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from fractions import Fraction
 from functools import reduce
@@ -58,6 +58,11 @@ def ball_of(value: float, units: int = FLOAT_UNITS) -> Any:
     exact = exact_rational(value)
     middle = flint.arb(flint.fmpq(exact.numerator, exact.denominator))
     return flint.arb(middle, flint.arb(units * math.ulp(float(value))) if value else 0)
+
+
+def ball_matrix(rows: Iterable[Iterable[Any]]) -> flint.arb_mat:
+    """Balls of the precision at hand around a matrix of rationals or balls."""
+    return flint.arb_mat([[flint.arb(v) for v in row] for row in rows])
 
 
 def enclosing_ball(expr: sympy.Expr, values: Mapping[sympy.Symbol, Any]) -> Any:

@@ -17,6 +17,8 @@ from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.methods import (
     METHOD_STEPS,
     NOMINAL_KINDS,
+    QUADRATIC_KINDS,
+    RANGE_KINDS,
     Proofs,
     every_certificate,
     smallest,
@@ -144,6 +146,13 @@ class Certificates(ShownInNotebooks):
         Empty where there is none, and where a premise is contradicted.
         """
         return () if self.contradicted else self.implemented_proof or self.tightest
+
+    @property
+    def tube_kind(self) -> str:
+        """The certificate whose bound the tube falls to."""
+        if self.kinds == RANGE_KINDS:
+            return "vertices"
+        return min(QUADRATIC_KINDS, key=lambda kind: getattr(self, kind).bound)
 
     @property
     def quadratic(self) -> tuple[Proof, ...]:

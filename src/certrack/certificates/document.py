@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.assumptions import assumptions
 from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
@@ -25,10 +26,9 @@ from certrack.certificates.implemented.document import implemented_proofs, is_im
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.premise import Premise, contradicted
-from certrack.certificates.premises import assumptions
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.certify import cover_bound
-from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, CellProof, check_cover, numbers
+from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, CellProof, check_cells, numbers
 from certrack.certificates.ranges.rational import MAX_HULL_POINTS
 from certrack.core.budget import within_budget
 from certrack.core.errors import InputError, shorten
@@ -98,7 +98,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     ----------
     system : System
     *stages : Proof
-        One for a semidefinite bound, two or three for a cascade, the cells of a cover of the
+        One for a semidefinite bound, two or three for a cascade, the cells that fill the
         ranges of constants, or the proofs of the implemented loop.
 
     Returns
@@ -260,7 +260,7 @@ def _verify_cover(body: dict[str, Any]) -> Verdict:
     if body["claim"] != f"limsup |e_1(t)| <= {bound}":
         return Verdict(False, bound, "the claim is not that of the proof")
     system = loads(body["system"], "system")
-    if reason := check_cover(system, cells, bound):
+    if reason := check_cells(system, cells, bound):
         return Verdict(False, bound, reason)
     return _rests_on(body, bound, premises(system), assumptions(system))
 

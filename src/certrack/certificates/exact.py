@@ -17,8 +17,8 @@ import flint
 import numpy as np
 
 from certrack.certificates.arithmetic import positive_definite
+from certrack.certificates.assumptions import assumptions
 from certrack.certificates.certificate import Certificate
-from certrack.certificates.premises import assumptions
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.semidefinite import Solution
 from certrack.systems.system import System

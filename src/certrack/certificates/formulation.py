@@ -15,8 +15,8 @@ import numpy as np
 
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import ToNumber, exact_float, rational, solve
-from certrack.certificates.premises import refuse
 from certrack.certificates.problem import ErrorProblem
+from certrack.certificates.scope import refuse
 from certrack.certificates.stated import stated_error_system
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
 from certrack.laws.balanced import balanced, balancing_weights

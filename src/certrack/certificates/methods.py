@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.assumptions import assumptions
 from certrack.certificates.cascade import certify_cascade
 from certrack.certificates.certificate import (
     Certificate,
@@ -17,7 +18,6 @@ from certrack.certificates.certificate import (
 from certrack.certificates.exact import Proof, float_up, from_text, prove, proven
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.own_multipliers import own_solution
-from certrack.certificates.premises import assumptions, has_ranges
 from certrack.certificates.published import certify_published
 from certrack.certificates.ranges.certify import (
     RangeCertificates,
@@ -25,6 +25,7 @@ from certrack.certificates.ranges.certify import (
     without_ranges,
 )
 from certrack.certificates.ranges.proofs import CellProof, RangeProver
+from certrack.certificates.scope import has_ranges
 from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System

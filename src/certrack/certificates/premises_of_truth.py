@@ -4,40 +4,36 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import sympy
 
 from certrack.certificates.assumption_1 import UncertainTerm, uncertain_terms
+from certrack.certificates.assumptions import irrational_numbers
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.cover import Cover, smallest_cover
 from certrack.certificates.domain import NONNEGATIVE, NONZERO, Condition, conditions, undefined_at
 from certrack.certificates.premise import ASSUMED, CHECKED, CONTRADICTED, PROVEN, Premise
-from certrack.certificates.premises import irrational_numbers
+from certrack.certificates.reference_premise import reference_premise
 from certrack.certificates.sampling import RANDOM_POINTS, Points, random_points
 from certrack.certificates.stated import stated_error_system
-from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, parse
 from certrack.core.powers import put_in
-from certrack.core.rounding import rounded_range, rounded_up
+from certrack.core.rounding import rounded_range
 from certrack.laws.error_system import KnownParameters
 from certrack.model.plant import Plant
-from certrack.references import SymbolicReference
 from certrack.systems.system import System
 
 #: Seed of the samples: the same file has the same premises everywhere.
 SEED = 0
 
 #: Names that are not of a state, in the order of the list.
-PLANT, GAIN, THETA, DOMAIN, REFERENCE, IRRATIONAL, CONTINUOUS_LAW = (
+PLANT, GAIN, THETA, DOMAIN, IRRATIONAL, CONTINUOUS_LAW = (
     "plant",
     "input gain",
     "theta",
     "domain",
-    "reference",
     "irrational numbers",
     "continuous law, exact states",
 )
@@ -45,12 +41,6 @@ PLANT, GAIN, THETA, DOMAIN, REFERENCE, IRRATIONAL, CONTINUOUS_LAW = (
 #: Random states at which two formulas are compared, digits of the comparison, and what they may
 #: differ by: they differ in a constant, or not at all.
 COMPARED_POINTS, FORMULA_DIGITS, SAME = 60, 40, 1e-30
-
-#: Times at which a declared bound is held against the reference, beyond those of the loader, s.
-LATE_TIMES = np.geomspace(1e4, 1e9, 20_001)
-
-#: Relative excess over a declared bound that rounding explains.
-BOUND_ROUNDING = 1e-9
 
 
 def premises(system: System) -> tuple[Premise, ...]:
@@ -83,7 +73,7 @@ def _premises(system: System) -> Iterator[Premise]:
             yield _theta(system)
         yield from (_term(term, points) for term in uncertain_terms(system))
     yield _domain(system, points)
-    yield _reference(system)
+    yield reference_premise(system)
     rounded = irrational_numbers(system)
     if rounded:
         yield Premise(IRRATIONAL, ASSUMED, f"rounded to 17 digits: {', '.join(rounded)}")
@@ -354,57 +344,3 @@ def _rewriting(condition: Condition) -> str:
     if condition.must_be == NONZERO:
         return f"write sqrt(({g})**2 + 0.001**2) there, or move the singular part into the input"
     return f"write max({g}, 0.001) there if the plant keeps above it"
-
-
-def _reference(system: System) -> Premise:
-    reference = system.reference
-    order = system.controller.coordinates.q + 1
-    try:
-        bounds = reference.bounds(order)
-    except InputError as problem:
-        return Premise(REFERENCE, ASSUMED, "bounds of y_d and its derivatives", remedy=str(problem))
-    pairs = list(enumerate(zip(bounds.values, bounds.origin, strict=True)))
-    detail = ", ".join(
-        f"|y_d^({i})| <= {rounded_up(repr(v), 6)} ({origin})" for i, (v, origin) in pairs
-    )
-    if not type(reference).__module__.startswith("certrack."):
-        return Premise(REFERENCE, ASSUMED, f"{detail}, as the reference's own class says")
-    declared = [i for i, (_, origin) in pairs if origin == "declared"]
-    if not declared:
-        return Premise(REFERENCE, PROVEN, detail)
-    broken = _beyond(reference, bounds.values, declared)
-    if broken is not None:
-        i, t, value = broken
-        return Premise(
-            REFERENCE,
-            CONTRADICTED,
-            f"|y_d^({i})| = {value:.6g} at t = {t:.6g} s, declared <= {bounds.values[i]:.6g}",
-            {"t": t, "value": value, "limit": bounds.values[i]},
-            f"state reference.bounds[{i}] for all t >= 0",
-        )
-    if _proves(reference, bounds.values, declared):
-        return Premise(REFERENCE, PROVEN, detail)
-    return Premise(REFERENCE, CHECKED, f"{detail}; declared ones on samples of t")
-
-
-def _beyond(
-    reference: Any, limits: Sequence[float], declared: Sequence[int]
-) -> tuple[int, float, float] | None:
-    """A late time at which a declared bound is broken."""
-    values = np.abs(reference.values(LATE_TIMES, max(declared)))
-    for i in declared:
-        above = np.flatnonzero(values[i] > limits[i] * (1 + BOUND_ROUNDING))
-        if len(above):
-            return i, float(LATE_TIMES[above[0]]), float(values[i][above[0]])
-    return None
-
-
-def _proves(reference: Any, limits: Sequence[float], declared: Sequence[int]) -> bool:
-    """Whether the declared bounds are not below what the formula has been proven to keep."""
-    if not isinstance(reference, SymbolicReference):
-        return False
-    try:
-        proven_bounds = replace(reference, declared=None, bound=None).bounds(max(declared)).values
-    except InputError:
-        return False
-    return all(proven_bounds[i] <= limits[i] for i in declared)

@@ -42,6 +42,7 @@ from certrack.certificates.arithmetic import (
     positive_definite,
     rational,
 )
+from certrack.certificates.assumptions import assumptions
 from certrack.certificates.certificate import (
     OUT_OF_RANGE,
     Certificate,
@@ -51,7 +52,6 @@ from certrack.certificates.certificate import (
 )
 from certrack.certificates.exact import float_down, float_up, from_text, root_up
 from certrack.certificates.formulation import error_coordinates, error_problem
-from certrack.certificates.premises import assumptions
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.references.base import total_bound
 from certrack.systems.system import System

@@ -17,9 +17,10 @@ import sympy
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, Signals
+from certrack.laws.base import Equations
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
 from certrack.laws.recursion import recursion
+from certrack.laws.signals import Signals
 from certrack.systems.system import System
 
 #: Relative difference from the recursion's numbers that is a rounding and not another design.

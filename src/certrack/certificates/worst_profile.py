@@ -18,8 +18,11 @@ from scipy.optimize import linprog
 #: Points within a piece at which the derivatives are looked at, to scale the reference down.
 LOOKS_PER_PIECE = 8
 
-#: The time to come to rest, over the largest Y_i/Y_{i+1}; a ratio over 1 / this is one by zero.
-STOPPING_TIMES, LEAST_MEANT = 4.0, 1e-100
+#: The time to come to rest, over the largest Y_i/Y_{i+1}; a larger ratio is one by a bound of zero.
+STOPPING_TIMES, LARGEST_RATIO = 4.0, 1e100
+
+#: Corrections of the last pieces: the first leaves its own rounding, the second nothing to see.
+REST_CORRECTIONS = 2
 
 #: The program is given up after this time, s: it takes less than one but for absurd orders.
 TIME_LIMIT = 60.0
@@ -105,7 +108,7 @@ def worst_profile(
         return None
     x = optimum.x
     if at_rest is not None and len(at_rest):  # the program ends at rest but for its tolerance
-        for _ in range(2):
+        for _ in range(REST_CORRECTIONS):
             x = x - np.linalg.lstsq(at_rest, at_rest @ x, rcond=None)[0]
     reached = max(np.abs(np.vstack(looked_at) @ x).max(initial=0.0), np.abs(x).max())
     x = x / max(1.0, float(reached))
@@ -117,7 +120,7 @@ def stopping_widths(sizes: np.ndarray, count: int) -> np.ndarray:
     if not count:
         return np.empty(0)
     ratios = [below / above for below, above in zip(sizes, sizes[1:], strict=False)]
-    slowest = max((ratio for ratio in ratios if ratio < 1 / LEAST_MEANT), default=1.0)
+    slowest = max((ratio for ratio in ratios if ratio < LARGEST_RATIO), default=1.0)
     return np.full(count, STOPPING_TIMES * slowest / count)
 
 

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from certrack.systems.system import System
 
 
+#: What is said besides where the premises are those of the continuous law.
+LOOP_AS_IT_RUNS = (
+    "certrack certify tells whether the loop as the drive runs it has a bound of its own; that one "
+    "does not rest on the continuous law"
+)
+
+
 @click.command()
 @click.argument("file")
 @json_option
@@ -29,6 +36,7 @@ def check(file: str, as_json: bool) -> None:
     \b
     Example: certrack check dual-motor-drive
     """
+    from certrack.certificates.premises_of_truth import CONTINUOUS_LAW
     from certrack.cli import report
     from certrack.studies.check import check as check_system
     from certrack.systems.reader import load
@@ -40,6 +48,8 @@ def check(file: str, as_json: bool) -> None:
     else:
         click.echo(system.title or file)
         report.print_lines(["premises:", *premise_lines(result.premises)])
+        if any(premise.name == CONTINUOUS_LAW for premise in result.premises):
+            report.print_lines([LOOP_AS_IT_RUNS])
         report.print_lines(_lines(system, result))
     say_contradicted(result.contradicted)
     for finding in result.faults:

@@ -25,25 +25,35 @@ def list_systems(as_json: bool) -> None:
         click.echo(report.to_json(systems))
     else:
         report.console().print(report.table("", ["name", "title"], list(systems.items())))
+        click.echo("To start from one of them: certrack new FILE.toml --from NAME")
 
 
 @click.command()
 @click.argument("name", type=NEW_FILE)
+@click.option(
+    "--from", "shipped", metavar="SYSTEM", help="Copy this shipped system, see certrack list."
+)
 @json_option
-def new(name: Path, as_json: bool) -> None:
+def new(name: Path, shipped: str | None, as_json: bool) -> None:
     """Write a commented system file NAME to start from.
 
+    The general one shows every table of a continuous loop; dual-motor-drive has encoders, delay
+    and limits, and flexible-joint has tolerances of a data sheet.
+
     \b
-    Example: certrack new drive.toml
+    Example: certrack new drive.toml --from dual-motor-drive
     """
     from certrack.cli import report
+    from certrack.core.errors import InputError
     from certrack.core.files import write_text
-    from certrack.systems.reader import starter
+    from certrack.systems.reader import catalog, starter
 
     if not name.name:
         raise click.UsageError("NAME must be a file name", click.get_current_context())
+    if shipped is not None and shipped not in (known := catalog()):
+        raise InputError("--from", "must be one of " + ", ".join(known), shipped)
     path = name if name.suffix else name.with_suffix(".toml")
-    write_text(path, starter(), overwrite=False)
+    write_text(path, starter(shipped), overwrite=False)
     if as_json:
         click.echo(report.to_json({"file": str(path)}))
     else:

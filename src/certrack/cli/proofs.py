@@ -68,8 +68,8 @@ def certify(
     Example: certrack certify dual-motor-lean --out cert.json
     """
     from certrack import certificates
-    from certrack.certificates.premises import has_ranges
-    from certrack.cli import range_report, report
+    from certrack.certificates.scope import has_ranges
+    from certrack.cli import certificate_report, range_report, report
     from certrack.systems.reader import load
 
     system = load(file)
@@ -84,7 +84,8 @@ def certify(
         from certrack.simulation.simulator import simulate as run_system
 
         run = run_system(system)
-        plotting.save_figure(plotting.tube_figure(run, result.tube, system.title), plot, "tube")
+        drawing = plotting.tube_figure(run, result.tube, system.title, result.best)
+        plotting.save_figure(drawing, plot, "tube")
     if plot is not None and result.implemented.polytope is not None and system.plant.n > 1:
         from certrack import plotting
 
@@ -94,13 +95,14 @@ def certify(
         click.echo(report.to_json(range_report.ranged_summary(result)))
     else:
         click.echo(system.title or file)
-        report.console().print(report.certificates_table(result))
+        report.console().print(certificate_report.certificates_table(result))
         if result.constants:
             report.console().print(range_report.costs_table(result))
-        report.print_lines(report.certificates_notes(result))
+        report.print_lines(certificate_report.certificates_notes(result))
         report.print_lines(range_report.strength_line(result))
         report.print_lines(["resting on:", *premise_lines(result.premises)])
     say_contradicted(result.contradicted)
+    _note_without_implemented(system, result)
     _hint_of_weights(system, result, effort)
     if not result.best.exists:
         reason = result.vertices.reason if has_ranges(system) else result.semidefinite.reason
@@ -109,6 +111,16 @@ def certify(
         click.echo(f"certrack: {out} is not written: there is nothing verified", err=True)
     if result.contradicted or ((require or out is not None) and not result.verified):
         raise click.exceptions.Exit(1)
+
+
+def _note_without_implemented(system: System, result: Certificates) -> None:
+    """Say that no bound is of the loop as the drive runs it, and why, where there is a drive."""
+    if system.implementation is not None and result.best.exists and not result.implemented.verified:
+        click.echo(
+            "certrack: note: what is verified here is of the continuous law, nothing is of the "
+            f"loop as [implementation] runs it: {result.implemented.reason}",
+            err=True,
+        )
 
 
 def _two_states(names: str | None, known: Sequence[str]) -> tuple[str, str] | None:
@@ -225,11 +237,11 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     if as_json:
         click.echo(report.to_json(values))
     else:
-        origin = ORIGIN_WORDS[result.origin]
+        origin, of = ORIGIN_WORDS[result.origin], "" if drive is None else "continuous law, "
         click.echo(
-            f"worst |e_1| found in {result.evaluations} runs{origin}: {result.worst_error:.6g}"
+            f"{of}worst |e_1| found in {result.evaluations} runs{origin}: {result.worst_error:.6g}"
         )
-        click.echo(f"certified limsup |e_1|: {printed_bound(values['certified'])}")
+        click.echo(f"{of}certified limsup |e_1|: {printed_bound(values['certified'])}")
         ratio = values["ratio"]
         click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
         report.console().print(falsified.falsification_table(values["certificates"]))

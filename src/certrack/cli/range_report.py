@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from certrack.certificates.ranges.strength import STRENGTH_ACCURACY
-from certrack.cli import report
+from certrack.cli import certificate_report, report
 from certrack.core.rounding import printed_bound, rounded_down
 
 if TYPE_CHECKING:
@@ -57,10 +57,10 @@ def strength_line(results: Certificates) -> list[str]:
 
 def ranged_summary(results: Certificates) -> dict[str, Any]:
     """All certificates, ready for JSON, and what is said of ranges."""
-    values, strength = report.certificates_summary(results), results.critical_ranges
+    values, strength = certificate_report.certificates_summary(results), results.critical_ranges
     critical = values["critical_strength"] | {"ranges": None, "ranges_end": None}
     if strength is not None:
-        critical["ranges"] = min(strength.scale, report.LARGEST_STRENGTH)
+        critical["ranges"] = min(strength.scale, certificate_report.LARGEST_STRENGTH)
         critical["ranges_end"] = strength.reason or None
         critical["beyond"] = math.isinf(strength.scale)
     constants = [entry.record() for entry in results.constants]

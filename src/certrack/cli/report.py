@@ -15,11 +15,7 @@ import numpy as np
 from rich.console import Console, Group
 from rich.table import Table
 
-from certrack.certificates import Certificate, Certificates
-from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
-from certrack.certificates.methods import NOMINAL_KINDS, QUADRATIC_KINDS, RANGE_KINDS
-from certrack.cli.sampled_report import implemented_notes, implemented_summary
-from certrack.core.rounding import printed_bound, rounded_down
+from certrack.core.rounding import printed_bound
 from certrack.simulation.metrics import METRIC_LABELS
 
 if TYPE_CHECKING:
@@ -273,127 +269,8 @@ def _replaced_omega(ensemble: Ensemble) -> list[str]:
     ]
 
 
-def certificates_summary(results: Certificates) -> dict[str, Any]:
-    """All certificates, ready for JSON; a bound that does not exist is null."""
-
-    def entries(certificate: Certificate) -> dict[str, Any]:
-        return {
-            "bound": certificate.bound,
-            "alpha": certificate.alpha,
-            "delta": certificate.delta,
-            "verified": certificate.verified,
-            "reason": certificate.reason,
-        }
-
-    return {
-        **{kind: entries(getattr(results, kind)) for kind in (*NOMINAL_KINDS, *RANGE_KINDS)},
-        "implemented": entries(results.implemented) | implemented_summary(results.implemented),
-        "attainable": results.attainable,
-        "verified": results.verified,
-        "best": _best(results),
-        "critical_strength": {
-            "published": min(results.critical_published, LARGEST_STRENGTH),
-            "semidefinite": min(results.critical_semidefinite, LARGEST_STRENGTH),
-            "beyond": math.isinf(results.critical_semidefinite),
-        },
-        "tube": None
-        if results.tube is None
-        else {
-            "start": results.tube.start,
-            "floor": results.tube.floor,
-            "alpha": results.tube.alpha,
-            "kind": "vertices"
-            if results.kinds == RANGE_KINDS
-            else min(QUADRATIC_KINDS, key=lambda kind: getattr(results, kind).bound),
-            "pieces": results.tube.pieces,
-            "verified": results.tube.verified,
-        },
-        "premises": [premise.record() for premise in results.premises],
-    }
-
-
-def _best(results: Certificates) -> dict[str, Any] | None:
-    """The tightest bound if it is verified for this file; None else."""
-    if not results.verified:
-        return None
-    best = results.best
-    loop = "implemented" if best is results.implemented else "continuous"
-    return {"method": best.kind, "bound": best.bound, "verified": True, "loop": loop}
-
-
-def certificates_table(results: Certificates) -> Table:
-    """Bounds side by side."""
-    notes = {
-        "published": "the paper's; its last step is not valid for every gain",
-        "corrected": "with rho2",
-        "rate": "V' <= -alpha V + Delta",
-        "semidefinite": "best Lyapunov function",
-        "cascade": "e_n first, then e_1 with e_n as bounded input",
-        "vertices": "one Lyapunov function for all constants, which may vary",
-        "peak": "peak gains for all constants, which may vary"
-        if results.kinds == RANGE_KINDS
-        else "peak gains of the error loop",
-        "cells": "the ranges cut into cells, for constants that stand still",
-        "implemented": "peak gains of the loop as the drive runs it"
-        + (": the one to ship with" if results.implemented.verified else ""),
-    }
-    rows = []
-    sampled = results.implemented.reason != NO_IMPLEMENTATION
-    for kind in (*results.kinds, "implemented") if sampled else results.kinds:
-        entry: Certificate = getattr(results, kind)
-        checked = "exactly" if entry.verified else "-"
-        text = entry.reason if entry.reason and not entry.verified else notes[kind]
-        bound = printed_bound(entry.bound if entry.exists else None, BOUND_TEXT_DIGITS)
-        rows.append([kind, bound, checked, text])
-    return table("limsup |e_1| <=", ["certificate", "bound", "verified", "note"], rows)
-
-
-#: Digits of a bound in the table and of what is said about the tube.
+#: Digits of a bound in tables and sentences.
 BOUND_TEXT_DIGITS = 5
-
-#: What stands for a critical strength without limit.
-LARGEST_STRENGTH = 1e9
-
-#: The error counts as settled in the tube where it is within this part of the bound.
-SETTLED_MARGIN = 0.1
-
-
-def certificates_notes(results: Certificates) -> list[str]:
-    """Critical strengths, tube and assumptions in words."""
-    if results.kinds == RANGE_KINDS and results.tightest:
-        attained, lines = results.attainable, ["the nominal certificates do not cover plant.ranges"]
-        if attained is not None:
-            lines.append(
-                f"attainable at the worst corner of the ranges: {rounded_down(attained, 5)} "
-                "(a linear program over references; no proof)"
-            )
-    else:
-        lines = [
-            "critical strength (common scale of tau): published "
-            f"{_strength_text(results.critical_published)}, semidefinite "
-            f"{_strength_text(results.critical_semidefinite)}"
-        ]
-    lines = [*implemented_notes(results.implemented, BOUND_TEXT_DIGITS), *lines]
-    if results.tube is not None:
-        level = (1 + SETTLED_MARGIN) * math.sqrt(results.tube.floor)
-        start = printed_bound(float(results.tube(0.0)), BOUND_TEXT_DIGITS)
-        settled = printed_bound(results.tube.settling_time(level), BOUND_TEXT_DIGITS)
-        margin = f"{100 * SETTLED_MARGIN:g} %"
-        whose = "of vertices " if results.kinds == RANGE_KINDS else ""
-        lines.append(
-            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound {whose}"
-            f"after {settled} s" + ("" if results.tube.verified else " (the start is not verified)")
-        )
-    return lines
-
-
-def _strength_text(scale: float) -> str:
-    """A critical strength, rounded down."""
-    if not scale:
-        return "none"
-    if math.isinf(scale):
-        return f"> {LARGEST_STRENGTH:.0e} (no term grows with the state)".replace("e+0", "e")
-    return rounded_down(scale, BOUND_TEXT_DIGITS)
 
 
 def limit_text(limit: float, origin: str) -> str:

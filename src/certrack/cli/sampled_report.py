@@ -82,8 +82,8 @@ def _start_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
         elif (box := polytope.largest_box()) is not None:
             ends = (f"[{-float(rounded_down(-a, 4)):g}, {rounded_down(b, 4)}]" for a, b in box)
             lines.append(
-                "nor from starts in the proven polytope, whose largest box is "
-                f"{' x '.join(ends)}; from elsewhere they may be met"
+                "no limit of the input is met from starts in the proven polytope, whose largest "
+                f"box is {' x '.join(ends)}; from elsewhere they may be met"
             )
     return lines
 

@@ -38,15 +38,15 @@ DOWN, UP, UNDECIDED = 0, 1, 2
 #: What is computed decides if it is so many tolerances of the golden vectors away from its limit.
 CLEAR_TOLERANCES = 10.0
 
-#: A speed beside its limit is off by this part of it: less than the error that must be noticed.
-MARGIN = MUTATION / 2
+#: A speed beside its limit is off by this part of it, less than the error that must be noticed; and
+#: of a limit near zero as if it were of this size.
+SPEED_MARGIN, LEAST_SPEED_LIMIT = MUTATION / 2, 1e-3
 
-#: A reference that is limited is so many times its bound.
-BEYOND = 1.5
+#: A reference that is limited is so many times its bound: far enough to show in u.
+BEYOND_BOUND = 1.5
 
 #: How the names of a speed and of the position before begin.
 SPEED, BEFORE = "ctl_speed_", "ctl_before_"
-
 
 #: As :func:`reference_answers` returns them.
 Answers = Callable[[Array, Array, Array], Array]
@@ -185,7 +185,9 @@ def _speed_edges(
 
         (zero, one), (low, _), (high, _) = samples(*at([0.0, 1.0])).values(premise)
         wanted = [
-            end + side * max(abs(end), 1.0e-3) * MARGIN for end in (low, high) for side in (-1, 1)
+            end + side * max(abs(end), LEAST_SPEED_LIMIT) * SPEED_MARGIN
+            for end in (low, high)
+            for side in (-1, 1)
         ]
         yield at([(value - zero) / (one - zero) for value in wanted])
 
@@ -218,7 +220,7 @@ def _limited_references(
                 Y[i] = part * value
                 return samples(golden.x, Y, golden.states)
 
-            at_bound, beyond = asked(1.0), asked(BEYOND)
+            at_bound, beyond = asked(1.0), asked(BEYOND_BOUND)
             effect = np.abs(at_bound.asked - asked(1.0 - MUTATION).asked)
             for premise in saturation:
                 value = at_bound.asked

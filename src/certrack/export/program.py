@@ -19,7 +19,8 @@ from certrack.core.expressions import TIME, symbol
 from certrack.core.kinks import fold_minmax
 from certrack.core.printing import MAX_FACTORS
 from certrack.core.select import larger, magnitude, smaller
-from certrack.laws.base import Equations, Signals
+from certrack.laws.base import Equations
+from certrack.laws.signals import Signals
 from certrack.loops.controller import (
     COMMAND,
     LAW_INPUT,

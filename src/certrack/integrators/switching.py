@@ -30,6 +30,9 @@ DRIFTED = 1e-6
 #: Steps of this length, s, tell on which side a solution leaves that touches a surface.
 LOOK_AHEAD = 1e-6
 
+#: What such a step moves f by is rounding below this part of 1 + |x|, times the slopes of f.
+LOOK_AHEAD_ROUNDING = 1e-15
+
 #: More events in a row that do not move the time by `RUSH` altogether have no end.
 MAX_RUSH, RUSH = 60, 1e-7
 
@@ -278,7 +281,8 @@ class Surfaces:
             second = np.array(self._rates(*now, modes), dtype=float)
         now[self.place] = x + h * (first + second) / 2
         parts = self._parts(now, modes)
-        blur = 1e-15 * (1.0 + np.abs(x).max(initial=0.0)) * np.abs(parts[5][k]).sum()
+        size = 1.0 + np.abs(x).max(initial=0.0)
+        blur = LOOK_AHEAD_ROUNDING * size * np.abs(parts[5][k]).sum()
         value = float(parts[0][k])
         return value if abs(value) > blur else 0.0
 

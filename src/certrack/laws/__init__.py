@@ -10,22 +10,14 @@ values :func:`vector` and :func:`metric`, :func:`symbol`, :func:`dot`, :class:`P
 from certrack.core.errors import DesignError, InputError
 from certrack.core.expressions import TIME, symbol
 from certrack.laws.adaptive import Adaptive
-from certrack.laws.base import (
-    Controller,
-    Equations,
-    Law,
-    Signals,
-    dot,
-    gain,
-    theta_metric,
-    theta_vector,
-)
+from certrack.laws.base import Controller, Equations, Law, gain, theta_metric, theta_vector
 from certrack.laws.classic import Classic
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
 from certrack.laws.numbers import metric, vector
 from certrack.laws.registry import LAWS, known_laws
 from certrack.laws.registry import register_law as register
 from certrack.laws.robust import Robust
+from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""What a control law is: :class:`Law`, the :class:`Signals` it may use, the :class:`Controller`.
+"""What a control law is: :class:`Law`, its :class:`Equations`, and the :class:`Controller`.
 
 A law is a frozen dataclass of its gains. Its equations are formulas with symbols for every gain, so
 one formula serves all gains and is compiled once; beside them it states the numbers that the
@@ -8,7 +8,7 @@ symbols stand for.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -23,6 +23,7 @@ from certrack.core.supported import check_symbols, normal_form
 from certrack.laws.backstepping import ErrorCoordinates, Gains
 from certrack.laws.error_system import ErrorSystem
 from certrack.laws.recursion import recursion
+from certrack.laws.signals import Signals
 from certrack.model.plant import MAX_ORDER, Plant
 
 
@@ -41,87 +42,6 @@ def theta_metric(**description: Any) -> Any:
     """Dataclass field: r positive numbers (a diagonal), or a positive definite r x r matrix."""
     shape = "one number per regressor, or a square matrix"
     return keyed("metric", None, shape=shape, above=0, otherwise="identity", **description)
-
-
-class _Signal(tuple[sympy.Expr, ...]):
-    """The entries of a signal; one beyond the last is refused with its name and their number."""
-
-    name = ""
-
-    def __getitem__(self, index: Any) -> Any:
-        try:
-            return super().__getitem__(index)
-        except IndexError:
-            count = f"has {len(self)} entries, from {self.name}[0]" if self else "has no entries"
-            raise InputError(f"{self.name}[{index}]", count) from None
-
-
-def _signal(name: str, entries: Iterable[sympy.Expr]) -> tuple[sympy.Expr, ...]:
-    signal = _Signal(entries)
-    signal.name = name
-    return signal
-
-
-class Signals:
-    """The symbols a law may use in its equations.
-
-    Attributes
-    ----------
-    x : tuple of symbols
-        Plant states.
-    Y : tuple of symbols
-        y_d ... y_d^(q+1).
-    e_n : expression
-        Last error coordinate.
-    nu : expression
-        The part of the control that all laws share: ubar of [25] without theta_hat.
-    phi : tuple of expressions
-        Regressor phi(x).
-    sign_g : symbol
-        Sign of the input gain.
-    t : symbol
-        Time since the run began, s.
-    """
-
-    t = TIME
-
-    def __init__(self, plant: Plant, q: int, *, short: bool = False) -> None:
-        """With `short`, e_n and nu stay symbols: for printing a law as the paper does."""
-        self.plant, self.q = plant, q
-        self.x = _signal("s.x", plant.symbols)
-        self.Y = _signal("s.Y", (symbol(f"y_d_{i}") for i in range(q + 2)))
-        self.phi = _signal("s.phi", (phi.expr for phi in plant.regressor))
-        self._parameters: dict[str, tuple[sympy.Symbol, ...]] = {}
-        a = self.parameters("A_n", plant.n)
-        b = self.parameters("B_n", q + 1)
-        nu_x = self.parameters("nu_x", plant.n)
-        nu_y = self.parameters("nu_Y", q + 2)
-        self.e_n = dot(a, self.x) - dot(b, self.Y[: q + 1])
-        self.nu = dot(nu_x, self.x) + dot(nu_y, self.Y) - plant.drift.expr
-        if short:
-            self.e_n, self.nu = symbol("e_n"), symbol("nu")
-        self.sign_g = self.parameter("sign_g")
-
-    @property
-    def r(self) -> int:
-        """Number of unknown parameters theta."""
-        return self.plant.r
-
-    def parameter(self, name: str) -> sympy.Symbol:
-        """A scalar gain as a symbol."""
-        return self.parameters(name, 1)[0]
-
-    def parameters(self, name: str, *shape: int) -> tuple[sympy.Symbol, ...]:
-        """An array of gains as symbols, in row-major order."""
-        count = int(np.prod(shape))
-        symbols = tuple(symbol(f"law_{name}_{i}") for i in range(count))
-        self._parameters[name] = symbols
-        return symbols
-
-    @property
-    def all_parameters(self) -> Mapping[str, tuple[sympy.Symbol, ...]]:
-        """Every gain asked for so far, by name."""
-        return self._parameters
 
 
 @dataclass(frozen=True)
@@ -412,8 +332,3 @@ def _check_own_states(names: Sequence[str], used: Collection[str]) -> None:
         if name in seen:
             raise InputError("law", "has a state of this name already", name, "Rename it")
         seen.add(name)
-
-
-def dot(a: Sequence[sympy.Expr], b: Sequence[sympy.Expr]) -> sympy.Expr:
-    """Inner product of formulas."""
-    return sympy.Add(*(left * right for left, right in zip(a, b, strict=True)))

@@ -10,9 +10,10 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, Law, Signals, dot, gain, theta_metric
+from certrack.laws.base import Equations, Law, gain, theta_metric
 from certrack.laws.error_system import EstimatedParameters
 from certrack.laws.numbers import metric
+from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 
 

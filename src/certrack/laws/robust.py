@@ -8,8 +8,9 @@ from typing import Any
 
 from certrack.core.errors import DesignError
 from certrack.core.rationals import float_of
-from certrack.laws.base import Equations, Law, Signals, dot
+from certrack.laws.base import Equations, Law
 from certrack.laws.error_system import KnownParameters
+from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 
 

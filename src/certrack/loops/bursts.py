@@ -18,6 +18,7 @@ import sympy
 
 from certrack.core.arrays import Array
 from certrack.core.enclosures import Known, enclose
+from certrack.core.errors import shorten
 from certrack.core.expressions import TIME
 
 #: On a cell the formula is a polynomial of a degree below this.
@@ -36,6 +37,9 @@ MARKED_CELLS = 24
 #: Sums of no more than so many polynomials, sines and exponentials of t are not scanned: none of
 #: them is ever quiet.
 MAX_PLAIN_TERMS = 8
+
+#: Letters of a formula that a note shows.
+NOTED_LETTERS = 60
 
 
 @dataclass(frozen=True)
@@ -133,7 +137,7 @@ def _marks(edges: Array) -> Array:
 
 
 def _note(text: str, cells: int, shortest: float, marks: int, unresolved: bool) -> str:
-    text = text if len(text) <= 60 else f"{text[:57]}..."
+    text = shorten(text, NOTED_LETTERS)
     if unresolved:
         return (
             f"A formula of t was scanned down to {shortest:.2g} s, on {cells} cells, and is not "

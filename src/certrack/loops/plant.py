@@ -16,7 +16,7 @@ import sympy
 
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable, rows
-from certrack.laws.base import dot
+from certrack.laws.signals import dot
 from certrack.model.plant import Plant
 from certrack.systems.system import System
 

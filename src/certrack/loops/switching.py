@@ -103,60 +103,146 @@ def switching(
         return None
     signs = _Signs(states)
     written = [signs.written(rate) for rate in rates]
-    surfaces, s = signs.surfaces, signs.symbols
-    if not surfaces:
+    if not signs.surfaces:
         return None
     moving = len(rates) - smooth_rates
-    flow = [_linear(rate, s) for rate in written[:moving]]
-    gradients = [[derivative(f, x) for x in states] for f in surfaces]
-    normal = [
-        derivative(f, TIME) + sympy.Add(*(g * rate for g, rate in zip(row, flow, strict=False)))
-        for f, row in zip(surfaces, gradients, strict=True)
-    ]
-    slopes = [[sympy.diff(speed, name) for name in s] for speed in normal]
-    count = len(s)
-    bound = frozenset(
-        frozenset((i, j))
-        for i, j in combinations(range(count), 2)
-        if slopes[i][j] != 0 or slopes[j][i] != 0 or surfaces[i].has(s[j]) or surfaces[j].has(s[i])
-    )
-    partners = tuple(_partner(k, bound, surfaces, slopes, s) for k in range(count))
-    sides = tuple(sympy.Symbol(f"mode_side_{k}", real=True) for k in range(count))
-    stuck = tuple(sympy.Symbol(f"mode_stuck_{k}", real=True) for k in range(count))
-    on_sides = dict(zip(s, sides, strict=True))
-    values = []
-    for k, partner in enumerate(partners):
-        if partner is None:
-            drift = normal[k].xreplace({s[k]: sympy.S.Zero}).xreplace(on_sides)
-            effect = slopes[k][k].xreplace(on_sides)
-            values.append(
-                (1 - stuck[k]) * sides[k] - stuck[k] * drift / (stuck[k] * effect + 1 - stuck[k])
-            )
-        else:
-            values.append(_of_pair(k, partner, normal, slopes, s, sides, stuck))
-    known = dict(zip(s, values, strict=True))
-    others = [{name: value for name, value in known.items() if name != s[k]} for k in range(count)]
+    flow = [_linear(rate, signs.symbols) for rate in written[:moving]]
+    crossings = _crossings(signs, states, flow)
+    bound = crossings.interactions
+    partners = tuple(crossings.partner(k, bound) for k in range(crossings.count))
+    values = tuple(crossings.value(k, partner) for k, partner in enumerate(partners))
+    known = dict(zip(crossings.s, values, strict=True))
+    others = [{s: value for s, value in known.items() if s != s_k} for s_k in crossings.s]
     return Switching(
         states=tuple(states),
-        surfaces=tuple(f.xreplace(known) for f in surfaces),
-        sides=sides,
-        stuck=stuck,
+        surfaces=tuple(f.xreplace(known) for f in crossings.surfaces),
+        sides=crossings.sides,
+        stuck=crossings.stuck,
         rates=tuple(
-            _at_rest(x, surfaces, stuck) * rate.xreplace(known)
+            _at_rest(x, crossings.surfaces, crossings.stuck) * rate.xreplace(known)
             for x, rate in zip(states, [*flow, *written[moving:]], strict=True)
         ),
-        values=tuple(values),
-        gradients=tuple(g.xreplace(known) for row in gradients for g in row),
-        drifts=tuple(
-            normal[k].xreplace({s[k]: sympy.S.Zero}).xreplace(others[k]) for k in range(count)
-        ),
-        effects=tuple(slopes[k][k].xreplace(others[k]) for k in range(count)),
+        values=values,
+        gradients=tuple(g.xreplace(known) for row in crossings.gradients for g in row),
+        drifts=tuple(crossings.drift(k).xreplace(others[k]) for k in range(crossings.count)),
+        effects=tuple(crossings.slopes[k][k].xreplace(others[k]) for k in range(crossings.count)),
         crossed=tuple(
-            sympy.S.Zero if partner is None else slopes[k][partner]
+            sympy.S.Zero if partner is None else crossings.slopes[k][partner]
             for k, partner in enumerate(partners)
         ),
         partners=partners,
         bound=bound,
+    )
+
+
+@dataclass(frozen=True)
+class _Crossings:
+    """How fast a solution crosses each surface f_k, as a formula of all signs s.
+
+    Attributes
+    ----------
+    s : symbols
+        One for the sign of each surface.
+    surfaces : formulas f_k
+    gradients : rows of formulas
+        Of each surface by the states.
+    speeds : formulas
+        f_k', linear in every s.
+    slopes : rows of formulas
+        Of each speed by every s.
+    sides, stuck : symbols
+        The mode, as in :class:`Switching`.
+    """
+
+    s: Sequence[sympy.Symbol]
+    surfaces: Sequence[sympy.Expr]
+    gradients: Sequence[Sequence[sympy.Expr]]
+    speeds: Sequence[sympy.Expr]
+    slopes: Sequence[Sequence[sympy.Expr]]
+    sides: tuple[sympy.Symbol, ...]
+    stuck: tuple[sympy.Symbol, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of surfaces."""
+        return len(self.s)
+
+    def drift(self, k: int) -> sympy.Expr:
+        """f_k' at s_k = 0."""
+        return self.speeds[k].xreplace({self.s[k]: sympy.S.Zero})
+
+    @property
+    def interactions(self) -> frozenset[frozenset[int]]:
+        """The pairs of surfaces of which one's sign acts on the other, or stands in it."""
+        s, surfaces, slopes = self.s, self.surfaces, self.slopes
+        return frozenset(
+            frozenset((i, j))
+            for i, j in combinations(range(self.count), 2)
+            if slopes[i][j] != 0
+            or slopes[j][i] != 0
+            or surfaces[i].has(s[j])
+            or surfaces[j].has(s[i])
+        )
+
+    def partner(self, k: int, bound: frozenset[frozenset[int]]) -> int | None:
+        """The only surface that k interacts with, if it interacts with no other and linearly."""
+        near = [pair for pair in bound if k in pair]
+        if len(near) != 1:
+            return None
+        (other,) = near[0] - {k}
+        if any(other in pair for pair in bound - {near[0]}):
+            return None
+        pair = {self.s[k], self.s[other]}
+        if any(
+            (self.surfaces[i].free_symbols | self.slopes[i][j].free_symbols) & pair
+            for i in near[0]
+            for j in near[0]
+        ):
+            return None
+        return other
+
+    def value(self, k: int, partner: int | None) -> sympy.Expr:
+        """What stands for s_k: the side, or where the state slides the equivalent control."""
+        if partner is not None:
+            return self._value_of_pair(k, partner)
+        on_sides = dict(zip(self.s, self.sides, strict=True))
+        m, drift = self.stuck[k], self.drift(k).xreplace(on_sides)
+        effect = self.slopes[k][k].xreplace(on_sides)
+        return (1 - m) * self.sides[k] - m * drift / (m * effect + 1 - m)
+
+    def _value_of_pair(self, k: int, other: int) -> sympy.Expr:
+        """s_k where each of two either has its side or keeps the state on its surface."""
+        nothing = {self.s[k]: sympy.S.Zero, self.s[other]: sympy.S.Zero}
+
+        def row(i: int, j: int) -> tuple[sympy.Expr, sympy.Expr, sympy.Expr]:
+            """Of m_i (drift + effect s_i + cross s_j) + (1 - m_i)(s_i - side) = 0."""
+            m = self.stuck[i]
+            right = (1 - m) * self.sides[i] - m * self.speeds[i].xreplace(nothing)
+            return m * self.slopes[i][i] + 1 - m, m * self.slopes[i][j], right
+
+        a, b, p = row(k, other)
+        d, c, q = row(other, k)
+        return (p * d - b * q) / (a * d - b * c)
+
+
+def _crossings(
+    signs: _Signs, states: Sequence[sympy.Symbol], flow: Sequence[sympy.Expr]
+) -> _Crossings:
+    """Of the surfaces that were met, along the rates of the first states."""
+    s, surfaces = signs.symbols, signs.surfaces
+    gradients = [[derivative(f, x) for x in states] for f in surfaces]
+    speeds = [
+        derivative(f, TIME) + sympy.Add(*(g * rate for g, rate in zip(row, flow, strict=False)))
+        for f, row in zip(surfaces, gradients, strict=True)
+    ]
+    return _Crossings(
+        s=s,
+        surfaces=surfaces,
+        gradients=gradients,
+        speeds=speeds,
+        slopes=[[sympy.diff(speed, name) for name in s] for speed in speeds],
+        sides=tuple(sympy.Symbol(f"mode_side_{k}", real=True) for k in range(len(s))),
+        stuck=tuple(sympy.Symbol(f"mode_stuck_{k}", real=True) for k in range(len(s))),
     )
 
 
@@ -200,53 +286,6 @@ def _linear(rate: sympy.Expr, s: Sequence[sympy.Symbol]) -> sympy.Expr:
         elif slope != 0:
             rate = rate.xreplace({name: sympy.S.Zero}) + name * slope
     return rate
-
-
-def _partner(
-    k: int,
-    bound: frozenset[frozenset[int]],
-    surfaces: Sequence[sympy.Expr],
-    slopes: Sequence[Sequence[sympy.Expr]],
-    s: Sequence[sympy.Symbol],
-) -> int | None:
-    """The only surface that k interacts with, if it interacts with no other and linearly."""
-    near = [pair for pair in bound if k in pair]
-    if len(near) != 1:
-        return None
-    (other,) = near[0] - {k}
-    if any(other in pair for pair in bound - {near[0]}):
-        return None
-    pair = {s[k], s[other]}
-    if any(
-        (surfaces[i].free_symbols | slopes[i][j].free_symbols) & pair
-        for i in near[0]
-        for j in near[0]
-    ):
-        return None
-    return other
-
-
-def _of_pair(
-    k: int,
-    other: int,
-    normal: Sequence[sympy.Expr],
-    slopes: Sequence[Sequence[sympy.Expr]],
-    s: Sequence[sympy.Symbol],
-    sides: Sequence[sympy.Symbol],
-    stuck: Sequence[sympy.Symbol],
-) -> sympy.Expr:
-    """Value of s_k where each of two either has its side or keeps the state on its surface."""
-    nothing = {s[k]: sympy.S.Zero, s[other]: sympy.S.Zero}
-
-    def row(i: int, j: int) -> tuple[sympy.Expr, sympy.Expr, sympy.Expr]:
-        """Of both equations m_i (drift + effect s_i + cross s_j) + (1 - m_i)(s_i - side) = 0."""
-        m = stuck[i]
-        right = (1 - m) * sides[i] - m * normal[i].xreplace(nothing)
-        return m * slopes[i][i] + 1 - m, m * slopes[i][j], right
-
-    a, b, p = row(k, other)
-    d, c, q = row(other, k)
-    return (p * d - b * q) / (a * d - b * c)
 
 
 def _at_rest(

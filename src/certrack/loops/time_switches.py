@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import sympy
@@ -57,7 +58,7 @@ class TimeSwitches:
     formulas: tuple[sympy.Expr, ...] = ()
     of_members: tuple[sympy.Expr, ...] = ()
 
-    @property
+    @cached_property
     def numbers(self) -> frozenset[sympy.Symbol]:
         """Parameters that the switches and formulas depend on."""
         every = (*self.functions, *self.branches, *self.formulas)
@@ -135,64 +136,81 @@ def take_switches(
     formulas : list
     switches : TimeSwitches
     """
-    known = frozenset(numbers) | {TIME}
-    members = known | frozenset(varying)
-    of_members: dict[sympy.Expr, None] = {}
-    symbols: dict[sympy.Expr, sympy.Symbol] = {}
-    branches: dict[sympy.Expr, None] = {}
-    memory: dict[sympy.Expr, sympy.Expr] = {}
-
-    def switch(function: sympy.Expr) -> sympy.Expr:
-        if not function.free_symbols:
-            return sympy.sign(function)
-        if function not in symbols:
-            symbols[function] = sympy.Symbol(f"switch_time_{len(symbols)}", real=True)
-        return symbols[function]
-
-    def smooth(expr: sympy.Expr) -> sympy.Expr:
-        if expr not in memory:
-            memory[expr] = written(expr)
-        return memory[expr]
-
-    def written(expr: sympy.Expr) -> sympy.Expr:
-        if not expr.args:
-            return expr
-        if not (expr.free_symbols and expr.free_symbols <= known):
-            if isinstance(expr, _SWITCHING) and TIME in expr.free_symbols <= members:
-                of_members[expr] = None
-            return expr.func(*map(smooth, expr.args))
-        if isinstance(expr, (sympy.Max, sympy.Min)):
-            upwards = 1 if isinstance(expr, sympy.Max) else -1
-            first, *others = expr.args
-            value, *values = map(smooth, expr.args)  # inner switches come first
-            for other, its_value in zip(others, values, strict=True):
-                s = upwards * switch(first - other)
-                value = value * (1 + s) / 2 + its_value * (1 - s) / 2
-                first = expr.func(first, other)
-            return value
-        if isinstance(expr, sympy.Abs):
-            value = smooth(expr.args[0])
-            return switch(expr.args[0]) * value
-        if isinstance(expr, sympy.sign):
-            smooth(expr.args[0])
-            return switch(expr.args[0])
-        if isinstance(expr, sympy.Pow) and not expr.exp.is_Integer and TIME in expr.free_symbols:
-            branches[expr.base] = None
-        if type(expr) in _BRANCHES and TIME in expr.free_symbols:
-            branches.update(dict.fromkeys(_BRANCHES[type(expr)](*expr.args)))
-        return expr.func(*map(smooth, expr.args))
-
     if not any(formula.has(TIME) or formula.has(*_SWITCHING) for formula in formulas):
         return list(formulas), TimeSwitches()
-    changed = [smooth(formula) for formula in formulas]
-    parts = _largest_of_time(changed, known | set(symbols.values()))
-    used = frozenset().union(*(formula.free_symbols for formula in changed))
-    inner = [function for function, symbol in symbols.items() if symbol not in used]
-    used_ones = {symbol: function for function, symbol in symbols.items() if symbol in used}
-    switches = TimeSwitches(
-        tuple(used_ones), tuple(used_ones.values()), (*inner, *branches), parts, tuple(of_members)
-    )
-    return changed, switches
+    writer = _SwitchWriter(numbers, varying)
+    changed = [writer.written(formula) for formula in formulas]
+    return changed, writer.switches(changed)
+
+
+class _SwitchWriter:
+    """Writes formulas by switches, and remembers which it has met."""
+
+    def __init__(self, numbers: Iterable[sympy.Symbol], varying: Iterable[sympy.Symbol]) -> None:
+        self._known = frozenset(numbers) | {TIME}
+        self._members = self._known | frozenset(varying)
+        self._symbols: dict[sympy.Expr, sympy.Symbol] = {}  # by what each is the sign of
+        self._branches: dict[sympy.Expr, None] = {}
+        self._of_members: dict[sympy.Expr, None] = {}
+        self._memory: dict[sympy.Expr, sympy.Expr] = {}
+
+    def written(self, expr: sympy.Expr) -> sympy.Expr:
+        """The formula with symbols for its switches of time."""
+        if expr not in self._memory:
+            self._memory[expr] = self._write(expr)
+        return self._memory[expr]
+
+    def switches(self, formulas: Sequence[sympy.Expr]) -> TimeSwitches:
+        """What has been met on the way to these formulas."""
+        used = frozenset().union(*(formula.free_symbols for formula in formulas))
+        inner = [function for function, symbol in self._symbols.items() if symbol not in used]
+        outer = {symbol: function for function, symbol in self._symbols.items() if symbol in used}
+        return TimeSwitches(
+            symbols=tuple(outer),
+            functions=tuple(outer.values()),
+            branches=(*inner, *self._branches),
+            formulas=_largest_of_time(formulas, self._known | set(self._symbols.values())),
+            of_members=tuple(self._of_members),
+        )
+
+    def _write(self, expr: sympy.Expr) -> sympy.Expr:
+        if not expr.args:
+            return expr
+        if not (expr.free_symbols and expr.free_symbols <= self._known):
+            if isinstance(expr, _SWITCHING) and TIME in expr.free_symbols <= self._members:
+                self._of_members[expr] = None
+            return expr.func(*map(self.written, expr.args))
+        if isinstance(expr, (sympy.Max, sympy.Min)):
+            return self._extreme(expr)
+        if isinstance(expr, _SWITCHING):
+            inside = self.written(expr.args[0])  # inner switches come first
+            s = self._sign(expr.args[0])
+            return s * inside if isinstance(expr, sympy.Abs) else s
+        if TIME in expr.free_symbols:
+            if isinstance(expr, sympy.Pow) and not expr.exp.is_Integer:
+                self._branches[expr.base] = None
+            if type(expr) in _BRANCHES:
+                self._branches.update(dict.fromkeys(_BRANCHES[type(expr)](*expr.args)))
+        return expr.func(*map(self.written, expr.args))
+
+    def _extreme(self, expr: sympy.Expr) -> sympy.Expr:
+        """The largest or smallest of some formulas: the one so far against each of the others."""
+        upwards = 1 if isinstance(expr, sympy.Max) else -1
+        first, *others = expr.args
+        value, *values = map(self.written, expr.args)  # inner switches come first
+        for other, its_value in zip(others, values, strict=True):
+            s = upwards * self._sign(first - other)
+            value = value * (1 + s) / 2 + its_value * (1 - s) / 2
+            first = expr.func(first, other)
+        return value
+
+    def _sign(self, function: sympy.Expr) -> sympy.Expr:
+        if not function.free_symbols:
+            return sympy.sign(function)
+        if function not in self._symbols:
+            name = f"switch_time_{len(self._symbols)}"
+            self._symbols[function] = sympy.Symbol(name, real=True)
+        return self._symbols[function]
 
 
 def _largest_of_time(

@@ -46,7 +46,8 @@ COUNT_ROUNDING = 1e-12
 #: Rounding of a limit that must not cost the converter its last step, steps.
 STEP_ROUNDING = 1e-9
 
-#: Standard deviations that are suggested as a bound: beyond them lies one number in two million.
+#: Standard deviations that are suggested as a bound, and that the falsifier takes for one: beyond
+#: them lies one number in two million.
 NOISE_BOUND_DEVIATIONS = 5
 
 

@@ -213,11 +213,17 @@ def metric_histograms(ensemble: Ensemble) -> Figure:
     return drawing
 
 
+def _first_of_size(tally: Tally) -> float:
+    """The lowest quantile that is no zero beside the largest value: zeros stand at the left end."""
+    levels = [q for q in map(tally.quantile, LEVELS) if q is not None]
+    return next((q for q in levels if q > SMALLEST_SHARE * tally.most), 0.0)
+
+
 def _histogram(ax: Axes, tally: Tally) -> None:
     """Bars of equal width, on a logarithmic axis where the values span decades."""
     values, bars = tally.values, HISTOGRAM_BARS
-    low, high = tally.quantile(LEVELS[0]), tally.quantile(LEVELS[-1])
-    assert low is not None and high is not None
+    low, high = _first_of_size(tally), tally.quantile(LEVELS[-1])
+    assert high is not None
     if low > 0 and (tally.most > LOGARITHMIC_SPAN * low or tally.most > RUNAWAY * high):
         # a few tiny values must not stretch the axis
         first = max(tally.least, low / 10, SMALLEST_SHARE * tally.most)

@@ -10,11 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from certrack.certificates.certificate import Certificate
 from certrack.certificates.tube import Tube
 from certrack.core.rounding import rounded_up
 from certrack.plotting.curves import Runs, draw_curve, label_axes, label_once, name_systems
 from certrack.plotting.shared import (
     BLUE,
+    GREEN,
     PAGE_WIDTH,
     PURPLE,
     in_brackets,
@@ -30,6 +32,9 @@ from certrack.simulation.run import Run
 #: the other estimates differ by more than this factor.
 GAIN_COLOR, SAME_AXIS_RATIO = PURPLE, 10.0
 
+
+#: Bounds that differ by less are one line of the picture of the tube.
+SAME_BOUND = 1e-3
 
 #: Part of the height of two axes that is left free above for their legend.
 LEGEND_ROOM = 0.3
@@ -303,7 +308,7 @@ def plot_tube(ax: Axes, runs: Runs, tube: Tube, *, named: bool = True) -> None:
     label_axes(ax, f"tracking error{unit(first, 0)}", runs, named)
 
 
-def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
+def tube_figure(run: Run, tube: Tube, title: str = "", best: Certificate | None = None) -> Figure:
     """The response in its tube: the whole run, and the end of it magnified.
 
     Parameters
@@ -311,6 +316,8 @@ def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
     run : Run
     tube : Tube
     title : str
+    best : Certificate, optional
+        The certificate to rely on, which is drawn where its bound is another than the tube's.
 
     Returns
     -------
@@ -332,12 +339,26 @@ def tube_figure(run: Run, tube: Tube, title: str = "") -> Figure:
         floor = math.sqrt(tube.floor)
         axes[1].set_ylim(-2 * floor, 2 * floor)
         axes[1].get_legend().remove()
+        if best is not None and best.exists:
+            _add_bound(axes[1], best, floor)
         axes[1].set_title("magnified", loc="left")
         if run.system.implementation is not None:
             title = f"{title}\ntube of the continuous law; the run shown is sampled".strip()
         axes[0].set_title(plain(title), loc="left")
         drawing.align_ylabels()
     return drawing
+
+
+def _add_bound(ax: Axes, best: Certificate, floor: float) -> None:
+    """Lines at a bound that is another than the tube's."""
+    if math.isclose(best.bound, floor, rel_tol=SAME_BOUND):
+        return
+    name = f"{best.kind}: limsup $|e_1| \\leq$ {rounded_up(best.bound, 4)}"
+    for sign in (-1, 1):
+        line = ax.axhline(sign * best.bound, color=GREEN, lw=0.9, ls="-.")
+    height = max(2 * floor, 1.3 * best.bound)
+    ax.set_ylim(-height, height)
+    ax.legend([line], [name], loc="lower right")
 
 
 def overview(runs: Runs, title: str = "") -> Figure:

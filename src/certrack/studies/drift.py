@@ -16,7 +16,6 @@ from typing import Any
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import float_down, float_up, from_text
 from certrack.certificates.premise import contradicted
-from certrack.certificates.premises import has_ranges
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.boxes import forbidden, names, scaled, with_range
 from certrack.certificates.ranges.cells import Cell
@@ -24,6 +23,7 @@ from certrack.certificates.ranges.certify import NO_RANGES, range_prover, smalle
 from certrack.certificates.ranges.edges import Edge, largest_scale
 from certrack.certificates.ranges.proofs import RangeProver
 from certrack.certificates.ranges.search import RangeBounds, bound_ranges
+from certrack.certificates.scope import has_ranges
 from certrack.core import checks
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system
@@ -31,8 +31,11 @@ from certrack.systems.system import System, require_system
 #: Where nobody says which error is admitted: so many times the certified bound of the file.
 ADMITTED_FACTOR = 1.5
 
-#: Relative accuracy of a range, and corners at which the error is looked at before cells are made.
-DRIFT_ACCURACY, ADMITTED_CORNERS = 0.02, 64
+#: Relative accuracy of a range: each further digit costs three more bounds.
+DRIFT_ACCURACY = 0.02
+
+#: Corners at which the error is looked at before cells are made: those of six ranges.
+ADMITTED_CORNERS = 64
 
 
 @dataclass(frozen=True)
@@ -249,10 +252,8 @@ class _Boxes:
         corners = itertools.product(*(dict.fromkeys(pair) for pair in box))
         for corner in itertools.islice(corners, ADMITTED_CORNERS):
             point = tuple((value, value) for value in corner)
-            if (
-                bound_ranges(self.prover, cells=False, box=point, enough=self.error).bound
-                > self.error
-            ):
+            bounds = bound_ranges(self.prover, cells=False, box=point, enough=self.error)
+            if bounds.bound > self.error:
                 return True
         return False
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from certrack.certificates.premises import has_ranges
+from certrack.certificates.scope import has_ranges
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.notebook import ShownInNotebooks
@@ -219,7 +219,7 @@ def margins(
     system = system.replace(implementation=coarse)
     trials = _Trials(system, members, seed, progress)
     finest, finest_error = _finest_sampling(coarse, duration, trials)
-    admitted, origin = _admitted(system, error, finest, finest_error)
+    admitted, origin = _admitted(stated, error, finest, finest_error)
     limits = admitted, _bounded_error(system, admitted)
     linear = linear_loop(system)
     sweep = Sweep(finest, VALUE_RATIO, duration / LAST_RUN_SAMPLES)

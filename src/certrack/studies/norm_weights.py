@@ -15,8 +15,8 @@ import numpy as np
 
 from certrack.certificates.certify import Certificates
 from certrack.certificates.methods import certify_semidefinite
-from certrack.certificates.premises import has_ranges
 from certrack.certificates.ranges.certify import certify_ranges
+from certrack.certificates.scope import has_ranges
 from certrack.core.errors import InputError
 from certrack.systems.system import System
 

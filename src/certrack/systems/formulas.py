@@ -10,7 +10,7 @@ import sympy
 from sympy.printing.latex import LatexPrinter
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import Signals, dot
+from certrack.laws.signals import Signals, dot
 
 if TYPE_CHECKING:
     from certrack.systems.system import System

@@ -85,8 +85,13 @@ def catalog() -> dict[str, str]:
     }
 
 
-def starter() -> str:
-    """Text of a commented system file to begin with.
+def starter(shipped: str | None = None) -> str:
+    """Text of a commented system file to begin with: the general one, or a shipped system's.
+
+    Parameters
+    ----------
+    shipped : str, optional
+        Name of a shipped system.
 
     Returns
     -------
@@ -98,6 +103,8 @@ def starter() -> str:
     >>> certrack.loads(certrack.starter()).law.kind
     'adaptive'
     """
+    if shipped is not None:
+        return _shipped_text(shipped)
     return (files("certrack.systems") / "starter.toml").read_text("utf-8")
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.assumptions import assumptions
 from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
 from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.implemented.drive import drive_of
@@ -30,7 +31,6 @@ from certrack.certificates.implemented.proof import (
     prove_implemented,
 )
 from certrack.certificates.implemented.start_proof import X0
-from certrack.certificates.premises import assumptions
 from certrack.core.errors import InputError
 from certrack.core.rounding import rounded_up
 from certrack.systems.system import System

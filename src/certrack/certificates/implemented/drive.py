@@ -18,10 +18,10 @@ import flint
 import sympy
 
 from certrack.certificates.arithmetic import exact_float, rational
-from certrack.certificates.balls import ball_of
+from certrack.certificates.balls import ball_matrix, ball_of, upper_rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
-from certrack.certificates.premises import ranged_names, refuse, refuse_unknown
+from certrack.certificates.scope import ranged_names, refuse_unknown
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
@@ -143,7 +143,6 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
         raise NoCertificate(NO_IMPLEMENTATION)
     if ranged := ranged_names(system, refuse_unknown(system)):
         raise NoCertificate(f"plant.ranges lets {', '.join(ranged)} vary: {RANGED}")
-    refuse(system)
     if not isinstance(stated_error_system(system), KnownParameters):
         raise NoCertificate(
             "only loops that are linear are covered as implemented, and the adaptive law is not; "
@@ -186,10 +185,10 @@ def _drive(
     rows = _controller_rows(system, implementation, A, K)
     T = rational(implementation.period)
     return Drive(
-        A=_ball_matrix(A),
-        b=_ball_matrix([[flint.fmpq(0)]] * (n - 1) + [[gain]]),
-        W=_ball_matrix([[rational(u.tau[k]) if i == k else 0 for k in acting] for i in range(n)]),
-        Ly=_ball_matrix([[v / gain for v in c.nu_Y]]),
+        A=ball_matrix(A),
+        b=ball_matrix([[flint.fmpq(0)]] * (n - 1) + [[gain]]),
+        W=ball_matrix([[rational(u.tau[k]) if i == k else 0 for k in acting] for i in range(n)]),
+        Ly=ball_matrix([[v / gain for v in c.nu_Y]]),
         Sy=flint.arb_mat(len(rows[1]), c.q + 2),
         T=T,
         delay=rational(implementation.run_delay) if delay is None else delay,
@@ -314,9 +313,7 @@ def sensor_errors(implementation: Implementation, n: int) -> tuple[Any, ...]:
 def upper_rational_of(value: float) -> Any:
     """Not below a number that may stand for an irrational one (2 pi/2^16 of an encoder)."""
     with flint.ctx.workprec(DRIVE_BITS):
-        ball = ball_of(value)
-        mantissa, exponent = ball.upper().man_exp()
-    return flint.fmpq(int(mantissa)) * flint.fmpq(2) ** int(exponent)
+        return upper_rational(ball_of(value))
 
 
 def _reference_bounds(system: System, q: int) -> tuple[Any, ...]:
@@ -346,7 +343,3 @@ def _smoothness(system: System, order: int, T: Any) -> dict[str, Any]:
         "jumps": None if several is None else tuple(exact_float(v, rational) for v in several),
         "jumps_once": once,
     }
-
-
-def _ball_matrix(rows: list[list[Any]]) -> flint.arb_mat:
-    return flint.arb_mat([[flint.arb(v) for v in row] for row in rows])

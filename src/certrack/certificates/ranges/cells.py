@@ -1,6 +1,6 @@
 """Branch and bound for constants that stand still: the box is cut into cells, each certified.
 
-The bound of a cover is the largest of its cells' bounds, for the constants are in one of the cells
+The bound is the largest of the cells' bounds, for the constants are in one of the cells
 for ever. The worst cell is cut across its relatively widest constant, as often as it pays.
 """
 
@@ -25,7 +25,7 @@ def divided(
     enough: float = 0.0,
     moving: int = 0,
 ) -> list[Cell]:
-    """Cells that cover a box.
+    """Cells that fill a box.
 
     Parameters
     ----------

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from certrack.certificates.assumptions import assumptions
 from certrack.certificates.certificate import (
     Certificate,
     NoCertificate,
@@ -16,7 +17,6 @@ from certrack.certificates.certificate import (
     within_floats,
 )
 from certrack.certificates.exact import float_down, float_up, from_text
-from certrack.certificates.premises import assumptions
 from certrack.certificates.ranges.attainable import worst_reference
 from certrack.certificates.ranges.costs import ConstantCost, costs
 from certrack.certificates.ranges.loop import error_form

@@ -72,18 +72,18 @@ def costs(
     bounds : RangeBounds
         Of the file's own box. A proof for it is one for every box inside, so none is above it.
     """
-    loop, total = prover.loop, _cover_bound(bounds.best)
+    loop, total = prover.loop, _bound_up(bounds.best)
     result = []
     for k, name in enumerate(names(loop)):
         (low, high), nominal = loop.box[k], loop.nominal[k]
         with within_floats():
-            least = _cover_bound(search(closed(loop, k)).best)
+            least = _bound_up(search(closed(loop, k)).best)
         known = min(least, total) if low <= nominal <= high else least
         ends = float_down(low), float(nominal), float_up(high)
         result.append(ConstantCost(name, *ends, known, total, math.isfinite(known)))
     return tuple(result)
 
 
-def _cover_bound(proofs: tuple[CellProof, ...]) -> float:
-    """The bound of a cover, rounded up."""
+def _bound_up(proofs: tuple[CellProof, ...]) -> float:
+    """The largest bound of cells, rounded up."""
     return max((float_up(from_text(proof.bound)) for proof in proofs), default=math.inf)

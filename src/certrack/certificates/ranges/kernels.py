@@ -23,6 +23,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from certrack.certificates.arithmetic import positive_definite, rational
+from certrack.certificates.balls import ball_matrix
 from certrack.certificates.certificate import OUT_OF_RANGE, NoCertificate
 
 #: Cells in a block; the first cells are this part of the fastest time constant; later ones are at
@@ -88,7 +89,7 @@ def proven_decay(M: np.ndarray, B: np.ndarray) -> Decay:
     form = shifted.T @ exact + exact @ shifted
     if not (positive_definite(exact) and positive_definite(-form)):
         raise NoCertificate("no decay of the loop could be proven: it may be too stiff")
-    balls = balls_of(exact)
+    balls = ball_matrix(exact)
     return Decay(mu, balls, balls.inv())
 
 
@@ -112,11 +113,6 @@ def _sizes(M: np.ndarray, B: np.ndarray) -> np.ndarray:
     return np.where(largest > LEAST_STATE_SIZE, largest, 1.0)
 
 
-def balls_of(matrix: np.ndarray) -> flint.arb_mat:
-    """Ball matrix of rationals."""
-    return flint.arb_mat(flint.fmpq_mat([[flint.fmpq(v) for v in row] for row in matrix]))
-
-
 def peak_gains(M: np.ndarray, C: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Upper bounds of int_0^inf |c e^{Mt} b| dt.
 
@@ -137,11 +133,11 @@ def peak_gains(M: np.ndarray, C: np.ndarray, B: np.ndarray) -> np.ndarray:
         decay = proven_decay(M, B)  # also where nothing acts: what begins must end
         if not B.shape[1]:
             return np.zeros((len(C), 0))
-        return _integrals(decay, M, balls_of(C), balls_of(B))
+        return _integrals(decay, M, ball_matrix(C), ball_matrix(B))
 
 
 def _integrals(decay: Decay, exact: np.ndarray, C: flint.arb_mat, B: flint.arb_mat) -> np.ndarray:
-    M = balls_of(exact)
+    M = ball_matrix(exact)
     eigenvalues = np.linalg.eigvals(exact.astype(float))
     first = FIRST_CELL / float(np.abs(eigenvalues).max())
     columns, right = rounded(B), decay.right(B)

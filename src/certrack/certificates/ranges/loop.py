@@ -34,9 +34,9 @@ from certrack.certificates.formulation import (
     uncertain_inputs,
 )
 from certrack.certificates.intervals import enclosure
-from certrack.certificates.premises import refuse_unknown
 from certrack.certificates.ranges.rational import Interval, RationalVector
 from certrack.certificates.ranges.sectors import sector_of
+from certrack.certificates.scope import refuse_unknown
 from certrack.core.expressions import Expression, parse, symbol
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.laws.error_system import EstimatedParameters

@@ -1,4 +1,4 @@
-"""Proofs for ranges of constants: a cover of the box by cells, with the numbers of each cell.
+"""Proofs for ranges of constants: cells that fill the box, with the numbers of each cell.
 
 A cell is proven by one quadratic function (the stages of its points) or by peak gains, which need
 no numbers: whoever checks computes them again.
@@ -213,8 +213,8 @@ def prover_of(system: System, intervals: int) -> RangeProver:
     return RangeProver(system, sectors=True)
 
 
-def check_cover(system: System, proofs: Sequence[CellProof], bound: str) -> str:
-    """Empty if every cell is proven, they cover the ranges, and none exceeds the bound."""
+def check_cells(system: System, proofs: Sequence[CellProof], bound: str) -> str:
+    """Empty if every cell is proven, they fill the ranges, and none exceeds the bound."""
     if len(proofs) > MAX_PROOF_CELLS:
         return f"there are more than {MAX_PROOF_CELLS} cells"
     prover = prover_of(system, max((len(proof.cell) for proof in proofs), default=0))

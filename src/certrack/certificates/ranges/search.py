@@ -88,22 +88,22 @@ def bound_ranges(
         return RangeBounds(vertices, peak)
     many = 4 if effort == "high" else 1
     search = _Cells(prover, box, vertices, peak, enough, progress)
-    covers: list[tuple[CellProof, ...]] = []
+    divisions: list[tuple[CellProof, ...]] = []
     if prover.by_peak_gains:
-        covers.append(search.by_peak_gains(MOST_CELLS * many))
-    if not prover.by_peak_gains or not covers[0]:
-        covers.append(search.by_vertices(MOST_VERTEX_CELLS * many))
-    usable = [proofs for proofs in covers if proofs]
+        divisions.append(search.by_peak_gains(MOST_CELLS * many))
+    if not prover.by_peak_gains or not divisions[0]:
+        divisions.append(search.by_vertices(MOST_VERTEX_CELLS * many))
+    usable = [proofs for proofs in divisions if proofs]
     return RangeBounds(vertices, peak, min(usable, key=largest, default=()))
 
 
 def largest(proofs: tuple[CellProof, ...]) -> float:
-    """The bound of a cover, as a float that is near it."""
+    """The largest bound of cells, as a float that is near it."""
     return max(float(proof.bound) for proof in proofs)
 
 
 class _Cells:
-    """Covers of a box by proven cells."""
+    """Proven cells that fill a box."""
 
     def __init__(
         self,
@@ -120,7 +120,7 @@ class _Cells:
 
     def by_peak_gains(self, most: int) -> tuple[CellProof, ...]:
         """Cells by peak gains; the worst of them by the better of the two."""
-        proofs = self._cover("peak", most)
+        proofs = self._filled("peak", most)
         if self._enough and sum(float(p.bound) > self._enough for p in proofs.values()) > RETRIED:
             return tuple(proofs.values())
         for _ in range(RETRIED if proofs else 0):
@@ -135,9 +135,9 @@ class _Cells:
 
     def by_vertices(self, most: int) -> tuple[CellProof, ...]:
         """Cells by quadratic functions."""
-        return tuple(self._cover("vertices", most).values())
+        return tuple(self._filled("vertices", most).values())
 
-    def _cover(self, method: str, most: int) -> dict[Cell, CellProof]:
+    def _filled(self, method: str, most: int) -> dict[Cell, CellProof]:
         """Proven cells; empty where one of them has no proof."""
         proofs: dict[Cell, CellProof | None] = {self._box: self._known[method]}
         prove: Callable[[Cell], CellProof | None] = getattr(self._prover, method)
@@ -152,8 +152,8 @@ class _Cells:
         cells = divided(
             self._box, bound, most, WORTHWHILE, report, self._enough, self._prover.loop.moving
         )
-        cover = {cell: proof for cell in cells if (proof := proofs[cell]) is not None}
-        return cover if len(cover) == len(cells) else {}
+        proven = {cell: proof for cell in cells if (proof := proofs[cell]) is not None}
+        return proven if len(proven) == len(cells) else {}
 
     def _report(self, bound: Callable[[Cell], float], cells: list[Cell]) -> None:
         largest_bound = max(map(bound, cells))

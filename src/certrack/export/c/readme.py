@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from certrack.export.c.monitor import flag_names, monitored
 from certrack.export.c.printer import c_literal
 from certrack.export.c.source import CCode
@@ -15,6 +17,23 @@ NUMBERS_NOTE = """\
 PARAMETERS_NOTE = """\
 * The parameters belong together: those of `e_n` and `nu` are made from c, k, p, chain and linear.
   `certrack.export.monitor.default_parameters` gives all of them for another design."""
+
+#: Of code with functions of an angle.
+ANGLES_NOTE = """\
+* sin, cos and tan of large arguments are slow on microcontrollers (range reduction) and inaccurate
+  in float: keep angles within a few turns.
+"""
+FUNCTION_OF_ANGLE = re.compile(r"\b(sin|cos|tan)f?\(")
+
+#: While the controller is disabled: with estimates, and without.
+DISABLED_NOTE = """\
+While it is disabled the command is {off}, the estimates stand still, and differences and filters
+go on; so call it every period all the same. `{name}_reset_estimates(&m)` starts the estimates
+again. """
+DISABLED_WITHOUT_ESTIMATES = """\
+While it is disabled the command is {off}, and differences and filters go on; so call it every
+period all the same. This law has no estimates: `{name}_reset_estimates(&m)` does nothing.
+"""
 
 #: What every such file says.
 README_KIND = "tracking controller in C99"
@@ -38,6 +57,7 @@ def readme(code: CCode, notes: tuple[str, ...]) -> str:
         references=", ".join(references),
         members=", ".join(code.members) if code.program.states else "nothing",
         monitor=_monitor_section(code) if code.monitor else "",
+        angles=ANGLES_NOTE if FUNCTION_OF_ANGLE.search(code.source) else "",
         numbers=PARAMETERS_NOTE if with_parameters else NUMBERS_NOTE,
         p="&p, " * with_parameters,
         parameters=f"static {code.name}_parameters p;\n" * with_parameters,
@@ -50,11 +70,12 @@ def _monitor_section(code: CCode) -> str:
     monitor = monitored(code)
     rows = [f"| `{member}` | {flag.meaning} |" for member, flag in flag_names(code).items()]
     limited = "y_d and its derivatives are limited to their bounds.\n"
+    disabled = DISABLED_NOTE if monitor.restarted else DISABLED_WITHOUT_ESTIMATES
     tuned = "`m.parameters` may be changed; other values than the\ndesign's void the certificate. "
     return fill_template(
         "c/templates/monitor.md",
         name=code.name,
-        off=c_literal(monitor.off, code.real),
+        disabled=disabled.format(name=code.name, off=c_literal(monitor.off, code.real)),
         more=limited * monitor.limit_reference + tuned * bool(code.program.parameters),
         flags="\n".join(rows).replace("|y", "\\|y").replace("| is above", "\\| is above"),
     )

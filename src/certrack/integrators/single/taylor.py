@@ -42,6 +42,9 @@ ROOM_AT_LEAST = 256
 #: Steps whose samples are computed at once: the intermediate results stay small.
 STEPS_AT_ONCE = 8192
 
+#: Times at which the series are evaluated at once, for the same reason.
+TIMES_AT_ONCE = 4096
+
 #: Steps after which the progress is reported.
 STEPS_PER_REPORT = 1024
 
@@ -107,12 +110,12 @@ class TaylorIntegrator:
                 return replace(trajectory, outcome=Outcome.kink_missed)
         return trajectory
 
-    def _attempt(self, problem: Problem, *, careful: bool) -> tuple[Trajectory, _StepRecord]:
+    def _attempt(self, problem: Problem, *, careful: bool) -> tuple[Trajectory, StepRecord]:
         """Integrate from the start; with `careful`, shorten steps that are too long."""
         ta, switches = self._integrator, self._switches
         ta.state[:] = problem.start
         ta.pars[: self._piece.start] = problem.parameters[self._used]
-        steps = _StepRecord(ta.tc.shape)
+        steps = StepRecord(ta.tc.shape)
         end, outcome = 0.0, Outcome.finished
         if switches is not None:
             switches.begin()
@@ -127,7 +130,7 @@ class TaylorIntegrator:
         return _trajectory(steps, end, outcome, problem), steps
 
     def _segment(
-        self, begin: float, stop: float, problem: Problem, steps: _StepRecord, careful: bool
+        self, begin: float, stop: float, problem: Problem, steps: StepRecord, careful: bool
     ) -> tuple[float, Outcome]:
         """Step from `begin` to `stop`, recording the Taylor coefficients of every step."""
         ta, switches = self._integrator, self._switches
@@ -141,7 +144,7 @@ class TaylorIntegrator:
             if careful and not abs(tc[:, 0]).max() < MAX_CAREFUL_STATE:
                 result = begin, Outcome.undefined
                 break
-            if careful and length > (safe := _safe_step(tc[: self._moving], length)):
+            if careful and length > (safe := safe_step(tc[: self._moving], length)):
                 ta.state[:], ta.time = tc[:, 0], begin
                 outcome, length = step(safe, True)
             if switches is not None:
@@ -195,7 +198,7 @@ def _orders(count: int) -> range:
     return range(max(2, count - 1 - ORDERS_BEFORE), count - 1)
 
 
-def _excess(steps: _StepRecord, moving: int, lengths: np.ndarray) -> float:
+def _excess(steps: StepRecord, moving: int, lengths: np.ndarray) -> float:
     """Largest |c_j| h^j / (max(1, |x|) exp(-2 j)) over all steps."""
     table = steps.table[: len(lengths), :moving]
     orders = _orders(table.shape[2])
@@ -209,8 +212,8 @@ def _excess(steps: _StepRecord, moving: int, lengths: np.ndarray) -> float:
         return float(np.sqrt((terms / size[:, None]).max()))
 
 
-def _safe_step(coefficients: np.ndarray, length: float) -> float:
-    """Longest step by the rule above."""
+def safe_step(coefficients: np.ndarray, length: float) -> float:
+    """Longest step, s, by the rule above, from the Taylor coefficients of each state in a row."""
     table = np.abs(coefficients)
     size = max(1.0, table[:, 0].max(), table[:, 1].max() * length)
     j = np.array(_orders(table.shape[1]))
@@ -219,7 +222,7 @@ def _safe_step(coefficients: np.ndarray, length: float) -> float:
     return float(limits.min())
 
 
-class _StepRecord:
+class StepRecord:
     """Growing record of steps: begin and Taylor coefficients."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
@@ -235,7 +238,7 @@ class _StepRecord:
         return self.starts, self.table
 
 
-def _trajectory(steps: _StepRecord, end: float, outcome: Outcome, problem: Problem) -> Trajectory:
+def _trajectory(steps: StepRecord, end: float, outcome: Outcome, problem: Problem) -> Trajectory:
     """Cut the record where a plant state first passes the limit."""
     count = steps.count
     starts, table = steps.starts[:count], steps.table[:count]
@@ -272,12 +275,18 @@ class TaylorSeries:
 
     def __call__(self, t: np.ndarray) -> np.ndarray:
         t = np.asarray(t, dtype=float)
-        k = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, None)
-        since = (t - self.starts[k])[:, None]
-        value = self.table[k, :, -1]
-        for order in range(self.table.shape[2] - 2, -1, -1):
-            value = value * since + self.table[k, :, order]
-        return value.T
+        states = np.empty((self.table.shape[1], len(t)))
+        for first in range(0, len(t), TIMES_AT_ONCE):
+            part = slice(first, first + TIMES_AT_ONCE)
+            k = np.maximum(self.starts.searchsorted(t[part], side="right") - 1, 0)
+            since = t[part] - self.starts[k]
+            orders = np.ascontiguousarray(self.table[k].transpose(2, 1, 0))
+            value = orders[-1]
+            for coefficient in orders[-2::-1]:  # Horner's rule, in place
+                value *= since
+                value += coefficient
+            states[:, part] = value
+        return states
 
     def subdivided(self, times: np.ndarray, parts: int) -> np.ndarray:
         """States at :func:`certrack.integrators.base.subdivide` of the steps, much faster."""

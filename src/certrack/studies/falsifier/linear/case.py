@@ -26,6 +26,9 @@ WITHIN_BOUND = 1 - 1e-9
 #: ||x|| in a disturbance is sqrt(x.x + offset^2) - offset; the offset over the largest |x|.
 PATTERN_NORM_OFFSET = 1e-4
 
+#: Corrections that bring a reference to rest at the end: each leaves the rounding of its own sums.
+REST_CORRECTIONS_OF_CASE = 3
+
 #: What comes just after a sample does so by this part of the period.
 LATE_PART = 1e-4
 
@@ -112,7 +115,7 @@ def _ending_at_rest(times: np.ndarray, start: np.ndarray, pieces: np.ndarray) ->
         return pieces
     table, pieces = np.array(columns), pieces.copy()
     sizes = np.abs(table).max(axis=1)
-    for _ in range(3):
+    for _ in range(REST_CORRECTIONS_OF_CASE):
         end = np.array(derivatives_between(times.tolist(), start.tolist(), pieces.tolist())[-1][1:])
         pieces[last:] -= np.linalg.lstsq(table / sizes[:, None], end / sizes, rcond=None)[0]
     return pieces

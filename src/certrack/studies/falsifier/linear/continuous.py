@@ -71,16 +71,16 @@ def continuous_chain(
     row = np.zeros(size)
     row[0], row[n] = 1.0, -1.0
     return Chain(
-        u,
-        acting,
-        None,
-        (cell,),
-        (h,),
-        row,
-        np.vstack([resting_states(loop), np.eye(m)]),
-        tuple(bounds),
-        np.zeros(0),
-        np.full(REFERENCE_PIECES, stride),
+        uncertainty=u,
+        acting=acting,
+        jump=None,
+        cells=(cell,),
+        lengths=(h,),
+        row=row,
+        start=np.vstack([resting_states(loop), np.eye(m)]),
+        bounds=tuple(bounds),
+        noise=np.zeros(0),
+        pieces=np.full(REFERENCE_PIECES, stride),
     )
 
 

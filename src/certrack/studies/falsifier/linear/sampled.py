@@ -10,19 +10,17 @@ from scipy.linalg import expm
 
 from certrack.core.expressions import symbol
 from certrack.loops.stability import LinearLoop, linear_loop
-from certrack.model.implementation import Implementation
+from certrack.model.implementation import NOISE_BOUND_DEVIATIONS, Implementation
 from certrack.references import jumps, lipschitz_bound
 from certrack.studies.falsifier.linear.chain import Chain, HeldStep, Jump
 from certrack.studies.falsifier.linear.continuous import REFERENCE_PIECES, STEP_PART, horizon_of
 from certrack.systems.system import System
 
-#: Normal noise without a bound is taken within so many standard deviations.
-DEVIATIONS = 5.0
-
 #: Samples in a run, at most: slower loops would take minutes.
 MAX_CHAIN_SAMPLES = 50_000
 
-#: The last piece of a reference that may jump seldom is so many times as long as the next shorter.
+#: The last piece of a reference that may jump seldom is one period long, or so many times as long
+#: as the next shorter one, up to the length of all others.
 LAST_PIECES = 8
 
 #: Steps in a period, at most.
@@ -61,16 +59,16 @@ def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
     row = np.zeros(size + m)
     row[:N], row[size] = loop.C[0], -1.0
     return Chain(
-        u,
-        acting,
-        _jump(loop, T, delay, m),
-        tuple(cells),
-        tuple(lengths),
-        row,
-        start,
-        bounds,
-        largest_sensor_errors(implementation, system.plant.n),
-        np.full(REFERENCE_PIECES, math.ceil(periods / REFERENCE_PIECES)),
+        uncertainty=u,
+        acting=acting,
+        jump=_jump(loop, T, delay, m),
+        cells=tuple(cells),
+        lengths=tuple(lengths),
+        row=row,
+        start=start,
+        bounds=bounds,
+        noise=largest_sensor_errors(implementation, system.plant.n),
+        pieces=np.full(REFERENCE_PIECES, math.ceil(periods / REFERENCE_PIECES)),
     )
 
 
@@ -84,7 +82,7 @@ def with_jumps(chain: Chain, references: ReferenceClass) -> list[Chain]:
         return [chain]
     least = max(1, math.ceil(min(references.spacing / chain.period, chain.periods)))
     stride = max(least, int(chain.pieces[0]))
-    lasts = {min(stride, LAST_PIECES**i) for i in range(16)}
+    lasts = {min(stride, LAST_PIECES**i) for i in range(stride.bit_length() + 1)}
     chains = []
     for last in sorted(lasts):
         count = max(1, math.ceil((chain.periods - last) / stride))
@@ -97,14 +95,17 @@ def with_jumps(chain: Chain, references: ReferenceClass) -> list[Chain]:
 
 
 def noise_bounds(implementation: Implementation, n: int) -> np.ndarray:
-    """The largest noise of each sensor."""
+    """The largest noise of each sensor; of normal noise without a bound, what is likely."""
     if implementation.noise_bound is not None:
         return np.array(implementation.noise_bound)
-    return DEVIATIONS * np.array(implementation.noise or (0.0,) * n)
+    return NOISE_BOUND_DEVIATIONS * np.array(implementation.noise or (0.0,) * n)
 
 
 def largest_sensor_errors(implementation: Implementation, n: int) -> np.ndarray:
-    """The largest error of each sensor, half a step of it included."""
+    """The largest error of each sensor, half a step of it included.
+
+    In floats, and apart from those of the certificates, which are held against what is found here.
+    """
     half: np.ndarray = np.array(implementation.measurement_quantum or (0.0,) * n) / 2
     return noise_bounds(implementation, n) + half
 

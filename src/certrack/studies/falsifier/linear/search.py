@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from certrack.certificates.certificate import NoCertificate, within_floats
-from certrack.certificates.premises import refuse_unknown
 from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
+from certrack.certificates.scope import refuse_unknown
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.laws.error_system import EstimatedParameters

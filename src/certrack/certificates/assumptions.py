@@ -1,4 +1,4 @@
-"""What a certificate rests on, and the systems for which it would not hold."""
+"""What a certificate rests on, as texts, and the numbers that are rounded for it."""
 
 from __future__ import annotations
 
@@ -6,73 +6,11 @@ from collections.abc import Mapping
 
 import sympy
 
-from certrack.certificates.arithmetic import rational
-from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
-from certrack.laws.error_system import ErrorSystem, EstimatedParameters, KnownParameters
+from certrack.laws.error_system import KnownParameters
 from certrack.references.base import bound_of
 from certrack.systems.system import System
-
-
-def refuse(system: System) -> None:
-    """Raise NoCertificate, with the reason, where no certificate of the nominal loop can hold."""
-    ranged = ranged_names(system, refuse_unknown(system))
-    if ranged:
-        raise NoCertificate(
-            f"plant.ranges lets {', '.join(ranged)} vary: only vertices, cells and peak can cover "
-            "it"
-        )
-
-
-def ranged_names(system: System, stated: ErrorSystem) -> list[str]:
-    """What has a range that the nominal loop does not cover."""
-    ranged = [name for name, _, _ in system.plant.constant_ranges]
-    if isinstance(stated, KnownParameters):
-        ranged += _open_parameters(system, stated)
-    return ranged
-
-
-def refuse_unknown(system: System) -> ErrorSystem:
-    """Raise NoCertificate where no certificate of this room can hold; what the law states."""
-    stated = stated_error_system(system)
-    if system.truth.states:
-        _refuse_unknown_ranges(system, stated)
-    return stated
-
-
-def has_ranges(system: System) -> bool:
-    """Whether a certificate must cover more than the nominal loop."""
-    if system.plant.constant_ranges:
-        return True
-    try:
-        stated = stated_error_system(system)
-    except NoCertificate:
-        return False
-    return isinstance(stated, KnownParameters) and bool(_open_parameters(system, stated))
-
-
-def _open_parameters(system: System, stated: KnownParameters) -> list[str]:
-    """What the robust law takes for known, although it has a range."""
-    plant = system.plant
-    names = ["input_gain", *(f"theta[{i}]" for i in range(plant.r))]
-    boxes = (plant.input_gain_range, *(plant.theta_range or (None,) * plant.r))
-    return [
-        name
-        for name, value, box in zip(names, (stated.g_n, *stated.theta), boxes, strict=True)
-        if any(rational(end) != rational(value) for end in box or ())
-    ]
-
-
-def _refuse_unknown_ranges(system: System, stated: ErrorSystem) -> None:
-    """A truth with states of its own tells the adaptive law no true g_n and theta."""
-    plant = system.plant
-    ranged = plant.input_gain_range and (plant.theta_range or not plant.r)
-    if isinstance(stated, EstimatedParameters) and not ranged:
-        raise NoCertificate(
-            "a truth with states of its own has no g_n and theta to be certified for; state "
-            "plant.ranges"
-        )
 
 
 def assumptions(system: System) -> list[str]:

@@ -1,0 +1,99 @@
+"""The symbols that a law is written with: states, reference, and a symbol for every gain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import sympy
+
+from certrack.core.errors import InputError
+from certrack.core.expressions import TIME, symbol
+from certrack.model.plant import Plant
+
+
+class _Signal(tuple[sympy.Expr, ...]):
+    """The entries of a signal; one beyond the last is refused with its name and their number."""
+
+    name = ""
+
+    def __getitem__(self, index: Any) -> Any:
+        try:
+            return super().__getitem__(index)
+        except IndexError:
+            count = f"has {len(self)} entries, from {self.name}[0]" if self else "has no entries"
+            raise InputError(f"{self.name}[{index}]", count) from None
+
+
+def _signal(name: str, entries: Iterable[sympy.Expr]) -> tuple[sympy.Expr, ...]:
+    signal = _Signal(entries)
+    signal.name = name
+    return signal
+
+
+class Signals:
+    """The symbols a law may use in its equations.
+
+    Attributes
+    ----------
+    x : tuple of symbols
+        Plant states.
+    Y : tuple of symbols
+        y_d ... y_d^(q+1).
+    e_n : expression
+        Last error coordinate.
+    nu : expression
+        The part of the control that all laws share: ubar of [25] without theta_hat.
+    phi : tuple of expressions
+        Regressor phi(x).
+    sign_g : symbol
+        Sign of the input gain.
+    t : symbol
+        Time since the run began, s.
+    """
+
+    t = TIME
+
+    def __init__(self, plant: Plant, q: int, *, short: bool = False) -> None:
+        """With `short`, e_n and nu stay symbols: for printing a law as the paper does."""
+        self.plant, self.q = plant, q
+        self.x = _signal("s.x", plant.symbols)
+        self.Y = _signal("s.Y", (symbol(f"y_d_{i}") for i in range(q + 2)))
+        self.phi = _signal("s.phi", (phi.expr for phi in plant.regressor))
+        self._parameters: dict[str, tuple[sympy.Symbol, ...]] = {}
+        a = self.parameters("A_n", plant.n)
+        b = self.parameters("B_n", q + 1)
+        nu_x = self.parameters("nu_x", plant.n)
+        nu_y = self.parameters("nu_Y", q + 2)
+        self.e_n = dot(a, self.x) - dot(b, self.Y[: q + 1])
+        self.nu = dot(nu_x, self.x) + dot(nu_y, self.Y) - plant.drift.expr
+        if short:
+            self.e_n, self.nu = symbol("e_n"), symbol("nu")
+        self.sign_g = self.parameter("sign_g")
+
+    @property
+    def r(self) -> int:
+        """Number of unknown parameters theta."""
+        return self.plant.r
+
+    def parameter(self, name: str) -> sympy.Symbol:
+        """A scalar gain as a symbol."""
+        return self.parameters(name, 1)[0]
+
+    def parameters(self, name: str, *shape: int) -> tuple[sympy.Symbol, ...]:
+        """An array of gains as symbols, in row-major order."""
+        count = int(np.prod(shape))
+        symbols = tuple(symbol(f"law_{name}_{i}") for i in range(count))
+        self._parameters[name] = symbols
+        return symbols
+
+    @property
+    def all_parameters(self) -> Mapping[str, tuple[sympy.Symbol, ...]]:
+        """Every gain asked for so far, by name."""
+        return self._parameters
+
+
+def dot(a: Sequence[sympy.Expr], b: Sequence[sympy.Expr]) -> sympy.Expr:
+    """Inner product of formulas."""
+    return sympy.Add(*(left * right for left, right in zip(a, b, strict=True)))
