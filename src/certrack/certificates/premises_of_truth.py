@@ -95,7 +95,7 @@ def _plant(system: System) -> Premise:
             ASSUMED,
             "the simulated plant, which has states of its own, differs from the design's by no "
             "more than w, that is within gamma and beta",
-            remedy="certrack ensemble and certrack falsify may refute it",
+            remedy="certrack ensemble --limit with the bound may refute it",
         )
     design, built = _as_built(system), plant.with_constants(**dict(truth.constants))
     ranged, unsure = plant.constant_boxes, False

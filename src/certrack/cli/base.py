@@ -52,6 +52,13 @@ def naming(file: str, *keys: str, period: float | None = None) -> Iterator[None]
         raise
 
 
+def keep_source(file: str, *outputs: Path) -> None:
+    """Refuse, before anything is computed, to write over the system file that was read."""
+    for path in outputs:
+        if path.exists() and Path(file).exists() and path.samefile(file):
+            raise InputError("--out", f"{path} would be written over", remedy="Choose another name")
+
+
 def tell_written(as_json: bool, *paths: Path) -> None:
     """Say which files, or how many in which folder, were written; programs know."""
     if as_json:

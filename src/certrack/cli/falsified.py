@@ -22,6 +22,7 @@ def falsification_summary(result: Falsification) -> dict[str, Any]:
     others = [c for kind, c in result.certificates.items() if kind != "published"]
     certified = min(c.bound for c in others) if against is None else against.bound
     ratio = certified / error if error and result.alarm is None else None
+    settling = result.alarm is None and against is not None and error > against.bound
     return {
         "worst_error": error,
         "certified": certified,
@@ -34,8 +35,11 @@ def falsification_summary(result: Falsification) -> dict[str, Any]:
         "own_run": result.own_run,
         "origin": result.origin,
         "stopped": result.stopped,
+        "settling": settling,
         "drive": None if result.drive is None else _of_drive(result.drive),
-        "certificates": {kind: _beside(c, error) for kind, c in result.certificates.items()},
+        "certificates": {
+            kind: _beside(c, error, settling) for kind, c in result.certificates.items()
+        },
         "runs": result.evaluations,
     }
 
@@ -48,6 +52,7 @@ def _of_drive(drive: DriveFalsification) -> dict[str, Any]:
         "stopped": drive.stopped,
         "certified": drive.certificate.bound,
         "verified": drive.certificate.verified,
+        "reason": drive.certificate.reason or None,
         "ratio": drive.certificate.bound / drive.worst_error if drive.worst_error else math.inf,
     }
 
@@ -55,20 +60,26 @@ def _of_drive(drive: DriveFalsification) -> dict[str, Any]:
 def drive_lines(drive: Mapping[str, Any]) -> list[str]:
     """The same in words."""
     rounding = "with the sensors' rounding at its worst"
+    certified = printed_bound(drive["certified"])
+    if not drive["verified"]:
+        certified += f" (not verified: {drive['reason']})"
     return [
         f"as implemented, worst |e_1| found: {drive['worst_error']:.6g} (simulated)",
         f"{rounding}, by the linear loop: {drive['estimate']:.6g}",
-        f"as implemented, certified limsup |e_1|: {printed_bound(drive['certified'])}",
+        f"as implemented, certified limsup |e_1|: {certified}",
     ]
 
 
-def _beside(certificate: Certificate, error: float) -> dict[str, Any]:
-    """A bound beside the worst error found; a bound that does not exist is null."""
+def _beside(certificate: Certificate, error: float, settling: bool) -> dict[str, Any]:
+    """A bound beside the worst error found; a bound that does not exist is null.
+
+    A run that is still settling, within the tube, says nothing against a bound in the long run.
+    """
     return {
         "bound": certificate.bound,
         "verified": certificate.verified,
         "ratio": certificate.bound / error if error else math.inf,
-        "exceeded": error > certificate.bound,
+        "exceeded": error > certificate.bound and not settling,
     }
 
 

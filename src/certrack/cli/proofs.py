@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from certrack.cli.base import FOLDER, NEW_FILE, json_option, note_engine, note_implementation
+from certrack.cli.base import (
+    FOLDER,
+    NEW_FILE,
+    json_option,
+    keep_source,
+    note_engine,
+    note_implementation,
+)
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
 from certrack.core import checks
 from certrack.core.errors import InputError
@@ -67,6 +74,7 @@ def certify(
 
     system = load(file)
     axes = _two_states(states, system.plant.states)
+    keep_source(file, *filter(None, [out]))
     with report.progress("Certifying") as advance:
         result = certificates.certify(system, effort, advance)
     if out is not None and result.stages:
@@ -208,6 +216,8 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     from certrack.systems.writer import save
 
     system = load(file)
+    beside = None if out is None else out.with_name(f"{out.stem}-drive{out.suffix}")
+    keep_source(file, *filter(None, [out, beside]))
     note_engine(compiled=False)
     note_contradictions(system, file)
     with report.progress("Searching") as advance:
@@ -216,8 +226,8 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     if drive is None:
         note_implementation(system)
     cases = {} if out is None else {out: result.system}
-    if out is not None and drive is not None:
-        cases[out.with_name(f"{out.stem}-drive{out.suffix}")] = drive.system
+    if beside is not None and drive is not None:
+        cases[beside] = drive.system
     for path, case in cases.items():
         save(case, path)
     values = falsified.falsification_summary(result) | {
@@ -235,6 +245,8 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         ratio = values["ratio"]
         click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
         report.console().print(falsified.falsification_table(values["certificates"]))
+        if values["settling"]:
+            report.print_lines([STILL_SETTLING])
         if values["certificates"].get("published", {}).get("exceeded"):
             report.print_lines([PUBLISHED_EXCEEDED])
         if values["drive"] is not None:
@@ -256,6 +268,12 @@ ORIGIN_WORDS = {
     "own": ", the file's own",
     "kernels": ", by kernels and a linear program",
 }
+
+#: What the user is told where the worst run has not reached its long run.
+STILL_SETTLING = (
+    "The worst run has not settled from its start: it is beyond the bound and within the tube, so "
+    "it says nothing against a bound in the long run."
+)
 
 #: What the user is told where the falsifier passes the paper's bound, which nobody has proven.
 PUBLISHED_EXCEEDED = (

@@ -21,7 +21,7 @@ from certrack.certificates.arithmetic import exact_float, rational
 from certrack.certificates.balls import ball_matrix, ball_of, upper_rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
-from certrack.certificates.scope import refuse
+from certrack.certificates.scope import has_ranges, refuse
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
@@ -141,6 +141,8 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
     implementation = system.implementation
     if implementation is None:
         raise NoCertificate(NO_IMPLEMENTATION)
+    if has_ranges(system):
+        raise NoCertificate(RANGED)
     refuse(system)
     if not isinstance(stated_error_system(system), KnownParameters):
         raise NoCertificate(
@@ -156,6 +158,12 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
 
 #: Why there is none without a table [implementation].
 NO_IMPLEMENTATION = "the file has no [implementation]"
+
+#: Why there is none where what the law takes for known has a range.
+RANGED = (
+    "plant.ranges is covered in continuous time only; without it there is a bound of the sampled "
+    "loop for the nominal constants"
+)
 
 
 def _drive(

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 from certrack.certificates import Certificate
 from certrack.certificates.implemented.certify import certify_implemented
-from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.methods import Methods, every_certificate
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
@@ -254,8 +253,10 @@ def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification |
     if case is None:
         return None
     certificate: Certificate = certify_implemented(system)[0]
-    if contradicted(premises_as_implemented(system)):
-        certificate = replace(certificate, verified=False)
+    broken = contradicted(premises(system))  # what an implementation adds never is
+    if broken and certificate.exists:
+        reason = f"a premise is contradicted: {broken[0].detail}"
+        certificate = replace(certificate, verified=False, reason=reason)
     run = case.run
     limited = _may_be_limited(system, run)
     return DriveFalsification(
