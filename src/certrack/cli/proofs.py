@@ -73,8 +73,8 @@ def certify(
     from certrack.systems.reader import load
 
     system = load(file)
-    keep_source(file, *filter(None, [out]))
     axes = _two_states(states, system.plant.states)
+    keep_source(file, *filter(None, [out]))
     with report.progress("Certifying") as advance:
         result = certificates.certify(system, effort, advance)
     if out is not None and result.stages:

@@ -43,7 +43,8 @@ def _polytope(sampled: ImplementedCertificate) -> dict[str, Any] | None:
 
 def implemented_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
     """What is known of the loop as the drive runs it, and which bound to ship with."""
-    if not sampled.exists:
+    contradicted = not sampled.verified and not sampled.reason
+    if not sampled.exists or contradicted:  # nothing to ship with where a premise is broken
         return []
     bound, peak, *states = (
         rounded_up(v, digits) for v in (sampled.bound, sampled.peak_input, *sampled.states)
