@@ -433,12 +433,12 @@ def forgotten_running_period(monkeypatch):
 
 def forgotten_samples(monkeypatch):
     """Sensors exact at every sample."""
-    honest = gains_room._as_gains
+    honest = gains_room.gains_of
 
     def silent(table, nw, n, jump):
         return replace(honest(table, nw, n, jump), noise=np.zeros((len(table), n)))
 
-    monkeypatch.setattr(gains_room, "_as_gains", silent)
+    monkeypatch.setattr(gains_room, "gains_of", silent)
 
 
 SMALL = """

@@ -119,7 +119,7 @@ def certify_implemented(
     Returns
     -------
     certificate : ImplementedCertificate
-        Limits of the input may act; `input_limits` of :mod:`limits` says whether they do.
+        With limits of the input, verified only where they are proven never to be met from x0.
     proofs : one ImplementedProof per delay
         Empty where nothing is verified.
 

@@ -70,7 +70,7 @@ class Drive:
     eta : rational
         Half a step of the converter.
     Y : q + 2 rationals
-        OutputBounds of y_d ... y_d^(q+1).
+        Bounds of y_d ... y_d^(q+1).
     lipschitz : rational or None
         Lipschitz constant of y_d^(q+1) between its jumps; None where it has none, or the jumps are
         closer than a period.
@@ -118,6 +118,12 @@ class Drive:
     def q(self) -> int:
         """Order of the feed-forward."""
         return len(self.Y) - 2
+
+    @property
+    def periods_between_jumps(self) -> int:
+        """Whole periods between two jumps of y_d^(q+1) at least; for `jumps` that are known."""
+        assert self.jumps is not None
+        return max(1, int((self.jumps[1] / self.T).floor()))
 
 
 #: Bits of all balls of this room.

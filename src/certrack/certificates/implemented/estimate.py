@@ -19,7 +19,9 @@ from certrack.certificates.implemented.enclosed import Enclosed
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import (
     PeakGains,
+    gains_of,
     kernel_columns,
+    largest_of_each,
     mean_magnitude,
     running_period,
 )
@@ -115,16 +117,5 @@ def _estimated_gains(period: Period, rows: Sequence[Row], doublings: int) -> Pea
     total = total + table[:, :-1]
     jump = np.zeros(count)
     if drive.jumps is not None:
-        apart = max(1, int((drive.jumps[1] / drive.T).floor()))
-        each = np.hstack(samples)
-        starts = np.arange(0, each.shape[1], apart)
-        jump = np.maximum.reduceat(each, starts, axis=1).sum(axis=1)
-    return PeakGains(
-        total[:, :nw],
-        total[:, nw],
-        total[:, nw + 1 : nw + 1 + drive.n],
-        total[:, -2],
-        total[:, -1],
-        table[:, -1],
-        jump,
-    )
+        jump = largest_of_each(np.hstack(samples), drive.periods_between_jumps)
+    return gains_of(np.hstack([total, table[:, -1:]]), nw, drive.n, jump)

@@ -35,7 +35,12 @@ from certrack.certificates.implemented.period import (
     column,
     gamma,
     identity,
+    padded,
 )
+
+#: The weights of the tail may be any positive numbers. An entry of chi on which nothing acts has
+#: this part of the largest.
+SMALLEST_TAIL_WEIGHT = 1e-30
 
 
 @dataclass(frozen=True)
@@ -109,9 +114,7 @@ def kernel_columns(period: Period, phase: int, smeared: bool) -> KernelColumns:
         Whether the period's sample is spread over it.
     """
     drive, q, W = period.drive, period.drive.q, period.W
-    over = [identity(period.size)]
-    for p in range(phase - 1, -1, -1):
-        over.append(over[-1] * period.cells[p].transition)
+    over = period.since_jump(phase)
     to_jump = over[-1]
     last = to_jump * column(period.reference, q + 1)
     spread = last * (flint.arb(1) / drive.T) if smeared else last * flint.arb(0)
@@ -142,11 +145,7 @@ def _bend_of_w(period: Period, h: Any) -> flint.arb_mat:
     """|k_w''| is at most |lambda| times this in a cell of length h."""
     A, W = period.drive.A, period.drive.W
     inner = (absolute(A) * flint.arb(h)).exp() * absolute(A * A * W)
-    padded = flint.arb_mat(period.size, W.ncols())
-    for i in range(A.nrows()):
-        for j in range(W.ncols()):
-            padded[i, j] = inner[i, j]
-    return padded
+    return padded(inner, period.size)
 
 
 def _up(ball: Any) -> float:
@@ -184,9 +183,9 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     at = drive.W.ncols() + 1 + drive.n  # the sample's column
     jump = np.zeros(count)
     if drive.jumps is not None:
-        apart = max(1, int((drive.jumps[1] / drive.T).floor()))
-        jump = widened(largest_of_each(samples[:count], apart) + tail[:, at], 2**doublings)
-    return _as_gains(total, drive.W.ncols(), drive.n, jump)
+        each_jump = largest_of_each(samples[:count], drive.periods_between_jumps)
+        jump = widened(each_jump + tail[:, at], 2**doublings)
+    return gains_of(total, drive.W.ncols(), drive.n, jump)
 
 
 def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb_mat]:
@@ -207,10 +206,7 @@ def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, fli
         gains[:, -1] = gains[:, nw + 1 + drive.n]  # the sample is an input by itself
         gains[:, nw + 1 + drive.n] = 0
         table[chosen] = gains
-        to_jump = identity(period.size)
-        for p in range(phase - 1, -1, -1):
-            to_jump = to_jump * period.cells[p].transition
-        before = (matrix * (to_jump * period.jump)).tolist()
+        before = (matrix * (period.since_jump(phase)[-1] * period.jump)).tolist()
         for i, entries in zip(chosen, before, strict=True):
             past[i] = entries
     return table, flint.arb_mat(past)
@@ -361,7 +357,7 @@ def tail_gains(last: np.ndarray, each: np.ndarray, power: np.ndarray) -> np.ndar
     size = len(power)
     largest = each.max(axis=0, initial=0.0)
     d = (each[:, largest > 0] / largest[largest > 0]).max(axis=1, initial=0.0)
-    d = np.maximum(d, 1e-30)
+    d = np.maximum(d, SMALLEST_TAIL_WEIGHT)
     nu = float(widened((power @ d) / d, size + 4).max())
     if not nu < 1:
         raise NoCertificate(
@@ -374,7 +370,8 @@ def tail_gains(last: np.ndarray, each: np.ndarray, power: np.ndarray) -> np.ndar
     return widened(last @ (each + beyond), size + 8)
 
 
-def _as_gains(table: np.ndarray, nw: int, n: int, jump: np.ndarray) -> PeakGains:
+def gains_of(table: np.ndarray, nw: int, n: int, jump: np.ndarray) -> PeakGains:
+    """The columns of a table by their names; see :func:`gains_table`."""
     return PeakGains(
         w=table[:, :nw],
         r=table[:, nw],

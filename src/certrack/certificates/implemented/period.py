@@ -83,6 +83,13 @@ class Period:
         """Index in chi of the newest input."""
         return self.drive.n + self.drive.memories
 
+    def since_jump(self, phase: int) -> tuple[flint.arb_mat, ...]:
+        """E_{phase-1} ... E_p for p = phase (the identity), phase - 1 ... 0."""
+        over = [identity(self.size)]
+        for p in range(phase - 1, -1, -1):
+            over.append(over[-1] * self.cells[p].transition)
+        return tuple(over)
+
     @property
     def map(self) -> flint.arb_mat:
         """M: a whole period, from before a jump to before the next."""
@@ -91,7 +98,7 @@ class Period:
     @property
     def W(self) -> flint.arb_mat:
         """The columns of the uncertain terms over chi."""
-        return _padded(self.drive.W, self.size)
+        return padded(self.drive.W, self.size)
 
 
 def one_period(drive: Drive, parts: tuple[int, int]) -> Period:
@@ -247,7 +254,8 @@ def _place(matrix: flint.arb_mat, part: flint.arb_mat, row: int, column: int) ->
             matrix[row + i, column + j] = part[i, j]
 
 
-def _padded(matrix: flint.arb_mat, size: int) -> flint.arb_mat:
-    padded = flint.arb_mat(size, matrix.ncols())
-    _place(padded, matrix, 0, 0)
-    return padded
+def padded(matrix: flint.arb_mat, size: int) -> flint.arb_mat:
+    """The matrix over chi: with rows of zeros below."""
+    result = flint.arb_mat(size, matrix.ncols())
+    _place(result, matrix, 0, 0)
+    return result

@@ -59,7 +59,7 @@ class ImplementedProof:
     doublings : int
         2^doublings periods are summed one by one.
     states : n texts
-        OutputBounds of limsup |x_i|.
+        Bounds of limsup |x_i|.
     input : str
         Bound of limsup |u|, without the constant of the law.
     step : str

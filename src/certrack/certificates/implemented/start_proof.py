@@ -301,8 +301,7 @@ def start_set_of(
 def _jumps(system: System, drive: Drive) -> tuple[Any | None, int | None]:
     """Size of the jumps of y_d^(q+1), and the least periods between two; None for one or none."""
     if drive.jumps is not None:
-        size, spacing = drive.jumps
-        return size, max(1, int((spacing / drive.T).floor()))
+        return drive.jumps[0], drive.periods_between_jumps
     jumping = jumps(system.reference, drive.q + 1) if drive.jumps_once else None
     return (None, None) if jumping is None else (exact_float(jumping[0], rational), None)
 
