@@ -18,7 +18,7 @@ from certrack.certificates.exact import float_down, float_up, from_text
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.boxes import forbidden, names, scaled, with_range
-from certrack.certificates.ranges.cells import Cell
+from certrack.certificates.ranges.cells import Cell, corners_of
 from certrack.certificates.ranges.certify import NO_RANGES, range_prover, smaller_bounds
 from certrack.certificates.ranges.edges import Edge, largest_scale
 from certrack.certificates.ranges.proofs import RangeProver
@@ -33,9 +33,6 @@ ADMITTED_FACTOR = 1.5
 
 #: Relative accuracy of a range: each further digit costs three more bounds.
 DRIFT_ACCURACY = 0.02
-
-#: Corners at which the error is looked at before cells are made: those of six ranges.
-ADMITTED_CORNERS = 64
 
 
 @dataclass(frozen=True)
@@ -204,8 +201,7 @@ def _admitted_drift(system: System, error: float | None, bounds: RangeBounds) ->
             "the file's own ranges have no certificate, whose bound could be admitted; state the "
             "admitted error"
         )
-    bound = max(float_up(from_text(proof.bound)) for proof in bounds.best)
-    return ADMITTED_FACTOR * bound, f"{ADMITTED_FACTOR:g} times the certified bound"
+    return ADMITTED_FACTOR * bounds.certified, f"{ADMITTED_FACTOR:g} times the certified bound"
 
 
 class _Boxes:
@@ -227,7 +223,7 @@ class _Boxes:
             progress=lambda *_: self._progress(done, None, None),
         )
         self._progress(done + 1, None, None)
-        return max((float_up(from_text(proof.bound)) for proof in bounds.best), default=math.inf)
+        return bounds.certified
 
     def edge(self, box_at: Callable[[Any], Cell]) -> Edge[float]:
         """The largest scale of a box whose bound is admitted, and the bound."""
@@ -249,8 +245,7 @@ class _Boxes:
 
     def _exceeded_at_a_corner(self, box: Cell) -> bool:
         """Whether a corner alone has no bound that is admitted: then no cell around it has."""
-        corners = itertools.product(*(dict.fromkeys(pair) for pair in box))
-        for corner in itertools.islice(corners, ADMITTED_CORNERS):
+        for corner in corners_of(box):
             point = tuple((value, value) for value in corner)
             bounds = bound_ranges(self.prover, cells=False, box=point, enough=self.error)
             if bounds.bound > self.error:

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
 
+from certrack.certificates.ranges.loop import RangedLoop, error_form
 from certrack.certificates.worst_profile import WorstProfile, worst_profile
 
 #: Pieces of the reference, and the horizon in slowest time constants.
@@ -36,6 +38,28 @@ class Attained:
     error: float
     by_reference: float
     reference: WorstProfile
+
+
+def attained_at(loop: RangedLoop, point: Sequence[Any], Y: Sequence[float]) -> Attained | None:
+    """What a loop does at worst with these constants, its bounded uncertain terms included.
+
+    Parameters
+    ----------
+    loop : RangedLoop
+        Bounded nonlinear terms are left out, and what grows with the state.
+    point : values of its symbols
+    Y : Y_0 ... Y_{q+1}
+
+    Returns
+    -------
+    Attained, or None where the loop is unstable or the program is not solved.
+    """
+    u, A = loop.system.plant.uncertainty, loop.coordinates.A.astype(float)
+    form = error_form(loop, loop.entries.at(tuple(point)))
+    acting = [k for k in range(loop.n) if u.tau[k] * u.beta[k]]
+    inputs = A[:, acting] * np.array([u.tau[k] * u.beta[k] for k in acting], dtype=float)
+    M, W, offset = (part.astype(float) for part in (form.M, form.W, form.offset))
+    return worst_reference(M, W, inputs, offset, Y)
 
 
 def worst_reference(

@@ -6,14 +6,23 @@ for ever. The worst cell is cut across its relatively widest constant, as often 
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from certrack.certificates.ranges.rational import Interval
 
 #: A cell: an interval for each constant.
 Cell = tuple[Interval, ...]
+
+#: Corners that are looked at: those of six ranges.
+MAX_CORNERS = 64
+
+
+def corners_of(box: Cell) -> Iterator[tuple[Any, ...]]:
+    """The corners of a box, no point twice, and not more than :data:`MAX_CORNERS`."""
+    return itertools.islice(itertools.product(*map(dict.fromkeys, box)), MAX_CORNERS)
 
 
 def divided(

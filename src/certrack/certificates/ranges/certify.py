@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import Any
-
-import numpy as np
 
 from certrack.certificates.assumptions import assumptions
 from certrack.certificates.certificate import (
@@ -17,9 +14,9 @@ from certrack.certificates.certificate import (
     within_floats,
 )
 from certrack.certificates.exact import float_down, float_up, from_text
-from certrack.certificates.ranges.attainable import worst_reference
+from certrack.certificates.ranges.attainable import attained_at
+from certrack.certificates.ranges.cells import corners_of
 from certrack.certificates.ranges.costs import ConstantCost, costs
-from certrack.certificates.ranges.loop import error_form
 from certrack.certificates.ranges.proofs import CellProof, RangeProver
 from certrack.certificates.ranges.search import RangeBounds, bound_ranges
 from certrack.certificates.ranges.strength import RangeStrength, critical_ranges
@@ -28,9 +25,6 @@ from certrack.systems.system import System
 
 #: Why there is none for a system without ranges.
 NO_RANGES = "no constant has a range: the nominal certificates are all there is"
-
-#: Corners at which the attainable error is looked for.
-MAX_CORNERS = 64
 
 
 @dataclass(frozen=True)
@@ -218,16 +212,10 @@ def attainable_error(prover: RangeProver) -> float | None:
     loop = prover.loop
     if not prover.by_peak_gains or loop.brackets or loop.moving:
         return None
-    u, A = loop.system.plant.uncertainty, loop.coordinates.A.astype(float)
-    inputs = [A[:, k] * u.tau[k] * u.beta[k] for k in range(loop.n) if u.tau[k] * u.beta[k]]
-    columns = np.array(inputs, dtype=float).reshape(len(inputs), loop.n).T
     Y = loop.system.reference.bounds(loop.coordinates.q + 1).values
     largest = 0.0
-    for corner in itertools.islice(itertools.product(*prover.box), MAX_CORNERS):
-        form = error_form(loop, loop.entries.at(corner))
-        attained = worst_reference(
-            form.M.astype(float), form.W.astype(float), columns, form.offset.astype(float), Y
-        )
+    for corner in corners_of(prover.box):
+        attained = attained_at(loop, corner, Y)
         if attained is None:
             return None
         largest = max(largest, attained.error)

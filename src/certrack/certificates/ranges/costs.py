@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from certrack.certificates.certificate import within_floats
-from certrack.certificates.exact import float_down, float_up, from_text
+from certrack.certificates.exact import float_down, float_up
 from certrack.certificates.ranges.boxes import closed, names
 from certrack.certificates.ranges.cells import Cell
-from certrack.certificates.ranges.proofs import CellProof, RangeProver
+from certrack.certificates.ranges.proofs import RangeProver
 from certrack.certificates.ranges.search import RangeBounds
 
 
@@ -72,18 +72,13 @@ def costs(
     bounds : RangeBounds
         Of the file's own box. A proof for it is one for every box inside, so none is above it.
     """
-    loop, total = prover.loop, _bound_up(bounds.best)
+    loop, total = prover.loop, bounds.certified
     result = []
     for k, name in enumerate(names(loop)):
         (low, high), nominal = loop.box[k], loop.nominal[k]
         with within_floats():
-            least = _bound_up(search(closed(loop, k)).best)
+            least = search(closed(loop, k)).certified
         known = min(least, total) if low <= nominal <= high else least
         ends = float_down(low), float(nominal), float_up(high)
         result.append(ConstantCost(name, *ends, known, total, math.isfinite(known)))
     return tuple(result)
-
-
-def _bound_up(proofs: tuple[CellProof, ...]) -> float:
-    """The largest bound of cells, rounded up."""
-    return max((float_up(from_text(proof.bound)) for proof in proofs), default=math.inf)

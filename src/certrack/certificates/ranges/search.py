@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.ranges.cells import Cell, divided
 from certrack.certificates.ranges.proofs import CellProof, RangeProver
 from certrack.core.progress import Progress, silent
@@ -50,6 +51,11 @@ class RangeBounds:
     def bound(self) -> float:
         """The smallest bound, as a float that is near it; inf if there is none."""
         return largest(self.best) if self.best else math.inf
+
+    @property
+    def certified(self) -> float:
+        """The smallest bound, rounded up; inf if there is none."""
+        return max((float_up(from_text(proof.bound)) for proof in self.best), default=math.inf)
 
 
 def bound_ranges(

@@ -17,14 +17,14 @@ import numpy as np
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.ranges.boxes import forbidden, scaled
-from certrack.certificates.ranges.cells import Cell, halved
+from certrack.certificates.ranges.cells import Cell, corners_of, halved
 from certrack.certificates.ranges.edges import largest_scale
 from certrack.certificates.ranges.loop import error_form
 from certrack.certificates.ranges.proofs import RangeProver
 from certrack.core.progress import Progress, silent
 
-#: Cells into which a box is cut to find any proof, and corners that are looked at beforehand.
-PROVABLE_CELLS, STABLE_CORNERS = 16, 64
+#: Cells into which a box is cut to find any proof.
+PROVABLE_CELLS = 16
 
 #: Relative accuracy of the scale.
 STRENGTH_ACCURACY = 0.01
@@ -104,7 +104,7 @@ def stable_at_corners(prover: RangeProver, box: Cell) -> bool:
     loop = prover.loop
     if not prover.by_peak_gains:
         return True
-    for corner in itertools.islice(itertools.product(*box), STABLE_CORNERS):
+    for corner in corners_of(box):
         M = error_form(loop, loop.entries.at(corner)).M.astype(float)
         if not np.linalg.eigvals(M).real.max() < 0:
             return False

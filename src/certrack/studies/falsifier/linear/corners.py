@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
-import numpy as np
-
-from certrack.certificates.ranges.attainable import worst_reference
-from certrack.certificates.ranges.loop import RangedLoop, error_form
-
-#: Corners that are looked at: those of six ranges.
-MAX_ATTACKED_CORNERS = 64
+from certrack.certificates.ranges.attainable import attained_at
+from certrack.certificates.ranges.cells import corners_of
+from certrack.certificates.ranges.loop import RangedLoop
 
 
 def worst_corners(loop: RangedLoop, bounds: tuple[float, ...], count: int) -> list[tuple[Any, ...]]:
@@ -30,7 +25,7 @@ def worst_corners(loop: RangedLoop, bounds: tuple[float, ...], count: int) -> li
     points = [tuple(loop.nominal)]
     if not loop.box:
         return points
-    points += itertools.islice(itertools.product(*loop.box), MAX_ATTACKED_CORNERS)
+    points += corners_of(loop.box)
     errors = _errors(loop, bounds, points)
     if not errors:
         return []
@@ -47,14 +42,5 @@ def _errors(
     loop: RangedLoop, bounds: tuple[float, ...], points: list[tuple[Any, ...]]
 ) -> list[tuple[float, tuple[Any, ...]]]:
     """The attained errors at points where the loop is stable."""
-    u, A = loop.system.plant.uncertainty, loop.coordinates.A.astype(float)
-    inputs = [A[:, k] * u.tau[k] * u.beta[k] for k in range(loop.n) if u.tau[k] * u.beta[k]]
-    columns = np.array(inputs, dtype=float).reshape(len(inputs), loop.n).T
-    errors = []
-    for point in points:
-        form = error_form(loop, loop.entries.at(point))
-        M, W, offset = (part.astype(float) for part in (form.M, form.W, form.offset))
-        attained = worst_reference(M, W, columns, offset, bounds)
-        if attained is not None:
-            errors.append((attained.error, point))
-    return errors
+    attempts = ((attained_at(loop, point, bounds), point) for point in points)
+    return [(attained.error, point) for attained, point in attempts if attained is not None]
