@@ -349,6 +349,7 @@ class Loop:
             history.append(self.size(X))
             outputs.append(now)
             peaks = np.maximum(peaks, now)
+        checker.demand((X_t >= 0).all() and U_t >= 0, "X_t is negative")
         recent = np.maximum(np.max([o[1:-2] for o in outputs[middle:]], axis=0), X_t)
         ever = np.maximum(np.max([o[1:-2] for o in outputs], axis=0), X_t)
         late = [self.size(ever)] * middle + [self.size(recent)] * (K - middle)

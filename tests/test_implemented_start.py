@@ -342,6 +342,17 @@ def test_mutated_proofs_of_a_start_are_refused(limited, mutant):
     assert failed_starts(system, wrong, delay) != ""
 
 
+def test_negative_bounds_of_later_periods_prove_nothing(limited):
+    system, _, (proof,) = limited
+    start = proof.starts[0]
+    for wrong in (
+        replace(start, states=("-1", *start.states[1:])),
+        replace(start, input=f"-{start.input}"),
+    ):
+        reason = failed_starts(system, replace(proof, starts=(wrong,)), delays(system)[0])
+        assert "negative" in reason
+
+
 def test_mutated_proofs_of_a_polytope_are_refused(limited):
     system, _, (proof,) = limited
     x0, polytope = proof.starts

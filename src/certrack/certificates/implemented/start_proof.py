@@ -208,6 +208,8 @@ class StartProver:
         """
         if not self._is_well_formed(proof):
             raise NoCertificate("the proof of the start does not have the shape of the system")
+        if any(from_text(text) < 0 for text in (*proof.states, proof.input)):
+            raise NoCertificate("a bound of what comes later is negative")
         if proof.phase == FILE_PHASE and phase_of(self.system, self.drive, X0) != FILE_PHASE:
             raise NoCertificate("the reference at t = 0 is not known exactly")
         starts = start_set_of(self.system, self.drive, proof.phase, proof.region)
