@@ -581,6 +581,9 @@ def test_what_is_said_and_drawn(limited):
     assert "met" not in " ".join(implemented_notes(unlimited, 5))
     (ax,) = certrack.plotting.starts_figure(found, ("x2", "x4")).axes
     assert "x_{2}" in ax.get_xlabel() and len(ax.patches) == 4
+    units = ("rad", "rad/s", "rad", "rad/s", "1")
+    (ax,) = certrack.plotting.starts_figure(found, ("x1", "x4"), "", units).axes
+    assert ax.get_xlabel().endswith("[rad]") and ax.get_ylabel().endswith("[rad/s]")
     assert len(certrack.plotting.starts_figure(found).axes[0].patches) == 4
     with pytest.raises(certrack.InputError, match="polytope"):
         certrack.plotting.starts_figure(unlimited)

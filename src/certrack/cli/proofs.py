@@ -89,7 +89,7 @@ def certify(
     if plot is not None and result.implemented.polytope is not None and system.plant.n > 1:
         from certrack import plotting
 
-        drawing = plotting.starts_figure(result.implemented, axes, system.title)
+        drawing = plotting.starts_figure(result.implemented, axes, system.title, system.plant.units)
         plotting.save_figure(drawing, plot, "starts")
     if as_json:
         click.echo(report.to_json(range_report.ranged_summary(result)))

@@ -11,7 +11,16 @@ from matplotlib.patches import Polygon, Rectangle
 
 from certrack.certificates.implemented.certify import ImplementedCertificate
 from certrack.core.errors import InputError
-from certrack.plotting.shared import BLUE, GRAY, GREEN, RED, math_name, new_figure, style
+from certrack.plotting.shared import (
+    BLUE,
+    GRAY,
+    GREEN,
+    RED,
+    in_brackets,
+    math_name,
+    new_figure,
+    style,
+)
 
 #: Width and height of the picture, inches.
 SIZE = (4.6, 4.2)
@@ -21,6 +30,7 @@ def starts_figure(
     certificate: ImplementedCertificate,
     states: tuple[str, str] | None = None,
     title: str = "",
+    units: Sequence[str] | None = None,
 ) -> Figure:
     """Sections of the proven starts by two states.
 
@@ -31,6 +41,8 @@ def starts_figure(
     states : two names, optional
         The first two by default. The others are zero, or as in x0.
     title : str
+    units : texts, optional
+        Of the states, as ``system.plant.units``.
 
     Returns
     -------
@@ -74,8 +86,11 @@ def starts_figure(
         box = polytope.largest_box()
         if box is not None and not polytope.is_region:
             _rectangle(ax, [box[k] for k in (i, j)], GREEN, "largest box, of all states")
-        ax.set_xlabel(f"{math_name(polytope.states[i])} at $t = 0$")
-        ax.set_ylabel(f"{math_name(polytope.states[j])} at $t = 0$")
+        along, across = (
+            f"{math_name(polytope.states[k])} at $t = 0$" + in_brackets(units[k] if units else "")
+            for k in (i, j)
+        )
+        ax.set(xlabel=along, ylabel=across)
         ax.set_title(title or "starts from which no limit of the input is met", loc="left")
         ax.margins(0.05)
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
