@@ -211,7 +211,7 @@ WITHOUT = {
     "simulate": (("simulate", "example1", "--json"), "using SciPy", 30),
     "sampled": (("simulate", "dual-motor-drive", "--json"), "", 60),
     "compare": (("compare", "example1", "dual-motor-lean", "--json"), "using SciPy", 30),
-    "ensemble": (("ensemble", "example1", "-n", "4", "--json"), "computed by NumPy", 60),
+    "ensemble": (("ensemble", "example1", "-n", "4", "--json"), "computed by SciPy", 60),
     "margin": (("margin", "example1", "-n", "1", "--json"), "computed by NumPy", 120),
     "falsify": (
         ("falsify", "dual-motor-lean", "--budget", "200", "--json"),

@@ -19,7 +19,7 @@ from certrack.core.errors import CertrackError
 from certrack.systems.reader import loads
 from certrack.systems.writer import to_text
 from fuzz.mutation import entry, mutated_bytes, paths, shuffled_list
-from fuzz.runner import UNTIMED, Finding, TooLong
+from fuzz.runner import SEARCHED, UNTIMED, Finding, TooLong
 
 CASES = Path(__file__).parents[1] / "data" / "cases"
 
@@ -202,7 +202,7 @@ class Systems:
                 return "loaded, designed"
             if kind > 0.07:
                 certrack.certify(system)
-                return "loaded, certified"
+                return SEARCHED
             duration = min(system.settings.duration, 0.02)
             integrator = "auto" if system.implementation else rng.choice(["scipy", "implicit"])
             settings = {"duration": duration, "tail": None, "integrator": integrator}
