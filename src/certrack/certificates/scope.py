@@ -17,6 +17,16 @@ def refuse(system: System) -> None:
             f"plant.ranges lets {', '.join(ranged)} vary: only vertices, cells and peak can cover "
             "it"
         )
+    refuse_formulas(system)
+
+
+def refuse_formulas(system: System) -> None:
+    """Raise NoCertificate where a bound of w_k is a formula: of the sampled loop only."""
+    if system.plant.uncertainty.bound is not None:
+        raise NoCertificate(
+            "plant.uncertainty.bound is covered for the loop as implemented only: state "
+            "[implementation]"
+        )
 
 
 def ranged_names(system: System, stated: ErrorSystem) -> list[str]:

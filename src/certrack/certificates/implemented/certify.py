@@ -30,6 +30,7 @@ from certrack.certificates.implemented.proof import (
     failed_implemented,
     prove_implemented,
 )
+from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.implemented.start_proof import X0
 from certrack.core.errors import InputError
 from certrack.core.rounding import rounded_up
@@ -134,13 +135,14 @@ def certify_implemented(
     Certificate(implemented: limsup |e_1| <= 0.001279, verified)
     """
     limited = is_limited(system)
+    partly = limited or is_regional(system)
     try:
         with within_floats():
             proven = [prove_implemented(system, delay) for delay in delays(system) or (None,)]
             proofs = tuple(proof for proof, _ in proven)
             if reason := limits_met(system, proofs):
                 raise NoCertificate(reason)
-            evidence = from_starts(system, proofs) if limited or from_start else Findings(proofs)
+            evidence = from_starts(system, proofs) if partly or from_start else Findings(proofs)
     except NoCertificate as refusal:
         return missing_implemented(str(refusal)), ()
     worst = max(range(len(proofs)), key=lambda i: from_text(proofs[i].bound))
@@ -157,7 +159,7 @@ def certify_implemented(
         peak_input=float_up(peak),
         states=tuple(float_up(max(map(from_text, values))) for values in states),
         saturation=NO_LIMITS if not limited else INACTIVE if verified else MAY_ACT,
-        starts=evidence.starts if limited else ANY_START,
+        starts=evidence.starts if partly else ANY_START,
         start=() if system.truth.states else system.settings.x0,
         peaks=evidence.peaks,
         polytope=evidence.polytope,
@@ -198,9 +200,10 @@ def largest_bound(proofs: Sequence[ImplementedProof]) -> str:
 
 
 def claim_of(system: System, bound: str) -> str:
-    """What a certificate file claims; with limits of the input, of the file's own start."""
+    """What a certificate file claims; of the file's own start where it is not of all."""
     claim = f"limsup |e_1(t)| <= {bound}"
-    return f"{claim} from simulation.x0" if is_limited(system) else claim
+    partly = is_limited(system) or is_regional(system)
+    return f"{claim} from simulation.x0" if partly else claim
 
 
 def failed_cover(system: System, proofs: Sequence[ImplementedProof]) -> str:

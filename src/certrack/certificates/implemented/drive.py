@@ -21,6 +21,7 @@ from certrack.certificates.arithmetic import exact_float, rational
 from certrack.certificates.balls import ball_matrix, ball_of, upper_rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
+from certrack.certificates.implemented.growing import GrowingBound
 from certrack.certificates.scope import ranged_names, refuse_unknown
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
@@ -28,6 +29,7 @@ from certrack.core.expressions import TIME
 from certrack.core.powers import put_in
 from certrack.laws.error_system import KnownParameters
 from certrack.model.implementation import Implementation
+from certrack.model.plant import Plant
 from certrack.references.base import bound_of, jumps, lipschitz_bound
 from certrack.systems.system import System
 
@@ -42,12 +44,15 @@ class UncertainBound:
     weights : n rationals
         Diagonal of S.
     Delta : n rationals
+    growing : GrowingBound or None
+        In the place of gamma, Delta and beta, which are zero then.
     """
 
     gamma: Any
     beta: Any
     weights: tuple[Any, ...]
     Delta: tuple[Any, ...]
+    growing: GrowingBound | None = None
 
 
 @dataclass(frozen=True)
@@ -198,7 +203,7 @@ def _drive(
         Sy=flint.arb_mat(len(rows[1]), c.q + 2),
         T=T,
         delay=rational(implementation.run_delay) if delay is None else delay,
-        uncertain=tuple(_uncertain_bound(u, k, n) for k in acting),
+        uncertain=tuple(_uncertain_bound(plant, k) for k in acting),
         mu=mu,
         eta=upper_rational_of(implementation.input_quantum) / 2,
         Y=_reference_bounds(system, c.q),
@@ -208,13 +213,15 @@ def _drive(
     )
 
 
-def _uncertain_bound(u: Any, k: int, n: int) -> UncertainBound:
-    Delta = (0.0,) * n if u.Delta is None else u.Delta[k]
+def _uncertain_bound(plant: Plant, k: int) -> UncertainBound:
+    u, formula = plant.uncertainty, plant.uncertainty.formula(k)
+    Delta = (0.0,) * plant.n if u.Delta is None else u.Delta[k]
     return UncertainBound(
         rational(u.gamma[k]),
         rational(u.beta[k]),
         tuple(map(rational, u.norm_weights(k))),
         tuple(map(rational, Delta)),
+        None if formula is None else GrowingBound(formula.expr, plant.symbols),
     )
 
 

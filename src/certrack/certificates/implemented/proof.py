@@ -25,8 +25,9 @@ from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
+from certrack.certificates.implemented.regional import in_the_long_run, is_regional, not_reached
 from certrack.certificates.implemented.start import FromStarts
-from certrack.certificates.implemented.start_proof import StartProof, StartProver
+from certrack.certificates.implemented.start_proof import X0, POLYTOPE, StartProof, StartProver
 from certrack.systems.system import System
 
 #: A cell is at most this part of the time that the plant's fastest motion takes for one radian.
@@ -100,17 +101,42 @@ def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dic
         period = one_period(drive, cells_of(drive))
         doublings = periods_needed(period)
         bounds = _bounds(period, doublings)
-        X, U = bounds.search()
+        starts = _starts_of_region(system, delay, cells_of(drive))
+        X, U = in_the_long_run(bounds, starts) if starts else bounds.search()
         states = tuple(f"{v:.{DIGITS}g}" for v in X)
         proof = ImplementedProof(
-            str(delay), cells_of(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0"
+            str(delay), cells_of(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0", starts
         )
         image = _image(bounds, proof)
-        if reason := _not_above(image, proof):
+        if reason := _not_above(bounds, image, proof):
             raise NoCertificate(reason)
         bound, step = (_text_above(image[i]) for i in (0, -1))
         parts = bounds.parts(X, U)
     return replace(proof, bound=bound, step=step), parts
+
+
+def _starts_of_region(system: System, delay: Any, parts: tuple[int, int]) -> tuple[StartProof, ...]:
+    """Proofs from x0 and from the largest box, where none can be from every start.
+
+    Raises
+    ------
+    NoCertificate
+        If there is none from x0.
+    """
+    if not is_regional(system):
+        return ()
+    prover, starts = start_prover(system, delay, parts), []
+    for of in (X0, POLYTOPE):
+        try:
+            starts.append(prover.prove(of))
+        except NoCertificate as refusal:
+            if of == X0:
+                raise NoCertificate(
+                    "the uncertain terms grow faster than the state, and from simulation.x0 no "
+                    f"region is proven that the states keep ({refusal}); begin nearer to the "
+                    "reference, lower plant.uncertainty.bound, or raise c"
+                ) from None
+    return tuple(starts)
 
 
 def start_prover(system: System, delay: Any, parts: tuple[int, int]) -> StartProver:
@@ -143,7 +169,9 @@ def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> s
             return "a bound of a state or of the input is negative"
         with flint.ctx.workprec(DRIVE_BITS):
             bounds = _bounds(one_period(drive, proof.parts), proof.doublings)
-            return _not_proven(_image(bounds, proof), proof)
+            if is_regional(system) and not proof.starts:
+                return "the bound is not for every start, and nothing is said of one"
+            return _not_proven(bounds, _image(bounds, proof), proof)
     except NoCertificate as refusal:
         return str(refusal)
 
@@ -198,9 +226,9 @@ def _image(bounds: OutputBounds, proof: ImplementedProof) -> list[Any]:
     return bounds.image([from_text(v) for v in proof.states], from_text(proof.input))
 
 
-def _not_proven(image: Sequence[Any], proof: ImplementedProof) -> str:
+def _not_proven(bounds: OutputBounds, image: Sequence[Any], proof: ImplementedProof) -> str:
     """Empty if v > F(v), and the bounds are not below what follows from it."""
-    if reason := _not_above(image, proof):
+    if reason := _not_above(bounds, image, proof):
         return reason
     if not flint.arb(from_text(proof.bound)) >= image[0]:
         return "the bound is smaller than what the fixed point gives"
@@ -209,8 +237,12 @@ def _not_proven(image: Sequence[Any], proof: ImplementedProof) -> str:
     return ""
 
 
-def _not_above(image: Sequence[Any], proof: ImplementedProof) -> str:
-    """Empty if v > F(v) in every entry."""
+def _not_above(bounds: OutputBounds, image: Sequence[Any], proof: ImplementedProof) -> str:
+    """Empty if v > F(v) in every entry, and the bounds of all starts lead down to v."""
+    states, size = [from_text(v) for v in proof.states], from_text(proof.input)
+    for start in proof.starts if bounds.is_regional else ():
+        if reason := not_reached(bounds, (states, size), start):
+            return reason
     for name, text, value in zip(
         (*(f"state {i + 1}" for i in range(len(proof.states))), "the input"),
         (*proof.states, proof.input),

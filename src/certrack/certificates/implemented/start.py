@@ -245,7 +245,12 @@ class FromStarts:
         if not len(gamma):
             return np.zeros(0)
         norm = np.sqrt(((weights * X) ** 2).sum(axis=1))
-        return widened(gamma[:, 0] * norm + Delta @ X + beta[:, 0], 2 * len(X) + 8)
+        values = widened(gamma[:, 0] * norm + Delta @ X + beta[:, 0], 2 * len(X) + 8)
+        for j, bound in enumerate(self.drive.uncertain):
+            if bound.growing is not None:
+                norm_above = widened(norm[j], 2 * len(X) + 8)
+                values[j] = bound.growing.largest_float(X.tolist(), float(norm_above))
+        return values
 
     def largest(self, values: np.ndarray) -> np.ndarray:
         """The largest of the rows of each output."""

@@ -21,6 +21,7 @@ from certrack.certificates.implemented.drive import Drive
 from certrack.certificates.implemented.enclosed import ROUNDOFF
 from certrack.certificates.implemented.input_limits import input_limits, region_of
 from certrack.certificates.implemented.polytope import Polytope, half_spaces
+from certrack.certificates.implemented.regional import is_regional, largest_region
 from certrack.certificates.implemented.start import (
     FromStarts,
     Later,
@@ -150,7 +151,7 @@ class StartProver:
             If none is found.
         """
         phase = phase_of(self.system, self.drive, of)
-        region = region_of(self.system, self.drive, self.first_frame) if of == POLYTOPE else ()
+        region = self._region(phase) if of == POLYTOPE else ()
         starts = start_set_of(self.system, self.drive, phase, region)
         enough = self.within_later if of == POLYTOPE else lambda _: True
         doublings, evidence = self.search(starts, enough)
@@ -164,6 +165,28 @@ class StartProver:
             f"{evidence.later.input:.{START_DIGITS}g}",
             tuple(f"{v * TEXT_FACTOR:.{START_DIGITS}g}" for v in evidence.peaks),
         )
+
+    def _region(self, phase: str) -> tuple[tuple[str, str], ...]:
+        """Where starts are looked at: where the bounds hold, if they do not everywhere."""
+        if not is_regional(self.system):
+            return region_of(self.system, self.drive, self.first_frame)
+        best = self._doublings(phase)
+
+        def holds(region: tuple[tuple[str, str], ...]) -> bool:
+            starts = start_set_of(self.system, self.drive, phase, region)
+            try:
+                self.bounds(starts, best, 2 ** (best - 1), None)
+            except NoCertificate:
+                return False
+            return True
+
+        return largest_region(self.system, holds)
+
+    def _doublings(self, phase: str) -> int:
+        """As many periods as the start x(0) = 0 needs, and twice as many."""
+        origin = (("0.0", "0.0"),) * self.drive.n
+        starts = start_set_of(self.system, self.drive, phase, origin)
+        return min(self.search(starts, lambda _: True)[0] + 1, MOST_DOUBLINGS)
 
     def search(self, starts: Starts, enough: Callable[[Evidence], bool]) -> tuple[int, Evidence]:
         """The fewest doublings after which nothing that comes is larger than before.
