@@ -9,11 +9,13 @@ from certrack.certificates.exact import Proof
 from certrack.certificates.implemented.certify import (
     ImplementedCertificate,
     certify_implemented,
+    from_x0_only,
     missing_implemented,
 )
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.implemented.region import is_only_in_region
 from certrack.certificates.methods import (
     METHOD_STEPS,
     NOMINAL_KINDS,
@@ -213,14 +215,18 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     progress(METHOD_STEPS, STEPS, None)
     stages = methods.stages
     implemented, implemented_proof = certify_implemented(system, from_start=True)
-    rests_on = premises_as_implemented(system) if implemented.verified else premises(system)
+    rests_on = everywhere = premises(system)
+    if implemented.verified:
+        rests_on = premises_as_implemented(system, implemented_proof)
+    if is_only_in_region(rests_on):
+        implemented, implemented_proof = from_x0_only(implemented, implemented_proof)
     result = Certificates(
         **methods.certificates,
         proof=next(iter(methods.stages_of("semidefinite")), None),
         cascade_proof=methods.stages_of("cascade") or None,
         critical_published=critical_strength(system),
         critical_semidefinite=critical_semidefinite(system, methods.certificates["semidefinite"]),
-        tube=None if contradicted(rests_on) else _tube(system, stages, methods.ranges.vertex_proof),
+        tube=None if contradicted(everywhere) else _tube(system, stages, methods.ranges.vertex_proof),
         premises=rests_on,
         tightest=methods.tightest,
         kinds=methods.kinds,
@@ -231,7 +237,11 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         critical_ranges=methods.ranges.strength,
     )
     progress(STEPS, STEPS, None)
-    return _unverified(result) if result.contradicted else result
+    broken = contradicted(everywhere)
+    if broken and not result.contradicted:  # where the implemented loop stays it is not broken
+        others = replace(result, proof=None, cascade_proof=None, tightest=())
+        return replace(_unverified(others, broken[0]), implemented=implemented)
+    return _unverified(result, broken[0]) if result.contradicted else result
 
 
 def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:
@@ -241,9 +251,9 @@ def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | N
     return tube(system, stages) if stages else None
 
 
-def _unverified(result: Certificates) -> Certificates:
+def _unverified(result: Certificates, broken: Premise) -> Certificates:
     """Without a word of verification: the bounds are of another plant than the file's."""
-    reason = f"a premise is contradicted: {result.contradicted[0].detail}"
+    reason = f"a premise is contradicted: {broken.detail}"
     kinds = [f.name for f in fields(result) if isinstance(getattr(result, f.name), Certificate)]
     changed = {
         kind: replace(c, verified=False, reason=c.reason or reason)

@@ -25,6 +25,7 @@ from certrack.certificates.implemented.certify import claim_of, failed_cover, la
 from certrack.certificates.implemented.document import implemented_proofs, is_implemented
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.certify import cover_bound
@@ -122,7 +123,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         raise InputError("stages", "there is no proof to save")
     cells = tuple(stage for stage in stages if isinstance(stage, CellProof))
     sampled = tuple(stage for stage in stages if isinstance(stage, ImplementedProof))
-    rests_on = premises_as_implemented(system) if sampled else premises(system)
+    rests_on = premises_as_implemented(system, sampled) if sampled else premises(system)
     if broken := contradicted(rests_on):
         raise InputError("premises", f"the truth contradicts one: {broken[0]}")
     bound = stages[-1].bound
@@ -131,7 +132,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
-        "claim": claim_of(system, bound) if sampled else f"limsup |e_1(t)| <= {bound}",
+        "claim": claim_of(system, bound, rests_on) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
         "proof": [json.loads(json.dumps(asdict(stage))) for stage in stages],
@@ -275,11 +276,15 @@ def _verify_implemented(body: dict[str, Any]) -> Verdict:
     if body["sha256"] != _digest(body):
         return Verdict(False, bound, "the file was changed after it was made")
     system = loads(body["system"], "system")
-    if body["claim"] != claim_of(system, bound):
+    rests_on = premises_as_implemented(system, proofs)
+    if body["claim"] != claim_of(system, bound, rests_on):
         return Verdict(False, bound, "the claim is not that of the proof")
+    if is_only_in_region(rests_on) and without_polytopes(proofs) != proofs:
+        reason = "a bound of w holds in the region of x0 only, and other starts are claimed"
+        return Verdict(False, bound, reason)
     if reason := failed_cover(system, proofs):
         return Verdict(False, bound, reason)
-    return _rests_on(body, bound, premises_as_implemented(system), ())
+    return _rests_on(body, bound, rests_on, ())
 
 
 def _cell(entries: Any) -> CellProof:

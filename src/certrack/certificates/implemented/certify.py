@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -30,8 +30,10 @@ from certrack.certificates.implemented.proof import (
     failed_implemented,
     prove_implemented,
 )
+from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
 from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.implemented.start_proof import X0
+from certrack.certificates.premise import Premise
 from certrack.core.errors import InputError
 from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
@@ -167,6 +169,13 @@ def certify_implemented(
     ), evidence.proofs if verified else ()
 
 
+def from_x0_only(
+    found: ImplementedCertificate, proofs: Sequence[ImplementedProof]
+) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
+    """A certificate and its proofs where the bounds of w hold in the region of x0 only."""
+    return replace(found, starts=X0, polytope=None), without_polytopes(proofs)
+
+
 def limits_met(system: System, proofs: Sequence[ImplementedProof]) -> str:
     """Empty if the limits of the input are not met where the bounds hold, else why they may be."""
     drive = system.implementation
@@ -199,10 +208,10 @@ def largest_bound(proofs: Sequence[ImplementedProof]) -> str:
     return max((proof.bound for proof in proofs), key=from_text)
 
 
-def claim_of(system: System, bound: str) -> str:
+def claim_of(system: System, bound: str, rests_on: Sequence[Premise] = ()) -> str:
     """What a certificate file claims; of the file's own start where it is not of all."""
     claim = f"limsup |e_1(t)| <= {bound}"
-    partly = is_limited(system) or is_regional(system)
+    partly = is_limited(system) or is_regional(system) or is_only_in_region(rests_on)
     return f"{claim} from simulation.x0" if partly else claim
 
 

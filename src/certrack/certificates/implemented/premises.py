@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up
 from certrack.certificates.implemented.drive import drive_of
 from certrack.certificates.implemented.input_limits import is_limited
+from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.implemented.region import (
+    in_region,
+    region_of_runs,
+    while_within,
+)
+from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
 from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
 from certrack.core.rounding import rounded_up
@@ -17,21 +25,26 @@ from certrack.references.base import Reference, lipschitz_bound
 from certrack.systems.system import System
 
 #: Names, in the order of the list; they stand in the place of the continuous law's.
-SAMPLED_LOOP, SAMPLED_REFERENCE, TIMING, LIMITS = (
+SAMPLED_LOOP, SAMPLED_REFERENCE, TIMING, LIMITS, REGION = (
     "sampled loop",
     "sampled reference",
     "timing and arithmetic",
     "input limits",
+    "region of states",
 )
 
 
-def premises_as_implemented(system: System) -> tuple[Premise, ...]:
+def premises_as_implemented(
+    system: System, proofs: Sequence[ImplementedProof] = ()
+) -> tuple[Premise, ...]:
     """What the implemented certificate of `system` rests on; see :func:`premises`.
 
     Parameters
     ----------
     system : System
         With an implementation.
+    proofs : of the implemented loop
+        Where they have bounds from x0, the bounds of w need to hold within these only.
 
     Returns
     -------
@@ -39,7 +52,8 @@ def premises_as_implemented(system: System) -> tuple[Premise, ...]:
     """
     drive = system.implementation
     assert drive is not None
-    others = [premise for premise in premises(system) if premise.name != CONTINUOUS_LAW]
+    rests_on = in_region(system, premises(system), proofs)
+    others = [premise for premise in rests_on if premise.name != CONTINUOUS_LAW]
     added = [
         Premise(SAMPLED_LOOP, PROVEN, _covered(system, drive)),
         _sampled_reference(system),
@@ -51,6 +65,8 @@ def premises_as_implemented(system: System) -> tuple[Premise, ...]:
             remedy="keep a margin for jitter and for 32-bit rounding",
         ),
     ]
+    if is_regional(system):
+        added += _region(system, proofs)
     if is_limited(system):
         added.append(
             Premise(
@@ -62,6 +78,19 @@ def premises_as_implemented(system: System) -> tuple[Premise, ...]:
             )
         )
     return (*others, *added)
+
+
+def _region(system: System, proofs: Sequence[ImplementedProof]) -> list[Premise]:
+    """Where the states stay, if what is proven is not of every start."""
+    region = region_of_runs(proofs)
+    if region is None:
+        return []
+    detail = (
+        "the bounds of the uncertain terms grow faster than the states, which are proven to keep "
+        f"{while_within(system, region)} from simulation.x0, for references that begin as the "
+        "file's; from elsewhere they may not, unless the start is in the proven box"
+    )
+    return [Premise(REGION, PROVEN, detail)]
 
 
 def _covered(system: System, drive: Implementation) -> str:

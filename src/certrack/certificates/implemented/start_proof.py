@@ -288,9 +288,12 @@ class StartProver:
 
 
 def phase_of(system: System, drive: Drive, of: str) -> str:
-    """Whether y_d(0) ... counts as the file has it: it must be known, and no member differ."""
+    """Whether y_d(0) ... counts as the file has it: it must be known, and no member differ.
+
+    A box of starts is for any reference where it is all that is claimed.
+    """
     population = system.varied
-    varied = population.amplitude is not None or population.frequency is not None
+    varied = is_regional(system) or population.amplitude is not None or population.frequency is not None
     known = reference_at_start(system, drive.q)[1]
     return FILE_PHASE if known and not (of == POLYTOPE and varied) else ANY_PHASE
 
