@@ -22,7 +22,7 @@ from certrack.certificates.size_majorants import Sizes, stays_below
 from certrack.core.expressions import TIME, Expression, symbol
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.powers import put_in
-from certrack.model.growth import NORM, size_at
+from certrack.model.growth import NORM, GrowthInFloats
 from certrack.model.truth import constants_of_truth
 from certrack.systems.system import System, require_system
 
@@ -280,8 +280,8 @@ class UncertainTerm:
                 np.array(list(map(float, self.weights)))[:, None] * points.x, axis=0
             )
         if self.growing is not None:
-            names = [s.name for s in self.states]
-            return float(self.tau) * np.asarray(size_at(self.growing, names, points.x, norm))
+            grown = GrowthInFloats(self.growing, [s.name for s in self.states])
+            return float(self.tau) * grown.value(points.x, norm)
         allowed: np.ndarray = float(self.tau * self.gamma) * norm
         if self.single:
             allowed = allowed + np.array([float(self.tau * v) for v in self.single]) @ abs(points.x)

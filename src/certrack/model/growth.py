@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, parse, symbol
 from certrack.core.formula_text import text_of
+from certrack.core.lowering import numpy_callable
 from certrack.core.monotone import NotMonotone, check_growth, growth_power
 
 #: What ||S_k x|| is called in a bound.
@@ -96,7 +98,27 @@ def smooth_size(name: str, offset: float) -> str:
     return f"(sqrt({name}**2 + {offset**2!r}) - {offset!r})"
 
 
-def size_at(bound: Expression, states: Sequence[str], x: Any, norm: Any) -> Any:
-    """The bound at states (n,) or (n, N), in floats."""
-    names = [symbol(name) for name in (*states, NORM)]
-    return sympy.lambdify(names, bound.expr, "numpy")(*abs(x), norm) + 0.0 * norm
+class GrowthInFloats:
+    """A bound and its derivatives at many states.
+
+    Parameters
+    ----------
+    bound : Expression
+    states : names
+    """
+
+    def __init__(self, bound: Expression, states: Sequence[str]) -> None:
+        names = [symbol(name) for name in (*states, NORM)]
+        self._value = numpy_callable(names, [bound.expr])
+        self._slopes = numpy_callable(names, [sympy.diff(bound.expr, name) for name in names])
+
+    def value(self, x: np.ndarray, norm: np.ndarray) -> np.ndarray:
+        """The bound at states (n,) or (n, N), with their norms."""
+        values: np.ndarray = self._value(*np.abs(x), norm)[0] + 0.0 * norm
+        return values
+
+    def slopes(self, x: np.ndarray, norm: np.ndarray) -> np.ndarray:
+        """Derivatives by the sizes and the norm, a row each; 0 where there is none."""
+        with np.errstate(all="ignore"):
+            rows = [entry + 0.0 * norm for entry in self._slopes(*np.abs(x), norm)]
+        return np.nan_to_num(np.array(rows), nan=0.0, posinf=0.0, neginf=0.0)

@@ -12,7 +12,13 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import Expression
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
-from certrack.model.growth import bound_as_formula, growing_bound, is_global, size_at, smooth_size
+from certrack.model.growth import (
+    GrowthInFloats,
+    bound_as_formula,
+    growing_bound,
+    is_global,
+    smooth_size,
+)
 
 
 @dataclass(frozen=True)
@@ -179,7 +185,7 @@ class Uncertainty:
         norm = np.linalg.norm(weighted, axis=0)
         formula = self.formula(k)
         if formula is not None:
-            return np.asarray(size_at(formula, states, x, norm))
+            return GrowthInFloats(formula, states).value(x, norm)
         total: np.ndarray = self.gamma[k] * norm + self.beta[k]
         return total if self.Delta is None else total + np.array(self.Delta[k]) @ np.abs(x)
 
