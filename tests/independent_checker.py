@@ -731,6 +731,9 @@ def check(document, stated_bounds=None):
     return check_stage(proof[-1], head(system, E), 0)[0]
 
 
+#: End of the name of a premise that holds where the states stay from x0.
+IN_REGION = " in the region"
+
 #: Keys of the proof for one delay of the implemented loop.
 SAMPLED = {"delay", "parts", "doublings", "states", "input", "step", "bound", "starts"}
 
@@ -747,6 +750,8 @@ def check_sampled(document, stated_bounds):
     system = System(document["system"], stated_bounds)
     bound = max(document["proof"], key=lambda entry: decimal(entry["bound"]))["bound"]
     limited = {"saturation", "rate_limit"} & set(table["implementation"])
+    limited |= {"bound"} & set(table["plant"].get("uncertainty", {}))
+    limited |= {p["name"] for p in document["premises"] if p["name"].endswith(IN_REGION)}
     claim = f"limsup |e_1(t)| <= {bound}" + (" from simulation.x0" if limited else "")
     demand(document["claim"] == claim, "the claim is not the proof's")
     check_premises(document["premises"], system, table, sampled=True)
@@ -763,7 +768,7 @@ def check_premises(premises, system, table, sampled=False):
         demand(record["status"] != "contradicted", f"{record['name']} is contradicted")
         demand(record["witness"] is None, "a premise that holds has a witness")
         demand(isinstance(record["detail"], str) and isinstance(record["remedy"], str), "no text")
-        names.append(record["name"])
+        names.append(record["name"].removesuffix(IN_REGION) if sampled else record["name"])
     own = "states" in table["truth"]
     regressor = bool(table["plant"].get("regressor"))
     expected = ["plant"]
@@ -775,6 +780,8 @@ def check_premises(premises, system, table, sampled=False):
     drive = table.get("implementation", {})
     if sampled:
         expected += ["sampled loop", "sampled reference", "timing and arithmetic"]
+        bounds = table["plant"].get("uncertainty", {}).get("bound")
+        expected += ["region of states"] if bounds else []
         expected += ["input limits"] if {"saturation", "rate_limit"} & set(drive) else []
     elif "implementation" in table:
         expected += ["continuous law, exact states"]

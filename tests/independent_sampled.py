@@ -36,12 +36,12 @@ def check(proof, table, system):
         checker.demand((image[1:-2] < X).all() and image[-2] < U, "v is not above F(v)")
         checker.demand(bound >= image[0] and step >= image[-1], "a bound is too small")
         loop.check_limits(drive, U, step)
-        limited = "saturation" in drive or "rate_limit" in drive
+        limited = "saturation" in drive or "rate_limit" in drive or loop.formulas
         kinds = [start["of"] for start in entry["starts"]]
         checker.demand("x0" in kinds or not limited, "nothing is said of the start")
         checker.demand(kinds in ([], ["x0"], ["x0", "polytope"]), "other starts")
         for start in entry["starts"]:
-            loop.check_start(start, table, system)
+            loop.check_start(start, table, system, (X, U))
         bounds.append(checker.decimal(entry["bound"]))
     return max(bounds)
 
@@ -133,6 +133,22 @@ class Loop:
         self.S = np.array([system.numbers(row) for row in S], float)
         Delta = u.get("Delta", [[0] * n] * n)
         self.Delta = np.array([system.numbers(row) for row in Delta], float)
+        self.formulas = {k: f for k, f in enumerate(u.get("bound", [])) if f != ""}
+        self.names, self.constants = [*plant["states"], "norm"], system.constants
+        for k, formula in self.formulas.items():
+            checker.demand(not (gamma[k] or beta[k] or self.Delta[k].any()), "two bounds")
+            self.formulas[k] = ast.parse(str(formula), mode="eval").body
+        self._refuse_falling()
+
+    def _refuse_falling(self):
+        """A bound must not fall where a size grows: at random points it does not."""
+        draw = random.Random("sizes")
+        for k in self.formulas:
+            for _ in range(50):
+                low = np.array([draw.uniform(0, 9) for _ in range(self.n)])
+                high = low + [draw.uniform(0, 9) for _ in range(self.n)]
+                falls = self.size(low)[k] > self.size(high)[k] or self.size(low)[k] < 0
+                checker.demand(not falls, "a bound falls")
 
     def _reference(self, table, system):
         self.Y = np.array(system.Y, float)
@@ -218,7 +234,7 @@ class Loop:
 
     def image(self, X, U):
         """F: e_1, the states, u, its steps."""
-        w = self.gamma * np.linalg.norm(self.S * X, axis=1) + self.Delta @ X + self.beta
+        w = self.size(X)
         of_y, eye = np.eye(self.q + 1)[0], np.eye(self.n)
         outputs = [(eye[0], of_y, max(3, self.q)), *((c, 0 * of_y, 2) for c in eye)]
         largest = np.zeros(self.n + 3)
@@ -320,7 +336,7 @@ class Loop:
 
     # From a start on ----------------------------------------------------------------------------
 
-    def check_start(self, entry, table, system):
+    def check_start(self, entry, table, system, claimed):
         """The claims of a proof of runs from a start."""
         n, K, middle = self.n, 2 ** entry["doublings"], entry["middle"]
         checker.demand(not self.jump, "jumps are not covered here")
@@ -346,6 +362,7 @@ class Loop:
                 if np.allclose(now[1:-2], X, rtol=1e-12, atol=0):
                     break
                 X = now[1:-2]
+                checker.demand((X < 1e50).all(), "the states have no bound")
             history.append(self.size(X))
             outputs.append(now)
             peaks = np.maximum(peaks, now)
@@ -358,11 +375,29 @@ class Loop:
         image[1:-1] = [*X_t, U_t]
         claimed = np.array([float(checker.decimal(v)) for v in entry["peaks"]])
         checker.demand((claimed >= np.maximum(peaks, image)).all(), "a peak is too small")
+        if self.formulas:
+            self.check_long_run(parts, X_t, U_t, claimed)
         size, step = (image if entry["of"] == "polytope" else claimed)[-2:]
         self.check_limits(drive, size, step)
 
     def size(self, X):
-        return self.gamma * np.linalg.norm(self.S * X, axis=1) + self.Delta @ X + self.beta
+        norm = np.linalg.norm(self.S * X, axis=1)
+        sizes = self.gamma * norm + self.Delta @ X + self.beta
+        for k, formula in self.formulas.items():
+            values = [Q(float(v)) for v in (*X, norm[k])]
+            known = self.constants | dict(zip(self.names, values, strict=True))
+            sizes[k] = float(checker.rational(formula, known))
+        return sizes
+
+    def check_long_run(self, parts, X_t, U_t, claimed):
+        """From X_t, F leads down to what is claimed of the long run."""
+        X, U = X_t, U_t
+        for _ in range(2000):
+            if (X <= claimed[0]).all() and claimed[1] >= U:
+                return
+            now = self._start_image(parts, 10**9, [self.size(X)], X, U, ever=True)
+            X, U = np.minimum(X, now[1:-2]), min(U, now[-2])
+        raise checker.Refused("the long run is not reached")
 
     def _start_parts(self, center, half, Y0, first):
         """Of each phase: rows' owners, what of them is constant, in a cell, and of every lag."""
