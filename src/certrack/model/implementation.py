@@ -20,6 +20,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, Expression, parse
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.lowering import numpy_callable, rows
+from certrack.model.jitter import JITTER_PATTERNS, MAX_JITTER, RANDOM
 from certrack.model.plant import Plant
 
 UPDATES = ("euler", "exact_leak")
@@ -64,6 +65,12 @@ class Implementation:
     delay : float >= 0, or several, periods
         From a sample until its input acts; fractions and more than one period are possible. Of
         several a run has the first, and a certificate of the sampled loop covers each.
+    jitter : float, periods
+        Samples and inputs come up to so much earlier or later than they should, each by itself, and
+        a reference by the controller's clock. At most half of every delay: an input follows its
+        sample.
+    jitter_pattern : {"random", "alternating"}
+        How they do in a run; a certificate covers all that are within the jitter.
     saturation : (low, high), optional
         Limits of the input.
     rate_limit : float > 0, optional
@@ -115,6 +122,20 @@ class Implementation:
         unit="periods",
         least=0,
         most=MAX_DELAY,
+    )
+    jitter: float = keyed(
+        "number",
+        0.0,
+        help="largest shift of a sample, and of an input, from its time; at most half the delay",
+        unit="periods",
+        least=0,
+        most=MAX_JITTER,
+    )
+    jitter_pattern: str = keyed(
+        "choice",
+        RANDOM,
+        help="how the shifts of a run go; proofs are of all",
+        choices=JITTER_PATTERNS,
     )
     saturation: tuple[float, float] | None = keyed(
         "interval",
@@ -213,6 +234,9 @@ class Implementation:
         if not 1 <= len(self.delays) <= MAX_DELAYS:
             count, wanted = len(self.delays), f"must be a number or a list of 1 to {MAX_DELAYS}"
             raise InputError("implementation.delay", wanted, f"a list of {count}")
+        if 2 * self.jitter > min(self.delays):
+            wanted = "must be at most half of every delay, for an input follows its sample"
+            raise InputError("implementation.jitter", wanted, self.jitter)
         for i, (noise, bound) in enumerate(
             zip(self.noise or (), self.noise_bound or (), strict=False)
         ):
