@@ -22,7 +22,11 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.implemented.certify import claim_of, failed_cover, largest_bound
-from certrack.certificates.implemented.document import implemented_proofs, is_implemented
+from certrack.certificates.implemented.document import (
+    implemented_proofs,
+    is_implemented,
+    written,
+)
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
@@ -135,9 +139,13 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         "claim": claim_of(system, bound, rests_on) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
-        "proof": [json.loads(json.dumps(asdict(stage))) for stage in stages],
+        "proof": [json.loads(json.dumps(_written(stage))) for stage in stages],
     }
     return body | {"sha256": _digest(body)}
+
+
+def _written(stage: Stage) -> dict[str, Any]:
+    return written(stage) if isinstance(stage, ImplementedProof) else asdict(stage)
 
 
 def save_certificate(system: System, stages: Sequence[Stage], path: str | os.PathLike[str]) -> None:

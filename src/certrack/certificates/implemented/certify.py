@@ -144,7 +144,9 @@ def certify_implemented(
             proofs = tuple(proof for proof, _ in proven)
             if reason := limits_met(system, proofs):
                 raise NoCertificate(reason)
-            evidence = from_starts(system, proofs) if partly or from_start else Findings(proofs)
+            evidence = Findings(proofs)
+            if partly or (from_start and not jitters(system)):
+                evidence = from_starts(system, proofs)
     except NoCertificate as refusal:
         return missing_implemented(str(refusal)), ()
     worst = max(range(len(proofs)), key=lambda i: from_text(proofs[i].bound))
@@ -167,6 +169,11 @@ def certify_implemented(
         polytope=evidence.polytope,
         parts=proven[worst][1],
     ), evidence.proofs if verified else ()
+
+
+def jitters(system: System) -> bool:
+    """Whether samples and inputs may be off their times: then nothing is said of a start."""
+    return system.implementation is not None and system.implementation.jitter > 0
 
 
 def from_x0_only(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from fractions import Fraction
 from typing import Any
 
@@ -47,11 +47,18 @@ def implemented_proofs(entries: list[dict[str, Any]]) -> tuple[ImplementedProof,
     return tuple(map(_delay_proof, entries))
 
 
+def written(stage: ImplementedProof) -> dict[str, Any]:
+    """The keys of a proof, without those that have nothing to say."""
+    return {name: value for name, value in asdict(stage).items() if name != "rates" or value}
+
+
 def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
+    entry = {"rates": [], **entry}  # which is written only where there are some
     if set(entry) != set(PROOF_KEYS):
-        raise InputError("proof", f"must have {', '.join(PROOF_KEYS)}")
+        raise InputError("proof", f"must have {', '.join(PROOF_KEYS[:-1])}, and rates with jitter")
     try:
-        for text in (entry["input"], entry["step"], entry["bound"], *_as_tuple(entry["states"])):
+        listed = (*_as_tuple(entry["states"]), *_as_tuple(entry["rates"]))
+        for text in (entry["input"], entry["step"], entry["bound"], *listed):
             from_text(text)
         delay = entry["delay"]
         if not isinstance(delay, str) or len(delay) > MAX_TEXT_LENGTH:
@@ -68,6 +75,7 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
     lists = {
         "parts": tuple(entry["parts"]),
         "states": tuple(entry["states"]),
+        "rates": tuple(entry["rates"]),
         "starts": tuple(map(_start_proof, starts)),
     }
     return ImplementedProof(**(entry | lists))

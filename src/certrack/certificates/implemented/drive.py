@@ -86,6 +86,8 @@ class Drive:
         Whether there is one.
     offset : rational
         The constant part of the law, which cancels that of the drift; not in u above.
+    jitter : rational
+        Samples and inputs may be off their times by so many periods.
     """
 
     A: flint.arb_mat
@@ -108,6 +110,7 @@ class Drive:
     jumps: tuple[Any, Any] | None
     jumps_once: bool
     offset: Any
+    jitter: Any = flint.fmpq(0)
 
     @property
     def n(self) -> int:
@@ -209,6 +212,7 @@ def _drive(
         Y=_reference_bounds(system, c.q),
         **_smoothness(system, c.q + 1, T),
         offset=-constant / gain,
+        jitter=rational(implementation.jitter),
         **_controller_matrices(rows, n),
     )
 

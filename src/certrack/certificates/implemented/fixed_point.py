@@ -49,6 +49,7 @@ class OutputBounds:
         What the balls were made of.
     sample : rational
         Bound of the input `sample` of the gains.
+    rows : of outputs
     """
 
     outputs: np.ndarray
@@ -59,6 +60,7 @@ class OutputBounds:
     drive: Drive
     gains: PeakGains
     sample: Any
+    rows: tuple[Row, ...] = ()
 
     @classmethod
     def of(cls, period: Period, rows: Sequence[Row], gains: PeakGains) -> OutputBounds:
@@ -86,6 +88,7 @@ class OutputBounds:
             drive=drive,
             gains=gains,
             sample=sample,
+            rows=tuple(rows),
         )
 
     @property

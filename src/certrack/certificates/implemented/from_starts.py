@@ -229,6 +229,8 @@ def failed_starts(system: System, proof: ImplementedProof, delay: Any) -> str:
         return f"{what}, and nothing is said of the start"
     if POLYTOPE in kinds and not (limited or regional):
         return "a polytope of starts is for an input with limits"
+    if kinds and system.implementation is not None and system.implementation.jitter:
+        return "with jitter nothing is proven of starts"
     try:
         with within_floats(), flint.ctx.workprec(DRIVE_BITS):
             prover = start_prover(system, delay, proof.parts)

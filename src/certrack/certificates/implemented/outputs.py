@@ -87,25 +87,30 @@ def _state_rows(
     rows, in_cells = [], {}
     for p, cell in enumerate(period.cells):
         if cell.length not in in_cells:
-            in_cells[cell.length] = _in_cell(period, cell.length, derivatives, of_Y, degree)
+            in_cells[cell.length] = in_cell_of(period, cell.length, derivatives, of_Y, degree)
         taylor = _polynomial_rows(period, cell, derivatives, of_Y, degree)
-        for i in range(degree + 1):
-            weights = [
-                flint.fmpq(math.comb(i, k), math.comb(degree, k) * math.factorial(k))
-                * cell.length**k
-                for k in range(i + 1)
-            ]
-            parts = [
-                [
-                    sum((w * v for w, v in zip(weights, entries, strict=False)), flint.arb(0))
-                    for entries in zip(*table, strict=True)
-                ]
-                for table in taylor
-            ]
-            share = flint.fmpq(i, degree)
-            rows.append(
-                Row(output, p, tuple(parts[0]), tuple(parts[1]), share, in_cells[cell.length])
+        rows += bernstein_rows(output, p, cell.length, taylor, in_cells[cell.length])
+    return rows
+
+
+def bernstein_rows(
+    output: int, phase: int, h: Any, taylor: tuple[Any, Any], in_cell: InCell
+) -> list[Row]:
+    """Rows in Bernstein form of derivatives over chi and over Y, in a cell of length h."""
+    rows, degree = [], len(taylor[0]) - 1
+    for i in range(degree + 1):
+        weights = [
+            flint.fmpq(math.comb(i, k), math.comb(degree, k) * math.factorial(k)) * h**k
+            for k in range(i + 1)
+        ]
+        parts = [
+            tuple(
+                sum((w * v for w, v in zip(weights, entries, strict=False)), flint.arb(0))
+                for entries in zip(*table, strict=True)
             )
+            for table in taylor
+        ]
+        rows.append(Row(output, phase, parts[0], parts[1], flint.fmpq(i, degree), in_cell))
     return rows
 
 
@@ -125,7 +130,7 @@ def _polynomial_rows(
     return over_chi, over_Y
 
 
-def _in_cell(
+def in_cell_of(
     period: Period, h: Any, derivatives: Sequence[Any], of_Y: Sequence[Any], degree: int
 ) -> InCell:
     """Values at the end of a cell of length h."""

@@ -23,11 +23,13 @@ from certrack.certificates.implemented.drive import DRIVE_BITS, Drive, drive_of
 from certrack.certificates.implemented.enclosed import Enclosed
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import output_gains
+from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
 from certrack.certificates.implemented.regional import in_the_long_run, is_regional, not_reached
 from certrack.certificates.implemented.start import FromStarts
 from certrack.certificates.implemented.start_proof import X0, POLYTOPE, StartProof, StartProver
+from certrack.certificates.implemented.timing import TimedBounds, rate_rows
 from certrack.systems.system import System
 
 #: A cell is at most this part of the time that the plant's fastest motion takes for one radian.
@@ -69,6 +71,8 @@ class ImplementedProof:
         Of limsup |e_1|.
     starts : tuple of StartProof
         What is proven of runs from x0, and from the polytope of starts, if anything.
+    rates : n texts
+        With jitter: bounds of limsup |x_i'|.
     """
 
     delay: str
@@ -79,6 +83,7 @@ class ImplementedProof:
     step: str
     bound: str
     starts: tuple[StartProof, ...] = ()
+    rates: tuple[str, ...] = ()
 
 
 def delays(system: System) -> tuple[Any, ...]:
@@ -101,6 +106,8 @@ def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dic
         period = one_period(drive, cells_of(drive))
         doublings = periods_needed(period)
         bounds = _bounds(period, doublings)
+        if drive.jitter:
+            return _prove_with_jitter(system, period, doublings, bounds)
         starts = _starts_of_region(system, delay, cells_of(drive))
         X, U = in_the_long_run(bounds, starts) if starts else bounds.search()
         states = tuple(f"{v:.{DIGITS}g}" for v in X)
@@ -113,6 +120,53 @@ def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dic
         bound, step = (_text_above(image[i]) for i in (0, -1))
         parts = bounds.parts(X, U)
     return replace(proof, bound=bound, step=step), parts
+
+
+def _prove_with_jitter(
+    system: System, period: Period, doublings: int, bounds: OutputBounds
+) -> tuple[ImplementedProof, dict[str, float]]:
+    """A proof for a loop whose samples and inputs are off their times."""
+    drive, n = period.drive, period.drive.n
+    if is_regional(system) or is_limited(system):
+        what = "a bound that grows faster than the state" if is_regional(system) else "limits"
+        raise NoCertificate(
+            f"implementation.jitter is not covered together with {what}: leave one of them out"
+        )
+    timed = TimedBounds.of(period, bounds.rows, bounds, doublings)
+    v = timed.search()
+    texts = [f"{value:.{DIGITS}g}" for value in v]
+    proof = ImplementedProof(
+        str(drive.delay),
+        cells_of(drive),
+        doublings,
+        tuple(texts[:n]),
+        texts[n],
+        texts[n + 1],
+        "0",
+        (),
+        tuple(texts[n + 2 :]),
+    )
+    image = _timed_image(timed, proof)
+    if reason := _not_above_timed(image, proof):
+        raise NoCertificate(reason)
+    parts = bounds.parts(v[:n], v[n])
+    bound = _text_above(image[0])
+    parts |= {"jitter": max(0.0, float(image[0]) - sum(parts.values()))}
+    return replace(proof, bound=bound), parts
+
+
+def _timed_image(timed: TimedBounds, proof: ImplementedProof) -> list[Any]:
+    X, U, step = [from_text(v) for v in proof.states], from_text(proof.input), proof.step
+    return timed.image(X, U, from_text(step), [from_text(v) for v in proof.rates])
+
+
+def _not_above_timed(image: Sequence[Any], proof: ImplementedProof) -> str:
+    """Empty if v = (X, U, DU, R) is above F(v) in every entry."""
+    texts = (*proof.states, proof.input, proof.step, *proof.rates)
+    for text, value in zip(texts, image[1:], strict=True):
+        if not flint.arb(from_text(text)) > value:
+            return "a bound of the loop with jitter is not above what follows from all of them"
+    return ""
 
 
 def _starts_of_region(system: System, delay: Any, parts: tuple[int, int]) -> tuple[StartProof, ...]:
@@ -167,13 +221,29 @@ def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> s
             return "the proof does not have the shape of the system"
         if any(from_text(text) < 0 for text in (*proof.states, proof.input)):
             return "a bound of a state or of the input is negative"
+        if len(proof.rates) != (drive.n if drive.jitter else 0):
+            return "the proof does not have the rates that jitter needs, or has some without it"
         with flint.ctx.workprec(DRIVE_BITS):
-            bounds = _bounds(one_period(drive, proof.parts), proof.doublings)
+            period = one_period(drive, proof.parts)
+            bounds = _bounds(period, proof.doublings)
+            if drive.jitter:
+                return _failed_with_jitter(period, bounds, proof)
             if is_regional(system) and not proof.starts:
                 return "the bound is not for every start, and nothing is said of one"
             return _not_proven(bounds, _image(bounds, proof), proof)
     except NoCertificate as refusal:
         return str(refusal)
+
+
+def _failed_with_jitter(period: Period, bounds: OutputBounds, proof: ImplementedProof) -> str:
+    if any(from_text(text) < 0 for text in (*proof.rates, proof.step)):
+        return "a bound of the loop with jitter is negative"
+    image = _timed_image(TimedBounds.of(period, bounds.rows, bounds, proof.doublings), proof)
+    if reason := _not_above_timed(image, proof):
+        return reason
+    if not flint.arb(from_text(proof.bound)) >= image[0]:
+        return "the bound is smaller than what the fixed point gives"
+    return ""
 
 
 def cells_of(drive: Drive) -> tuple[int, int]:
@@ -212,7 +282,7 @@ def periods_needed(period: Period, left: float = LEFT) -> int:
 
 
 def _bounds(period: Period, doublings: int) -> OutputBounds:
-    rows = output_rows(period)
+    rows = output_rows(period) + (rate_rows(period) if period.drive.jitter else [])
     size, width = period.size, (len(period.cells) + 1) * (period.W.ncols() + 1) + period.size
     block = 2 ** (doublings // 2 + 1)
     if (len(rows) + size) * block * max(width, size) > MAX_NUMBERS:
