@@ -32,7 +32,17 @@ def check(proof, table, system):
         checker.demand(len(X) == system.n, "the states are others")
         U, step, bound = (float(checker.decimal(entry[k])) for k in ("input", "step", "bound"))
         checker.demand((X >= 0).all() and U >= 0, "v is negative")
-        image = loop.image(X, U)
+        rates = np.array([float(checker.decimal(v)) for v in entry.get("rates", [])])
+        checker.demand(len(rates) == (loop.n if loop.shift else 0), "other rates")
+        if loop.shift:
+            checker.demand(2 * loop.shift <= float(delay) * loop.T, "not causal")
+            checker.demand((rates >= 0).all() and not entry["starts"] and step >= 0, "jitter")
+            loop.mu = loop.mu + loop.shift * rates
+        image = loop.image(X, U, step)
+        if loop.shift:
+            checker.demand((image[loop.n + 3 :] < rates).all(), "a rate is not above")
+            checker.demand(image[loop.n + 2] < step, "the step is not above")
+            image = image[: loop.n + 3]
         checker.demand((image[1:-2] < X).all() and image[-2] < U, "v is not above F(v)")
         checker.demand(bound >= image[0] and step >= image[-1], "a bound is too small")
         loop.check_limits(drive, U, step)
@@ -118,6 +128,7 @@ class Loop:
         checker.demand("noise_bound" in drive or not any(drive.get("noise", [])), "noise")
         self.mu = np.array([float(a / 2 + c) for a, c in zip(quanta, noise, strict=True)])
         self.eta = float(checker.number(drive.get("input_quantum", 0), constants)) / 2
+        self.shift = float(checker.number(drive.get("jitter", 0), constants)) * self.T
         self._controller(drive, names, g, b, np.array(K, float))
         self.forward = np.array([float(v / gain) for v in system.nu_Y])
         self._period(delay, parts)
@@ -181,6 +192,7 @@ class Loop:
     def _period(self, delay, parts):
         n, memories = self.n, len(self.after)
         late, part = math.floor(delay), float(delay - math.floor(delay))
+        self.windows = 2 if min(part, 1 - part) * self.T < self.shift else 1
         self.newest, size = n + memories, n + memories + late + 2
         J = np.zeros((size, size))
         J[:n, :n] = np.eye(n)
@@ -232,16 +244,24 @@ class Loop:
         for h, _, E in self.cells:
             self.Pi.append(E @ self.Pi[-1] @ self._shift(-h))
 
-    def image(self, X, U):
-        """F: e_1, the states, u, its steps."""
+    def image(self, X, U, step=0.0):
+        """F: e_1, the states, u, its steps; with jitter the rates of the states."""
         w = self.size(X)
         of_y, eye = np.eye(self.q + 1)[0], np.eye(self.n)
         outputs = [(eye[0], of_y, max(3, self.q)), *((c, 0 * of_y, 2) for c in eye)]
-        largest = np.zeros(self.n + 3)
+        largest = np.zeros(2 * self.n + 3 if self.shift else self.n + 3)
         for p in range(0, len(self.cells), GRID):
             rows, values, owners = [], [], []
+            growth = exponential(np.abs(self.A) * self.cells[p][0] * GRID)
+            for i in range(self.n if self.shift else 0):
+                more, value = self._rows(p, self.A[i], 0 * of_y, 2, w, X, U, self.b[i])
+                value = value + abs(self.W[i]) @ w + abs(self.b[i]) * step
+                value = value + self.shift * step * growth[i] @ abs(self.A @ self.b)
+                rows, values = [*rows, more], [*values, value]
+                owners += [self.n + 3 + i] * len(more)
             for output, (c, of_Y, N) in enumerate(outputs):
                 more, value = self._rows(p, c, of_Y, N, w, X, U)
+                value = value + self.shift * step * growth[max(output - 1, 0)] @ abs(self.b)
                 rows, values = [*rows, more], [*values, value]
                 owners += [output] * len(more)
             if p == 0:
@@ -250,11 +270,11 @@ class Loop:
                 rows.append(commands)
                 values.append(np.abs(commands @ self.Pi[0]) @ self.Y[:-1])
                 owners += [self.n + 1, self.n + 2]
-            total = np.concatenate(values) + self._responses(np.vstack(rows), p, w)
+            total = np.concatenate(values) + self._responses(np.vstack(rows), p, w, step)
             np.maximum.at(largest, owners, total)
         return largest
 
-    def _rows(self, p, c, of_y, N, w, X, U):
+    def _rows(self, p, c, of_y, N, w, X, U, direct=0.0):
         """Bernstein rows of an output in a cell, and all of their bound but the gains."""
         step, acting, _ = self.cells[p]
         h, rows, of_Y, derivatives = step * GRID, [], [], [c]
@@ -263,7 +283,7 @@ class Loop:
         for k in range(N + 1):
             row = np.zeros(len(self.J))
             row[: self.n] = derivatives[k]
-            row[acting] = derivatives[k - 1] @ self.b if k else 0.0
+            row[acting] = derivatives[k - 1] @ self.b if k else direct
             rows.append(row)
             of_Y.append(np.concatenate([np.zeros(k), of_y])[: self.q + 1])
         change = [
@@ -288,14 +308,14 @@ class Loop:
         rest = growth @ X + abs(derivatives[N] @ self.b) * U + h * growth @ np.abs(self.b) * U
         return total + rest * h ** (N + 1) / math.factorial(N + 1)
 
-    def _responses(self, rows, phase, w):
+    def _responses(self, rows, phase, w, step=0.0):
         """The gains of rows at the beginning of a cell times the bounds of the inputs."""
         total = np.zeros(len(rows))
         largest, since, group = np.zeros(len(rows)), 0, math.inf
         if self.jump:
             group = math.floor(self.apart / self.T)
-        for first, of_w, others, sampled, _ in self._periods(rows, phase):
-            total += of_w @ w + others
+        for first, of_w, others, sampled, _, pulse in self._periods(rows, phase):
+            total += of_w @ w + others + self.windows * self.shift * step * pulse
             if not first:
                 largest, since = np.maximum(largest, sampled), since + 1
                 if since == group:
@@ -312,11 +332,14 @@ class Loop:
         for _ in range(10**6):
             below, kernels = rows, []
             of_w, others = np.zeros((len(rows), n)), np.zeros(len(rows))
+            pulse = np.zeros(len(rows))
             for p in range(phase - 1, -1, -1):
                 h, _, E = self.cells[p]
                 before = below @ E
                 of_w += h * area(below[:, :n] @ self.W, before[:, :n] @ self.W)
                 tip = np.array([h ** (q - j) / math.factorial(q - j) for j in range(q + 1)])
+                for row in (below, before):
+                    pulse = np.maximum(pulse, np.abs(row[:, :n] @ self.b))
                 motion = below @ self.Pi[p + 1]
                 kernels.append((h, -motion[:, -1], -motion @ tip))
                 below = before
@@ -327,7 +350,7 @@ class Loop:
             others += np.abs(below @ self.N) @ self.mu + np.abs(below[:, self.newest]) * self.eta
             others += np.abs(sampled) * (self.Y[-1] if first else self.T / 2 * self.slope)
             rows = below @ self.J
-            yield first, of_w, others, np.abs(sampled), rows
+            yield first, of_w, others, np.abs(sampled), rows, pulse
             if np.abs(rows).max() < LEFT * start:
                 return
             phase, first = len(self.cells), False
@@ -393,7 +416,7 @@ class Loop:
         """From X_t, F leads down to what is claimed of the long run."""
         X, U = X_t, U_t
         for _ in range(2000):
-            if (X <= claimed[0]).all() and claimed[1] >= U:
+            if (claimed[0] >= X).all() and claimed[1] >= U:
                 return
             now = self._start_image(parts, 10**9, [self.size(X)], X, U, ever=True)
             X, U = np.minimum(X, now[1:-2]), min(U, now[-2])
@@ -429,7 +452,7 @@ class Loop:
                 near.append(np.zeros((2, 2 * n + 1)))
                 owners += [n + 1, n + 2]
             lags, transient = [], []
-            for _, of_w, others, _, before in self._periods(np.vstack(rows), p):
+            for _, of_w, others, _, before, _ in self._periods(np.vstack(rows), p):
                 lags.append((of_w, others))
                 moved = np.abs(before @ zeta) + np.abs(before @ at) @ half
                 moved += np.abs(before @ noise) @ self.mu

@@ -198,7 +198,9 @@ class UncertainTerm:
             return False
         norm = Fraction(0)
         if region is not None:
-            norm = root_above(sum(((w * r) ** 2 for w, r in zip(self.weights, region, strict=True)), norm))
+            norm = root_above(
+                sum(((w * r) ** 2 for w, r in zip(self.weights, region, strict=True)), norm)
+            )
         sizes = Sizes(self.states, self.weights, None if region is None else tuple(region), norm)
         return stays_below(self.formula, self.bound, sizes, self.strength)
 

@@ -226,7 +226,9 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         cascade_proof=methods.stages_of("cascade") or None,
         critical_published=critical_strength(system),
         critical_semidefinite=critical_semidefinite(system, methods.certificates["semidefinite"]),
-        tube=None if contradicted(everywhere) else _tube(system, stages, methods.ranges.vertex_proof),
+        tube=None
+        if contradicted(everywhere)
+        else _tube(system, stages, methods.ranges.vertex_proof),
         premises=rests_on,
         tightest=methods.tightest,
         kinds=methods.kinds,

@@ -74,7 +74,8 @@ def smallest_cover(term: UncertainTerm, points: Points) -> Cover:
         return Cover(term.name, None, None, None, proven=False)
     if term.growing is not None:
         broken = term.violation(points) is not None
-        return Cover(term.name, *((None, None) if broken else (0.0, 0.0)), None, term.proven)
+        size = None if broken else 0.0
+        return Cover(term.name, size, size, None, term.proven)
     search = _Suprema(term, points)
     gamma = search.smallest(search.gamma_needed(float(term.beta)), None, term.beta)
     beta = search.smallest(search.beta_needed(float(term.gamma)), term.gamma, None)

@@ -53,7 +53,9 @@ class Sizes:
         """Largest sizes in the region, by symbol."""
         if self.region is None:
             return {}
-        return dict(zip((*self.states, symbol(NORM)), map(_number, (*self.region, self.norm)), strict=True))
+        return dict(
+            zip((*self.states, symbol(NORM)), map(_number, (*self.region, self.norm)), strict=True)
+        )
 
 
 def stays_below(
@@ -92,7 +94,9 @@ def _majorants(f: sympy.Expr, states: Sequence[sympy.Symbol]) -> list[sympy.Expr
     elif isinstance(f, sympy.Pow) and f.exp.is_Integer and 0 < f.exp <= MAX_DEGREE:
         found += (sympy.expand(part**f.exp) for part in _majorants(f.base, states))
     for coefficients in majorants(f, states)[:MAX_TRIED]:
-        found.append(sum((_number(c) * PLAIN_NORM**i for i, c in enumerate(coefficients)), sympy.S.Zero))
+        found.append(
+            sum((_number(c) * PLAIN_NORM**i for i, c in enumerate(coefficients)), sympy.S.Zero)
+        )
     return list(dict.fromkeys(found))[:MAX_KEPT]
 
 
@@ -115,7 +119,7 @@ def _covers(bound: sympy.Expr, majorant: sympy.Expr, sizes: Sizes) -> bool:
             return False
         if c < 0:
             return False
-    ways = [(_to_norm,)]
+    ways: list[tuple[Any, ...]] = [(_to_norm,)]
     if sizes.region is not None:
         ways += [(_to_parts,), (_to_number,), (_to_parts, _to_norm, _to_number)]
     for way in ways:
@@ -165,5 +169,7 @@ def _to_number(left: Mapping[sympy.Expr, Any], sizes: Sizes) -> dict[sympy.Expr,
     for part, c in left.items():
         if c < 0:
             after[part] -= c
-            after[sympy.S.One] = after.get(sympy.S.One, sympy.S.Zero) + c * part.xreplace(dict(sizes.limits))
+            after[sympy.S.One] = after.get(sympy.S.One, sympy.S.Zero) + c * part.xreplace(
+                dict(sizes.limits)
+            )
     return after

@@ -88,8 +88,8 @@ def _start_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
         )
     if polytope is not None:
         if sampled.saturation == NO_LIMITS:
-            box = " x ".join(_ends(*pair) for pair in polytope.region)
-            lines.append(f"largest box of starts that is proven, for any reference: {box}")
+            proven = " x ".join(_ends(*pair) for pair in polytope.region)
+            lines.append(f"largest box of starts that is proven, for any reference: {proven}")
         elif polytope.is_region:
             lines.append("no limit of the input is met from any start of the ensemble's box")
         elif (box := polytope.largest_box()) is not None:

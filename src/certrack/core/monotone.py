@@ -162,11 +162,15 @@ def _motion(f: sympy.Expr, sizes: frozenset[sympy.Symbol]) -> Motion:
     if isinstance(f, (sympy.Max, sympy.Min)):
         parts = [_motion(part, sizes) for part in f.args]
         choose = sympy.Max if isinstance(f, sympy.Max) else sympy.Min
-        return _together(f, parts, choose(*(p.low for p in parts)), choose(*(p.high for p in parts)))
+        return _together(
+            f, parts, choose(*(p.low for p in parts)), choose(*(p.high for p in parts))
+        )
     if f.func in RISING:
         inside = _motion(f.args[0], sizes)
         if not _is_above(inside.low, RISING[f.func], closed=f.func in CLOSED):
-            raise NotMonotone(f"be proven never to fall where a size grows, and no rule says so of {f}")
+            raise NotMonotone(
+                f"be proven never to fall where a size grows, and no rule says so of {f}"
+            )
         low, high = _through(f.func, inside.low)[0], _through(f.func, inside.high)[1]
         return Motion(inside.rises, inside.falls, low, high)
     raise NotMonotone(f"be proven never to fall where a size grows, and no rule says so of {f}")
@@ -176,7 +180,9 @@ def _together(f: sympy.Expr, parts: list[Motion], low: Any, high: Any) -> Motion
     """A part of which all moves as its own parts do."""
     rises, falls = all(p.rises for p in parts), all(p.falls for p in parts)
     if not (rises or falls):
-        raise NotMonotone(f"be proven never to fall where a size grows, and parts of {f} rise and fall")
+        raise NotMonotone(
+            f"be proven never to fall where a size grows, and parts of {f} rise and fall"
+        )
     return Motion(rises, falls, low, high)
 
 
@@ -187,7 +193,9 @@ def _product(f: sympy.Expr, sizes: frozenset[sympy.Symbol]) -> Motion:
         if not _is_above(factor.low, sympy.S.Zero, closed=True):
             factors[i], turns = factor.turned, turns + 1
             if not _is_above(factors[i].low, sympy.S.Zero, closed=True):
-                raise NotMonotone(f"be proven never to fall where a size grows, and {f.args[i]} changes its sign")
+                raise NotMonotone(
+                    f"be proven never to fall where a size grows, and {f.args[i]} changes its sign"
+                )
     low = reduce(_times, (p.low for p in factors))
     high = reduce(_times, (p.high for p in factors))
     found = _together(f, factors, low, high)

@@ -69,7 +69,7 @@ class Implementation:
         Samples and inputs come up to so much earlier or later than they should, each by itself, and
         a reference by the controller's clock. At most half of every delay: an input follows its
         sample.
-    jitter_pattern : {"random", "alternating"}
+    jitter_pattern : {"random", "alternating", "late"}
         How they do in a run; a certificate covers all that are within the jitter.
     saturation : (low, high), optional
         Limits of the input.

@@ -12,9 +12,10 @@ if TYPE_CHECKING:
 #: Largest jitter, periods: samples and inputs keep their order.
 MAX_JITTER = 0.5
 
-#: How the shifts of a run go: random within the jitter, or from one end to the other and back.
-RANDOM, ALTERNATING = "random", "alternating"
-JITTER_PATTERNS = (RANDOM, ALTERNATING)
+#: How the shifts of a run go: random within the jitter, from one end to the other and back, or all
+#: of them late.
+RANDOM, ALTERNATING, LATE = "random", "alternating", "late"
+JITTER_PATTERNS = (RANDOM, ALTERNATING, LATE)
 
 #: Apart from the seeds of the noise.
 _STREAM = 0x6A69747465
@@ -31,8 +32,10 @@ def timing_shifts(implementation: Implementation, count: int) -> np.ndarray:
     size = implementation.jitter
     if not size:
         return np.zeros((2, count))
+    if implementation.jitter_pattern == LATE:
+        return np.full((2, count), size)
     if implementation.jitter_pattern == ALTERNATING:
         turns = np.where(np.arange(count) % 2, -1.0, 1.0)
         return size * np.array([turns, -turns])  # the input comes late where its sample is early
-    seeds = [implementation.seed, implementation.stream, _STREAM]
+    seeds = [implementation.seed, _STREAM]
     return size * np.random.default_rng(seeds).uniform(-1.0, 1.0, (2, count))

@@ -60,9 +60,11 @@ def premises_as_implemented(
         Premise(
             TIMING,
             ASSUMED,
-            "samples come exactly every period and their inputs exactly after the delay; the "
-            "controller computes exactly, and encoders and converter round to the nearest step",
-            remedy="keep a margin for jitter and for 32-bit rounding",
+            f"{_times(drive)}; the controller computes exactly, and encoders and converter round "
+            "to the nearest step",
+            remedy="keep a margin for 32-bit rounding"
+            if drive.jitter
+            else "keep a margin for jitter and for 32-bit rounding",
         ),
     ]
     if is_regional(system):
@@ -78,6 +80,16 @@ def premises_as_implemented(
             )
         )
     return (*others, *added)
+
+
+def _times(drive: Implementation) -> str:
+    """When samples and inputs come."""
+    if not drive.jitter:
+        return "samples come exactly every period and their inputs exactly after the delay"
+    return (
+        f"samples come within {drive.jitter:g} periods of every period's begin, and their inputs "
+        "within as much of the delay after it; the reference goes by the controller's clock"
+    )
 
 
 def _region(system: System, proofs: Sequence[ImplementedProof]) -> list[Premise]:

@@ -28,7 +28,7 @@ from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
 from certrack.certificates.implemented.regional import in_the_long_run, is_regional, not_reached
 from certrack.certificates.implemented.start import FromStarts
-from certrack.certificates.implemented.start_proof import X0, POLYTOPE, StartProof, StartProver
+from certrack.certificates.implemented.start_proof import POLYTOPE, X0, StartProof, StartProver
 from certrack.certificates.implemented.timing import TimedBounds, rate_rows
 from certrack.systems.system import System
 

@@ -293,7 +293,9 @@ def phase_of(system: System, drive: Drive, of: str) -> str:
     A box of starts is for any reference where it is all that is claimed.
     """
     population = system.varied
-    varied = is_regional(system) or population.amplitude is not None or population.frequency is not None
+    varied = (
+        is_regional(system) or population.amplitude is not None or population.frequency is not None
+    )
     known = reference_at_start(system, drive.q)[1]
     return FILE_PHASE if known and not (of == POLYTOPE and varied) else ANY_PHASE
 

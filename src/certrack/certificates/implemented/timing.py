@@ -173,9 +173,9 @@ class TimedBounds:
             if still:
                 return (v * (1 + FIXED_POINT_MARGIN) + SMALLEST_BOUND).tolist()
         raise NoCertificate(
-            "the jitter is too large for the sampled loop: what it adds by the motion of the states "
-            "and the steps of the input is not less than these; lower implementation.jitter, or "
-            "filter more what is differenced"
+            "the jitter is too large for the sampled loop: what it adds by the motion of the "
+            "states and the steps of the input is not less than these; lower "
+            "implementation.jitter, or filter more what is differenced"
         )
 
 

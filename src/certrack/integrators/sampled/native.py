@@ -53,7 +53,10 @@ class _SampledTask(ctypes.Structure):
             for name in ("starts", "controllers", "totals", "parameters", "keys")
         ),
         ("events", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("times", "clock", "kinds", "marks", "segments", "shared")),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("times", "clock", "kinds", "marks", "segments", "shared")
+        ),
         ("depth", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in ("noise", "noise_bound", "quantum", "errors")),
         *(

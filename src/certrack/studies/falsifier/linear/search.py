@@ -13,6 +13,7 @@ from certrack.certificates.scope import refuse_unknown
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.laws.error_system import EstimatedParameters
+from certrack.model.jitter import JITTER_PATTERNS
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.linear.ascent import worst_inputs
@@ -121,6 +122,17 @@ def _worst_partition(chains: list[Chain]) -> Chain:
     return chains[errors.index(max(errors))]
 
 
+def _timed(case: System) -> list[System]:
+    """The case with every pattern of its jitter."""
+    drive = case.implementation
+    if drive is None or not drive.jitter:
+        return [case]
+    return [
+        case.replace(implementation=replace(drive, jitter_pattern=pattern))
+        for pattern in JITTER_PATTERNS
+    ]
+
+
 def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -> LinearCase | None:
     """The worst inputs of all chains, each with its system, simulated."""
     attacks = [
@@ -133,7 +145,8 @@ def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -
     worst, member = max(attacks, key=lambda pair: pair[0].error)
     odd = not loop.brackets and all(entry == 0 for entry in loop.matrix[:, -1])
     try:
-        cases = [written_case(member, worst, sense) for sense in ((1,) if odd else (1, -1))]
+        senses = (1,) if odd else (1, -1)
+        cases = [case for sense in senses for case in _timed(written_case(member, worst, sense))]
     except InputError:  # beyond what a system may be: too many samples, too large a state
         return None
     played = [(case, simulate(case)) for case in cases]
