@@ -22,7 +22,7 @@ from certrack.core.monotone import NotMonotone, check_growth
 from certrack.model.growth import NORM
 
 #: Majorants of a formula that are kept.
-MAX_KEPT = 32
+MAX_MAJORANTS = 32
 
 #: ||x|| without weights.
 PLAIN_NORM = sympy.Dummy("norm", nonnegative=True)
@@ -54,7 +54,11 @@ class Sizes:
         if self.region is None:
             return {}
         return dict(
-            zip((*self.states, symbol(NORM)), map(_number, (*self.region, self.norm)), strict=True)
+            zip(
+                (*self.states, symbol(NORM)),
+                map(as_sympy, (*self.region, self.norm)),
+                strict=True,
+            )
         )
 
 
@@ -73,37 +77,40 @@ def stays_below(
     strength : Fraction
     """
     return any(
-        _covers(bound, _number(strength) * _weighted(candidate, sizes), sizes)
+        _covers(bound, as_sympy(strength) * _weighted(candidate, sizes), sizes)
         for candidate in _majorants(formula, sizes.states)
     )
 
 
-def _number(value: Fraction) -> sympy.Rational:
+def as_sympy(value: Fraction) -> sympy.Rational:
+    """The same number."""
     return sympy.Rational(value.numerator, value.denominator)
 
 
 def _majorants(f: sympy.Expr, states: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
     """Majorants over the states' symbols and :data:`PLAIN_NORM`."""
-    found: list[sympy.Expr] = []
+    candidates: list[sympy.Expr] = []
     inside = f.args[0] if isinstance(f, sympy.Abs) else f
     if inside in states:
-        found.append(inside)
+        candidates.append(inside)
     elif isinstance(f, (sympy.Add, sympy.Mul)):
         parts = [_majorants(part, states) for part in f.args]
-        found += (sympy.expand(f.func(*chosen)) for chosen in islice(product(*parts), MAX_KEPT))
-    elif isinstance(f, sympy.Pow) and f.exp.is_Integer and 0 < f.exp <= MAX_DEGREE:
-        found += (sympy.expand(part**f.exp) for part in _majorants(f.base, states))
-    for coefficients in majorants(f, states)[:MAX_TRIED]:
-        found.append(
-            sum((_number(c) * PLAIN_NORM**i for i, c in enumerate(coefficients)), sympy.S.Zero)
+        candidates += (
+            sympy.expand(f.func(*chosen)) for chosen in islice(product(*parts), MAX_MAJORANTS)
         )
-    return list(dict.fromkeys(found))[:MAX_KEPT]
+    elif isinstance(f, sympy.Pow) and f.exp.is_Integer and 0 < f.exp <= MAX_DEGREE:
+        candidates += (sympy.expand(part**f.exp) for part in _majorants(f.base, states))
+    for coefficients in majorants(f, states)[:MAX_TRIED]:
+        candidates.append(
+            sum((as_sympy(c) * PLAIN_NORM**i for i, c in enumerate(coefficients)), sympy.S.Zero)
+        )
+    return list(dict.fromkeys(candidates))[:MAX_MAJORANTS]
 
 
 def _weighted(majorant: sympy.Expr, sizes: Sizes) -> sympy.Expr:
     """With ||S x|| and the sizes in the place of ||x||."""
     least = min(sizes.weights)
-    plain = symbol(NORM) / _number(least) if least else sum(sizes.states, sympy.S.Zero)
+    plain = symbol(NORM) / as_sympy(least) if least else sum(sizes.states, sympy.S.Zero)
     return majorant.xreplace({PLAIN_NORM: plain})
 
 
@@ -119,12 +126,12 @@ def _covers(bound: sympy.Expr, majorant: sympy.Expr, sizes: Sizes) -> bool:
             return False
         if c < 0:
             return False
-    ways: list[tuple[Any, ...]] = [(_to_norm,)]
+    sequences: list[tuple[Any, ...]] = [(_to_norm,)]
     if sizes.region is not None:
-        ways += [(_to_parts,), (_to_number,), (_to_parts, _to_norm, _to_number)]
-    for way in ways:
+        sequences += [(_to_parts,), (_to_number,), (_to_parts, _to_norm, _to_number)]
+    for sequence in sequences:
         after = dict(left)
-        for reduce in way:
+        for reduce in sequence:
             after = reduce(after, sizes)
         if all(c >= 0 for c in after.values()):
             return True
@@ -157,7 +164,7 @@ def _to_norm(left: Mapping[sympy.Expr, Any], sizes: Sizes) -> dict[sympy.Expr, A
         if c >= 0 or chosen is None or (part / chosen != 1 and not limits):
             continue
         others = (part / chosen).xreplace(dict(limits))
-        share = 1 if chosen == norm else 1 / _number(weights[chosen])
+        share = 1 if chosen == norm else 1 / as_sympy(weights[chosen])
         after[part] -= c
         after[norm] = after.get(norm, sympy.S.Zero) + c * others * share
     return after

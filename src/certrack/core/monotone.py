@@ -20,10 +20,10 @@ from typing import Any
 import sympy
 
 #: Digits of a number that is not rational, and by which part its ends are moved outwards.
-DIGITS, WIDENING = 40, sympy.Rational(1, 10**30)
+NUMBER_DIGITS, END_WIDENING = 40, sympy.Rational(1, 10**30)
 
 #: Numbers beyond this, or below it, are only told to be.
-SMALL = sympy.Rational(1, 10**300)
+TINY = sympy.Rational(1, 10**300)
 
 #: Functions that rise wherever they are defined, and what their argument must be above.
 RISING: dict[Any, sympy.Expr] = {
@@ -51,7 +51,7 @@ class NotMonotone(ValueError):
 
 
 @dataclass(frozen=True)
-class Motion:
+class Trend:
     """How a part of a formula moves with the sizes.
 
     Attributes
@@ -68,12 +68,12 @@ class Motion:
     high: Any
 
     @property
-    def turned(self) -> Motion:
+    def turned(self) -> Trend:
         """Of the negative."""
-        return Motion(self.falls, self.rises, -self.high, -self.low)
+        return Trend(self.falls, self.rises, -self.high, -self.low)
 
 
-def motion(formula: sympy.Expr, sizes: Iterable[sympy.Symbol]) -> Motion:
+def trend(formula: sympy.Expr, sizes: Iterable[sympy.Symbol]) -> Trend:
     """How a formula moves where its symbols are any numbers >= 0.
 
     Parameters
@@ -90,10 +90,10 @@ def motion(formula: sympy.Expr, sizes: Iterable[sympy.Symbol]) -> Motion:
     Examples
     --------
     >>> x = sympy.Symbol("x", real=True)
-    >>> motion(1 - 1 / (1 + x**2), [x]).rises
+    >>> trend(1 - 1 / (1 + x**2), [x]).rises
     True
     """
-    return _motion(formula, frozenset(sizes))
+    return _trend(formula, frozenset(sizes))
 
 
 def check_growth(formula: sympy.Expr, sizes: Iterable[sympy.Symbol]) -> None:
@@ -104,11 +104,11 @@ def check_growth(formula: sympy.Expr, sizes: Iterable[sympy.Symbol]) -> None:
     NotMonotone
         With what is not proven, to be read after "must ...".
     """
-    found = motion(formula, sizes)
-    if not found.rises:
+    result = trend(formula, sizes)
+    if not result.rises:
         raise NotMonotone(f"never fall where a size grows, but {formula} falls")
-    if not _is_above(found.low, sympy.S.Zero, closed=True):
-        raise NotMonotone(f"not be negative, but {formula} may be {float(found.low):.6g}")
+    if not _is_above(result.low, sympy.S.Zero, closed=True):
+        raise NotMonotone(f"not be negative, but {formula} may be {float(result.low):.6g}")
 
 
 def growth_power(formula: sympy.Expr) -> Fraction:
@@ -141,53 +141,53 @@ def growth_power(formula: sympy.Expr) -> Fraction:
     if isinstance(formula, CONCAVE):
         return parts[0]
     if isinstance(formula, sympy.log):  # log(a + v) = log(a) + log(1 + v/a)
-        numbers, rest = formula.args[0].as_independent(*formula.free_symbols, as_Add=True)
+        numbers, others = formula.args[0].as_independent(*formula.free_symbols, as_Add=True)
         least = _ends(numbers)[0]
-        return growth_power(rest) if _is_above(least, sympy.S.One, closed=True) else UNLIMITED
+        return growth_power(others) if _is_above(least, sympy.S.One, closed=True) else UNLIMITED
     return UNLIMITED
 
 
-def _motion(f: sympy.Expr, sizes: frozenset[sympy.Symbol]) -> Motion:
+def _trend(f: sympy.Expr, sizes: frozenset[sympy.Symbol]) -> Trend:
     if not f.free_symbols & sizes:
-        return Motion(True, True, *_ends(f))
+        return Trend(True, True, *_ends(f))
     if f in sizes:
-        return Motion(True, False, sympy.S.Zero, sympy.oo)
+        return Trend(True, False, sympy.S.Zero, sympy.oo)
     if isinstance(f, sympy.Add):
-        parts = [_motion(part, sizes) for part in f.args]
+        parts = [_trend(part, sizes) for part in f.args]
         return _together(f, parts, sum(p.low for p in parts), sum(p.high for p in parts))
     if isinstance(f, sympy.Mul):
-        return _product(f, sizes)
+        return _trend_of_product(f, sizes)
     if isinstance(f, sympy.Pow):
-        return _power(f, sizes)
+        return _trend_of_power(f, sizes)
     if isinstance(f, (sympy.Max, sympy.Min)):
-        parts = [_motion(part, sizes) for part in f.args]
+        parts = [_trend(part, sizes) for part in f.args]
         choose = sympy.Max if isinstance(f, sympy.Max) else sympy.Min
         return _together(
             f, parts, choose(*(p.low for p in parts)), choose(*(p.high for p in parts))
         )
     if f.func in RISING:
-        inside = _motion(f.args[0], sizes)
+        inside = _trend(f.args[0], sizes)
         if not _is_above(inside.low, RISING[f.func], closed=f.func in CLOSED):
             raise NotMonotone(
                 f"be proven never to fall where a size grows, and no rule says so of {f}"
             )
         low, high = _through(f.func, inside.low)[0], _through(f.func, inside.high)[1]
-        return Motion(inside.rises, inside.falls, low, high)
+        return Trend(inside.rises, inside.falls, low, high)
     raise NotMonotone(f"be proven never to fall where a size grows, and no rule says so of {f}")
 
 
-def _together(f: sympy.Expr, parts: list[Motion], low: Any, high: Any) -> Motion:
+def _together(f: sympy.Expr, parts: list[Trend], low: Any, high: Any) -> Trend:
     """A part of which all moves as its own parts do."""
     rises, falls = all(p.rises for p in parts), all(p.falls for p in parts)
     if not (rises or falls):
         raise NotMonotone(
             f"be proven never to fall where a size grows, and parts of {f} rise and fall"
         )
-    return Motion(rises, falls, low, high)
+    return Trend(rises, falls, low, high)
 
 
-def _product(f: sympy.Expr, sizes: frozenset[sympy.Symbol]) -> Motion:
-    factors = [_motion(part, sizes) for part in f.args]
+def _trend_of_product(f: sympy.Expr, sizes: frozenset[sympy.Symbol]) -> Trend:
+    factors = [_trend(part, sizes) for part in f.args]
     turns = 0
     for i, factor in enumerate(factors):
         if not _is_above(factor.low, sympy.S.Zero, closed=True):
@@ -196,18 +196,18 @@ def _product(f: sympy.Expr, sizes: frozenset[sympy.Symbol]) -> Motion:
                 raise NotMonotone(
                     f"be proven never to fall where a size grows, and {f.args[i]} changes its sign"
                 )
-    low = reduce(_times, (p.low for p in factors))
-    high = reduce(_times, (p.high for p in factors))
-    found = _together(f, factors, low, high)
-    return found.turned if turns % 2 else found
+    low = reduce(_product_end, (p.low for p in factors))
+    high = reduce(_product_end, (p.high for p in factors))
+    result = _together(f, factors, low, high)
+    return result.turned if turns % 2 else result
 
 
-def _times(a: Any, b: Any) -> Any:
+def _product_end(a: Any, b: Any) -> Any:
     return sympy.S.Zero if a == 0 or b == 0 else a * b
 
 
-def _power(f: sympy.Expr, sizes: frozenset[sympy.Symbol]) -> Motion:
-    base, exponent = _motion(f.base, sizes), f.exp
+def _trend_of_power(f: sympy.Expr, sizes: frozenset[sympy.Symbol]) -> Trend:
+    base, exponent = _trend(f.base, sizes), f.exp
     positive = exponent.is_Rational and exponent > 0
     if not exponent.is_Rational or not _is_above(base.low, sympy.S.Zero, closed=positive):
         raise NotMonotone(f"be proven never to fall where a size grows, and no rule says so of {f}")
@@ -218,8 +218,8 @@ def _power(f: sympy.Expr, sizes: frozenset[sympy.Symbol]) -> Motion:
         return _ends(value**exponent)[up]
 
     if positive:
-        return Motion(base.rises, base.falls, power(base.low, 0), power(base.high, 1))
-    return Motion(base.falls, base.rises, power(base.high, 0), power(base.low, 1))
+        return Trend(base.rises, base.falls, power(base.low, 0), power(base.high, 1))
+    return Trend(base.falls, base.rises, power(base.high, 0), power(base.low, 1))
 
 
 def _through(function: Any, end: Any) -> tuple[Any, Any]:
@@ -232,12 +232,12 @@ def _ends(number: sympy.Expr) -> tuple[Any, Any]:
     """Rationals below and above a number; itself if it is one."""
     if number.is_Rational or not number.is_finite:
         return number, number
-    value = sympy.N(number, DIGITS)
-    if not SMALL < abs(value) < 1 / SMALL:  # whose digits would fill the memory
-        size = (sympy.S.Zero, SMALL) if abs(value) < 1 else (1 / SMALL, sympy.oo)
+    value = sympy.N(number, NUMBER_DIGITS)
+    if not TINY < abs(value) < 1 / TINY:  # whose digits would fill the memory
+        size = (sympy.S.Zero, TINY) if abs(value) < 1 else (1 / TINY, sympy.oo)
         return size if value > 0 else (-size[1], -size[0])
     value = sympy.Rational(str(value))
-    off = WIDENING * (abs(value) + WIDENING)
+    off = END_WIDENING * (abs(value) + END_WIDENING)
     return value - off, value + off
 
 

@@ -22,7 +22,7 @@ from certrack.core.monotone import NotMonotone, check_growth, growth_power
 #: What ||S_k x|| is called in a bound.
 NORM = "norm"
 
-KEY = "plant.uncertainty.bound"
+BOUND_KEY = "plant.uncertainty.bound"
 
 
 def growing_bound(
@@ -50,11 +50,11 @@ def growing_bound(
     """
     if text == "" or (isinstance(text, Expression) and not text.text):
         return None
-    key = f"{KEY}[{k}]"
-    taken = "state" if NORM in states else "constant" if NORM in constants else ""
-    if taken:
-        what = f"speaks of {NORM}, which is the name of a {taken} of this plant"
-        raise InputError(key, what, getattr(text, "text", text), f"Rename the {taken}")
+    key = f"{BOUND_KEY}[{k}]"
+    owner = "state" if NORM in states else "constant" if NORM in constants else ""
+    if owner:
+        what = f"speaks of {NORM}, which is the name of a {owner} of this plant"
+        raise InputError(key, what, getattr(text, "text", text), f"Rename the {owner}")
     sizes = [symbol(name) for name in (*states, NORM)]
     bound = parse(key, text, {s.name: s for s in sizes} | dict(constants))
     try:
@@ -87,9 +87,9 @@ def bound_as_formula(bound: Expression, states: Sequence[str], norm: str, offset
         Magnitudes are sqrt(x^2 + offset^2) - offset.
     """
     text = f"({text_of(bound.expr)})"
-    inside: dict[Any, Any] = {symbol(NORM): parse(KEY, norm, states).expr}
+    inside: dict[Any, Any] = {symbol(NORM): parse(BOUND_KEY, norm, states).expr}
     for name in states:
-        inside[symbol(name)] = parse(KEY, smooth_size(name, offset), states).expr
+        inside[symbol(name)] = parse(BOUND_KEY, smooth_size(name, offset), states).expr
     return text_of(bound.expr.xreplace(inside)) if bound.expr.free_symbols else text
 
 

@@ -14,8 +14,8 @@ MAX_JITTER = 0.5
 
 #: How the shifts of a run go: random within the jitter, from one end to the other and back, or all
 #: of them late.
-RANDOM, ALTERNATING, LATE = "random", "alternating", "late"
-JITTER_PATTERNS = (RANDOM, ALTERNATING, LATE)
+RANDOM, ALTERNATING, ALL_LATE = "random", "alternating", "late"
+JITTER_PATTERNS = (RANDOM, ALTERNATING, ALL_LATE)
 
 #: Apart from the seeds of the noise.
 _STREAM = 0x6A69747465
@@ -32,7 +32,7 @@ def timing_shifts(implementation: Implementation, count: int) -> np.ndarray:
     size = implementation.jitter
     if not size:
         return np.zeros((2, count))
-    if implementation.jitter_pattern == LATE:
+    if implementation.jitter_pattern == ALL_LATE:
         return np.full((2, count), size)
     if implementation.jitter_pattern == ALTERNATING:
         turns = np.where(np.arange(count) % 2, -1.0, 1.0)

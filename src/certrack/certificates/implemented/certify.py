@@ -132,8 +132,8 @@ def certify_implemented(
     >>> from certrack.certificates.implemented.certify import certify_implemented
     >>> system = certrack.load("dual-motor-lean")
     >>> drive = certrack.Implementation(period=0.003, delay=0.5)
-    >>> found, proofs = certify_implemented(system.replace(implementation=drive))
-    >>> found
+    >>> certificate, proofs = certify_implemented(system.replace(implementation=drive))
+    >>> certificate
     Certificate(implemented: limsup |e_1| <= 0.001279, verified)
     """
     limited = is_limited(system)
@@ -177,10 +177,10 @@ def jitters(system: System) -> bool:
 
 
 def from_x0_only(
-    found: ImplementedCertificate, proofs: Sequence[ImplementedProof]
+    certificate: ImplementedCertificate, proofs: Sequence[ImplementedProof]
 ) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
     """A certificate and its proofs where the bounds of w hold in the region of x0 only."""
-    return replace(found, starts=X0, polytope=None), without_polytopes(proofs)
+    return replace(certificate, starts=X0, polytope=None), without_polytopes(proofs)
 
 
 def limits_met(system: System, proofs: Sequence[ImplementedProof]) -> str:

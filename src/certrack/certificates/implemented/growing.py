@@ -18,7 +18,7 @@ from certrack.core.monotone import growth_power
 from certrack.model.growth import NORM
 
 #: Bits of the values that floats are made of.
-FLOAT_BITS = 80
+BITS_OF_SIZES = 80
 
 
 @dataclass(frozen=True)
@@ -56,5 +56,5 @@ class GrowingBound:
 
     def largest_float(self, X: Sequence[float], norm: float) -> float:
         """The same of floats, rounded up twice."""
-        with flint.ctx.workprec(FLOAT_BITS):
+        with flint.ctx.workprec(BITS_OF_SIZES):
             return float(widened(np.array(float(self.largest(X, norm)))))

@@ -60,7 +60,7 @@ def premises_as_implemented(
         Premise(
             TIMING,
             ASSUMED,
-            f"{_times(drive)}; the controller computes exactly, and encoders and converter round "
+            f"{_timing(drive)}; the controller computes exactly, and encoders and converter round "
             "to the nearest step",
             remedy="keep a margin for 32-bit rounding"
             if drive.jitter
@@ -82,7 +82,7 @@ def premises_as_implemented(
     return (*others, *added)
 
 
-def _times(drive: Implementation) -> str:
+def _timing(drive: Implementation) -> str:
     """When samples and inputs come."""
     if not drive.jitter:
         return "samples come exactly every period and their inputs exactly after the delay"

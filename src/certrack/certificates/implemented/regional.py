@@ -30,7 +30,7 @@ from certrack.certificates.implemented.fixed_point import (
 from certrack.systems.system import System
 
 #: Digits of the scale of the largest box, and the scales between which it is looked for.
-BOX_DIGITS, SMALLEST_SCALE, LARGEST_SCALE = 3, 1e-6, 1e6
+BOX_DIGITS, SMALLEST_BOX, LARGEST_BOX = 3, 1e-6, 1e6
 
 #: Bounds of all states and of the input.
 Vector = tuple[Sequence[Any], Any]
@@ -72,7 +72,7 @@ def descend(bounds: OutputBounds, above: Vector, until: Callable[[list[Any]], bo
 
 def in_the_long_run(bounds: OutputBounds, starts: Sequence[Any]) -> tuple[list[float], float]:
     """States' and input's bounds that every one of the start proofs leads down to, widened."""
-    lowest = [descend(bounds, _later(start), lambda _: False) for start in starts]
+    lowest = [descend(bounds, _bounds_of_later(start), lambda _: False) for start in starts]
     largest = [float(max(entries).mid()) for entries in zip(*lowest, strict=True)]
     wide = [v * (1 + FIXED_POINT_MARGIN) + SMALLEST_BOUND for v in largest]
     return wide[:-1], wide[-1]
@@ -86,12 +86,12 @@ def not_reached(bounds: OutputBounds, wanted: Vector, start: Any) -> str:
     def reached(v: list[Any]) -> bool:
         return all(a <= b for a, b in zip(v, limits, strict=True))
 
-    if reached(descend(bounds, _later(start), reached)):
+    if reached(descend(bounds, _bounds_of_later(start), reached)):
         return ""
     return "the bounds from the start do not lead down to those of the long run"
 
 
-def _later(start: Any) -> Vector:
+def _bounds_of_later(start: Any) -> Vector:
     return [from_text(text) for text in start.states], from_text(start.input)
 
 
@@ -128,9 +128,9 @@ def largest_region(
         return tuple((repr(-end), repr(end)) for end in ends)
 
     low, high = 0.0, 1.0
-    while high <= LARGEST_SCALE and holds(box(high)):
+    while high <= LARGEST_BOX and holds(box(high)):
         low, high = high, 2 * high
-    while not low and high > SMALLEST_SCALE:
+    while not low and high > SMALLEST_BOX:
         middle = high / 2
         low, high = (middle, high) if holds(box(middle)) else (0.0, middle)
     if not low:

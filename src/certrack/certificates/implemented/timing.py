@@ -118,14 +118,14 @@ class TimedBounds:
         by_step, direct = [], np.zeros((len(rows), drive.W.ncols()), dtype=object)
         for i, row in enumerate(rows):
             held = flint.arb(float(pulses[i]))
-            own = row.output - 1 if 1 <= row.output <= n else max(row.output - n - 3, 0)
+            i_state = row.output - 1 if 1 <= row.output <= n else max(row.output - n - 3, 0)
             rate = row.output >= n + 3
             if rate or row.output <= n:
-                held = held + inside[row.phase][int(rate)][own]
+                held = held + inside[row.phase][int(rate)][i_state]
             total = shift * held
             if rate:
-                total = total + abs(drive.b[own, 0])
-                direct[i] = [abs(drive.W[own, j]) for j in range(drive.W.ncols())]
+                total = total + abs(drive.b[i_state, 0])
+                direct[i] = [abs(drive.W[i_state, j]) for j in range(drive.W.ncols())]
             by_step.append(total)
         noise = np.vectorize(flint.arb, otypes=[object])(bounds.gains.noise)
         return cls(bounds, np.array(by_step, dtype=object), noise * shift, direct)
@@ -143,14 +143,14 @@ class TimedBounds:
         NoCertificate
             If one of them is not finite.
         """
-        given = self.bounds
-        values = given.constant + given.x @ np.array(X, dtype=object) + given.u * U
-        for j, bound in enumerate(given.drive.uncertain):
-            values = values + (given.w[:, j] + self.direct[:, j]) * uncertain_size(bound, X)
+        bounds = self.bounds
+        values = bounds.constant + bounds.x @ np.array(X, dtype=object) + bounds.u * U
+        for j, bound in enumerate(bounds.drive.uncertain):
+            values = values + (bounds.w[:, j] + self.direct[:, j]) * uncertain_size(bound, X)
         values = values + self.by_step * step + self.by_rate @ np.array(rates, dtype=object)
         if not all(value.is_finite() for value in values):
             raise NoCertificate("a gain of the sampled loop leaves the range of floating point")
-        chosen = (values[given.outputs == k] for k in range(self.count))
+        chosen = (values[bounds.outputs == k] for k in range(self.count))
         return [max(flint.arb(v.upper()) for v in entries) for entries in chosen]
 
     def search(self) -> list[float]:
@@ -246,12 +246,12 @@ def _pulse_columns(
 
 def _running_pulses(period: Period, rows: Sequence[Row], b: flint.arb_mat) -> np.ndarray:
     """The same of the period that runs, up to the beginning of the row's cell."""
-    found = np.zeros(len(rows))
+    gains = np.zeros(len(rows))
     for phase in range(1, len(period.cells)):
         chosen = [i for i, row in enumerate(rows) if row.phase == phase]
         if chosen:
             nodes, bend = _pulse_columns(period, b, phase)
             matrix = flint.arb_mat([list(rows[i].row) for i in chosen])
             largest = Enclosed.of(matrix * nodes).upper.max(axis=1)
-            found[chosen] = largest + Enclosed.of(matrix).upper @ bend
-    return widened(found, period.size + 8)
+            gains[chosen] = largest + Enclosed.of(matrix).upper @ bend
+    return widened(gains, period.size + 8)

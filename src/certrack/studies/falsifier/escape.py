@@ -24,15 +24,15 @@ from certrack.studies.falsifier.linear.chain import Chain
 from certrack.studies.falsifier.linear.sampled import sampled_chain
 from certrack.systems.system import System
 
-#: The first scale of the box that is tried, and the last; how near the nearest escape is found; and
+#: The first scale of the box that is tried, and the last; how near the nearest escape is; and
 #: by how much a scale is raised where the simulation stays.
-FIRST_SCALE, LARGEST_SCALE, BISECTED, RAISED = 2.0**-6, 2.0**20, 0.01, 1.02
+FIRST_SCALE, LAST_SCALE, BISECTED, RAISED = 2.0**-6, 2.0**20, 0.01, 1.02
 
 #: Corners that are tried, at most: all of them up to this order.
 MAX_CORNERS_ORDER = 8
 
 #: Length of a run, in samples, at most; and how often a scale is raised.
-MAX_SAMPLES, MAX_RAISES = 1500, 8
+MAX_ESCAPE_SAMPLES, MAX_SCALE_RAISES = 1500, 8
 
 #: The offset of a magnitude in the pattern of a disturbance: tanh(x/offset) is nearly its sign.
 SIGN_WIDTH = 1e-3
@@ -68,7 +68,7 @@ def first_escape(
     bounds: tuple[float, ...],
     certified: Polytope | None,
 ) -> Escape | None:
-    """The nearest start found from which the states escape.
+    """The nearest start, of those tried, from which the states escape.
 
     Parameters
     ----------
@@ -88,23 +88,23 @@ def first_escape(
         return None
     shape, search = shape_of(system), _Search(chain, system)
     low, high = 0.0, FIRST_SCALE
-    while (found := search.escapes(high * shape)) is None:
+    while (nearest := search.escapes(high * shape)) is None:
         low, high = high, 2 * high
-        if high > LARGEST_SCALE:
+        if high > LAST_SCALE:
             return None
     while low and high > (1 + BISECTED) * low:
         middle = math.sqrt(low * high)
         nearer = search.escapes(middle * shape)
-        low, high, found = (low, middle, nearer) if nearer else (middle, high, found)
-    for _ in range(MAX_RAISES):
-        if found is not None:
-            case = search.written(*found)
+        low, high, nearest = (low, middle, nearer) if nearer else (middle, high, nearest)
+    for _ in range(MAX_SCALE_RAISES):
+        if nearest is not None:
+            case = search.written(*nearest)
             if simulate(case).outcome is Outcome.escaped:
                 x0 = np.array(case.settings.x0)
                 within = certified is not None and bool(certified.contains(x0))
                 return Escape(high, tuple((high * shape).tolist()), case, within)
         high *= RAISED
-        found = search.escapes(high * shape)
+        nearest = search.escapes(high * shape)
     return None
 
 
@@ -126,12 +126,12 @@ class _Search:
         half = [c + (1.0,) * (n - len(c)) for c in corners]
         self.corners = np.array(half).T
         wanted = system.settings.duration / chain.period
-        self.samples = max(1, min(MAX_SAMPLES, math.ceil(wanted)))
+        self.samples = max(1, min(MAX_ESCAPE_SAMPLES, math.ceil(wanted)))
         m = len(chain.bounds) - 1
         Y = np.zeros(m)
         known = [float(v.mid()) for v in reference_at_start(system, m - 1)[0]]
         Y[: len(known)] = known
-        self.rest = chain.start @ Y
+        self.at_rest = chain.start @ Y
         acting = len(chain.acting)
         self.patterns = [("x",) * acting, *product("+-", repeat=acting)]
         signs = [[0.0 if s == "x" else float(f"{s}1") for s in p] for p in self.patterns]
@@ -144,7 +144,7 @@ class _Search:
         """A pattern and a corner from which the loop escapes; None if there is none."""
         chain, n, m = self.chain, self.chain.n, len(self.chain.bounds) - 1
         x0 = np.tile(half[:, None] * self.corners, len(self.patterns))
-        z = np.repeat(self.rest[:, None], x0.shape[1], axis=1)
+        z = np.repeat(self.at_rest[:, None], x0.shape[1], axis=1)
         memories = self._first_memories()
         z[n:-m], z[:n] = 0.0, x0
         z[n : n + len(memories)] = memories @ x0

@@ -261,16 +261,18 @@ def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification |
     case = sampled_case(system, bounds)
     if case is None:
         return None
-    found, proofs = certify_implemented(system)
-    certificate: Certificate = found
+    implemented, proofs = certify_implemented(system)
+    certificate: Certificate = implemented
     broken = contradicted(premises_as_implemented(system, proofs))
     if broken and certificate.exists:
         reason = f"a premise is contradicted: {broken[0].detail}"
         certificate = replace(certificate, verified=False, reason=reason)
     run, escape, limited = case.run, None, _may_be_limited(system, case.run)
     if is_regional(system):
-        escape = first_escape(system, bounds, found.polytope)
-        within = found.polytope is not None and case.system.settings.x0 in found.polytope
+        escape = first_escape(system, bounds, implemented.polytope)
+        within = (
+            implemented.polytope is not None and case.system.settings.x0 in implemented.polytope
+        )
         limited = limited or not within
     return DriveFalsification(
         case.error, case.estimate, case.system, _stopped(run), certificate, limited, escape
