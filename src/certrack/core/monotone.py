@@ -23,7 +23,7 @@ import sympy
 NUMBER_DIGITS, END_WIDENING = 40, sympy.Rational(1, 10**30)
 
 #: Numbers beyond this, or below it, are only told to be.
-TINY = sympy.Rational(1, 10**300)
+ALMOST_ZERO = sympy.Rational(1, 10**300)
 
 #: Functions that rise wherever they are defined, and what their argument must be above.
 RISING: dict[Any, sympy.Expr] = {
@@ -233,8 +233,8 @@ def _ends(number: sympy.Expr) -> tuple[Any, Any]:
     if number.is_Rational or not number.is_finite:
         return number, number
     value = sympy.N(number, NUMBER_DIGITS)
-    if not TINY < abs(value) < 1 / TINY:  # whose digits would fill the memory
-        size = (sympy.S.Zero, TINY) if abs(value) < 1 else (1 / TINY, sympy.oo)
+    if not ALMOST_ZERO < abs(value) < 1 / ALMOST_ZERO:  # whose digits would fill the memory
+        size = (sympy.S.Zero, ALMOST_ZERO) if abs(value) < 1 else (1 / ALMOST_ZERO, sympy.oo)
         return size if value > 0 else (-size[1], -size[0])
     value = sympy.Rational(str(value))
     off = END_WIDENING * (abs(value) + END_WIDENING)
