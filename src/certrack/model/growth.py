@@ -65,6 +65,14 @@ def growing_bound(
     return bound
 
 
+def growing_bounds(
+    texts: Sequence[Any], states: Sequence[str], constants: Mapping[str, Any]
+) -> tuple[Expression | str, ...]:
+    """The bounds of all w_k; see :func:`growing_bound`. Empty texts stay."""
+    read = (growing_bound(k, text, states, constants) for k, text in enumerate(texts))
+    return tuple("" if entry is None else entry for entry in read)
+
+
 def is_global(bound: Expression) -> bool:
     """Whether it grows no faster than the sizes: what holds in a large box then holds everywhere.
 

@@ -197,8 +197,7 @@ class Plant:
             moved = self._moved(dict(self.constants))
             fixed = {k: v for k, v in self.constant_values.items() if k not in moved}
             try:
-                table = Uncertainty.from_table(bounds, n, fixed)
-                return table.bound_to(self.states, fixed)
+                return Uncertainty.from_table(bounds, self.states, fixed)
             except InputError as problem:
                 if not any(f"{name!r}" in problem.expected for name in moved):
                     raise

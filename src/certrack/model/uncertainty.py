@@ -13,9 +13,10 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import Expression
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.model.growth import (
+    BOUND_KEY,
     GrowthInFloats,
     bound_as_formula,
-    growing_bound,
+    growing_bounds,
     is_global,
     smooth_size,
 )
@@ -116,13 +117,13 @@ class Uncertainty:
     def _check_bounds(self, bounds: Any) -> tuple[Expression | str, ...] | None:
         """The formulas, of which only the plant knows the names; None if all are empty."""
         n, shape = len(self.tau), keys_of(self)["bound"].shape
-        entries = checks.sequence("plant.uncertainty.bound", bounds, n, f"{shape} (n = {n})")
+        entries = checks.sequence(BOUND_KEY, bounds, n, f"{shape} (n = {n})")
         for k, entry in enumerate(entries):
             if entry == "":
                 continue
             growth = self.Delta[k] if self.Delta is not None else ()
             if self.gamma[k] or self.beta[k] or any(growth):
-                key = f"plant.uncertainty.bound[{k}]"
+                key = f"{BOUND_KEY}[{k}]"
                 what = f"must be all of the bound of w_{k + 1}"
                 remedy = f"Set gamma[{k}], beta[{k}] and the row of Delta to 0, or leave it empty"
                 raise InputError(key, what, getattr(entry, "text", entry), remedy)
@@ -132,13 +133,14 @@ class Uncertainty:
         """These bounds with their formulas read, of the names of a plant."""
         if self.bound is None:
             return self
-        read = (growing_bound(k, v, states, constants) for k, v in enumerate(self.bound))
-        return replace(self, bound=tuple("" if entry is None else entry for entry in read))
+        return replace(self, bound=growing_bounds(self.bound, states, constants))
 
     @classmethod
-    def from_table(cls, table: Any, n: int, constants: Mapping[str, Any]) -> Uncertainty:
+    def from_table(
+        cls, table: Any, states: Sequence[str], constants: Mapping[str, Any]
+    ) -> Uncertainty:
         """The bounds of a table ``{tau, gamma, beta ...}`` whose numbers may be formulas."""
-        keys = keys_of(cls)
+        keys, n = keys_of(cls), len(states)
         required = [name for name, key in keys.items() if key.required]
         checks.known_keys("plant.uncertainty", table, keys, required=required)
         values: dict[str, Any] = {
@@ -146,8 +148,13 @@ class Uncertainty:
         }
         for name in ("Delta", "S"):
             values |= {name: _weights(name, table[name], n, constants)} if name in table else {}
-        for name in ("constants_vary", "bound"):
-            values |= {name: table[name]} if name in table else {}
+        if "constants_vary" in table:
+            values["constants_vary"] = table["constants_vary"]
+        if "bound" in table:
+            entries = checks.sequence(
+                BOUND_KEY, table["bound"], n, f"{keys['bound'].shape} (n = {n})"
+            )
+            values["bound"] = growing_bounds(entries, states, constants)
         return cls(**values)
 
     def formula(self, k: int) -> Expression | None:
