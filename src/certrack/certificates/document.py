@@ -205,10 +205,10 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
 def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     try:
         body = source if isinstance(source, dict) else _read_document(Path(source))
-        if _is_cover(body):
-            return _verify_cover(body)
         if is_implemented(body):
             return _verify_implemented(body)
+        if _is_cover(body):
+            return _verify_cover(body)
         stages = _stages(body)
         proof = stages[-1]
         if body["sha256"] != _digest(body):

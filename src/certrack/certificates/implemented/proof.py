@@ -207,6 +207,20 @@ def periods_needed(period: Period, left: float = LEFT) -> int:
     return doublings
 
 
+def work_of(period: Period) -> float:
+    """About how many numbers the tables of a proof go through.
+
+    Raises
+    ------
+    NoCertificate
+        If the loop is unstable, or too slow.
+    """
+    drive, cells = period.drive, len(period.cells)
+    rows = 3 * cells * (drive.sized + 2) + period.size
+    columns = (cells + 1) * (period.W.ncols() + 1) + 2 * (drive.q + 1) * cells * (drive.q + 3)
+    return float(2 ** periods_needed(period) * rows * (columns + 2 * period.size))
+
+
 def _bounds(period: Period, doublings: int) -> OutputBounds:
     rows = output_rows(period)
     size, width = period.size, (len(period.cells) + 1) * (period.W.ncols() + 1) + period.size
