@@ -360,7 +360,7 @@ def test_floats_enclose_what_balls_compute():
         rows = output_rows(period)
         columns = gains_room.kernel_columns(period, 2, smeared=True)
         past = gains_room.running_period(period, rows)[1]
-        sums, _, _ = gains_room._sums(period, columns, past, doublings)
+        sums, _, _ = gains_room.sums_of_periods(period, columns, past, doublings)
         row = flint.arb_mat([past.tolist()[0]])
         width = columns.nodes.ncols() // 3
         exact = [flint.arb(0)] * (sums.shape[1])

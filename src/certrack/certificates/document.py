@@ -134,9 +134,17 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         "claim": claim_of(system, bound) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
-        "proof": [json.loads(json.dumps(asdict(stage))) for stage in stages],
+        "proof": [json.loads(json.dumps(_record(stage))) for stage in stages],
     }
     return body | {"sha256": _digest(body)}
+
+
+def _record(stage: Stage) -> dict[str, Any]:
+    """The numbers of a stage; the proof of a sampled loop without ranges has no cell."""
+    record = asdict(stage)
+    if isinstance(stage, ImplementedProof) and not stage.cell:
+        del record["cell"]
+    return record
 
 
 def save_certificate(system: System, stages: Sequence[Stage], path: str | os.PathLike[str]) -> None:
