@@ -210,6 +210,32 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
         raise problem.within(name) from None
 
 
+def read_proofs(path: str | os.PathLike[str]) -> tuple[str, tuple[ImplementedProof, ...]]:
+    """The system's text and the proofs of the implemented loop in a file, which is verified first.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    system : str
+    proofs : tuple of ImplementedProof
+        Empty if it holds another kind of proof.
+
+    Raises
+    ------
+    InputError
+        If it is no certificate, or does not hold.
+    """
+    body = _read_document(Path(path))
+    verdict = verify(body)
+    if not verdict.verified:
+        raise InputError(str(path), f"is not verified: {verdict.reason}")
+    proofs = implemented_proofs(body["proof"]) if is_implemented(body) else ()
+    return body["system"], proofs
+
+
 def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     try:
         body = source if isinstance(source, dict) else _read_document(Path(source))
