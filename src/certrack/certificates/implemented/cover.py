@@ -36,7 +36,7 @@ from certrack.systems.system import System
 MOST_SAMPLED_CELLS, WORTHWHILE = {"fast": 1, "default": 48, "high": 192}, 0.02
 
 #: What all tables of the cells for one delay may hold, by effort: about a minute, or four.
-MOST_WORK = {"fast": math.inf, "default": 2e9, "high": 8e9}
+MOST_WORK = {"fast": 2e9, "default": 2e9, "high": 8e9}
 
 #: A proof and what its bound is made of.
 Proven = tuple[ImplementedProof, dict[str, float]]
