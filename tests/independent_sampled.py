@@ -399,7 +399,7 @@ class Loop:
         """Of each phase: rows' owners, what of them is constant, in a cell, and of every lag."""
         n, size = self.n, len(self.J)
         eye, m = np.eye(n), len(self.seen)
-        of_w = np.eye(self.W.shape[1])
+        unit_w = np.eye(self.W.shape[1])
         zero, of_x = np.zeros(m), np.eye(m)
         Z, parts = self._first_memories(), []
         at = np.vstack([eye, Z, np.zeros((size - self.newest, n))])
@@ -412,10 +412,10 @@ class Loop:
         for p in range(0, len(self.cells), GRID):
             rows, owners, still, near = [], [], [], []
             for output, (c, of_Y, N) in enumerate(self.outputs()):
-                more, base = self._rows(p, c, of_Y, N, 0 * of_w[0], zero, 0.0)
-                units = [self._rows(p, c, of_Y, N, e, zero, 0.0)[1] - base for e in of_w]
-                units += [self._rows(p, c, of_Y, N, 0 * of_w[0], e, 0.0)[1] - base for e in of_x]
-                units += [self._rows(p, c, of_Y, N, 0 * of_w[0], zero, 1.0)[1] - base]
+                more, base = self._rows(p, c, of_Y, N, 0 * unit_w[0], zero, 0.0)
+                units = [self._rows(p, c, of_Y, N, e, zero, 0.0)[1] - base for e in unit_w]
+                units += [self._rows(p, c, of_Y, N, 0 * unit_w[0], e, 0.0)[1] - base for e in of_x]
+                units += [self._rows(p, c, of_Y, N, 0 * unit_w[0], zero, 1.0)[1] - base]
                 rows, still, near = [*rows, more], [*still, base], [*near, np.array(units).T]
                 owners += [output] * len(more)
             if p == 0:
@@ -423,7 +423,7 @@ class Loop:
                 commands = np.array([newest, newest - older])
                 rows.append(commands)
                 still.append(np.abs(commands @ self.Pi[0]) @ self.Y[:-1])
-                near.append(np.zeros((2, len(of_w) + m + 1)))
+                near.append(np.zeros((2, len(unit_w) + m + 1)))
                 owners += [m + 1, m + 2]
             lags, transient = [], []
             for _, of_w, others, _, before in self._periods(np.vstack(rows), p):

@@ -156,7 +156,7 @@ def attacked_members(seed, count, tried):
 
 
 def test_no_member_beats_the_bound():
-    assert np.median(attacked_members(3, 2, 3)) < 2
+    assert np.median(attacked_members(3, 1, 4)) < 2
 
 
 @pytest.mark.slow
@@ -235,8 +235,12 @@ def test_the_region_of_several_polytopes_is_in_all_of_theirs():
 
 
 def test_levels_help_away_from_the_nominal_constants(monkeypatch):
-    """A plant that is not the law's: with all derivatives cancelled the bound is twice as large."""
+    """Where the plant is not the law's, all derivatives cancelled give twice the bound.
+
+    The file's bounds of y_d are wide: what is cancelled and what y_d^(4) drives do not add up.
+    """
     system, point, attack = softest()
+    system = system.replace(reference=certrack.load("flexible-joint").reference)
     bound = bound_of(system, point)
     monkeypatch.setattr(levels, "levels_of", lambda _: [])
     assert bound_of(system, point) > 2 * bound > 2 * attack
