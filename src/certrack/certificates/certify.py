@@ -215,6 +215,7 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     implemented, implemented_proof = certify_implemented(
         system,
         from_start=True,
+        margins=effort != "fast",
         effort=effort,
         progress=lambda _, __, best: progress(METHOD_STEPS, STEPS, best),
     )

@@ -25,6 +25,7 @@ from certrack.certificates.implemented.from_starts import (
     from_starts,
 )
 from certrack.certificates.implemented.input_limits import is_limited
+from certrack.certificates.implemented.margins import PeriodMargins, period_margins
 from certrack.certificates.implemented.polytope import Polytope
 from certrack.certificates.implemented.proof import (
     ImplementedProof,
@@ -73,6 +74,8 @@ class ImplementedCertificate(Certificate):
     cells : int
         So many cells of the ranges of constants it is proven for, over all delays; none where
         nothing has a range.
+    margins : PeriodMargins or None
+        The slowest and the fastest period that is proven too, if that was asked for.
     """
 
     peak_input: float = math.inf
@@ -84,6 +87,7 @@ class ImplementedCertificate(Certificate):
     polytope: Polytope | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
     cells: int = 0
+    margins: PeriodMargins | None = None
 
     def admits(self, x0: Sequence[float] | np.ndarray) -> np.ndarray | bool:
         """Whether the bound is proven for runs from these starts.
@@ -117,6 +121,7 @@ def certify_implemented(
     system: System,
     *,
     from_start: bool = False,
+    margins: bool = False,
     effort: str = "default",
     progress: Progress = silent,
 ) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
@@ -127,6 +132,8 @@ def certify_implemented(
     system : System
     from_start : bool
         Find the peaks from x0 even if the input has no limits.
+    margins : bool
+        Search the slowest and the fastest period, too.
     effort : {"fast", "default", "high"}
         How many cells ranges of constants are cut into; ``fast`` makes one.
     progress : callable
@@ -157,6 +164,7 @@ def certify_implemented(
             if reason := limits_met(system, proofs):
                 raise NoCertificate(reason)
             evidence = from_starts(system, proofs) if limited or from_start else Findings(proofs)
+            periods = period_margins(system, proofs, limits_met) if margins else None
     except NoCertificate as refusal:
         return missing_implemented(str(refusal)), ()
     worst = max(range(len(proofs)), key=lambda i: from_text(proofs[i].bound))
@@ -179,6 +187,7 @@ def certify_implemented(
         polytope=evidence.polytope,
         parts=proven[worst][1],
         cells=sum(bool(proof.cell) for proof in proofs),
+        margins=periods,
     ), evidence.proofs if verified else ()
 
 
