@@ -292,3 +292,19 @@ def test_another_checker_agrees_on_random_loops():
             by_both(system)
             held += 1
     assert held > 3
+
+
+# Sampling margins ---------------------------------------------------------------------------------
+
+
+def test_sampling_margins_are_proven():
+    """The slowest and the fastest period serve; a little slower does not."""
+    system = on_a_drive("dual-motor-lean", 0.01, ("x2", "x4"))
+    found, _ = certify_implemented(system, margins=True)
+    margins, drive = found.margins, system.implementation
+    assert margins.bound == pytest.approx(2 * found.bound, rel=1e-9)
+    assert 0.02 < margins.slowest < 0.03 and margins.fastest == 0.00125
+    assert margins.faster_untried and not margins.slower_untried
+    for period, serves in ((margins.slowest, True), (1.05 * margins.slowest, False)):
+        other = system.replace(implementation=replace(drive, period=period))
+        assert (certify_implemented(other)[0].bound <= margins.bound) is serves
