@@ -212,7 +212,13 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     )
     progress(METHOD_STEPS, STEPS, None)
     stages = methods.stages
-    implemented, implemented_proof = certify_implemented(system, from_start=True)
+    implemented, implemented_proof = certify_implemented(
+        system,
+        from_start=True,
+        margins=effort != "fast",
+        effort=effort,
+        progress=lambda _, __, best: progress(METHOD_STEPS, STEPS, best),
+    )
     rests_on = premises_as_implemented(system) if implemented.verified else premises(system)
     result = Certificates(
         **methods.certificates,

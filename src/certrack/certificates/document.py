@@ -134,9 +134,17 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         "claim": claim_of(system, bound) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
-        "proof": [json.loads(json.dumps(asdict(stage))) for stage in stages],
+        "proof": [json.loads(json.dumps(_record(stage))) for stage in stages],
     }
     return body | {"sha256": _digest(body)}
+
+
+def _record(stage: Stage) -> dict[str, Any]:
+    """The numbers of a stage; the proof of a sampled loop without ranges has no cell."""
+    record = asdict(stage)
+    if isinstance(stage, ImplementedProof) and not stage.cell:
+        del record["cell"]
+    return record
 
 
 def save_certificate(system: System, stages: Sequence[Stage], path: str | os.PathLike[str]) -> None:
@@ -202,13 +210,39 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
         raise problem.within(name) from None
 
 
+def read_proofs(path: str | os.PathLike[str]) -> tuple[str, tuple[ImplementedProof, ...]]:
+    """The system's text and the proofs of the implemented loop in a file, which is verified first.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    system : str
+    proofs : tuple of ImplementedProof
+        Empty if it holds another kind of proof.
+
+    Raises
+    ------
+    InputError
+        If it is no certificate, or does not hold.
+    """
+    body = _read_document(Path(path))
+    verdict = verify(body)
+    if not verdict.verified:
+        raise InputError(str(path), f"is not verified: {verdict.reason}")
+    proofs = implemented_proofs(body["proof"]) if is_implemented(body) else ()
+    return body["system"], proofs
+
+
 def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     try:
         body = source if isinstance(source, dict) else _read_document(Path(source))
-        if _is_cover(body):
-            return _verify_cover(body)
         if is_implemented(body):
             return _verify_implemented(body)
+        if _is_cover(body):
+            return _verify_cover(body)
         stages = _stages(body)
         proof = stages[-1]
         if body["sha256"] != _digest(body):

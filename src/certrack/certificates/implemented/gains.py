@@ -172,7 +172,7 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     running, past = running_period(period, rows)
     heads = above(past, identity(period.size))
     of_period = kernel_columns(period, len(period.cells), smeared)
-    sums, samples, last = _sums(period, of_period, heads, doublings)
+    sums, samples, last = sums_of_periods(period, of_period, heads, doublings)
     count = len(rows)
     of_rows, each = (
         gains_table(of_period, drive.n, sums[:count]),
@@ -257,7 +257,7 @@ def gains_table(columns: KernelColumns, n: int, sums: np.ndarray) -> np.ndarray:
     return widened(np.hstack([w, r, samples, first]), size + len(columns.bend_weights) + 8)
 
 
-def _sums(
+def sums_of_periods(
     period: Period, of_period: KernelColumns, rows: flint.arb_mat, doublings: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sums of :func:`sums_over_time` over whole periods; what each sample adds; the rows after.

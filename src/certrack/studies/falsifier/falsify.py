@@ -10,7 +10,7 @@ replayed there.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from certrack.certificates import Certificate
 from certrack.certificates.implemented.certify import certify_implemented
@@ -29,6 +29,7 @@ from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
 from certrack.studies.falsifier.evolution import Search
 from certrack.studies.falsifier.linear.search import (
     LinearCase,
+    NothingTried,
     continuous_case,
     sampled_case,
     tail_error,
@@ -114,6 +115,9 @@ class Falsification:
         How the worst run ended, where it did not reach its end.
     drive : DriveFalsification or None
         The worst case of the loop as the file's implementation carries it out, where it is linear.
+    left_out : mapping of str to str
+        Why the kernels of the continuous loop (``"kernels"``) or of the implemented one
+        (``"drive"``) were not tried.
     """
 
     worst_error: float
@@ -127,6 +131,7 @@ class Falsification:
     origin: str = "search"
     stopped: str | None = None
     drive: DriveFalsification | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         proven = "none" if self.against is None else rounded_up(self.against.bound, 4)
@@ -185,9 +190,18 @@ def falsify(
     progress(0, budget, None)
     methods = every_certificate(system)
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
-    drive = None if system.implementation is None else _of_drive(system, bounds)
+    left_out: dict[str, str] = {}
+    drive = linear = None
+    if system.implementation is not None:
+        try:
+            drive = _of_drive(system, bounds)
+        except NothingTried as refusal:
+            left_out["drive"] = str(refusal)
     system = system.replace(implementation=None)
-    linear = continuous_case(system, bounds)
+    try:
+        linear = continuous_case(system, bounds)
+    except NothingTried as refusal:
+        left_out[KERNELS] = str(refusal)
     cases, evaluations = {OWN: system}, 0
     search = _search(_worst_member(system, linear), linear, budget, progress)
     if search is not None:
@@ -221,6 +235,7 @@ def falsify(
         origin=worst,
         stopped=_stopped(runs[worst]),
         drive=drive,
+        left_out=left_out,
     )
 
 
@@ -247,11 +262,9 @@ def _worst_member(system: System, linear: LinearCase | None) -> System:
     return system.replace(truth=truth)
 
 
-def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification | None:
+def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification:
     """The worst case of the loop as it is implemented, and its certificate."""
     case = sampled_case(system, bounds)
-    if case is None:
-        return None
     certificate: Certificate = certify_implemented(system)[0]
     broken = contradicted(premises(system))  # what an implementation adds never is
     if broken and certificate.exists:
