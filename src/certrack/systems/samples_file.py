@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from certrack.core.errors import InputError
-from certrack.references.shapes import TIME_UNITS
+from certrack.references.samples import TIME_UNITS
 
 #: Separators in the order in which they are tried; None stands for blanks.
 SEPARATORS = (";", "\t", ",", None)

@@ -155,7 +155,7 @@ def _truth_table(truth: Truth) -> dict[str, Any]:
 
 
 def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
-    if isinstance(reference, SymbolicReference):
+    if isinstance(reference, SymbolicReference) and not reference.fields:
         signal: Any = reference.signal
         constants = {name: value.expr for name, value in reference.constants}
         if any(plant.constant_values.get(name) != value for name, value in constants.items()):
@@ -163,7 +163,7 @@ def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
                 "reference.signal", reference.numeric, ["t"]
             )  # the file has no such name
         values = {"signal": signal, "bounds": reference.declared}
-    elif isinstance(reference, PiecewiseReference):
+    elif isinstance(reference, (PiecewiseReference, SymbolicReference)):
         values = dict(reference.fields)
     else:  # its fields are its keys
         kind = kind_of(reference)
