@@ -20,6 +20,7 @@ from certrack.certificates.methods import (
     QUADRATIC_KINDS,
     RANGE_KINDS,
     Proofs,
+    certify_semidefinite,
     every_certificate,
     smallest,
 )
@@ -30,6 +31,7 @@ from certrack.certificates.ranges.costs import ConstantCost
 from certrack.certificates.ranges.proofs import CellProof
 from certrack.certificates.ranges.strength import RangeStrength
 from certrack.certificates.ranges.tube import range_tube
+from certrack.certificates.scope import has_ranges
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
 from certrack.core import checks
@@ -213,13 +215,14 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     progress(METHOD_STEPS, STEPS, None)
     stages = methods.stages
     implemented, implemented_proof = certify_implemented(system, from_start=True)
-    rests_on = premises_as_implemented(system) if implemented.verified else premises(system)
+    later = system.long_run
+    rests_on = premises_as_implemented(system) if implemented.verified else premises(later)
     result = Certificates(
         **methods.certificates,
         proof=next(iter(methods.stages_of("semidefinite")), None),
         cascade_proof=methods.stages_of("cascade") or None,
-        critical_published=critical_strength(system),
-        critical_semidefinite=critical_semidefinite(system, methods.certificates["semidefinite"]),
+        critical_published=critical_strength(later),
+        critical_semidefinite=critical_semidefinite(later, methods.certificates["semidefinite"]),
         tube=None if contradicted(rests_on) else _tube(system, stages, methods.ranges.vertex_proof),
         premises=rests_on,
         tightest=methods.tightest,
@@ -235,7 +238,14 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
 
 
 def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:
-    """The tube of the nominal loop's certificate, or of one quadratic function for all ranges."""
+    """The tube of the nominal loop's certificate, or of one quadratic function for all ranges.
+
+    A soft start is part of what happens from a start, so there it is of a certificate that counts
+    it, too.
+    """
+    if system.long_run is not system:
+        proof = None if has_ranges(system) else certify_semidefinite(system)[1]
+        return None if proof is None else tube(system, proof)
     if vertex_proof is not None:
         return range_tube(system, vertex_proof)
     return tube(system, stages) if stages else None

@@ -30,6 +30,7 @@ from certrack.references.registry import check_reference, known_references
 from certrack.references.registry import register_reference as register
 from certrack.references.samples import samples
 from certrack.references.shapes import profile, steps, trapezoid, triangle
+from certrack.references.soft_start import SoftStart
 from certrack.references.symbolic import SymbolicReference
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "Key",
     "PiecewiseReference",
     "Reference",
+    "SoftStart",
     "SymbolicReference",
     "check_fields",
     "check_reference",

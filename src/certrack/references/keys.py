@@ -53,6 +53,15 @@ _LIMITS = {
     )
 }
 
+#: Of every reference.
+TRANSIENT = Key(
+    "number",
+    help="soft start: in this time the reference is joined from the state at the start",
+    unit="s",
+    above=0,
+    otherwise="none",
+)
+
 #: A reference given by a formula has no kind; these are its keys.
 FORMULA_KEYS: dict[str, Key] = {
     "signal": Key("formula", help="y_d, a formula of t", required=True),
@@ -64,6 +73,7 @@ FORMULA_KEYS: dict[str, Key] = {
         least=0,
         otherwise="proven",
     ),
+    "transient": TRANSIENT,
 }
 
 

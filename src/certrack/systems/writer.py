@@ -21,7 +21,7 @@ from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth
-from certrack.references import PiecewiseReference, Reference, SymbolicReference
+from certrack.references import PiecewiseReference, Reference, SoftStart, SymbolicReference
 from certrack.references.registry import kind_of
 from certrack.systems.system import System, require_system
 
@@ -155,6 +155,8 @@ def _truth_table(truth: Truth) -> dict[str, Any]:
 
 
 def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
+    if isinstance(reference, SoftStart):
+        return _reference_table(reference.target, plant) | {"transient": reference.transient}
     if isinstance(reference, SymbolicReference) and not reference.fields:
         signal: Any = reference.signal
         constants = {name: value.expr for name, value in reference.constants}

@@ -16,7 +16,8 @@ from certrack.core.errors import InputError
 from certrack.references.exact import exact
 from certrack.references.extremes import largest
 from certrack.references.piecewise import PiecewiseReference
-from certrack.references.profiles.moves import LIMITS, Move, assembled, checked_limits, on_grid
+from certrack.references.profiles.moves import Move, assembled, checked_limits, on_grid
+from certrack.references.profiles.shortest import LIMITS
 
 #: Degrees of a move: up to four derivatives are continuous.
 DEGREES = (3, 5, 7, 9)

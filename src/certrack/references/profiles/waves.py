@@ -121,4 +121,4 @@ def _stated(
     kind: str, signal: str, written: dict[str, Any], more: dict[str, Any], bound: float | None
 ) -> SymbolicReference:
     fields = (("kind", kind), *written.items(), *more.items())
-    return SymbolicReference(signal, bound=bound, fields=fields)
+    return SymbolicReference(signal, bound=bound, fields=fields)  # type: ignore[arg-type]

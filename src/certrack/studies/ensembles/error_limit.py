@@ -22,6 +22,7 @@ from certrack.core import checks
 from certrack.model.distribution import Distribution
 from certrack.model.disturbance import Multisine
 from certrack.model.population import Population
+from certrack.references import SoftStart
 from certrack.systems.system import System
 
 
@@ -63,6 +64,9 @@ def limit_and_starts(
         sampled, _ = certify_implemented(system)
         if sampled.exists and sampled.starts != NO_START:
             proven = None if sampled.starts == ANY_START else sampled
+            if proven is not None and isinstance(system.reference, SoftStart):
+                what = "from the starts that are proven, each member has its own soft start"
+                return None, f"no certificate covers the population: {what}", None
             return sampled.bound, "certificate", proven
         return None, f"no certificate covers the sampled loop: {sampled.reason}", None
     bound = best_sound_bound(system)

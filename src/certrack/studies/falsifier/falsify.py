@@ -183,6 +183,7 @@ def falsify(
             remedy="Give the truth in the design's form, or vary it by certrack ensemble",
         )
     progress(0, budget, None)
+    system = system.long_run  # a soft start has vanished where the worst error is sought
     methods = every_certificate(system)
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
     drive = None if system.implementation is None else _of_drive(system, bounds)

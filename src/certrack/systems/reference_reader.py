@@ -1,0 +1,89 @@
+"""The reference of a system file: a formula, a kind with its keys, or a file of samples."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.references import Reference, SoftStart, SymbolicReference, known_references
+from certrack.references.keys import TRANSIENT
+from certrack.systems.keys import reference_keys
+from certrack.systems.samples_file import SamplesFile, check_time_unit, read_samples
+from certrack.systems.tables import read_bytes, read_values, refuse_keys_of_another
+
+
+def read_reference(
+    table: Any, constants: Mapping[str, Any], folder: Path | None, duration: float
+) -> Reference:
+    """The reference that ``[reference]`` states.
+
+    Parameters
+    ----------
+    table : object
+        What the file has there.
+    constants : mapping
+        Those of the plant.
+    folder : Path, optional
+        Where files of samples lie.
+    duration : float, s
+        Of the run.
+    """
+    if not isinstance(table, dict):
+        raise InputError("reference", "must be a table [reference]", table)
+    if "transient" in table:
+        entries = dict(table)
+        transient = TRANSIENT.evaluated("reference.transient", entries.pop("transient"), constants)
+        return SoftStart(read_reference(entries, constants, folder, duration), transient)
+    if "signal" in table:
+        values = read_values("reference", table, constants)
+        return SymbolicReference(
+            signal=values["signal"],
+            bound=values.get("bound"),
+            declared=values.get("bounds"),
+            constants=tuple(constants.items()),
+        )
+    if "kind" not in table:
+        raise InputError("reference", "must have a signal or a kind", sorted(table))
+    kinds = known_references()
+    kind = checks.choice("reference.kind", table["kind"], kinds)
+    entries = dict(table)
+    file = entries.pop("file", None) if kind == "samples" else None
+    if file is not None:
+        for name in ("times", "values"):
+            if name in entries:
+                raise InputError(f"reference.{name}", "must be left out beside reference.file")
+        samples = _samples_of_file(file, folder)
+        if "time_unit" not in entries:
+            check_time_unit(str(file), samples, duration)
+        entries |= {"times": samples.times, "values": samples.values}
+    keys = {name: reference_keys(name) for name in kinds}
+    refuse_keys_of_another("reference", entries, "reference", keys)
+    values = read_values("reference", entries, constants, keys[kind])
+    del values["kind"]
+    try:
+        return kinds[kind].make(**values)
+    except InputError as problem:
+        row = re.fullmatch(r"reference\.(?:times|values)\[(\d+)\]", problem.key)
+        if file is None or row is None:
+            raise
+        what = f"row {samples.rows[int(row[1])]} of {file}: {problem.expected}"
+        raise InputError("reference.file", what, problem.got) from None
+
+
+def _samples_of_file(name: Any, folder: Path | None) -> SamplesFile:
+    """Times and values from a CSV file beside the system file."""
+    key = "reference.file"
+    relative = PurePosixPath(checks.text(key, name))
+    if folder is None or relative.is_absolute() or ".." in relative.parts or "\\" in str(name):
+        raise InputError(key, "must lie beside the system file or below it", name)
+    try:
+        data = read_bytes(folder / relative)
+    except OSError as problem:
+        raise InputError(
+            key, f"cannot be read ({problem.strerror}) in {folder.resolve()}", name
+        ) from None
+    return read_samples(str(relative), data)
