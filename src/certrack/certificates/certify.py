@@ -12,6 +12,7 @@ from certrack.certificates.implemented.certify import (
     missing_implemented,
 )
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
+from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.methods import (
@@ -214,9 +215,10 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     )
     progress(METHOD_STEPS, STEPS, None)
     stages = methods.stages
-    implemented, implemented_proof = certify_implemented(system, from_start=True)
+    implemented, implemented_proof = _implemented(system)
     later = system.long_run
-    rests_on = premises_as_implemented(system) if implemented.verified else premises(later)
+    as_run = system if is_limited(system) else later
+    rests_on = premises_as_implemented(as_run) if implemented.verified else premises(later)
     result = Certificates(
         **methods.certificates,
         proof=next(iter(methods.stages_of("semidefinite")), None),
@@ -235,6 +237,17 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     )
     progress(STEPS, STEPS, None)
     return _unverified(result) if result.contradicted else result
+
+
+def _implemented(
+    system: System,
+) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
+    """That of the loop as it runs; without limits of the input a soft start counts from x0 only."""
+    found, proofs = certify_implemented(system, from_start=True)
+    if system.long_run is system or is_limited(system):
+        return found, proofs
+    later, later_proofs = certify_implemented(system.long_run)
+    return replace(later, start=found.start, peaks=found.peaks), later_proofs
 
 
 def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:

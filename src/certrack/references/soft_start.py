@@ -20,7 +20,14 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, symbol
 from certrack.core.keys import set_fields
-from certrack.references.base import Bounds, Reference, bound_of, round_up
+from certrack.references.base import (
+    Bounds,
+    Reference,
+    bound_of,
+    jumps,
+    lipschitz_bound,
+    round_up,
+)
 from certrack.references.exact import exact, nearest
 from certrack.references.extremes import largest
 from certrack.references.piecewise import SAME_TIME
@@ -102,11 +109,36 @@ class SoftStart(Reference):
     def bound_of(self, i: int) -> tuple[float, str]:
         """Y_i alone, and where it comes from."""
         value, origin = bound_of(self.target, i)
+        added = self._transient(i)
+        return round_up(value + added), "proven" if origin == "exact" and added else origin
+
+    def _transient(self, i: int) -> float:
+        """The largest |p^(i)|, rounded up."""
         p = fmpq_poly([0])
         for gap, polynomial in zip(self._own_gaps, self._basis, strict=True):
             p += exact(gap) * polynomial
-        added = largest(p, i, exact(self.transient))
-        return round_up(value + added), "proven" if origin == "exact" and added else origin
+        return largest(p, i, exact(self.transient))
+
+    def lipschitz_bound(self, order: int, *, between_jumps: bool = False) -> float | None:
+        """That of y_d^(order); see :func:`certrack.references.lipschitz_bound`."""
+        if order > self.order or (order == self.order and not between_jumps):
+            return None
+        jumping = order == self.target.order and between_jumps
+        slope = lipschitz_bound(self.target, order, between_jumps=jumping)
+        return None if slope is None else round_up(slope + self._transient(order + 1))
+
+    def jumps(self, order: int) -> tuple[float, float] | None:
+        """Those of y_d^(order); where the transient ends they may be near those of the target."""
+        if order != self.order or not self.start:
+            return None
+        ends = self._transient(order)
+        known = jumps(self.target, order)
+        if known is None:
+            return ends, math.inf
+        near = np.asarray(self.target.breaks(0.0, 2 * self.transient + known[1]), dtype=float)
+        apart = np.abs(near - self.transient)
+        apart = apart[apart > SAME_TIME * max(1.0, self.transient)]  # else both jumps are one
+        return round_up(ends + known[0]), float(apart.min(initial=known[1])) * (1 - 1e-9)
 
     def breaks(self, start: float, end: float) -> np.ndarray:
         known = np.asarray(self.target.breaks(start, end), dtype=float)
@@ -133,7 +165,7 @@ class SoftStart(Reference):
         for name, polynomial in zip(self._gap_symbols, self._basis, strict=True):
             for i in range(order + 1):
                 terms = (
-                    sympy.Float(nearest(f), 17) * TIME**k
+                    sympy.Rational(*nearest(f).as_integer_ratio()) * TIME**k
                     for k, f in enumerate(polynomial.coeffs())
                     if f != 0
                 )

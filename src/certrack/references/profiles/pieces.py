@@ -43,7 +43,7 @@ def pieces(
     --------
     >>> from certrack.references.profiles.pieces import pieces
     >>> pieces((0, 1, 2), ((0, 0, 1), (1, 2, -1))).order
-    1.0
+    2.0
     """
     times = checks.reals("reference.times", times, None, "times between the pieces, s")
     table = checks.sequence("reference.coefficients", coefficients, len(times) - 1, "one per piece")

@@ -2,16 +2,65 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
+
+from flint import fmpq
 
 from certrack.core import checks
 from certrack.core.errors import InputError
+from certrack.core.rationals import float_above
+from certrack.references.base import require_order, round_up
+from certrack.references.extremes import largest
 from certrack.references.profiles.polynomial import smooth_step
 from certrack.references.symbolic import SymbolicReference
 
 #: More sines than this are refused.
 MAX_SINES = 50
+
+
+@dataclass(frozen=True)
+class SweptSine(SymbolicReference):
+    """offset + A sin(phi(t)), whose bounds follow from those of phi', phi'', ...
+
+    The n-th derivative of e^(i phi) is e^(i phi) times the complete Bell polynomial of i phi',
+    i phi'', ...; its real and imaginary part are bounded term by term.
+    """
+
+    def bound_of(self, i: int) -> tuple[float, str]:
+        """Y_i alone, and where it comes from."""
+        require_order(self, i, "the bound asked for")
+        return self._size(i), "proven"
+
+    def lipschitz_bound(self, order: int, *, between_jumps: bool = False) -> float | None:
+        """That of y_d^(order); see :func:`certrack.references.lipschitz_bound`."""
+        if order > self.order or (order == self.order and not between_jumps):
+            return None
+        return self._size(order + 1)
+
+    def _size(self, i: int) -> float:
+        """Upper bound of |y_d^(i)| between the jumps, i >= 0."""
+        stated = dict(self.fields)
+        amplitude = abs(Fraction(stated["amplitude"]))
+        if i == 0:
+            return float_above(abs(Fraction(stated.get("offset", 0.0))) + amplitude)
+        low, high = map(Fraction, stated["frequencies"])
+        step, pace = smooth_step(2 * stated.get("smoothness", 0) + 1), Fraction(stated["duration"])
+        rates = [max(low, high)]
+        for k in range(1, i):
+            steepest = Fraction(largest(step, k, fmpq(1)))
+            rates.append(abs(high - low) * steepest / pace**k)
+        sizes = [(Fraction(1), Fraction(0))]  # of the real and the imaginary part
+        for n in range(i):
+            terms = [(math.comb(n, k) * rates[k], sizes[n - k]) for k in range(n + 1)]
+            real = sum((rate * size[1] for rate, size in terms), Fraction(0))
+            imaginary = sum((rate * size[0] for rate, size in terms), Fraction(0))
+            sizes.append((real, imaginary))
+        real, imaginary = sizes[i]
+        return round_up(math.sqrt(amplitude**2 * (real**2 + imaginary**2)))
 
 
 def chirp(
@@ -21,7 +70,7 @@ def chirp(
     offset: float = 0.0,
     smoothness: int = 0,
     bound: float | None = None,
-) -> SymbolicReference:
+) -> SweptSine:
     """A sine whose frequency goes from one value to another, and then stays.
 
     Parameters
@@ -42,7 +91,7 @@ def chirp(
 
     Returns
     -------
-    SymbolicReference
+    SweptSine
 
     Examples
     --------
@@ -64,7 +113,9 @@ def chirp(
     signal = f"{offset!r} + {amplitude!r}*sin({low!r}*{t} + {change})"
     written = {"amplitude": amplitude, "frequencies": (low, high), "duration": duration}
     more = {"offset": offset, "smoothness": smoothness}
-    return _stated("chirp", signal, written, {k: v for k, v in more.items() if v}, bound)
+    kept = {k: v for k, v in more.items() if v}
+    fields = (("kind", "chirp"), *written.items(), *kept.items())
+    return SweptSine(signal, bound=bound, fields=fields)  # type: ignore[arg-type]
 
 
 def multisine(
@@ -114,11 +165,6 @@ def multisine(
         f"{a!r}*sin({w!r}*t + {p})" for a, w, p in zip(amplitudes, frequencies, angles, strict=True)
     )
     signal = " + ".join([repr(offset), *sines])
-    return _stated("multisine", signal, written, {"offset": offset} if offset else {}, bound)
-
-
-def _stated(
-    kind: str, signal: str, written: dict[str, Any], more: dict[str, Any], bound: float | None
-) -> SymbolicReference:
-    fields = (("kind", kind), *written.items(), *more.items())
+    written |= {"offset": offset} if offset else {}
+    fields = (("kind", "multisine"), *written.items())
     return SymbolicReference(signal, bound=bound, fields=fields)  # type: ignore[arg-type]
