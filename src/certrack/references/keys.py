@@ -276,6 +276,17 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
                 help="instead of times and values: CSV file beside the system file, time and y_d",
                 otherwise="none",
             ),
+            "columns": Key(
+                "texts",
+                help="which columns of file: names in its header, or numbers from 1",
+                shape="time, y_d",
+                otherwise="the only two",
+            ),
+            "value_unit": Key(
+                "text",
+                help="unit of the values in file, e.g. mm where plant.units has m",
+                otherwise="that of the output",
+            ),
         },
     ),
 }

@@ -221,7 +221,13 @@ def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
     return System(
         plant=plant,
         law=_read_law(tables["law"], constants),
-        reference=read_reference(tables["reference"], constants, folder, settings.duration),
+        reference=read_reference(
+            tables["reference"],
+            constants,
+            folder,
+            settings.duration,
+            plant.units[0] if plant.units else "",
+        ),
         truth=_read_truth(tables["truth"], plant),
         settings=settings,
         title=checks.text("title", tables.get("title", "")),
