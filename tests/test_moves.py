@@ -5,10 +5,12 @@ import math
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import certrack
 from certrack.cli import main
+from certrack.cli.report import SHOWN_MOVES, moves_table
+from certrack.core.errors import InputError
+from certrack.plotting import reference_figure
 from certrack.references import SymbolicReference, scurve, steps, triangle
 from certrack.references.rests import MoveTimes, moves_of
 from certrack.simulation.moves import MOVE_LABELS, measure_moves
@@ -82,8 +84,8 @@ def test_without_a_dwell_there_is_one_move():
     assert (move.origin, move.target) == (0.0, 0.5)
 
 
-def test_a_run_measures_its_moves_and_the_command_prints_them():
-    system = certrack.load("point-to-point").with_settings(duration=2.0, tail=None)
+def test_a_run_measures_its_moves():
+    system = certrack.load("point-to-point").with_settings(duration=1.9, tail=None)
     run = certrack.simulate(system)
     first, second = run.moves
     assert first.origin == 0.0
@@ -95,25 +97,42 @@ def test_a_run_measures_its_moves_and_the_command_prints_them():
     assert run.summary()["moves"] == [move.as_dict() for move in run.moves]
 
 
-def test_the_command_prints_moves():
-    runner = CliRunner()
-    shown = runner.invoke(main, ["simulate", "point-to-point"], env={"COLUMNS": "130"})
-    assert shown.exit_code == 0
+def printed(capfd, *arguments):
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 0
+    return capfd.readouterr().out
+
+
+def test_the_command_prints_moves(capfd, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "130")
+    shown = printed(capfd, "simulate", "point-to-point")
     for label in MOVE_LABELS.values():
-        assert label in shown.output
-    found = json.loads(runner.invoke(main, ["simulate", "point-to-point", "--json"]).stdout)
+        assert label in shown
+    found = json.loads(printed(capfd, "simulate", "point-to-point", "--json"))
     assert len(found["moves"]) == 6
-    assert found["moves"][0]["target"] == 0.4
-    without = json.loads(runner.invoke(main, ["simulate", "dual-motor-lean", "--json"]).stdout)
-    assert without["moves"] == []
+    assert found["moves"][0]["target"] == pytest.approx(0.4)
 
 
 def test_of_many_moves_the_table_shows_the_first_and_the_largest():
-    from certrack.cli.report import SHOWN_MOVES, console, moves_table
-
     rows = [dict.fromkeys(MOVE_LABELS, float(i)) for i in range(40)]
     rows[-1]["settling_time"] = None
-    with console().capture() as captured:
-        console().print(moves_table(rows))
-    assert "largest of 40" in captured.get()
-    assert moves_table(rows).row_count == SHOWN_MOVES + 1
+    made = moves_table(rows)
+    assert made.row_count == SHOWN_MOVES + 1
+    last = [list(column.cells)[-1] for column in made.columns]
+    assert last == ["largest of 40", "", "", "", "39", "39", "38", "39"]
+
+
+def test_the_picture_of_a_reference_has_a_panel_per_derivative_and_its_bounds():
+    made = scurve((0, 1), speed=1, acceleration=4, jerk=40)
+    drawing = reference_figure({"fast": made}, 2.0, unit="m")
+    labels = [axes.get_ylabel() for axes in drawing.axes]
+    assert labels == ["position [m]", "speed [m/s]", "acceleration [m/s²]", "jerk [m/s³]"]
+    for i, axes in enumerate(drawing.axes):
+        heights = {round(abs(line.get_ydata()[0]), 9) for line in axes.lines[1:]}
+        assert heights == {round(made.bounds(i).values[i], 9)}
+    assert len(reference_figure({"": made}, 2.0, order=1, bounds=False).axes) == 2
+    with pytest.raises(InputError, match="at least one"):
+        reference_figure({}, 1.0)
+    with pytest.raises(InputError, match="order"):
+        reference_figure({"": made}, 1.0, order=4)
