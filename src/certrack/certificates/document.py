@@ -23,6 +23,7 @@ from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.implemented.certify import claim_of, failed_cover, largest_bound
 from certrack.certificates.implemented.document import implemented_proofs, is_implemented
+from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.premise import Premise, contradicted
@@ -122,6 +123,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         raise InputError("stages", "there is no proof to save")
     cells = tuple(stage for stage in stages if isinstance(stage, CellProof))
     sampled = tuple(stage for stage in stages if isinstance(stage, ImplementedProof))
+    system = system if sampled and is_limited(system) else system.long_run
     rests_on = premises_as_implemented(system) if sampled else premises(system)
     if broken := contradicted(rests_on):
         raise InputError("premises", f"the truth contradicts one: {broken[0]}")

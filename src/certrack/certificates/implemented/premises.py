@@ -14,6 +14,7 @@ from certrack.core.rounding import rounded_up
 from certrack.model.implementation import Implementation
 from certrack.references import SymbolicReference
 from certrack.references.base import Reference, lipschitz_bound
+from certrack.references.soft_start import long_run
 from certrack.systems.system import System
 
 #: Names, in the order of the list; they stand in the place of the continuous law's.
@@ -109,6 +110,7 @@ def _status(reference: Reference, order: int) -> str:
     """What is known of the Lipschitz constant of y_d^(order)."""
     if not type(reference).__module__.startswith("certrack."):
         return ASSUMED
+    reference = long_run(reference)  # what a soft start adds is exact
     declared = getattr(reference, "declared", None)
     if (
         declared is None

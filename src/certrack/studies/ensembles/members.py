@@ -27,11 +27,11 @@ from certrack.model.names import refuse_prefix
 from certrack.model.plant import Plant
 from certrack.model.sampling import MAX_MEMBERS, probabilities
 from certrack.model.truth import Truth
-from certrack.references import SymbolicReference
+from certrack.references import SoftStart, SymbolicReference
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import Simulator
 from certrack.studies.ensembles.corners import FIRST_CORNER, constants_at, count_of, ranges_of
-from certrack.systems.system import System, require_system
+from certrack.systems.system import System, output_derivatives, require_system
 
 #: Members and times at which the pattern of a registered disturbance is looked at.
 CHECKED_MEMBERS, CHECKED_TIMES = 64, 257
@@ -261,7 +261,16 @@ class Members:
             drawn = draws.get(name if name.startswith("member_") else f"constants.{name}")
             if drawn is not None:
                 columns[f"true_constants_{i}"] = drawn
+        columns |= self._joined(starts[:n])
         return starts, {symbol(name): values for name, values in columns.items()}
+
+    def _joined(self, x0: np.ndarray) -> dict[str, np.ndarray]:
+        """A soft start begins where each member does."""
+        reference = self.template.reference
+        if not isinstance(reference, SoftStart):
+            return {}
+        begins = output_derivatives(self.system.plant)[: len(reference.start)] @ x0
+        return {f"ref_gap_{i}": row for i, row in enumerate(reference.gaps(begins))}
 
     def _derived(self, draws: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
         """Numbers of the plant that follow from its varying constants."""
