@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 from certrack.certificates.ranges.cells import Cell
-from certrack.certificates.ranges.loop import RANGED_GAIN, RangedLoop
+from certrack.certificates.ranges.formulas import RANGED_GAIN
+from certrack.certificates.ranges.loop import RangedLoop
 from certrack.core.errors import InputError
 from certrack.core.expressions import number
 from certrack.model.ranges import ConstantRange, check_sign_at_ends

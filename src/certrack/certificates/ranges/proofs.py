@@ -229,7 +229,7 @@ def check_cells(system: System, proofs: Sequence[CellProof], bound: str) -> str:
     if not cells_fill(cells, prover.box):
         return "the cells do not cover the ranges"
     count = len(prover.box) - prover.loop.moving
-    if any(cell[count:] != prover.box[count:] for cell in cells):
+    if not all(_contains(cell[count:], prover.box[count:]) for cell in cells):
         return "a cell cuts the slope of a nonlinear term, which varies in time"
     for proof in proofs:
         if from_text(proof.bound) > from_text(bound):
@@ -241,9 +241,7 @@ def check_cells(system: System, proofs: Sequence[CellProof], bound: str) -> str:
 
 def cells_fill(cells: Sequence[Cell], box: Cell) -> bool:
     """Whether every point of the box is in one of the cells."""
-    if any(
-        all(c <= a and b <= d for (a, b), (c, d) in zip(box, cell, strict=True)) for cell in cells
-    ):
+    if any(_contains(cell, box) for cell in cells):
         return True
     touching = [
         cell
@@ -259,3 +257,7 @@ def cells_fill(cells: Sequence[Cell], box: Cell) -> bool:
                         cells_fill(touching, (*box[:i], part, *box[i + 1 :])) for part in parts
                     )
     return False
+
+
+def _contains(cell: Cell, box: Cell) -> bool:
+    return all(c <= a and b <= d for (a, b), (c, d) in zip(box, cell, strict=True))
