@@ -210,8 +210,9 @@ def _largest(function: sympy.Expr, states: Sequence[sympy.Symbol], bracket: symp
         size = mp.inf
     if not mp.isfinite(size):
         raise NoCertificate(
-            f"{function} is unbounded, and the law cancels it only where {bracket} is zero; "
-            "narrow plant.ranges to the constants that do not move it, or use the adaptive law"
+            f"{function} is unbounded, and the law cancels it only where {bracket} is zero; what "
+            "is bounded, or a state times something bounded, is covered; narrow plant.ranges to "
+            "the constants that do not move it, or use the adaptive law"
         )
     return exact_float(float(size), rational)  # exactly: mpmath's ends have 53 bits
 

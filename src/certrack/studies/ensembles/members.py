@@ -30,7 +30,14 @@ from certrack.model.truth import Truth
 from certrack.references import SymbolicReference
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import Simulator
-from certrack.studies.ensembles.corners import FIRST_CORNER, constants_at, count_of, ranges_of
+from certrack.studies.ensembles.corners import (
+    FIRST_CORNER,
+    constant_ranges_of,
+    count_of,
+    draws_at_corners,
+    moved_parameters,
+    ranges_of,
+)
 from certrack.systems.system import System, require_system
 
 #: Members and times at which the pattern of a registered disturbance is looked at.
@@ -117,6 +124,7 @@ class Members:
         self._constants = tuple(true_constants(self.template))
         self.loop: ClosedLoop = close_loop(self.template)
         self.base = parameter_values(self.loop, self.template)
+        self._moved_at_corners = moved_parameters(system)
         self._refuse_large_patterns()
 
     def _refuse_unscalable(self) -> None:
@@ -154,19 +162,14 @@ class Members:
         So it is a number of each member, and the corners of the ranges can have another.
         """
         drawn, true = dict(self.population.constants), true_constants(self.system)
-        ranges = ranges_of(self.system)
+        ranges = constant_ranges_of(self.system)
         others = {n: Distribution("fixed", (true[n],)) for n in ranges if n not in drawn}
-        return drawn | (others if count_of(ranges) else {})
+        return drawn | (others if count_of(ranges_of(self.system)) else {})
 
     def draws(self, begin: int, end: int) -> dict[str, np.ndarray]:
         """Every drawn number of the members begin ... end-1, or of some corners, by name."""
         if begin >= FIRST_CORNER:
-            ranges = ranges_of(self.system)
-            count = count_of(ranges)  # registers are filled with corners from the first on
-            corners = np.arange(begin - FIRST_CORNER, end - FIRST_CORNER) % count
-            drawn = {name: values[corners] for name, values in self.draws(0, count).items()}
-            values = constants_at(ranges, corners)
-            return drawn | {f"constants.{name}": column for name, column in values.items()}
+            return draws_at_corners(self.system, self.draws, begin, end)
         free = [name for name, entry in self.columns.items() if not entry.fixed]
         table = probabilities(self.population.sampling, self.seed, begin, end, len(free))
         p = dict(zip(free, table, strict=True))
@@ -202,7 +205,7 @@ class Members:
         """
         count = count_of(ranges_of(self.system))
         if not count:
-            message = "there are no corners: they are run for 1 to 6 constants in [plant.ranges]"
+            message = "there are no corners: they are run for 1 to 6 ranges in [plant.ranges]"
             raise InputError("corner", message, index)
         checks.integer("corner", index, 0, count - 1)
         return self._written(FIRST_CORNER + index)
@@ -261,6 +264,9 @@ class Members:
             drawn = draws.get(name if name.startswith("member_") else f"constants.{name}")
             if drawn is not None:
                 columns[f"true_constants_{i}"] = drawn
+        for i, name in enumerate(map(str, self.loop.parameters)):
+            if name in self._moved_at_corners:  # else as in the truth
+                columns.setdefault(name, np.full(count, self.base[i]))
         return starts, {symbol(name): values for name, values in columns.items()}
 
     def _derived(self, draws: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
