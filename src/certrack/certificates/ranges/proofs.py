@@ -21,12 +21,14 @@ from certrack.certificates.formulation import adaptation_of
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.ranges.cells import Cell
 from certrack.certificates.ranges.coefficients import Coefficients
+from certrack.certificates.ranges.estimates import estimated_peak_gains
 from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
 from certrack.certificates.ranges.peak import peak_bound
 from certrack.certificates.ranges.rational import MAX_HULL_POINTS, RationalVector
 from certrack.certificates.ranges.vertices import (
     ProblemMaker,
     VertexProgram,
+    VertexSolution,
     prove_vertices,
 )
 from certrack.certificates.semidefinite import best_solution
@@ -94,19 +96,28 @@ class RangeProver:
         return CellProof(texts(cell), proofs[0].bound, proofs)
 
     def holds(self, cell: Cell) -> bool:
-        """Whether a cell has a proof at all, of whatever bound: a quadratic function or peak gains.
-
-        A small alpha asks least of the loop.
-        """
+        """Whether a cell has a proof at all, by a quadratic function or by peak gains."""
         if self.by_peak_gains and self.peak(cell) is not None:
             return True
         try:
             problems = self.problems(cell)
         except NoCertificate:
             return False
-        program = VertexProgram([p.in_floats() for p in problems])
-        solution = program.solve(SLOW_RATE * program.fastest) if program.fastest > 0 else None
+        solution = _slow_solution(problems)
         return solution is not None and prove_vertices(problems, solution) is not None
+
+    def promises(self, cell: Cell) -> bool:
+        """Whether `holds` is to be expected, by floats alone: no proof of anything."""
+        if self.by_peak_gains:
+            try:
+                peak_bound(self.loop, self.coefficients, cell, estimated_peak_gains)
+                return True
+            except NoCertificate:
+                pass
+        try:
+            return _slow_solution(self.problems(cell)) is not None
+        except NoCertificate:
+            return False
 
     def peak(self, cell: Cell) -> CellProof | None:
         """A proof by peak gains, or None if there is none."""
@@ -179,6 +190,12 @@ class RangeProver:
 
     def _estimated(self, formulas: Sequence[sympy.Expr]) -> RationalVector:
         return RationalVector.of(formulas, self.loop.symbols)
+
+
+def _slow_solution(problems: Sequence[ErrorProblem]) -> VertexSolution | None:
+    """What the solver finds for a small alpha, which asks least of the loop."""
+    program = VertexProgram([problem.in_floats() for problem in problems])
+    return program.solve(SLOW_RATE * program.fastest) if program.fastest > 0 else None
 
 
 def texts(cell: Cell) -> tuple[tuple[str, str], ...]:
