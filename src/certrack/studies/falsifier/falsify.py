@@ -3,8 +3,9 @@
 A population of adversaries is evolved on the batched integrator to maximise |e_1| after the
 transient; the best case is polished alone. Where the error loop is linear, its kernels and a linear
 program give another case, also at the corners of what has a range, and of the loop as a drive
-carries it out (:mod:`certrack.studies.falsifier.linear`). Cases are written as system files and
-replayed there.
+carries it out (:mod:`certrack.studies.falsifier.linear`). Where constants have ranges, the adaptive
+law gets the case of the loop that knows what it estimates, and the search goes on from these
+constants. Cases are written as system files and replayed there.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.adversary import Adversary, reference_bounds
 from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
 from certrack.studies.falsifier.evolution import Search
+from certrack.studies.falsifier.linear.estimated import estimated_case
 from certrack.studies.falsifier.linear.search import (
     LinearCase,
     continuous_case,
@@ -187,7 +189,7 @@ def falsify(
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
     drive = None if system.implementation is None else _of_drive(system, bounds)
     system = system.replace(implementation=None)
-    linear = continuous_case(system, bounds)
+    linear = continuous_case(system, bounds) or estimated_case(system, bounds)
     cases, evaluations = {OWN: system}, 0
     search = _search(_worst_member(system, linear), linear, budget, progress)
     if search is not None:
