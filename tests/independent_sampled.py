@@ -299,7 +299,11 @@ class Loop:
             for j, v in enumerate(of_y)
         )
         growth = np.abs(derivatives[N + 1]) @ exponential(np.abs(self.A) * h)
-        rest = growth @ X[: self.n] + abs(derivatives[N] @ self.b) * U + h * growth @ np.abs(self.b) * U
+        rest = (
+            growth @ X[: self.n]
+            + abs(derivatives[N] @ self.b) * U
+            + h * growth @ np.abs(self.b) * U
+        )
         return total + rest * h ** (N + 1) / math.factorial(N + 1)
 
     def _responses(self, rows, phase, w):

@@ -64,7 +64,9 @@ def proven_box(
     assert drive is not None
     return {
         name: (-size, size)
-        for name, state, mu in zip(system.plant.states, sizes, nominal_drive(system).mu, strict=False)
+        for name, state, mu in zip(
+            system.plant.states, sizes, nominal_drive(system).mu, strict=False
+        )
         if name not in drive.velocity
         for size in [float_up(mu + from_text(repr(state)))]
     }

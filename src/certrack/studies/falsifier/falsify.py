@@ -3,8 +3,9 @@
 A population of adversaries is evolved on the batched integrator to maximise |e_1| after the
 transient; the best case is polished alone. Where the error loop is linear, its kernels and a linear
 program give another case, also at the corners of what has a range, and of the loop as a drive
-carries it out (:mod:`certrack.studies.falsifier.linear`). Cases are written as system files and
-replayed there.
+carries it out (:mod:`certrack.studies.falsifier.linear`). Where constants have ranges, the adaptive
+law gets the case of the loop that knows what it estimates, and the search goes on from these
+constants. Cases are written as system files and replayed there.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.adversary import Adversary, reference_bounds
 from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
 from certrack.studies.falsifier.evolution import Search
+from certrack.studies.falsifier.linear.estimated import estimated_case, is_estimated
 from certrack.studies.falsifier.linear.search import (
     LinearCase,
     NothingTried,
@@ -200,7 +202,8 @@ def falsify(
             left_out["drive"] = str(refusal)
     system = system.replace(implementation=None)
     try:
-        linear = continuous_case(system, bounds)
+        case = estimated_case if is_estimated(system) else continuous_case
+        linear = case(system, bounds)
     except NothingTried as refusal:
         left_out[KERNELS] = str(refusal)
     cases, evaluations = {OWN: system}, 0
