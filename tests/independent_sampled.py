@@ -299,7 +299,11 @@ class Loop:
             for j, v in enumerate(of_y)
         )
         growth = np.abs(derivatives[N + 1]) @ exponential(np.abs(self.A) * h)
-        rest = growth @ X[: self.n] + abs(derivatives[N] @ self.b) * U + h * growth @ np.abs(self.b) * U
+        rest = (
+            growth @ X[: self.n]
+            + abs(derivatives[N] @ self.b) * U
+            + h * growth @ np.abs(self.b) * U
+        )
         return total + rest * h ** (N + 1) / math.factorial(N + 1)
 
     def _responses(self, rows, phase, w):
@@ -352,7 +356,7 @@ class Loop:
 
     def check_start(self, entry, table, system):
         """The claims of a proof of runs from a start."""
-        n, K, middle = self.n, 2 ** entry["doublings"], entry["middle"]
+        K, middle = 2 ** entry["doublings"], entry["middle"]
         checker.demand(not self.jump, "jumps are not covered here")
         drive = table["implementation"]
         checker.demand(not drive.get("offset"), "the first sample is late")

@@ -93,6 +93,9 @@ def members(system, rng, count):
 def worst_member(system, rng, count, amplitude, frequency):
     """The largest error of members under the signs of their kernels, and its constants."""
     return max(
-        ((worst_error(m, amplitude, frequency), values) for m, values in members(system, rng, count)),
+        (
+            (worst_error(m, amplitude, frequency), values)
+            for m, values in members(system, rng, count)
+        ),
         key=lambda found: found[0],
     )

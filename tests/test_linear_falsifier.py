@@ -364,6 +364,7 @@ def test_an_unstable_drive_has_no_case():
 
 def test_what_was_not_tried_is_said(monkeypatch):
     """A case that cannot be written as a system is no reason to say nothing."""
+
     def refuse(*_):
         raise certrack.InputError("reference", "must not jump")
 

@@ -200,9 +200,7 @@ def _proven(
         return [prove_implemented(system, delay) for delay in wanted]
     plant = RangedPlant(system)
     return [
-        entry
-        for delay in wanted
-        for entry in prove_cells(system, plant, delay, effort, progress)
+        entry for delay in wanted for entry in prove_cells(system, plant, delay, effort, progress)
     ]
 
 

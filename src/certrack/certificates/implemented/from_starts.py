@@ -185,7 +185,9 @@ def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
 def _starts_of_delay(system: System, proof: ImplementedProof) -> Findings:
     limited, polytope, starts, reason = is_limited(system), None, [], ""
     with flint.ctx.workprec(DRIVE_BITS):
-        prover = start_prover(system, rational(Fraction(proof.delay)), proof.parts, numbers(proof.cell))
+        prover = start_prover(
+            system, rational(Fraction(proof.delay)), proof.parts, numbers(proof.cell)
+        )
         try:
             starts.append(prover.prove(X0))
             if limited and (limit := limit_met(system, prover.drive, starts[0])):

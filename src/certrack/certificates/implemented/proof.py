@@ -122,7 +122,14 @@ def prove_implemented(
         X, U = bounds.search()
         states = tuple(f"{v:.{DIGITS}g}" for v in X)
         proof = ImplementedProof(
-            str(delay), cells_of(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0", (),
+            str(delay),
+            cells_of(drive),
+            doublings,
+            states,
+            f"{U:.{DIGITS}g}",
+            "0",
+            "0",
+            (),
             texts(cell),
         )
         image = _image(bounds, proof)
