@@ -356,7 +356,7 @@ class Loop:
 
     def check_start(self, entry, table, system):
         """The claims of a proof of runs from a start."""
-        n, K, middle = self.n, 2 ** entry["doublings"], entry["middle"]
+        K, middle = 2 ** entry["doublings"], entry["middle"]
         checker.demand(not self.jump, "jumps are not covered here")
         drive = table["implementation"]
         checker.demand(not drive.get("offset"), "the first sample is late")

@@ -63,9 +63,10 @@ def test_the_flexible_joint(proven):
 
 
 def test_certificate_file(proven):
-    system, found, proofs = proven
+    system, _, proofs = proven
     document = json.loads(json.dumps(to_document(system, *proofs)))
-    assert verify(document).verified and verify(document).bound == max(p.bound for p in proofs)
+    verdict = verify(document)
+    assert verdict.verified and float(verdict.bound) == max(float(p.bound) for p in proofs)
     one, proofs = certify_implemented(system, effort="fast")
     document = json.loads(json.dumps(to_document(system, *proofs)))
     assert float(independent_checker.check(document)) <= one.bound
@@ -251,7 +252,7 @@ def test_a_level_of_all_derivatives_is_the_steady_motion():
     system = on_a_drive("dual-motor-lean", 0.01, ("x2", "x4"))
     with flint.ctx.workprec(DRIVE_BITS):
         period = one_period(drive_of(system), (1, 2))
-        own = levels._level(period, period.Pi, 0)
+        own = levels._level_of(period, period.Pi, 0)
         for D in own.residual:
             assert Enclosed.of(D).upper.max() < 1e-60
         zero, *_ = levels.levels_of(period)
@@ -267,13 +268,13 @@ def test_a_level_of_all_derivatives_is_the_steady_motion():
 
 def wrong_residual(monkeypatch):
     """What the loop does not obey is forgotten."""
-    honest = levels._level
+    honest = levels._level_of
 
     def without(period, wanted, s):
         level = honest(period, wanted, s)
         return replace(level, residual=tuple(D * flint.arb(0) for D in level.residual))
 
-    monkeypatch.setattr(levels, "_level", without)
+    monkeypatch.setattr(levels, "_level_of", without)
 
 
 def test_a_forgotten_residual_is_beaten_by_the_attack(monkeypatch):

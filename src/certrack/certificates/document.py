@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,11 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.implemented.certify import claim_of, failed_cover, largest_bound
-from certrack.certificates.implemented.document import implemented_proofs, is_implemented
+from certrack.certificates.implemented.document import (
+    implemented_proofs,
+    is_implemented,
+    record_of,
+)
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
@@ -136,17 +140,9 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         "claim": claim_of(system, bound) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
-        "proof": [json.loads(json.dumps(_record(stage))) for stage in stages],
+        "proof": [json.loads(json.dumps(record_of(stage))) for stage in stages],
     }
     return body | {"sha256": _digest(body)}
-
-
-def _record(stage: Stage) -> dict[str, Any]:
-    """The numbers of a stage; the proof of a sampled loop without ranges has no cell."""
-    record = asdict(stage)
-    if isinstance(stage, ImplementedProof) and not stage.cell:
-        del record["cell"]
-    return record
 
 
 def save_certificate(system: System, stages: Sequence[Stage], path: str | os.PathLike[str]) -> None:
@@ -210,32 +206,6 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
         )
     except InputError as problem:
         raise problem.within(name) from None
-
-
-def read_proofs(path: str | os.PathLike[str]) -> tuple[str, tuple[ImplementedProof, ...]]:
-    """The system's text and the proofs of the implemented loop in a file, which is verified first.
-
-    Parameters
-    ----------
-    path : path
-
-    Returns
-    -------
-    system : str
-    proofs : tuple of ImplementedProof
-        Empty if it holds another kind of proof.
-
-    Raises
-    ------
-    InputError
-        If it is no certificate, or does not hold.
-    """
-    body = _read_document(Path(path))
-    verdict = verify(body)
-    if not verdict.verified:
-        raise InputError(str(path), f"is not verified: {verdict.reason}")
-    proofs = implemented_proofs(body["proof"]) if is_implemented(body) else ()
-    return body["system"], proofs
 
 
 def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:

@@ -48,8 +48,8 @@ def monitor_options(command: Callable[..., Any]) -> Callable[..., Any]:
         proven: list[tuple[str, Any]] = []
         if certificate is not None or certify:
             proven = _proven(options["file"], options["period"], certificate)
-        found = _monitor(monitor, box, proven, requested)
-        return command(*arguments, monitor=found, **options)
+        watching = _monitor(monitor, box, proven, requested)
+        return command(*arguments, monitor=watching, **options)
 
     for name, (flag, text) in reversed(MONITOR_OPTIONS.items()):
         with_monitor = click.option(flag, name, is_flag=True, help=text)(with_monitor)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from certrack.certificates.document import read_proofs
+from certrack.certificates.document import verify
 from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.implemented.document import implemented_proofs, is_implemented
 from certrack.certificates.implemented.drive import nominal_drive
 from certrack.certificates.implemented.from_starts import peaks_of
 from certrack.certificates.implemented.proof import ImplementedProof
@@ -53,9 +56,9 @@ def proven_box(
     True
     """
     if certificate is None:
-        found, proofs = certify_implemented(system, from_start=True)
+        anew, proofs = certify_implemented(system, from_start=True)
         if not proofs:
-            raise InputError("--certify", f"nothing is proven of the states: {found.reason}")
+            raise InputError("--certify", f"nothing is proven of the states: {anew.reason}")
     else:
         proofs = _saved(system, certificate)
     peaks = peaks_of(system, proofs)
@@ -74,21 +77,23 @@ def proven_box(
 
 def _saved(system: System, path: str | os.PathLike[str]) -> tuple[ImplementedProof, ...]:
     """The proofs of a file that holds, of this system."""
-    text, stages = read_proofs(path)
-    proofs = tuple(stage for stage in stages if isinstance(stage, ImplementedProof))
-    if not proofs:
+    verdict = verify(path)
+    if not verdict.verified:
+        raise InputError(str(path), f"is not verified: {verdict.reason}")
+    body = json.loads(Path(path).read_text(encoding="utf-8"))  # of which `verify` was the judge
+    if not is_implemented(body):
         raise InputError(
             str(path),
             "says nothing of the states: it is not of the loop as [implementation] runs it",
             remedy="certrack certify a file with [implementation] writes one",
         )
-    if text != to_text(system):
+    if body["system"] != to_text(system):
         raise InputError(
             str(path),
             "is the certificate of another system",
             remedy="Certify the file that is exported, with --out",
         )
-    return proofs
+    return implemented_proofs(body["proof"])
 
 
 def _in_the_long_run(proofs: Sequence[ImplementedProof]) -> list[Any]:

@@ -27,13 +27,13 @@ from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.ranges.boxes import names
 from certrack.certificates.ranges.cells import Cell, divided
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, cells_fill, numbers
+from certrack.certificates.ranges.search import WORTHWHILE
 from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_range
 from certrack.systems.system import System
 
-#: Cells for one delay at most, by effort, and the part by which twice as many cells must lower the
-#: bound to be worth their time.
-MOST_SAMPLED_CELLS, WORTHWHILE = {"fast": 1, "default": 48, "high": 192}, 0.02
+#: Cells for one delay at most, by effort.
+MOST_SAMPLED_CELLS = {"fast": 1, "default": 48, "high": 192}
 
 #: What all tables of the cells for one delay may hold, by effort: about a minute, or four.
 MOST_WORK = {"fast": 2e9, "default": 2e9, "high": 8e9}
@@ -66,24 +66,24 @@ def prove_cells(
     NoCertificate
         If a cell has none, with its name.
     """
-    found: dict[Cell, Proven | NoCertificate] = {}
+    tried: dict[Cell, Proven | NoCertificate] = {}
 
     def bound(cell: Cell) -> float:
-        if cell not in found:
+        if cell not in tried:
             try:
-                found[cell] = prove_implemented(system, delay, cell, plant)
+                tried[cell] = prove_implemented(system, delay, cell, plant)
             except NoCertificate as refusal:
-                found[cell] = refusal
-        proven = found[cell]
+                tried[cell] = refusal
+        proven = tried[cell]
         return math.inf if isinstance(proven, NoCertificate) else _size(proven)
 
     most = 1 if plant.varies else cells_allowed(plant, delay, effort)
     cells = divided(plant.box, bound, most, WORTHWHILE, partial(_report, bound, progress))
     proofs = []
     for cell in sorted(cells):
-        proven = found[cell]
+        proven = tried[cell]
         if isinstance(proven, NoCertificate):
-            raise NoCertificate(_refusal(plant, cell, len(cells), str(proven)))
+            raise NoCertificate(_no_bound_for(plant, cell, len(cells), str(proven)))
         proofs.append(proven)
     return proofs
 
@@ -108,7 +108,7 @@ def _report(bound: Callable[[Cell], float], progress: Progress, cells: list[Cell
     progress(len(cells), None, largest if math.isfinite(largest) else None)
 
 
-def _refusal(plant: RangedPlant, cell: Cell, count: int, reason: str) -> str:
+def _no_bound_for(plant: RangedPlant, cell: Cell, count: int, reason: str) -> str:
     """Why there is no bound for all of the ranges."""
     ends = ", ".join(
         f"{name} in {rounded_range(float(low), float(high))}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from fractions import Fraction
 from typing import Any
 
@@ -36,6 +36,14 @@ def is_implemented(body: Any) -> bool:
         and bool(proof)
         and all(isinstance(entry, dict) and "doublings" in entry for entry in proof)
     )
+
+
+def record_of(stage: Any) -> dict[str, Any]:
+    """The numbers of a stage of any proof; one of a sampled loop without ranges has no cell."""
+    record = asdict(stage)
+    if isinstance(stage, ImplementedProof) and not stage.cell:
+        del record["cell"]
+    return record
 
 
 def implemented_proofs(entries: list[dict[str, Any]]) -> tuple[ImplementedProof, ...]:

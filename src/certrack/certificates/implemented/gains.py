@@ -125,12 +125,12 @@ def kernel_columns(period: Period, phase: int, smeared: bool) -> KernelColumns:
         nodes.append(beside(matrix * W, spread - matrix * (period.Pi[p] * newest)))
     for matrix, p in zip(over, range(phase - 1, -1, -1), strict=False):
         h = period.cells[p].length
-        lengths.append(_up(flint.arb(h)))
+        lengths.append(upper_number(flint.arb(h)))
         curvature = curvature + absolute(matrix) * _bend_of_w(period, h) * (flint.arb(h) ** 3 / 12)
         for j in range(q - 1):
             bends.append(matrix * column(period.Pi[p + 1], j))
             weight = h ** (q - 2 - j) / math.factorial(q - 2 - j) * h**3 / 12
-            bend_weights.append(_up(flint.arb(weight)))
+            bend_weights.append(upper_number(flint.arb(weight)))
     return KernelColumns(
         np.array(lengths),
         beside(*nodes),
@@ -148,7 +148,8 @@ def _bend_of_w(period: Period, h: Any) -> flint.arb_mat:
     return padded(inner, period.size)
 
 
-def _up(ball: Any) -> float:
+def upper_number(ball: Any) -> float:
+    """A float not below the magnitude of a ball."""
     return float(Enclosed.of(flint.arb_mat([[ball]])).upper[0, 0])
 
 

@@ -31,6 +31,7 @@ from certrack.certificates.implemented.gains import (
     sums_of_periods,
     sums_over_time,
     tail_gains,
+    upper_number,
 )
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import (
@@ -65,14 +66,14 @@ def levels_of(period: Period) -> list[Level]:
     wanted = _where_the_error_is_zero(period)
     if wanted is None:
         return []
-    return [_level(period, wanted, s) for s in range(period.drive.q + 1)]
+    return [_level_of(period, wanted, s) for s in range(period.drive.q + 1)]
 
 
-def _level(period: Period, wanted: Sequence[flint.arb_mat], s: int) -> Level:
+def _level_of(period: Period, wanted: Sequence[flint.arb_mat], s: int) -> Level:
     orders = range(period.drive.q + 1)
     Pi = tuple(
-        beside(*(column(own if j < s else ideal, j) for j in orders))
-        for own, ideal in zip(period.Pi, wanted, strict=True)
+        beside(*(column(obeyed if j < s else ideal, j) for j in orders))
+        for obeyed, ideal in zip(period.Pi, wanted, strict=True)
     )
     residual = []
     for p, cell in enumerate(period.cells):
@@ -132,9 +133,9 @@ def reference_columns(period: Period, levels: Sequence[Level], phase: int) -> Ke
     """
     drive, q = period.drive, period.drive.q
     over = period.since_jump(phase)
-    whole = phase == len(period.cells)
+    entire = phase == len(period.cells)
     spread = over[-1] * column(period.reference, q + 1) * (flint.arb(1) / drive.T)
-    if not whole or drive.lipschitz is None:
+    if not entire or drive.lipschitz is None:
         spread = spread * flint.arb(0)
     nodes, lengths, samples, bends, bend_weights = [], [], [], [], []
     for matrix, p in zip(over, range(phase - 1, -1, -1), strict=False):
@@ -142,13 +143,13 @@ def reference_columns(period: Period, levels: Sequence[Level], phase: int) -> Ke
         for age in (flint.fmpq(0), h):
             tip = gamma(q, age)
             nodes += [spread - matrix * (level.Pi[p + 1] * tip) for level in levels]
-        lengths += [_up(h), 0.0]
+        lengths += [upper_number(flint.arb(h)), 0.0]
         samples += [matrix * level.residual[p] for level in levels]
         for level in levels:
             for j in range(q - 1):
                 bends.append(matrix * column(level.Pi[p + 1], j))
                 weight = h ** (q - 2 - j) / math.factorial(q - 2 - j) * h**3 / 12
-                bend_weights.append(_up(weight))
+                bend_weights.append(upper_number(flint.arb(weight)))
     size = period.size
     return KernelColumns(
         np.array(lengths[:-1]),
@@ -208,7 +209,7 @@ def _sized(
 ) -> np.ndarray:
     """The reference's part of rows, level by level, from the sums of :func:`sums_over_time`."""
     q, count = period.drive.q, len(levels)
-    Y = np.array([_up(v) for v in period.drive.Y])
+    Y = np.array([upper_number(flint.arb(v)) for v in period.drive.Y])
     bends = max(q - 1, 0)
     ends = np.cumsum([count, cells * count * (q + 1), cells * count * bends])
     lines, residual, bent = np.split(sums[:, : ends[-1]], ends[:-1], axis=1)
@@ -220,7 +221,7 @@ def _sized(
 
 def _still(period: Period, levels: Sequence[Level], rows: Sequence[Row]) -> np.ndarray:
     """|row Pi_p - of_Y| Y, level by level."""
-    Y = np.array([_up(v) for v in period.drive.Y[:-1]])
+    Y = np.array([upper_number(flint.arb(v)) for v in period.drive.Y[:-1]])
     result = np.zeros((len(rows), len(levels)))
     for phase in {row.phase for row in rows}:
         chosen = [i for i, row in enumerate(rows) if row.phase == phase]
@@ -229,7 +230,3 @@ def _still(period: Period, levels: Sequence[Level], rows: Sequence[Row]) -> np.n
         for s, level in enumerate(levels):
             result[chosen, s] = Enclosed.of(matrix * level.Pi[phase] - of_Y).upper @ Y
     return widened(result, len(Y) + 4)
-
-
-def _up(value: flint.fmpq) -> float:
-    return float(Enclosed.of(flint.arb_mat([[flint.arb(value)]])).upper[0, 0])

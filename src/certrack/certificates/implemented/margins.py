@@ -75,26 +75,26 @@ def period_margins(
         try:
             other = system.replace(implementation=replace(drive, period=period))
             plant = RangedPlant(other) if chosen[0].cell else None
-            found = [_again(other, proof, plant) for proof in chosen]
+            again = [_again(other, proof, plant) for proof in chosen]
         except (NoCertificate, InputError):
             return False
-        bound = max(float_up(from_text(proof.bound)) for proof in found)
-        return bound <= admitted and not within_limits(other, found)
+        bound = max(float_up(from_text(proof.bound)) for proof in again)
+        return bound <= admitted and not within_limits(other, again)
 
     def end(factor: float, times: int) -> tuple[float, bool]:
         """The last period that serves, and whether all that were tried did."""
         good, bad = drive.period, 0.0
         for _ in range(times):
-            tried = _short(good * factor)
+            tried = _few_digits(good * factor)
             if not serves(tried, [worst]):
                 bad = tried
                 break
             good = tried
         for _ in range(HALVINGS if bad else 0):
-            tried = _short((good * bad) ** 0.5)
+            tried = _few_digits((good * bad) ** 0.5)
             good, bad = (tried, bad) if serves(tried, [worst]) else (good, tried)
         while good != drive.period and len(proofs) > 1 and not serves(good, proofs):
-            bad, good = good, _short((good * drive.period) ** 0.5)
+            bad, good = good, _few_digits((good * drive.period) ** 0.5)
             if abs(good / drive.period - 1) < 1 / 2**HALVINGS:
                 good = drive.period
         return good, not bad
@@ -109,5 +109,5 @@ def _again(system: System, proof: ImplementedProof, plant: RangedPlant | None) -
     return prove_implemented(system, delay, numbers(proof.cell), plant)[0]
 
 
-def _short(period: float) -> float:
+def _few_digits(period: float) -> float:
     return float(f"{period:.{PERIOD_DIGITS}g}")

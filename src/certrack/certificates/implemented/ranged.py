@@ -81,21 +81,21 @@ class RangedPlant:
         NoCertificate
             If a denominator may vanish in the cell.
         """
-        found = self._coefficients.over(cell)
+        channels = self._coefficients.over(cell)
         nominal, n = nominal_drive(self.system, delay), self.loop.n
-        offset = abs(found.centre[n - 1, n + 1])
-        count = len(found.rows)
+        offset = abs(channels.centre[n - 1, n + 1])
+        count = len(channels.rows)
         uncertain = [
             replace(bound, weights=_longer(bound.weights, count), Delta=_longer(bound.Delta, count))
             for bound in nominal.uncertain
         ]
         zero = flint.fmpq(0)
-        columns = [np.array([zero] * (n - 1) + [flint.fmpq(1)], dtype=object), *found.columns.T]
+        columns = [np.array([zero] * (n - 1) + [flint.fmpq(1)], dtype=object), *channels.columns.T]
         none = (zero,) * (n + count)
         uncertain.append(UncertainBound(zero, offset, none, none))
-        for k, row in enumerate(found.rows):
-            own = (*none[: n + k], flint.fmpq(1), *none[n + k + 1 :])
-            uncertain.append(UncertainBound(zero, abs(row[n + 1]), none, own))
+        for k, row in enumerate(channels.rows):
+            unit = (*none[: n + k], flint.fmpq(1), *none[n + k + 1 :])
+            uncertain.append(UncertainBound(zero, abs(row[n + 1]), none, unit))
         with flint.ctx.workprec(DRIVE_BITS):
             wide = [
                 [*nominal.W.tolist()[i], *(flint.arb(column[i]) for column in columns)]
@@ -103,11 +103,11 @@ class RangedPlant:
             ]
             return replace(
                 nominal,
-                A=ball_matrix(found.centre[:, :n].tolist()),
-                b=ball_matrix(found.centre[:, n : n + 1].tolist()),
+                A=ball_matrix(channels.centre[:, :n].tolist()),
+                b=ball_matrix(channels.centre[:, n : n + 1].tolist()),
                 W=flint.arb_mat(wide),
                 uncertain=tuple(uncertain),
-                channels=tuple(Channel(tuple(row[:n]), row[n]) for row in found.rows),
+                channels=tuple(Channel(tuple(row[:n]), row[n]) for row in channels.rows),
             )
 
 
@@ -133,18 +133,18 @@ def _plant_matrix(loop: RangedLoop) -> sympy.Matrix:
     c, n = loop.coordinates, loop.n
     slopes, _ = linear_drift(loop.system)
     gain = rational(loop.system.plant.input_gain)
-    rho = sympy.cancel(loop.matrix[n - 1, n + c.q + 1] / _exact(c.nu_Y[c.q + 1]))
+    rho = sympy.cancel(loop.matrix[n - 1, n + c.q + 1] / _as_sympy(c.nu_Y[c.q + 1]))
     matrix = sympy.zeros(n, n + 2)
     matrix[: n - 1, :n] = loop.matrix[: n - 1, :n]
     for j in range(n):
-        opened = loop.matrix[n - 1, j] + rho * (_exact(slopes[j]) - _exact(c.nu_x[j]))
+        opened = loop.matrix[n - 1, j] + rho * (_as_sympy(slopes[j]) - _as_sympy(c.nu_x[j]))
         matrix[n - 1, j] = sympy.cancel(sympy.together(opened))
-    matrix[n - 1, n] = sympy.cancel(rho * _exact(gain))
+    matrix[n - 1, n] = sympy.cancel(rho * _as_sympy(gain))
     matrix[n - 1, n + 1] = loop.matrix[n - 1, n + c.q + 2]
     return matrix
 
 
-def _exact(value: Any) -> sympy.Rational:
+def _as_sympy(value: Any) -> sympy.Rational:
     return sympy.Rational(int(value.p), int(value.q))
 
 

@@ -67,7 +67,8 @@ class StartProof:
     input : str
         The same of |u|, without the constant of the law.
     peaks : n + 3 texts
-        Bounds for all t >= 0 of |e_1|, |x_i| (and the channels), |u| (without that constant), |u_k - u_{k-1}|.
+        Bounds for all t >= 0 of |e_1|, |x_i| (and the channels), |u| (without that constant),
+        |u_k - u_{k-1}|.
     """
 
     of: str
