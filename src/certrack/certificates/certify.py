@@ -252,9 +252,9 @@ def _implemented(
     how: Any = {"margins": margins, "effort": effort, "progress": progress}
     if system.long_run is system or is_limited(system):
         return certify_implemented(system, from_start=True, **how)
-    found, _ = certify_implemented(system, from_start=True, effort=effort, progress=progress)
+    early, _ = certify_implemented(system, from_start=True, effort=effort, progress=progress)
     later, later_proofs = certify_implemented(system.long_run, **how)
-    return replace(later, start=found.start, peaks=found.peaks), later_proofs
+    return replace(later, start=early.start, peaks=early.peaks), later_proofs
 
 
 def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:

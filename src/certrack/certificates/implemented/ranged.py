@@ -61,7 +61,7 @@ class RangedPlant:
                 "only loops that are linear are covered as implemented: a nonlinear term of "
                 "plant.drift is not zero everywhere in plant.ranges"
             )
-        self._coefficients = Coefficients(replace(self.loop, matrix=_plant_matrix(self.loop)))
+        self._coefficients = Coefficients(replace(self.loop, still=_plant_matrix(self.loop)))
 
     @property
     def box(self) -> Cell:

@@ -78,7 +78,7 @@ def critical_ranges(
         except NoCertificate as refusal:
             return str(refusal)
 
-    whole = (tuple(prover.loop.box),) if known else None
+    whole: tuple[Cell, ...] | None = (tuple(prover.loop.box),) if known else None
     edge = largest_scale(partial(find, prover.promises), known=whole, accuracy=STRENGTH_ACCURACY)
     if edge.result not in (None, whole) and not proven(prover, edge.result or ()):
         edge = largest_scale(  # floats promised too much, which they do near the edge
@@ -113,7 +113,8 @@ class _Search:
 
     def __init__(self, prover: RangeProver, cells: bool) -> None:
         self._prover, self._cells = prover, cells
-        self._scale, self._held = rational(1), (scaled(prover.loop, rational(1)),)
+        self._scale = rational(1)
+        self._held: tuple[Cell, ...] = (scaled(prover.loop, self._scale),)
 
     def parts(self, holds: Callable[[Cell], bool], scale: Any) -> tuple[Cell, ...]:
         """Cells that all hold and fill the box of a scale.
