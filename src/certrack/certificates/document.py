@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,12 @@ from certrack.certificates.implemented.certify import claim_of, failed_cover, la
 from certrack.certificates.implemented.document import (
     implemented_proofs,
     is_implemented,
-    written,
+    record_of,
 )
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
+from certrack.certificates.implemented.regional import is_of_starts
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.certify import cover_bound
@@ -127,6 +128,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         raise InputError("stages", "there is no proof to save")
     cells = tuple(stage for stage in stages if isinstance(stage, CellProof))
     sampled = tuple(stage for stage in stages if isinstance(stage, ImplementedProof))
+    system = system if sampled and is_of_starts(system) else system.long_run
     rests_on = premises_as_implemented(system, sampled) if sampled else premises(system)
     if broken := contradicted(rests_on):
         raise InputError("premises", f"the truth contradicts one: {broken[0]}")
@@ -139,13 +141,9 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         "claim": claim_of(system, bound, rests_on) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
-        "proof": [json.loads(json.dumps(_written(stage))) for stage in stages],
+        "proof": [json.loads(json.dumps(record_of(stage))) for stage in stages],
     }
     return body | {"sha256": _digest(body)}
-
-
-def _written(stage: Stage) -> dict[str, Any]:
-    return written(stage) if isinstance(stage, ImplementedProof) else asdict(stage)
 
 
 def save_certificate(system: System, stages: Sequence[Stage], path: str | os.PathLike[str]) -> None:
@@ -214,10 +212,10 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
 def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     try:
         body = source if isinstance(source, dict) else _read_document(Path(source))
-        if _is_cover(body):
-            return _verify_cover(body)
         if is_implemented(body):
             return _verify_implemented(body)
+        if _is_cover(body):
+            return _verify_cover(body)
         stages = _stages(body)
         proof = stages[-1]
         if body["sha256"] != _digest(body):

@@ -9,10 +9,14 @@ from typing import Any
 from certrack.certificates.exact import MAX_TEXT_LENGTH, from_text
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.start_proof import StartProof
+from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, numbers
 from certrack.core.errors import InputError
 
 #: Keys of the proof for one delay.
 PROOF_KEYS = tuple(entry.name for entry in fields(ImplementedProof))
+
+#: Those that a file without ranges, or without jitter, need not have.
+OPTIONAL_KEYS = {"cell", "rates"}
 
 #: Keys of what is proven of a set of starts.
 START_KEYS = tuple(entry.name for entry in fields(StartProof))
@@ -34,6 +38,16 @@ def is_implemented(body: Any) -> bool:
     )
 
 
+def record_of(stage: Any) -> dict[str, Any]:
+    """The numbers of a stage of any proof; of a sampled loop no empty cell and rates."""
+    record = asdict(stage)
+    if isinstance(stage, ImplementedProof):
+        for name in OPTIONAL_KEYS:
+            if not record[name]:
+                del record[name]
+    return record
+
+
 def implemented_proofs(entries: list[dict[str, Any]]) -> tuple[ImplementedProof, ...]:
     """The proofs of a body, well formed.
 
@@ -42,28 +56,27 @@ def implemented_proofs(entries: list[dict[str, Any]]) -> tuple[ImplementedProof,
     InputError
         If they are not.
     """
-    if len(entries) > MAX_DELAY_PROOFS:
+    if len(entries) > MAX_DELAY_PROOFS * MAX_PROOF_CELLS:
+        raise InputError("proof", f"must have at most {MAX_DELAY_PROOFS} delays")
+    if len({str(entry.get("delay")) for entry in entries}) > MAX_DELAY_PROOFS:
         raise InputError("proof", f"must have at most {MAX_DELAY_PROOFS} delays")
     return tuple(map(_delay_proof, entries))
 
 
-def written(stage: ImplementedProof) -> dict[str, Any]:
-    """The keys of a proof, without those that have nothing to say."""
-    return {name: value for name, value in asdict(stage).items() if name != "rates" or value}
-
-
 def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
-    entry = {"rates": [], **entry}  # which is written only where there are some
-    if set(entry) != set(PROOF_KEYS):
-        raise InputError("proof", f"must have {', '.join(PROOF_KEYS[:-1])}, and rates with jitter")
+    if not set(PROOF_KEYS) - OPTIONAL_KEYS <= set(entry) <= set(PROOF_KEYS):
+        raise InputError("proof", f"must have {', '.join(PROOF_KEYS)}")
     try:
-        listed = (*_as_tuple(entry["states"]), *_as_tuple(entry["rates"]))
+        listed = (*_as_tuple(entry["states"]), *_as_tuple(entry.get("rates", ())))
         for text in (entry["input"], entry["step"], entry["bound"], *listed):
             from_text(text)
         delay = entry["delay"]
         if not isinstance(delay, str) or len(delay) > MAX_TEXT_LENGTH:
             raise TypeError("the delay is no fraction")
         Fraction(delay)
+        cell = tuple((str(low), str(high)) for low, high in _as_tuple(entry.get("cell", ())))
+        if not all(low <= high for low, high in numbers(cell)):
+            raise ValueError("an interval is empty")
         counts = (*_as_tuple(entry["parts"]), entry["doublings"])
         if len(counts) != 3 or any(type(count) is not int for count in counts):
             raise TypeError("parts must be two integers, doublings one")
@@ -75,8 +88,9 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
     lists = {
         "parts": tuple(entry["parts"]),
         "states": tuple(entry["states"]),
-        "rates": tuple(entry["rates"]),
+        "rates": tuple(entry.get("rates", ())),
         "starts": tuple(map(_start_proof, starts)),
+        "cell": cell,
     }
     return ImplementedProof(**(entry | lists))
 

@@ -19,17 +19,21 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.balls import upper_rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import from_text, root_up
-from certrack.certificates.implemented.drive import DRIVE_BITS, Drive, drive_of
+from certrack.certificates.implemented.drive import DRIVE_BITS, Drive
 from certrack.certificates.implemented.enclosed import Enclosed
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.input_limits import is_limited
+from certrack.certificates.implemented.levels import partly_cancelled
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
+from certrack.certificates.implemented.ranged import RangedPlant, drive_in
 from certrack.certificates.implemented.regional import in_the_long_run, is_regional, not_reached
 from certrack.certificates.implemented.start import FromStarts
 from certrack.certificates.implemented.start_proof import POLYTOPE, X0, StartProof, StartProver
 from certrack.certificates.implemented.timing import TimedBounds, rate_rows
+from certrack.certificates.ranges.cells import Cell
+from certrack.certificates.ranges.proofs import numbers, texts
 from certrack.systems.system import System
 
 #: A cell is at most this part of the time that the plant's fastest motion takes for one radian.
@@ -73,6 +77,9 @@ class ImplementedProof:
         What is proven of runs from x0, and from the polytope of starts, if anything.
     rates : n texts
         With jitter: bounds of limsup |x_i'|.
+    cell : pairs of texts
+        Ends of each range, for constants in this cell; empty where nothing has a range. The
+        channels' bounds stand behind the states' then.
     """
 
     delay: str
@@ -84,6 +91,7 @@ class ImplementedProof:
     bound: str
     starts: tuple[StartProof, ...] = ()
     rates: tuple[str, ...] = ()
+    cell: tuple[tuple[str, str], ...] = ()
 
 
 def delays(system: System) -> tuple[Any, ...]:
@@ -93,15 +101,27 @@ def delays(system: System) -> tuple[Any, ...]:
     return tuple(rational(value) for value in system.implementation.delays)
 
 
-def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dict[str, float]]:
+def prove_implemented(
+    system: System, delay: Any, cell: Cell = (), plant: RangedPlant | None = None
+) -> tuple[ImplementedProof, dict[str, float]]:
     """Prove a bound for one delay; also what it is made of, in floats.
+
+    Parameters
+    ----------
+    system : System
+    delay : rational, periods
+    cell : Cell
+        What constants with a range may be.
+    plant : RangedPlant, optional
+        That of the system, if it is at hand.
 
     Raises
     ------
     NoCertificate
         If there is none, or the loop is not covered.
     """
-    drive = drive_of(system, delay)
+    refuse_in_cells(system, cell)
+    drive = drive_in(system, delay, cell, plant)
     with flint.ctx.workprec(DRIVE_BITS):
         period = one_period(drive, cells_of(drive))
         doublings = periods_needed(period)
@@ -112,7 +132,15 @@ def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dic
         X, U = in_the_long_run(bounds, starts) if starts else bounds.search()
         states = tuple(f"{v:.{DIGITS}g}" for v in X)
         proof = ImplementedProof(
-            str(delay), cells_of(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0", starts
+            str(delay),
+            cells_of(drive),
+            doublings,
+            states,
+            f"{U:.{DIGITS}g}",
+            "0",
+            "0",
+            starts,
+            cell=texts(cell),
         )
         image = _image(bounds, proof)
         if reason := _not_above(bounds, image, proof):
@@ -120,6 +148,16 @@ def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dic
         bound, step = (_text_above(image[i]) for i in (0, -1))
         parts = bounds.parts(X, U)
     return replace(proof, bound=bound, step=step), parts
+
+
+def refuse_in_cells(system: System, cell: Sequence[Any]) -> None:
+    """Raise NoCertificate where constants have ranges and a bound is a formula, or times move."""
+    drive = system.implementation
+    if cell and (system.plant.uncertainty.bound is not None or (drive and drive.jitter)):
+        raise NoCertificate(
+            "plant.uncertainty.bound and implementation.jitter are not covered together with "
+            "ranges of constants: leave plant.ranges out"
+        )
 
 
 def _prove_with_jitter(
@@ -134,17 +172,17 @@ def _prove_with_jitter(
         )
     timed = TimedBounds.of(period, bounds.rows, bounds, doublings)
     v = timed.search()
-    texts = [f"{value:.{DIGITS}g}" for value in v]
+    entries = [f"{value:.{DIGITS}g}" for value in v]
     proof = ImplementedProof(
         str(drive.delay),
         cells_of(drive),
         doublings,
-        tuple(texts[:n]),
-        texts[n],
-        texts[n + 1],
+        tuple(entries[:n]),
+        entries[n],
+        entries[n + 1],
         "0",
         (),
-        tuple(texts[n + 2 :]),
+        tuple(entries[n + 2 :]),
     )
     image = _timed_image(timed, proof)
     if reason := _not_above_timed(image, proof):
@@ -162,8 +200,8 @@ def _timed_image(timed: TimedBounds, proof: ImplementedProof) -> list[Any]:
 
 def _not_above_timed(image: Sequence[Any], proof: ImplementedProof) -> str:
     """Empty if v = (X, U, DU, R) is above F(v) in every entry."""
-    texts = (*proof.states, proof.input, proof.step, *proof.rates)
-    for text, value in zip(texts, image[1:], strict=True):
+    claimed = (*proof.states, proof.input, proof.step, *proof.rates)
+    for text, value in zip(claimed, image[1:], strict=True):
         if not flint.arb(from_text(text)) > value:
             return "a bound of the loop with jitter is not above what follows from all of them"
     return ""
@@ -193,7 +231,9 @@ def _starts_of_region(system: System, delay: Any, parts: tuple[int, int]) -> tup
     return tuple(starts)
 
 
-def start_prover(system: System, delay: Any, parts: tuple[int, int]) -> StartProver:
+def start_prover(
+    system: System, delay: Any, parts: tuple[int, int], cell: Cell = ()
+) -> StartProver:
     """What proves bounds from a start for one delay; call it with :data:`DRIVE_BITS`.
 
     Raises
@@ -201,12 +241,14 @@ def start_prover(system: System, delay: Any, parts: tuple[int, int]) -> StartPro
     NoCertificate
         If the loop is not covered.
     """
-    drive = drive_of(system, delay)
+    drive = drive_in(system, delay, cell)
     period = one_period(drive, parts)
     return StartProver(system, drive, lambda doublings: FromStarts(period, doublings))
 
 
-def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> str:
+def failed_implemented(
+    system: System, proof: ImplementedProof, delay: Any, plant: RangedPlant | None = None
+) -> str:
     """Empty if the proof holds for the system with this delay, else what fails."""
     if rational(Fraction(proof.delay)) != delay:
         return "the delay is not that of the system"
@@ -216,8 +258,9 @@ def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> s
     ):
         return f"parts must be 1 ... {MAX_CELLS_OF_INPUT}, doublings 0 ... {MAX_DOUBLINGS}"
     try:
-        drive = drive_of(system, delay)
-        if len(proof.states) != drive.n:
+        refuse_in_cells(system, proof.cell)
+        drive = drive_in(system, delay, numbers(proof.cell), plant)
+        if len(proof.states) != drive.sized:
             return "the proof does not have the shape of the system"
         if any(from_text(text) < 0 for text in (*proof.states, proof.input)):
             return "a bound of a state or of the input is negative"
@@ -281,6 +324,20 @@ def periods_needed(period: Period, left: float = LEFT) -> int:
     return doublings
 
 
+def work_of(period: Period) -> float:
+    """About how many numbers the tables of a proof go through.
+
+    Raises
+    ------
+    NoCertificate
+        If the loop is unstable, or too slow.
+    """
+    drive, cells = period.drive, len(period.cells)
+    rows = 3 * cells * (drive.sized + 2) + period.size
+    columns = (cells + 1) * (period.W.ncols() + 1) + 2 * (drive.q + 1) * cells * (drive.q + 3)
+    return float(2 ** periods_needed(period) * rows * (columns + 2 * period.size))
+
+
 def _bounds(period: Period, doublings: int) -> OutputBounds:
     rows = output_rows(period) + (rate_rows(period) if period.drive.jitter else [])
     size, width = period.size, (len(period.cells) + 1) * (period.W.ncols() + 1) + period.size
@@ -289,7 +346,8 @@ def _bounds(period: Period, doublings: int) -> OutputBounds:
         raise NoCertificate(
             "the sampled loop is too large for its peak gains: fewer states or memories"
         )
-    return OutputBounds.of(period, rows, output_gains(period, rows, doublings))
+    gains = output_gains(period, rows, doublings)
+    return OutputBounds.of(period, rows, gains, partly_cancelled(period, rows, doublings))
 
 
 def _image(bounds: OutputBounds, proof: ImplementedProof) -> list[Any]:

@@ -27,6 +27,7 @@ from certrack.certificates.implemented.fixed_point import (
     STANDS_STILL,
     OutputBounds,
 )
+from certrack.certificates.implemented.input_limits import is_limited
 from certrack.systems.system import System
 
 #: Digits of the scale of the largest box, and the scales between which it is looked for.
@@ -39,6 +40,11 @@ Vector = tuple[Sequence[Any], Any]
 def is_regional(system: System) -> bool:
     """Whether a bound of w grows faster than the state, so that no claim is of every start."""
     return system.plant.uncertainty.is_regional
+
+
+def is_of_starts(system: System) -> bool:
+    """Whether a claim is of some starts: limits of the input, or bounds of w, do not admit all."""
+    return is_limited(system) or is_regional(system)
 
 
 def descend(bounds: OutputBounds, above: Vector, until: Callable[[list[Any]], bool]) -> list[Any]:

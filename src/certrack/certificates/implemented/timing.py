@@ -25,6 +25,7 @@ import flint
 import numpy as np
 
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented.channels import Channel
 from certrack.certificates.implemented.drive import Drive
 from certrack.certificates.implemented.enclosed import Enclosed, widened
 from certrack.certificates.implemented.fixed_point import (
@@ -43,12 +44,7 @@ from certrack.certificates.implemented.gains import (
     running_period,
     tail_gains,
 )
-from certrack.certificates.implemented.outputs import (
-    STATE_DEGREE,
-    Row,
-    bernstein_rows,
-    in_cell_of,
-)
+from certrack.certificates.implemented.outputs import STATE_DEGREE, Row, state_rows
 from certrack.certificates.implemented.period import (
     Period,
     above,
@@ -61,27 +57,11 @@ from certrack.certificates.implemented.period import (
 
 def rate_rows(period: Period) -> list[Row]:
     """Rows of x_i' - W_i w (outputs n + 3 ... 2 n + 2), with the input of each cell."""
-    drive, n, size = period.drive, period.drive.n, period.size
-    none = [flint.arb(0)] * (drive.q + 1)
-    rows = []
+    drive, n = period.drive, period.drive.n
+    none, rows = [flint.arb(0)] * (drive.q + 1), []
     for i in range(n):
-        unit = flint.arb_mat([[flint.arb(int(j == i)) for j in range(n)]])
-        derivatives, by_input = [unit * drive.A], [(unit * drive.b)[0, 0]]
-        for _ in range(STATE_DEGREE + 1):
-            by_input.append((derivatives[-1] * drive.b)[0, 0])
-            derivatives.append(derivatives[-1] * drive.A)
-        in_cells: dict[Any, Any] = {}
-        for p, cell in enumerate(period.cells):
-            h = cell.length
-            if h not in in_cells:
-                in_cells[h] = in_cell_of(period, h, derivatives, none, STATE_DEGREE)
-            over_chi = []
-            for k in range(STATE_DEGREE + 1):
-                row = [flint.arb(0)] * size
-                row[:n], row[cell.acting] = derivatives[k].entries(), by_input[k]
-                over_chi.append(row)
-            taylor = over_chi, [none] * (STATE_DEGREE + 1)
-            rows += bernstein_rows(n + 3 + i, p, h, taylor, in_cells[h])
+        rate = Channel(tuple(drive.A[i, j] for j in range(n)), drive.b[i, 0])
+        rows += state_rows(period, n + 3 + i, rate, none, STATE_DEGREE)
     return rows
 
 
