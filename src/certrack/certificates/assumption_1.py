@@ -18,7 +18,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.domain import always_defined, more_digits, undefined_at
 from certrack.certificates.majorants import Majorant, covers, majorants, root_above
 from certrack.certificates.sampling import Points, nearest_failure, random_points
-from certrack.certificates.size_majorants import Sizes, as_sympy, stays_below
+from certrack.certificates.size_majorants import Sizes, stays_below, sympy_number
 from certrack.core.expressions import TIME, Expression, symbol
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.powers import put_in
@@ -207,9 +207,9 @@ class UncertainTerm:
             inside = self.growing.expr
         else:
             sizes = zip(self.single, self.states, strict=False)
-            inside = sum((as_sympy(c) * x for c, x in sizes), as_sympy(self.beta))
-            inside += as_sympy(self.gamma) * symbol(NORM)
-        return as_sympy(self.tau) * inside
+            inside = sum((sympy_number(c) * x for c, x in sizes), sympy_number(self.beta))
+            inside += sympy_number(self.gamma) * symbol(NORM)
+        return sympy_number(self.tau) * inside
 
     def proven_with(self, gamma: Fraction, beta: Fraction) -> bool:
         """The same for another gamma and beta; Delta is left out, and S taken by its least."""
