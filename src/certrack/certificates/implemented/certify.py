@@ -136,7 +136,7 @@ def certify_implemented(
     from_start : bool
         Find the peaks from x0 even if the input has no limits.
     margins : bool
-        Search the slowest and the fastest period, too.
+        Search the slowest and the fastest period, too; not with jitter or claims on a region.
     effort : {"fast", "default", "high"}
         How many cells ranges of constants are cut into; ``fast`` makes one.
     progress : callable
@@ -170,7 +170,8 @@ def certify_implemented(
             evidence = Findings(proofs)
             if partly or (from_start and not jitters(system)):
                 evidence = from_starts(system, proofs)
-            periods = period_margins(system, proofs, limits_met) if margins else None
+            searched = margins and not (is_regional(system) or jitters(system))
+            periods = period_margins(system, proofs, limits_met) if searched else None
     except NoCertificate as refusal:
         return missing_implemented(str(refusal)), ()
     worst = max(range(len(proofs)), key=lambda i: from_text(proofs[i].bound))
