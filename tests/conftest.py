@@ -45,9 +45,7 @@ NOT_LONG = ("axis", "dual-motor-drive", "point-to-point", "theorem1-counterexamp
 
 #: Those whose controller is not sampled and whose runs last 20 s; test_papers.py has another, and
 #: test_moves.py the moves.
-CONTINUOUS = [
-    name for name in SHIPPED if name not in NOT_LONG
-]
+CONTINUOUS = [name for name in SHIPPED if name not in NOT_LONG]
 
 
 @pytest.fixture(params=CONTINUOUS)

@@ -243,11 +243,11 @@ def _implemented(
     system: System,
 ) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
     """That of the loop as it runs; without limits of the input a soft start counts from x0 only."""
-    found, proofs = certify_implemented(system, from_start=True)
+    of_start, proofs = certify_implemented(system, from_start=True)
     if system.long_run is system or is_limited(system):
-        return found, proofs
+        return of_start, proofs
     later, later_proofs = certify_implemented(system.long_run)
-    return replace(later, start=found.start, peaks=found.peaks), later_proofs
+    return replace(later, start=of_start.start, peaks=of_start.peaks), later_proofs
 
 
 def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:
