@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from certrack.certificates.certificate import Certificate
 from certrack.certificates.exact import Proof
@@ -215,7 +216,12 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
     )
     progress(METHOD_STEPS, STEPS, None)
     stages = methods.stages
-    implemented, implemented_proof = _implemented(system)
+    implemented, implemented_proof = _implemented(
+        system,
+        margins=effort != "fast",
+        effort=effort,
+        progress=lambda _, __, best: progress(METHOD_STEPS, STEPS, best),
+    )
     later = system.long_run
     as_run = system if is_limited(system) else later
     rests_on = premises_as_implemented(as_run) if implemented.verified else premises(later)
@@ -240,14 +246,15 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
 
 
 def _implemented(
-    system: System,
+    system: System, margins: bool, effort: str, progress: Progress
 ) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
     """That of the loop as it runs; without limits of the input a soft start counts from x0 only."""
-    of_start, proofs = certify_implemented(system, from_start=True)
+    how: Any = {"margins": margins, "effort": effort, "progress": progress}
     if system.long_run is system or is_limited(system):
-        return of_start, proofs
-    later, later_proofs = certify_implemented(system.long_run)
-    return replace(later, start=of_start.start, peaks=of_start.peaks), later_proofs
+        return certify_implemented(system, from_start=True, **how)
+    early, _ = certify_implemented(system, from_start=True, effort=effort, progress=progress)
+    later, later_proofs = certify_implemented(system.long_run, **how)
+    return replace(later, start=early.start, peaks=early.peaks), later_proofs
 
 
 def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:

@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,11 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.implemented.certify import claim_of, failed_cover, largest_bound
-from certrack.certificates.implemented.document import implemented_proofs, is_implemented
+from certrack.certificates.implemented.document import (
+    implemented_proofs,
+    is_implemented,
+    record_of,
+)
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
@@ -136,7 +140,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         "claim": claim_of(system, bound) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
-        "proof": [json.loads(json.dumps(asdict(stage))) for stage in stages],
+        "proof": [json.loads(json.dumps(record_of(stage))) for stage in stages],
     }
     return body | {"sha256": _digest(body)}
 
@@ -207,10 +211,10 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
 def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     try:
         body = source if isinstance(source, dict) else _read_document(Path(source))
-        if _is_cover(body):
-            return _verify_cover(body)
         if is_implemented(body):
             return _verify_implemented(body)
+        if _is_cover(body):
+            return _verify_cover(body)
         stages = _stages(body)
         proof = stages[-1]
         if body["sha256"] != _digest(body):

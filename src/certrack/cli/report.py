@@ -258,9 +258,12 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
 
 def _corner_lines(ensemble: Ensemble, file: str) -> list[str]:
     """What the corners of the ranges gave."""
-    corners, ranged = ensemble.corners, ensemble.system.plant.constant_boxes
+    from certrack.studies.ensembles.corners import MAX_RANGES, ranges_of
+
+    corners = ensemble.corners
     if corners is None:
-        return ["corners of plant.ranges: not run, of more than 6"] if len(ranged) > 6 else []
+        too_many = len(ranges_of(ensemble.system)) > MAX_RANGES
+        return [f"corners of plant.ranges: not run, of more than {MAX_RANGES}"] if too_many else []
     worst = corners.worst
     values = ", ".join(f"{name} = {v:.5g}" for name, v in corners.constants[worst].items())
     beyond = "" if corners.beyond is None else f", {corners.beyond} beyond the limit"

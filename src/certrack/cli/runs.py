@@ -214,7 +214,7 @@ def ensemble(
     """Simulate many random members: plants, starts and disturbances.
 
     They are drawn as the file's [ensemble] says; without it, within plant.ranges and
-    plant.uncertainty. The corners of the ranges of up to 6 constants run besides. With --out,
+    plant.uncertainty. The corners of up to 6 ranges run besides. With --out,
     quantile bands (NetCDF), the summary (JSON) and pictures are written there.
 
     \b

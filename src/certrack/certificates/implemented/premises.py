@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up
-from certrack.certificates.implemented.drive import drive_of
+from certrack.certificates.implemented.drive import nominal_drive
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
 from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
@@ -70,7 +70,7 @@ def _covered(system: System, drive: Implementation) -> str:
     parts = [f"sampled every {drive.period:g} s, its input acts {listed} periods later and is held"]
     errors = [
         f"{rounded_up(float_up(mu), 4)} for {name}"
-        for name, mu in zip(system.plant.states, drive_of(system).mu, strict=True)
+        for name, mu in zip(system.plant.states, nominal_drive(system).mu, strict=True)
         if mu and name not in drive.velocity
     ]
     parts += [f"sensors within {', '.join(errors)}"] if errors else ["exact sensors"]
@@ -85,7 +85,7 @@ def _sampled_reference(system: System) -> Premise:
     """The Lipschitz constant of the last derivative that the law uses."""
     order = system.controller.coordinates.q + 1
     try:
-        drive = drive_of(system)
+        drive = nominal_drive(system)
     except NoCertificate as refusal:
         return Premise(SAMPLED_REFERENCE, ASSUMED, f"y_d^({order})", remedy=str(refusal))
     if drive.lipschitz is None:

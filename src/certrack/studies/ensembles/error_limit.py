@@ -17,7 +17,7 @@ from certrack.certificates.implemented.from_starts import ANY_START, NO_START
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
-from certrack.certificates.ranges.loop import untrue_formulas
+from certrack.certificates.ranges.formulas import untrue_formulas
 from certrack.certificates.scope import has_ranges
 from certrack.core import checks
 from certrack.model.distribution import Distribution
