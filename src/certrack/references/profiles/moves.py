@@ -8,7 +8,8 @@ limit is exceeded by a rounding.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from flint import fmpq, fmpq_poly
@@ -173,6 +174,19 @@ def checked_limits(values: Sequence[Any]) -> dict[str, float]:
     }
 
 
+@contextmanager
+def _in_floats() -> Iterator[None]:
+    """Refuse distances and limits of which times or speeds are beyond floats."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (ArithmeticError, ValueError, RuntimeError):
+        what = "must not have distances and limits so far apart that times or speeds overflow"
+        raise InputError("reference", what) from None
+
+
+@_in_floats()
 def assembled(
     kind: str,
     positions: Any,

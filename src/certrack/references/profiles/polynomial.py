@@ -67,11 +67,15 @@ def polynomial(
         if limits:
             name = next(iter(limits))
             raise InputError(f"reference.{name}", "must be left out beside duration")
+        positions = checks.reals("reference.positions", positions, None, "begin, then each target")
         stated = _durations(duration, len(positions) - 1)
         more["duration"] = duration
     elif not limits:
         message = "needs a duration, or limits: " + ", ".join(MOTION_LIMITS)
         raise InputError("reference", message, remedy="State e.g. duration = 1.0")
+    elif all(MOTION_LIMITS.index(name) >= degree for name in limits):
+        message = f"needs a limit that binds: a polynomial of degree {degree} has no snap"
+        raise InputError("reference", message, remedy="State speed, acceleration or jerk")
 
     def move(distance: float, i: int) -> Move:
         if stated:

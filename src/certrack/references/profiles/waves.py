@@ -43,6 +43,13 @@ class SweptSine(SymbolicReference):
 
     def _size(self, i: int) -> float:
         """Upper bound of |y_d^(i)| between the jumps, i >= 0."""
+        try:
+            return self._exact_size(i)
+        except OverflowError:
+            what = f"must not be so large or fast that |y_d^({i})| overflows"
+            raise InputError("reference", what) from None
+
+    def _exact_size(self, i: int) -> float:
         stated = dict(self.fields)
         amplitude = abs(Fraction(stated["amplitude"]))
         if i == 0:
