@@ -78,9 +78,9 @@ def critical_ranges(
         except NoCertificate as refusal:
             return str(refusal)
 
-    whole = (tuple(prover.loop.box),) if known else None
+    whole: tuple[Cell, ...] | None = (tuple(prover.loop.box),) if known else None
     edge = largest_scale(partial(find, prover.promises), known=whole, accuracy=STRENGTH_ACCURACY)
-    if edge.result not in (None, whole) and not proven(prover, edge.result or ()):
+    if edge.result not in (None, whole) and not all_hold(prover, edge.result or ()):
         edge = largest_scale(  # floats promised too much, which they do near the edge
             partial(find, prover.holds),
             begin=float(edge.scale),
@@ -92,7 +92,7 @@ def critical_ranges(
     return RangeStrength(math.inf if edge.unlimited else float(edge.scale), edge.reason)
 
 
-def proven(prover: RangeProver, boxes: Sequence[Cell]) -> bool:
+def all_hold(prover: RangeProver, boxes: Sequence[Cell]) -> bool:
     """Whether every box has a proof of some bound."""
     try:
         with within_floats():
@@ -113,7 +113,8 @@ class _Search:
 
     def __init__(self, prover: RangeProver, cells: bool) -> None:
         self._prover, self._cells = prover, cells
-        self._scale, self._held = rational(1), (scaled(prover.loop, rational(1)),)
+        self._scale = rational(1)
+        self._held: tuple[Cell, ...] = (scaled(prover.loop, self._scale),)
 
     def parts(self, holds: Callable[[Cell], bool], scale: Any) -> tuple[Cell, ...]:
         """Cells that all hold and fill the box of a scale.
