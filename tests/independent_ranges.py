@@ -550,7 +550,7 @@ class RangedSystem(base.System):
     def functions(self):
         """{(numerator, denominator): matrix} of the entries, in the order of the page."""
         found = {}
-        shape = (self.n, self.n + self.q + 3)
+        shape = (self.n, len(self.matrix[0]))
         for i, row in enumerate(self.matrix):
             for j, entry in enumerate(row):
                 for key in sorted(entry.top, reverse=True):
@@ -566,7 +566,7 @@ class RangedSystem(base.System):
 
     def channels(self, box):
         """Middle of (Acl | Ecl | o), and products of columns and rows with their radii."""
-        middle = zeros(self.n, self.n + self.q + 3)
+        middle = zeros(self.n, len(self.matrix[0]))
         columns, rows = [], []
         for (top, bottom), matrix in self.functions.items():
             low, high = ends(Ratio(dict(top), dict(bottom)), self.width, box)

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from certrack.core.rounding import printed_bound
 from certrack.simulation.metrics import METRIC_LABELS
+from certrack.simulation.moves import MOVE_LABELS
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -195,6 +196,21 @@ def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
     rows.append(["outcome", *(summary["outcome"] for summary in summaries.values())])
     rows.append(["integrator", *(summary["integrator"] for summary in summaries.values())])
     return table("", ["metric", *summaries], rows)
+
+
+#: More moves than this are counted in a table, not shown.
+SHOWN_MOVES = 12
+
+
+def moves_table(moves: Sequence[Mapping[str, Any]]) -> Table:
+    """Metrics of each move, a row each; of many the first, and the largest of all."""
+    rows = [[move[key] for key in MOVE_LABELS] for move in moves[:SHOWN_MOVES]]
+    if len(moves) > SHOWN_MOVES:
+        last = [
+            max((m[key] for m in moves if m[key] is not None), default=None) for key in MOVE_LABELS
+        ]
+        rows.append([f"largest of {len(moves)}", "", "", "", *last[4:]])
+    return table("moves", list(MOVE_LABELS.values()), rows, digits=4)
 
 
 def ensemble_table(ensemble: Ensemble) -> Table:

@@ -115,6 +115,8 @@ def simulate(
     else:
         click.echo(system.title or file)
         report.console().print(report.metrics_table({Path(file).stem: summary}))
+        if summary["moves"]:
+            report.console().print(report.moves_table(summary["moves"]))
         if with_c:
             click.echo(
                 f"controller: the exported C, compiled by {Path(find_c_compiler()).name}; "

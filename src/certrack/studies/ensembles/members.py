@@ -27,7 +27,7 @@ from certrack.model.names import refuse_prefix
 from certrack.model.plant import Plant
 from certrack.model.sampling import MAX_MEMBERS, probabilities
 from certrack.model.truth import Truth
-from certrack.references import SymbolicReference
+from certrack.references import SoftStart, SymbolicReference
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import Simulator
 from certrack.studies.ensembles.corners import (
@@ -38,16 +38,14 @@ from certrack.studies.ensembles.corners import (
     moved_parameters,
     ranges_of,
 )
-from certrack.systems.system import System, require_system
+from certrack.studies.ensembles.scaled_reference import scaled_reference
+from certrack.systems.system import System, output_derivatives, require_system
 
 #: Members and times at which the pattern of a registered disturbance is looked at.
 CHECKED_MEMBERS, CHECKED_TIMES = 64, 257
 
 #: ||x|| in the disturbances is sqrt(x.x + offset^2) - offset: smooth at zero, never above.
 NORM_OFFSET = 1e-6
-
-#: Keeps the declared bounds of a scaled reference above its own, in spite of rounding.
-ABOVE_ONE = 1 + 1e-12
 
 #: Parameter that scales the reference of a member.
 AMPLITUDE = symbol("ref_member_amplitude")
@@ -264,10 +262,19 @@ class Members:
             drawn = draws.get(name if name.startswith("member_") else f"constants.{name}")
             if drawn is not None:
                 columns[f"true_constants_{i}"] = drawn
+        columns |= self._joined(starts[:n])
         for i, name in enumerate(map(str, self.loop.parameters)):
             if name in self._moved_at_corners:  # else as in the truth
                 columns.setdefault(name, np.full(count, self.base[i]))
         return starts, {symbol(name): values for name, values in columns.items()}
+
+    def _joined(self, x0: np.ndarray) -> dict[str, np.ndarray]:
+        """A soft start begins where each member does."""
+        reference = self.template.reference
+        if not isinstance(reference, SoftStart):
+            return {}
+        begins = output_derivatives(self.system.plant)[: len(reference.start)] @ x0
+        return {f"ref_gap_{i}": row for i, row in enumerate(reference.gaps(begins))}
 
     def _derived(self, draws: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
         """Numbers of the plant that follow from its varying constants."""
@@ -319,7 +326,7 @@ class Members:
         return System(
             plant=plant,
             law=system.law,
-            reference=self._reference(point),
+            reference=scaled_reference(system.reference, point),
             truth=self._truth(point, plant, written=written),
             settings=replace(settings, x0=tuple(x0), estimates=tuple(estimates) or None),
             title=system.title,
@@ -389,27 +396,3 @@ class Members:
             if not worst <= 1:
                 kind = self.family.kind
                 raise InputError(f"disturbance.{kind}", "must stay within [-1, 1]", f"{worst:.6g}")
-
-    def _reference(self, point: dict[str, float]) -> Any:
-        """The reference with its own amplitude and frequency: A y_d(F t)."""
-        reference = self.system.reference
-        scales = {name: point[name] for name in ("amplitude", "frequency") if name in point}
-        if not scales:
-            return reference
-        assert isinstance(reference, SymbolicReference)
-        a, f = scales.get("amplitude", 1.0), scales.get("frequency", 1.0)
-        text = reference.signal.text
-        if "frequency" in scales:
-            text = re.sub(r"\bt\b", "(member_frequency*t)", text)
-        if "amplitude" in scales:
-            text = f"member_amplitude*({text})"
-        constants: dict[str, Any] = dict(reference.constants)
-        constants |= {f"member_{name}": value for name, value in scales.items()}
-        slack = abs(a) * ABOVE_ONE
-        declared = reference.declared
-        return SymbolicReference(
-            text,  # type: ignore[arg-type]
-            None if reference.bound is None else slack * max(1.0, f) * reference.bound,
-            None if declared is None else tuple(slack * f**i * Y for i, Y in enumerate(declared)),
-            constants,  # type: ignore[arg-type]
-        )

@@ -14,11 +14,21 @@ from certrack.core.rationals import float_of
 from certrack.laws.adaptive import Adaptive
 from certrack.laws.robust import Robust
 from certrack.simulation.simulator import simulate
-from certrack.studies.falsifier.linear.search import LinearCase, continuous_case, tail_error
+from certrack.studies.falsifier.linear.search import (
+    LinearCase,
+    NothingTried,
+    continuous_case,
+    tail_error,
+)
 from certrack.systems.system import System
 
 
-def estimated_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None:
+def is_estimated(system: System) -> bool:
+    """Whether the worst case is that of the loop which knows what the law estimates."""
+    return isinstance(system.law, Adaptive) and bool(system.plant.constant_ranges)
+
+
+def estimated_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     """The worst case of the known loop, run with the adaptive law.
 
     Parameters
@@ -29,17 +39,17 @@ def estimated_case(system: System, bounds: tuple[float, ...]) -> LinearCase | No
 
     Returns
     -------
-    LinearCase, or None for another law, without ranges of constants, or where the known loop is not
-    linear.
+    LinearCase
+
+    Raises
+    ------
+    NothingTried
+        Where the known loop is not linear, or nothing is found.
     """
-    if not isinstance(system.law, Adaptive) or not system.plant.constant_ranges:
-        return None
     try:
         known = continuous_case(known_system(system), bounds)
-    except InputError:  # no such system may be: a range with no nominal value inside, say
-        return None
-    if known is None:
-        return None
+    except InputError as problem:  # a range with no nominal value inside, say
+        raise NothingTried(f"the loop with known parameters is no system: {problem}") from None
     truth = known.system.truth
     assert truth.input_gain is not None
     gain, *theta = (float_of(entry.expr) for entry in (truth.input_gain, *truth.theta))
