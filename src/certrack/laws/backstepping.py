@@ -121,7 +121,7 @@ class ErrorCoordinates:
     @property
     def n(self) -> int:
         """Order of the plant."""
-        return len(self.c)
+        return len(self.A)
 
     @property
     def q(self) -> int:
