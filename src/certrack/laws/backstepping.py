@@ -159,6 +159,11 @@ class ErrorCoordinates:
         skew = np.diag(self.g, 1) - np.diag(below, -1)
         return skew - np.diag(self.c + self.kappa)
 
+    @property
+    def input_feedback(self) -> np.ndarray:
+        """k of v = -k e, what the last row has beside the terms that cancel in V'."""
+        return np.append(np.zeros(self.n - 1), -self.error_matrix[-1, -1])
+
     @cached_property
     def poles(self) -> np.ndarray:
         """Eigenvalues of the error matrix, 1/s."""

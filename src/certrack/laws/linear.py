@@ -43,10 +43,10 @@ class Linear(Robust):
 
     kind = "linear"
 
-    c: tuple[float, ...] = field(default=(), init=False)
-    k: tuple[tuple[float, ...], ...] | None = field(default=None, init=False)
-    p: tuple[float, ...] | None = field(default=None, init=False)
-    coupling: float | None = field(default=None, init=False)
+    c: tuple[float, ...] = field(default=(), init=False, repr=False)
+    k: tuple[tuple[float, ...], ...] | None = field(default=None, init=False, repr=False)
+    p: tuple[float, ...] | None = field(default=None, init=False, repr=False)
+    coupling: float | None = field(default=None, init=False, repr=False)
 
     K: tuple[float, ...] | None = keyed(
         "numbers",

@@ -39,6 +39,10 @@ class PlantCoordinates(ErrorCoordinates):
         """[F; K]."""
         return np.vstack([self.F, self.nu_x])
 
+    @property
+    def input_feedback(self) -> np.ndarray:
+        return -self.nu_x
+
 
 def plant_coordinates(
     g: np.ndarray, b: np.ndarray, K: np.ndarray, r: Any, q: int

@@ -1,0 +1,106 @@
+"""Gain and phase margins of a linear loop that is opened at its input.
+
+    x' = A x + b v,   v = -k x,   L(s) = k (s I - A)^-1 b
+
+The closed loop is stable. A factor at v that makes L(j omega) = -1 at some omega is where it
+ceases to be: factors between the nearest ones below and above 1 are its gain margin, and the angle
+from L to -1 where |L| = 1 is its phase margin.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+#: Frequencies looked at: from this part of the slowest rate of the loop to this multiple of the
+#: fastest, so many of them to a decade, and those of all poles. Between two of them a crossing is
+#: refined.
+SLOWEST_PART, FASTEST_MULTIPLE, POINTS_PER_DECADE = 1e-3, 1e3, 60
+
+#: A rate below this part of the fastest is none: a pole at 0.
+NO_RATE = 1e-9
+
+#: A larger |L| is a pole of the open loop, where the sign of a part changes without a zero.
+POLE = 1e9
+
+
+@dataclass(frozen=True)
+class LoopMargins:
+    """Margins at the input of a loop.
+
+    Attributes
+    ----------
+    lowest_gain, highest_gain : float
+        Factors at the input between which the loop is stable; 0 and inf where nothing ends them.
+    phase : float
+        Degrees; inf where |L| never is 1.
+    """
+
+    lowest_gain: float
+    highest_gain: float
+    phase: float
+
+
+def loop_margins(A: np.ndarray, b: np.ndarray, k: np.ndarray) -> LoopMargins:
+    """Margins of v = -k x in x' = A x + b v.
+
+    Parameters
+    ----------
+    A : (n, n) array
+    b, k : (n,) arrays
+        A - b k is stable.
+    """
+    eye = np.eye(len(A))
+
+    def L(omega: float) -> complex:
+        try:
+            return complex(k @ np.linalg.solve(1j * omega * eye - A, b))
+        except np.linalg.LinAlgError:  # a pole of the open loop
+            return complex(math.inf)
+
+    omegas = _frequencies(A, A - np.outer(b, k))
+    values = np.array([L(omega) for omega in omegas])
+    real = _where_zero(L, omegas, values.imag, lambda v: v.imag)
+    factors = [*_at_rest(A, b, k), *(-1 / v.real for v in real if v.real < 0)]
+    unit = _where_zero(L, omegas, np.log(np.abs(values)), lambda v: math.log(abs(v)))
+    return LoopMargins(
+        max((factor for factor in factors if 0 < factor < 1), default=0.0),
+        min((factor for factor in factors if factor > 1), default=math.inf),
+        min((180 - abs(math.degrees(cmath.phase(v))) for v in unit), default=math.inf),
+    )
+
+
+def _frequencies(*matrices: np.ndarray) -> np.ndarray:
+    """Where the response is looked at."""
+    poles = np.concatenate([np.linalg.eigvals(matrix) for matrix in matrices])
+    rates = np.concatenate([np.abs(poles), np.abs(poles.imag)])
+    rates = rates[rates > NO_RATE * rates.max()]
+    low, high = rates.min() * SLOWEST_PART, rates.max() * FASTEST_MULTIPLE
+    count = int(POINTS_PER_DECADE * math.log10(high / low))
+    return np.union1d(np.geomspace(low, high, count), rates)
+
+
+def _at_rest(A: np.ndarray, b: np.ndarray, k: np.ndarray) -> list[float]:
+    """The factor that puts a pole at 0: det(A - factor b k), which is linear in it, vanishes."""
+    without, closed = np.linalg.det(A), np.linalg.det(A - np.outer(b, k))
+    if abs(without) <= NO_RATE * abs(closed) or without == closed:
+        return []
+    return [float(without / (without - closed))]
+
+
+def _where_zero(
+    L: Callable[[float], complex],
+    omegas: np.ndarray,
+    values: np.ndarray,
+    part: Callable[[complex], float],
+) -> list[complex]:
+    """L where a part of it passes zero, not a pole, between two frequencies."""
+    found, above = [], values >= 0
+    for i in np.flatnonzero(above[:-1] != above[1:]):
+        found.append(L(brentq(lambda omega: part(L(omega)), omegas[i], omegas[i + 1])))
+    return [value for value in found if abs(value) < POLE]
