@@ -11,16 +11,17 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigvals
 from scipy.optimize import brentq
 
 #: Frequencies looked at: from this part of the slowest rate of the loop to this multiple of the
-#: fastest, so many of them to a decade, and those of all poles. Between two of them a crossing is
+#: fastest, so many of them to a decade, and those near crossings. Between two of them a crossing is
 #: refined.
-SLOWEST_PART, FASTEST_MULTIPLE, POINTS_PER_DECADE = 1e-3, 1e3, 60
+SLOWEST_PART, FASTEST_MULTIPLE, POINTS_PER_DECADE = 1e-3, 1e3, 20
 
 #: A rate below this part of the fastest is none: a pole at 0.
 NO_RATE = 1e-9
@@ -63,11 +64,11 @@ def loop_margins(A: np.ndarray, b: np.ndarray, k: np.ndarray) -> LoopMargins:
         except np.linalg.LinAlgError:  # a pole of the open loop
             return complex(math.inf)
 
-    omegas = _frequencies(A, A - np.outer(b, k))
-    values = np.array([L(omega) for omega in omegas])
-    real = _where_zero(L, omegas, values.imag, lambda v: v.imag)
+    omegas = _frequencies(A, b, k)
+    values = [L(omega) for omega in omegas]
+    real = _where_zero(L, omegas, values, lambda v: v.imag)
     factors = [*_at_rest(A, b, k), *(-1 / v.real for v in real if v.real < 0)]
-    unit = _where_zero(L, omegas, np.log(np.abs(values)), lambda v: math.log(abs(v)))
+    unit = _where_zero(L, omegas, values, lambda v: math.log(abs(v)))
     return LoopMargins(
         max((factor for factor in factors if 0 < factor < 1), default=0.0),
         min((factor for factor in factors if factor > 1), default=math.inf),
@@ -75,14 +76,33 @@ def loop_margins(A: np.ndarray, b: np.ndarray, k: np.ndarray) -> LoopMargins:
     )
 
 
-def _frequencies(*matrices: np.ndarray) -> np.ndarray:
-    """Where the response is looked at."""
-    poles = np.concatenate([np.linalg.eigvals(matrix) for matrix in matrices])
-    rates = np.concatenate([np.abs(poles), np.abs(poles.imag)])
-    rates = rates[rates > NO_RATE * rates.max()]
-    low, high = rates.min() * SLOWEST_PART, rates.max() * FASTEST_MULTIPLE
+def _frequencies(A: np.ndarray, b: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """Where the response is looked at: nearly at every crossing, between them, and coarsely.
+
+    |L| = 1 at the imaginary eigenvalues of a Hamiltonian matrix; L(s) - L(-s), twice the imaginary
+    part, is zero at those of a pencil.
+    """
+    n = len(A)
+    hamiltonian = np.block([[A, np.outer(b, b)], [-np.outer(k, k), -A.T]])
+    mirrored = np.zeros((2 * n + 1, 2 * n + 1))
+    mirrored[:n, :n], mirrored[n:-1, n:-1] = A, -A
+    mirrored[:-1, -1], mirrored[-1, :-1] = np.tile(b, 2), np.tile(k, 2)
+    poles = np.concatenate([np.linalg.eigvals(A), np.linalg.eigvals(A - np.outer(b, k))])
+    with np.errstate(all="ignore"):
+        zeros = eigvals(mirrored, np.diag([*np.ones(2 * n), 0.0]))
+        rates = np.concatenate([np.abs(poles), *map(_heights, (poles, zeros[np.isfinite(zeros)]))])
+        rates = np.append(rates, _heights(np.linalg.eigvals(hamiltonian)))
+    fastest = np.abs(poles).max()
+    low, high = (np.abs(poles[np.abs(poles) > NO_RATE * fastest]).min(), fastest)
+    low, high = low * SLOWEST_PART, high * FASTEST_MULTIPLE
     count = int(POINTS_PER_DECADE * math.log10(high / low))
-    return np.union1d(np.geomspace(low, high, count), rates)
+    rates = rates[(rates > low) & (rates < high)]
+    omegas = np.union1d(np.geomspace(low, high, count), rates)
+    return np.union1d(omegas, np.sqrt(omegas[:-1] * omegas[1:]))
+
+
+def _heights(values: np.ndarray) -> np.ndarray:
+    return np.abs(values.imag)
 
 
 def _at_rest(A: np.ndarray, b: np.ndarray, k: np.ndarray) -> list[float]:
@@ -96,11 +116,11 @@ def _at_rest(A: np.ndarray, b: np.ndarray, k: np.ndarray) -> list[float]:
 def _where_zero(
     L: Callable[[float], complex],
     omegas: np.ndarray,
-    values: np.ndarray,
+    values: Sequence[complex],
     part: Callable[[complex], float],
 ) -> list[complex]:
     """L where a part of it passes zero, not a pole, between two frequencies."""
-    found, above = [], values >= 0
+    found, above = [], np.array([part(value) >= 0 for value in values])
     for i in np.flatnonzero(above[:-1] != above[1:]):
         found.append(L(brentq(lambda omega: part(L(omega)), omegas[i], omegas[i + 1])))
     return [value for value in found if abs(value) < POLE]
