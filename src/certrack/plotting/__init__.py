@@ -13,28 +13,28 @@ from certrack.plotting.ensembles import (
     metric_histograms,
     plot_fan,
 )
+from certrack.plotting.look import Look
 from certrack.plotting.main_picture import plot
 from certrack.plotting.margins import drift_figure, margin_figure
+from certrack.plotting.overviews import figure, overview, panels_for
 from certrack.plotting.runs import (
     PANELS,
     Panel,
-    figure,
-    overview,
-    panels_for,
     plot_error,
     plot_estimates,
     plot_input,
     plot_output,
     plot_states,
-    plot_tube,
-    tube_figure,
 )
 from certrack.plotting.shared import STYLE, save_figure, style
+from certrack.plotting.show import show
 from certrack.plotting.starts import starts_figure
+from certrack.plotting.tubes import plot_tube, tube_figure
 
 __all__ = [
     "PANELS",
     "STYLE",
+    "Look",
     "Panel",
     "Runs",
     "certificates_figure",
@@ -55,6 +55,7 @@ __all__ = [
     "plot_states",
     "plot_tube",
     "save_figure",
+    "show",
     "starts_figure",
     "style",
     "tube_figure",
