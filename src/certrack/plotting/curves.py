@@ -25,6 +25,9 @@ LINE_LETTERS = 8
 #: Runs by the name that the legend shows.
 Runs = Mapping[str, Run]
 
+#: The same of the shorter lines above axes.
+SHORT_LINE = 6
+
 #: Part of a figure's width that a row of axes takes, and the size of the letters counted above.
 SHARE_OF_ROW, LETTER_SIZE = 0.88, 8.0
 
@@ -151,13 +154,9 @@ def add_legend(ax: Axes, row: Sequence[Axes] = ()) -> None:
     if not shown:
         return
     entries = [*map(_letters, shown)]
-    drawing = ax.get_figure(root=True)
+    drawing = ax.get_figure()
     assert drawing is not None
-    inches = (
-        drawing.get_figwidth() * ax.get_position().width
-        if len(row) < 2
-        else (drawing.get_figwidth() * SHARE_OF_ROW)
-    )
+    inches = float(drawing.get_figwidth()) * SHARE_OF_ROW  # type: ignore[union-attr]
     columns = _columns_that_fit(entries, inches * LETTERS_PER_INCH * LETTER_SIZE / _legend_size())
     ax.legend(
         list(shown.values()),
@@ -175,7 +174,7 @@ def add_legend(ax: Axes, row: Sequence[Axes] = ()) -> None:
 
 def _letters(label: str) -> int:
     """Letters that an entry of a legend takes, with its line."""
-    return len(re.sub(r"[${}_^]", "", re.sub(r"\\[a-z]+", "x", label))) + LINE_LETTERS
+    return len(re.sub(r"[${}_^]", "", re.sub(r"\\[a-z]+", "x", label))) + SHORT_LINE
 
 
 def _columns_that_fit(letters: Sequence[int], room: float) -> int:

@@ -91,7 +91,8 @@ def plain(text: str) -> str:
 
 def set_title(drawing: Figure, title: str) -> None:
     """The title above all panels of a figure."""
-    drawing.suptitle(plain(title), fontsize=10, fontweight="bold")
+    size = 1 + float(matplotlib.rcParams["axes.titlesize"])
+    drawing.suptitle(plain(title), fontsize=size, fontweight="bold")
 
 
 def in_brackets(unit: str) -> str:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -20,8 +21,8 @@ from certrack.simulation.run import Run
 Window = tuple[float, float]
 
 #: The transient of a signal ends where it last exceeds its largest value of the second half by this
-#: factor, and is worth axes of its own if it is so many times as large and ends within this part of
-#: the run.
+#: factor; transients are worth axes of their own if one is so many times as large and all end within
+#: this part of the run.
 SETTLED, DOMINANT, SHORT = 3.0, 6.0, 0.15
 
 #: The axes of the transient end this much later, rounded up to one of these numbers.
@@ -30,8 +31,8 @@ BEYOND, ROUND_TIMES = 1.25, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0)
 #: Space between curves and frame, as a part of their height.
 FRAME = 0.08
 
-#: Widths of the two columns.
-COLUMNS = (0.36, 0.64)
+#: Widths of the two columns, and intervals between the ticks of the first.
+COLUMNS, TRANSIENT_TICKS = (0.36, 0.64), 3
 
 
 def windows_of(runs: Iterable[Run], asked: Window | None = None) -> tuple[Window | None, ...]:
@@ -45,8 +46,9 @@ def windows_of(runs: Iterable[Run], asked: Window | None = None) -> tuple[Window
 
 
 def split_time(end: float, signals: Iterable[tuple[np.ndarray, np.ndarray]]) -> float | None:
-    """Where a short transient ends; None if there is none, or a signal has none but is moving."""
-    ends = []
+    """Where the transients of all signals have ended; None if none is large, or one is long."""
+    ends: list[float] = []
+    dominant = False
     for t, values in signals:
         sizes = np.abs(np.nan_to_num(values))
         later = sizes[t >= end / 2]
@@ -54,9 +56,9 @@ def split_time(end: float, signals: Iterable[tuple[np.ndarray, np.ndarray]]) -> 
         above = np.flatnonzero(sizes > SETTLED * rest)
         if not len(later) or not len(above) or not rest:
             continue
-        if sizes.max() > DOMINANT * rest:
-            ends.append(float(t[above[-1]]))
-    if not ends or not 0 < max(ends) <= SHORT * end:
+        ends.append(float(t[above[-1]]))
+        dominant = dominant or bool(sizes.max() > DOMINANT * rest)
+    if not dominant or not 0 < max(ends) <= SHORT * end:
         return None
     wanted = BEYOND * max(ends)
     power = 10.0 ** math.floor(math.log10(wanted))
@@ -69,6 +71,9 @@ def columns(drawing: Figure, rows: int, windows: tuple[Window | None, ...]) -> l
     grid = drawing.subplots(
         rows, len(widths), sharex="col", squeeze=False, gridspec_kw={"width_ratios": widths}
     )
+    if len(widths) == 2:
+        for ax in grid[:, 0]:
+            ax.xaxis.set_major_locator(ticker.MaxNLocator(TRANSIENT_TICKS))
     return [list(row) for row in grid]
 
 
