@@ -33,13 +33,13 @@ def look_options(command: Callable[..., Any]) -> Callable[..., Any]:
         window: str | None,
         **options: Any,
     ) -> Any:
-        given = {
+        options_of = {
             "--style": style,
             "--size": size,
             "--title": picture_title,
             "--window": window,
         }
-        named = [name for name, value in given.items() if value is not None]
+        named = [name for name, value in options_of.items() if value is not None]
         if named and not any(options.get(name) for name in MAKING):
             makers = [f"--{name}" for name in MAKING if name in options]
             raise click.UsageError(
@@ -113,14 +113,14 @@ def certified_runs(systems: Mapping[str, System]) -> dict[str, Certificates]:
     from certrack.certificates import certify
     from certrack.cli import report
 
-    found = {}
+    certificates = {}
     for name, system in systems.items():
         with report.progress("Certifying") as advance:
-            found[name] = certify(system, "fast", advance)
-    return found
+            certificates[name] = certify(system, "fast", advance)
+    return certificates
 
 
-def show(
+def show_runs(
     runs: dict[str, Run],
     title: str,
     look: Look,

@@ -18,7 +18,7 @@ from certrack.cli.base import (
     note_unlikely,
     tell_written,
 )
-from certrack.cli.pictures import certified_runs, draw, look_options, show
+from certrack.cli.pictures import certified_runs, draw, look_options, show_runs
 from certrack.cli.premises import note_contradictions
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def simulate(
     tell_written(as_json, *([] if out is None else [out]))
     tell_written(as_json, *pictures)
     if in_window:
-        show(runs, system.title, look, certified)
+        show_runs(runs, system.title, look, certified)
     diagnose(run)
 
 

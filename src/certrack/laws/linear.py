@@ -10,7 +10,7 @@ from certrack.core import checks
 from certrack.core.errors import DesignError, InputError
 from certrack.core.keys import check_fields, keyed, set_fields
 from certrack.laws.backstepping import Gains
-from certrack.laws.lqr import LqrWeights, lqr_feedback, rounded
+from certrack.laws.lqr import LqrWeights, as_computed, lqr_feedback
 from certrack.laws.plant_coordinates import (
     PlantCoordinates,
     balancing_feedforward,
@@ -85,13 +85,13 @@ class Linear(Robust):
         F = plant.b + np.eye(plant.n - 1, plant.n, 1) * plant.g[:, None]
         if self.lqr is not None:
             g_n = self.known_gain(plant)
-            K = tuple(map(rounded, lqr_feedback(self.lqr, F, g_n).tolist()))
+            K = tuple(map(as_computed, lqr_feedback(self.lqr, F, g_n).tolist()))
         else:
             K = checks.reals("law.K", self.K, plant.n, "K_1 ... K_n")
         _require_stable(np.vstack([F, K]))
         r = self.r
         if r is None:
-            r = rounded(balancing_feedforward(plant.g, plant.b, np.array(K), q))
+            r = as_computed(balancing_feedforward(plant.g, plant.b, np.array(K), q))
         return replace(self, K=K, r=r, lqr=None)
 
     def coordinates(self, plant: Plant) -> PlantCoordinates:

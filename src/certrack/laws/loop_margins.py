@@ -120,7 +120,7 @@ def _where_zero(
     part: Callable[[complex], float],
 ) -> list[complex]:
     """L where a part of it passes zero, not a pole, between two frequencies."""
-    found, above = [], np.array([part(value) >= 0 for value in values])
+    crossings, above = [], np.array([part(value) >= 0 for value in values])
     for i in np.flatnonzero(above[:-1] != above[1:]):
-        found.append(L(brentq(lambda omega: part(L(omega)), omegas[i], omegas[i + 1])))
-    return [value for value in found if abs(value) < POLE]
+        crossings.append(L(brentq(lambda omega: part(L(omega)), omegas[i], omegas[i + 1])))
+    return [value for value in crossings if abs(value) < POLE]

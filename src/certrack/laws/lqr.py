@@ -88,6 +88,6 @@ def lqr_feedback(weights: LqrWeights, F: np.ndarray, g_n: float) -> np.ndarray:
     return -X[-1] / input_weight[0, 0]
 
 
-def rounded(value: float) -> float:
+def as_computed(value: float) -> float:
     """The float whose decimal text has :data:`COMPUTED_DIGITS` digits."""
     return float(f"{value:.{COMPUTED_DIGITS}g}")

@@ -38,12 +38,12 @@ def draw_guarantees(
     plant = next(iter(runs.values())).system.plant
     unit = (plant.units or ("",))[0]
     for k, (name, run) in enumerate(runs.items()):
-        found = certified.get(name)
-        if found is None:
+        certificates = certified.get(name)
+        if certificates is None:
             continue
         color = GREEN if len(runs) == 1 else design_style(k)["color"]
         low, high = window or (0.0, float(run.t[-1]))
-        best = found.best
+        best = certificates.best
         if best.exists:
             drawn = best.bound <= FITS * largest
             text = f"certified {rounded_up(best.bound, 4)} {plain(unit)}"
@@ -52,9 +52,9 @@ def draw_guarantees(
                 ax.axhline(sign * best.bound, color=color, ls="-.", lw=0.9, label=label)
                 label = None
             held += [best.bound, -best.bound] if drawn else []
-        if found.tube is not None:
+        if certificates.tube is not None:
             t = np.linspace(low, high, TUBE_POINTS)
-            wide = found.tube(t)
+            wide = certificates.tube(t)
             label = label_once(ax, "tube")
             limits = ax.get_ylim()
             ax.fill_between(t, -wide, wide, color=color, alpha=TUBE_ALPHA, lw=0, label=label)

@@ -21,9 +21,9 @@ from certrack.simulation.run import Run
 Window = tuple[float, float]
 
 #: The transient of a signal ends where it last exceeds its largest value of the second half by this
-#: factor; transients are worth axes of their own if one is so many times as large and all end within
-#: this part of the run.
-SETTLED, DOMINANT, SHORT = 3.0, 6.0, 0.15
+#: factor; transients are worth axes of their own if one is so many times as large and all end
+#: within this part of the run.
+DECAYED, DOMINANT, SHORT = 3.0, 6.0, 0.15
 
 #: The axes of the transient end this much later, rounded up to one of these numbers.
 BEYOND, ROUND_TIMES = 1.25, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0)
@@ -32,7 +32,7 @@ BEYOND, ROUND_TIMES = 1.25, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0)
 FRAME = 0.08
 
 #: Widths of the two columns, and intervals between the ticks of the first.
-COLUMNS, TRANSIENT_TICKS = (0.36, 0.64), 3
+COLUMN_WIDTHS, TRANSIENT_TICKS = (0.36, 0.64), 3
 
 
 def windows_of(runs: Iterable[Run], asked: Window | None = None) -> tuple[Window | None, ...]:
@@ -52,12 +52,12 @@ def split_time(end: float, signals: Iterable[tuple[np.ndarray, np.ndarray]]) -> 
     for t, values in signals:
         sizes = np.abs(np.nan_to_num(values))
         later = sizes[t >= end / 2]
-        rest = float(later.max(initial=0.0))
-        above = np.flatnonzero(sizes > SETTLED * rest)
-        if not len(later) or not len(above) or not rest:
+        settled = float(later.max(initial=0.0))
+        above = np.flatnonzero(sizes > DECAYED * settled)
+        if not len(later) or not len(above) or not settled:
             continue
         ends.append(float(t[above[-1]]))
-        dominant = dominant or bool(sizes.max() > DOMINANT * rest)
+        dominant = dominant or bool(sizes.max() > DOMINANT * settled)
     if not dominant or not 0 < max(ends) <= SHORT * end:
         return None
     wanted = BEYOND * max(ends)
@@ -67,7 +67,7 @@ def split_time(end: float, signals: Iterable[tuple[np.ndarray, np.ndarray]]) -> 
 
 def columns(drawing: Figure, rows: int, windows: tuple[Window | None, ...]) -> list[list[Axes]]:
     """Axes of a figure, row by row; those of a column share their times."""
-    widths = COLUMNS if len(windows) == 2 else (1.0,)
+    widths = COLUMN_WIDTHS if len(windows) == 2 else (1.0,)
     grid = drawing.subplots(
         rows, len(widths), sharex="col", squeeze=False, gridspec_kw={"width_ratios": widths}
     )

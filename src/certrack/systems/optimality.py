@@ -85,8 +85,8 @@ def _linear_part(system: System) -> np.ndarray | None:
     known = plant.theta or system.truth.theta
     if len(known or ()) != plant.r:
         return None
-    found = linear_drift(plant, total_drift(plant, known or ()))
-    return None if found is None else np.array([float(slope) for slope in found[0]])
+    parts = linear_drift(plant, total_drift(plant, known or ()))
+    return None if parts is None else np.array([float(slope) for slope in parts[0]])
 
 
 def _record(margins: LoopMargins) -> dict[str, Any]:

@@ -303,8 +303,8 @@ class LawConformance:
 def _with_other_gains(law: Law) -> Law:
     """The law with one list of its gains, c where it has one, a tenth larger."""
     lists = [name for name, key in keys_of(law).items() if key.kind == "numbers"]
-    given: dict[str, Any] = {name: getattr(law, name) for name in lists}
-    name, gains = next((name, gains) for name, gains in given.items() if gains)
+    values: dict[str, Any] = {name: getattr(law, name) for name in lists}
+    name, gains = next((name, gains) for name, gains in values.items() if gains)
     changed: dict[str, Any] = {name: tuple(1.1 * value for value in gains)}
     return replace(law, **changed)
 

@@ -227,13 +227,13 @@ def _linear_drift(system: System) -> tuple[list[Any], Any]:
     """
     plant = system.plant
     total = total_drift(plant, plant.theta or ())
-    found = linear_drift(plant, total)
-    if found is None:
+    parts = linear_drift(plant, total)
+    if parts is None:
         raise NoCertificate(
             "only loops that are linear are covered as implemented: plant.drift (with the known "
             f"regressors) is {total}"
         )
-    slopes, constant = found
+    slopes, constant = parts
     return [rational(slope) for slope in slopes], rational(constant)
 
 
