@@ -301,12 +301,15 @@ def test_units_take_a_prefix(unit, size, shown):
     assert prefix(unit, size) == shown
 
 
-def test_looks(runs, tmp_path):
+def test_appearances(runs, tmp_path):
     run = runs["dual-motor-lean"]
-    paper = plotting.overview({"": run}, "title", plotting.Look("paper"))
+    paper = plotting.overview({"": run}, "title", plotting.Appearance("paper"))
     assert paper.get_figwidth() == 3.5
     slide = plotting.figure(
-        plotting.plot_error, {"": run}, "old", plotting.Look("slides", (10, 5), "new", (0.2, 0.4))
+        plotting.plot_error,
+        {"": run},
+        "old",
+        plotting.Appearance("slides", (10, 5), "new", (0.2, 0.4)),
     )
     assert tuple(slide.get_size_inches()) == (10, 5)
     assert slide.get_suptitle() == "new"
@@ -317,8 +320,8 @@ def test_looks(runs, tmp_path):
     for first, second in zip(written, again, strict=True):
         assert first.read_bytes() == second.read_bytes()
     for wrong in ({"kind": "poster"}, {"size": (0, 1)}, {"window": (2, 1)}):
-        with pytest.raises(InputError, match="look"):
-            plotting.Look(**wrong)
+        with pytest.raises(InputError, match="appearance"):
+            plotting.Appearance(**wrong)
 
 
 def test_a_limit_far_from_the_errors_does_not_squeeze_their_histogram():

@@ -13,7 +13,7 @@ from certrack.core.errors import InputError
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificates
-    from certrack.plotting import Look
+    from certrack.plotting import Appearance
     from certrack.simulation.run import Run
     from certrack.systems.system import System
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 MAKING = ("plot", "show", "out")
 
 
-def look_options(command: Callable[..., Any]) -> Callable[..., Any]:
+def picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add ``--style``, ``--size``, ``--title`` and ``--window``; the verb gets a `look`."""
 
     @wraps(command)
-    def with_look(
+    def with_appearance(
         *arguments: Any,
         style: str | None,
         size: str | None,
@@ -45,8 +45,8 @@ def look_options(command: Callable[..., Any]) -> Callable[..., Any]:
             raise click.UsageError(
                 f"{named[0]} needs {' or '.join(makers)}", click.get_current_context()
             )
-        look = _look(style or "page", size, picture_title, window)
-        return command(*arguments, look=look, **options)
+        appearance = _appearance(style or "page", size, picture_title, window)
+        return command(*arguments, appearance=appearance, **options)
 
     for option in (
         click.option(
@@ -62,14 +62,14 @@ def look_options(command: Callable[..., Any]) -> Callable[..., Any]:
             help="Pictures for a page (default), for one column of a paper, for slides.",
         ),
     ):
-        with_look = option(with_look)
-    return with_look
+        with_appearance = option(with_appearance)
+    return with_appearance
 
 
-def _look(style: str, size: str | None, title: str | None, window: str | None) -> Look:
-    from certrack.plotting import Look
+def _appearance(style: str, size: str | None, title: str | None, window: str | None) -> Appearance:
+    from certrack.plotting import Appearance
 
-    return Look(style, _pair("--size", size), title, _pair("--window", window, rising=True))
+    return Appearance(style, _pair("--size", size), title, _pair("--window", window, rising=True))
 
 
 def _pair(name: str, text: str | None, *, rising: bool = False) -> tuple[float, float] | None:
@@ -94,7 +94,7 @@ def draw(
     runs: dict[str, Run],
     folder: Path,
     title: str,
-    look: Look,
+    appearance: Appearance,
     certified: Mapping[str, Certificates] | None = None,
 ) -> list[Path]:
     """Write every panel as a picture of its own, and all of them together; returns the paths."""
@@ -102,9 +102,9 @@ def draw(
 
     paths: list[Path] = []
     for name, panel in plotting.panels_for(runs, certified).items():
-        drawing = plotting.figure(panel, runs, title, look)
+        drawing = plotting.figure(panel, runs, title, appearance)
         paths += plotting.save_figure(drawing, folder, name)
-    drawing = plotting.overview(runs, title, look, certified)
+    drawing = plotting.overview(runs, title, appearance, certified)
     return paths + plotting.save_figure(drawing, folder, "overview")
 
 
@@ -123,11 +123,11 @@ def certified_runs(systems: Mapping[str, System]) -> dict[str, Certificates]:
 def show_runs(
     runs: dict[str, Run],
     title: str,
-    look: Look,
+    appearance: Appearance,
     certified: Mapping[str, Certificates] | None = None,
 ) -> None:
     """Open a window with all panels; a note where there is none."""
     from certrack import plotting
 
-    if reason := plotting.show([plotting.overview(runs, title, look, certified)]):
+    if reason := plotting.show([plotting.overview(runs, title, appearance, certified)]):
         click.echo(f"certrack: note: no window: {reason}; --plot DIR writes files", err=True)

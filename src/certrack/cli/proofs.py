@@ -16,14 +16,14 @@ from certrack.cli.base import (
     note_engine,
     note_implementation,
 )
-from certrack.cli.pictures import look_options
+from certrack.cli.pictures import picture_options
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
 from certrack.core import checks
 from certrack.core.errors import InputError
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificates
-    from certrack.plotting import Look
+    from certrack.plotting import Appearance
     from certrack.systems.system import System
 
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     help="How long it may take: fast makes no cells of ranges, high four times as many.",
 )
 @click.option("--require", is_flag=True, help="Exit with 1 if nothing is verified.")
-@look_options
+@picture_options
 @json_option
 def certify(
     file: str,
@@ -58,7 +58,7 @@ def certify(
     states: str | None,
     effort: str,
     require: bool,
-    look: Look,
+    appearance: Appearance,
     as_json: bool,
 ) -> None:
     """Compute guaranteed bounds on the tracking error.
@@ -88,13 +88,13 @@ def certify(
         from certrack.simulation.simulator import simulate as run_system
 
         run = run_system(system)
-        drawing = plotting.tube_figure(run, result.tube, system.title, result.best, look)
+        drawing = plotting.tube_figure(run, result.tube, system.title, result.best, appearance)
         plotting.save_figure(drawing, plot, "tube")
     if plot is not None and result.implemented.polytope is not None and system.plant.n > 1:
         from certrack import plotting
 
-        title, units = look.titled(system.title), system.plant.units
-        drawing = plotting.starts_figure(result.implemented, axes, title, units, look)
+        title, units = appearance.titled(system.title), system.plant.units
+        drawing = plotting.starts_figure(result.implemented, axes, title, units, appearance)
         plotting.save_figure(drawing, plot, "starts")
     if as_json:
         click.echo(report.to_json(range_report.ranged_summary(result)))

@@ -18,11 +18,11 @@ from certrack.cli.base import (
     note_unlikely,
     tell_written,
 )
-from certrack.cli.pictures import certified_runs, draw, look_options, show_runs
+from certrack.cli.pictures import certified_runs, draw, picture_options, show_runs
 from certrack.cli.premises import note_contradictions
 
 if TYPE_CHECKING:
-    from certrack.plotting import Look
+    from certrack.plotting import Appearance
     from certrack.studies.ensembles.ensemble import Ensemble
 
 
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Certify first, and draw the bound and the tube beside the error.",
 )
-@look_options
+@picture_options
 @json_option
 def simulate(
     file: str,
@@ -77,7 +77,7 @@ def simulate(
     with_c: bool,
     in_window: bool,
     with_bound: bool,
-    look: Look,
+    appearance: Appearance,
     as_json: bool,
 ) -> None:
     """Simulate one run and print its metrics.
@@ -124,7 +124,7 @@ def simulate(
         run.save(out, samples)
     runs = {Path(file).stem: run}
     certified = certified_runs({Path(file).stem: system}) if with_bound else None
-    pictures = [] if plot is None else draw(runs, plot, system.title, look, certified)
+    pictures = [] if plot is None else draw(runs, plot, system.title, appearance, certified)
     summary = run.summary()
     if as_json:
         click.echo(report.to_json(summary | controller))
@@ -139,7 +139,7 @@ def simulate(
     tell_written(as_json, *([] if out is None else [out]))
     tell_written(as_json, *pictures)
     if in_window:
-        show_runs(runs, system.title, look, certified)
+        show_runs(runs, system.title, appearance, certified)
     diagnose(run)
 
 
@@ -152,10 +152,14 @@ def simulate(
     is_flag=True,
     help="Certify first, and draw the bounds and the tubes beside the errors.",
 )
-@look_options
+@picture_options
 @json_option
 def compare(
-    files: tuple[str, ...], plot: Path | None, with_bound: bool, look: Look, as_json: bool
+    files: tuple[str, ...],
+    plot: Path | None,
+    with_bound: bool,
+    appearance: Appearance,
+    as_json: bool,
 ) -> None:
     """Simulate several systems and print their metrics side by side.
 
@@ -173,7 +177,7 @@ def compare(
         note_contradictions(system, file)
     runs = {file: run_system(system) for file, system in systems.items()}
     certified = certified_runs(systems) if with_bound else None
-    pictures = [] if plot is None else draw(runs, plot, "", look, certified)
+    pictures = [] if plot is None else draw(runs, plot, "", appearance, certified)
     summaries = {file: run.summary() for file, run in runs.items()}
     if as_json:
         click.echo(report.to_json(summaries))
@@ -226,7 +230,7 @@ def compare(
     multiple=True,
     help="Save the full run of this member in --out; may be repeated.",
 )
-@look_options
+@picture_options
 @json_option
 def ensemble(
     file: str,
@@ -238,7 +242,7 @@ def ensemble(
     threads: int | None,
     cluster: str | None,
     keep: tuple[int, ...],
-    look: Look,
+    appearance: Appearance,
     as_json: bool,
 ) -> None:
     """Simulate many random members: plants, starts and disturbances.
@@ -290,7 +294,7 @@ def ensemble(
             click.echo(f"certrack: {out} keeps what is done; the same command goes on", err=True)
         raise
     summary = result.summary()
-    written = [] if out is None else _save_ensemble(result, summary, out, keep, look)
+    written = [] if out is None else _save_ensemble(result, summary, out, keep, appearance)
     if as_json:
         click.echo(report.to_json(summary))
     else:
@@ -301,7 +305,11 @@ def ensemble(
 
 
 def _save_ensemble(
-    ensemble: Ensemble, summary: dict[str, Any], out: Path, keep: tuple[int, ...], look: Look
+    ensemble: Ensemble,
+    summary: dict[str, Any],
+    out: Path,
+    keep: tuple[int, ...],
+    appearance: Appearance,
 ) -> list[Path]:
     """Bands, summary, pictures and chosen members; returns the paths."""
     from certrack import plotting
@@ -311,7 +319,7 @@ def _save_ensemble(
     paths = [out / "bands.nc", out / "summary.json"]
     write_netcdf(paths[0], ensemble.dataset())
     write_text(paths[1], report.to_json(summary) + "\n")
-    for name, figure in plotting.ensemble_figures(ensemble, look).items():
+    for name, figure in plotting.ensemble_figures(ensemble, appearance).items():
         paths += plotting.save_figure(figure, out, name)
     for index in keep:
         paths.append(out / f"member-{index}.nc")

@@ -5,6 +5,7 @@ Figures are made without pyplot, so nothing global is touched and no window open
 legend names the runs, and a curve never gets the style of another one on the same axes.
 """
 
+from certrack.plotting.appearance import Appearance
 from certrack.plotting.certificates import certificates_figure
 from certrack.plotting.curves import Runs
 from certrack.plotting.ensembles import (
@@ -13,7 +14,6 @@ from certrack.plotting.ensembles import (
     metric_histograms,
     plot_fan,
 )
-from certrack.plotting.look import Look
 from certrack.plotting.main_picture import plot
 from certrack.plotting.margins import drift_figure, margin_figure
 from certrack.plotting.overviews import figure, overview, panels_for
@@ -34,7 +34,7 @@ from certrack.plotting.tubes import plot_tube, tube_figure
 __all__ = [
     "PANELS",
     "STYLE",
-    "Look",
+    "Appearance",
     "Panel",
     "Runs",
     "certificates_figure",

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from certrack.core.errors import InputError
-from certrack.plotting.look import PAGE, Look
+from certrack.plotting.appearance import PAGE, Appearance
 from certrack.plotting.names import math_name
 from certrack.plotting.shared import (
     BLUE,
@@ -49,7 +49,7 @@ SMALLEST_SHARE = 1e-12
 BANDS = ((0, -1, "1 to 99 %", 0.14), (1, -2, "5 to 95 %", 0.22), (2, -3, "25 to 75 %", 0.34))
 
 
-def ensemble_figures(ensemble: Ensemble, look: Look = PAGE) -> dict[str, Figure]:
+def ensemble_figures(ensemble: Ensemble, appearance: Appearance = PAGE) -> dict[str, Figure]:
     """Fan chart of error, states and input, and histograms of the metrics.
 
     Parameters
@@ -68,10 +68,13 @@ def ensemble_figures(ensemble: Ensemble, look: Look = PAGE) -> dict[str, Figure]
     >>> sorted(certrack.plotting.ensemble_figures(result))
     ['fan', 'metrics']
     """
-    return {"fan": fan_chart(ensemble, look), "metrics": metric_histograms(ensemble, look)}
+    return {
+        "fan": fan_chart(ensemble, appearance),
+        "metrics": metric_histograms(ensemble, appearance),
+    }
 
 
-def fan_chart(ensemble: Ensemble, look: Look = PAGE) -> Figure:
+def fan_chart(ensemble: Ensemble, appearance: Appearance = PAGE) -> Figure:
     """Quantile bands of every signal against time.
 
     Parameters
@@ -90,9 +93,9 @@ def fan_chart(ensemble: Ensemble, look: Look = PAGE) -> Figure:
     4
     """
     names = ensemble.signals
-    with style(look):
-        drawing = new_figure(*look.extent(0.95 * len(names)))
-        windows = _windows(ensemble, look)
+    with style(appearance):
+        drawing = new_figure(*appearance.extent(0.95 * len(names)))
+        windows = _windows(ensemble, appearance)
         rows = columns(drawing, len(names), windows)
         for row, name in zip(rows, names, strict=True):
             for ax, window in zip(row, windows, strict=True):
@@ -104,19 +107,19 @@ def fan_chart(ensemble: Ensemble, look: Look = PAGE) -> Figure:
             for ax in rows[0]
             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
         }
-        entries = LEGEND_COLUMNS[look.kind]
+        entries = LEGEND_COLUMNS[appearance.kind]
         drawing.legend(shown.values(), shown, loc="outside lower center", ncols=entries)
         for ax in rows[-1]:
             ax.set_xlabel("time [s]")
         drawing.align_ylabels([row[0] for row in rows])
-        set_title(drawing, look.titled(_title(ensemble)))
+        set_title(drawing, appearance.titled(_title(ensemble)))
     return drawing
 
 
-def _windows(ensemble: Ensemble, look: Look) -> tuple[Window | None, ...]:
+def _windows(ensemble: Ensemble, appearance: Appearance) -> tuple[Window | None, ...]:
     """What the columns show: the transient apart where that of the outer quantiles is short."""
-    if look.window is not None:
-        return (look.window,)
+    if appearance.window is not None:
+        return (appearance.window,)
     t, bands = ensemble.t, _finite(ensemble.bands)
     outer = np.abs(bands).max(axis=0)
     split = split_time(float(t[-1]), [(t, outer[0]), (t, outer[-1])])
@@ -220,7 +223,7 @@ HISTOGRAMS = {
 HISTOGRAM_BARS = 60
 
 
-def metric_histograms(ensemble: Ensemble, look: Look = PAGE) -> Figure:
+def metric_histograms(ensemble: Ensemble, appearance: Appearance = PAGE) -> Figure:
     """Distribution of four metrics; the limit of the tail error is marked.
 
     Parameters
@@ -239,8 +242,8 @@ def metric_histograms(ensemble: Ensemble, look: Look = PAGE) -> Figure:
     4
     """
     units = ensemble.system.plant.units or ("",)
-    with style(look):
-        drawing = new_figure(*look.extent(2.1))
+    with style(appearance):
+        drawing = new_figure(*appearance.extent(2.1))
         axes = drawing.subplots(2, 2).ravel()
         for ax, (name, (label, index)) in zip(axes, HISTOGRAMS.items(), strict=True):
             tally = ensemble.statistics.metrics[name]
@@ -253,7 +256,7 @@ def metric_histograms(ensemble: Ensemble, look: Look = PAGE) -> Figure:
             if tally.missing:
                 lack = "not settled" if name == "settling_time" else "not finished"
                 ax.set_title(f"{tally.missing} {lack}", loc="right", fontweight="normal")
-        set_title(drawing, look.titled(_title(ensemble)))
+        set_title(drawing, appearance.titled(_title(ensemble)))
     return drawing
 
 

@@ -7,9 +7,9 @@ from functools import partial
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from certrack.plotting.appearance import PAGE, Appearance
 from certrack.plotting.curves import Runs, add_legend, name_systems
 from certrack.plotting.limits import Certified
-from certrack.plotting.look import PAGE, Look
 from certrack.plotting.runs import PANELS, Panel, plot_error, plot_states, units_of
 from certrack.plotting.shared import new_figure, set_title, style
 from certrack.plotting.windows import Window, columns, windows_of
@@ -52,7 +52,7 @@ def panels_for(runs: Runs, certified: Certified | None = None) -> dict[str, Pane
     return panels
 
 
-def figure(panel: Panel, runs: Runs, title: str = "", look: Look = PAGE) -> Figure:
+def figure(panel: Panel, runs: Runs, title: str = "", appearance: Appearance = PAGE) -> Figure:
     """One panel as a figure.
 
     Parameters
@@ -61,7 +61,7 @@ def figure(panel: Panel, runs: Runs, title: str = "", look: Look = PAGE) -> Figu
         Of :func:`panels_for`.
     runs : mapping of names to runs
     title : str
-    look : Look
+    appearance : Appearance
 
     Returns
     -------
@@ -73,19 +73,19 @@ def figure(panel: Panel, runs: Runs, title: str = "", look: Look = PAGE) -> Figu
     >>> run = certrack.simulate(certrack.load("example1"))
     >>> drawing = certrack.plotting.figure(certrack.plotting.plot_error, {"": run})
     """
-    with style(look):
-        width, height = look.extent(1.0)
-        drawing = new_figure(width, height if look.size else SINGLE_HEIGHT * height)
-        windows = windows_of(runs.values(), look.window)
+    with style(appearance):
+        width, height = appearance.extent(1.0)
+        drawing = new_figure(width, height if appearance.size else SINGLE_HEIGHT * height)
+        windows = windows_of(runs.values(), appearance.window)
         (row,) = columns(drawing, 1, windows)
         _draw_row(row, panel, runs, windows)
-        set_title(drawing, look.titled(title))
+        set_title(drawing, appearance.titled(title))
         name_systems(drawing, runs)
     return drawing
 
 
 def overview(
-    runs: Runs, title: str = "", look: Look = PAGE, certified: Certified | None = None
+    runs: Runs, title: str = "", appearance: Appearance = PAGE, certified: Certified | None = None
 ) -> Figure:
     """All panels below each other.
 
@@ -93,7 +93,7 @@ def overview(
     ----------
     runs : mapping of names to runs
     title : str
-    look : Look
+    appearance : Appearance
     certified : mapping of names of runs to Certificates, optional
         Whose bounds and tubes the panel of the error shows.
 
@@ -108,9 +108,9 @@ def overview(
     >>> drawing = certrack.plotting.overview({"example1": run})
     """
     panels = panels_for(runs, certified)
-    with style(look):
-        drawing = new_figure(*look.extent(len(panels)))
-        windows = windows_of(runs.values(), look.window)
+    with style(appearance):
+        drawing = new_figure(*appearance.extent(len(panels)))
+        windows = windows_of(runs.values(), appearance.window)
         rows = columns(drawing, len(panels), windows)
         for row, panel in zip(rows, panels.values(), strict=True):
             _draw_row(row, panel, runs, windows)
@@ -118,7 +118,7 @@ def overview(
             for ax in row:
                 ax.set_xlabel("")
         drawing.align_ylabels([row[0] for row in rows])
-        set_title(drawing, look.titled(title))
+        set_title(drawing, appearance.titled(title))
         name_systems(drawing, runs)
     return drawing
 

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from certrack.core.files import write_folder
-from certrack.plotting.look import PAGE, Look
+from certrack.plotting.appearance import PAGE, Appearance
 
 #: Colours of curves, in the order in which they are used.
 BLUE, RED, GREEN, GOLD, PURPLE = "#0b61a4", "#d1495b", "#2e8b57", "#edae49", "#6a4c93"
@@ -58,12 +58,12 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def style(look: Look = PAGE) -> AbstractContextManager[None]:
+def style(appearance: Appearance = PAGE) -> AbstractContextManager[None]:
     """Context in which certrack draws.
 
     Parameters
     ----------
-    look : Look
+    appearance : Appearance
 
     Returns
     -------
@@ -76,7 +76,7 @@ def style(look: Look = PAGE) -> AbstractContextManager[None]:
     >>> with certrack.plotting.style():
     ...     ax = Figure().subplots()
     """
-    return matplotlib.rc_context(STYLE | look.changes)
+    return matplotlib.rc_context(STYLE | appearance.changes)
 
 
 def new_figure(width: float, height: float) -> Figure:

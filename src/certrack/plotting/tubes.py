@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from certrack.certificates.certificate import Certificate
 from certrack.certificates.tube import Tube
 from certrack.core.rounding import rounded_up
+from certrack.plotting.appearance import PAGE, Appearance
 from certrack.plotting.curves import Runs, add_legend, draw_curve, label_axes
-from certrack.plotting.look import PAGE, Look
 from certrack.plotting.runs import units_of
 from certrack.plotting.shared import BLUE, GREEN, new_figure, plain, set_title, style
 from certrack.plotting.units import label_with_unit
@@ -56,7 +56,11 @@ def plot_tube(ax: Axes, runs: Runs, tube: Tube, *, named: bool = True) -> None:
 
 
 def tube_figure(
-    run: Run, tube: Tube, title: str = "", best: Certificate | None = None, look: Look = PAGE
+    run: Run,
+    tube: Tube,
+    title: str = "",
+    best: Certificate | None = None,
+    appearance: Appearance = PAGE,
 ) -> Figure:
     """The response in its tube: the whole run, and the end of it magnified.
 
@@ -67,7 +71,7 @@ def tube_figure(
     title : str
     best : Certificate, optional
         The certificate to rely on, which is drawn where its bound is another than the tube's.
-    look : Look
+    appearance : Appearance
 
     Returns
     -------
@@ -80,8 +84,8 @@ def tube_figure(
     >>> run, tube = certrack.simulate(system), certrack.certify(system).tube
     >>> drawing = certrack.plotting.tube_figure(run, tube)
     """
-    with style(look):
-        drawing = new_figure(*look.extent(2.1))
+    with style(appearance):
+        drawing = new_figure(*appearance.extent(2.1))
         axes = drawing.subplots(2, 1, sharex=True)
         floor, unit = math.sqrt(tube.floor), units_of({"": run})[0]
         for ax in axes:
@@ -92,9 +96,9 @@ def tube_figure(
         if best is not None and best.exists:
             _add_bound(axes[1], best, floor, unit)
         label_with_unit(axes[1], "magnified", unit)
-        if look.window is not None:
-            axes[1].set_xlim(*look.window)
-        title = look.titled(title)
+        if appearance.window is not None:
+            axes[1].set_xlim(*appearance.window)
+        title = appearance.titled(title)
         if run.system.implementation is not None:
             title = f"{title}\ntube of the continuous law; the run shown is sampled".strip()
         set_title(drawing, title)

@@ -42,7 +42,7 @@ KINDS: Mapping[str, tuple[float, float, dict[Any, Any]]] = {
 
 
 @dataclass(frozen=True)
-class Look:
+class Appearance:
     """How pictures are drawn.
 
     Parameters
@@ -62,12 +62,14 @@ class Look:
     window: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        checks.choice("look.kind", self.kind, KINDS)
+        checks.choice("appearance.kind", self.kind, KINDS)
         if self.size is not None:
-            size = checks.reals("look.size", self.size, 2, "width and height in inches", above=0)
+            size = checks.reals(
+                "appearance.size", self.size, 2, "width and height in inches", above=0
+            )
             set_fields(self, size=size)
         if self.window is not None:
-            window = checks.ordered_pair("look.window", self.window, strict=True)
+            window = checks.ordered_pair("appearance.window", self.window, strict=True)
             set_fields(self, window=window)
 
     @property
@@ -88,4 +90,4 @@ class Look:
 
 
 #: As pictures are drawn if nothing else is asked for.
-PAGE = Look()
+PAGE = Appearance()
