@@ -36,15 +36,18 @@ SHIPPED = (
     "example1",
     "example1-classic",
     "flexible-joint",
+    "point-to-point",
     "stiction",
     "theorem1-counterexample",
 )
 
 
-#: Those whose controller is not sampled and whose runs last 20 s, each loop once; test_papers.py
-#: has the other.
-ELSEWHERE = ("axis", "dual-motor-drive", "dual-motor-linear", "theorem1-counterexample")
-CONTINUOUS = [name for name in SHIPPED if name not in ELSEWHERE]
+NOT_LONG = ("axis", "dual-motor-drive", "dual-motor-linear", "point-to-point")
+NOT_LONG += ("theorem1-counterexample",)
+
+#: Those whose controller is not sampled and whose runs last 20 s; test_papers.py has another, and
+#: test_moves.py the moves.
+CONTINUOUS = [name for name in SHIPPED if name not in NOT_LONG]
 
 
 @pytest.fixture(params=CONTINUOUS)

@@ -305,18 +305,15 @@ def test_appearances(runs, tmp_path):
     run = runs["dual-motor-lean"]
     paper = plotting.overview({"": run}, "title", plotting.Appearance("paper"))
     assert paper.get_figwidth() == 3.5
-    slide = plotting.figure(
-        plotting.plot_error,
-        {"": run},
-        "old",
-        plotting.Appearance("slides", (10, 5), "new", (0.2, 0.4)),
-    )
+    wide = plotting.Appearance("slides", (10, 5), "new", (0.2, 0.4))
+    slide = plotting.figure(plotting.plot_error, {"": run}, "old", wide)
     assert tuple(slide.get_size_inches()) == (10, 5)
     assert slide.get_suptitle() == "new"
     assert slide.axes[0].get_xlim() == (0.2, 0.4)
     written = plotting.save_figure(slide, tmp_path, "error")
     assert [path.suffix for path in written] == [".png", ".svg", ".pdf"]
-    again = plotting.save_figure(slide, tmp_path / "again", "error")
+    same = plotting.figure(plotting.plot_error, {"": run}, "old", wide)
+    again = plotting.save_figure(same, tmp_path / "again", "error")
     for first, second in zip(written, again, strict=True):
         assert first.read_bytes() == second.read_bytes()
     for wrong in ({"kind": "poster"}, {"size": (0, 1)}, {"window": (2, 1)}):

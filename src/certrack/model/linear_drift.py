@@ -21,7 +21,7 @@ def total_drift(plant: Plant, theta: Sequence[Expression]) -> sympy.Expr:
     return sympy.expand(put_in(total, named))
 
 
-def linear_drift(plant: Plant, total: sympy.Expr) -> tuple[list[sympy.Expr], sympy.Expr] | None:
+def linear_parts(plant: Plant, total: sympy.Expr) -> tuple[list[sympy.Expr], sympy.Expr] | None:
     """Slopes and constant of :func:`total_drift`; None where it is not linear."""
     # atan(tan(x)) has the slope 1 wherever it has one, and is not linear
     linear = total.is_polynomial(*plant.symbols)

@@ -13,7 +13,7 @@ GREEK = (
 #: A letter, marks of derivatives and estimates, an index or a word below it.
 _PARTS = re.compile(
     rf"(?P<letter>{'|'.join(GREEK)}|[A-Za-z])(?P<mark>(?:_?(?:ddot|dot|hat))?)"
-    r"(?:_?(?P<index>\d+)|_(?P<word>[A-Za-z]\w*))?(?P<late>(?:_(?:ddot|dot|hat))?)"
+    r"(?:_?(?P<index>\d+)|_(?P<word>[A-Za-z]\w*?))?(?P<late>(?:_(?:ddot|dot|hat))?)"
 )
 
 

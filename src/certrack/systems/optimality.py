@@ -9,7 +9,7 @@ import numpy as np
 
 from certrack.laws.cost import Cost, freed_loop, optimal_cost
 from certrack.laws.loop_margins import LoopMargins, loop_margins
-from certrack.model.linear_drift import linear_drift, total_drift
+from certrack.model.linear_drift import linear_parts, total_drift
 
 if TYPE_CHECKING:
     from certrack.systems.system import System
@@ -85,7 +85,7 @@ def _linear_part(system: System) -> np.ndarray | None:
     known = plant.theta or system.truth.theta
     if len(known or ()) != plant.r:
         return None
-    parts = linear_drift(plant, total_drift(plant, known or ()))
+    parts = linear_parts(plant, total_drift(plant, known or ()))
     return None if parts is None else np.array([float(slope) for slope in parts[0]])
 
 
