@@ -23,7 +23,7 @@ Window = tuple[float, float]
 #: The transient of a signal ends where it last exceeds its largest value of the second half by this
 #: factor; transients are worth axes of their own if one is so many times as large and all end
 #: within this part of the run.
-DECAYED, DOMINANT, SHORT = 3.0, 6.0, 0.15
+DECAYED, DOMINANT, SHORT_PART = 3.0, 6.0, 0.15
 
 #: The axes of the transient end this much later, rounded up to one of these numbers.
 BEYOND, ROUND_TIMES = 1.25, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0)
@@ -58,7 +58,7 @@ def split_time(end: float, signals: Iterable[tuple[np.ndarray, np.ndarray]]) -> 
             continue
         ends.append(float(t[above[-1]]))
         dominant = dominant or bool(sizes.max() > DOMINANT * settled)
-    if not dominant or not 0 < max(ends) <= SHORT * end:
+    if not dominant or not 0 < max(ends) <= SHORT_PART * end:
         return None
     wanted = BEYOND * max(ends)
     power = 10.0 ** math.floor(math.log10(wanted))
