@@ -26,7 +26,7 @@ TEAL, BROWN, GRAY = "#00798c", "#8c564b", "#7f7f7f"
 PAGE_WIDTH = 6.5
 
 #: Dots per inch of PNG pictures: fine enough for print.
-DPI = 200
+DPI = 170
 
 #: What the formats write of the time and the program.
 STAMPS = {"png": ("Software",), "svg": ("Date",), "pdf": ("CreationDate", "Creator", "Producer")}
