@@ -147,7 +147,7 @@ def test_simulate(capfd, tmp_path):
     assert out.stat().st_size > 10_000
     names = {path.name for path in plots.iterdir()}
     panels = ("output", "error", "states", "estimates", "input", "overview")
-    assert names == {f"{panel}.{kind}" for panel in panels for kind in ("png", "svg")}
+    assert names == {f"{panel}.{kind}" for panel in panels for kind in ("png", "svg", "pdf")}
     assert all(path.stat().st_size < 300_000 for path in plots.glob("*.png"))
 
 
