@@ -269,7 +269,8 @@ def test_what_was_written_is_said_but_not_to_programs(capfd, tmp_path):
     _, out, _ = invoke(
         capfd, "ensemble", "example1", "-n", "16", "--keep", "3", "--out", str(members)
     )
-    listed = [path for path in members.iterdir() if path.suffix in (".nc", ".json", ".png", ".svg")]
+    kinds = (".nc", ".json", ".png", ".svg", ".pdf")
+    listed = [path for path in members.iterdir() if path.suffix in kinds]
     assert (members / "member-3.nc") in listed
     assert out.endswith(f"{len(listed)} files written in {members}\n")
 
