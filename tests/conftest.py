@@ -31,6 +31,7 @@ SHIPPED = (
     "dual-motor-drag",
     "dual-motor-drive",
     "dual-motor-lean",
+    "dual-motor-linear",
     "dual-motor-physical",
     "dual-motor-strong",
     "example1",
@@ -43,7 +44,7 @@ SHIPPED = (
 
 
 NOT_LONG = (
-    *("axis", "dual-motor-drag", "dual-motor-drive", "point-to-point"),
+    *("axis", "dual-motor-drag", "dual-motor-drive", "dual-motor-linear", "point-to-point"),
     "theorem1-counterexample",
 )
 

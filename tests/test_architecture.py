@@ -186,6 +186,7 @@ def test_public_surface_is_frozen():
         "Population",
         "Premise",
         "Reproduction",
+        "Linear",
         "Robust",
         "Run",
         "Settings",

@@ -140,7 +140,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         "made_by": f"certrack {version()}",
         "claim": claim_of(system, bound, rests_on) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
-        "system": to_text(system),
+        "system": to_text(system.replace(law=system.law.settled(system.plant))),
         "proof": [json.loads(json.dumps(record_of(stage))) for stage in stages],
     }
     return body | {"sha256": _digest(body)}

@@ -21,6 +21,8 @@ from certrack.certificates.stated import stated_error_system
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
 from certrack.laws.balanced import balanced, balancing_weights
 from certrack.laws.error_system import KnownParameters
+from certrack.laws.linear import Linear
+from certrack.laws.plant_coordinates import plant_coordinates
 from certrack.model.uncertainty import Uncertainty
 from certrack.references.base import bound_of
 from certrack.systems.system import System
@@ -126,9 +128,9 @@ def uncertain_inputs(u: Uncertainty, A: np.ndarray, number: ToNumber) -> Uncerta
 
 
 def error_coordinates(system: System, number: ToNumber) -> ErrorCoordinates:
-    """The error coordinates of the design, by the recursion in the arithmetic of `number`."""
-    plant, gains, dtype = system.plant, system.law.gains(), _dtype(number)
-    assert plant.linear is not None and gains.k is not None and gains.p is not None
+    """The error coordinates of the design, in the arithmetic of `number`."""
+    plant, dtype = system.plant, _dtype(number)
+    assert plant.linear is not None
     n = plant.n
     g = np.array([number(v) for v in plant.chain], dtype=dtype)
     b = np.zeros((n - 1, n), dtype=dtype)
@@ -136,8 +138,15 @@ def error_coordinates(system: System, number: ToNumber) -> ErrorCoordinates:
         b[i, : i + 1] = [number(v) for v in row]
     if dtype is object:
         b = b + flint.fmpq(0)
-    c = np.array([number(v) for v in gains.c], dtype=dtype)
+    if isinstance(system.law, Linear):
+        law = system.law.settled(plant)
+        assert law.K is not None
+        K = np.array([number(v) for v in law.K], dtype=dtype)
+        return plant_coordinates(g, b, K, number(law.r), law.feedforward)
 
+    gains = system.law.gains()
+    assert gains.k is not None and gains.p is not None
+    c = np.array([number(v) for v in gains.c], dtype=dtype)
     if gains.coupling is not None:
         s = balancing_weights(plant.g, gains.c, gains.coupling)
         return balanced(g, b, c, system.law.order(plant), s, number)

@@ -19,6 +19,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
 from certrack.laws.base import Equations
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
+from certrack.laws.linear import Linear
 from certrack.laws.recursion import recursion
 from certrack.laws.signals import Signals
 from certrack.systems.system import System
@@ -114,9 +115,13 @@ def _compare_controller(system: System, equations: Equations, bare: Signals) -> 
 
 
 def _compare_recursion(system: System) -> None:
-    """Refuse a law whose e_n and nu are not those of the recursion with its gains."""
+    """Refuse a law whose e_n and nu are not those of the recursion, or of K, with its gains."""
     law, plant, controller = system.law, system.plant, system.controller
-    design = recursion(plant.g, plant.b, law.gains(), law.order(plant))
+    design = (
+        Linear.coordinates(law, plant)
+        if isinstance(law, Linear)
+        else recursion(plant.g, plant.b, law.gains(), law.order(plant))
+    )
     expected = {
         "A_n": design.A[-1],
         "B_n": design.B[-1],

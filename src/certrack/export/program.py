@@ -47,7 +47,7 @@ FIXED_GAINS = ("sign_g",)
 
 #: What whoever tunes by hand must know of these forms.
 DERIVED_NUMBERS = (
-    "numbers made from c, k, p, chain, linear: change the system file and export again"
+    "numbers made from the gains, chain and linear: change the system file and export again"
 )
 
 NOTES = {

@@ -121,7 +121,7 @@ class ErrorCoordinates:
     @property
     def n(self) -> int:
         """Order of the plant."""
-        return len(self.c)
+        return len(self.A)
 
     @property
     def q(self) -> int:
@@ -158,6 +158,11 @@ class ErrorCoordinates:
             below = below * (self.weights[:-1] / self.weights[1:]) ** 2
         skew = np.diag(self.g, 1) - np.diag(below, -1)
         return skew - np.diag(self.c + self.kappa)
+
+    @property
+    def input_feedback(self) -> np.ndarray:
+        """k of v = -k e, what the last row has beside the terms that cancel in V'."""
+        return np.append(np.zeros(self.n - 1), -self.error_matrix[-1, -1])
 
     @cached_property
     def poles(self) -> np.ndarray:

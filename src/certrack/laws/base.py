@@ -231,6 +231,10 @@ class Law(ABC):
         """Initial values of the law's own states, by name; zero for those that are left out."""
         return {}
 
+    def settled(self, plant: Plant) -> Law:
+        """The law with every number stated that it computes for `plant`: what a proof names."""
+        return self
+
     def order(self, plant: Plant) -> int:
         """Feed-forward order q on this plant, 0 <= q <= n - 1; y_d needs q + 1 derivatives."""
         return self.feedforward

@@ -35,7 +35,9 @@ def law_keys(law: type[Law]) -> dict[str, Key]:
     """Keys of ``[law]`` for one law, a user's own among them."""
     kind = Key("choice", help="which law", choices=tuple(LAWS), required=True)
     undescribed = {
-        entry.name: Key("any", required=entry.default is MISSING) for entry in fields(law)
+        entry.name: Key("any", required=entry.default is MISSING)
+        for entry in fields(law)
+        if entry.init
     }
     return {"kind": kind, **undescribed, **keys_of(law)}
 

@@ -16,7 +16,6 @@ from typing import Any
 
 import flint
 import numpy as np
-import sympy
 
 from certrack.certificates.arithmetic import exact_float, rational, solve
 from certrack.certificates.balls import ball_matrix, ball_of, upper_rational
@@ -28,9 +27,9 @@ from certrack.certificates.scope import ranged_names, refuse_unknown
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
-from certrack.core.powers import put_in
 from certrack.laws.error_system import KnownParameters
 from certrack.model.implementation import Implementation
+from certrack.model.linear_drift import linear_parts, total_drift
 from certrack.model.plant import Plant
 from certrack.references.base import bound_of, jumps, lipschitz_bound
 from certrack.systems.system import System
@@ -266,22 +265,15 @@ def linear_drift(system: System) -> tuple[list[Any], Any]:
         If it is not linear.
     """
     plant = system.plant
-    total = plant.drift.expr
-    for phi, theta in zip(plant.regressor, plant.theta or (), strict=True):
-        total += phi.expr * theta.expr
-    constants = plant.constant_values
-    named = {s: constants[s.name] for s in total.free_symbols if s.name in constants}
-    total = sympy.expand(put_in(total, named))
-    # atan(tan(x)) has the slope 1 wherever it has one, and is not linear
-    linear = total.is_polynomial(*plant.symbols)
-    slopes = [sympy.simplify(sympy.diff(total, x)) for x in plant.symbols]
-    if not linear or any(slope.free_symbols for slope in slopes):
+    total = total_drift(plant, plant.theta or ())
+    parts = linear_parts(plant, total)
+    if parts is None:
         raise NoCertificate(
             "only loops that are linear are covered as implemented: plant.drift (with the known "
             f"regressors) is {total}"
         )
-    constant = total.xreplace(dict.fromkeys(plant.symbols, sympy.S.Zero))
-    return [rational(slope) for slope in slopes], rational(sympy.simplify(constant))
+    slopes, constant = parts
+    return [rational(slope) for slope in slopes], rational(constant)
 
 
 def _controller_rows(

@@ -7,6 +7,7 @@ import sympy
 from certrack.core.version import version
 from certrack.export.c.printer import comment
 from certrack.export.program import ControllerProgram, unread_states
+from certrack.laws import Law, Linear
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
@@ -18,15 +19,15 @@ def introduction(name: str, system: System) -> str:
     """What the first comment says."""
     implementation = system.implementation
     assert implementation is not None
-    text = to_text(system).splitlines()
+    law = system.law.settled(system.plant)
+    text = to_text(system.replace(law=law)).splitlines()
     if sum(map(len, text)) > MAX_SYSTEM_TEXT:
         text = [f"({sum(map(len, text))} characters: too long to be repeated here)"]
-    c = ", ".join(f"{value:g}" for value in system.law.c)
     order = system.controller.coordinates.q
     lines = [
         f"{name}: tracking controller, sampled every {implementation.period!r} s.",
         "",
-        f"Written by certrack {version()}. Design: {system.law.kind} law, c = ({c}) 1/s,",
+        f"Written by certrack {version()}. Design: {law.kind} law, {_gains(law)},",
         f"feed-forward order {order}. This is no certificate: guarantees are proven in continuous",
         "time; simulate the sampled loop before you rely on them.",
         "",
@@ -35,6 +36,13 @@ def introduction(name: str, system: System) -> str:
         *(f"  {line}" for line in text),
     ]
     return comment(lines)
+
+
+def _gains(law: Law) -> str:
+    """What the comment names of the law."""
+    if isinstance(law, Linear):
+        return f"K = ({', '.join(f'{value:g}' for value in law.K or ())})"
+    return f"c = ({', '.join(f'{value:g}' for value in law.c)}) 1/s"
 
 
 def inputs_comment(system: System) -> str:
