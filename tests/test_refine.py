@@ -1,8 +1,21 @@
 """Refined extremes and crossings of signals whose extremes and crossings are known."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
+import certrack
+from certrack.simulation import metrics
+from certrack.simulation.metrics import (
+    SETTLING_SHARE,
+    _integral_of_magnitude,
+    _most_promising,
+    measure,
+    settling_band,
+    supremum,
+)
 from certrack.simulation.refine import (
     MAX_REFINED,
     POINTS,
@@ -161,3 +174,119 @@ def test_some_candidates_are_some_of_each_column():
     found = (some.begins, some.ends, some.signs, some.sampled, some.estimates)
     for column, part in zip(columns, found, strict=True):
         assert list(part) == [column[0], column[2]]
+
+
+def run(e, u, integral, end, steps, per_step):
+    """Samples of a run with equal steps, and its dense output."""
+    t = np.concatenate(
+        [np.linspace(a, b, per_step) for a, b in pairwise(np.linspace(0, end, steps + 1))]
+    )
+    running = np.array([0.5 * t, 0.25 * t, integral(t)])
+    return t, e(t), u(t), running, lambda s: np.array([e(s), u(s), integral(s)])
+
+
+@pytest.mark.parametrize("per_step", [4, 5])
+@pytest.mark.parametrize("phase", np.linspace(0, 6, 7))
+def test_metrics_are_those_of_a_grid_that_is_a_thousand_times_finer(phase, per_step):
+    """Of e = cos(2 t + p) exp(-t/4) and u = 1.3 sin(3 t + p) + t/2, on 29 steps."""
+
+    def e(t):
+        return np.cos(2 * t + phase) * np.exp(-t / 4)
+
+    def u(t):
+        return 1.3 * np.sin(3 * t + phase) + t / 2
+
+    def integral(t):
+        values = np.exp((2j - 0.25) * t + 1j * phase) / (2j - 0.25)
+        return values.real - (np.exp(1j * phase) / (2j - 0.25)).real
+
+    *samples, dense = run(e, u, integral, 7.0, 29, per_step)
+    fine = np.linspace(0, 7, 7 * 29 * 1000 + 1)
+    outside = fine[np.abs(e(fine)) > 0.4]
+    h = fine[1]
+    for start in (-1.0, 0.0, 2.0, 3.333, 7.0):
+        found = measure(*samples, 0.4, start, per_step, dense)
+        assert found.settling_time == pytest.approx(outside[-1], abs=h)
+        assert found.peak_input == pytest.approx(np.abs(u(fine)).max(), abs=2 * h**2)
+        assert found.input_variation == pytest.approx(np.abs(np.diff(u(fine))).sum(), abs=1e-6)
+        tail = np.abs(e(np.append(fine[fine >= start], max(start, 0))))
+        assert found.tail_error == pytest.approx(tail.max(), abs=2 * h**2)
+        size = np.abs(e(fine))
+        area = h * (size.sum() - (size[0] + size[-1]) / 2)
+        assert found.integral_abs_error == pytest.approx(area, abs=1e-8)
+        assert found.input_energy == 3.5 and found.integral_squared_error == 1.75
+        assert found.rms_error == 0.5
+    assert np.isnan(measure(*samples, 0.4, 7.001, per_step, dense).tail_error)
+    assert measure(*samples, 2.0, 0.0, per_step, dense).settling_time == 0
+    assert np.isnan(measure(*samples, 1e-9, 0.0, per_step, dense).settling_time)
+    kinked = measure(*samples, 0.4, 3.333, per_step, dense, smooth=False)
+    assert kinked.peak_input == pytest.approx(np.abs(u(fine)).max(), abs=1e-4)
+
+
+def test_of_too_many_extremes_those_of_the_largest_merit_are_refined():
+    columns = [np.arange(4.0) + 10 * k for k in range(5)]
+    where, merit = Candidates(*columns), np.array([2.0, 5.0, 1.0, 3.0])
+    assert list(_most_promising(where, merit, 2).begins) == [1, 3]
+    for enough in (4, 5):
+        assert _most_promising(where, merit, enough) is where
+
+
+def test_extremes_beyond_the_limit_keep_their_samples(monkeypatch):
+    """Those that gain most are refined, here three of 80."""
+
+    def signal(t):
+        return np.sin(t) * (1 + t / 10)
+
+    *samples, dense = run(signal, signal, lambda t: 0 * t, 80 * np.pi, 200, 5)
+    t, _, u, _ = samples
+    found = candidates(t, u, 5)
+    gains = np.sort(found.estimates - found.sampled)
+    every = measure(*samples, 0.1, 0.0, 5, dense)
+    monkeypatch.setattr(metrics, "MAX_EXTREMES", 3)
+    few = measure(*samples, 0.1, 0.0, 5, dense)
+    sampled = np.abs(np.diff(u)).sum()
+    assert few.input_variation - sampled == pytest.approx(2 * gains[-3:].sum(), rel=0.15)
+    assert every.input_variation - sampled == pytest.approx(2 * gains.sum(), rel=0.15)
+    assert few.tail_error == every.tail_error
+
+
+def test_the_settling_band_looks_at_the_reference_and_not_at_its_slope():
+    settings = certrack.load("example1").settings
+    reference = certrack.SymbolicReference("0.3*sin(5*t)")
+    band = settling_band(replace(settings, band=None), reference)
+    assert band == pytest.approx(SETTLING_SHARE * 0.3, rel=1e-6)
+
+
+def test_the_integral_of_what_keeps_its_sign_is_a_difference():
+    t = np.linspace(0, 1, 6)
+    for sign in (1, -1):
+        found = _integral_of_magnitude(t, sign * (1 + 0 * t), 5 + sign * t)
+        assert found == pytest.approx(1, abs=1e-15)
+
+
+@pytest.mark.parametrize("zero", [0.1, 0.5, 0.77])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_integral_of_a_line_that_changes_sign_is_exact(zero, sign):
+    t = np.array([0.0, 0.3, 1.0])
+    found = _integral_of_magnitude(t, sign * (zero - t), 7 + sign * (zero * t - t**2 / 2))
+    assert found == pytest.approx((zero**2 + (1 - zero) ** 2) / 2, abs=1e-14)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_only_the_neighbours_of_the_largest_sample_may_have_the_peak(order):
+    f = np.array([0.0, 0.1, 0.98, 1.0, 0.99, 0.3, 0.2, 0.0])[::order]
+    assert supremum(np.arange(8.0), f) == pytest.approx(0.99 + 0.35**2 / (2 * 0.68))
+
+
+def test_where_no_parabola_exists_the_largest_sample_counts():
+    assert supremum(np.array([0.0, 1, 1]), np.array([0.2, 0.5, 0.4])) == 0.5
+    assert supremum(np.array([0.0, 0, 1]), np.array([0.2, 0.5, 0.4])) == 0.5
+    assert supremum(np.arange(3.0), MAX_REFINED * np.array([0.2, 0.5, 0.4])) == 0.5 * MAX_REFINED
+    assert supremum(np.arange(3.0), np.array([0.0, 0.5, 1.0])) == 1.0
+    assert np.isnan(supremum(np.empty(0), np.empty(0)))
+
+
+def test_a_run_that_ends_where_it_begins_has_no_mean():
+    found = measure(np.zeros(1), np.ones(1), np.ones(1), np.zeros((3, 1)), 2.0, 0.0)
+    assert np.isnan(found.settling_time) and np.isnan(found.rms_error)
+    assert found.tail_error == 1 and found.peak_input == 1

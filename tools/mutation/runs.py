@@ -66,7 +66,7 @@ class Loop:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Instead of a run of everything."""
         if session.testsfailed:
-            raise session.Failed("the tests cannot be collected")
+            raise session.Interrupted("the tests cannot be collected")
         self.action(session.items)
         return True
 
@@ -86,7 +86,8 @@ class FirstFailure:
 
 def collect(files: Sequence[str], action: Callable[[list[pytest.Item]], None]) -> None:
     """Collect tests, and do something with them."""
-    if code := pytest.main([*OPTIONS, *files], plugins=[Loop(action)]):
+    code = pytest.main([*OPTIONS, *files], plugins=[Loop(action)])
+    if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         sys.exit(f"pytest ends with {code}")
 
 

@@ -22,7 +22,7 @@ from mutation.runs import collect, in_child
 KEPT = ROOT / "build" / "mutants"
 
 #: Seconds of the processor: no test that takes longer is used, nor are more of them for a mutant.
-LONGEST, BUDGET = 4.0, 15.0
+LONGEST, BUDGET = 3.0, 12.0
 
 
 @dataclass(frozen=True)
