@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import copy
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import CodeType
@@ -34,6 +35,9 @@ COMPARISONS = {
 }
 SWAPPED_NAMES = {"min": "max", "max": "min", "any": "all", "all": "any", "floor": "ceil"}
 SWAPPED_CHARACTERS = {"+": "-", "-": "+", "*": "/", "<": ">", ">": "<", "&": "|", "|": "&"}
+
+#: Texts of which this is a part are for people.
+PROSE = re.compile("[A-Za-z]+ [a-z]+ [a-z]+ [a-z]+")
 
 #: Fields of the syntax that decide nothing, and keywords of calls that only guard or speed up.
 NEVER_CHANGED = {"annotation", "returns", "decorator_list", "type_params"}
@@ -75,6 +79,8 @@ def replacements(node: ast.AST, texts: bool) -> Iterator[ast.AST]:
         if node.value:
             yield changed(value=node.value / 2)
     elif isinstance(node, ast.Constant) and isinstance(node.value, str) and texts:
+        if PROSE.search(node.value):
+            return
         for i, character in enumerate(node.value):
             if character in SWAPPED_CHARACTERS:
                 other = SWAPPED_CHARACTERS[character]

@@ -38,12 +38,12 @@ GROUPS = {
     ),
     "certificates": Group(
         "certificates/*",
-        "certificates certificate_data exact_checks rounding independent_checker bounds peak tube premises"
-        " truth strength exact_numbers false_claims",
+        "certificates certificate_data exact_checks rounding independent_checker bounds peak tube"
+        " premises truth strength exact_numbers false_claims",
     ),
     "ranges": Group("certificates/ranges/*", "ranges independent_ranges sectors strength"),
     "implemented": Group(
-        "certificates/implemented/*", "implemented implemented_start forged_claims"
+        "certificates/implemented/*", "implemented implemented_start enclosed forged_claims"
     ),
     "references": Group(
         "references/*", "references testing bounds premises simulation time_events units lipschitz"
@@ -52,7 +52,9 @@ GROUPS = {
     "sampled": Group("loops/controller loops/sampled integrators/sampled/*", "sampled sliding"),
     "statistics": Group("studies/ensembles/statistics", "statistics ensembles"),
     "c-printers": Group(
-        "export/c/[!m]* core/printing", "printing export_c guard words", texts=True
+        "export/c/export export/c/guard export/c/printer export/c/source core/printing",
+        "printing export_c guard words",
+        texts=True,
     ),
     "monitor": Group("export/monitor* export/*/monitor*", "monitor"),
 }
