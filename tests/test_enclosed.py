@@ -1,13 +1,19 @@
 """Floats with what they may be off by hold the exact numbers, also where every rounding falls."""
 
+from dataclasses import replace
 from fractions import Fraction
+from itertools import product
 from types import SimpleNamespace
 
 import flint
 import numpy as np
 import pytest
 
+import certrack
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.implemented.drive import DRIVE_BITS
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
+from certrack.certificates.implemented.proof import start_prover
 from certrack.certificates.implemented.start import Later, _product_with, is_above, up
 from certrack.certificates.implemented.start_proof import (
     ANY_PHASE,
@@ -17,6 +23,7 @@ from certrack.certificates.implemented.start_proof import (
     X0,
     StartProof,
     StartProver,
+    start_set_of,
 )
 
 LOST = ROUNDOFF * (1 - 2.0**-20)  # added to 1 it is lost
@@ -118,3 +125,53 @@ def test_a_proof_of_starts_has_the_shape_of_its_system():
     ]
     assert all(holds(**changes) for changes in right)
     assert not any(holds(**changes) for changes in wrong)
+
+
+#: A drive whose reference at t = 0 is not zero, with sensors that err.
+DRIVE = """
+[plant]
+states = ["x1", "x2"]
+chain = [1]
+input_gain = 1
+gain_sign = 1
+[plant.uncertainty]
+tau = [0, 1]
+gamma = [0, 0]
+beta = [0, 0.1]
+[truth]
+input_gain = 1
+omega = [0, "0.1*sin(t)"]
+[reference]
+signal = "0.1*cos(t)"
+[law]
+kind = "robust"
+c = [2, 2]
+feedforward = 1
+[simulation]
+x0 = [0.01, 0]
+duration = 5
+[implementation]
+period = 0.01
+measurement_quantum = [0.001, 0.002]
+"""
+
+
+def test_a_start_with_any_reference_covers_every_reference():
+    """Within their bounds: what the starts add is at least what they add with each of them."""
+    system = certrack.loads(DRIVE)
+    with flint.ctx.workprec(DRIVE_BITS):
+        prover = start_prover(system, rational(0), (1, 1))
+        frame = prover.frame(5)
+        starts = start_set_of(system, prover.drive, ANY_PHASE, ())
+        every = frame.transient(starts)
+        assert starts.Y is None
+        for signs in product((-1, 1), repeat=2):
+            bounds = [flint.arb(v) * s for v, s in zip(prover.drive.Y, signs, strict=False)]
+            one = frame.transient(replace(starts, Y=tuple(bounds)))
+            assert (every.size >= one.size).all()
+            assert (every.later >= one.later).all()
+            assert (every.free >= one.free).all()
+            assert (one.size >= np.abs(one.fixed.value) - one.fixed.error).all()
+        noisy = replace(starts, half=tuple(flint.arb("0.001") for _ in starts.half))
+        more = frame.transient(noisy)
+        assert (more.size > every.size).all() and (more.later >= every.later).all()

@@ -41,9 +41,12 @@ GROUPS = {
         "certificates certificate_data exact_checks rounding independent_checker bounds peak tube"
         " premises truth strength exact_numbers false_claims",
     ),
-    "ranges": Group("certificates/ranges/*", "ranges independent_ranges sectors strength"),
+    "ranges": Group(
+        "certificates/ranges/*", "range_algebra ranges independent_ranges sectors strength peak"
+    ),
     "implemented": Group(
-        "certificates/implemented/*", "implemented implemented_start enclosed forged_claims"
+        "certificates/implemented/*",
+        "implemented implemented_start enclosed range_algebra forged_claims",
     ),
     "references": Group(
         "references/*", "references testing bounds premises simulation time_events units lipschitz"
