@@ -1,5 +1,6 @@
 """Floats with what they may be off by hold the exact numbers, also where every rounding falls."""
 
+import re
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
@@ -13,6 +14,7 @@ import certrack
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.implemented.drive import DRIVE_BITS
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
+from certrack.certificates.implemented.premises import _covered
 from certrack.certificates.implemented.proof import start_prover
 from certrack.certificates.implemented.start import Later, _product_with, is_above, up
 from certrack.certificates.implemented.start_proof import (
@@ -161,7 +163,7 @@ def test_a_start_with_any_reference_covers_every_reference():
     system = certrack.loads(DRIVE)
     with flint.ctx.workprec(DRIVE_BITS):
         prover = start_prover(system, rational(0), (1, 1))
-        frame = prover.frame(5)
+        frame = prover.frame(9)
         starts = start_set_of(system, prover.drive, ANY_PHASE, ())
         every = frame.transient(starts)
         assert starts.Y is None
@@ -171,7 +173,21 @@ def test_a_start_with_any_reference_covers_every_reference():
             assert (every.size >= one.size).all()
             assert (every.later >= one.later).all()
             assert (every.free >= one.free).all()
-            assert (one.size >= np.abs(one.fixed.value) - one.fixed.error).all()
         noisy = replace(starts, half=tuple(flint.arb("0.001") for _ in starts.half))
         more = frame.transient(noisy)
         assert (more.size > every.size).all() and (more.later >= every.later).all()
+
+
+def test_the_premise_names_what_the_drive_has():
+    quantised = DRIVE.replace("[implementation]", "[implementation]\ninput_quantum = 0.25")
+    sensors = "sensors within 0.0005001 for x1, 0.001001 for x2"  # rounded up
+    exact = re.sub("measurement_quantum.*", "", DRIVE)
+    for text, expected in (
+        (DRIVE, [sensors]),
+        (quantised, [sensors, "the input in steps of 0.25"]),
+        (exact, ["exact sensors"]),
+    ):
+        system = certrack.loads(text)
+        every, *others = _covered(system, system.implementation).split("; ")
+        assert every.startswith("sampled every 0.01 s, its input acts 0 periods later")
+        assert others == expected

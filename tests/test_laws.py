@@ -274,3 +274,31 @@ def test_balanced_weights_are_decimals_of_twelve_digits(rho):
     J = np.eye(4, k=1)
     expected = C @ (rho * (J * np.sign([0, *g]) - (J * np.sign([0, *g])).T) - np.eye(4)) @ C
     assert S @ design.error_matrix @ np.linalg.inv(S) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("law", "key"),
+    [
+        (Classic, "gain_rate"),
+        (certrack.Adaptive, "gain_rate"),
+        (certrack.Adaptive, "leak_gain"),
+        (certrack.Adaptive, "leak_theta"),
+    ],
+)
+def test_rates_are_positive_and_may_be_small(law, key):
+    assert getattr(law(c=[1], **{key: 1e-9}), key) == 1e-9
+    for wrong in (0, -1e-9):
+        with pytest.raises(InputError, match=f"law.{key}"):
+            law(c=[1], **{key: wrong})
+
+
+@pytest.mark.parametrize("key", ["k", "p"])
+def test_damping_is_positive_and_may_be_left_out(key):
+    def fields(value):
+        return {"k": [[value, 1], [1, 1, 1, 1]]} if key == "k" else {"p": [value]}
+
+    for right in (1e-9, np.inf):
+        assert Robust(c=[1, 1], **fields(right)).c == (1, 1)
+    for wrong in (0, -1e-9, np.nan):
+        with pytest.raises(InputError, match=f"law.{key}"):
+            Robust(c=[1, 1], **fields(wrong))

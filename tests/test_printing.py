@@ -115,3 +115,17 @@ def test_parentheses_where_they_are_wanted():
 def test_an_unfinished_language_says_so():
     with pytest.raises(NotImplementedError):
         FormulaPrinter(NAMES).text(sympy.Integer(1))
+
+
+@pytest.mark.parametrize(
+    ("formula", "text"),
+    [
+        (sympy.sqrt(a), "sqrt(a)"),
+        (1 / sympy.sqrt(a), "1.0 / sqrt(a)"),
+        (a**3, "a * a * a"),
+        (a**-2, "1.0 / (a * a)"),
+        (a ** sympy.Rational(1, 3), "pow(a, 0.3333333333333333)"),
+    ],
+)
+def test_powers_in_c(formula, text):
+    assert CPrinter(NAMES, "double", {}).text(formula) == text

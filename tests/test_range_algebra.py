@@ -9,15 +9,19 @@ import numpy as np
 import pytest
 import sympy
 
+import certrack
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.proof import LEFT, MAX_DOUBLINGS, periods_needed
 from certrack.certificates.ranges import rational
+from certrack.certificates.ranges.boxes import names
 from certrack.certificates.ranges.cells import MAX_CORNERS, corners_of, divided, halved
 from certrack.certificates.ranges.coefficients import _factors
 from certrack.certificates.ranges.edges import LARGEST_SCALE, largest_scale
+from certrack.certificates.ranges.loop import error_form, ranged_loop
 from certrack.certificates.ranges.peak import UNBOUNDED, _bound
 from certrack.certificates.ranges.rational import RationalVector
 from certrack.certificates.ranges.sectors import SECTORS, sector_of
+from certrack.certificates.ranges.strength import PROVABLE_CELLS, provable
 
 p, q = sympy.symbols("p q")
 
@@ -217,3 +221,75 @@ def test_loops_that_do_not_forget_in_time_are_refused():
             periods_needed(SimpleNamespace(map=flint.arb_mat([[flint.arb(radius)]])))
     slow = 1 - 21 / 2**MAX_DOUBLINGS
     assert periods_needed(SimpleNamespace(map=flint.arb_mat([[slow]]))) == MAX_DOUBLINGS
+
+
+@pytest.mark.parametrize("moving", [0, 1])
+def test_a_box_is_provable_if_sixteen_of_its_cells_are(moving):
+    """Here a cell is proven that is narrow enough in its first constant."""
+
+    def holds(width):
+        loop = SimpleNamespace(moving=moving)
+        prover = SimpleNamespace(
+            loop=loop,
+            by_peak_gains=False,
+            holds=lambda cell: cell[0][1] - cell[0][0] <= width,
+        )
+        box = ((0.0, 1.0), (0.0, 0.0))
+        return provable(prover, box, cells=True), provable(prover, box, cells=False)
+
+    assert holds(1.0) == (True, True)
+    assert holds(0.5) == (True, False)
+    assert holds(1 / PROVABLE_CELLS) == (True, False)
+    assert holds(1 / PROVABLE_CELLS - 1e-9) == (False, False)
+
+
+def test_the_loop_of_a_first_order_plant_with_every_range():
+    """x' = -a x + g u + theta x with u = (nu - theta_0 x)/g_0, nu = (a_0 - c) x + c y_d + y_d'."""
+    system = certrack.loads(FIRST_ORDER)
+    loop = ranged_loop(system)
+    assert names(loop) == ("a", "input_gain", "theta[0]")
+    for a, g, theta in itertools.product(("2", "3"), ("4", "5", "6"), ("0.5", "1.5")):
+        named = {"a": a, "g": g, "t": theta}
+        point = [
+            exact(named[str(s).removeprefix("ranges.")[0].replace("i", "g")]) for s in loop.symbols
+        ]
+        form = error_form(loop, loop.entries.at(point))
+        a, g, theta = exact(a), exact(g), exact(theta)
+        ratio = g / 5
+        rate = -a + theta + ratio * (exact("2.5") - 7 - 1)
+        assert form.M.tolist() == [[rate]]
+        assert form.W.tolist() == [[rate + ratio * 7, ratio - 1]]
+        assert form.offset.tolist() == [0]
+
+
+FIRST_ORDER = """
+[plant]
+states = ["x1"]
+drift = "-a*x1"
+regressor = ["x1"]
+gain_sign = 1
+input_gain = 5
+theta = [1]
+[plant.constants]
+a = 2.5
+[plant.ranges]
+a = [2, 3]
+input_gain = [4, 6]
+theta = [[0.5, 1.5]]
+[plant.uncertainty]
+tau = [0]
+gamma = [0]
+beta = [0]
+[truth]
+input_gain = 5
+theta = [1]
+omega = [0]
+[reference]
+signal = "sin(t)"
+[law]
+kind = "robust"
+c = [7]
+[simulation]
+x0 = [0]
+duration = 1
+"""

@@ -40,10 +40,13 @@ class Trace:
         lines = self.lines.get(mutant.module, {})
         runners = {name for line in mutant.lines for name in lines.get(line, [])}
         anew = mutant.function is None or None in runners
-        if anew:
-            runners = {name for names in lines.values() for name in names}
+        nearest = {name for names in lines.values() for name in names}
+        if anew:  # whoever uses the module, and then all others
+            runners = {name for known in self.lines.values() for x in known.values() for name in x}
         chosen, total = [], 0.0
-        for name in sorted(runners - {None}, key=lambda name: (self.seconds[name], name)):
+        for name in sorted(
+            runners - {None}, key=lambda name: (name not in nearest, self.seconds[name], name)
+        ):
             total += self.seconds[name]
             if total > BUDGET:
                 break
