@@ -52,8 +52,8 @@ GROUPS = {
         "references/*", "references testing bounds premises simulation time_events units lipschitz"
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
-    "sampled": Group("loops/controller loops/sampled integrators/sampled/*", "sampled sliding"),
-    "statistics": Group("studies/ensembles/statistics", "statistics ensembles"),
+    "sampled": Group("loops/controller loops/sampled integrators/sampled/run", "sampled sliding"),
+    "statistics": Group("studies/ensembles/statistics", "statistics"),
     "c-printers": Group(
         "export/c/export export/c/guard export/c/printer export/c/source core/printing",
         "printing export_c guard words",
