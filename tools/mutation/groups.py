@@ -59,5 +59,5 @@ GROUPS = {
         "printing export_c guard words",
         texts=True,
     ),
-    "monitor": Group("export/monitor* export/*/monitor*", "monitor"),
+    "monitor": Group("export/monitor* export/*/monitor*", "monitor_probes monitor"),
 }
