@@ -1,12 +1,15 @@
 """Exact checks and conversions at the edge of what they allow."""
 
 from fractions import Fraction
+from types import SimpleNamespace
 
 import flint
 import numpy as np
 import pytest
 
+from certrack.certificates import document
 from certrack.certificates.arithmetic import positive_definite, rational, solve
+from certrack.certificates.document import DOCUMENT_KEYS, FORMAT
 from certrack.certificates.exact import (
     MAX_EXPONENT,
     MAX_TEXT_LENGTH,
@@ -17,6 +20,10 @@ from certrack.certificates.exact import (
     from_text,
     root_up,
 )
+from certrack.certificates.published import Terms
+from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS
+from certrack.certificates.tube import Tube
+from certrack.core.errors import InputError
 
 
 @pytest.mark.parametrize("sign", ["", "-", "+"])
@@ -79,3 +86,45 @@ def test_a_linear_system_is_solved_in_both_arithmetics(columns):
     assert (solve(exact(a), exact(a @ x)) == exact(x)).all()
     assert solve(exact(a), exact(a @ x)).shape == x.shape
     assert np.abs(solve(a.astype(float), a @ x.astype(float)) - x).max() < 1e-12
+
+
+@pytest.mark.parametrize("level", np.linspace(0.11, 1.3, 25))
+def test_a_tube_stays_below_a_level_from_its_settling_time_on_and_not_before(level):
+    """Of one piece, and of three of which the middle one rises."""
+    one = Tube(start=1.5, floor=0.01, alpha=2.0)
+    three = Tube(1.5, 0.01, 2.0, ((0.0, 1.5, 0.2), (0.4, 0.3, 0.9), (1.0, 0.8, 0.01)))
+    grid = np.linspace(0, 8, 400_001)
+    for tube in (one, three):
+        found = tube.settling_time(level)
+        outside = grid[tube(grid) > level * (1 + 1e-9)]
+        assert found >= (outside[-1] if outside.size else 0) - 1e-9
+        assert found <= (outside[-1] if outside.size else 0) + 3e-5
+        assert tube.settling_time(0.0999) == np.inf
+
+
+def test_rates_of_the_published_bound_are_the_smallest_of_all():
+    gamma = np.diag([0.5, 2.0])
+
+    def terms(**changes):
+        fields = {"gain_rate": 1.5, "leak_gain": 9.0, "leak_theta": 9.0, "Gamma": gamma}
+        law = SimpleNamespace(**fields | changes)
+        return Terms(2.0, 3.0, 0.1, 1.0, 0.2, 0.3, 0.4, (0.7, 0.9), law, 0.5)
+
+    mu1 = 2 - (1 + 0.5) * 3 * 0.1
+    assert terms().mu1(0.5) == pytest.approx(mu1)
+    assert terms().dbar(0.5) == pytest.approx((1 + 2) * 0.1 + 0.2 + 0.3 + 0.4)
+    assert terms().rho1(0.5) == pytest.approx(mu1)
+    assert terms(leak_gain=2.0).rho1(0.5) == pytest.approx(0.7 * 2 / 2)
+    assert terms(leak_theta=2.0).rho1(0.5) == pytest.approx(1.0)
+    assert terms(leak_theta=2.0, Gamma=np.zeros((0, 0))).rho1(0.5) == pytest.approx(mu1)
+    assert terms().rho2() == pytest.approx(max(0.5, 0.9 / 3, 1.0))
+    assert terms(gain_rate=0.1).rho2() == pytest.approx(4.5)
+    assert terms(Gamma=np.zeros((0, 0))).rho2() == pytest.approx(0.5)
+
+
+def test_a_cover_has_a_largest_number_of_cells(monkeypatch):
+    body = dict.fromkeys(DOCUMENT_KEYS[FORMAT], "") | {"format": FORMAT}
+    monkeypatch.setattr(document, "_cell", lambda entries: 1 / 0)
+    for count, error in ((MAX_PROOF_CELLS, ZeroDivisionError), (MAX_PROOF_CELLS + 1, InputError)):
+        with pytest.raises(error):
+            document._verify_cover(body | {"proof": [{}] * count})

@@ -1,6 +1,7 @@
 """The algebra below the proofs for ranges: rational functions, cells, edges, sectors, periods."""
 
 import itertools
+import re
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -15,10 +16,10 @@ from certrack.certificates.implemented.proof import LEFT, MAX_DOUBLINGS, periods
 from certrack.certificates.ranges import rational
 from certrack.certificates.ranges.boxes import names
 from certrack.certificates.ranges.cells import MAX_CORNERS, corners_of, divided, halved
-from certrack.certificates.ranges.coefficients import _factors
+from certrack.certificates.ranges.coefficients import Coefficients, _factors
 from certrack.certificates.ranges.edges import LARGEST_SCALE, largest_scale
 from certrack.certificates.ranges.loop import error_form, ranged_loop
-from certrack.certificates.ranges.peak import UNBOUNDED, _bound
+from certrack.certificates.ranges.peak import UNBOUNDED, _bound, peak_bound
 from certrack.certificates.ranges.rational import RationalVector
 from certrack.certificates.ranges.sectors import SECTORS, sector_of
 from certrack.certificates.ranges.strength import PROVABLE_CELLS, provable
@@ -243,6 +244,23 @@ def test_a_box_is_provable_if_sixteen_of_its_cells_are(moving):
     assert holds(1 / PROVABLE_CELLS - 1e-9) == (False, False)
 
 
+def test_a_box_that_needs_seventeen_cells_is_not_provable():
+    def needs(count):
+        """The first cell of sixteen in two, if they are seventeen."""
+        loop = SimpleNamespace(moving=0)
+        narrow = 1 / PROVABLE_CELLS
+        first = narrow if count == PROVABLE_CELLS else narrow / 2
+        prover = SimpleNamespace(
+            loop=loop,
+            by_peak_gains=False,
+            holds=lambda cell: cell[0][1] - cell[0][0] <= (narrow if cell[0][0] else first),
+        )
+        return provable(prover, ((0.0, 1.0),), cells=True)
+
+    assert needs(PROVABLE_CELLS)
+    assert not needs(PROVABLE_CELLS + 1)
+
+
 def test_the_loop_of_a_first_order_plant_with_every_range():
     """x' = -a x + g u + theta x with u = (nu - theta_0 x)/g_0, nu = (a_0 - c) x + c y_d + y_d'."""
     system = certrack.loads(FIRST_ORDER)
@@ -293,3 +311,14 @@ c = [7]
 x0 = [0]
 duration = 1
 """
+
+
+@pytest.mark.parametrize("size", [1, 5])
+def test_a_bounded_term_whose_coefficient_is_uncertain_acts_with_its_size(size):
+    """e' = -7 e + (a - 2.5) size atan(x^3): the bound is (0.5 size pi/2)/7."""
+    text = FIRST_ORDER.replace('"-a*x1"', f'"{size}*a*atan(x1**3)"')
+    text = re.sub("input_gain = .4.*|theta = .\\[.*", "", text)
+    loop = ranged_loop(certrack.loads(text))
+    found = peak_bound(loop, Coefficients(loop), loop.box)
+    exact_bound = 0.5 * size * np.pi / 2 / 7
+    assert exact_bound <= found.bound <= exact_bound * (1 + 1e-6)
