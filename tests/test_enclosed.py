@@ -1,5 +1,6 @@
 """Floats with what they may be off by hold the exact numbers, also where every rounding falls."""
 
+import math
 import re
 from dataclasses import replace
 from fractions import Fraction
@@ -9,13 +10,23 @@ from types import SimpleNamespace
 import flint
 import numpy as np
 import pytest
+from exported import sampled
+from scipy.integrate import trapezoid
+from scipy.linalg import expm
 
 import certrack
 from certrack.certificates.arithmetic import rational
-from certrack.certificates.implemented.drive import DRIVE_BITS
+from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
+from certrack.certificates.implemented.gains import (
+    gains_table,
+    largest_of_each,
+    mean_magnitude,
+)
+from certrack.certificates.implemented.outputs import ERROR_DEGREE, STATE_DEGREE, output_rows
+from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.premises import _covered
-from certrack.certificates.implemented.proof import start_prover
+from certrack.certificates.implemented.proof import prove_implemented, start_prover
 from certrack.certificates.implemented.start import Later, _product_with, is_above, up
 from certrack.certificates.implemented.start_proof import (
     ANY_PHASE,
@@ -27,6 +38,8 @@ from certrack.certificates.implemented.start_proof import (
     StartProver,
     start_set_of,
 )
+from certrack.export.golden_vectors import reference_answers
+from certrack.export.program import controller_program
 
 LOST = ROUNDOFF * (1 - 2.0**-20)  # added to 1 it is lost
 
@@ -191,3 +204,97 @@ def test_the_premise_names_what_the_drive_has():
         every, *others = _covered(system, system.implementation).split("; ")
         assert every.startswith("sampled every 0.01 s, its input acts 0 periods later")
         assert others == expected
+
+
+@pytest.mark.parametrize("delay", ["0", "1/3"])
+def test_what_acts_within_a_cell_is_at_least_its_integral(delay):
+    """|c e^{As} W| over a cell, and the remainders of Taylor's polynomials of y_d, x and u."""
+    text = DRIVE.replace("gain_sign", 'drift = "-300*x1 - 40*x2"\ngain_sign')
+    delay = Fraction(delay)
+    text = text.replace("[implementation]", f'[implementation]\ndelay = "{delay}"')
+    system = certrack.loads(text)
+    with flint.ctx.workprec(DRIVE_BITS):
+        drive = drive_of(system, flint.fmpq(delay.numerator, delay.denominator))
+        period = one_period(drive, (1, 2))
+        rows = [row for row in output_rows(period) if row.output <= drive.n]
+        A, b, W = (Enclosed.of(m).value for m in (drive.A, drive.b, drive.W))
+        lengths = [float(cell.length) for cell in period.cells]
+        found = [(row.output, lengths[row.phase], row.in_cell, float(row.share)) for row in rows]
+        assert {length for _, length, *_ in found} == set(lengths)
+        q = drive.q
+        for output, h, cell, _ in found:
+            degree = max(ERROR_DEGREE, q) if output == 0 else STATE_DEGREE
+            c = np.eye(drive.n)[max(output - 1, 0)]
+            s = np.linspace(0, h, 401)
+            motions = np.array([c @ expm(A * v) for v in s])
+            integrals = trapezoid(np.abs(motions @ W), s, axis=0)
+            bounds = np.array([float(v.mid()) for v in cell.w])
+            assert (bounds >= integrals * (1 - 1e-9)).all()
+            assert (bounds <= integrals * 1.5 + h**3).all()
+            exact = h ** (q + 1) / math.factorial(q + 1) if output == 0 else 0
+            assert float(cell.r.mid()) == pytest.approx(exact, rel=1e-12)
+            step = h ** (degree + 1) / math.factorial(degree + 1)
+            powers = np.linalg.matrix_power(A, degree)
+            of_x = np.abs(np.array([c @ powers @ A @ expm(A * v) for v in s])).max(axis=0)
+            of_u = np.abs(np.array([c @ powers @ expm(A * v) @ b for v in s])).max()
+            assert (np.array([float(v.mid()) for v in cell.x]) >= of_x * step * (1 - 1e-12)).all()
+            assert of_u * step * (1 - 1e-12) <= float(cell.u.mid()) <= of_u * step * 2 + h**9
+
+
+def test_a_drive_begins_without_a_difference():
+    """At the first sample there is no position before, so no speed, wherever the axis is."""
+    system = sampled("example1", velocity=("x2",), velocity_filter=0.002)
+    program = controller_program(system)
+    start = np.repeat(np.array(program.start)[:, None], 3, axis=1)
+    x = np.array([[-1.0, 0.3, 7.0], [0.0, 0.0, 0.0]])
+    after = reference_answers(system, program)(x, np.zeros((len(program.Y), 3)), start)[1:]
+    states = dict(zip(map(str, program.states), after, strict=True))
+    assert (states["ctl_speed_x2"] == 0).all()
+    assert (states["ctl_before_x2"] == x[0]).all()
+
+
+def test_the_mean_magnitude_of_a_line_is_exact():
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(2, 50))
+    a[:3], b[1:4] = 0, 0
+    s = (np.arange(20_000) + 0.5) / 20_000
+    sampled_means = np.abs(a + (b - a) * s[:, None]).mean(axis=0)
+    assert mean_magnitude(a, b) == pytest.approx(sampled_means, abs=1e-8)
+    assert mean_magnitude(-a, -b) == pytest.approx(sampled_means, abs=1e-8)
+
+
+def test_columns_of_gains_add_what_bends_between_the_nodes():
+    rng = np.random.default_rng(2)
+    size, width, cells, n, bends = 4, 3, 2, 2, 5
+    columns = SimpleNamespace(
+        nodes=SimpleNamespace(nrows=lambda: size, ncols=lambda: width * (cells + 1)),
+        lengths=np.ones(cells),
+        curvature=rng.uniform(size=(size, width - 1)),
+        bend_weights=rng.uniform(size=bends),
+    )
+    sums = rng.uniform(size=(6, width + n + 2 + bends + size))
+    lines, samples, bent, of_row = np.split(sums, np.cumsum([width, n + 2, bends]), axis=1)
+    expected = np.hstack(
+        [
+            lines[:, :-1] + of_row @ columns.curvature,
+            lines[:, -1:] + bent @ columns.bend_weights[:, None],
+            samples,
+            np.zeros((6, 1)),
+        ]
+    )
+    found = gains_table(columns, n, sums)
+    assert (found >= expected).all()
+    assert found == pytest.approx(expected, rel=1e-13)
+
+
+def test_largest_samples_are_summed_over_so_many_periods():
+    samples = np.array([[1.0, 5, 2, 4, 3], [7, 1, 1, 1, 9]])
+    assert largest_of_each(samples, 2).tolist() == [5 + 4 + 3, 7 + 1 + 9]
+    assert largest_of_each(samples, 1).tolist() == [15, 19]
+    assert largest_of_each(samples, 9).tolist() == [5, 9]
+
+
+def test_the_parts_of_a_bound_add_up_to_it():
+    proof, parts = prove_implemented(certrack.loads(DRIVE), rational(0))
+    assert all(part >= -1e-12 for part in parts.values())
+    assert sum(parts.values()) == pytest.approx(float(proof.bound), rel=1e-4)

@@ -20,6 +20,7 @@ from certrack.certificates.exact import (
     from_text,
     root_up,
 )
+from certrack.certificates.majorants import _root_of
 from certrack.certificates.published import Terms
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS
 from certrack.certificates.tube import Tube
@@ -128,3 +129,20 @@ def test_a_cover_has_a_largest_number_of_cells(monkeypatch):
     for count, error in ((MAX_PROOF_CELLS, ZeroDivisionError), (MAX_PROOF_CELLS + 1, InputError)):
         with pytest.raises(error):
             document._verify_cover(body | {"proof": [{}] * count})
+
+
+@pytest.mark.parametrize(
+    "majorant", [(4,), (0, 0, 9), (2, 3, 1), (2, 0, 7), (Fraction(1, 10**9), 5, 1)]
+)
+def test_the_root_of_a_majorant_is_above_the_root(majorant):
+    majorant = tuple(map(Fraction, majorant))
+    constant, slope = _root_of(majorant)
+    for s in map(Fraction, (0, Fraction(1, 10**6), Fraction(1, 10), 1, 7, 10**5)):
+        square = sum(c * s**i for i, c in enumerate(majorant))
+        assert (constant + slope * s) ** 2 >= square
+    b, a, p = (*majorant, 0, 0)[:3]
+    assert float(constant) == pytest.approx(float(b) ** 0.5, rel=1e-12)
+    steepest = max(float(p) ** 0.5, float(a) / (2 * float(b) ** 0.5) if a else 0.0)
+    assert float(slope) == pytest.approx(steepest, rel=1e-12)
+    assert _root_of((Fraction(0), Fraction(1))) is None
+    assert _root_of((Fraction(1), Fraction(0), Fraction(0), Fraction(1))) is None

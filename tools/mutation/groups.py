@@ -39,7 +39,7 @@ GROUPS = {
     "certificates": Group(
         "certificates/*",
         "certificates certificate_data exact_checks rounding independent_checker bounds peak tube"
-        " premises truth strength exact_numbers false_claims",
+        " premises truth strength exact_numbers false_claims forged_claims",
     ),
     "ranges": Group(
         "certificates/ranges/*", "range_algebra ranges independent_ranges sectors strength peak"
