@@ -282,3 +282,10 @@ def test_bounds_of_several_frequencies_are_those_over_all_phases(text):
     reached = max(values.max(), sampled.max())
     found = SymbolicReference(text).bounds(0).values[0]
     assert reached <= found <= 1.01 * reached
+
+
+@pytest.mark.parametrize("shift", [-1, 0, 1])
+@pytest.mark.parametrize("function", ["asin(sin(t))", "acos(cos(t)) - pi/2"])
+def test_bounds_of_triangles_cover_both_ends(function, shift):
+    found = SymbolicReference(f"{function} + {shift}").bounds(0).values[0]
+    assert math.pi / 2 + abs(shift) <= found <= 1.01 * (math.pi / 2 + abs(shift))

@@ -13,6 +13,7 @@ import pytest
 from exported import sampled
 from scipy.integrate import trapezoid
 from scipy.linalg import expm
+from test_extensions import law_of
 
 import certrack
 from certrack.certificates.arithmetic import rational
@@ -298,3 +299,20 @@ def test_the_parts_of_a_bound_add_up_to_it():
     proof, parts = prove_implemented(certrack.loads(DRIVE), rational(0))
     assert all(part >= -1e-12 for part in parts.values())
     assert sum(parts.values()) == pytest.approx(float(proof.bound), rel=1e-4)
+
+
+def test_a_law_that_needs_the_time_counts_its_samples():
+    """At sample k the law sees t = k T: u differs from that of another sample by what t adds."""
+    system = law_of(lambda s: s.t).replace(implementation=certrack.Implementation(period=0.25))
+    program = controller_program(system)
+    answers = reference_answers(system, program)
+    x, Y = np.array([[0.3], [0.1]]), np.zeros((len(program.Y), 1))
+    states = np.array(program.start)[:, None]
+    kept = [str(z) for z in program.states]
+    commands = []
+    for _ in range(4):
+        u, *after = answers(x, Y, states)
+        commands.append(float(u[0]))
+        number = kept.index("ctl_sample")
+        states[number] = after[number]
+    assert np.diff(commands) == pytest.approx([0.25] * 3)
