@@ -10,10 +10,8 @@ from types import SimpleNamespace
 import flint
 import numpy as np
 import pytest
-from exported import sampled
 from scipy.integrate import trapezoid
 from scipy.linalg import expm
-from test_extensions import law_of
 
 import certrack
 from certrack.certificates.arithmetic import rational
@@ -39,8 +37,6 @@ from certrack.certificates.implemented.start_proof import (
     StartProver,
     start_set_of,
 )
-from certrack.export.golden_vectors import reference_answers
-from certrack.export.program import controller_program
 
 LOST = ROUNDOFF * (1 - 2.0**-20)  # added to 1 it is lost
 
@@ -242,18 +238,6 @@ def test_what_acts_within_a_cell_is_at_least_its_integral(delay):
             assert of_u * step * (1 - 1e-12) <= float(cell.u.mid()) <= of_u * step * 2 + h**9
 
 
-def test_a_drive_begins_without_a_difference():
-    """At the first sample there is no position before, so no speed, wherever the axis is."""
-    system = sampled("example1", velocity=("x2",), velocity_filter=0.002)
-    program = controller_program(system)
-    start = np.repeat(np.array(program.start)[:, None], 3, axis=1)
-    x = np.array([[-1.0, 0.3, 7.0], [0.0, 0.0, 0.0]])
-    after = reference_answers(system, program)(x, np.zeros((len(program.Y), 3)), start)[1:]
-    states = dict(zip(map(str, program.states), after, strict=True))
-    assert (states["ctl_speed_x2"] == 0).all()
-    assert (states["ctl_before_x2"] == x[0]).all()
-
-
 def test_the_mean_magnitude_of_a_line_is_exact():
     rng = np.random.default_rng(1)
     a, b = rng.normal(size=(2, 50))
@@ -299,20 +283,3 @@ def test_the_parts_of_a_bound_add_up_to_it():
     proof, parts = prove_implemented(certrack.loads(DRIVE), rational(0))
     assert all(part >= -1e-12 for part in parts.values())
     assert sum(parts.values()) == pytest.approx(float(proof.bound), rel=1e-4)
-
-
-def test_a_law_that_needs_the_time_counts_its_samples():
-    """At sample k the law sees t = k T: u differs from that of another sample by what t adds."""
-    system = law_of(lambda s: s.t).replace(implementation=certrack.Implementation(period=0.25))
-    program = controller_program(system)
-    answers = reference_answers(system, program)
-    x, Y = np.array([[0.3], [0.1]]), np.zeros((len(program.Y), 1))
-    states = np.array(program.start)[:, None]
-    kept = [str(z) for z in program.states]
-    commands = []
-    for _ in range(4):
-        u, *after = answers(x, Y, states)
-        commands.append(float(u[0]))
-        number = kept.index("ctl_sample")
-        states[number] = after[number]
-    assert np.diff(commands) == pytest.approx([0.25] * 3)

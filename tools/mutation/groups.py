@@ -52,7 +52,9 @@ GROUPS = {
         "references/*", "references testing bounds premises simulation time_events units lipschitz"
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
-    "sampled": Group("loops/controller loops/sampled integrators/sampled/run", "sampled sliding"),
+    "sampled": Group(
+        "loops/controller loops/sampled integrators/sampled/run", "controller sampled sliding"
+    ),
     "statistics": Group("studies/ensembles/statistics", "statistics"),
     "c-printers": Group(
         "export/c/export export/c/guard export/c/printer export/c/source core/printing",
