@@ -15,7 +15,9 @@ from scipy.linalg import expm
 
 import certrack
 from certrack.certificates.arithmetic import rational
-from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented.certify import limits_met
+from certrack.certificates.implemented.drive import DRIVE_BITS, _linear_drift, drive_of
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
 from certrack.certificates.implemented.gains import (
     gains_table,
@@ -25,7 +27,11 @@ from certrack.certificates.implemented.gains import (
 from certrack.certificates.implemented.outputs import ERROR_DEGREE, STATE_DEGREE, output_rows
 from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.premises import _covered
-from certrack.certificates.implemented.proof import prove_implemented, start_prover
+from certrack.certificates.implemented.proof import (
+    ImplementedProof,
+    prove_implemented,
+    start_prover,
+)
 from certrack.certificates.implemented.start import Later, _product_with, is_above, up
 from certrack.certificates.implemented.start_proof import (
     ANY_PHASE,
@@ -283,3 +289,43 @@ def test_the_parts_of_a_bound_add_up_to_it():
     proof, parts = prove_implemented(certrack.loads(DRIVE), rational(0))
     assert all(part >= -1e-12 for part in parts.values())
     assert sum(parts.values()) == pytest.approx(float(proof.bound), rel=1e-4)
+
+
+def test_known_regressors_are_part_of_a_linear_drift():
+    """x1 times 2 and -3 times 5 as regressors, or written into the drift; the constant cancels."""
+    written = DRIVE.replace(
+        "gain_sign", 'drift = "K*x2 + 2*x1 - 15"\nconstants = {K = 4}\ngain_sign', 1
+    )
+    known = written.replace("K*x2 + 2*x1 - 15", "K*x2")
+    known = known.replace("gain_sign", 'regressor = ["x1", -3]\ntheta = [2, 5]\ngain_sign', 1)
+    known = known.replace("[truth]", "[truth]\ntheta = [2, 5]")
+    found = [_linear_drift(certrack.loads(text)) for text in (written, known)]
+    assert found[0] == found[1] == ([2, 4], -15)
+    for wrong in ("x1*x2", "sin(x1)", "abs(x1)"):
+        with pytest.raises(NoCertificate, match="only loops that are linear"):
+            _linear_drift(certrack.loads(written.replace("K*x2 + 2*x1 - 15", wrong)))
+
+
+@pytest.mark.parametrize(
+    ("limits", "met"),
+    [
+        ((-13, 7), False),
+        ((-12.999, 7), True),
+        ((-13, 6.999), True),
+        ((-14, 8), False),
+        ((-7, 13), True),
+    ],
+)
+def test_limits_are_not_met_by_a_certified_input_about_its_offset(limits, met):
+    """The law's constant is -3 here, and |u + 3| <= 10; the step is at most 0.5 in 0.01 s."""
+    text = DRIVE.replace("gain_sign", 'drift = "3"\ngain_sign', 1)
+    text = text.replace("[implementation]", f"[implementation]\nsaturation = {list(limits)}", 1)
+    proofs = [
+        ImplementedProof("0", (1, 1), 9, ("1", "1"), size, step, "1")
+        for size, step in (("10", "0.1"), ("2", "0.5"))
+    ]
+    assert bool(limits_met(certrack.loads(text), proofs)) == met
+    if not met:
+        for rate, refused in ((50, False), (49.99, True)):
+            limited = text.replace("[implementation]", f"[implementation]\nrate_limit = {rate}", 1)
+            assert ("rate limit" in limits_met(certrack.loads(limited), proofs)) == refused

@@ -18,11 +18,11 @@ from certrack.certificates.ranges.boxes import names
 from certrack.certificates.ranges.cells import MAX_CORNERS, corners_of, divided, halved
 from certrack.certificates.ranges.coefficients import Coefficients, _factors
 from certrack.certificates.ranges.edges import LARGEST_SCALE, largest_scale
-from certrack.certificates.ranges.loop import error_form, ranged_loop
+from certrack.certificates.ranges.loop import error_form, ranged_loop, untrue_formulas
 from certrack.certificates.ranges.peak import UNBOUNDED, _bound, peak_bound
 from certrack.certificates.ranges.rational import RationalVector
 from certrack.certificates.ranges.sectors import SECTORS, sector_of
-from certrack.certificates.ranges.strength import PROVABLE_CELLS, provable
+from certrack.certificates.ranges.strength import PROVABLE_CELLS, provable, stable_at_corners
 
 p, q = sympy.symbols("p q")
 
@@ -322,3 +322,31 @@ def test_a_bounded_term_whose_coefficient_is_uncertain_acts_with_its_size(size):
     found = peak_bound(loop, Coefficients(loop), loop.box)
     exact_bound = 0.5 * size * np.pi / 2 / 7
     assert exact_bound <= found.bound <= exact_bound * (1 + 1e-6)
+
+
+def test_a_truth_that_is_no_formula_of_the_ranges_is_named():
+    fixed = re.sub("input_gain = .4.*|theta = .\\[.*", "", FIRST_ORDER)
+    assert untrue_formulas(certrack.loads(FIRST_ORDER)) == []
+    assert untrue_formulas(certrack.loads(fixed)) == []
+    gain, theta = ("input_gain = 5\ntheta = [1]\nomega", "input_gain = {}\ntheta = [{}]\nomega")
+    for values, expected in (((5.5, 1), ["input_gain"]), ((5, 1.5), ["theta[0]"])):
+        changed = certrack.loads(fixed.replace(gain, theta.format(*values)))
+        assert untrue_formulas(changed) == expected
+        changed = certrack.loads(FIRST_ORDER.replace(gain, theta.format(*values)))
+        assert untrue_formulas(changed) == []
+
+
+def test_a_loop_on_the_edge_of_stability_is_not_stable_at_its_corners():
+    """x' = (a - 7.5 ...) x: the rate is zero at one corner, then just below it."""
+    prover = SimpleNamespace(loop=ranged_loop(certrack.loads(FIRST_ORDER)), by_peak_gains=True)
+    rate = exact(5)  # -a + theta + g/5 (2.5 - 7 - 1) is zero for g = 5 (theta - a)/5.5
+    edge = rate * (exact("0.5") - 2) / exact("5.5")
+    for end, stable in (
+        (edge, False),
+        (edge - exact("1/100"), False),
+        (edge + exact("1/100"), True),
+    ):
+        box = ((exact(2), exact(3)), (end, exact(6)), (exact("0.5"), exact("0.5")))
+        assert stable_at_corners(prover, box) == stable
+    prover.by_peak_gains = False
+    assert stable_at_corners(prover, box)
