@@ -17,9 +17,13 @@ NUMBER_PREFIXES = (
     "integral_",
 )
 
-#: Names and beginnings of names that a closed loop gives to its own signals.
+#: Names and beginnings of names that a closed loop gives to its own signals. An ensemble's are left
+#: out: it gives them to constants of plants of its own, and refuses them in those of others.
 LOOP_SIGNALS = ("u", "e", "nu", "time", "state", "parameter", "member")
-LOOP_PREFIXES = ("e_", "lambda_", "y_d", "delta_", "theta_", *NUMBER_PREFIXES)
+LOOP_PREFIXES = (
+    *("e_", "lambda_", "y_d", "delta_", "theta_"),
+    *(prefix for prefix in NUMBER_PREFIXES if prefix != "member_"),
+)
 
 
 def new_name(key: str, name: Any, used: Iterable[str]) -> str:
