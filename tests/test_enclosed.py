@@ -17,7 +17,7 @@ import certrack
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.certify import limits_met
-from certrack.certificates.implemented.drive import DRIVE_BITS, _linear_drift, drive_of
+from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of, linear_drift
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
 from certrack.certificates.implemented.gains import (
     gains_table,
@@ -109,7 +109,7 @@ def test_a_later_bound_is_strictly_above_its_image():
 
 
 def test_a_proof_of_starts_has_the_shape_of_its_system():
-    prover = SimpleNamespace(drive=SimpleNamespace(n=2))
+    prover = SimpleNamespace(drive=SimpleNamespace(n=2, sized=2))
     region = (("-1", "1"), ("0", "0"))
 
     def holds(**changes):
@@ -293,7 +293,7 @@ def test_the_parts_of_a_bound_add_up_to_it():
     assert sum(parts.values()) == pytest.approx(float(proof.bound), rel=1e-4)
 
 
-def test_known_regressors_are_part_of_a_linear_drift():
+def test_known_regressors_are_part_of_alinear_drift():
     """x1 times 2 and -3 times 5 as regressors, or written into the drift; the constant cancels."""
     written = DRIVE.replace(
         "gain_sign", 'drift = "K*x2 + 2*x1 - 15"\nconstants = {K = 4}\ngain_sign', 1
@@ -301,11 +301,11 @@ def test_known_regressors_are_part_of_a_linear_drift():
     known = written.replace("K*x2 + 2*x1 - 15", "K*x2")
     known = known.replace("gain_sign", 'regressor = ["x1", -3]\ntheta = [2, 5]\ngain_sign', 1)
     known = known.replace("[truth]", "[truth]\ntheta = [2, 5]")
-    found = [_linear_drift(certrack.loads(text)) for text in (written, known)]
+    found = [linear_drift(certrack.loads(text)) for text in (written, known)]
     assert found[0] == found[1] == ([2, 4], -15)
     for wrong in ("x1*x2", "sin(x1)", "abs(x1)"):
         with pytest.raises(NoCertificate, match="only loops that are linear"):
-            _linear_drift(certrack.loads(written.replace("K*x2 + 2*x1 - 15", wrong)))
+            linear_drift(certrack.loads(written.replace("K*x2 + 2*x1 - 15", wrong)))
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,12 @@ from certrack.certificates.ranges.boxes import names
 from certrack.certificates.ranges.cells import MAX_CORNERS, corners_of, divided, halved
 from certrack.certificates.ranges.coefficients import Coefficients, _factors
 from certrack.certificates.ranges.edges import LARGEST_SCALE, largest_scale
-from certrack.certificates.ranges.loop import error_form, ranged_loop, untrue_formulas
+from certrack.certificates.ranges.formulas import untrue_formulas
+from certrack.certificates.ranges.loop import error_form, ranged_loop
 from certrack.certificates.ranges.peak import UNBOUNDED, _bound, peak_bound
 from certrack.certificates.ranges.rational import RationalVector
 from certrack.certificates.ranges.sectors import SECTORS, sector_of
-from certrack.certificates.ranges.strength import PROVABLE_CELLS, provable, stable_at_corners
+from certrack.certificates.ranges.strength import stable_at_corners
 
 p, q = sympy.symbols("p q")
 
@@ -222,43 +223,6 @@ def test_loops_that_do_not_forget_in_time_are_refused():
             periods_needed(SimpleNamespace(map=flint.arb_mat([[flint.arb(radius)]])))
     slow = 1 - 21 / 2**MAX_DOUBLINGS
     assert periods_needed(SimpleNamespace(map=flint.arb_mat([[slow]]))) == MAX_DOUBLINGS
-
-
-@pytest.mark.parametrize("moving", [0, 1])
-def test_a_box_is_provable_if_sixteen_of_its_cells_are(moving):
-    """Here a cell is proven that is narrow enough in its first constant."""
-
-    def holds(width):
-        loop = SimpleNamespace(moving=moving)
-        prover = SimpleNamespace(
-            loop=loop,
-            by_peak_gains=False,
-            holds=lambda cell: cell[0][1] - cell[0][0] <= width,
-        )
-        box = ((0.0, 1.0), (0.0, 0.0))
-        return provable(prover, box, cells=True), provable(prover, box, cells=False)
-
-    assert holds(1.0) == (True, True)
-    assert holds(0.5) == (True, False)
-    assert holds(1 / PROVABLE_CELLS) == (True, False)
-    assert holds(1 / PROVABLE_CELLS - 1e-9) == (False, False)
-
-
-def test_a_box_that_needs_seventeen_cells_is_not_provable():
-    def needs(count):
-        """The first cell of sixteen in two, if they are seventeen."""
-        loop = SimpleNamespace(moving=0)
-        narrow = 1 / PROVABLE_CELLS
-        first = narrow if count == PROVABLE_CELLS else narrow / 2
-        prover = SimpleNamespace(
-            loop=loop,
-            by_peak_gains=False,
-            holds=lambda cell: cell[0][1] - cell[0][0] <= (narrow if cell[0][0] else first),
-        )
-        return provable(prover, ((0.0, 1.0),), cells=True)
-
-    assert needs(PROVABLE_CELLS)
-    assert not needs(PROVABLE_CELLS + 1)
 
 
 def test_the_loop_of_a_first_order_plant_with_every_range():
