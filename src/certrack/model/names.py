@@ -17,12 +17,13 @@ NUMBER_PREFIXES = (
     "integral_",
 )
 
-#: Names and beginnings of names that a closed loop gives to its own signals. An ensemble's are left
-#: out: it gives them to constants of plants of its own, and refuses them in those of others.
+#: Names and beginnings of names that a closed loop gives to its own signals.
 LOOP_SIGNALS = ("u", "e", "nu", "time", "state", "parameter", "member")
+#: An ensemble gives its members' plants constants of its own, so it refuses its prefix itself.
+OF_ENSEMBLES = "member_"
 LOOP_PREFIXES = (
     *("e_", "lambda_", "y_d", "delta_", "theta_"),
-    *(prefix for prefix in NUMBER_PREFIXES if prefix != "member_"),
+    *(prefix for prefix in NUMBER_PREFIXES if prefix != OF_ENSEMBLES),
 )
 
 
