@@ -311,22 +311,22 @@ class Law(ABC):
         equations = self.equations(s)
         if not isinstance(equations, Equations):
             raise InputError("law", "equations must return Equations", equations)
-        for z, _ in equations.update:
+        names = [z for z, _ in equations.update]
+        for i, z in enumerate(names):
             if z != symbol(str(z)):
                 raise InputError("law", "own states must be made by certrack.laws.symbol", z)
+            if z in names[:i]:
+                raise InputError("law", "has a state of this name already", z, "Rename it")
         normal = {name: normal_form("law", name, f) for name, f in equations.formulas.items()}
         u, *rates = normal.values()
-        names = [z for z, _ in equations.update]
         return Equations(u, tuple(zip(names, rates, strict=True)), tuple(equations.filters))
 
 
 def _check_own_states(names: Sequence[str], used: Collection[str]) -> None:
     """Refuse names of own states that stand for something else already."""
-    seen = set(used)
     for name in names:
         check_name("law", name)
         if name.startswith(NUMBER_PREFIXES):
             raise InputError("law", "names of own states must not begin so", name, "Rename it")
-        if name in seen:
+        if name in used:
             raise InputError("law", "has a state of this name already", name, "Rename it")
-        seen.add(name)
