@@ -22,6 +22,7 @@ from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.supported import check_symbols, normal_form
 from certrack.laws.backstepping import ErrorCoordinates, Gains
 from certrack.laws.error_system import ErrorSystem
+from certrack.laws.observer import Observer
 from certrack.laws.recursion import recursion
 from certrack.laws.signals import Signals
 from certrack.model.plant import MAX_ORDER, Plant
@@ -81,6 +82,8 @@ class Controller:
         Values of :attr:`symbols`.
     start : tuple of float
         Initial values of :attr:`states`, as the law states them.
+    law : Law, optional
+        Whose it is.
     """
 
     equations: Equations
@@ -88,6 +91,7 @@ class Controller:
     coordinates: ErrorCoordinates
     values: np.ndarray
     start: tuple[float, ...] = ()
+    law: Law | None = None
 
     @property
     def states(self) -> tuple[sympy.Symbol, ...]:
@@ -145,6 +149,8 @@ class Law(ABC):
         q, how many derivatives of y_d the virtual controls use; needs q + 1 bounded derivatives.
     coupling : float > 0, optional
         rho of :mod:`certrack.laws.balanced`; the paper's recursion if left out.
+    observer : Observer, optional
+        What a sampled controller estimates, and gives to the law instead of filtered differences.
     """
 
     kind: ClassVar[str]
@@ -191,6 +197,7 @@ class Law(ABC):
         above=0,
         otherwise="the paper's recursion",
     )
+    observer: Observer | None = None
 
     def __post_init__(self) -> None:
         gains = Gains(self.c, self.k, self.p, self.coupling)
@@ -199,6 +206,8 @@ class Law(ABC):
         values |= {"p": gains.p} if self.p is not None else {}
         set_fields(self, **values)
         check_fields(self, "law", *(name for name in keys_of(self) if name not in ("c", "k", "p")))
+        if not isinstance(self.observer, Observer | None):
+            raise InputError("law.observer", "must be an Observer", self.observer)
 
     @abstractmethod
     def equations(self, s: Signals) -> Equations:
@@ -293,7 +302,7 @@ class Law(ABC):
             raise InputError("law.initial_states", "names no state of the law", ", ".join(foreign))
         values = self._values(coordinates, plant, list(signals.all_parameters))
         start = tuple(stated.get(name, 0.0) for name in names)
-        return Controller(equations, signals, coordinates, values, start)
+        return Controller(equations, signals, coordinates, values, start, self)
 
     def normal_equations(self, s: Signals) -> Equations:
         """The equations in the one form that is compiled, printed and exported.

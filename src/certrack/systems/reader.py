@@ -20,12 +20,13 @@ from certrack.core.budget import within_budget
 from certrack.core.errors import InputError
 from certrack.core.keys import Key
 from certrack.laws import Law, known_laws
+from certrack.laws.observer import Observer
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth, constants_of_truth
 from certrack.references import Reference, SymbolicReference, known_references
-from certrack.systems.keys import TABLES, law_keys, reference_keys
+from certrack.systems.keys import OBSERVER, TABLES, law_keys, reference_keys
 from certrack.systems.lines import line_of
 from certrack.systems.samples_file import SamplesFile, check_time_unit, read_samples
 from certrack.systems.system import Settings, System
@@ -318,10 +319,14 @@ def _read_law(table: Any, constants: Mapping[str, Any]) -> Law:
     if "kind" not in table:
         raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(laws))
     law = laws[checks.choice("law.kind", table["kind"], laws, OWN_LAW)]
+    table, observer = dict(table), table.get(OBSERVER)
+    table.pop(OBSERVER, None)
     _refuse_keys_of_another("law", table, "law", {name: law_keys(laws[name]) for name in laws})
     values = _read_values("law", table, constants, law_keys(law))
     del values["kind"]
-    return law(**values)
+    if observer is None:
+        return law(**values)
+    return law(**values, observer=Observer(**_read_values("law.observer", observer, constants)))
 
 
 def _refuse_keys_of_another(
