@@ -161,7 +161,7 @@ def linear_loop(system: System) -> LinearLoop | None:
     controller = sampled_controller(system.plant, system.controller, implementation)
     command, update = resolved(controller)
     signals = (*controller.measured, *controller.states, *controller.Y)
-    slopes = [sympy.diff(_after_first_sample(f), v) for f in (command, *update) for v in signals]
+    slopes = [sympy.diff(after_first_sample(f), v) for f in (command, *update) for v in signals]
     if not (_only_of(table, plant.parameters) and _only_of(slopes, controller.parameters)):
         return None
     values = numpy_callable(plant.parameters, table)(*plant_values(plant, system))
@@ -192,7 +192,7 @@ def _reachable_subspace(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     return np.array(basis).reshape(-1, len(A)).T
 
 
-def _after_first_sample(formula: sympy.Expr) -> sympy.Expr:
+def after_first_sample(formula: sympy.Expr) -> sympy.Expr:
     """The formula from the second sample on."""
     formula = formula.xreplace({FIRST: sympy.S.Zero})
     return formula.replace(lambda f: isinstance(f, Select) and f.args[0] == 0, lambda f: f.args[3])

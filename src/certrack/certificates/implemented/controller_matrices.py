@@ -1,0 +1,89 @@
+"""The sampled controller of a linear law as matrices, in balls.
+
+They are the slopes of the formulas that are simulated and exported
+(:mod:`certrack.loops.controller`), with the numbers of the design exact and those of an observer
+the floats that the controller computes with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import flint
+import sympy
+
+from certrack.certificates.arithmetic import exact_float, rational
+from certrack.certificates.balls import enclosing_ball
+from certrack.certificates.certificate import NoCertificate
+from certrack.core.expressions import symbol
+from certrack.laws.base import Equations
+from certrack.loops.controller import PERIOD, sampled_controller
+from certrack.loops.observers import BEFORE, observer_values
+from certrack.loops.sampled import resolved
+from certrack.loops.stability import after_first_sample
+from certrack.model.implementation import Implementation
+from certrack.systems.system import System
+
+
+def controller_matrices(
+    system: System, implementation: Implementation, K: Sequence[Any], Ky: Sequence[Any]
+) -> dict[str, flint.arb_mat]:
+    """Lx, Ls, Ly, Sx, Ss, Sy, first and first_input of :class:`~.drive.Drive`.
+
+    Parameters
+    ----------
+    system : System
+    implementation : Implementation
+    K, Ky : rationals
+        u = K x + Ky (y_d ... y_d^(q+1)), for the x that the law is given.
+    """
+    plant, controller = system.plant, system.controller
+    s = controller.signals
+    gains = [symbol(f"law_K_{i}") for i in range(len(K) + len(Ky))]
+    u = sympy.Add(*(k * v for k, v in zip(gains, (*s.x, *s.Y), strict=True)))
+    unlimited = replace(
+        implementation, saturation=None, rate_limit=None, initial_input=0.0, input_quantum=0.0
+    )
+    sampled = sampled_controller(plant, replace(controller, equations=Equations(u=u)), unlimited)
+    command, update = resolved(sampled)
+    formulas = [after_first_sample(formula) for formula in (command, *update)]
+    values = dict(zip(gains, map(flint.arb, (*K, *Ky)), strict=True))
+    values |= _numbers(system, implementation)
+    kept = [i for i, name in enumerate(sampled.states) if formulas[i + 1] != 0]
+    states = [sampled.states[i] for i in kept]
+    after = [formulas[i + 1] for i in kept]
+    presets = [sampled.presets[i] for i in kept]
+    rest = set(values)
+
+    def slopes(rows: Sequence[sympy.Expr], by: Sequence[sympy.Symbol]) -> flint.arb_mat:
+        entries = [sympy.diff(row, v) for row in rows for v in by]
+        if any(entry.free_symbols - rest for entry in entries):
+            raise NoCertificate("only loops that are linear are covered as implemented")
+        balls = [enclosing_ball(entry, values) for entry in entries]
+        return flint.arb_mat(len(rows), len(by), balls)
+
+    return {
+        "Lx": slopes(formulas[:1], s.x),
+        "Ls": slopes(formulas[:1], states),
+        "Ly": slopes(formulas[:1], s.Y),
+        "Sx": slopes(after, s.x),
+        "Ss": slopes(after, states),
+        "Sy": slopes(after, s.Y),
+        "first": slopes(presets, s.x),
+        "first_input": slopes(presets, [BEFORE]),
+    }
+
+
+def _numbers(system: System, implementation: Implementation) -> Mapping[sympy.Symbol, Any]:
+    """Balls of the numbers that are not the law's."""
+    plant, T = system.plant, rational(implementation.period)
+    values = {symbol(name): flint.arb(rational(v)) for name, v in plant.constant_values.items()}
+    values[PERIOD] = flint.arb(T)
+    pole = flint.arb(1)
+    if implementation.velocity_filter:
+        pole = 1 - (-flint.arb(T / rational(implementation.velocity_filter))).exp()
+    values[symbol("ctl_filter")] = pole
+    observer = observer_values(plant, system.law, implementation)
+    return values | {name: flint.arb(exact_float(v, rational)) for name, v in observer.items()}
