@@ -116,7 +116,8 @@ def _compare_controller(system: System, equations: Equations, bare: Signals) -> 
 def _compare_recursion(system: System) -> None:
     """Refuse a law whose e_n and nu are not those of the recursion with its gains."""
     law, plant, controller = system.law, system.plant, system.controller
-    design = recursion(plant.g, plant.b, law.gains(), law.order(plant))
+    q, beyond = law.order(plant), law.sampled_feedforward
+    design = recursion(plant.g, plant.b, law.gains(), q, beyond=beyond)
     expected = {
         "A_n": design.A[-1],
         "B_n": design.B[-1],

@@ -27,13 +27,12 @@ from certrack.loops.controller import (
     PERIOD,
     SAMPLE_TIME,
     SampledController,
-    controller_values,
-    differenced,
     forgetting_rates,
     next_estimates,
     sampled_controller,
     starting_state,
 )
+from certrack.loops.controller_values import controller_values
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System, require_system
 
@@ -180,16 +179,12 @@ def controller_program(system: System, *, parameters: bool = False) -> Controlle
     printed = FIXED_GAINS if parameters else LINEAR_FORM_GAINS
     unnamed = _unnamed_numbers(system, controller, values, printed)
     parts, equations = _named_parts(system)
-    x = {
-        name: differenced(name.name)
-        for name in plant.symbols
-        if name.name in implementation.velocity
-    }
+    x = dict(controller.values)
     x[TIME] = SAMPLE_TIME
     rates, update = _update(controller, implementation, equations, x)
     rates = _printable(rates, unnamed, "r")
     update = tuple(formula.xreplace(unnamed) for formula in update)
-    steps = _steps(controller, [*parts, Step(LAW_INPUT, equations.u, NOTES[LAW_INPUT])], x, unnamed)
+    steps = _steps(controller, [*parts, Step(LAW_INPUT, equations.u + controller.compensation, NOTES[LAW_INPUT])], x, unnamed)
     needed = {COMMAND}.union(*(f.free_symbols for f in (*update, *(r.formula for r in rates))))
     steps = _without_unused(steps, needed)
     if parameters:

@@ -149,6 +149,10 @@ class Law(ABC):
         q, how many derivatives of y_d the virtual controls use; needs q + 1 bounded derivatives.
     coupling : float > 0, optional
         rho of :mod:`certrack.laws.balanced`; the paper's recursion if left out.
+    sampled_feedforward : bool
+        Whether a sampled controller multiplies y_d ... y_d^(q) by what its own loop needs: hold,
+        delay and filters then leave no error of a reference that is a polynomial, and q may exceed
+        n - 1. For laws and plants that are linear.
     observer : Observer, optional
         What a sampled controller estimates, and gives to the law instead of filtered differences.
     """
@@ -196,6 +200,11 @@ class Law(ABC):
         help="rho of the balanced recursion: poles set by c and rho alone, in any units",
         above=0,
         otherwise="the paper's recursion",
+    )
+    sampled_feedforward: bool = keyed(
+        "flag",
+        False,
+        help="feed-forward of the loop as sampled, delayed and filtered; q may then exceed n-1",
     )
     observer: Observer | None = None
 
@@ -249,7 +258,8 @@ class Law(ABC):
 
     def coordinates(self, plant: Plant) -> ErrorCoordinates:
         """Carry out the recursion for `plant`."""
-        return recursion(plant.g, plant.b, self.gains(), self.order(plant))
+        q = self.order(plant)
+        return recursion(plant.g, plant.b, self.gains(), q, beyond=self.sampled_feedforward)
 
     def values(self, plant: Plant, names: Sequence[str]) -> np.ndarray:
         """Numbers for the named gains, flattened; all a sweep over gains has to recompute."""

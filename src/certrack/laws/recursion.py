@@ -8,9 +8,12 @@ from certrack.core import checks
 from certrack.core.errors import DesignError, InputError
 from certrack.laws.backstepping import ErrorCoordinates, Gains, carry_out, is_moderate
 from certrack.laws.balanced import balanced, balancing_weights
+from certrack.model.plant import MAX_ORDER
 
 
-def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCoordinates:
+def recursion(
+    g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0, *, beyond: bool = False
+) -> ErrorCoordinates:
     """Carry out the recursion in O(n^3).
 
     Parameters
@@ -22,6 +25,8 @@ def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCo
     gains : Gains
     q : int
         Feed-forward order, 0 <= q <= n-1.
+    beyond : bool
+        Whether q may be larger: the recursion has no use for the others, a sampled loop has.
 
     Returns
     -------
@@ -37,7 +42,7 @@ def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCo
     n = len(g) + 1
     if gains.n != n:
         raise InputError("law.c", f"must be a list of {n}: c_1 ... c_n", list(gains.c))
-    q = checks.integer("law.feedforward", q, 0, n - 1)
+    q = checks.integer("law.feedforward", q, 0, MAX_ORDER - 1 if beyond else n - 1)
     assert gains.k is not None and gains.p is not None
     g, c = np.asarray(g, float), np.array(gains.c)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -19,7 +19,6 @@ the estimates (the leak) into account exactly: W = L^-1 (exp(L T) - I) [exponent
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
@@ -27,12 +26,11 @@ import numpy as np
 import sympy
 
 from certrack.core.expressions import TIME, symbol
-from certrack.core.lowering import numpy_callable
 from certrack.core.select import Select, clamp, magnitude
-from certrack.laws.base import Controller, Law
+from certrack.laws.base import Controller
 from certrack.laws.leakage import leak_jacobian
 from certrack.laws.observer import DOB
-from certrack.loops.observers import BEFORE, at_rest, estimation, observer_values
+from certrack.loops.observers import BEFORE, at_rest, estimation
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 
@@ -73,7 +71,7 @@ class SampledController:
     update : formulas, one per state
         Of everything above.
     parameters : symbols
-        Of :func:`controller_values`: gains, then numbers of the implementation.
+        Of :func:`~.controller_values.controller_values`: gains, then numbers of the implementation.
     gain_names : names of the law's gains
     hold : pairs (i, j)
         Entries of W that are not structurally zero, where it is not T I.
@@ -319,55 +317,6 @@ def _hold_entries(leak: tuple[sympy.Expr, ...], count: int) -> tuple[tuple[int, 
     return tuple((int(i), int(j)) for i, j in np.argwhere(reach))
 
 
-def controller_values(
-    controller: SampledController, plant: Plant, law: Law, implementation: Implementation
-) -> np.ndarray:
-    """Values of :attr:`SampledController.parameters`.
-
-    Parameters
-    ----------
-    controller : SampledController
-    plant : Plant
-    law : Law
-        Has the gains.
-    implementation : Implementation
-        Of the structure that the controller was made for.
-
-    Returns
-    -------
-    (P,) array
-    """
-    gains = law.values(plant, controller.gain_names)
-    T, filter_time = implementation.period, implementation.velocity_filter
-    known = {PERIOD: T, **observer_values(plant, law, implementation)}
-    known[symbol("ctl_filter")] = 1.0 - math.exp(-T / filter_time) if filter_time else 1.0
-    if implementation.rate_limit is not None:
-        known[symbol("ctl_u_step")] = implementation.rate_limit * T
-    if implementation.saturation is not None:
-        known[symbol("ctl_u_low")], known[symbol("ctl_u_high")] = implementation.saturation
-    if controller.hold:
-        weights = _hold_weights(controller, gains, T)
-        known |= {symbol(f"ctl_hold_{i}_{j}"): weights[i, j] for i, j in controller.hold}
-    for i, end in enumerate(end for box in implementation.projection or () for end in box):
-        known[symbol(f"ctl_box_{i}")] = end
-    constants = [float(value) for value in plant.constant_values.values()]
-    numbers = controller.parameters[len(gains) + len(constants) :]
-    return np.concatenate([gains, constants, [known[name] for name in numbers]])
-
-
-def _hold_weights(controller: SampledController, gains: np.ndarray, T: float) -> np.ndarray:
-    """W = L^-1 (exp(L T) - I), without dividing by L."""
-    from scipy.linalg import expm
-
-    count = len(controller.estimates)
-    names = controller.parameters[: len(gains)]
-    L = np.array(numpy_callable(names, controller.leak)(*gains), dtype=float).reshape(count, count)
-    block = np.zeros((2 * count, 2 * count))
-    block[:count, :count], block[:count, count:] = L * T, np.eye(count) * T
-    weights: np.ndarray = expm(block)[:count, count:]
-    return weights
-
-
 def starting_state(
     controller: SampledController, estimates: tuple[float, ...], implementation: Implementation
 ) -> np.ndarray:
@@ -391,3 +340,11 @@ def starting_state(
     initial |= {name: implementation.initial_input for name, preset in before if preset == BEFORE}
     memories = [initial.get(name, 0.0) for name in controller.states[len(controller.estimates) :]]
     return np.array([*estimates, *memories])
+
+
+def resolved(controller: SampledController) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
+    """The command and the next states as formulas without intermediate steps."""
+    known: dict[sympy.Symbol, sympy.Expr] = {}
+    for name, formula in controller.steps:
+        known[name] = formula.xreplace(known)
+    return known[COMMAND], tuple(formula.xreplace(known) for formula in controller.update)

@@ -10,12 +10,8 @@ compensated by the input and states P d, U d that leave x_1 as it is,
 
     A P + b U + E = 0,    e_1' P = 0.
 
-The gains of ``kalman`` and ``eso`` are stationary: of the Riccati equation
-
-    S = F (S - S C' (C S C' + I)^-1 C S) F' + Q,    L = S C' (C S C' + I)^-1,
-
-by doubling. All of it is computed with many more digits than a float has and then rounded, so the
-numbers are the same on every machine: a certificate takes these floats for exact.
+The numbers are computed with many more digits than a float has and then rounded, so they are the
+same on every machine: a certificate takes these floats for exact.
 """
 
 from __future__ import annotations
@@ -23,28 +19,30 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any
 
 import flint
 import numpy as np
 import sympy
 
-from certrack.core.errors import DesignError, InputError
+from certrack.core.errors import DesignError
 from certrack.core.powers import put_in
 from certrack.core.rationals import exact_rational
 from certrack.laws.base import Law
 from certrack.laws.observer import DOB, Observer
+from certrack.loops.observer_gains import (
+    ball_of_number,
+    gains_of_dob,
+    signal_weights,
+    stationary_gains,
+    unseen,
+)
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 
-#: Bits of the numbers, doublings of the Riccati equation at most, and its last relative change.
-MODEL_BITS, RICCATI_DOUBLINGS, RICCATI_CHANGE = 384, 80, 1e-40
-
-#: Weight of a signal that need not move by itself: the equation has a solution then.
-SMALLEST_WEIGHT = Fraction(1, 1000)
+#: Bits of the numbers.
+MODEL_BITS = 384
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,11 @@ def linear_part(plant: Plant, theta: Sequence[Any]) -> tuple[list[Any], sympy.Ex
     for term in sympy.Add.make_args(sympy.expand(total)):
         states = [i for i, x in enumerate(plant.symbols) if term.has(x)]
         slope = sympy.diff(term, plant.symbols[states[0]]) if len(states) == 1 else None
-        if slope is not None and slope * plant.symbols[states[0]] == term and not slope.has(*plant.symbols):
+        if (
+            slope is not None
+            and slope * plant.symbols[states[0]] == term
+            and not slope.has(*plant.symbols)
+        ):
             slopes[states[0]] += slope
         else:
             rest += term
@@ -145,6 +147,29 @@ def observer_model(plant: Plant, law: Law, implementation: Implementation) -> Ob
     return _model(plant, observer, gain, theta, implementation.period, implementation.velocity)
 
 
+def plant_over_a_period(
+    plant: Plant, law: Law, implementation: Implementation
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """F, B_new and B_old of the module's text for the implementation's delay, and g_n."""
+    gain, theta = known_plant(plant, law)
+    with flint.ctx.workprec(MODEL_BITS):
+        A, b = _rates(plant, gain, theta)
+        T, delay = ball_of_number(implementation.period), implementation.run_delay
+        over, new, old = _held(A, b, T, delay)
+        known_gain = b[plant.n - 1, 0]
+    return _floats(over), _floats(new)[:, 0], _floats(old)[:, 0], float(known_gain.mid())
+
+
+def _held(
+    A: flint.arb_mat, b: flint.arb_mat, T: flint.arb, delay: float
+) -> tuple[flint.arb_mat, flint.arb_mat, flint.arb_mat]:
+    """F, B_new and B_old."""
+    part = ball_of_number(delay) - math.floor(delay)
+    after = (1 - part) * T
+    old = (A * after).exp() * _forced(A, b, part * T)
+    return (A * T).exp(), _forced(A, b, after), old
+
+
 @lru_cache(maxsize=64)
 def _model(
     plant: Plant,
@@ -166,7 +191,7 @@ def _computed(
     period: float,
     velocity: tuple[str, ...],
 ) -> ObserverModel:
-    n, T = plant.n, _ball(period)
+    n, T = plant.n, ball_of_number(period)
     rows = [plant.states.index(name) for name in observer.rows]
     A, b = _rates(plant, gain, theta)
     E = flint.arb_mat(n, len(rows))
@@ -174,43 +199,20 @@ def _computed(
         E[i, j] = 1
     last = flint.arb_mat([[int(i == n - 1)] for i in range(n)])
     assert observer.delay is not None
-    part = _ball(observer.delay) - math.floor(observer.delay)
-    F, G, rest = (A * T).exp(), _forced(A, E, T), _forced(A, last, T)
-    after = (1 - part) * T
-    old = (A * after).exp() * _forced(A, b, part * T)
-    new = _forced(A, b, after)
+    F, new, old = _held(A, b, T, observer.delay)
+    G, rest = _forced(A, E, T), _forced(A, last, T)
     if observer.kind == DOB:
-        correction = _of_dob(observer, G, rows, T)
+        correction = gains_of_dob(observer, G, rows, T)
     else:
         measured = [i for i in range(n) if plant.states[i] not in velocity]
-        weights = _weights(plant, observer, A, period, measured, rows)
-        correction = _stationary(F, G, measured, weights)
+        weights = signal_weights(plant, observer, A, period, measured, rows)
+        correction = stationary_gains(F, G, measured, weights)
     P, U = _compensation(A, b, E)
     floats = [_floats(matrix) for matrix in (F, G, new, old, rest, correction, P, U)]
     if not all(np.isfinite(table).all() for table in floats):
-        raise _unseen(observer.rows)
+        raise unseen(observer.rows)
     F, G, new, old, rest, correction, P, U = floats
     return ObserverModel(F, G, new[:, 0], old[:, 0], rest[:, 0], correction, P, U[0])
-
-
-def _unseen(rows: Sequence[str]) -> DesignError:
-    return DesignError(
-        "law.observer",
-        f"what acts on {', '.join(rows) or 'the states'} cannot be told from what is measured"
-        + (", or not be compensated by the input" if rows else ""),
-        remedy="Measure more states, or estimate fewer rows",
-    )
-
-
-def _ball(value: Any) -> flint.arb:
-    """A float, a rational or a formula that is one, as a ball."""
-    if isinstance(value, float):
-        exact = exact_rational(value)
-        return flint.arb(flint.fmpq(exact.numerator, exact.denominator))
-    value = sympy.sympify(value)
-    if value.is_Rational:
-        return flint.arb(flint.fmpq(int(value.p), int(value.q)))
-    return flint.arb(str(sympy.N(value, 130)))
 
 
 def _rates(plant: Plant, gain: Any, theta: Sequence[Any]) -> tuple[flint.arb_mat, flint.arb_mat]:
@@ -221,7 +223,7 @@ def _rates(plant: Plant, gain: Any, theta: Sequence[Any]) -> tuple[flint.arb_mat
     def number(formula: Any) -> flint.arb:
         formula = sympy.sympify(formula)
         named = {s: numbers[s] for s in formula.free_symbols if s in numbers}
-        return _ball(put_in(formula, named) if named else formula)
+        return ball_of_number(put_in(formula, named) if named else formula)
 
     A, b = flint.arb_mat(n, n), flint.arb_mat(n, 1)
     for i, g in enumerate(plant.chain):
@@ -245,113 +247,6 @@ def _forced(A: flint.arb_mat, B: flint.arb_mat, t: flint.arb) -> flint.arb_mat:
             block[i, n + j] = B[i, j] * t
     over = block.exp()
     return flint.arb_mat(n, m, [over[i, n + j] for i in range(n) for j in range(m)])
-
-
-def _of_dob(
-    observer: Observer, G: flint.arb_mat, rows: Sequence[int], T: flint.arb
-) -> flint.arb_mat:
-    """(1 - e^{-w T}) of each row, times the inverse of what d does to the rows in a period."""
-    count = len(rows)
-    seen = flint.arb_mat(count, count, [G[i, j] for i in rows for j in range(count)])
-    speeds = observer.bandwidth
-    assert isinstance(speeds, tuple)
-    share = flint.arb_mat(count, count)
-    for j, speed in enumerate(speeds):
-        share[j, j] = 1 - (-_ball(speed) * T).exp()
-    try:
-        return share * seen.inv()
-    except ZeroDivisionError:
-        raise _unseen(observer.rows) from None
-
-
-def _weights(
-    plant: Plant,
-    observer: Observer,
-    A: flint.arb_mat,
-    period: float,
-    measured: Sequence[int],
-    rows: Sequence[int],
-) -> list[flint.arb]:
-    """One per state and row: how much it moves by itself in a period.
-
-    By a bandwidth w: from a measured state a chain of integrators leads to the states after it that
-    are not measured, and to what acts on the last of them. The last integrator of the chain, with
-    the gain g to the measured state and of order k, moves by w^k T/g: then the estimates of the
-    chain have poles at w, as those of Butterworth's filter.
-    """
-    n, smallest = plant.n, flint.arb(flint.fmpq(SMALLEST_WEIGHT.numerator, SMALLEST_WEIGHT.denominator))
-    weights = [smallest] * (n + len(rows))
-    if observer.weights is not None:
-        signals = [i for i in range(n) if i not in measured] + [n + j for j in range(len(rows))]
-        for signal, weight in zip(signals, observer.weights, strict=True):
-            weights[signal] = _ball(weight)
-        return weights
-    assert isinstance(observer.bandwidth, float)
-    speed, T = _ball(observer.bandwidth), _ball(period)
-    for first, end in pairwise([*measured, n]):
-        named = [i for i in rows if first <= i < end]
-        if len(named) > 1:
-            names = ", ".join(plant.states[i] for i in named)
-            remedy = "State law.observer.weights, or measure the states before them"
-            raise InputError("law.observer.bandwidth", f"cannot share {names}", remedy=remedy)
-        last = named[0] if named else end - 1
-        gain, order = flint.arb(1), last - first + 1 + len(named)
-        for i in range(first, last):
-            gain = gain * abs(A[i, i + 1])
-        weights[n + rows.index(last) if named else last] = speed**order * T / gain
-    return weights
-
-
-def _stationary(
-    F: flint.arb_mat, G: flint.arb_mat, measured: Sequence[int], weights: Sequence[flint.arb]
-) -> flint.arb_mat:
-    """L of the module's text, for the states and d."""
-    n, size = F.nrows(), F.nrows() + G.ncols()
-    eye = _eye(size)
-    over = flint.arb_mat(eye)
-    for i in range(n):
-        for j in range(n):
-            over[i, j] = F[i, j]
-        for j in range(size - n):
-            over[i, n + j] = G[i, j]
-    C = flint.arb_mat(len(measured), size, [int(i == j) for i in measured for j in range(size)])
-    a, g, h = over.transpose(), C.transpose() * C, flint.arb_mat(size, size)
-    for i, weight in enumerate(weights):
-        h[i, i] = weight**2
-    for _ in range(RICCATI_DOUBLINGS):
-        try:
-            through = (eye + g * h).solve(_joined(a, g * a.transpose()))
-        except ZeroDivisionError:
-            break
-        left, right = _split(through, size)
-        before = h
-        g = (g + a * right).mid()
-        h = (h + a.transpose() * h * left).mid()
-        a = (a * left).mid()
-        change, scale = _largest(h - before), _largest(h)
-        if change <= RICCATI_CHANGE * scale:
-            seen = C * h * C.transpose() + _eye(len(measured))
-            return h * C.transpose() * seen.inv()
-        if not math.isfinite(scale) or scale > 1e200:
-            break
-    return flint.arb_mat(size, len(measured), [flint.arb("nan")] * (size * len(measured)))
-
-
-def _eye(size: int) -> flint.arb_mat:
-    return flint.arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
-
-
-def _joined(a: flint.arb_mat, b: flint.arb_mat) -> flint.arb_mat:
-    return flint.arb_mat([x + y for x, y in zip(a.tolist(), b.tolist(), strict=True)])
-
-
-def _split(table: flint.arb_mat, size: int) -> tuple[flint.arb_mat, flint.arb_mat]:
-    rows = table.tolist()
-    return flint.arb_mat([r[:size] for r in rows]), flint.arb_mat([r[size:] for r in rows])
-
-
-def _largest(matrix: flint.arb_mat) -> float:
-    return max(float(abs(v.mid())) for v in matrix.entries())
 
 
 def _compensation(

@@ -34,6 +34,7 @@ from certrack.loops.observer_model import (
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 
+
 @dataclass(frozen=True)
 class Estimation:
     """What an observer adds to a sampled controller.
@@ -126,7 +127,10 @@ def estimation(
     if not dob:
         x_hat = {state: symbol(f"ctl_{state}_hat") for state in x}
         for i, state in enumerate(x):
-            added = _sum(number(model.correction[i, j], "correct", state, seen[j]) * miss for j, miss in enumerate(misses))
+            added = _sum(
+                number(model.correction[i, j], "correct", state, seen[j]) * miss
+                for j, miss in enumerate(misses)
+            )
             steps.append((x_hat[state], symbol(f"ctl_expected_{state}") + added))
     below = 0 if dob else plant.n
     d_hat = [symbol(f"ctl_d_{row}_hat") for row in observer.rows]
@@ -160,7 +164,9 @@ def estimation(
     memories: list[tuple[sympy.Symbol, sympy.Expr, sympy.Expr]] = []
     for state in predicted:
         i = x.index(state)
-        after = _sum(number(model.F[i, j], "over", state, x[j]) * x_hat[x[j]] for j in range(plant.n))
+        after = _sum(
+            number(model.F[i, j], "over", state, x[j]) * x_hat[x[j]] for j in range(plant.n)
+        )
         after += _sum(
             number(model.G[i, k], "push", state, f"d_{row}") * d_hat[k]
             for k, row in enumerate(observer.rows)
@@ -171,9 +177,7 @@ def estimation(
         if rest != 0:
             after += number(model.rest[i], "rest", state) * rest
         memories.append((_predicted(state), after, still[state]))
-    memories += [
-        (_disturbance(row), d_hat[k], sympy.S.Zero) for k, row in enumerate(observer.rows)
-    ]
+    memories += [(_disturbance(row), d_hat[k], sympy.S.Zero) for k, row in enumerate(observer.rows)]
     memories += [(past_command(age), given[age - 1], BEFORE) for age in range(1, kept + 1)]
     return Estimation(tuple(steps), tuple(memories), tuple(used), values, compensation)
 

@@ -24,15 +24,14 @@ import sympy
 
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
-from certrack.core.select import Select
 from certrack.loops.controller import (
-    FIRST,
     SampledController,
-    controller_values,
+    resolved,
     sampled_controller,
 )
+from certrack.loops.controller_values import controller_values
+from certrack.loops.linear_controller import after_first_sample
 from certrack.loops.plant import INPUT, plant_values, simulated_plant
-from certrack.loops.sampled import resolved
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 
@@ -190,12 +189,6 @@ def _reachable_subspace(A: np.ndarray, B: np.ndarray) -> np.ndarray:
             basis.append(direction / np.linalg.norm(direction))
             waiting.append(A @ basis[-1])
     return np.array(basis).reshape(-1, len(A)).T
-
-
-def after_first_sample(formula: sympy.Expr) -> sympy.Expr:
-    """The formula from the second sample on."""
-    formula = formula.xreplace({FIRST: sympy.S.Zero})
-    return formula.replace(lambda f: isinstance(f, Select) and f.args[0] == 0, lambda f: f.args[3])
 
 
 def _only_of(table: list[sympy.Expr], parameters: tuple[sympy.Symbol, ...]) -> bool:

@@ -21,7 +21,6 @@ from certrack.references import known_references
 from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS
 from certrack.systems.system import Settings, System
 
-
 #: A field of every law that is a table below its own.
 OBSERVER = "observer"
 

@@ -8,7 +8,6 @@ the floats that the controller computes with.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import flint
@@ -18,11 +17,9 @@ from certrack.certificates.arithmetic import exact_float, rational
 from certrack.certificates.balls import enclosing_ball
 from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations
-from certrack.loops.controller import PERIOD, sampled_controller
+from certrack.loops.controller import PERIOD
+from certrack.loops.linear_controller import linear_controller
 from certrack.loops.observers import BEFORE, observer_values
-from certrack.loops.sampled import resolved
-from certrack.loops.stability import after_first_sample
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 
@@ -43,18 +40,10 @@ def controller_matrices(
     s = controller.signals
     gains = [symbol(f"law_K_{i}") for i in range(len(K) + len(Ky))]
     u = sympy.Add(*(k * v for k, v in zip(gains, (*s.x, *s.Y), strict=True)))
-    unlimited = replace(
-        implementation, saturation=None, rate_limit=None, initial_input=0.0, input_quantum=0.0
-    )
-    sampled = sampled_controller(plant, replace(controller, equations=Equations(u=u)), unlimited)
-    command, update = resolved(sampled)
-    formulas = [after_first_sample(formula) for formula in (command, *update)]
+    linear = linear_controller(plant, controller, implementation, u)
     values = dict(zip(gains, map(flint.arb, (*K, *Ky)), strict=True))
     values |= _numbers(system, implementation)
-    kept = [i for i, name in enumerate(sampled.states) if formulas[i + 1] != 0]
-    states = [sampled.states[i] for i in kept]
-    after = [formulas[i + 1] for i in kept]
-    presets = [sampled.presets[i] for i in kept]
+    command, *after = linear.formulas
     rest = set(values)
 
     def slopes(rows: Sequence[sympy.Expr], by: Sequence[sympy.Symbol]) -> flint.arb_mat:
@@ -65,14 +54,14 @@ def controller_matrices(
         return flint.arb_mat(len(rows), len(by), balls)
 
     return {
-        "Lx": slopes(formulas[:1], s.x),
-        "Ls": slopes(formulas[:1], states),
-        "Ly": slopes(formulas[:1], s.Y),
+        "Lx": slopes([command], s.x),
+        "Ls": slopes([command], linear.states),
+        "Ly": slopes([command], s.Y),
         "Sx": slopes(after, s.x),
-        "Ss": slopes(after, states),
+        "Ss": slopes(after, linear.states),
         "Sy": slopes(after, s.Y),
-        "first": slopes(presets, s.x),
-        "first_input": slopes(presets, [BEFORE]),
+        "first": slopes(linear.presets, s.x),
+        "first_input": slopes(linear.presets, [BEFORE]),
     }
 
 

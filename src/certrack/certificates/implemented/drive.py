@@ -28,6 +28,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.powers import put_in
 from certrack.laws.error_system import KnownParameters
+from certrack.loops.feedforward import sampled_feedforward
 from certrack.model.implementation import Implementation
 from certrack.references.base import bound_of, jumps, lipschitz_bound
 from certrack.systems.system import System
@@ -193,6 +194,10 @@ def _drive(
     u = plant.uncertainty
     acting = [k for k in range(n) if u.tau[k] and u.acts(k)]
     K = [(v - h) / gain for v, h in zip(c.nu_x, slopes, strict=True)]
+    nu_Y = list(c.nu_Y)
+    if system.law.sampled_feedforward:
+        found = sampled_feedforward(plant, system.controller, system.law, implementation)
+        nu_Y = [exact_float(v, rational) for v in found]
     T = rational(implementation.period)
     return Drive(
         A=ball_matrix(A),
@@ -206,7 +211,7 @@ def _drive(
         Y=_reference_bounds(system, c.q),
         **_smoothness(system, c.q + 1, T),
         offset=-constant / gain,
-        **controller_matrices(system, implementation, K, [v / gain for v in c.nu_Y]),
+        **controller_matrices(system, implementation, K, [v / gain for v in nu_Y]),
     )
 
 
