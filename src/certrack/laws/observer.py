@@ -15,7 +15,7 @@ from typing import Any
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.keys import check_fields, keyed
-from certrack.model.implementation import MAX_DELAY, Implementation
+from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 
 #: Of states alone; of states and disturbances; of disturbances alone.
@@ -39,8 +39,6 @@ class Observer:
     weights : numbers > 0, optional
         Of ``kalman`` and ``eso``: how much each estimated signal moves by itself in a period, over
         the error of a sensor; the states that are not measured, then the rows.
-    delay : float >= 0, optional, periods
-        Of the input, as the observer counts on it.
 
     Raises
     ------
@@ -72,15 +70,6 @@ class Observer:
         above=0,
         otherwise="by the bandwidth",
     )
-    delay: float | None = keyed(
-        "number",
-        None,
-        help="of the input, as the observer counts on it",
-        unit="periods",
-        least=0,
-        most=MAX_DELAY,
-        otherwise="the first of `implementation.delay`",
-    )
 
     def __post_init__(self) -> None:
         check_fields(self, "law.observer")
@@ -108,7 +97,7 @@ class Observer:
             )
 
     def bound_to(self, plant: Plant, implementation: Implementation) -> Observer:
-        """This observer with rows, bandwidths and delay filled in, checked against both.
+        """This observer with rows and bandwidths filled in, checked against both.
 
         Raises
         ------
@@ -141,5 +130,4 @@ class Observer:
                 implementation.velocity_filter,
                 "Leave it out",
             )
-        delay = implementation.run_delay if self.delay is None else self.delay
-        return replace(self, rows=rows, bandwidth=bandwidth, delay=delay)
+        return replace(self, rows=rows, bandwidth=bandwidth)

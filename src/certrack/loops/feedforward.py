@@ -59,7 +59,7 @@ def sampled_feedforward(
     linear = linear_controller(plant, controller, implementation, controller.equations.u + ADDED)
     Lx, Ls, LY, Sx, Ss, SY, b_s = _tables(linear, plant, law, implementation)
     n, memories = plant.n, len(linear.states)
-    late = math.floor(implementation.run_delay)
+    late = math.floor(implementation.design_delay)
     over, new, old, gain = plant_over_a_period(plant, law, implementation)
     size = n + memories + late + 1  # and the inputs of the samples before
 

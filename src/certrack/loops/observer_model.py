@@ -144,7 +144,15 @@ def observer_model(plant: Plant, law: Law, implementation: Implementation) -> Ob
     assert law.observer is not None
     observer = law.observer.bound_to(plant, implementation)
     gain, theta = known_plant(plant, law)
-    return _model(plant, observer, gain, theta, implementation.period, implementation.velocity)
+    return _model(
+        plant,
+        observer,
+        gain,
+        theta,
+        implementation.period,
+        implementation.design_delay,
+        implementation.velocity,
+    )
 
 
 def plant_over_a_period(
@@ -154,7 +162,7 @@ def plant_over_a_period(
     gain, theta = known_plant(plant, law)
     with flint.ctx.workprec(MODEL_BITS):
         A, b = _rates(plant, gain, theta)
-        T, delay = ball_of_number(implementation.period), implementation.run_delay
+        T, delay = ball_of_number(implementation.period), implementation.design_delay
         over, new, old = _held(A, b, T, delay)
         known_gain = b[plant.n - 1, 0]
     return _floats(over), _floats(new)[:, 0], _floats(old)[:, 0], float(known_gain.mid())
@@ -177,10 +185,11 @@ def _model(
     gain: Any,
     theta: tuple[Any, ...],
     period: float,
+    delay: float,
     velocity: tuple[str, ...],
 ) -> ObserverModel:
     with flint.ctx.workprec(MODEL_BITS):
-        return _computed(plant, observer, gain, theta, period, velocity)
+        return _computed(plant, observer, gain, theta, period, delay, velocity)
 
 
 def _computed(
@@ -189,6 +198,7 @@ def _computed(
     gain: Any,
     theta: tuple[Any, ...],
     period: float,
+    delay: float,
     velocity: tuple[str, ...],
 ) -> ObserverModel:
     n, T = plant.n, ball_of_number(period)
@@ -198,8 +208,7 @@ def _computed(
     for j, i in enumerate(rows):
         E[i, j] = 1
     last = flint.arb_mat([[int(i == n - 1)] for i in range(n)])
-    assert observer.delay is not None
-    F, new, old = _held(A, b, T, observer.delay)
+    F, new, old = _held(A, b, T, delay)
     G, rest = _forced(A, E, T), _forced(A, last, T)
     if observer.kind == DOB:
         correction = gains_of_dob(observer, G, rows, T)

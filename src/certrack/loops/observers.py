@@ -25,7 +25,7 @@ import sympy
 from certrack.core.expressions import symbol
 from certrack.core.select import Select
 from certrack.laws.base import Law
-from certrack.laws.observer import DOB, Observer
+from certrack.laws.observer import DOB
 from certrack.loops.observer_model import (
     known_plant,
     linear_part,
@@ -153,7 +153,7 @@ def estimation(
     compensation = _sum(
         number(model.U[k], "counter", f"d_{row}") * d_hat[k] for k, row in enumerate(observer.rows)
     )
-    late, kept = _commands(observer)
+    late, kept = _commands(implementation.design_delay)
     steps += [(symbol(f"ctl_u_{age}"), past_command(age)) for age in range(1, kept + 1)]
     given = [command, *(symbol(f"ctl_u_{age}") for age in range(1, kept + 1))]
 
@@ -190,11 +190,10 @@ def _disturbance(row: str) -> sympy.Symbol:
     return symbol(f"ctl_d_{row}")
 
 
-def _commands(observer: Observer) -> tuple[int, int]:
+def _commands(delay: float) -> tuple[int, int]:
     """Whole periods of the delay, and how many past commands are remembered for it."""
-    assert observer.delay is not None
-    late = math.floor(observer.delay)
-    return late, late + (observer.delay > late)
+    late = math.floor(delay)
+    return late, late + (delay > late)
 
 
 def _sum(terms: Iterable[sympy.Expr]) -> sympy.Expr:

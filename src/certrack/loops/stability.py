@@ -151,6 +151,7 @@ def linear_loop(system: System) -> LinearLoop | None:
         system.implementation.period,
         velocity=system.implementation.velocity,
         velocity_filter=system.implementation.velocity_filter,
+        counted_delay=system.implementation.design_delay,
     )
     system = system.replace(truth=replace(system.truth, omega=None), implementation=implementation)
 

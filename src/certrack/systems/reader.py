@@ -319,8 +319,8 @@ def _read_law(table: Any, constants: Mapping[str, Any]) -> Law:
     if "kind" not in table:
         raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(laws))
     law = laws[checks.choice("law.kind", table["kind"], laws, OWN_LAW)]
-    table, observer = dict(table), table.get(OBSERVER)
-    table.pop(OBSERVER, None)
+    observer = table.get(OBSERVER)
+    table = {name: value for name, value in table.items() if name != OBSERVER}
     _refuse_keys_of_another("law", table, "law", {name: law_keys(laws[name]) for name in laws})
     values = _read_values("law", table, constants, law_keys(law))
     del values["kind"]
