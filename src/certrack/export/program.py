@@ -40,7 +40,7 @@ from certrack.systems.system import System, require_system
 E_N, NU, UBAR, DRIFT, CUT = (symbol(f"ctl_{name}") for name in ("e_n", "nu", "ubar", "h", "cut"))
 
 #: Gains that are printed as numbers in the linear forms e_n and nu; all others are named.
-LINEAR_FORM_GAINS = ("A_n", "B_n", "nu_x", "nu_Y", "sign_g")
+LINEAR_FORM_GAINS = ("A_n", "B_n", "A_n0", "nu_x", "nu_Y", "nu_0", "sign_g")
 
 #: Those of them that are no parameters at run time either.
 FIXED_GAINS = ("sign_g",)
@@ -188,7 +188,8 @@ def controller_program(system: System, *, parameters: bool = False) -> Controlle
     rates, update = _update(controller, implementation, equations, x)
     rates = _printable(rates, unnamed, "r")
     update = tuple(formula.xreplace(unnamed) for formula in update)
-    steps = _steps(controller, [*parts, Step(LAW_INPUT, equations.u + controller.compensation, NOTES[LAW_INPUT])], x, unnamed)
+    law = Step(LAW_INPUT, equations.u + controller.compensation, NOTES[LAW_INPUT])
+    steps = _steps(controller, [*parts, law], x, unnamed)
     needed = {COMMAND}.union(*(f.free_symbols for f in (*update, *(r.formula for r in rates))))
     steps = _without_unused(steps, needed)
     if parameters:
@@ -262,7 +263,7 @@ def _named_parts(system: System) -> tuple[list[Step], Equations]:
     """Parts of the law by their names, and the law in these names."""
     plant, controller = system.plant, system.controller
     exact = controller.signals
-    named = Signals(plant, exact.q)
+    named = Signals(plant, exact.q, integral=system.law.integral is not None)
     named.e_n, named.nu = E_N, NU
     named.phi = tuple(symbol(f"ctl_phi_{i + 1}") for i in range(plant.r))
     equations = system.law.normal_equations(named)

@@ -7,8 +7,9 @@ by the matrix Phi, and the loop by
     chi <- M chi + sum_j (b F_j + g_j) y_d^(j),
 
 so chi = sum_j Pi_j y_d^(j), (M - 1) Pi_j = sum_{i<j} Pi_i Phi_ij - b F_j - g_j. The F_j are chosen
-one after the other such that x_1 = y_d: the first entry of Pi_j is 1 for j = 0 and 0 else. The last
-one, of y_d^(q+1), is the law's.
+one after the other such that x_1 = y_d: the first entry of Pi_j is 1 for j = 0 and 0 else. With an
+integral of the error F_j does not bear on that entry, but on the one of the next derivative. The
+last one, of y_d^(q+1), is the law's.
 """
 
 from __future__ import annotations
@@ -78,17 +79,26 @@ def sampled_feedforward(
     q = LY.shape[1] - 2
     F = LY[0].copy()
     columns: list[np.ndarray] = []
-    for j in range(q + 1):
-        right = sum(
-            (
-                columns[i] * implementation.period ** (j - i) / math.factorial(j - i)
-                for i in range(j)
-            ),
-            np.zeros(size),
-        )
+
+    def column(j: int) -> np.ndarray:
+        """Pi_j but for F_j, where the columns before it are known."""
+        right = np.zeros(size)
+        for i in range(j):
+            order = j - i
+            right = right + columns[i] * implementation.period**order / math.factorial(order)
         right[n : n + memories] -= own[:, j]
-        without, of_F = np.linalg.solve(M - eye, np.array([right, -b]).T).T
-        F[j] = (float(j == 0) - without[0]) / of_F[0]
+        return np.linalg.solve(M - eye, right)
+
+    of_F = np.linalg.solve(M - eye, -b)
+    later = np.linalg.solve(M - eye, of_F * implementation.period)[0]  # of the next derivative
+    for j in range(q + 1):
+        without = column(j)
+        if law.integral is None:
+            F[j] = (float(j == 0) - without[0]) / of_F[0]
+        else:
+            columns.append(without)
+            F[j] = -column(j + 1)[0] / later
+            columns.pop()
         columns.append(without + of_F * F[j])
     if not np.isfinite(F).all():
         raise DesignError(

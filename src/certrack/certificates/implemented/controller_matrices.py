@@ -25,7 +25,7 @@ from certrack.systems.system import System
 
 
 def controller_matrices(
-    system: System, implementation: Implementation, K: Sequence[Any], Ky: Sequence[Any]
+    system: System, implementation: Implementation, K: Sequence[Any]
 ) -> dict[str, flint.arb_mat]:
     """Lx, Ls, Ly, Sx, Ss, Sy, first and first_input of :class:`~.drive.Drive`.
 
@@ -33,15 +33,15 @@ def controller_matrices(
     ----------
     system : System
     implementation : Implementation
-    K, Ky : rationals
-        u = K x + Ky (y_d ... y_d^(q+1)), for the x that the law is given.
+    K : rationals
+        u = K (x, y_d ... y_d^(q+1), own states of the law), for the x that the law is given.
     """
     plant, controller = system.plant, system.controller
     s = controller.signals
-    gains = [symbol(f"law_K_{i}") for i in range(len(K) + len(Ky))]
-    u = sympy.Add(*(k * v for k, v in zip(gains, (*s.x, *s.Y), strict=True)))
+    gains = [symbol(f"law_K_{i}") for i in range(len(K))]
+    u = sympy.Add(*(k * v for k, v in zip(gains, (*s.x, *s.Y, *controller.states), strict=True)))
     linear = linear_controller(plant, controller, implementation, u)
-    values = dict(zip(gains, map(flint.arb, (*K, *Ky)), strict=True))
+    values = dict(zip(gains, map(flint.arb, K), strict=True))
     values |= _numbers(system, implementation)
     command, *after = linear.formulas
     rest = set(values)

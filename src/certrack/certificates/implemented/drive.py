@@ -28,6 +28,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.powers import put_in
 from certrack.laws.error_system import KnownParameters
+from certrack.laws.integral import INTEGRAL
 from certrack.loops.feedforward import sampled_feedforward
 from certrack.model.implementation import Implementation
 from certrack.references.base import bound_of, jumps, lipschitz_bound
@@ -153,14 +154,15 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
     implementation = system.implementation
     if implementation is None:
         raise NoCertificate(NO_IMPLEMENTATION)
-    if ranged := ranged_names(system, refuse_unknown(system)):
+    if ranged := ranged_names(system, refuse_unknown(system, integral=True)):
         raise NoCertificate(f"plant.ranges lets {', '.join(ranged)} vary: {RANGED}")
-    if not isinstance(stated_error_system(system), KnownParameters):
+    if not isinstance(stated_error_system(system, integral=True), KnownParameters):
         raise NoCertificate(
             "only loops that are linear are covered as implemented, and the adaptive law is not; "
             'use law.kind = "robust", or certrack margin for what samples say'
         )
-    if system.controller.equations.u.has(TIME) or system.controller.states:
+    own = [INTEGRAL] * (system.law.integral is not None)
+    if system.controller.equations.u.has(TIME) or list(system.controller.states) != own:
         raise NoCertificate("a law with the time or states of its own is not covered")
     sensors = sensor_errors(implementation, system.plant.n)
     with flint.ctx.workprec(DRIVE_BITS):
@@ -198,6 +200,8 @@ def _drive(
     if system.law.sampled_feedforward:
         found = sampled_feedforward(plant, system.controller, system.law, implementation)
         nu_Y = [exact_float(v, rational) for v in found]
+    gains_of_u = [*K, *(v / gain for v in nu_Y)]
+    gains_of_u += [] if c.integral is None else [c.integral.nu / gain]
     T = rational(implementation.period)
     return Drive(
         A=ball_matrix(A),
@@ -211,7 +215,7 @@ def _drive(
         Y=_reference_bounds(system, c.q),
         **_smoothness(system, c.q + 1, T),
         offset=-constant / gain,
-        **controller_matrices(system, implementation, K, [v / gain for v in nu_Y]),
+        **controller_matrices(system, implementation, gains_of_u),
     )
 
 
