@@ -24,6 +24,7 @@ import sympy
 
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
+from certrack.laws.integral import INTEGRAL
 from certrack.loops.controller import (
     SampledController,
     resolved,
@@ -145,7 +146,8 @@ def linear_loop(system: System) -> LinearLoop | None:
         None also for a law with states of its own or the time in it, and without an implementation.
     """
     law = system.controller
-    if law.states or system.implementation is None or law.equations.u.has(TIME):
+    own = set(law.states) - {INTEGRAL}
+    if own or system.implementation is None or law.equations.u.has(TIME):
         return None
     implementation = Implementation(
         system.implementation.period,
