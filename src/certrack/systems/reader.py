@@ -18,7 +18,6 @@ from typing import Any
 from certrack.core import checks
 from certrack.core.budget import within_budget
 from certrack.core.errors import InputError
-from certrack.core.keys import Key
 from certrack.laws import Law, known_laws
 from certrack.laws.observer import Observer
 from certrack.model.implementation import Implementation
@@ -31,6 +30,7 @@ from certrack.systems.lines import line_of
 from certrack.systems.samples_file import SamplesFile, check_time_unit, read_samples
 from certrack.systems.system import Settings, System
 from certrack.systems.toml import parse_toml
+from certrack.systems.values import read_values, refuse_keys_of_another
 
 #: Largest file that is read: a million samples of a reference fit.
 MAX_FILE_BYTES = 20_000_000
@@ -231,10 +231,14 @@ def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
     checks.known_keys("", tables, SECTIONS, required=REQUIRED_SECTIONS)
     plant = _read_plant(tables["plant"])
     constants = plant.constant_values
-    settings = Settings(**_read_values("simulation", tables["simulation"], constants))
+    settings = Settings(**read_values("simulation", tables["simulation"], constants))
+    law = _read_law(tables["law"], constants)
+    if law.observer is not None and "implementation" not in tables:
+        remedy = "Add a table [implementation]"
+        raise InputError("law.observer", "needs samples to estimate from", remedy=remedy)
     return System(
         plant=plant,
-        law=_read_law(tables["law"], constants),
+        law=law,
         reference=_read_reference(tables["reference"], constants, folder, settings.duration),
         truth=_read_truth(tables["truth"], plant),
         settings=settings,
@@ -257,25 +261,6 @@ def _refuse_keys_above_their_table(tables: Mapping[str, Any]) -> None:
         if owners:
             remedy = f"It belongs below {' or '.join(f'[{table}]' for table in owners)}"
             raise InputError(name, "stands above its table", remedy=remedy)
-
-
-def _read_values(
-    table: str,
-    entries: Any,
-    constants: Mapping[str, Any],
-    keys: Mapping[str, Key] | None = None,
-) -> dict[str, Any]:
-    """Entries of a table, all known and none missing, with numbers instead of their formulas.
-
-    The class or function that takes them checks the rest.
-    """
-    keys = TABLES[table] if keys is None else keys
-    required = [name for name, key in keys.items() if key.required]
-    checks.known_keys(table, entries, keys, required)
-    return {
-        name: keys[name].evaluated(f"{table}.{name}", value, constants)
-        for name, value in entries.items()
-    }
 
 
 def _read_named_values(table: str, entries: Any) -> dict[str, Any]:
@@ -321,34 +306,12 @@ def _read_law(table: Any, constants: Mapping[str, Any]) -> Law:
     law = laws[checks.choice("law.kind", table["kind"], laws, OWN_LAW)]
     observer = table.get(OBSERVER)
     table = {name: value for name, value in table.items() if name != OBSERVER}
-    _refuse_keys_of_another("law", table, "law", {name: law_keys(laws[name]) for name in laws})
-    values = _read_values("law", table, constants, law_keys(law))
+    refuse_keys_of_another("law", table, "law", {name: law_keys(laws[name]) for name in laws})
+    values = read_values("law", table, constants, law_keys(law))
     del values["kind"]
     if observer is None:
         return law(**values)
-    return law(**values, observer=Observer(**_read_values("law.observer", observer, constants)))
-
-
-def _refuse_keys_of_another(
-    table: str, entries: Mapping[str, Any], what: str, keys: Mapping[str, Mapping[str, Key]]
-) -> None:
-    """Say at once which keys belong to another kind than the table's, and to which."""
-    kind = entries["kind"]
-    owners = {
-        name: [other for other in keys if name in keys[other]]
-        for name in entries
-        if name not in keys[kind]
-    }
-    foreign = [name for name, kinds in owners.items() if kinds]
-    if not foreign:
-        return
-    first, *others = foreign
-    have = "has" if len(owners[first]) == 1 else "have"
-    raise InputError(
-        f"{table}.{first}",
-        f"is not a key of the {kind} {what} ({', '.join(owners[first])} {have} it)",
-        remedy=f"Nor: {', '.join(others)}" if others else "",
-    )
+    return law(**values, observer=Observer(**read_values("law.observer", observer, constants)))
 
 
 def _read_reference(
@@ -357,7 +320,7 @@ def _read_reference(
     if not isinstance(table, dict):
         raise InputError("reference", "must be a table [reference]", table)
     if "signal" in table:
-        values = _read_values("reference", table, constants)
+        values = read_values("reference", table, constants)
         return SymbolicReference(
             signal=values["signal"],
             bound=values.get("bound"),
@@ -379,8 +342,8 @@ def _read_reference(
             check_time_unit(str(file), samples, duration)
         entries |= {"times": samples.times, "values": samples.values}
     keys = {name: reference_keys(name) for name in kinds}
-    _refuse_keys_of_another("reference", entries, "reference", keys)
-    values = _read_values("reference", entries, constants, keys[kind])
+    refuse_keys_of_another("reference", entries, "reference", keys)
+    values = read_values("reference", entries, constants, keys[kind])
     del values["kind"]
     try:
         return kinds[kind].make(**values)
@@ -413,13 +376,13 @@ def _read_population(table: Any, constants: Mapping[str, Any]) -> Population | N
     names = [*TABLES["ensemble"], "reference"]
     checks.known_keys("ensemble", table, names)
     entries = dict(table)
-    factors = _read_values("ensemble.reference", entries.pop("reference", {}), constants)
+    factors = read_values("ensemble.reference", entries.pop("reference", {}), constants)
     if "constants" in entries:
         entries["constants"] = _read_named_values("ensemble.constants", entries["constants"])
-    return Population(**_read_values("ensemble", entries, constants), **factors)
+    return Population(**read_values("ensemble", entries, constants), **factors)
 
 
 def _read_implementation(table: Any, constants: Mapping[str, Any]) -> Implementation | None:
     if table is None:
         return None
-    return Implementation(**_read_values("implementation", table, constants))
+    return Implementation(**read_values("implementation", table, constants))
