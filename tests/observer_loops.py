@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from certrack.core.errors import DesignError
+from certrack.core.errors import InputError
 from certrack.laws.observer import DOB, ESO, KALMAN, Observer
 
 
@@ -19,11 +19,7 @@ def with_estimates(system, rng):
     law = replace(law, observer=observer, integral=integral)
     law = replace(law, sampled_feedforward=bool(rng.random() < 0.5))
     drive = replace(drive, initial_input=float(rng.choice([0, 0.3])))
-    found = system.replace(law=law, implementation=drive)
     try:
-        from certrack.loops.observer_model import observer_model
-
-        observer_model(found.plant, found.law, drive)
-    except DesignError:
+        return system.replace(law=law, implementation=drive)
+    except InputError:  # what acts on these rows cannot be told apart
         return None
-    return found

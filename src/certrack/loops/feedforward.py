@@ -22,9 +22,9 @@ from certrack.core.errors import DesignError
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable
 from certrack.laws.base import Controller, Law
+from certrack.laws.observer_model import plant_over_a_period
 from certrack.loops.controller_numbers import plain_values
 from certrack.loops.linear_controller import LinearController, linear_controller
-from certrack.loops.observer_model import plant_over_a_period
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 

@@ -1,7 +1,7 @@
 """An observer in discrete time: the steps of a sample, and what is remembered until the next one.
 
 Of the states that it predicts (all, or the rows on which it estimates what acts), with the numbers
-of :mod:`certrack.loops.observer_model`:
+of :mod:`certrack.laws.observer_model`:
 
     miss_j = x_j - expected_j                           of what is measured, or differenced
     x^_i   = expected_i + sum_j L_ij miss_j             ``kalman`` and ``eso``
@@ -26,7 +26,7 @@ from certrack.core.expressions import symbol
 from certrack.core.select import Select
 from certrack.laws.base import Law
 from certrack.laws.observer import DOB
-from certrack.loops.observer_model import (
+from certrack.laws.observer_model import (
     known_plant,
     linear_part,
     observer_model,

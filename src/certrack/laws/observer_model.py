@@ -31,7 +31,7 @@ from certrack.core.powers import put_in
 from certrack.core.rationals import exact_rational
 from certrack.laws.base import Law
 from certrack.laws.observer import DOB, Observer
-from certrack.loops.observer_gains import (
+from certrack.laws.observer_gains import (
     ball_of_number,
     gains_of_dob,
     signal_weights,
