@@ -30,6 +30,7 @@ SHIPPED = (
     "dual-motor",
     "dual-motor-drive",
     "dual-motor-lean",
+    "dual-motor-observer",
     "dual-motor-physical",
     "dual-motor-strong",
     "example1",
@@ -40,10 +41,10 @@ SHIPPED = (
 )
 
 
+NOT_CONTINUOUS = ("axis", "dual-motor-drive", "dual-motor-observer", "theorem1-counterexample")
+
 #: Those whose controller is not sampled and whose runs last 20 s; test_papers.py has the other.
-CONTINUOUS = [
-    name for name in SHIPPED if name not in ("axis", "dual-motor-drive", "theorem1-counterexample")
-]
+CONTINUOUS = [name for name in SHIPPED if name not in NOT_CONTINUOUS]
 
 
 @pytest.fixture(params=CONTINUOUS)

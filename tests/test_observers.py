@@ -4,6 +4,7 @@ import ctypes
 from dataclasses import replace
 
 import flint
+import independent_checker
 import numpy as np
 import pytest
 from exported import PythonController, along_a_run
@@ -15,6 +16,7 @@ from test_implemented import random_drive
 
 import certrack
 from certrack import InputError
+from certrack.certificates import to_document, verify
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
 from certrack.certificates.implemented.enclosed import Enclosed
@@ -271,6 +273,32 @@ def test_a_proof_and_its_mutants():
     assert failed_implemented(ESO.replace(law=weaker), proof, delay)
     late = ESO.replace(implementation=replace(DRIVE, counted_delay=0.0))
     assert failed_implemented(late, proof, delay)
+
+
+def test_another_reader_of_the_page_agrees():
+    """With the files of a certificate; and not with an observer that is another."""
+    _, proofs = certify_implemented(ESO)
+    document = to_document(ESO, *proofs)
+    assert verify(document).verified
+    assert float(independent_checker.check(document)) == pytest.approx(0.0002447, rel=1e-3)
+    text = document["system"]
+    assert "[30.0, 16.0, 3925.0]" in text
+    document["system"] = text.replace("[30.0, 16.0, 3925.0]", "[30.0, 16.0, 3000.0]")
+    assert not verify(document).verified
+    with pytest.raises(independent_checker.Refused):
+        independent_checker.check(document)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["none", "dob", "dob of two rows", "eso, late", "kalman"])
+def test_another_reader_of_the_page_agrees_on_every_kind(name):
+    for changes in ({}, {"saturation": (-60, 60), "initial_input": 0.5}):
+        drive = replace(KINDS[name].implementation, **changes)
+        system = KINDS[name].replace(implementation=drive)
+        found, proofs = certify_implemented(system)
+        assert found.verified
+        checked = float(independent_checker.check(to_document(system, *proofs)))
+        assert checked == pytest.approx(found.bound, rel=1e-12)
 
 
 @pytest.mark.slow
