@@ -8,6 +8,7 @@ import independent_checker
 import numpy as np
 import pytest
 from exported import PythonController, along_a_run
+from friction_axis import adaptive, pid_tail
 from observer_loops import with_estimates
 from sampled_attack import worst_error
 from scipy.linalg import expm, solve_discrete_are
@@ -410,3 +411,56 @@ def test_code(compiled):
     run("gcc", *STRICT, "drive.c", "drive_test.c", "-lm", cwd=folder)
     assert "passed" in run("./a.out", cwd=folder)
     run("cppcheck", *CPPCHECK, "drive.c", cwd=folder)
+
+
+# An axis ----------------------------------------------------------------------------------------
+
+FRICTION = """
+[plant]
+states = ["x1", "x2"]
+chain = [1]
+drift = "-2.14*x2"
+gain_sign = 1
+input_gain = 0.3696
+[plant.uncertainty]
+tau = [0, 1]
+gamma = [0, 0.02]
+beta = [0, 0.324]
+[truth]
+input_gain = 0.3696
+omega = [0, "0.2*sign(x2)"]
+[reference]
+signal = "0.1*sin(t)"
+bounds = [0.2, 0.25, 1, 20, 400]
+[law]
+kind = "robust"
+c = [60, 60]
+feedforward = 2
+sampled_feedforward = true
+[implementation]
+period = 0.001
+delay = 1.5
+measurement_quantum = [5e-6, 0]
+velocity = ["x2"]
+velocity_filter = 0.001
+[simulation]
+x0 = [0, 0]
+duration = 4
+"""
+
+
+def test_an_estimate_halves_the_error_of_an_axis_with_friction():
+    axis = certrack.loads(FRICTION)
+    plain = estimate_implemented(axis).bound
+    law = replace(axis.law, observer=Observer(kind="dob", bandwidth=150.0))
+    found, _ = certify_implemented(axis.replace(law=law))
+    assert found.verified and found.bound <= 0.051e-3
+    assert plain == pytest.approx(0.107e-3, rel=0.01)
+
+
+@pytest.mark.slow
+def test_integral_action_takes_the_adaptive_law_past_a_pid():
+    """With friction that it does not know; its certificate of the drive is none."""
+    tails = {c0: certrack.simulate(adaptive(30, c0, 8.0)).metrics.tail_error for c0 in (None, 30)}
+    assert tails[30] < pid_tail(30, 8.0) and tails[30] < 0.6 * tails[None]
+    assert not certrack.certify(adaptive(30, 30, 8.0)).implemented.exists
