@@ -19,6 +19,7 @@ from certrack.core.expressions import TIME, symbol
 from certrack.core.kinks import fold_minmax
 from certrack.core.printing import MAX_FACTORS
 from certrack.core.select import larger, magnitude, smaller
+from certrack.export.step_notes import note_before_the_law
 from certrack.laws.base import Equations
 from certrack.laws.observer import DOB
 from certrack.laws.signals import Signals
@@ -226,7 +227,7 @@ def _steps(
     controller: SampledController, law: Sequence[Step], x: Replacements, unnamed: Replacements
 ) -> list[Step]:
     """From the inputs to the command, by the law's own steps."""
-    before = [Step(*step, _before_note(step[0])) for step in controller.steps[:-2]]
+    before = [Step(*step, note_before_the_law(step[0])) for step in controller.steps[:-2]]
     within = [replace(step, formula=step.formula.xreplace(x)) for step in law]
     command = controller.steps[-1][1]
     if command == LAW_INPUT:  # without limits
@@ -297,28 +298,6 @@ def _without_unused(steps: Sequence[Step], needed: set[sympy.Symbol]) -> list[St
 
 def _all_parts(equations: Equations) -> list[sympy.Expr]:
     return [equations.u, *(part for pair in equations.update for part in pair)]
-
-
-#: What is computed before the law, by the begin of its symbol's name and by its end.
-BEFORE_NOTES = {
-    ("ctl_time", ""): "time of the sample, s",
-    ("ctl_filtered_", ""): "filtered difference of the state before it",
-    ("ctl_expected_", ""): "what the observer expects of it; at rest at the first sample",
-    ("ctl_miss_", ""): "by how much it differs from what was expected",
-    ("ctl_d_", "_hat"): "what acts on the rate of this state, estimated",
-    ("ctl_", "_hat"): "estimate: what was expected, corrected by what was missed",
-    ("ctl_", "_less"): "without what its disturbances make of it in the long run",
-    ("ctl_u_", ""): "command of an earlier sample, which still acts",
-    ("ctl_rest", ""): "what the observer's plant has besides linear terms",
-    ("ctl_value_", ""): "not measured: (difference - sum_j b_ij x_j)/g_i",
-}
-
-
-def _before_note(name: sympy.Symbol) -> str:
-    for (begin, end), note in BEFORE_NOTES.items():
-        if name.name.startswith(begin) and name.name.endswith(end):
-            return note
-    return ""
 
 
 def _unnamed_numbers(

@@ -2,10 +2,10 @@
 
 The plant that the observer counts on is linear but for what is evaluated once a period,
 
-    x' = A x + b u + sum_k e_k d_k + e_n rest(x),
+    x' = A x + b u + sum_k e_k d_k + e_n remainder(x),
 
 with A the chain, the couplings and what is linear in h + phi^T theta. Over a period of the input's
-delay, x_{k+1} = F x_k + B_new u_{k-m} + B_old u_{k-m-1} + G d + G_n rest(x_k). Constant d are
+delay, x_{k+1} = F x_k + B_new u_{k-m} + B_old u_{k-m-1} + G d + G_n remainder(x_k). Constant d are
 compensated by the input and states P d, U d that leave x_1 as it is,
 
     A P + b U + E = 0,    e_1' P = 0.
@@ -52,7 +52,7 @@ class ObserverModel:
     Attributes
     ----------
     F, G : (n, n) and (n, rows) arrays
-    new, old, rest : (n,) arrays
+    new, old, remainder : (n,) arrays
         B_new, B_old and G_n.
     correction : (n + rows, sensors) array
         By what the sensors differ from what was predicted: what is added to the states and to d.
@@ -64,14 +64,14 @@ class ObserverModel:
     G: np.ndarray
     new: np.ndarray
     old: np.ndarray
-    rest: np.ndarray
+    remainder: np.ndarray
     correction: np.ndarray
     P: np.ndarray
     U: np.ndarray
 
 
 def linear_part(plant: Plant, theta: Sequence[Any]) -> tuple[list[Any], sympy.Expr]:
-    """Slopes of h + phi^T theta by the states, and the rest of it, as formulas.
+    """Slopes of h + phi^T theta by the states, and the remainder of it, as formulas.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def linear_part(plant: Plant, theta: Sequence[Any]) -> tuple[list[Any], sympy.Ex
     for phi, value in zip(plant.regressor, theta, strict=True):
         total += phi.expr * value
     slopes: list[Any] = [sympy.S.Zero] * plant.n
-    rest = sympy.S.Zero
+    remainder = sympy.S.Zero
     for term in sympy.Add.make_args(sympy.expand(total)):
         states = [i for i, x in enumerate(plant.symbols) if term.has(x)]
         slope = sympy.diff(term, plant.symbols[states[0]]) if len(states) == 1 else None
@@ -93,8 +93,8 @@ def linear_part(plant: Plant, theta: Sequence[Any]) -> tuple[list[Any], sympy.Ex
         ):
             slopes[states[0]] += slope
         else:
-            rest += term
-    return slopes, rest
+            remainder += term
+    return slopes, remainder
 
 
 def known_plant(plant: Plant, law: Law) -> tuple[Any, tuple[Any, ...]]:
@@ -209,7 +209,7 @@ def _computed(
         E[i, j] = 1
     last = flint.arb_mat([[int(i == n - 1)] for i in range(n)])
     F, new, old = _held(A, b, T, delay)
-    G, rest = _forced(A, E, T), _forced(A, last, T)
+    G, remainder = _forced(A, E, T), _forced(A, last, T)
     if observer.kind == DOB:
         correction = gains_of_dob(observer, G, rows, T)
     else:
@@ -217,11 +217,11 @@ def _computed(
         weights = signal_weights(plant, observer, A, period, measured, rows)
         correction = stationary_gains(F, G, measured, weights)
     P, U = _compensation(A, b, E)
-    floats = [_floats(matrix) for matrix in (F, G, new, old, rest, correction, P, U)]
+    floats = [_floats(matrix) for matrix in (F, G, new, old, remainder, correction, P, U)]
     if not all(np.isfinite(table).all() for table in floats):
         raise unseen(observer.rows)
-    F, G, new, old, rest, correction, P, U = floats
-    return ObserverModel(F, G, new[:, 0], old[:, 0], rest[:, 0], correction, P, U[0])
+    F, G, new, old, remainder, correction, P, U = floats
+    return ObserverModel(F, G, new[:, 0], old[:, 0], remainder[:, 0], correction, P, U[0])
 
 
 def _rates(plant: Plant, gain: Any, theta: Sequence[Any]) -> tuple[flint.arb_mat, flint.arb_mat]:

@@ -30,7 +30,7 @@ from certrack.core.select import Select, clamp, magnitude
 from certrack.laws.base import Controller
 from certrack.laws.leakage import leak_jacobian
 from certrack.laws.observer import DOB
-from certrack.loops.observers import BEFORE, at_rest, estimation
+from certrack.loops.observers import INPUT_BEFORE, at_rest, estimation
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 
@@ -78,8 +78,8 @@ class SampledController:
     leak : formulas
         Constant part of the Jacobian, row-major, of the gains.
     presets : formulas, one per state
-        Over what is measured at the first sample and :data:`~.observers.BEFORE`: with these values
-        before it the first sample is as any other. Zero for estimates.
+        Over what is measured at the first sample and :data:`~.observers.INPUT_BEFORE`: with these
+        values before it the first sample is as any other. Zero for estimates.
     values : pairs (symbol, formula)
         What the law takes for states that it is not given as they are measured.
     compensation : formula
@@ -134,11 +134,11 @@ def sampled_controller(
     x = _state_values(plant, implementation, steps, memories, numbers) if differenced else {}
     if observer is not None:
         assert law is not None
-        found = estimation(plant, law, implementation, x, COMMAND, FIRST)
-        steps += found.steps
-        memories += found.memories
-        numbers += found.numbers
-        x, compensation = x | found.values, found.compensation
+        observed = estimation(plant, law, implementation, x, COMMAND, FIRST)
+        steps += observed.steps
+        memories += observed.memories
+        numbers += observed.numbers
+        x, compensation = x | observed.values, observed.compensation
     if memories:
         memories.append((FIRST, sympy.S.Zero, sympy.S.Zero))
     values = tuple(x.items())
@@ -149,7 +149,7 @@ def sampled_controller(
     steps.append((LAW_INPUT, controller.equations.u.xreplace(x) + compensation))
     steps.append((COMMAND, _limited(implementation, numbers)))
     if implementation.rate_limit is not None:
-        memories.append((symbol("ctl_u_last"), COMMAND, BEFORE))
+        memories.append((symbol("ctl_u_last"), COMMAND, INPUT_BEFORE))
     estimates = controller.states
     rates = [rate.xreplace(x) for _, rate in controller.equations.update]
     leak = leak_jacobian(controller) if implementation.update == "exact_leak" else ()
@@ -337,7 +337,9 @@ def starting_state(
     first_number = implementation.offset / implementation.period
     initial = {FIRST: 1.0, SAMPLE_NUMBER: first_number}
     before = zip(controller.states, controller.presets, strict=True)
-    initial |= {name: implementation.initial_input for name, preset in before if preset == BEFORE}
+    initial |= {
+        name: implementation.initial_input for name, preset in before if preset == INPUT_BEFORE
+    }
     memories = [initial.get(name, 0.0) for name in controller.states[len(controller.estimates) :]]
     return np.array([*estimates, *memories])
 

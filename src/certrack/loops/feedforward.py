@@ -29,7 +29,7 @@ from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 
 #: Digits of the coefficients: fewer than what differs between machines.
-DIGITS = 13
+COEFFICIENT_DIGITS = 13
 
 #: Stands for what is added to the input.
 ADDED = symbol("law_added")
@@ -75,7 +75,7 @@ def sampled_feedforward(
     M = moved(eye[:n], eye[n : n + memories], eye[n + memories :], nothing)
     zero = np.zeros((size, 1))
     b = moved(zero[:n], zero[n : n + memories], zero[n + memories :], np.ones((1, 1)))[:, 0]
-    own = SY - np.outer(b_s, LY)  # of the memories, besides what the command gives them
+    direct = SY - np.outer(b_s, LY)  # of the memories, besides what the command gives them
     q = LY.shape[1] - 2
     F = LY[0].copy()
     columns: list[np.ndarray] = []
@@ -86,7 +86,7 @@ def sampled_feedforward(
         for i in range(j):
             order = j - i
             right = right + columns[i] * implementation.period**order / math.factorial(order)
-        right[n : n + memories] -= own[:, j]
+        right[n : n + memories] -= direct[:, j]
         return np.linalg.solve(M - eye, right)
 
     of_F = np.linalg.solve(M - eye, -b)
@@ -104,7 +104,7 @@ def sampled_feedforward(
         raise DesignError(
             "law.sampled_feedforward", "finds no steady motion of the loop", remedy="Leave it out"
         )
-    return np.array([float(f"{v:.{DIGITS}g}") for v in F * gain])
+    return np.array([float(f"{v:.{COEFFICIENT_DIGITS}g}") for v in F * gain])
 
 
 def _tables(

@@ -7,7 +7,7 @@ of :mod:`certrack.laws.observer_model`:
     x^_i   = expected_i + sum_j L_ij miss_j             ``kalman`` and ``eso``
     d^_k   = d_k + sum_j L_kj miss_j                    ``eso`` and ``dob``
     u_law  = law(x^ - P d^) + U d^
-    expected_i at the next sample = F x^ + G d^ + B_new u + B_old u + G_n rest(x^)
+    expected_i at the next sample = F x^ + G d^ + B_new u + B_old u + G_n remainder(x^)
 
 with the commands within their limits, as they act over the period. At the first sample nothing is
 missed: what is not measured begins at rest, as a difference does, and d at zero.
@@ -44,7 +44,7 @@ class Estimation:
     steps : pairs (symbol, formula)
     memories : triples (symbol, next value, value before the first sample)
         The last one over the measured states, such that the first sample misses nothing, or
-        :data:`BEFORE`.
+        :data:`INPUT_BEFORE`.
     numbers : symbols
         Those of :func:`observer_values` that occur.
     values : mapping
@@ -61,7 +61,7 @@ class Estimation:
 
 
 #: The input before the first sample, which past commands begin with.
-BEFORE = symbol("ctl_u_before")
+INPUT_BEFORE = symbol("ctl_u_before")
 
 
 def past_command(age: int) -> sympy.Symbol:
@@ -99,7 +99,7 @@ def estimation(
     differences : mapping
         What stands for states that are not measured; of ``dob``.
     command : symbol
-        The input that is given out.
+        The input that is commands out.
     first : symbol
         1 at the first sample, then 0.
     """
@@ -153,14 +153,14 @@ def estimation(
     compensation = _sum(
         number(model.U[k], "counter", f"d_{row}") * d_hat[k] for k, row in enumerate(observer.rows)
     )
-    late, kept = _commands(implementation.design_delay)
-    steps += [(symbol(f"ctl_u_{age}"), past_command(age)) for age in range(1, kept + 1)]
-    given = [command, *(symbol(f"ctl_u_{age}") for age in range(1, kept + 1))]
+    late, count = _commands(implementation.design_delay)
+    steps += [(symbol(f"ctl_u_{age}"), past_command(age)) for age in range(1, count + 1)]
+    commands = [command, *(symbol(f"ctl_u_{age}") for age in range(1, count + 1))]
 
-    rest = linear_part(plant, known_plant(plant, law)[1])[1].xreplace(x_hat)
-    if rest != 0:
-        steps.append((symbol("ctl_rest"), rest))
-        rest = symbol("ctl_rest")
+    remainder = linear_part(plant, known_plant(plant, law)[1])[1].xreplace(x_hat)
+    if remainder != 0:
+        steps.append((symbol("ctl_remainder"), remainder))
+        remainder = symbol("ctl_remainder")
     memories: list[tuple[sympy.Symbol, sympy.Expr, sympy.Expr]] = []
     for state in predicted:
         i = x.index(state)
@@ -171,14 +171,16 @@ def estimation(
             number(model.G[i, k], "push", state, f"d_{row}") * d_hat[k]
             for k, row in enumerate(observer.rows)
         )
-        after += number(model.new[i], "new", state) * given[late]
-        if kept > late:
-            after += number(model.old[i], "old", state) * given[late + 1]
-        if rest != 0:
-            after += number(model.rest[i], "rest", state) * rest
+        after += number(model.new[i], "new", state) * commands[late]
+        if count > late:
+            after += number(model.old[i], "old", state) * commands[late + 1]
+        if remainder != 0:
+            after += number(model.remainder[i], "remainder", state) * remainder
         memories.append((_predicted(state), after, still[state]))
     memories += [(_disturbance(row), d_hat[k], sympy.S.Zero) for k, row in enumerate(observer.rows)]
-    memories += [(past_command(age), given[age - 1], BEFORE) for age in range(1, kept + 1)]
+    memories += [
+        (past_command(age), commands[age - 1], INPUT_BEFORE) for age in range(1, count + 1)
+    ]
     return Estimation(tuple(steps), tuple(memories), tuple(used), values, compensation)
 
 
@@ -236,7 +238,7 @@ def observer_values(
     rows = {
         "new": (model.new, states),
         "old": (model.old, states),
-        "rest": (model.rest, states),
+        "remainder": (model.remainder, states),
         "counter": (model.U, d),
     }
     values = {

@@ -146,8 +146,8 @@ def linear_loop(system: System) -> LinearLoop | None:
         None also for a law with states of its own or the time in it, and without an implementation.
     """
     law = system.controller
-    own = set(law.states) - {INTEGRAL}
-    if own or system.implementation is None or law.equations.u.has(TIME):
+    others = set(law.states) - {INTEGRAL}
+    if others or system.implementation is None or law.equations.u.has(TIME):
         return None
     implementation = Implementation(
         system.implementation.period,

@@ -19,7 +19,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
 from certrack.loops.controller import PERIOD
 from certrack.loops.linear_controller import linear_controller
-from certrack.loops.observers import BEFORE, observer_values
+from certrack.loops.observers import INPUT_BEFORE, observer_values
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 
@@ -44,11 +44,11 @@ def controller_matrices(
     values = dict(zip(gains, map(flint.arb, K), strict=True))
     values |= _numbers(system, implementation)
     command, *after = linear.formulas
-    rest = set(values)
+    known = set(values)
 
     def slopes(rows: Sequence[sympy.Expr], by: Sequence[sympy.Symbol]) -> flint.arb_mat:
         entries = [sympy.diff(row, v) for row in rows for v in by]
-        if any(entry.free_symbols - rest for entry in entries):
+        if any(entry.free_symbols - known for entry in entries):
             raise NoCertificate("only loops that are linear are covered as implemented")
         balls = [enclosing_ball(entry, values) for entry in entries]
         return flint.arb_mat(len(rows), len(by), balls)
@@ -61,7 +61,7 @@ def controller_matrices(
         "Ss": slopes(after, linear.states),
         "Sy": slopes(after, s.Y),
         "first": slopes(linear.presets, s.x),
-        "first_input": slopes(linear.presets, [BEFORE]),
+        "first_input": slopes(linear.presets, [INPUT_BEFORE]),
     }
 
 

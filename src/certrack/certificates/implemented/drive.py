@@ -161,8 +161,8 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
             "only loops that are linear are covered as implemented, and the adaptive law is not; "
             'use law.kind = "robust", or certrack margin for what samples say'
         )
-    own = [INTEGRAL] * (system.law.integral is not None)
-    if system.controller.equations.u.has(TIME) or list(system.controller.states) != own:
+    integral = [INTEGRAL] * (system.law.integral is not None)
+    if system.controller.equations.u.has(TIME) or list(system.controller.states) != integral:
         raise NoCertificate("a law with the time or states of its own is not covered")
     sensors = sensor_errors(implementation, system.plant.n)
     with flint.ctx.workprec(DRIVE_BITS):
@@ -198,8 +198,8 @@ def _drive(
     K = [(v - h) / gain for v, h in zip(c.nu_x, slopes, strict=True)]
     nu_Y = list(c.nu_Y)
     if system.law.sampled_feedforward:
-        found = sampled_feedforward(plant, system.controller, system.law, implementation)
-        nu_Y = [exact_float(v, rational) for v in found]
+        corrected = sampled_feedforward(plant, system.controller, system.law, implementation)
+        nu_Y = [exact_float(v, rational) for v in corrected]
     gains_of_u = [*K, *(v / gain for v in nu_Y)]
     gains_of_u += [] if c.integral is None else [c.integral.nu / gain]
     T = rational(implementation.period)

@@ -79,9 +79,9 @@ def _covered(system: System, drive: Implementation) -> str:
         parts.append(f"{', '.join(drive.velocity)} by filtered differences")
     if observer is not None:
         bound = observer.bound_to(system.plant, drive)
-        found = [] if bound.kind == DOB else list(system.plant.states)
-        found += [f"what acts on {name}" for name in bound.rows]
-        parts.append(f"{', '.join(found)} by the observer, which is part of the loop")
+        estimated = [] if bound.kind == DOB else list(system.plant.states)
+        estimated += [f"what acts on {name}" for name in bound.rows]
+        parts.append(f"{', '.join(estimated)} by the observer, which is part of the loop")
     if system.law.sampled_feedforward:
         parts.append("the reference fed forward as the sampled loop needs it")
     if drive.input_quantum:
