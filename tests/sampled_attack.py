@@ -25,8 +25,11 @@ class SampledLoop:
     def __init__(self, system):
         loop = linear_loop(system)
         drive = system.implementation
-        law = loop.law_matrix(drive.period)
         u = system.plant.uncertainty
+        assert loop is not None, "a loop that is not linear has no attack by its kernels"
+        assert u.Delta is None and u.S is None, "the attack knows gamma ||x|| + beta only"
+        assert len(drive.delays) == 1, "an attack is on one delay"
+        law = loop.law_matrix(drive.period)
         acting = [k for k in range(system.plant.n) if u.tau[k] and u.acts(k)]
         self.n, self.memories, self.T = len(loop.b), len(law) - 1, drive.period
         n, h = self.n, drive.period / STEPS
@@ -34,15 +37,16 @@ class SampledLoop:
         self.W, self.h = W, h
         self.gamma = np.array([u.gamma[k] for k in acting])
         self.beta = np.array([u.beta[k] for k in acting])
-        self.mu = np.array(drive.measurement_quantum or [0.0] * n) / 2
-        self.mu = self.mu + np.array(drive.noise_bound or [0.0] * n)
+        noise = np.array(drive.noise_bound or [0.0] * n)
+        self.mu = np.array(drive.measurement_quantum or [0.0] * n) / 2 + noise
         self.eta = drive.input_quantum / 2
+        assert noise.any() or not any(drive.noise or ()), "noise without a bound has no worst case"
         self.q = system.controller.coordinates.q
         block = np.zeros((n + 1 + W.shape[1],) * 2)
         block[:n] = np.hstack([loop.A, loop.b[:, None], W]) * h
         over = expm(block)
         self.through_w = over[:n, n + 1 :]
-        late = math.floor(drive.delay + 1e-9)
+        late = math.floor(drive.delays[0] + 1e-9)
         inputs = late + 2
         size = n + self.memories + inputs
         self.newest = n + self.memories
@@ -55,8 +59,8 @@ class SampledLoop:
         self.forward = np.zeros((size, self.q + 2))
         self.forward[n : self.newest] = law[1:, self.newest :]
         self.forward[self.newest] = law[0, self.newest :]
-        self.switch = round((drive.delay - late) * STEPS)
-        assert abs(self.switch - (drive.delay - late) * STEPS) < 1e-6
+        self.switch = round((drive.delays[0] - late) * STEPS)
+        assert abs(self.switch - (drive.delays[0] - late) * STEPS) < 1e-6
         self.steps = []
         for p in range(STEPS):
             step = np.eye(size)

@@ -109,7 +109,7 @@ def smallest(certificates: Iterable[Certificate]) -> Certificate | None:
 def every_certificate(
     system: System, effort: str = "default", progress: Progress = silent, *, details: bool = False
 ) -> Methods:
-    """Certify `system` by every method.
+    """Certify `system` by every method, for the long run of its reference.
 
     Parameters
     ----------
@@ -125,6 +125,7 @@ def every_certificate(
     InputError
         If a bound of the reference can neither be proven nor is declared.
     """
+    system = system.long_run
     progress(0, METHOD_STEPS, None)
     certificates = dict(certify_published(system))
     progress(1, METHOD_STEPS, None)

@@ -15,6 +15,7 @@ from certrack.plotting.ensembles import (
 )
 from certrack.plotting.main_picture import plot
 from certrack.plotting.margins import drift_figure, margin_figure
+from certrack.plotting.references import reference_figure
 from certrack.plotting.runs import (
     PANELS,
     Panel,
@@ -54,6 +55,7 @@ __all__ = [
     "plot_output",
     "plot_states",
     "plot_tube",
+    "reference_figure",
     "save_figure",
     "starts_figure",
     "style",

@@ -1,14 +1,27 @@
-"""Values of a table of a system file, and what is said of keys that do not belong there."""
+"""Tables of the system file: their keys are known, none is missing, and formulas are numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.keys import Key
 from certrack.systems.keys import TABLES
+
+#: Largest file that is read: a million samples of a reference fit.
+MAX_FILE_BYTES = 20_000_000
+
+
+def read_bytes(path: Path) -> bytes:
+    """What is in a file that is not too large."""
+    with path.open("rb") as stream:
+        data = stream.read(MAX_FILE_BYTES + 1)
+    if len(data) > MAX_FILE_BYTES:
+        raise InputError(str(path), f"is larger than {MAX_FILE_BYTES // 1_000_000} MB")
+    return data
 
 
 def read_values(
