@@ -151,7 +151,7 @@ def test_the_keys_of_a_reference_are_the_arguments_of_its_maker(kind):
         for name, argument in inspect.signature(reference.make).parameters.items()
         if argument.kind is argument.POSITIONAL_OR_KEYWORD
     }
-    assert set(arguments) == set(reference.keys) - {"file"}
+    assert set(arguments) == set(reference.keys) - {"file", "columns", "value_unit"}
     for name, default in arguments.items():
         required = default is inspect.Parameter.empty
         assert required == reference.keys[name].required, name

@@ -76,11 +76,12 @@ def _margin_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
     margins = sampled.margins
     if margins is None:
         return []
-    slow = f"{margins.slowest:g} s" + (" and more" if margins.slower_untried else "")
-    fast = f"{margins.fastest:g} s" + (" and less" if margins.faster_untried else "")
+    slow = "slowest tried" if margins.slower_untried else "slowest"
+    fast = "fastest tried" if margins.faster_untried else "fastest"
     return [
-        f"as implemented, sampling margins: proven within twice the bound "
-        f"({rounded_up(margins.bound, digits)}) at periods of {slow} (slowest) and {fast} (fastest)"
+        "as implemented, sampling margins: in the long run also proven, within "
+        f"{rounded_up(margins.bound, digits)}, at a period of {margins.slowest:g} s ({slow}) and "
+        f"of {margins.fastest:g} s ({fast})"
     ]
 
 
