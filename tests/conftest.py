@@ -32,6 +32,7 @@ SHIPPED = (
     "dual-motor-drive",
     "dual-motor-lean",
     "dual-motor-linear",
+    "dual-motor-observer",
     "dual-motor-physical",
     "dual-motor-strong",
     "example1",
@@ -44,8 +45,8 @@ SHIPPED = (
 
 
 NOT_LONG = (
-    *("axis", "dual-motor-drag", "dual-motor-drive", "dual-motor-linear", "point-to-point"),
-    "theorem1-counterexample",
+    *("axis", "dual-motor-drag", "dual-motor-drive", "dual-motor-linear", "dual-motor-observer"),
+    *("point-to-point", "theorem1-counterexample"),
 )
 
 #: Those whose controller is not sampled and whose runs last 20 s; test_papers.py has another, and

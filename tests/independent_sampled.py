@@ -14,6 +14,7 @@ from fractions import Fraction as Q
 import independent_checker as checker
 import numpy as np
 from independent_levels import all_levels, bernstein_of_Y, reference_part
+from independent_observers import Observer
 
 #: Steps of each cell in which kernels are summed, and what is left of rows.
 GRID, LEFT = 2, 1e-11
@@ -151,8 +152,29 @@ class Loop:
         self.mu = np.array([float(a / 2 + c) for a, c in zip(quanta, noise, strict=True)])
         self.eta = float(checker.number(drive.get("input_quantum", 0), constants)) / 2
         self.shift = float(checker.number(drive.get("jitter", 0), constants)) * self.T
-        self._controller(drive, names, g, b, np.array(K, float))
+        law = table["law"]
+        checker.demand("integral" not in law, "integral action is not covered here")
         self.forward = np.array([float(v / gain) for v in system.nu_Y])
+
+        def built():
+            self._controller(drive, names, g, b, np.array(K, float), law)
+            self._period(counted, [1, 1])
+            return self.Pi[-1][0]
+
+        if law.get("sampled_feedforward"):
+            delays = drive.get("delay", 0)
+            counted = drive.get("counted_delay", delays[0] if isinstance(delays, list) else delays)
+            counted = checker.number(counted, constants)
+            own, columns = self.forward.copy(), []
+            self.forward = own * ([0] * (q + 1) + [1])
+            base = built()
+            for j in range(q + 1):
+                self.forward = np.eye(q + 2)[j] + own * ([0] * (q + 1) + [1])
+                columns.append(built() - base)
+            wanted = np.linalg.solve(np.array(columns).T, np.eye(q + 1)[0] - base)
+            self.forward = np.array([*(float(f"{v * float(gain):.13g}") for v in wanted), own[-1]])
+            self.forward[:-1] /= float(gain)
+        self._controller(drive, names, g, b, np.array(K, float), law)
         self._period(delay, parts)
 
     def _uncertainty(self, plant, system):
@@ -194,22 +216,62 @@ class Loop:
         checker.demand(bounds is not None and len(bounds) > self.q + 2, "an unknown reference")
         self.slope, self.jump, self.apart = float(bounds[-1]), 0.0, math.inf
 
-    def _controller(self, drive, names, g, b, K):
-        """u and the next memories over (m, memories)."""
-        n, T = self.n, self.T
-        computed = [i for i in range(1, n) if names[i] in drive.get("velocity", [])]
+    def _controller(self, drive, names, g, b, K, law):
+        """u and the next memories over (m, memories), and over Y'; the first memories."""
+        n, T, y = self.n, self.T, self.q + 2
+        table = law.get("observer")
+        delays = drive.get("delay", 0)
+        delay = drive.get("counted_delay", delays[0] if isinstance(delays, list) else delays)
+        o = table and Observer(
+            table, drive, names, self.A, self.b, T, exponential, checker.number(delay, {})
+        )
+        unread = [i for i in range(1, n) if names[i] in drive.get("velocity", [])]
+        computed = unread if o is None or o.L is None else []
         filter_time = float(drive.get("velocity_filter", 0))
         pole = 1 - math.exp(-T / filter_time) if filter_time else 1.0
-        signals = np.eye(n + 2 * len(computed))
-        x, after = list(signals[:n]), []
-        for place, i in enumerate(computed):
-            p, v = signals[n + 2 * place], signals[n + 2 * place + 1]
+        count = 2 * len(computed)
+        if o:
+            count += len(o.predicted) + len(o.rows) + o.kept
+        signals = np.eye(n + count + y)
+        x, after, memories = list(signals[:n]), [], iter(signals[n : n + count])
+        for i in computed:
+            p, v = next(memories), next(memories)
             f = v + pole * ((x[i - 1] - p) / T - v)
             after += [x[i - 1], f]
             others = sum((float(c) * x[j] for j, c in enumerate(b[i - 1])), 0 * f)
             x[i] = (f - others) / float(g[i - 1])
-        self.command = K @ np.array(x)
-        self.after = np.array(after).reshape(len(after), len(signals))
+        still = list(np.eye(n))
+        for i in unread:
+            others = sum((float(c) * still[j] for j, c in enumerate(b[i - 1])), np.zeros(n))
+            still[i] = -others / float(g[i - 1])
+        self.first = [row for i in computed for row in (still[i - 1], np.zeros(n))]
+        self.first_u = [0.0] * len(self.first)
+        x, added = np.array(x), 0.0
+        if o:
+            expected = np.array([next(memories) for _ in o.predicted])
+            d = np.array([next(memories) for _ in o.rows]).reshape(len(o.rows), len(signals))
+            past = [next(memories) for _ in range(o.kept)]
+            miss = x[o.seen] - expected[[o.predicted.index(i) for i in o.seen]]
+            if o.L is not None:
+                x = expected + o.L @ miss
+            d = d + o.Ld @ miss
+            given, added = x - o.P @ d, o.U @ d
+        else:
+            given = x
+        forward = self.forward @ signals[n + count :]
+        command = K @ given + added + forward
+        if o:
+            inputs = [command, *past]
+            moved = o.F @ x + o.G @ d + np.outer(o.new, inputs[o.late])
+            if o.kept > o.late:
+                moved += np.outer(o.old, inputs[o.late + 1])
+            after += [*moved[o.predicted], *d, *inputs[: o.kept]]
+            self.first += [still[i] for i in o.predicted] + [np.zeros(n)] * len(d)
+            self.first += [np.zeros(n)] * o.kept
+            self.first_u = [0.0] * (len(self.first) - o.kept) + [1.0] * o.kept
+        after = np.array(after).reshape(len(after), len(signals))
+        self.command, self.after = command[: n + count], after[:, : n + count]
+        self.after_Y = after[:, n + count :]
 
     def _period(self, delay, parts):
         n, memories = self.n, len(self.after)
@@ -224,6 +286,7 @@ class Loop:
             J[i, i - 1] = 1
         self.J, self.R = J, np.zeros((size, self.q + 2))
         self.R[self.newest] = self.forward
+        self.R[n : self.newest] = self.after_Y
         self.N = J[:, :n].copy()
         self.N[:n] = 0
         self.cells = []
@@ -472,6 +535,7 @@ class Loop:
         noise = np.vstack([0 * eye, Z, np.zeros((size - self.newest, n))])
         zeta = at @ center
         zeta[self.newest :] = first
+        zeta[n : self.newest] += first * np.array(self.first_u)
         last = self.Pi[-1]
         if Y0 is not None:
             zeta = zeta - last @ Y0
@@ -519,11 +583,8 @@ class Loop:
         return largest
 
     def _first_memories(self):
-        """The memories at the first sample over what it measures: differences are zero."""
-        Z = np.zeros((len(self.after), self.n))
-        for place in range(0, len(Z), 2):
-            Z[place] = self.after[place, : self.n] + self.after[place, self.n :] @ Z
-        return Z
+        """The memories at the first sample over what it measures: nothing is missed."""
+        return np.array(self.first).reshape(len(self.after), self.n)
 
     def check_limits(self, drive, U, step):
         if "saturation" in drive:

@@ -47,6 +47,8 @@ class Linear(Robust):
     k: tuple[tuple[float, ...], ...] | None = field(default=None, init=False, repr=False)
     p: tuple[float, ...] | None = field(default=None, init=False, repr=False)
     coupling: float | None = field(default=None, init=False, repr=False)
+    integral: float | None = field(default=None, init=False, repr=False)
+    sampled_feedforward: bool = field(default=False, init=False, repr=False)
 
     K: tuple[float, ...] | None = keyed(
         "numbers",
@@ -70,6 +72,7 @@ class Linear(Robust):
 
     def __post_init__(self) -> None:
         check_fields(self, "law", "feedforward", "K", "r")
+        self._check_observer()
         if self.lqr is not None:
             set_fields(self, lqr=LqrWeights.of(self.lqr))
         if (self.K is None) == (self.lqr is None):

@@ -71,6 +71,8 @@ class Implementation:
         sample.
     jitter_pattern : {"random", "alternating", "late"}
         How they do in a run; a certificate covers all that are within the jitter.
+    counted_delay : float >= 0, optional, periods
+        The delay that observers and sampled feed-forward count on; the one of a run if left out.
     saturation : (low, high), optional
         Limits of the input.
     rate_limit : float > 0, optional
@@ -136,6 +138,15 @@ class Implementation:
         RANDOM,
         help="how the shifts of a run go; proofs are of all",
         choices=JITTER_PATTERNS,
+    )
+    counted_delay: float | None = keyed(
+        "number",
+        None,
+        help="the delay that observers and sampled feed-forward count on",
+        unit="periods",
+        least=0,
+        most=MAX_DELAY,
+        otherwise="that of a run",
     )
     saturation: tuple[float, float] | None = keyed(
         "interval",
@@ -300,6 +311,11 @@ class Implementation:
     def run_delay(self) -> float:
         """The delay of a run, periods: the first."""
         return self.delays[0]
+
+    @property
+    def design_delay(self) -> float:
+        """The delay that the controller counts on, periods."""
+        return self.run_delay if self.counted_delay is None else self.counted_delay
 
     def largest_noise(self, states: int) -> tuple[float, ...]:
         """The largest |noise| on each of the `states`; what noise_bound says, or zero.

@@ -183,7 +183,13 @@ def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
 
 
 def _law_table(law: Law) -> dict[str, Any]:
-    return {"kind": law.kind} | _present(field_values(law))
+    values = _present(field_values(law))
+    if not law.sampled_feedforward:
+        del values["sampled_feedforward"]
+    if law.observer is not None:
+        observer = _present(field_values(law.observer))
+        values["observer"] = {name: value for name, value in observer.items() if value != ()}
+    return {"kind": law.kind} | values
 
 
 def _population_table(population: Population) -> dict[str, Any]:

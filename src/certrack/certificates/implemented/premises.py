@@ -19,6 +19,7 @@ from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
 from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
 from certrack.core.rounding import rounded_up
+from certrack.laws.observer import DOB
 from certrack.model.implementation import Implementation
 from certrack.references import SymbolicReference
 from certrack.references.base import Reference, lipschitz_bound
@@ -115,8 +116,16 @@ def _covered(system: System, drive: Implementation) -> str:
         if mu and name not in drive.velocity
     ]
     parts += [f"sensors within {', '.join(errors)}"] if errors else ["exact sensors"]
-    if drive.velocity:
+    observer = system.law.observer
+    if drive.velocity and (observer is None or observer.kind == DOB):
         parts.append(f"{', '.join(drive.velocity)} by filtered differences")
+    if observer is not None:
+        bound = observer.bound_to(system.plant, drive)
+        estimated = [] if bound.kind == DOB else list(system.plant.states)
+        estimated += [f"what acts on {name}" for name in bound.rows]
+        parts.append(f"{', '.join(estimated)} by the observer, which is part of the loop")
+    if system.law.sampled_feedforward:
+        parts.append("the reference fed forward as the sampled loop needs it")
     if drive.input_quantum:
         parts.append(f"the input in steps of {drive.input_quantum:g}")
     return "; ".join(parts)

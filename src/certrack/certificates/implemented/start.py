@@ -204,6 +204,8 @@ class FromStarts:
         fixed = flint.arb_mat(period.size, 1)
         for i in range(period.command, period.size):
             fixed[i, 0] = starts.initial
+        for i in range(drive.memories):
+            fixed[drive.n + i, 0] = drive.first_input[i, 0] * starts.initial
         free = _product_with(before, Enclosed.of(of_noise)).upper @ mu
         start_free = Enclosed.of(of_noise).upper @ mu
         if starts.Y is not None:

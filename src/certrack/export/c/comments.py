@@ -8,6 +8,7 @@ from certrack.core.version import version
 from certrack.export.c.printer import comment
 from certrack.export.program import ControllerProgram, unread_states
 from certrack.laws import Law, Linear
+from certrack.laws.integral import INTEGRAL
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
@@ -58,6 +59,8 @@ def member_note(program: ControllerProgram, symbol: sympy.Symbol) -> str:
     """A comment on a member of the state."""
     kind, _, which = program.labels[symbol].partition("_")
     if symbol in program.controller.estimates:
+        if symbol == INTEGRAL:
+            return " /* integral of x_1 - y_d */"
         notes = {"delta": "estimate of 1/g_n", "theta": "estimate of an unknown parameter"}
         return f" /* {notes[kind]} */" if kind in notes and which.startswith("hat") else ""
     notes = {
@@ -66,7 +69,9 @@ def member_note(program: ControllerProgram, symbol: sympy.Symbol) -> str:
         "first": "1 before the first sample, then 0",
         "sample": "number of the sample: its time over the period",
         "u": "the last input",
+        "predicted": "what the observer expects at the next sample",
+        "d": "what acts on its rate, estimated",
+        "past": "a command that still acts",
     }
-    return (
-        f" /* {which}: {notes[kind]} */" if kind in ("before", "speed") else f" /* {notes[kind]} */"
-    )
+    of_a_state = ("before", "speed", "predicted", "d")
+    return f" /* {which}: {notes[kind]} */" if kind in of_a_state else f" /* {notes[kind]} */"

@@ -26,8 +26,9 @@ from certrack.integrators.many.native_source import (
 from certrack.integrators.sampled import step_control
 from certrack.integrators.sampled.maps import PAIR
 from certrack.integrators.sampled.run import SampledProblem
+from certrack.loops.controller import resolved
 from certrack.loops.plant import INPUT
-from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
+from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop
 
 #: Numbers that native.c shares with step_control.py; errors are squared there.
 SHARED_CONSTANTS = {

@@ -109,7 +109,9 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     assert implementation is not None
     members = [
         at_point(system, values_at(loop, point)).replace(
-            implementation=replace(implementation, delay=delay)
+            implementation=replace(
+                implementation, delay=delay, counted_delay=implementation.design_delay
+            )
         )
         for point in worst_corners(loop, bounds, MAX_CANDIDATES)
         for delay in implementation.delays
