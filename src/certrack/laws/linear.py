@@ -53,7 +53,7 @@ class Linear(Robust):
     K: tuple[float, ...] | None = keyed(
         "numbers",
         None,
-        help="feedback in the coordinates of the plant: nu = K (x - Pi Y) + ...",
+        help="feedback in the coordinates of the plant: nu has K (x - Pi Y)",
         shape="K_1 ... K_n",
         otherwise="from lqr",
     )
