@@ -19,6 +19,8 @@ from typing import Any
 
 import sympy
 
+from certrack.core.errors import CertrackError
+
 #: Digits of a number that is not rational, and by which part its ends are moved outwards.
 NUMBER_DIGITS, END_WIDENING = 40, sympy.Rational(1, 10**30)
 
@@ -46,7 +48,7 @@ CONCAVE = (sympy.tanh, sympy.atan)
 UNLIMITED = Fraction(10**9)
 
 
-class NotMonotone(ValueError):
+class NotMonotone(CertrackError):
     """No rule shows that a part only grows; its text says which."""
 
 

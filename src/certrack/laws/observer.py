@@ -20,7 +20,7 @@ from certrack.model.plant import Plant
 
 #: Of states alone; of states and disturbances; of disturbances alone.
 KALMAN, ESO, DOB = "kalman", "eso", "dob"
-KINDS = (KALMAN, ESO, DOB)
+OBSERVER_KINDS = (KALMAN, ESO, DOB)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class Observer:
         If a number is out of its limits, or does not belong to the kind.
     """
 
-    kind: str = keyed("choice", help="what is estimated", choices=KINDS)
+    kind: str = keyed("choice", help="what is estimated", choices=OBSERVER_KINDS)
     bandwidth: float | tuple[float, ...] | None = keyed(
         "number or numbers",
         None,

@@ -185,7 +185,7 @@ def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
 def _law_table(law: Law) -> dict[str, Any]:
     values = _present(field_values(law))
     if not law.sampled_feedforward:
-        del values["sampled_feedforward"]
+        values.pop("sampled_feedforward", None)
     if law.observer is not None:
         observer = _present(field_values(law.observer))
         values["observer"] = {name: value for name, value in observer.items() if value != ()}

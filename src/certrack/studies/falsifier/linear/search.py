@@ -10,7 +10,7 @@ from typing import Any
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
 from certrack.certificates.scope import refuse_unknown
-from certrack.core.errors import InputError
+from certrack.core.errors import CertrackError, InputError
 from certrack.integrators.base import Outcome
 from certrack.laws.error_system import EstimatedParameters
 from certrack.model.jitter import JITTER_PATTERNS
@@ -32,7 +32,7 @@ from certrack.systems.system import System
 MAX_CANDIDATES = 3
 
 
-class NothingTried(Exception):
+class NothingTried(CertrackError):
     """Why a loop has no worst case by its kernels; the text is the reason."""
 
 
