@@ -1,0 +1,59 @@
+"""The front: the best objective against one of the limits, each point from the one before."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from certrack.core.errors import Cancelled, InputError
+from certrack.core.progress import Progress
+from certrack.tuning.candidate import Candidate
+from certrack.tuning.families import Family
+from certrack.tuning.problem import TuningProblem
+from certrack.tuning.result import Front, FrontPoint
+from certrack.tuning.search import Search
+
+#: Points of a front, and how far it goes to either side of the limit.
+POINTS, REACH = 9, 4.0
+
+
+def sweep(
+    problem: TuningProblem, family: Family, best: Candidate, name: str, progress: Progress
+) -> Front:
+    """The front over the limit of this name, as an option spells it.
+
+    Raises
+    ------
+    InputError
+        If there is no such limit.
+    """
+    wanted = name.replace("-", " ").replace("_", " ")
+    limits = problem.task.limits
+    swept = [limit for limit in limits if limit.name == wanted]
+    if not swept:
+        known = ", ".join(dict.fromkeys(limit.name.replace(" ", "-") for limit in limits))
+        raise InputError("front", f"must be one of the limits in force: {known}", name)
+    middle = swept[0].value
+    if not swept[0].option:  # one that is always in force, and mostly far away
+        middle = swept[0].quantity.value(best)
+    values = middle * np.geomspace(1 / REACH, REACH, POINTS)
+    others = [limit for limit in limits if limit.name != wanted]
+    points: dict[float, float | None] = {}
+    start = best.v
+    order = sorted(values, key=lambda value: abs(math.log(value / middle)))
+    for done, value in enumerate(order):
+        task = replace(
+            problem.task, limits=(*others, *(replace(limit, value=value) for limit in swept))
+        )
+        search = Search(problem.base, replace(task, accepts=lambda _: True))
+        try:
+            progress(done, len(order), None)
+            search.run(family, start)
+        except (KeyboardInterrupt, Cancelled):
+            break
+        found = search.state.best
+        points[value] = None if found is None else problem.objective.value(found)
+    ordered = tuple(FrontPoint(float(v), points[v]) for v in sorted(points))
+    return Front(wanted, problem.objective.name, ordered)
