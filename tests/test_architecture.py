@@ -89,6 +89,7 @@ ONE_MEANING = {
             "fmu",
             "reproduce",
             "simulate",
+            "tune",
             "verify",
         ),
         "the verb of the command line, and what it calls",
@@ -170,6 +171,7 @@ def test_public_surface_is_frozen():
         "ErrorCoordinates",
         "Exported",
         "Falsification",
+        "Front",
         "Gains",
         "Implementation",
         "InputError",
@@ -194,6 +196,7 @@ def test_public_surface_is_frozen():
         "System",
         "Truth",
         "Tube",
+        "Tuned",
         "Uncertainty",
         "Verdict",
         "__version__",
@@ -228,6 +231,7 @@ def test_public_surface_is_frozen():
         "to_text",
         "trapezoid",
         "triangle",
+        "tune",
     }
     for name in certrack.__all__:
         assert getattr(certrack, name).__doc__

@@ -78,3 +78,6 @@ from .systems.system import Settings as Settings
 from .systems.system import System as System
 from .systems.writer import save as save
 from .systems.writer import to_text as to_text
+from .tuning.result import Front as Front
+from .tuning.result import Tuned as Tuned
+from .tuning.tune import tune as tune

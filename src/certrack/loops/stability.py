@@ -25,6 +25,7 @@ import sympy
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
 from certrack.core.select import Select
+from certrack.laws.base import Law
 from certrack.loops.controller import (
     FIRST,
     SampledController,
@@ -33,7 +34,6 @@ from certrack.loops.controller import (
 )
 from certrack.loops.plant import INPUT, plant_values, simulated_plant
 from certrack.loops.sampled import resolved
-from certrack.laws.base import Law
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 

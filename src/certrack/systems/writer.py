@@ -178,6 +178,12 @@ def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
     return _present(values | {"bound": reference.declared_bound})
 
 
+def toml_table(law: Law) -> dict[str, Any]:
+    """A law as the entries of its table in a file."""
+    entries: dict[str, Any] = _as_toml(_law_table(law))
+    return entries
+
+
 def _law_table(law: Law) -> dict[str, Any]:
     return {"kind": law.kind} | _present(field_values(law))
 

@@ -52,11 +52,12 @@ def conflict(problem: TuningProblem, family: Family, search: Search) -> InputErr
 
 def _best_achievable(problem: TuningProblem, family: Family, limit: Limit) -> float | None:
     """The best of a limited quantity within the other limits; None if these conflict, too."""
-    others = tuple(
-        entry for entry in problem.task.limits if entry.name != limit.name
-    )
+    others = tuple(entry for entry in problem.task.limits if entry.name != limit.name)
     task = replace(
-        problem.task, objective=limit.quantity, smallest=not limit.at_least, limits=others,
+        problem.task,
+        objective=limit.quantity,
+        smallest=not limit.at_least,
+        limits=others,
         accepts=_always,
     )
     search = Search(problem.base, task)

@@ -142,8 +142,14 @@ class AdaptiveFamily(RobustFamily):
         law = super()._with(values[:first])
         own = values[first : first + 3 + self.plant.r]
         gain_rate, leak_gain, leak_theta, *Gamma = map(float, own)
-        leaks = {"leak_gain": leak_gain, "leak_theta": leak_theta}
-        return replace(law, gain_rate=gain_rate, Gamma=tuple(Gamma) or None, **leaks)
+        assert isinstance(law, Adaptive)
+        return replace(
+            law,
+            gain_rate=gain_rate,
+            leak_gain=leak_gain,
+            leak_theta=leak_theta,
+            Gamma=tuple(Gamma) or None,
+        )
 
 
 #: The family of each kind of law.
@@ -163,7 +169,9 @@ def family_of(system: System, kind: str, feedforward: int) -> Family:
     if kind not in FAMILIES:
         why = "has no certificate: without leakage no bound exists" if kind == Classic.kind else ""
         raise InputError(
-            "law.kind", f"{why or 'has no gains that tune knows'}", kind,
+            "law.kind",
+            f"{why or 'has no gains that tune knows'}",
+            kind,
             f"Choose --law {' or --law '.join(FAMILIES)}",
         )
     return FAMILIES[kind](_with_law(system, kind, feedforward), feedforward)
@@ -177,4 +185,3 @@ def _with_law(system: System, kind: str, feedforward: int) -> System:
     known = {"robust": Robust, "adaptive": Adaptive}[kind]
     same = {"c": law.c, "coupling": law.coupling, "feedforward": feedforward}
     return system.replace(law=known(**same), settings=replace(system.settings, estimates=None))
-

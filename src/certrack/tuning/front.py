@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -38,22 +38,26 @@ def sweep(
     middle = swept[0].value
     if not swept[0].option:  # one that is always in force, and mostly far away
         middle = swept[0].quantity.value(best)
-    values = middle * np.geomspace(1 / REACH, REACH, POINTS)
-    others = [limit for limit in limits if limit.name != wanted]
+    steps = REACH ** (np.arange(1, POINTS // 2 + 1) / (POINTS // 2))
+    others = tuple(limit for limit in limits if limit.name != wanted)
     points: dict[float, float | None] = {}
-    start = best.v
-    order = sorted(values, key=lambda value: abs(math.log(value / middle)))
-    for done, value in enumerate(order):
-        task = replace(
-            problem.task, limits=(*others, *(replace(limit, value=value) for limit in swept))
-        )
-        search = Search(problem.base, replace(task, accepts=lambda _: True))
-        try:
-            progress(done, len(order), None)
-            search.run(family, start)
-        except (KeyboardInterrupt, Cancelled):
-            break
-        found = search.state.best
-        points[value] = None if found is None else problem.objective.value(found)
-    ordered = tuple(FrontPoint(float(v), points[v]) for v in sorted(points))
+    with suppress(KeyboardInterrupt, Cancelled):
+        for branch in ((middle, *(middle * steps)), tuple(middle / steps)):
+            start = best.v
+            for value in map(float, branch):
+                progress(len(points), POINTS, None)
+                moved = tuple(replace(limit, value=value) for limit in swept)
+                task = replace(problem.task, limits=(*others, *moved), accepts=_always_kept)
+                search = Search(problem.base, task)
+                search.run(family, start)
+                found = search.state.best
+                points[value] = None if found is None else problem.objective.value(found)
+                if found is None:  # nor will anything beyond
+                    break
+                start = found.v
+    ordered = tuple(FrontPoint(value, points[value]) for value in sorted(points))
     return Front(wanted, problem.objective.name, ordered)
+
+
+def _always_kept(_: object) -> bool:
+    return True

@@ -84,9 +84,7 @@ class TuningProblem:
         What the user should know.
     """
 
-    def __init__(
-        self, base: System, system: System, wanted: Requirements, objective: str
-    ) -> None:
+    def __init__(self, base: System, system: System, wanted: Requirements, objective: str) -> None:
         self.base, self.system, self.wanted = base, system, wanted
         self.notes: list[str] = []
         self.box = _box(system, wanted.box)
@@ -106,7 +104,8 @@ class TuningProblem:
         name = {"peak": "peak_input"}.get(objective, objective)
         if getattr(self.wanted, name) is not None:
             raise InputError(
-                name, f"is what is optimised, so it cannot be a limit (objective {objective})",
+                name,
+                f"is what is optimised, so it cannot be a limit (objective {objective})",
                 remedy="Leave it out, or choose another --objective",
             )
 
@@ -120,8 +119,10 @@ class TuningProblem:
             return self._energy()
         if self._loop is None:
             raise InputError(
-                "objective", "a nonlinear loop has no exact longest period to be optimised",
-                "period", "Give --period as a limit, which is simulated, and optimise the error",
+                "objective",
+                "a nonlinear loop has no exact longest period to be optimised",
+                "period",
+                "Give --period as a limit, which is simulated, and optimise the error",
             )
         return self._edge(self._loop)
 
@@ -145,6 +146,11 @@ class TuningProblem:
         return limits
 
     @property
+    def is_linear(self) -> bool:
+        """Whether peaks and edges are computed and not simulated."""
+        return self._linear is not None
+
+    @property
     def first(self) -> Candidate:
         """The start's design: that of the base."""
         from certrack.tuning.families import family_of
@@ -165,7 +171,8 @@ class TuningProblem:
         best = certify(self.system, "fast").best
         if not best.verified:
             raise InputError(
-                "error", "must be given: the system's own design has no certified error",
+                "error",
+                "must be given: the system's own design has no certified error",
                 remedy="Give --error",
             )
         return Limit(self.error, best.bound)
@@ -211,7 +218,8 @@ class TuningProblem:
     def _delay_limit(self, margin: float) -> Limit:
         if self._loop is None:
             raise InputError(
-                "delay_margin", "needs a linear loop: a nonlinear one has no exact edge",
+                "delay_margin",
+                "needs a linear loop: a nonlinear one has no exact edge",
                 remedy="See what certrack margin says of the tuned file",
             )
         period = LEAST_PERIOD if self._drive is None else self._drive.period

@@ -41,9 +41,7 @@ class Quantity(ABC):
 
     def log_gradient(self, candidate: Candidate) -> np.ndarray:
         """Gradient of its logarithm by v; by central differences if a class has nothing better."""
-        pairs = [
-            (self.value(above), self.value(below)) for above, below in candidate.neighbours
-        ]
+        pairs = [(self.value(above), self.value(below)) for above, below in candidate.neighbours]
         return np.array([logarithm(a) - logarithm(b) for a, b in pairs]) / (2 * DIFFERENCE)
 
 

@@ -46,7 +46,7 @@ class Grid:
         order = system.controller.coordinates.q + 1
         ends = np.array([0.0, *STRETCHES]) * system.settings.duration
         steps, signals = [], []
-        for low, high in zip(ends, ends[1:]):
+        for low, high in zip(ends[:-1], ends[1:], strict=True):
             times = np.linspace(low, high, STEPS * refined + 1)
             steps.append(float(times[1] - times[0]))
             signals.append(np.array(system.reference.values(times, order)))

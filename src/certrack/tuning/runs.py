@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -49,8 +50,11 @@ class Runs:
         """Of one run; None if it did not finish."""
         key = candidate.law, x0, duration
         if key not in self._metrics:
-            settings = {"x0": x0, "duration": duration, "tail": tail, "tolerance": RUN_TOLERANCE}
-            run = self._simulator.run(candidate.system.with_settings(**settings))
+            base = candidate.base
+            settings = replace(
+                base.settings, x0=x0, duration=duration, tail=tail, tolerance=RUN_TOLERANCE
+            )
+            run = self._simulator.run(base.replace(law=candidate.law, settings=settings))
             finished = run.outcome is Outcome.finished
             self._metrics[key] = run.metrics if finished else None
         return self._metrics[key]
@@ -105,7 +109,7 @@ class Held:
     """
 
     def __init__(self, system: System, period: float) -> None:
-        self.period, self._sampled = period, None
+        self.period = period
         self._system = system.replace(implementation=Implementation(period))
         self._runs = Runs(system)
         self._simulator: Simulator | None = None

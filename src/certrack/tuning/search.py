@@ -20,7 +20,7 @@ from certrack.tuning.quantities import log_of, slope_of
 AIMED_INSIDE, KEPT_INSIDE = 1e-4, 1e-5
 
 #: Iterations of one start, and the change of the logarithm that ends them.
-ITERATIONS, ACCURACY = 60, 1e-6
+ITERATIONS, ACCURACY = 40, 1e-5
 
 #: Standard deviation of the starts about the first, in logarithms of gains.
 SPREAD = 0.7
@@ -90,9 +90,7 @@ class Search:
 
         def margins(point: np.ndarray) -> np.ndarray:
             candidate = at(point)
-            return np.array(
-                [-AIMED_INSIDE - limit.excess(candidate) for limit in self.task.limits]
-            )
+            return np.array([-AIMED_INSIDE - limit.excess(candidate) for limit in self.task.limits])
 
         def slopes(point: np.ndarray) -> np.ndarray:
             candidate = at(point)
@@ -166,9 +164,7 @@ def prices(task: Task, candidate: Candidate) -> list[Price]:
 
     At the optimum grad log f + sum_i m_i grad log g_i = 0 with m_i >= 0: m_i by least squares.
     """
-    active: Sequence[Limit] = [
-        limit for limit in task.limits if limit.excess(candidate) > -ACTIVE
-    ]
+    active: Sequence[Limit] = [limit for limit in task.limits if limit.excess(candidate) > -ACTIVE]
     if not active:
         return []
     slopes = np.array([limit.gradient(candidate) for limit in active])

@@ -87,7 +87,9 @@ class StabilityEdge(Quantity):
         return float(brentq(lambda T: self._log_radius(loop, T), low, high, rtol=EDGE_ACCURACY))
 
     def _log_radius(self, loop: LinearLoop, value: float) -> float:
-        T, d = (value, self._delay) if self._period is None else (self._period, value / self._period)
+        T, d = (
+            (value, self._delay) if self._period is None else (self._period, value / self._period)
+        )
         radius = loop.radius(T, d)
         return math.log(radius) if 0 < radius < math.inf else (-50.0 if not radius else 50.0)
 

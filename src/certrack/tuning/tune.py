@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from certrack.certificates.certificate import NoCertificate
 from certrack.core import checks
 from certrack.core.errors import Cancelled, InputError
@@ -22,7 +20,6 @@ from certrack.systems.system import System, require_system
 from certrack.tuning.conflict import conflict
 from certrack.tuning.families import Family, family_of
 from certrack.tuning.front import sweep
-from certrack.tuning.limits import Task
 from certrack.tuning.measure import measured
 from certrack.tuning.problem import OBJECTIVES, Requirements, TuningProblem
 from certrack.tuning.result import ActiveLimit, Front, Tuned
@@ -30,6 +27,9 @@ from certrack.tuning.search import Search, prices, random_starts
 
 #: Starts of a search that is asked for by mistake would take days.
 MAX_STARTS = 10_000
+
+#: Starts of a search, and of one whose inputs are simulated.
+LINEAR_STARTS, NONLINEAR_STARTS = 8, 2
 
 #: The price of a limit is told for this ease of it.
 EASED = 0.1
@@ -48,7 +48,7 @@ def tune(
     feedforward: int | None = None,
     law: str | None = None,
     box: Sequence[tuple[float, float]] | None = None,
-    starts: int = 8,
+    starts: int | None = None,
     seed: int = 0,
     front: str | None = None,
     progress: Progress = silent,
@@ -81,8 +81,9 @@ def tune(
         Kind of the law; the system's own if left out.
     box : pairs (low, high), optional
         The box of starts; that of the population if left out.
-    starts : int
-        Searches: the first from the system's gains, the others from random ones about them.
+    starts : int, optional
+        Searches: the first from the system's gains, the others from random ones about them. If left
+        out 8, or 2 for a nonlinear loop, whose inputs are simulated.
     seed : int
         Of these. The same seed gives the same design.
     front : str, optional
@@ -110,7 +111,8 @@ def tune(
     """
     require_system(system)
     checks.choice("objective", objective, OBJECTIVES)
-    count = checks.integer("starts", starts, 1, MAX_STARTS)
+    if starts is not None:
+        checks.integer("starts", starts, 1, MAX_STARTS)
     checks.integer("seed", seed, 0, 2**63 - 1)
     wanted = Requirements(
         error=error,
@@ -126,6 +128,7 @@ def tune(
         problem = TuningProblem(base, system, wanted, objective)
     except NoCertificate as refusal:
         raise InputError("tune", f"there is no certificate to tune: {refusal}") from None
+    count = starts or (LINEAR_STARTS if problem.is_linear else NONLINEAR_STARTS)
     search = _searched(problem, family, count, seed, progress)
     best = search.state.best
     if best is None:
@@ -136,6 +139,7 @@ def tune(
         ActiveLimit(price.limit.name, price.limit.value, price.gain(EASED))
         for price in prices(task, best)
     )
+    programs = problem.error.programs
     curve: Front | None = None
     if front is not None:
         curve = sweep(problem, family, best, front, progress)
@@ -147,7 +151,7 @@ def tune(
         after=measured(replace(tuned, implementation=system.implementation), box_used, seed),
         limits=tuple(limit.describe() for limit in task.limits),
         active=active,
-        programs=problem.error.programs,
+        programs=programs,
         programs_per_start=tuple(search.state.programs_per_start),
         seed=seed,
         front=curve,

@@ -81,7 +81,7 @@ def semidefinite_estimate(
     solution = program.solution(point, alpha)
     if not solution.bound > 0:
         return None
-    scaled_P, multipliers = program.parts(point.x)
+    scaled_P, (lam, nu, k) = program.parts(point.x)
     size = problem.n + sum(problem.counts)
     Z = point.z[: size * (size + 1) // 2]
     value = float(point.cost @ point.x)
@@ -90,7 +90,7 @@ def semidefinite_estimate(
     def lagrangian(other: ErrorProblem, rate: float) -> float:
         """z . G x + c . x as the problem and alpha have it, but for what does not change."""
         Q = program.scaling.applied(other).inequality(
-            scaled_P, *multipliers, program.scaling.rate(rate)
+            scaled_P, lam, nu, k, program.scaling.rate(rate)
         )
         total = float(Z @ svec(Q))
         if other.adaptation is not None:

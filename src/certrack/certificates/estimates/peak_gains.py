@@ -78,7 +78,9 @@ class _Kernels:
     stacks: list[list[np.ndarray]]
 
 
-def peak_estimate(problem: ErrorProblem, *, gradient: bool = True) -> PeakEstimate:
+def peak_estimate(
+    problem: ErrorProblem, *, gradient: bool = True, step: float | None = None
+) -> PeakEstimate:
     """The bound by peak gains of a problem without estimates, in plant coordinates.
 
     Parameters
@@ -86,34 +88,33 @@ def peak_estimate(problem: ErrorProblem, *, gradient: bool = True) -> PeakEstima
     problem : ErrorProblem
         In floats, with x = e + Xy y.
     gradient : bool
-        Whether its gradient is wanted.
+        Whether its gradient is wanted; the step is held fixed in it.
+    step : float, optional
+        First step of the grid, s; a part of the fastest time constant if left out.
     """
-    na, nb, ny = problem.counts
+    na, nb, _ = problem.counts
     B = np.hstack([problem.Ua, problem.Ub, problem.Uy])
     poles = np.linalg.eigvals(problem.M)
     slowest = -float(poles.real.max())
     if not slowest > 0 or not np.isfinite(B).all():
         return NO_PEAK
-    kernels = _kernels(problem.M, B, float(np.abs(poles).max()), slowest)
+    step = FIRST_STEP / float(np.abs(poles).max()) if step is None else step
+    kernels = _kernels(problem.M, B, step, slowest)
     gains = _integrals_of_magnitude(kernels)
     fixed = _fixed_point(problem, gains, na)
     if fixed is None:
         return NO_PEAK
-    v, sizes, slope = fixed
+    sizes, slope = fixed
     shares = gains[0] * sizes
     found = PeakEstimate(float(shares.sum()), shares, None)
     if not gradient:
         return found
     weights = _weights(gains, sizes, slope, na)
     by_M, by_B = _back(kernels, problem.M, weights)
-    by_Uy = by_B[:, na + nb :]
-    static = np.sign(problem.Xy)  # of no gain: x = xi + Xy y
-    assert static.shape[1] == ny
-    return PeakEstimate(found.bound, shares, DataGradient(by_M, by_Uy))
+    return PeakEstimate(found.bound, shares, DataGradient(by_M, by_B[:, na + nb :]))
 
 
-def _kernels(M: np.ndarray, B: np.ndarray, fastest: float, slowest: float) -> _Kernels:
-    step = FIRST_STEP / fastest
+def _kernels(M: np.ndarray, B: np.ndarray, step: float, slowest: float) -> _Kernels:
     end = math.log(1 / LEFT_OVER) / slowest
     power, start, t = expm(M * step), B, 0.0
     powers, stacks = [power], []
@@ -159,8 +160,8 @@ def _ends(kernels: _Kernels, block: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _fixed_point(
     problem: ErrorProblem, gains: np.ndarray, na: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Bounds v of |x_j|, the size of every input at them, and the slope of the a-inputs' sizes."""
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Sizes of the inputs at the states' bounds v, and by v the slope of the a-inputs' sizes."""
     n = problem.n
     static = np.abs(problem.Xy).sum(axis=1)
     sizes = np.ones(gains.shape[1])
@@ -186,7 +187,7 @@ def _fixed_point(
         sizes[i] = size
         if size > 0:
             slope[i] = S.T @ image / size
-    return v, sizes, slope
+    return sizes, slope
 
 
 def _newton(
@@ -197,7 +198,10 @@ def _newton(
         images = [S @ v for S in norms]
         sizes = np.array([np.linalg.norm(image) for image in images])
         slope = np.array(
-            [S.T @ image / (size or 1.0) for S, image, size in zip(norms, images, sizes, strict=True)]
+            [
+                S.T @ image / (size or 1.0)
+                for S, image, size in zip(norms, images, sizes, strict=True)
+            ]
         )
         loop = through @ slope
         if np.abs(np.linalg.eigvals(loop)).max() >= 1:
@@ -229,9 +233,7 @@ def _weights(gains: np.ndarray, sizes: np.ndarray, slope: np.ndarray, na: int) -
     return weights
 
 
-def _back(
-    kernels: _Kernels, M: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _back(kernels: _Kernels, M: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of sum weights * gains by M and by B."""
     by_powers = [np.zeros_like(power) for power in kernels.powers]
     by_next = np.zeros_like(kernels.stacks[0][0][:, 0])  # by the first node of the next block
