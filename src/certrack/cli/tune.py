@@ -129,9 +129,9 @@ class _options_named:
 
     def __exit__(self, _kind: Any, problem: BaseException | None, _trace: Any) -> None:
         if isinstance(problem, InputError):
-            name, mark, rest = problem.key.partition("[")
+            name, mark, index = problem.key.partition("[")
             if name in OPTIONS:
-                problem.key = f"--{name.replace('_', '-')}{mark}{rest}"
+                problem.key = f"--{name.replace('_', '-')}{mark}{index}"
 
 
 #: Arguments of certrack.tune that are options of the verb.

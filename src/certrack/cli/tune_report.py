@@ -25,7 +25,7 @@ def tuned_table(result: Tuned, units: Sequence[str] | None) -> Table:
     output = f" [{units[0]}]" if units and units[0] not in ("", "1") else ""
     entries = [
         (f"certified error{output}", "certified"),
-        (f"worst error found{output}", "found"),
+        (f"worst error found{output}", "worst_found"),
         (f"tail error, simulated{output}", "tail_error"),
         ("peak input, over the box of starts", "peak_input"),
         ("input energy", "energy"),

@@ -53,15 +53,15 @@ def front_figure(front: Front, title: str, units: Sequence[str] | None = None) -
     factor, unit = (
         time_unit(*(p.limit for p in front.points)) if front.limit in TIMES else (1.0, "")
     )
-    kept = [(factor * p.limit, p.objective) for p in front.points if p.objective is not None]
+    feasible = [(factor * p.limit, p.objective) for p in front.points if p.objective is not None]
     lost = [factor * p.limit for p in front.points if p.objective is None]
     output, force = (units[0], units[-1]) if units else ("", "")
     with style():
         drawing = new_figure(4.5, 3.2)
         ax = drawing.subplots()
-        if kept:
-            ax.plot(*zip(*kept, strict=True), ".-")
-            sizes = [size for _, size in kept]
+        if feasible:
+            ax.plot(*zip(*feasible, strict=True), ".-")
+            sizes = [size for _, size in feasible]
             if max(sizes) > LOGARITHMIC_FROM * min(sizes):
                 ax.set_yscale("log")
         ax.set_xscale("log")

@@ -8,10 +8,10 @@ from certrack.core.errors import InputError
 from certrack.tuning.families import Family
 from certrack.tuning.limits import Limit
 from certrack.tuning.problem import TuningProblem
-from certrack.tuning.search import Search
+from certrack.tuning.search import GainSearch
 
 
-def conflict(problem: TuningProblem, family: Family, search: Search) -> InputError:
+def conflict(problem: TuningProblem, family: Family, search: GainSearch) -> InputError:
     """The refusal: the limit that cannot be kept, and how far it can."""
     nearest = search.state.nearest
     limits = problem.task.limits
@@ -60,7 +60,7 @@ def _best_achievable(problem: TuningProblem, family: Family, limit: Limit) -> fl
         limits=others,
         accepts=_always,
     )
-    search = Search(problem.base, task)
+    search = GainSearch(problem.base, task)
     search.run(family, family.start)
     best = search.state.best
     return None if best is None else limit.quantity.value(best)

@@ -22,13 +22,13 @@ from certrack.systems.system import System
 
 #: Gains are searched between these, over those of the start: nobody means a gain that is 1e4 times
 #: another, and the recursion's coefficients are powers of them.
-LEAST_FACTOR, LARGEST_FACTOR = 1e-3, 1e3
+LOWEST_GAIN, HIGHEST_GAIN = 1e-3, 1e3
 
 #: Significant digits of a gain in the tuned file.
 GAIN_DIGITS = 6
 
 #: alpha over the fastest rate, where it is a variable: at the start, and its limits.
-START_SHARE, SHARES = 0.4, (0.02, 0.97)
+ALPHA_SHARE, SHARES = 0.4, (0.02, 0.97)
 
 
 class Family(ABC):
@@ -49,13 +49,13 @@ class Family(ABC):
     def __init__(self, system: System, feedforward: int) -> None:
         self.plant = system.plant
         self.base = self._base(system.law, feedforward)
-        numbers = [*self._numbers(self.base), *([START_SHARE] if self.has_share else [])]
+        numbers = [*self._numbers(self.base), *([ALPHA_SHARE] if self.has_share else [])]
         self.start = np.log(np.array(numbers, dtype=float))
 
     @property
     def low(self) -> np.ndarray:
         """Lower ends of v."""
-        low: np.ndarray = self.start + np.log(LEAST_FACTOR)
+        low: np.ndarray = self.start + np.log(LOWEST_GAIN)
         if self.has_share:
             low[-1] = np.log(SHARES[0])
         return low
@@ -63,7 +63,7 @@ class Family(ABC):
     @property
     def high(self) -> np.ndarray:
         """Upper ends of v."""
-        high: np.ndarray = self.start + np.log(LARGEST_FACTOR)
+        high: np.ndarray = self.start + np.log(HIGHEST_GAIN)
         if self.has_share:
             high[-1] = np.log(SHARES[1])
         return high
@@ -134,14 +134,14 @@ class AdaptiveFamily(RobustFamily):
     def _numbers(self, law: Law) -> list[float]:
         assert isinstance(law, Adaptive)
         Gamma = [1.0] * self.plant.r if law.Gamma is None else [float(v) for v in law.Gamma]
-        own = [law.gain_rate, law.leak_gain, law.leak_theta, *Gamma]
-        return super()._numbers(law) + own
+        adaptation = [law.gain_rate, law.leak_gain, law.leak_theta, *Gamma]
+        return super()._numbers(law) + adaptation
 
     def _with(self, values: np.ndarray) -> Law:
         first = len(super()._numbers(self.base))
         law = super()._with(values[:first])
-        own = values[first : first + 3 + self.plant.r]
-        gain_rate, leak_gain, leak_theta, *Gamma = map(float, own)
+        adaptation = values[first : first + 3 + self.plant.r]
+        gain_rate, leak_gain, leak_theta, *Gamma = map(float, adaptation)
         assert isinstance(law, Adaptive)
         return replace(
             law,
@@ -158,7 +158,7 @@ FAMILIES: Mapping[str, type[Family]] = {
 }
 
 
-def family_of(system: System, kind: str, feedforward: int) -> Family:
+def tuning_family(system: System, kind: str, feedforward: int) -> Family:
     """The family in which `system` is tuned.
 
     Raises

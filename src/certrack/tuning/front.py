@@ -13,10 +13,10 @@ from certrack.tuning.candidate import Candidate
 from certrack.tuning.families import Family
 from certrack.tuning.problem import TuningProblem
 from certrack.tuning.result import Front, FrontPoint
-from certrack.tuning.search import Search
+from certrack.tuning.search import GainSearch
 
 #: Points of a front, and how far it goes to either side of the limit.
-POINTS, REACH = 9, 4.0
+FRONT_POINTS, FRONT_REACH = 9, 4.0
 
 
 def sweep(
@@ -38,23 +38,23 @@ def sweep(
     middle = swept[0].value
     if not swept[0].option:  # one that is always in force, and mostly far away
         middle = swept[0].quantity.value(best)
-    steps = REACH ** (np.arange(1, POINTS // 2 + 1) / (POINTS // 2))
+    steps = FRONT_REACH ** (np.arange(1, FRONT_POINTS // 2 + 1) / (FRONT_POINTS // 2))
     others = tuple(limit for limit in limits if limit.name != wanted)
     points: dict[float, float | None] = {}
     with suppress(KeyboardInterrupt, Cancelled):
         for branch in ((middle, *(middle * steps)), tuple(middle / steps)):
             start = best.v
             for value in map(float, branch):
-                progress(len(points), POINTS, None)
+                progress(len(points), FRONT_POINTS, None)
                 moved = tuple(replace(limit, value=value) for limit in swept)
                 task = replace(problem.task, limits=(*others, *moved), accepts=_always_kept)
-                search = Search(problem.base, task)
+                search = GainSearch(problem.base, task)
                 search.run(family, start)
-                found = search.state.best
-                points[value] = None if found is None else problem.objective.value(found)
-                if found is None:  # nor will anything beyond
+                best_here = search.state.best
+                points[value] = None if best_here is None else problem.objective.value(best_here)
+                if best_here is None:  # nor will anything beyond
                     break
-                start = found.v
+                start = best_here.v
     ordered = tuple(FrontPoint(value, points[value]) for value in sorted(points))
     return Front(wanted, problem.objective.name, ordered)
 

@@ -39,7 +39,7 @@ class Measured:
         The best verified bound of limsup |e_1|; inf if there is none.
     method : str
         Of that certificate.
-    found : float or None
+    worst_found : float or None
         The worst |e_1| that the falsifier found.
     tail_error, energy, input_variation : float
         Of the file's own run.
@@ -53,7 +53,7 @@ class Measured:
 
     certified: float
     method: str
-    found: float | None
+    worst_found: float | None
     tail_error: float
     peak_input: float
     energy: float
@@ -63,10 +63,11 @@ class Measured:
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
-        return asdict(self)
+        entries = asdict(self)
+        return {"found" if name == "worst_found" else name: v for name, v in entries.items()}
 
 
-def measured(system: System, box: np.ndarray | None, seed: int) -> Measured:
+def figures_of(system: System, box: np.ndarray | None, seed: int) -> Measured:
     """The figures of a system."""
     result = certify(system, "fast")
     best = result.best
@@ -75,7 +76,7 @@ def measured(system: System, box: np.ndarray | None, seed: int) -> Measured:
     return Measured(
         certified=best.bound if best.verified else math.inf,
         method=best.kind if best.verified else "",
-        found=_falsified(system, seed),
+        worst_found=_falsified(system, seed),
         tail_error=metrics.tail_error,
         peak_input=metrics.peak_input if box is None else box_peak(system, box, seed),
         energy=metrics.input_energy,
@@ -109,8 +110,8 @@ def box_peak(system: System, box: np.ndarray, seed: int) -> float:
     peaks = [simulate(system, x0=tuple(corner)).metrics.peak_input for corner in corners(box)]
     starts = tuple(Distribution("uniform", tuple(ends)) for ends in box)
     population = replace(system.varied, x0=starts, disturbance="file", estimates=None)
-    found = ensemble(system.replace(population=population), members=PEAK_MEMBERS, seed=seed)
-    largest = found.statistics.metrics["peak_input"].summary()["max"]
+    members = ensemble(system.replace(population=population), members=PEAK_MEMBERS, seed=seed)
+    largest = members.statistics.metrics["peak_input"].summary()["max"]
     finite = [peak for peak in (*peaks, largest) if peak is not None]
     return float(max(finite)) if len(finite) == len(peaks) + 1 else math.inf
 

@@ -27,10 +27,10 @@ from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, LinearPlant
 from certrack.tuning.runs import (
     MOST_CORNERS,
     TRANSIENT_PART,
+    CompiledRuns,
     CornerPeak,
     Held,
     RunEnergy,
-    Runs,
     corners,
 )
 from certrack.tuning.stability import DelayEdge, StabilityEdge
@@ -92,7 +92,7 @@ class TuningProblem:
         self._linear = LinearPlant.of(base)
         self._drive = system.implementation
         self._loop = self._held_loop()
-        self._runs: Runs | None = None
+        self._runs: CompiledRuns | None = None
         self.noise = NoiseGain(base)
         self._refuse_twice(objective)
         self.objective = self._objective(objective)
@@ -153,9 +153,9 @@ class TuningProblem:
     @property
     def first(self) -> Candidate:
         """The start's design: that of the base."""
-        from certrack.tuning.families import family_of
+        from certrack.tuning.families import tuning_family
 
-        family = family_of(self.base, self.base.law.kind, self.base.law.order(self.base.plant))
+        family = tuning_family(self.base, self.base.law.kind, self.base.law.order(self.base.plant))
         return Candidate(family, self.base, family.start)
 
     @property
@@ -202,9 +202,9 @@ class TuningProblem:
             return LinearEnergy(self._linear, Grid.of(self.base), np.array(settings.x0))
         return RunEnergy(self._compiled(), settings.x0, settings.duration)
 
-    def _compiled(self) -> Runs:
+    def _compiled(self) -> CompiledRuns:
         if self._runs is None:
-            self._runs = Runs(self.base)
+            self._runs = CompiledRuns(self.base)
         return self._runs
 
     def _held_loop(self) -> LinearLoop | None:

@@ -91,15 +91,15 @@ class PeakGainError(Quantity):
         return self._estimate(candidate).bound
 
     def log_gradient(self, candidate: Candidate) -> np.ndarray:
-        found = self._estimate(candidate)
-        if found.gradient is None:
+        estimate = self._estimate(candidate)
+        if estimate.gradient is None:
             return np.zeros(len(candidate.v))
         slopes = []
         for above, below in candidate.neighbours:
             high, low = (self._loop.with_design(point.design) for point in (above, below))
-            change = (found.gradient.M * (high.M - low.M)).sum()
-            change += (found.gradient.Uy * (high.Uy - low.Uy)).sum()
-            slopes.append(change / (2 * DIFFERENCE * found.bound))
+            change = (estimate.gradient.M * (high.M - low.M)).sum()
+            change += (estimate.gradient.Uy * (high.Uy - low.Uy)).sum()
+            slopes.append(change / (2 * DIFFERENCE * estimate.bound))
         return np.array(slopes)
 
     def _estimate(self, candidate: Candidate) -> PeakEstimate:
@@ -126,14 +126,14 @@ class SemidefiniteError(Quantity):
         self._last: tuple[Candidate, SemidefiniteEstimate | None] | None = None
 
     def value(self, candidate: Candidate) -> float:
-        found = self._estimate(candidate)
-        return math.inf if found is None else found.bound
+        estimate = self._estimate(candidate)
+        return math.inf if estimate is None else estimate.bound
 
     def log_gradient(self, candidate: Candidate) -> np.ndarray:
-        found = self._estimate(candidate)
-        if found is None:
+        estimate = self._estimate(candidate)
+        if estimate is None:
             return np.zeros(len(candidate.v))
-        return np.append(found.log_gradient, found.by_log_share)
+        return np.append(estimate.log_gradient, estimate.by_log_share)
 
     def problem(self, candidate: Candidate) -> ErrorProblem:
         """The error system of a candidate."""
@@ -159,8 +159,8 @@ class SemidefiniteError(Quantity):
                 for above, below in candidate.neighbours[:-1]
             ]
             share = math.exp(candidate.v[-1])
-            found = semidefinite_estimate(self.problem(candidate), share, pairs, DIFFERENCE)
-            self._last = candidate, found
+            estimate = semidefinite_estimate(self.problem(candidate), share, pairs, DIFFERENCE)
+            self._last = candidate, estimate
         return self._last[1]
 
 

@@ -23,7 +23,7 @@ from certrack.tuning.quantities import Quantity
 
 #: Steps of each stretch of the grid; ends of the stretches as parts of the run, since what happens
 #: early happens fast.
-STEPS, STRETCHES = 512, (1 / 256, 1 / 32, 1 / 4, 1.0)
+STRETCH_STEPS, STRETCHES = 512, (1 / 256, 1 / 32, 1 / 4, 1.0)
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Grid:
     Attributes
     ----------
     steps : width of the steps of each stretch, s
-    signals : one (q + 2, STEPS + 1) array for each stretch
+    signals : one (q + 2, STRETCH_STEPS + 1) array for each stretch
         y_d ... y_d^(q+1).
     """
 
@@ -47,7 +47,7 @@ class Grid:
         ends = np.array([0.0, *STRETCHES]) * system.settings.duration
         steps, signals = [], []
         for low, high in zip(ends[:-1], ends[1:], strict=True):
-            times = np.linspace(low, high, STEPS * refined + 1)
+            times = np.linspace(low, high, STRETCH_STEPS * refined + 1)
             steps.append(float(times[1] - times[0]))
             signals.append(np.array(system.reference.values(times, order)))
         return cls(tuple(steps), tuple(signals))
@@ -140,8 +140,8 @@ def _ramp_step(M: np.ndarray, b: np.ndarray, h: float) -> tuple[np.ndarray, np.n
     block = np.zeros((n + 2, n + 2))
     block[:n, :n], block[:n, n], block[n, n + 1] = M * h, b * h, 1.0
     step = expm(block)
-    whole, ramp = step[:n, n], step[:n, n + 1]
-    return step[:n, :n], whole - ramp, ramp
+    area, ramp = step[:n, n], step[:n, n + 1]
+    return step[:n, :n], area - ramp, ramp
 
 
 def _states(E: np.ndarray, x: np.ndarray, forced: np.ndarray) -> np.ndarray:

@@ -37,7 +37,7 @@ def corners(box: np.ndarray) -> np.ndarray:
     return points[:: math.ceil(len(points) / ALL_CORNERS)]
 
 
-class Runs:
+class CompiledRuns:
     """Runs of the continuous loop for any gains, compiled once; kept by law and start."""
 
     def __init__(self, system: System) -> None:
@@ -63,7 +63,7 @@ class Runs:
 class RunQuantity(Quantity):
     """A metric of a run; its gradient is by wider differences, on one side."""
 
-    def __init__(self, runs: Runs, x0: tuple[float, ...], duration: float) -> None:
+    def __init__(self, runs: CompiledRuns, x0: tuple[float, ...], duration: float) -> None:
         self._runs, self._x0, self._duration = runs, x0, duration
 
     def log_gradient(self, candidate: Candidate) -> np.ndarray:
@@ -87,8 +87,8 @@ class CornerPeak(RunQuantity):
     name = "peak input"
 
     def value(self, candidate: Candidate) -> float:
-        found = self._metrics(candidate)
-        return math.inf if found is None else found.peak_input
+        metrics = self._metrics(candidate)
+        return math.inf if metrics is None else metrics.peak_input
 
 
 class RunEnergy(RunQuantity):
@@ -97,8 +97,8 @@ class RunEnergy(RunQuantity):
     name = "energy"
 
     def value(self, candidate: Candidate) -> float:
-        found = self._metrics(candidate)
-        return math.inf if found is None else found.input_energy
+        metrics = self._metrics(candidate)
+        return math.inf if metrics is None else metrics.input_energy
 
 
 class Held:
@@ -111,7 +111,7 @@ class Held:
     def __init__(self, system: System, period: float) -> None:
         self.period = period
         self._system = system.replace(implementation=Implementation(period))
-        self._runs = Runs(system)
+        self._runs = CompiledRuns(system)
         self._simulator: Simulator | None = None
 
     def holds(self, candidate: Candidate) -> bool:

@@ -20,7 +20,7 @@ from certrack.tuning.quantities import log_of, slope_of
 AIMED_INSIDE, KEPT_INSIDE = 1e-4, 1e-5
 
 #: Iterations of one start, and the change of the logarithm that ends them.
-ITERATIONS, ACCURACY = 40, 1e-5
+MOST_ITERATIONS, ACCURACY = 40, 1e-5
 
 #: Standard deviation of the starts about the first, in logarithms of gains.
 SPREAD = 0.7
@@ -55,8 +55,8 @@ class SearchState:
     programs_per_start: list[int] = field(default_factory=list)
 
 
-class Search:
-    """Runs one task from many starts.
+class GainSearch:
+    """CompiledRuns one task from many starts.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Search:
             method="SLSQP",
             bounds=list(zip(family.low, family.high, strict=True)),
             constraints=constraints if self.task.limits else (),
-            options={"maxiter": ITERATIONS, "ftol": ACCURACY},
+            options={"maxiter": MOST_ITERATIONS, "ftol": ACCURACY},
         )
 
     def _objective(self, candidate: Candidate) -> tuple[float, np.ndarray]:

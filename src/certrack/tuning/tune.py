@@ -18,12 +18,12 @@ from certrack.core.errors import Cancelled, InputError
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system
 from certrack.tuning.conflict import conflict
-from certrack.tuning.families import Family, family_of
+from certrack.tuning.families import Family, tuning_family
 from certrack.tuning.front import sweep
-from certrack.tuning.measure import measured
+from certrack.tuning.measure import figures_of
 from certrack.tuning.problem import OBJECTIVES, Requirements, TuningProblem
 from certrack.tuning.result import ActiveLimit, Front, Tuned
-from certrack.tuning.search import Search, prices, random_starts
+from certrack.tuning.search import GainSearch, prices, random_starts
 
 #: Starts of a search that is asked for by mistake would take days.
 MAX_STARTS = 10_000
@@ -147,8 +147,8 @@ def tune(
     return Tuned(
         system=replace(tuned, implementation=system.implementation),
         objective=objective,
-        before=measured(system, box_used, seed),
-        after=measured(replace(tuned, implementation=system.implementation), box_used, seed),
+        before=figures_of(system, box_used, seed),
+        after=figures_of(replace(tuned, implementation=system.implementation), box_used, seed),
         limits=tuple(limit.describe() for limit in task.limits),
         active=active,
         programs=programs,
@@ -165,7 +165,7 @@ def _family(system: System, law: str | None, feedforward: int | None) -> tuple[F
     q = system.law.order(system.plant) if feedforward is None else feedforward
     q = checks.integer("feedforward", q, 0, system.plant.n - 1)
     kind = system.law.kind if law is None else law
-    family = family_of(system, kind, q)
+    family = tuning_family(system, kind, q)
     changes: dict[str, Any] = {"law": family.law(family.start), "implementation": None}
     if family.kind != system.law.kind:
         changes["settings"] = replace(system.settings, estimates=None)
@@ -174,14 +174,14 @@ def _family(system: System, law: str | None, feedforward: int | None) -> tuple[F
 
 def _searched(
     problem: TuningProblem, family: Family, count: int, seed: int, progress: Progress
-) -> Search:
+) -> GainSearch:
     """The search, from all starts or until the user ends it."""
     done = 0
 
     def best_of(score: float) -> float | None:
         return math.exp(problem.task.sign * score) if math.isfinite(score) else None
 
-    search = Search(
+    search = GainSearch(
         problem.base, problem.task, lambda state: progress(done, count, best_of(state.score))
     )
     try:

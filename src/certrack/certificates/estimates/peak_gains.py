@@ -30,7 +30,7 @@ FIRST_STEP, BLOCK_POWER = 0.03, 7
 LEFT_OVER, MOST_BLOCKS = 1e-7, 40
 
 #: Steps of the fixed point, and what counts as standing still.
-FIXED_POINT_STEPS, STANDS_STILL = 200, 1e-13
+MOST_PASSES, PASS_ACCURACY = 200, 1e-13
 
 #: A bound that grew to this has no fixed point.
 DIVERGED = 1e30
@@ -106,12 +106,12 @@ def peak_estimate(
         return NO_PEAK
     sizes, slope = fixed
     shares = gains[0] * sizes
-    found = PeakEstimate(float(shares.sum()), shares, None)
+    estimate = PeakEstimate(float(shares.sum()), shares, None)
     if not gradient:
-        return found
+        return estimate
     weights = _weights(gains, sizes, slope, na)
     by_M, by_B = _back(kernels, problem.M, weights)
-    return PeakEstimate(found.bound, shares, DataGradient(by_M, by_B[:, na + nb :]))
+    return PeakEstimate(estimate.bound, shares, DataGradient(by_M, by_B[:, na + nb :]))
 
 
 def _kernels(M: np.ndarray, B: np.ndarray, step: float, slowest: float) -> _Kernels:
@@ -145,7 +145,7 @@ def _integrals_of_magnitude(kernels: _Kernels) -> np.ndarray:
     """int |e^{Mt} B| dt: the kernels as straight lines from node to node."""
     total = 0.0
     for block in range(len(kernels.stacks)):
-        a, b = _ends(kernels, block)
+        a, b = _step_ends(kernels, block)
         size = np.abs(a) + np.abs(b)
         crossing = a * b < 0
         line = np.where(crossing, (a**2 + b**2) / np.where(size > 0, size, 1.0), size) / 2
@@ -153,7 +153,7 @@ def _integrals_of_magnitude(kernels: _Kernels) -> np.ndarray:
     return np.asarray(total)
 
 
-def _ends(kernels: _Kernels, block: int) -> tuple[np.ndarray, np.ndarray]:
+def _step_ends(kernels: _Kernels, block: int) -> tuple[np.ndarray, np.ndarray]:
     nodes = _nodes(kernels, block)
     return nodes[:, :-1], nodes[:, 1:]
 
@@ -168,12 +168,12 @@ def _fixed_point(
     constant = static + gains[:, na:].sum(axis=1)
     norms = _absolute_norms(problem, na)
     v = constant.copy()
-    for _ in range(FIXED_POINT_STEPS if na else 0):
+    for _ in range(MOST_PASSES if na else 0):
         sizes[:na] = [np.linalg.norm(S @ v) for S in norms]
         after = constant + gains[:, :na] @ sizes[:na]
         if not np.isfinite(after).all() or after.max() > DIVERGED:
             return None
-        still = bool((np.abs(after - v) <= STANDS_STILL * after).all())
+        still = bool((np.abs(after - v) <= PASS_ACCURACY * after).all())
         v = after
         if still:
             break
@@ -194,7 +194,7 @@ def _newton(
     constant: np.ndarray, through: np.ndarray, norms: list[np.ndarray], v: np.ndarray
 ) -> bool:
     """Whether a slow fixed point has a limit; v becomes it."""
-    for _ in range(FIXED_POINT_STEPS):
+    for _ in range(MOST_PASSES):
         images = [S @ v for S in norms]
         sizes = np.array([np.linalg.norm(image) for image in images])
         slope = np.array(
@@ -208,7 +208,7 @@ def _newton(
             return False
         step = np.linalg.solve(np.eye(len(v)) - loop, constant + through @ sizes - v)
         v += step
-        if (np.abs(step) <= STANDS_STILL * np.abs(v)).all():
+        if (np.abs(step) <= PASS_ACCURACY * np.abs(v)).all():
             return bool((v > 0).all())
     return False
 
@@ -239,7 +239,7 @@ def _back(kernels: _Kernels, M: np.ndarray, weights: np.ndarray) -> tuple[np.nda
     by_next = np.zeros_like(kernels.stacks[0][0][:, 0])  # by the first node of the next block
     for block in reversed(range(len(kernels.stacks))):
         h = kernels.step * 2.0**block
-        by_nodes = _by_nodes(*_ends(kernels, block), h, weights)
+        by_nodes = _by_nodes(*_step_ends(kernels, block), h, weights)
         stack = kernels.stacks[block]
         last, jump = by_nodes[:, -1] + by_next, block + BLOCK_POWER
         by_stack = by_nodes[:, :-1].copy()
