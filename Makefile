@@ -1,5 +1,5 @@
 # make demo   reproduces the paper on a fresh machine
-# make test   checks style, types and behaviour, and measures coverage
+# make test   checks style, types and behaviour; COVERAGE=--cov measures coverage too
 # make slow   runs the slow tail of the tests
 # make fuzz   looks for inputs that break it, for an hour or two; FUZZ="systems --seed 7" for some
 # make docs   builds the site, in build/site
@@ -8,7 +8,6 @@
 # make keys   writes what docs and starter file say of each key of a system file
 PYTHON ?= python3
 BIN := .venv/bin
-COVERAGE := --cov --cov-report=term
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 .PHONY: demo test slow bench mutants keys clean

@@ -29,7 +29,10 @@ from certrack.systems.system import Settings, System
 ROOT = Path(__file__).parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 #: Their commands or programs take long.
-LONG = {"README", "ensembles", "friction", "mismatch", "new-law", "sampled", "tuning", "tutorial"}
+LONG = {
+    *("README", "certificates", "deployment", "ensembles", "friction", "mismatch", "new-law"),
+    *("ranges", "sampled", "tuning", "tutorial"),
+}
 PARAMETERS = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.slow] * (page.stem in LONG))
     for page in PAGES

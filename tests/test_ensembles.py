@@ -326,8 +326,9 @@ def test_names_of_the_user_do_not_collide(method):
     found = certrack.ensemble(system, 8, method=method)
     tails = [found.run(i).metrics.tail_error for i in range(8)]
     assert found.summary()["tail_error"]["max"] == pytest.approx(max(tails), rel=2e-3)
-    with pytest.raises(InputError, match="reserved"):
-        certrack.loads(RENAMED.format(x1="kept_u_end", x2="x2"))
+    for name in ("kept_u_end", "mode_sign_0"):
+        with pytest.raises(InputError, match="reserved"):
+            certrack.loads(RENAMED.format(x1=name, x2="x2"))
 
 
 RENAMED = """

@@ -24,6 +24,7 @@ from certrack.laws.backstepping import ErrorCoordinates, Gains
 from certrack.laws.error_system import ErrorSystem
 from certrack.laws.recursion import recursion
 from certrack.laws.signals import Signals
+from certrack.model.names import NUMBER_PREFIXES
 from certrack.model.plant import MAX_ORDER, Plant
 
 
@@ -315,19 +316,12 @@ class Law(ABC):
         return Equations(u, tuple(zip(names, rates, strict=True)), tuple(equations.filters))
 
 
-#: Names that begin like this stand for numbers and memories of certrack's own.
-RESERVED_PREFIXES = (
-    *("law_", "ctl_", "kept_", "true_", "ref_", "piece_", "y_d_", "member_", "switch_"),
-    "integral_",
-)
-
-
 def _check_own_states(names: Sequence[str], used: Collection[str]) -> None:
     """Refuse names of own states that stand for something else already."""
     seen = set(used)
     for name in names:
         check_name("law", name)
-        if name.startswith(RESERVED_PREFIXES):
+        if name.startswith(NUMBER_PREFIXES):
             raise InputError("law", "names of own states must not begin so", name, "Rename it")
         if name in seen:
             raise InputError("law", "has a state of this name already", name, "Rename it")

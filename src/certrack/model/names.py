@@ -11,23 +11,15 @@ from certrack.core.expressions import check_name
 if TYPE_CHECKING:
     from certrack.model.plant import Plant
 
-#: Names and prefixes that a closed loop gives to its own signals.
-LOOP_SIGNALS = ("u", "e", "nu", "time", "state", "parameter", "member")
-LOOP_PREFIXES = (
-    "e_",
-    "lambda_",
-    "y_d",
-    "delta_",
-    "theta_",
-    "law_",
-    "true_",
-    "piece_",
-    "switch_",
+#: Beginnings of the names of certrack's own numbers and memories, which no formula may take.
+NUMBER_PREFIXES = (
+    *("law_", "ctl_", "kept_", "true_", "ref_", "piece_", "y_d_", "member_", "switch_", "mode_"),
     "integral_",
-    "kept_",
-    "ref_",
-    "ctl_",
 )
+
+#: Names and beginnings of names that a closed loop gives to its own signals.
+LOOP_SIGNALS = ("u", "e", "nu", "time", "state", "parameter", "member")
+LOOP_PREFIXES = ("e_", "lambda_", "y_d", "delta_", "theta_", *NUMBER_PREFIXES)
 
 
 def new_name(key: str, name: Any, used: Iterable[str]) -> str:
