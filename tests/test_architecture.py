@@ -152,6 +152,7 @@ def test_public_surface_is_frozen():
     assert certrack.__all__ == sorted(certrack.__all__)
     assert set(certrack.__all__) == {
         "Adaptive",
+        "BoundEstimate",
         "Bounds",
         "Cancellable",
         "Cancelled",
@@ -207,6 +208,7 @@ def test_public_surface_is_frozen():
         "check_assumption_1",
         "design",
         "ensemble",
+        "estimate",
         "export_c",
         "export_fmu",
         "export_st",
