@@ -377,6 +377,16 @@ def test_goals_of_example1():
 
 
 @pytest.mark.slow
+def test_a_drive_is_tuned_as_it_runs():
+    """The sampled loop's own bound gets smaller, and its limits stay proven never to be met."""
+    system = certrack.load("dual-motor-drive")
+    found = certrack.tune(system, starts=1)
+    assert found.before.method == found.after.method == "implemented"
+    assert found.after.certified < 0.9 * found.before.certified
+    assert certrack.certify(found.system).implemented.saturation == "inactive"
+
+
+@pytest.mark.slow
 def test_an_optimum_is_not_improved_by_a_global_search(tuned):
     """SciPy's `direct`, about the optimum, with the same limits as penalties."""
     system = certrack.load("dual-motor-lean")

@@ -77,7 +77,7 @@ def price_lines(result: Tuned) -> list[str]:
         lines[active.limit] = (
             f"active: {active.limit} {active.value:.5g}: {ease} {verb} {share:.2g} % {name}"
         )
-    return list(lines.values()) or ["no limit is active: a local optimum of the certificate"]
+    return list(lines.values()) or ["no limit is active"]
 
 
 def _front_lines(result: Tuned) -> list[str]:

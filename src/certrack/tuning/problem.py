@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.implemented import DrivePeak, ImplementedError
 from certrack.tuning.limits import Limit, Task
 from certrack.tuning.quantities import (
     NoiseGain,
@@ -23,7 +24,7 @@ from certrack.tuning.quantities import (
     Quantity,
     SemidefiniteError,
 )
-from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, LinearPlant
+from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, LinearPlant, StartPeak
 from certrack.tuning.runs import (
     MOST_CORNERS,
     TRANSIENT_PART,
@@ -39,6 +40,10 @@ OBJECTIVES = ("error", "peak", "energy", "period")
 
 #: The loop must be stable at so many times the file's period, or at this period without one, s.
 PERIODS_IN_HAND, LEAST_PERIOD = 3.0, 0.003
+
+#: Of the drive's saturation, the part that the nominal input from x0 may reach: the proof that it
+#: is never met needs the rest, for the uncertain terms.
+SATURATION_SHARE = 0.9
 
 #: The noise gain may become so many times that of the start's design.
 NOISE_FACTOR = 10.0
@@ -133,6 +138,7 @@ class TuningProblem:
         if wanted.peak_input is not None:
             peaks = self._peaks()
             limits += [Limit(q, wanted.peak_input, option="--peak-input") for q in peaks]
+        limits += self._saturation()
         if wanted.energy is not None:
             limits.append(Limit(self._energy(), wanted.energy, option="--energy"))
         if self._loop is not None and objective != "period":
@@ -144,6 +150,31 @@ class TuningProblem:
         most = NOISE_FACTOR * start if wanted.noise is None else wanted.noise
         limits.append(Limit(self.noise, most, option="" if wanted.noise is None else "--noise"))
         return limits
+
+    @property
+    def refined(self) -> Task | None:
+        """The task with the error of the loop as the drive runs it, where that is the objective."""
+        if self._drive is None or self.objective is not self.error or self._loop is None:
+            return None
+        error = ImplementedError(self._drive)
+        limits = tuple(
+            replace(limit, quantity=DrivePeak(limit.quantity, error), value=self._least_limit)
+            if isinstance(limit.quantity, StartPeak)
+            else limit
+            for limit in self.task.limits
+        )
+        accepts = self.task.accepts
+
+        def accepted(candidate: Candidate) -> bool:
+            return accepts(candidate) and error.is_verified(candidate)
+
+        return replace(self.task, objective=error, limits=limits, accepts=accepted)
+
+    @property
+    def _least_limit(self) -> float:
+        """The smallest of the drive's limits of |u|."""
+        assert self._drive is not None and self._drive.saturation is not None
+        return min(map(abs, map(float, self._drive.saturation)))
 
     @property
     def is_linear(self) -> bool:
@@ -195,6 +226,15 @@ class TuningProblem:
         ]
         quantities.sort(key=lambda quantity: -quantity.value(first))
         return list(quantities[:MOST_CORNERS])
+
+    def _saturation(self) -> list[Limit]:
+        """The input from the file's start stays within the drive's limits, with some in hand."""
+        drive = self._drive
+        if drive is None or drive.saturation is None or self._linear is None:
+            return []
+        x0 = np.array(self.base.settings.x0)
+        quantity = StartPeak(self._linear, Grid.of(self.base), np.stack([x0, x0], axis=1))
+        return [Limit(quantity, SATURATION_SHARE * self._least_limit)]
 
     def _energy(self) -> Quantity:
         settings = self.base.settings

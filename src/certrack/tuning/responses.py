@@ -177,6 +177,12 @@ class BoxPeak(Quantity):
         return response.peak
 
 
+class StartPeak(BoxPeak):
+    """The largest |u| from the file's start, which a drive's limits must admit."""
+
+    name = "input from x0"
+
+
 class LinearEnergy(Quantity):
     """Integral of u^2 over the run from the file's start, of a linear loop."""
 

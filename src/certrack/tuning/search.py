@@ -64,11 +64,18 @@ class GainSearch:
     task : Task
     on_better : callable
         Gets the state where the best improved.
+    iterations : int
+        Of one start, at most.
     """
 
     def __init__(
-        self, base: System, task: Task, on_better: Callable[[SearchState], None] = lambda _: None
+        self,
+        base: System,
+        task: Task,
+        on_better: Callable[[SearchState], None] = lambda _: None,
+        iterations: int = MOST_ITERATIONS,
     ) -> None:
+        self._iterations = iterations
         self.base, self.task, self.state, self._on_better = base, task, SearchState(), on_better
         self._cache: dict[bytes, Candidate] = {}
 
@@ -104,7 +111,7 @@ class GainSearch:
             method="SLSQP",
             bounds=list(zip(family.low, family.high, strict=True)),
             constraints=constraints if self.task.limits else (),
-            options={"maxiter": MOST_ITERATIONS, "ftol": ACCURACY},
+            options={"maxiter": self._iterations, "ftol": ACCURACY},
         )
 
     def _objective(self, candidate: Candidate) -> tuple[float, np.ndarray]:
