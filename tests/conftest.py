@@ -35,15 +35,17 @@ SHIPPED = (
     "example1",
     "example1-classic",
     "flexible-joint",
+    "point-to-point",
     "stiction",
     "theorem1-counterexample",
 )
 
 
-#: Those whose controller is not sampled and whose runs last 20 s; test_papers.py has the other.
-CONTINUOUS = [
-    name for name in SHIPPED if name not in ("axis", "dual-motor-drive", "theorem1-counterexample")
-]
+NOT_LONG = ("axis", "dual-motor-drive", "point-to-point", "theorem1-counterexample")
+
+#: Those whose controller is not sampled and whose runs last 20 s; test_papers.py has another, and
+#: test_moves.py the moves.
+CONTINUOUS = [name for name in SHIPPED if name not in NOT_LONG]
 
 
 @pytest.fixture(params=CONTINUOUS)

@@ -232,6 +232,9 @@ def ends(ratio, width, box):
 class Formula:
     """A formula as {function of x: coefficient}; a function is a sorted tuple of (atom, power)."""
 
+    #: f(z)/z over all z; all of them are odd.
+    SECTORS = {"sin": (Q(-2173, 10000), Q(1)), "tanh": (Q(0), Q(1)), "atan": (Q(0), Q(1))}
+
     BOUNDED = {"sin": Q(1), "cos": Q(1), "tanh": Q(1), "sign": Q(1), "atan": base.PI[1] / 2}
 
     def __init__(self, width, known, states):
@@ -285,8 +288,21 @@ class Formula:
                     demand(None not in numbers, "a constant with a range is inside a function")
                     value = getattr(math, node.func.id)(*map(float, numbers))
                     return {(): self.number(Q(repr(value)))}
-                return {(((node.func.id, *map(self.frozen, parts)), 1),): self.number(1)}
+                return self.function_of(node.func.id, parts)
         raise Refused(f"no formula: {ast.unparse(node)}")
+
+    def function_of(self, name, parts):
+        """A function of the states, its sign and that of its argument normalised."""
+        factor = self.number(1)
+        if name in (*self.SECTORS, "abs", "cos") and len(parts[0]) == 1:
+            ((key, value),) = parts[0].items()
+            number = value.constant
+            if number is not None and number < 0:
+                parts, number = [{key: -value}], -number
+                factor = -factor if name in self.SECTORS else factor
+            if name == "abs" and number is not None:
+                parts, factor = [{key: self.number(1)}], self.number(number)
+        return {(((name, *map(self.frozen, parts)), 1),): factor}
 
     def multiplied(self, first, second):
         total = {}
@@ -322,14 +338,62 @@ class Formula:
         demand(all(v is not None for _, v in values), "a ranged constant is inside a function")
         return tuple(sorted(values, key=repr))
 
-    def largest(self, function):
-        """sup |m(x)| over all x."""
-        size = Q(1)
+    def extent(self, function):
+        """What a product of functions may be over all x; None if it is not known to be bounded."""
+        low, high = Q(1), Q(1)
         for atom, k in function:
             known = isinstance(atom, tuple) and atom[0] in self.BOUNDED
-            demand(known and k > 0 and k.denominator == 1, "an unbounded function is not cancelled")
-            size *= self.BOUNDED[atom[0]] ** int(k)
-        return size
+            if not (known and k > 0 and k.denominator == 1):
+                return None
+            size = self.BOUNDED[atom[0]] ** int(k)
+            low, high = hull((low, high), (Q(0) if k % 2 == 0 else -size, size))
+        return low, high
+
+    def largest(self, function):
+        """sup |m(x)| over all x."""
+        found = self.extent(function)
+        demand(found is not None, "an unbounded function is not cancelled")
+        return max(map(abs, found))
+
+    def sector(self, function):
+        """The number of a state x_j, and an interval that holds m(x)/x_j over all x; or None."""
+        for j, state in enumerate(self.states):
+            found = []
+            for i, (atom, k) in enumerate(function):
+                slope = self.slope(atom, state) if k == 1 else None
+                rest = self.extent(function[:i] + function[i + 1 :])
+                if slope is not None and rest is not None:
+                    found.append(hull(slope, rest))
+            if found:
+                return j, (max(low for low, _ in found), min(high for _, high in found))
+        return None
+
+    def slope(self, atom, state):
+        """What a factor over a state may be."""
+        line = ((state, 1),)
+        match atom:
+            case str():
+                return (Q(1), Q(1)) if atom == state else None
+            case ("abs", ((key, value),)) if key == line and value == 1:
+                return Q(-1), Q(1)
+            case (name, ((key, value),)) if key == line and name in self.SECTORS:
+                return hull(self.SECTORS[name], (value, value))
+        return None
+
+
+def hull(first, second):
+    """All products of numbers of two intervals."""
+    found = [u * v for u in first for v in second]
+    return min(found), max(found)
+
+
+def lifted(ratio, count):
+    """The same function of more constants."""
+    top, bottom = (
+        {(*key, *(0,) * count): value for key, value in p.items()}
+        for p in (ratio.top, ratio.bottom)
+    )
+    return Ratio(top, bottom)
 
 
 def trimmed_terms(terms):
@@ -340,10 +404,14 @@ def trimmed_terms(terms):
 
 
 class RangedSystem(base.System):
-    """Steps 1 to 3 at the nominal constants, and the loop as a function of the constants."""
+    """Steps 1 to 3 at the nominal constants, and the loop as a function of the constants.
 
-    def __init__(self, text, stated_bounds=None):
-        self.table = tomllib.loads(text)
+    With slopes, terms within a sector are functions of constants that vary in time, too, whose
+    intervals a cell has in some order.
+    """
+
+    def __init__(self, text, stated_bounds=None, *, slopes=False):
+        self.table, self.slopes = tomllib.loads(text), slopes
         super().__init__(text, stated_bounds)
         self._functions()
 
@@ -420,7 +488,7 @@ class RangedSystem(base.System):
             if not self.adaptive:
                 for key, part in maker.multiplied(maker.of(phi), {(): value}).items():
                     terms[key] = terms.get(key, Ratio.number(0, width)) + part
-        self.brackets, self.sizes = [], []
+        self.brackets, self.sizes, self.within = [], [], []
         for function, coefficient in terms.items():
             bracket = coefficient - rho * fixed(coefficient)
             if not bracket.top:
@@ -431,11 +499,34 @@ class RangedSystem(base.System):
             elif state in plant["states"]:
                 j = plant["states"].index(state)
                 matrix[-1][j] = matrix[-1][j] + bracket
+            elif self.slopes and (sector := maker.sector(function)) is not None:
+                self.within.append((bracket, *sector))
             else:
                 self.brackets.append(bracket)
                 self.sizes.append(maker.largest(function))
-        self.matrix = matrix
-        self.entries = Vector([*itertools.chain(*matrix), *self.brackets], width)
+        self.matrix, self.ranged = matrix, width
+        self.ordered(tuple(range(len(self.within))))
+
+    def ordered(self, order):
+        """The loop with its slopes in another order, behind the constants."""
+        count, m = len(self.within), self.ranged
+        self.width = width = m + count
+        if count and len(next(iter(self.matrix[0][0].bottom))) != width:
+            self.matrix = [[lifted(entry, count) for entry in row] for row in self.matrix]
+            self.brackets = [lifted(bracket, count) for bracket in self.brackets]
+            self.within = [(lifted(b, count), j, ends) for b, j, ends in self.within]
+            self.gain_ratio = lifted(self.gain_ratio, count)
+            self.theta_ratios = [lifted(ratio, count) for ratio in self.theta_ratios]
+        one = {(0,) * width: Q(1)}
+        self.terms, total = [], [list(row) for row in self.matrix]
+        for i, k in enumerate(order):
+            bracket, j, _ = self.within[k]
+            slope = Ratio({tuple(int(c == m + i) for c in range(width)): Q(1)}, one)
+            self.terms.append((j, bracket * slope))
+            total[-1][j] = total[-1][j] + bracket * slope
+        self.sectors = [self.within[k][2] for k in order]
+        self.entries = Vector([*itertools.chain(*total), *self.brackets], width)
+        self.__dict__.pop("functions", None)
 
     def form(self, values):
         """M, W and the offset for the entries of (Acl | Ecl | o)."""
@@ -457,24 +548,28 @@ class RangedSystem(base.System):
 
     @cached_property
     def functions(self):
-        """{(monomial, denominator): matrix} of the entries, in the order of the page."""
+        """{(numerator, denominator): matrix} of the entries, in the order of the page."""
         found = {}
-        shape = (self.n, self.n + self.q + 3)
+        shape = (self.n, len(self.matrix[0]))
         for i, row in enumerate(self.matrix):
             for j, entry in enumerate(row):
                 for key in sorted(entry.top, reverse=True):
                     part = Ratio({key: entry.top[key]}, entry.bottom)
                     ((monomial, value),) = part.top.items()
-                    name = (monomial, frozenset(part.bottom.items()))
+                    name = (frozenset([(monomial, Q(1))]), frozenset(part.bottom.items()))
                     found.setdefault(name, zeros(*shape))[i][j] += value
+        for j, term in self.terms:
+            name = (frozenset(term.top.items()), frozenset(term.bottom.items()))
+            found[name] = zeros(*shape)
+            found[name][-1][j] = Q(1)
         return found
 
     def channels(self, box):
         """Middle of (Acl | Ecl | o), and products of columns and rows with their radii."""
-        middle = zeros(self.n, self.n + self.q + 3)
+        middle = zeros(self.n, len(self.matrix[0]))
         columns, rows = [], []
-        for (monomial, bottom), matrix in self.functions.items():
-            low, high = ends(Ratio({monomial: Q(1)}, dict(bottom)), self.width, box)
+        for (top, bottom), matrix in self.functions.items():
+            low, high = ends(Ratio(dict(top), dict(bottom)), self.width, box)
             for i, row in enumerate(matrix):
                 middle[i] = [u + v * (low + high) / 2 for u, v in zip(middle[i], row, strict=True)]
             if high > low:
@@ -893,15 +988,38 @@ def check_cells(document, stated_bounds=None):
     largest = [entry["bound"] for entry, b in zip(proof, bounds, strict=True) if b == max(bounds)]
     claims = {f"limsup |e_1(t)| <= {text}" for text in largest}
     demand(document["claim"] in claims, "the claim is not that of the proof")
-    system = RangedSystem(document["system"], stated_bounds)
+    system = RangedSystem(document["system"], stated_bounds, slopes=True)
+    if len(cells[0]) == system.ranged:  # every nonlinear term is a b-input
+        system = RangedSystem(document["system"], stated_bounds)
     base.check_premises(document["premises"], system, system.table)
     if system.plant.get("uncertainty", {}).get("constants_vary", False):
         demand(len(cells) == 1 and not system.adaptive, "constants that vary need one cell")
     demand(all(len(cell) == system.width for cell in cells), "a cell has another dimension")
-    demand(covered(system.box, cells), "the cells do not cover the ranges")
+    constants = [cell[: system.ranged] for cell in cells]
+    demand(covered(system.box, constants), "the cells do not cover the ranges")
     for entry, cell, bound in zip(proof, cells, bounds, strict=True):
-        check_cell(system, entry["points"], cell, bound)
+        check_orders(system, entry["points"], cell, bound, cells)
     return max(bounds)
+
+
+def check_orders(system, points, cell, bound, cells):
+    """A cell with its slopes in one of the orders in which all cells have them entire."""
+    refusal, m = Refused("a cell cuts a slope, which varies in time"), system.ranged
+    for order in itertools.permutations(range(len(system.within))):
+        system.ordered(order)
+        if not all(
+            low <= a and b <= high
+            for other in cells
+            for (low, high), (a, b) in zip(other[m:], system.sectors, strict=True)
+        ):
+            continue
+        try:
+            check_cell(system, points, cell, bound)
+        except Refused as reason:
+            refusal = reason
+        else:
+            return
+    raise refusal
 
 
 def check_cell(system, points, cell, bound):

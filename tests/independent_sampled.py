@@ -5,6 +5,7 @@ page leaves room. What it says of an exact proof is whether another reading of t
 """
 
 import ast
+import itertools
 import math
 import random
 import re
@@ -12,6 +13,7 @@ from fractions import Fraction as Q
 
 import independent_checker as checker
 import numpy as np
+from independent_levels import all_levels, bernstein_of_Y, reference_part
 
 #: Steps of each cell in which kernels are summed, and what is left of rows.
 GRID, LEFT = 2, 1e-11
@@ -22,28 +24,46 @@ def check(proof, table, system):
     drive = table["implementation"]
     delays = drive.get("delay", 0)
     delays = delays if isinstance(delays, list) else [delays]
-    checker.demand(len(proof) == len(delays), "there is not one entry for each delay")
+    groups = [list(group) for _, group in itertools.groupby(proof, lambda e: e["delay"])]
+    checker.demand(len(groups) == len(delays), "there is not one entry for each delay")
     bounds = []
-    for entry, delay in zip(proof, delays, strict=True):
+    for group, delay in zip(groups, delays, strict=True):
         delay = checker.number(delay, system.constants)
-        checker.demand(Q(entry["delay"]) == delay, "the delay is another")
-        loop = Loop(table, system, delay, entry["parts"])
-        X = np.array([float(checker.decimal(v)) for v in entry["states"]])
-        checker.demand(len(X) == system.n, "the states are others")
-        U, step, bound = (float(checker.decimal(entry[k])) for k in ("input", "step", "bound"))
-        checker.demand((X >= 0).all() and U >= 0, "v is negative")
-        image = loop.image(X, U)
-        checker.demand((image[1:-2] < X).all() and image[-2] < U, "v is not above F(v)")
-        checker.demand(bound >= image[0] and step >= image[-1], "a bound is too small")
-        loop.check_limits(drive, U, step)
-        limited = "saturation" in drive or "rate_limit" in drive
-        kinds = [start["of"] for start in entry["starts"]]
-        checker.demand("x0" in kinds or not limited, "nothing is said of the start")
-        checker.demand(kinds in ([], ["x0"], ["x0", "polytope"]), "other starts")
-        for start in entry["starts"]:
-            loop.check_start(start, table, system)
-        bounds.append(checker.decimal(entry["bound"]))
+        loops = loops_of(group, table, system, delay)
+        bounds += [check_entry(*pair, delay, table, system) for pair in loops]
     return max(bounds)
+
+
+def loops_of(group, table, system, delay):
+    """The entries for one delay, each with its loop."""
+    if any("cell" in entry for entry in group):
+        from independent_cells import cell_loops
+
+        return cell_loops(group, table, system, delay)
+    checker.demand(len(group) == 1, "there is not one entry for each delay")
+    checker.demand(not system.plant.get("ranges"), "the loop is not covered")
+    return [(group[0], Loop(table, system, delay, group[0]["parts"]))]
+
+
+def check_entry(entry, loop, delay, table, system):
+    """The bound of one entry."""
+    drive = table["implementation"]
+    checker.demand(Q(entry["delay"]) == delay, "the delay is another")
+    X = np.array([float(checker.decimal(v)) for v in entry["states"]])
+    checker.demand(len(X) == len(loop.seen), "the states are others")
+    U, step, bound = (float(checker.decimal(entry[k])) for k in ("input", "step", "bound"))
+    checker.demand((X >= 0).all() and U >= 0, "v is negative")
+    image = loop.image(X, U)
+    checker.demand((image[1:-2] < X).all() and image[-2] < U, "v is not above F(v)")
+    checker.demand(bound >= image[0] and step >= image[-1], "a bound is too small")
+    loop.check_limits(drive, U, step)
+    limited = "saturation" in drive or "rate_limit" in drive
+    kinds = [start["of"] for start in entry["starts"]]
+    checker.demand("x0" in kinds or not limited, "nothing is said of the start")
+    checker.demand(kinds in ([], ["x0"], ["x0", "polytope"]), "other starts")
+    for start in entry["starts"]:
+        loop.check_start(start, table, system)
+    return checker.decimal(entry["bound"])
 
 
 def area(a, b):
@@ -94,7 +114,7 @@ class Loop:
     def __init__(self, table, system, delay, parts):
         plant, drive, n, q = table["plant"], table["implementation"], system.n, system.q
         names, constants = plant["states"], system.constants
-        checker.demand(not system.adaptive and not plant.get("ranges"), "the loop is not covered")
+        checker.demand(not system.adaptive, "the loop is not covered")
         slopes, constant = linear(plant.get("drift", 0), names, constants)
         for phi, theta in zip(
             plant.get("regressor", []), system.numbers(plant.get("theta", [])), strict=True
@@ -111,6 +131,8 @@ class Loop:
         self.constant = float(-constant / gain)
         self.T, self.n, self.q = float(checker.number(drive["period"], constants)), n, q
         self.A, self.b = np.array(A, float), np.array([0.0] * (n - 1) + [float(gain)])
+        self.seen = [(row, 0.0) for row in np.eye(n)]  # the states; for ranges the channels too
+        self.desired = np.array([row[: q + 1] for row in system.through], float)
         self._uncertainty(plant, system)
         self._reference(table["reference"], system)
         quanta = system.numbers(drive.get("measurement_quantum", [0] * n))
@@ -218,28 +240,36 @@ class Loop:
 
     def image(self, X, U):
         """F: e_1, the states, u, its steps."""
-        w = self.gamma * np.linalg.norm(self.S * X, axis=1) + self.Delta @ X + self.beta
-        of_y, eye = np.eye(self.q + 1)[0], np.eye(self.n)
-        outputs = [(eye[0], of_y, max(3, self.q)), *((c, 0 * of_y, 2) for c in eye)]
-        largest = np.zeros(self.n + 3)
+        w, largest, levels = self.size(X), np.zeros(len(self.seen) + 3), all_levels(self)
         for p in range(0, len(self.cells), GRID):
-            rows, values, owners = [], [], []
-            for output, (c, of_Y, N) in enumerate(outputs):
-                more, value = self._rows(p, c, of_Y, N, w, X, U)
+            rows, values, owners, of_Y = [], [], [], []
+            for output, (seen, of_y, N) in enumerate(self.outputs()):
+                more, value = self._rows(p, seen, of_y, N, w, X, U)
                 rows, values = [*rows, more], [*values, value]
+                of_Y.append(bernstein_of_Y(self, p, of_y, N))
                 owners += [output] * len(more)
             if p == 0:
                 newest, older = np.eye(len(self.J))[self.newest : self.newest + 2]
                 commands = np.array([newest, newest - older])
                 rows.append(commands)
                 values.append(np.abs(commands @ self.Pi[0]) @ self.Y[:-1])
-                owners += [self.n + 1, self.n + 2]
-            total = np.concatenate(values) + self._responses(np.vstack(rows), p, w)
+                of_Y.append(np.zeros((2, self.q + 1)))
+                owners += [len(self.seen) + 1, len(self.seen) + 2]
+            rows, of_Y = np.vstack(rows), np.vstack(of_Y)
+            total = np.concatenate(values) + self._responses(rows, p, w)
+            parts = [reference_part(self, level, rows, of_Y, p // GRID) for level in levels]
+            total += np.min(parts, axis=0) - parts[-1]
             np.maximum.at(largest, owners, total)
         return largest
 
-    def _rows(self, p, c, of_y, N, w, X, U):
+    def outputs(self):
+        """e_1, and what is seen; with the degrees of their polynomials."""
+        of_y = np.eye(self.q + 1)[0]
+        return [(self.seen[0], of_y, max(3, self.q)), *((s, 0 * of_y, 2) for s in self.seen)]
+
+    def _rows(self, p, seen, of_y, N, w, X, U):
         """Bernstein rows of an output in a cell, and all of their bound but the gains."""
+        c, of_u = seen
         step, acting, _ = self.cells[p]
         h, rows, of_Y, derivatives = step * GRID, [], [], [c]
         for _ in range(N + 30):
@@ -247,7 +277,7 @@ class Loop:
         for k in range(N + 1):
             row = np.zeros(len(self.J))
             row[: self.n] = derivatives[k]
-            row[acting] = derivatives[k - 1] @ self.b if k else 0.0
+            row[acting] = derivatives[k - 1] @ self.b if k else of_u
             rows.append(row)
             of_Y.append(np.concatenate([np.zeros(k), of_y])[: self.q + 1])
         change = [
@@ -269,7 +299,11 @@ class Loop:
             for j, v in enumerate(of_y)
         )
         growth = np.abs(derivatives[N + 1]) @ exponential(np.abs(self.A) * h)
-        rest = growth @ X + abs(derivatives[N] @ self.b) * U + h * growth @ np.abs(self.b) * U
+        rest = (
+            growth @ X[: self.n]
+            + abs(derivatives[N] @ self.b) * U
+            + h * growth @ np.abs(self.b) * U
+        )
         return total + rest * h ** (N + 1) / math.factorial(N + 1)
 
     def _responses(self, rows, phase, w):
@@ -295,7 +329,7 @@ class Loop:
         start = np.abs(rows).max()
         for _ in range(10**6):
             below, kernels = rows, []
-            of_w, others = np.zeros((len(rows), n)), np.zeros(len(rows))
+            of_w, others = np.zeros((len(rows), self.W.shape[1])), np.zeros(len(rows))
             for p in range(phase - 1, -1, -1):
                 h, _, E = self.cells[p]
                 before = below @ E
@@ -322,7 +356,7 @@ class Loop:
 
     def check_start(self, entry, table, system):
         """The claims of a proof of runs from a start."""
-        n, K, middle = self.n, 2 ** entry["doublings"], entry["middle"]
+        K, middle = 2 ** entry["doublings"], entry["middle"]
         checker.demand(not self.jump, "jumps are not covered here")
         drive = table["implementation"]
         checker.demand(not drive.get("offset"), "the first sample is late")
@@ -335,11 +369,12 @@ class Loop:
         parts = self._start_parts((low + high) / 2, (high - low) / 2, Y0, first - self.constant)
         X_t = np.array([float(checker.decimal(v)) for v in entry["states"]])
         U_t = float(checker.decimal(entry["input"]))
-        history, peaks, U = [], np.zeros(n + 3), abs(first - self.constant)
+        m = len(self.seen)
+        history, peaks, U = [], np.zeros(m + 3), abs(first - self.constant)
         outputs = []
         for k in range(K):
-            X = outputs[-1][1:-2] if outputs else np.abs(low) + np.abs(high)
-            for _ in range(30):
+            X = outputs[-1][1:-2] if outputs else np.zeros(m)
+            for _ in range(60):
                 sizes = [*history, self.size(X)]
                 now = self._start_image(parts, k, sizes, X, U)
                 U = max(U, now[-2])
@@ -367,9 +402,10 @@ class Loop:
     def _start_parts(self, center, half, Y0, first):
         """Of each phase: rows' owners, what of them is constant, in a cell, and of every lag."""
         n, size = self.n, len(self.J)
-        of_y, eye = np.eye(self.q + 1)[0], np.eye(n)
-        outputs = [(eye[0], of_y, max(3, self.q)), *((c, 0 * of_y, 2) for c in eye)]
-        zero, Z, parts = np.zeros(n), self._first_memories(), []
+        eye, m = np.eye(n), len(self.seen)
+        unit_w = np.eye(self.W.shape[1])
+        zero, of_x = np.zeros(m), np.eye(m)
+        Z, parts = self._first_memories(), []
         at = np.vstack([eye, Z, np.zeros((size - self.newest, n))])
         noise = np.vstack([0 * eye, Z, np.zeros((size - self.newest, n))])
         zeta = at @ center
@@ -379,11 +415,11 @@ class Loop:
             zeta = zeta - last @ Y0
         for p in range(0, len(self.cells), GRID):
             rows, owners, still, near = [], [], [], []
-            for output, (c, of_Y, N) in enumerate(outputs):
-                more, base = self._rows(p, c, of_Y, N, zero, zero, 0.0)
-                units = [self._rows(p, c, of_Y, N, e, zero, 0.0)[1] - base for e in eye]
-                units += [self._rows(p, c, of_Y, N, zero, e, 0.0)[1] - base for e in eye]
-                units += [self._rows(p, c, of_Y, N, zero, zero, 1.0)[1] - base]
+            for output, (c, of_Y, N) in enumerate(self.outputs()):
+                more, base = self._rows(p, c, of_Y, N, 0 * unit_w[0], zero, 0.0)
+                units = [self._rows(p, c, of_Y, N, e, zero, 0.0)[1] - base for e in unit_w]
+                units += [self._rows(p, c, of_Y, N, 0 * unit_w[0], e, 0.0)[1] - base for e in of_x]
+                units += [self._rows(p, c, of_Y, N, 0 * unit_w[0], zero, 1.0)[1] - base]
                 rows, still, near = [*rows, more], [*still, base], [*near, np.array(units).T]
                 owners += [output] * len(more)
             if p == 0:
@@ -391,8 +427,8 @@ class Loop:
                 commands = np.array([newest, newest - older])
                 rows.append(commands)
                 still.append(np.abs(commands @ self.Pi[0]) @ self.Y[:-1])
-                near.append(np.zeros((2, 2 * n + 1)))
-                owners += [n + 1, n + 2]
+                near.append(np.zeros((2, len(unit_w) + m + 1)))
+                owners += [m + 1, m + 2]
             lags, transient = [], []
             for _, of_w, others, _, before in self._periods(np.vstack(rows), p):
                 lags.append((of_w, others))
@@ -408,7 +444,7 @@ class Loop:
 
     def _start_image(self, parts, k, sizes, X, U, ever=False):
         """Bounds of all outputs in period k, or in all from k on."""
-        largest = np.zeros(self.n + 3)
+        largest = np.zeros(len(self.seen) + 3)
         for owners, still, near, of_w, others, transient in parts:
             total = still + near @ np.concatenate([sizes[-1], X, [U]])
             later = transient[k:] or [0 * still]

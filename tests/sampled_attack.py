@@ -25,8 +25,11 @@ class SampledLoop:
     def __init__(self, system):
         loop = linear_loop(system)
         drive = system.implementation
-        law = loop.law_matrix(drive.period)
         u = system.plant.uncertainty
+        assert loop is not None, "a loop that is not linear has no attack by its kernels"
+        assert u.Delta is None and u.S is None, "the attack knows gamma ||x|| + beta only"
+        assert len(drive.delays) == 1, "an attack is on one delay"
+        law = loop.law_matrix(drive.period)
         acting = [k for k in range(system.plant.n) if u.tau[k] and u.acts(k)]
         self.n, self.memories, self.T = len(loop.b), len(law) - 1, drive.period
         n, h = self.n, drive.period / STEPS
@@ -34,16 +37,18 @@ class SampledLoop:
         self.W, self.h = W, h
         self.gamma = np.array([u.gamma[k] for k in acting])
         self.beta = np.array([u.beta[k] for k in acting])
-        self.mu = np.array(drive.measurement_quantum or [0.0] * n) / 2
+        noise = np.array(drive.noise_bound or [0.0] * n)
+        self.mu = np.array(drive.measurement_quantum or [0.0] * n) / 2 + noise
         self.eta = drive.input_quantum / 2
         c = system.controller.coordinates
+        assert noise.any() or not any(drive.noise or ()), "noise without a bound has no worst case"
         self.forward = np.array(c.nu_Y, float) / float(system.plant.input_gain.expr)
         self.q = c.q
         block = np.zeros((n + 1 + W.shape[1],) * 2)
         block[:n] = np.hstack([loop.A, loop.b[:, None], W]) * h
         over = expm(block)
         self.through_w = over[:n, n + 1 :]
-        late = math.floor(drive.delay + 1e-9)
+        late = math.floor(drive.delays[0] + 1e-9)
         inputs = late + 2
         size = n + self.memories + inputs
         self.newest = n + self.memories
@@ -53,8 +58,8 @@ class SampledLoop:
         self.jump[self.newest, : self.newest] = law[0, : self.newest]
         for i in range(1, inputs):
             self.jump[self.newest + i, self.newest + i - 1] = 1
-        self.switch = round((drive.delay - late) * STEPS)
-        assert abs(self.switch - (drive.delay - late) * STEPS) < 1e-6
+        self.switch = round((drive.delays[0] - late) * STEPS)
+        assert abs(self.switch - (drive.delays[0] - late) * STEPS) < 1e-6
         self.steps = []
         for p in range(STEPS):
             step = np.eye(size)

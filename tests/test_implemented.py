@@ -15,6 +15,7 @@ import certrack
 from certrack.certificates import certify, to_document, verify
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.implemented import gains as gains_room
+from certrack.certificates.implemented import levels as levels_room
 from certrack.certificates.implemented import outputs as outputs_room
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.drive import DRIVE_BITS, Drive, UncertainBound, drive_of
@@ -360,7 +361,7 @@ def test_floats_enclose_what_balls_compute():
         rows = output_rows(period)
         columns = gains_room.kernel_columns(period, 2, smeared=True)
         past = gains_room.running_period(period, rows)[1]
-        sums, _, _ = gains_room._sums(period, columns, past, doublings)
+        sums, _, _ = gains_room.sums_of_periods(period, columns, past, doublings)
         row = flint.arb_mat([past.tolist()[0]])
         width = columns.nodes.ncols() // 3
         exact = [flint.arb(0)] * (sums.shape[1])
@@ -412,11 +413,13 @@ def wrong_sign(monkeypatch):
         return replace(columns, nodes=nodes)
 
     monkeypatch.setattr(gains_room, "kernel_columns", flipped)
+    monkeypatch.setattr(levels_room, "levels_of", lambda _: [])  # which have kernels of their own
 
 
 def forgotten_tail(monkeypatch):
     """The sums end after two periods."""
-    monkeypatch.setattr(gains_room, "tail_gains", lambda last, each, power: 0 * last @ each)
+    for room in (gains_room, levels_room):
+        monkeypatch.setattr(room, "tail_gains", lambda last, each, power: 0 * last @ each)
     monkeypatch.setattr("certrack.certificates.implemented.proof.periods_needed", lambda _: 1)
 
 
@@ -532,13 +535,19 @@ def test_limits_that_may_act_leave_nothing_verified():
     ].verified
 
 
-def test_a_gain_that_the_law_does_not_know_is_no_drive_with_a_bound():
+def test_a_gain_that_the_law_does_not_know_is_covered_by_cells():
     lean = certrack.load("dual-motor-lean")
     ranged = lean.replace(
         plant=replace(lean.plant, input_gain_range=(15.0, 25.0)),
         implementation=Implementation(period=0.003),
     )
-    assert "input_gain" in certify_implemented(ranged)[0].reason
+    found, _ = certify_implemented(ranged)
+    assert found.verified and found.cells > 1
+    for gain in (15.0, 25.0):
+        member = ranged.replace(truth=replace(ranged.truth, input_gain=gain))
+        assert worst_error(member, 0.1, 0.75) < found.bound < 0.01
+    with pytest.raises(certrack.NoCertificate, match="input_gain"):
+        drive_of(ranged)
 
 
 # Files and the command line -----------------------------------------------------------------------

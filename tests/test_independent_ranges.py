@@ -18,6 +18,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.document import to_document
 from certrack.certificates.ranges.cells import halved
 from certrack.certificates.ranges.proofs import RangeProver
+from certrack.certificates.ranges.rational import MAX_HULL_POINTS
 from certrack.core.errors import InputError
 
 TWO = """
@@ -76,10 +77,27 @@ VARIANTS = {
 }
 
 
-def documents(system):
+#: With terms within a sector, some of them products, and with many functions of the constants.
+SECTORS = {
+    "one": VARIANTS["small"].replace("d*tanh(x1)", "d*x1*cos(x2)"),
+    "growth": TWO.replace("d*tanh(x1)", "d*x1*cos(x2)"),
+    "two": TWO.replace("-d/m*x2 + d*tanh(x1)", "d*sin(-3*x1)*tanh(x2)/m + k*abs(x2/5)")
+    .replace("Delta = [[0.01, 0], [0, 0.02]]", "")
+    .replace("gamma = [0, 0.05]", "gamma = [0, 0]"),
+    "input gain and theta": VARIANTS["input gain and theta"]
+    .replace('"sin(x2)"', '"x2*tanh(x1)"')
+    .replace("[[0, 0.1], [0.2, 0.2]]", "[[0, 0.1], [0.1, 0.25]]"),
+    "adaptive": VARIANTS["adaptive"].replace("d*tanh(x1)", "d*x1*tanh(x1)"),
+    "centre": TWO.replace(
+        "-d/m*x2 + d*tanh(x1)", "(m*d/k**2 + k**6/d**2)*(x1*atan(x2) + tanh(x2))/m/9999"
+    ),
+}
+
+
+def documents(system, sectors=False):
     """Proofs by the whole box, by its halves, and by the cells that `certify` finds."""
-    prover = RangeProver(system)
-    halves = halved(prover.box, [1] * len(prover.box))
+    prover = RangeProver(system, sectors=sectors)
+    halves = halved(prover.box, [1] * len(prover.box), prover.loop.moving)
     proofs = [[prover.vertices(prover.box)], [prover.vertices(cell) for cell in halves]]
     if prover.by_peak_gains:
         proofs += [[prover.peak(prover.box)], [prover.peak(cell) for cell in halves]]
@@ -87,8 +105,8 @@ def documents(system):
     return [to_document(system, *cells) for cells in proofs if all(cells)]
 
 
-def agree(system):
-    found = documents(system)
+def agree(system, sectors=False):
+    found = documents(system, sectors)
     for document in found:
         assert verified(document), document["system"]
         assert accepted(document), document["system"]
@@ -103,6 +121,16 @@ FAST = ("small", "adaptive")
 )
 def test_variants_agree(name):
     assert len(agree(certrack.loads(VARIANTS[name]))) >= 2
+
+
+@pytest.mark.parametrize(
+    "name", ["one", *(pytest.param(n, marks=pytest.mark.slow) for n in SECTORS if n != "one")]
+)
+def test_sectors_agree(name):
+    system = certrack.loads(SECTORS[name])
+    prover = RangeProver(system, sectors=True)
+    assert prover.loop.moving and len(agree(system, sectors=True)) >= 2
+    assert (prover.loop.entries.count > MAX_HULL_POINTS) == (name == "centre")
 
 
 @pytest.mark.parametrize("name", ["axis"])
@@ -209,6 +237,11 @@ def wider(cell):
     cell["cell"][0] = [str(low), str(high + (high - low) / 5)]
 
 
+def slopes_exchanged(cell):
+    """Where there is one slope, its interval and that of a constant."""
+    cell["cell"][-2:] = cell["cell"][:-3:-1]
+
+
 def without_a_point(cell):
     del cell["points"][1:2]
 
@@ -236,6 +269,7 @@ MUTATIONS = (
     narrower,
     another_axis_narrower,
     wider,
+    slopes_exchanged,
     without_a_point,
     points_reversed,
     without_points,
@@ -273,6 +307,32 @@ def test_mutants_are_refused_by_both(name):
             must_be_refused = change in (narrower, another_axis_narrower, changed_bound, None)
             assert not (must_be_refused and second), change
     assert refused >= 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_mutants_of_sectors_are_refused_by_both(name):
+    system = certrack.loads(SECTORS[name])
+    moving = RangeProver(system, sectors=True).loop.moving
+    for document in documents(system, sectors=True):
+        cell = document["proof"][0]["cell"]
+        for change, mutant in mutants(document):
+            first, second = verified(mutant), accepted(mutant)
+            if change is slopes_exchanged:  # a checker may take them in any order
+                assert not first and (moving > 1 or not second)
+                continue
+            assert first == second, (change, mutant["proof"][0]["cell"])
+            must_be_refused = change in (narrower, another_axis_narrower, changed_bound, None)
+            assert not (must_be_refused and second), change
+        for i in range(len(cell) - moving, len(cell)):  # entire slopes, which no two cells share
+            low, high = map(Fraction, cell[i])
+            cut = copy.deepcopy(document)
+            cut["proof"] = []
+            for part in ((low, (low + high) / 2), ((low + high) / 2, high)):
+                for entry in copy.deepcopy(document["proof"]):
+                    entry["cell"][i] = list(map(str, part))
+                    cut["proof"].append(entry)
+            assert not verified(signed(cut)) and not accepted(signed(cut))
 
 
 # What the checker is made of ----------------------------------------------------------------------

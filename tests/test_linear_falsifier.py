@@ -10,7 +10,7 @@ import pytest
 import certrack
 from certrack.certificates import best_sound_bound
 from certrack.certificates.ranges.certify import certify_ranges
-from certrack.certificates.worst_profile import WorstProfile, worst_profile
+from certrack.certificates.worst_profile import WorstProfile, stopping_widths, worst_profile
 from certrack.cli import main
 from certrack.core.expressions import TIME, parse
 from certrack.core.lowering import numpy_callable
@@ -29,6 +29,7 @@ from certrack.studies.falsifier.linear.sampled import (
     with_jumps,
 )
 from certrack.studies.falsifier.linear.search import (
+    NothingTried,
     continuous_case,
     linear_error_loop,
     sampled_case,
@@ -170,7 +171,8 @@ def test_kernels_are_the_derivatives_of_the_error(kind, late):
 
 def test_an_adaptive_loop_has_no_linear_case():
     example = certrack.load("example1")
-    assert continuous_case(example, bounds_of(example)) is None
+    with pytest.raises(NothingTried, match="not linear"):
+        continuous_case(example, bounds_of(example))
 
 
 @pytest.mark.slow
@@ -356,7 +358,34 @@ def test_a_reference_that_may_jump_seldom_does_so_seldom():
 
 def test_an_unstable_drive_has_no_case():
     slow = replace(DRIVE.implementation, period=0.2)
-    assert sampled_case(DRIVE.replace(implementation=slow), bounds_of(DRIVE)) is None
+    with pytest.raises(NothingTried, match="not stable"):
+        sampled_case(DRIVE.replace(implementation=slow), bounds_of(DRIVE))
+
+
+def test_what_was_not_tried_is_said(monkeypatch):
+    """A case that cannot be written as a system is no reason to say nothing."""
+
+    def refuse(*_):
+        raise certrack.InputError("reference", "must not jump")
+
+    monkeypatch.setattr("certrack.studies.falsifier.linear.search.written_case", refuse)
+    found = falsify(DRIVE, budget=20)
+    assert found.drive is None and set(found.left_out) == {"drive", "kernels"}
+    assert "must not jump" in found.left_out["drive"]
+
+
+def test_stopping_does_not_wait_for_what_no_reference_reaches():
+    """Y_4 of the file is 6600, but |y^(4)| with |y^(5)| <= 25 stays far below it."""
+    widths = stopping_widths(np.array([0.7855, 3.15, 19.4, 403.0, 6600.0, 25.2]), 60)
+    assert 0.5 < widths.sum() < 10
+
+
+@pytest.mark.slow
+def test_the_flexible_joint_on_a_drive_is_attacked():
+    system = certrack.load("flexible-joint")
+    system = system.replace(implementation=certrack.Implementation(period=0.004, delay=0.5))
+    case = sampled_case(system, bounds_of(system))
+    assert case.error == pytest.approx(case.estimate, rel=0.05) and case.error > 0.009
 
 
 # errors of sensors

@@ -246,3 +246,25 @@ def test_slopes_of_pieces_are_attained(reference):
         slope = reference.lipschitz_bound(order)
         assert slope == pytest.approx(reference.bounds(order + 1).values[-1], rel=1e-9, abs=1e-12)
         assert reached <= slope * (1 + 1e-12)
+
+
+def test_control_points_bound_polynomials_of_high_degree():
+    """Against exact roots; near a double root, too, where numerical roots are off."""
+    from flint import arb_poly, fmpq, fmpq_poly
+
+    from certrack.references.polynomials import largest_by_control_points
+
+    rng = np.random.default_rng(3)
+    rows = [rng.integers(-9, 10, size=degree + 1) for degree in (3, 5, 8, 9) for _ in range(8)]
+    rows.append(np.array([1, -8, 24, -32, 16]))  # (1 - 2 s)^4
+    for row in rows:
+        p = fmpq_poly([int(v) for v in row])
+        ends = [abs(p(fmpq(0))), abs(p(fmpq(1)))]
+        best = float(max(v.p / v.q for v in ends))
+        for root, _ in p.derivative().numer().complex_roots():
+            if root.imag.contains(0) and not (root.real < 0 or root.real > 1):
+                best = max(best, float(arb_poly(p)(root.real).abs_lower()))
+        terms = np.zeros((1, 10))
+        terms[0, : len(row)] = row
+        found = largest_by_control_points(terms, np.ones(1))
+        assert best <= found <= best * (1 + 1e-9) + 1e-12

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 import sympy
 from scipy.linalg import expm
+from varying_attack import VaryingLoop, Wave
 
 import certrack
 from certrack.certificates import NoCertificate
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.ranges.cells import halved
 from certrack.certificates.ranges.certify import certify_ranges
 from certrack.certificates.ranges.loop import error_form, ranged_loop
 from certrack.certificates.ranges.proofs import (
@@ -66,9 +68,11 @@ def system_of(drift, c=3):
 
 
 FUNCTIONS = ["sin(3*x)", "tanh(-2*v)", "atan(x/7)", "abs(x)", "x*tanh(v)", "v*cos(x)", "-x*sin(x)"]
+PRODUCTS = ["sin(2*x)*cos(v)", "tanh(3*v)*sin(x)**2", "atan(x)*tanh(x)", "abs(v)*cos(x)*tanh(v)"]
+SEARCHED = [*FUNCTIONS, *PRODUCTS]
 
 
-@pytest.mark.parametrize("text", FUNCTIONS)
+@pytest.mark.parametrize("text", FUNCTIONS + PRODUCTS)
 def test_sectors_contain_the_function(text):
     function = sympy.sympify(text, locals={"x": X, "v": V})
     _, function = function.as_independent(X, V, as_Add=False)
@@ -121,6 +125,42 @@ def test_the_smaller_of_the_two_bounds_counts():
     bounds = [float(prover.vertices(prover.box).bound) for prover in (plain, within)]
     assert bounds[0] < bounds[1]
     assert certify_ranges(coarse, "fast").vertices.bound == pytest.approx(bounds[0], rel=1e-3)
+
+
+def test_a_product_within_a_sector_is_one_function():
+    """One number for bracket times slope: it is small where the law nearly knows the constant."""
+    assert sector_of(sympy.atan(X) * sympy.tanh(X), [X, V])[1:] == (-1, 1)  # of two, the smaller
+    system = system_of("K*sin(x)*cos(v)")
+    prover = RangeProver(system, sectors=True)
+    channels = prover.coefficients.over(prover.box)
+    assert len(prover.coefficients.functions) == 1 and channels.rows.shape[0] == 1
+    assert channels.columns.tolist() == [[0], [Q("1/2")]]  # |K - 1| <= 1/2 and |s| <= 1
+    exact = prover.coefficients.over(((Q(1), Q(1)), *prover.box[1:]))
+    assert exact.rows.shape[0] == 0  # nothing is left of the term, whatever s does
+    plain = RangeProver(system)
+    within, outside = (float(p.peak(p.box).bound) for p in (prover, plain))
+    assert within < outside / 3
+    assert certify_ranges(system).best.bound <= within * (1 + 1e-12)
+
+
+def test_a_regressor_within_a_sector_with_a_range_of_theta():
+    text = (
+        FILE.replace("DRIFT", "0")
+        .replace("C, C", "3, 3")
+        .replace("gain_sign = 1", 'gain_sign = 1\nregressor = ["PHI"]\ntheta = [2]')
+        .replace('K = ["1/2", "3/2"]', "theta = [[1, 2.5]]")
+        .replace("omega = [0,", "theta = [1.2]\nomega = [0,")
+    )
+    system = certrack.loads(text.replace("PHI", "x*cos(v)"))
+    prover = RangeProver(system, sectors=True)
+    assert [str(s) for s in prover.loop.symbols] == ["ranges.theta[0]", "sector.slope[0]"]
+    found = certify_ranges(system)
+    assert found.best.exists
+    assert check_cells(system, found.proof, max((p.bound for p in found.proof), key=float)) == ""
+    assert certrack.simulate(system).metrics.tail_error <= found.best.bound
+    unbounded = certify_ranges(certrack.loads(text.replace("PHI", "x*v")))
+    assert not unbounded.best.exists and "v*x is unbounded" in unbounded.best.reason
+    assert "is covered; narrow plant.ranges" in unbounded.best.reason
 
 
 #: e'' + 0.1 e' + (1.0025 + delta) e with |delta| <= 1/2: stable for every constant delta.
@@ -188,7 +228,7 @@ def test_saved_and_checked(tmp_path):
 @pytest.mark.parametrize("seed", range(12))
 def test_no_run_exceeds_a_bound_of_sectors(seed):
     rng = np.random.default_rng([seed, 5])
-    terms = [f"{rng.integers(-9, 10) / 10}*K*{f}" for f in rng.choice(FUNCTIONS, 2, replace=False)]
+    terms = [f"{rng.integers(-9, 10) / 10}*K*{f}" for f in rng.choice(SEARCHED, 2, replace=False)]
     system = system_of(" + ".join(terms), c=int(rng.integers(2, 6)))
     system = system.with_settings(x0=rng.normal(size=2).round(2).tolist())
     found = certrack.certify(system)
@@ -200,3 +240,44 @@ def test_no_run_exceeds_a_bound_of_sectors(seed):
         assert run.metrics.tail_error <= found.best.bound
         if found.tube is not None:
             assert (np.abs(run.e[0]) <= found.tube(run.t)).all()
+
+
+# a search that tries to beat them
+
+
+def switched_slopes(loop, rng):
+    """The largest |e_1| at the end with slopes and inputs that jump, and constants that do not."""
+    m = len(loop.box) - loop.moving
+    points = list(itertools.product(*loop.box))
+    nominal = np.linalg.eigvals(loop.coordinates.error_matrix.astype(float))
+    steps = 300
+    step = 10 / float(-nominal.real.max()) / steps
+    varying = VaryingLoop(loop, points, step, Wave(0.1, 1.0))
+    output = np.array([1.0, *[0.0] * (loop.n + 2)])
+    phase = float(rng.uniform(0, 2 * np.pi))
+    z = varying.start(np.zeros(loop.n), phase)
+    z[: loop.n] = 0
+    run = varying.ascent(z, output, steps, rng, rounds=6, still=2**loop.moving)
+    assert m and 2**m * 2**loop.moving == len(points)
+    return float(output @ run[-1])
+
+
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, 25))]
+)
+def test_no_switching_slope_exceeds_a_bound_of_sectors(seed):
+    """Of every proof: the smallest cells too, for slopes vary where constants stand still."""
+    rng = np.random.default_rng([seed, 6])
+    terms = [f"{rng.integers(-15, 16) / 10}*K*{f}" for f in rng.choice(SEARCHED, 2, replace=False)]
+    system = system_of(" + ".join(terms), c=int(rng.integers(2, 6)))
+    prover = RangeProver(system, sectors=True)
+    moving = prover.loop.moving
+    if not moving:
+        return
+    whole = [p for p in (prover.vertices(prover.box), prover.peak(prover.box)) if p]
+    halves = [prover.peak(cell) for cell in halved(prover.box, [1] * len(prover.box), moving)]
+    bounds = [float(proof.bound) for proof in whole]
+    bounds += [max(float(proof.bound) for proof in halves)] if all(halves) else []
+    if bounds:
+        reached = switched_slopes(prover.loop, rng)
+        assert 0.1 * min(bounds) < reached <= min(bounds)

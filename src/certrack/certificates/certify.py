@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from certrack.certificates.certificate import Certificate
 from certrack.certificates.estimates.estimate import BoundEstimate
@@ -14,6 +15,7 @@ from certrack.certificates.implemented.certify import (
     missing_implemented,
 )
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
+from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.methods import (
@@ -22,6 +24,7 @@ from certrack.certificates.methods import (
     QUADRATIC_KINDS,
     RANGE_KINDS,
     Proofs,
+    certify_semidefinite,
     every_certificate,
     smallest,
 )
@@ -32,6 +35,7 @@ from certrack.certificates.ranges.costs import ConstantCost
 from certrack.certificates.ranges.proofs import CellProof
 from certrack.certificates.ranges.strength import RangeStrength
 from certrack.certificates.ranges.tube import range_tube
+from certrack.certificates.scope import has_ranges
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
 from certrack.core import checks
@@ -224,14 +228,21 @@ def certify(
     )
     progress(METHOD_STEPS, STEPS, None)
     stages = methods.stages
-    implemented, implemented_proof = certify_implemented(system, from_start=True)
-    rests_on = premises_as_implemented(system) if implemented.verified else premises(system)
+    implemented, implemented_proof = _implemented(
+        system,
+        margins=effort != "fast",
+        effort=effort,
+        progress=lambda _, __, best: progress(METHOD_STEPS, STEPS, best),
+    )
+    later = system.long_run
+    as_run = system if is_limited(system) else later
+    rests_on = premises_as_implemented(as_run) if implemented.verified else premises(later)
     result = Certificates(
         **methods.certificates,
         proof=next(iter(methods.stages_of("semidefinite")), None),
         cascade_proof=methods.stages_of("cascade") or None,
-        critical_published=critical_strength(system),
-        critical_semidefinite=critical_semidefinite(system, methods.certificates["semidefinite"]),
+        critical_published=critical_strength(later),
+        critical_semidefinite=critical_semidefinite(later, methods.certificates["semidefinite"]),
         tube=None if contradicted(rests_on) else _tube(system, stages, methods.ranges.vertex_proof),
         premises=rests_on,
         tightest=methods.tightest,
@@ -246,8 +257,27 @@ def certify(
     return _unverified(result) if result.contradicted else result
 
 
+def _implemented(
+    system: System, margins: bool, effort: str, progress: Progress
+) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
+    """That of the loop as it runs; without limits of the input a soft start counts from x0 only."""
+    how: Any = {"margins": margins, "effort": effort, "progress": progress}
+    if system.long_run is system or is_limited(system):
+        return certify_implemented(system, from_start=True, **how)
+    early, _ = certify_implemented(system, from_start=True, effort=effort, progress=progress)
+    later, later_proofs = certify_implemented(system.long_run, **how)
+    return replace(later, start=early.start, peaks=early.peaks), later_proofs
+
+
 def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:
-    """The tube of the nominal loop's certificate, or of one quadratic function for all ranges."""
+    """The tube of the nominal loop's certificate, or of one quadratic function for all ranges.
+
+    A soft start is part of what happens from a start, so there it is of a certificate that counts
+    it, too.
+    """
+    if system.long_run is not system:
+        proof = None if has_ranges(system) else certify_semidefinite(system)[1]
+        return None if proof is None else tube(system, proof)
     if vertex_proof is not None:
         return range_tube(system, vertex_proof)
     return tube(system, stages) if stages else None

@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,12 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.implemented.certify import claim_of, failed_cover, largest_bound
-from certrack.certificates.implemented.document import implemented_proofs, is_implemented
+from certrack.certificates.implemented.document import (
+    implemented_proofs,
+    is_implemented,
+    record_of,
+)
+from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.premise import Premise, contradicted
@@ -122,6 +127,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         raise InputError("stages", "there is no proof to save")
     cells = tuple(stage for stage in stages if isinstance(stage, CellProof))
     sampled = tuple(stage for stage in stages if isinstance(stage, ImplementedProof))
+    system = system if sampled and is_limited(system) else system.long_run
     rests_on = premises_as_implemented(system) if sampled else premises(system)
     if broken := contradicted(rests_on):
         raise InputError("premises", f"the truth contradicts one: {broken[0]}")
@@ -134,7 +140,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         "claim": claim_of(system, bound) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system),
-        "proof": [json.loads(json.dumps(asdict(stage))) for stage in stages],
+        "proof": [json.loads(json.dumps(record_of(stage))) for stage in stages],
     }
     return body | {"sha256": _digest(body)}
 
@@ -205,10 +211,10 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
 def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     try:
         body = source if isinstance(source, dict) else _read_document(Path(source))
-        if _is_cover(body):
-            return _verify_cover(body)
         if is_implemented(body):
             return _verify_implemented(body)
+        if _is_cover(body):
+            return _verify_cover(body)
         stages = _stages(body)
         proof = stages[-1]
         if body["sha256"] != _digest(body):

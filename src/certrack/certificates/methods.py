@@ -114,7 +114,7 @@ def every_certificate(
     details: bool = False,
     near: float | None = None,
 ) -> Methods:
-    """Certify `system` by every method.
+    """Certify `system` by every method, for the long run of its reference.
 
     Parameters
     ----------
@@ -132,6 +132,7 @@ def every_certificate(
     InputError
         If a bound of the reference can neither be proven nor is declared.
     """
+    system = system.long_run
     progress(0, METHOD_STEPS, None)
     certificates = dict(certify_published(system))
     progress(1, METHOD_STEPS, None)

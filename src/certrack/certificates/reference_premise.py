@@ -12,6 +12,7 @@ from certrack.certificates.premise import ASSUMED, CHECKED, CONTRADICTED, PROVEN
 from certrack.core.errors import InputError
 from certrack.core.rounding import rounded_up
 from certrack.references import SymbolicReference
+from certrack.references.soft_start import long_run
 from certrack.systems.system import System
 
 #: Its name in the list of premises.
@@ -26,7 +27,7 @@ BOUND_ROUNDING = 1e-9
 
 def reference_premise(system: System) -> Premise:
     """The bounds Y_0 ... Y_{q+1} that a certificate takes for true."""
-    reference = system.reference
+    reference, joined = system.reference, long_run(system.reference)
     order = system.controller.coordinates.q + 1
     try:
         bounds = reference.bounds(order)
@@ -51,7 +52,7 @@ def reference_premise(system: System) -> Premise:
             {"t": t, "value": value, "limit": bounds.values[i]},
             f"state reference.bounds[{i}] for all t >= 0",
         )
-    if _proves(reference, bounds.values, declared):
+    if _proves(joined, joined.bounds(order).values, declared):
         return Premise(REFERENCE, PROVEN, detail)
     return Premise(REFERENCE, CHECKED, f"{detail}; declared ones on samples of t")
 

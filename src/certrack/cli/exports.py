@@ -36,10 +36,20 @@ def monitor_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(command)
     def with_monitor(
-        *arguments: Any, monitor: bool, box: tuple[tuple[str, str, str], ...], **options: Any
+        *arguments: Any,
+        monitor: bool,
+        box: tuple[tuple[str, str, str], ...],
+        certificate: Path | None,
+        certify: bool,
+        **options: Any,
     ) -> Any:
         requested = {name: options.pop(name) for name in MONITOR_OPTIONS}
-        return command(*arguments, monitor=_monitor(monitor, box, requested), **options)
+        _with_monitor(monitor, box, certificate, certify, requested)
+        proven: list[tuple[str, Any]] = []
+        if certificate is not None or certify:
+            proven = _proven(options["file"], options["period"], certificate)
+        watching = _monitor(monitor, box, proven, requested)
+        return command(*arguments, monitor=watching, **options)
 
     for name, (flag, text) in reversed(MONITOR_OPTIONS.items()):
         with_monitor = click.option(flag, name, is_flag=True, help=text)(with_monitor)
@@ -50,22 +60,65 @@ def monitor_options(command: Callable[..., Any]) -> Callable[..., Any]:
         metavar="STATE LOW HIGH",
         help="With --monitor: bounds of a state; may be repeated.",
     )(with_monitor)
+    with_monitor = click.option(
+        "--certificate",
+        type=click.Path(path_type=Path),
+        metavar="FILE",
+        help="With --monitor: the box of states that this saved certificate proves.",
+    )(with_monitor)
+    with_monitor = click.option(
+        "--certify",
+        is_flag=True,
+        help="With --monitor: the box of states that is proven, certified anew.",
+    )(with_monitor)
     text = "Add enable, resets, and flags for the premises of the certificate."
     return click.option("--monitor", is_flag=True, help=text)(with_monitor)
 
 
+def _with_monitor(
+    asked: bool,
+    box: tuple[tuple[str, str, str], ...],
+    certificate: Path | None,
+    certify: bool,
+    requested: dict[str, bool],
+) -> None:
+    """Refuse options that go with --monitor only, and two sources of one box."""
+    used = {"--box": box, "--certificate": certificate is not None, "--certify": certify}
+    used |= {MONITOR_OPTIONS[name][0]: value for name, value in requested.items()}
+    if not asked and (alone := [name for name, value in used.items() if value]):
+        raise InputError(alone[0], "goes with --monitor", remedy="Add --monitor")
+    if certificate is not None and certify:
+        raise InputError("--certify", "does not go with --certificate", remedy="Leave one out")
+
+
+def _proven(file: str, period: float | None, certificate: Path | None) -> list[tuple[str, Any]]:
+    """The proven box of a system, by name."""
+    from certrack.export.program import sampled_system
+    from certrack.export.proven_box import proven_box
+    from certrack.systems.reader import load
+
+    system = load(file)
+    if period is not None or system.implementation is None:
+        system = sampled_system(system, period)
+    return list(proven_box(system, certificate).items())
+
+
 def _monitor(
-    asked: bool, box: tuple[tuple[str, str, str], ...], requested: dict[str, bool]
+    asked: bool,
+    box: tuple[tuple[str, str, str], ...],
+    proven: list[tuple[str, Any]],
+    requested: dict[str, bool],
 ) -> Monitor | None:
+    """The monitor; a box of the user goes before the proven one of the same state."""
     from certrack.export.monitor import Monitor
 
     if not asked:
-        alone = [MONITOR_OPTIONS[name][0] for name, value in requested.items() if value]
-        if alone := (["--box"] if box else []) + alone:
-            raise InputError(alone[0], "goes with --monitor", remedy="Add --monitor")
         return None
+    stated = {state for state, *_ in box}
+    entries = [(state, ends) for state, *ends in box]
+    entries += [(state, ends) for state, ends in proven if state not in stated]
     with _named_as_options():
-        return Monitor(box=[(state, ends) for state, *ends in box], **requested)
+        return Monitor(box=entries, **requested)
 
 
 @contextmanager

@@ -37,6 +37,7 @@ def falsification_summary(result: Falsification) -> dict[str, Any]:
         "stopped": result.stopped,
         "settling": settling,
         "drive": None if result.drive is None else _of_drive(result.drive),
+        "left_out": dict(result.left_out),
         "certificates": {
             kind: _beside(c, error, settling) for kind, c in result.certificates.items()
         },

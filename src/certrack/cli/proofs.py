@@ -251,6 +251,12 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
             report.print_lines([PUBLISHED_EXCEEDED])
         if values["drive"] is not None:
             report.print_lines(falsified.drive_lines(values["drive"]))
+        if "drive" in result.left_out:
+            click.echo(
+                "certrack: note: nothing was tried of the loop as [implementation] runs it: "
+                f"{result.left_out['drive']}",
+                err=True,
+            )
         for path in cases:
             click.echo(f"{path} replays it: certrack simulate {path}")
     if result.alarm is not None:

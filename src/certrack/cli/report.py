@@ -17,6 +17,7 @@ from rich.table import Table
 
 from certrack.core.rounding import printed_bound
 from certrack.simulation.metrics import METRIC_LABELS
+from certrack.simulation.moves import MOVE_LABELS
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -197,6 +198,21 @@ def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
     return table("", ["metric", *summaries], rows)
 
 
+#: More moves than this are counted in a table, not shown.
+SHOWN_MOVES = 12
+
+
+def moves_table(moves: Sequence[Mapping[str, Any]]) -> Table:
+    """Metrics of each move, a row each; of many the first, and the largest of all."""
+    rows = [[move[key] for key in MOVE_LABELS] for move in moves[:SHOWN_MOVES]]
+    if len(moves) > SHOWN_MOVES:
+        last = [
+            max((m[key] for m in moves if m[key] is not None), default=None) for key in MOVE_LABELS
+        ]
+        rows.append([f"largest of {len(moves)}", "", "", "", *last[4:]])
+    return table("moves", list(MOVE_LABELS.values()), rows, digits=4)
+
+
 def ensemble_table(ensemble: Ensemble) -> Table:
     """Quantiles of every metric."""
     rows = []
@@ -242,9 +258,12 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
 
 def _corner_lines(ensemble: Ensemble, file: str) -> list[str]:
     """What the corners of the ranges gave."""
-    corners, ranged = ensemble.corners, ensemble.system.plant.constant_boxes
+    from certrack.studies.ensembles.corners import MAX_RANGES, ranges_of
+
+    corners = ensemble.corners
     if corners is None:
-        return ["corners of plant.ranges: not run, of more than 6"] if len(ranged) > 6 else []
+        too_many = len(ranges_of(ensemble.system)) > MAX_RANGES
+        return [f"corners of plant.ranges: not run, of more than {MAX_RANGES}"] if too_many else []
     worst = corners.worst
     values = ", ".join(f"{name} = {v:.5g}" for name, v in corners.constants[worst].items())
     beyond = "" if corners.beyond is None else f", {corners.beyond} beyond the limit"

@@ -115,6 +115,8 @@ def simulate(
     else:
         click.echo(system.title or file)
         report.console().print(report.metrics_table({Path(file).stem: summary}))
+        if summary["moves"]:
+            report.console().print(report.moves_table(summary["moves"]))
         if with_c:
             click.echo(
                 f"controller: the exported C, compiled by {Path(find_c_compiler()).name}; "
@@ -212,7 +214,7 @@ def ensemble(
     """Simulate many random members: plants, starts and disturbances.
 
     They are drawn as the file's [ensemble] says; without it, within plant.ranges and
-    plant.uncertainty. The corners of the ranges of up to 6 constants run besides. With --out,
+    plant.uncertainty. The corners of up to 6 ranges run besides. With --out,
     quantile bands (NetCDF), the summary (JSON) and pictures are written there.
 
     \b

@@ -26,6 +26,8 @@ def implemented_summary(sampled: ImplementedCertificate) -> dict[str, Any]:
         "peaks": None if sampled.peaks is None else asdict(sampled.peaks),
         "polytope": _polytope(sampled),
         "parts": dict(sampled.parts),
+        "cells": sampled.cells,
+        "margins": None if sampled.margins is None else asdict(sampled.margins),
     }
 
 
@@ -58,10 +60,27 @@ def implemented_notes(sampled: ImplementedCertificate, digits: int) -> list[str]
             f"the sampled loop is not verified: {sampled.reason}; |e_1| <= {bound} in the long "
             "run where no limit is met any more"
         )
+    if sampled.cells:
+        count = "one cell" if sampled.cells == 1 else f"{sampled.cells} cells"
+        ship += f"; proven for all constants in plant.ranges, in {count}"
     return [
         ship,
         f"as implemented, in the long run: |u| <= {peak}, {_listed(states)}",
+        *_margin_notes(sampled, digits),
         *_start_notes(sampled, digits),
+    ]
+
+
+def _margin_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
+    """The slowest and the fastest period."""
+    margins = sampled.margins
+    if margins is None:
+        return []
+    slow = f"{margins.slowest:g} s" + (" and more" if margins.slower_untried else "")
+    fast = f"{margins.fastest:g} s" + (" and less" if margins.faster_untried else "")
+    return [
+        f"as implemented, sampling margins: proven within twice the bound "
+        f"({rounded_up(margins.bound, digits)}) at periods of {slow} (slowest) and {fast} (fastest)"
     ]
 
 

@@ -16,6 +16,7 @@ from certrack.plotting.ensembles import (
 from certrack.plotting.fronts import front_figure
 from certrack.plotting.main_picture import plot
 from certrack.plotting.margins import drift_figure, margin_figure
+from certrack.plotting.references import reference_figure
 from certrack.plotting.runs import (
     PANELS,
     Panel,
@@ -56,6 +57,7 @@ __all__ = [
     "plot_output",
     "plot_states",
     "plot_tube",
+    "reference_figure",
     "save_figure",
     "starts_figure",
     "style",

@@ -22,9 +22,15 @@ from certrack.references.base import (
     round_up,
 )
 from certrack.references.piecewise import PiecewiseReference
+from certrack.references.profiles.moves import moves, scurve, velocity
+from certrack.references.profiles.pieces import pieces
+from certrack.references.profiles.polynomial import polynomial
+from certrack.references.profiles.waves import chirp, multisine
 from certrack.references.registry import check_reference, known_references
 from certrack.references.registry import register_reference as register
-from certrack.references.shapes import profile, samples, steps, trapezoid, triangle
+from certrack.references.samples import samples
+from certrack.references.shapes import profile, steps, trapezoid, triangle
+from certrack.references.soft_start import SoftStart
 from certrack.references.symbolic import SymbolicReference
 
 __all__ = [
@@ -34,21 +40,29 @@ __all__ = [
     "Key",
     "PiecewiseReference",
     "Reference",
+    "SoftStart",
     "SymbolicReference",
     "check_fields",
     "check_reference",
+    "chirp",
     "jumps",
     "key",
     "known_references",
     "lipschitz_bound",
+    "moves",
+    "multisine",
+    "pieces",
     "pieces_at",
+    "polynomial",
     "profile",
     "register",
     "require_order",
     "round_up",
     "samples",
+    "scurve",
     "steps",
     "symbol",
     "trapezoid",
     "triangle",
+    "velocity",
 ]

@@ -20,9 +20,9 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.keys import set_fields
 from certrack.references.base import Bounds, round_up
+from certrack.references.extremes import largest_of_rows
 from certrack.references.polynomials import (
     DEGREE,
-    HIGHER_ROUNDING,
     ROUNDINGS,
     derived,
     evaluate,
@@ -40,7 +40,7 @@ SAME_VALUE = 1e-12
 #: No law asks for more derivatives.
 MAX_PIECE_DEGREE = 52
 
-#: Factor on the extremes of a piece, whose evaluation is some ten float operations.
+#: Factor on the extremes of a cubic, whose evaluation is some ten float operations.
 EXTREME_ROUNDING = 1 + 1e-13
 
 #: Relative excess over a declared bound that is not refused; points per piece where it is compared.
@@ -243,16 +243,22 @@ class PiecewiseReference:
         return np.array(derivatives)
 
     def bounds(self, order: int) -> Bounds:
-        """Exact up to rounding: extremes at the ends and stationary points of each piece."""
+        """Exact: extremes at the ends and stationary points of each piece.
+
+        Of cubics up to rounding, which is counted; of higher degrees in rational arithmetic.
+        """
+        values = tuple(self._bound(i) for i in range(order + 1))
+        return Bounds(values, ("exact",) * (order + 1))
+
+    def _bound(self, i: int) -> float:
         a = np.array(self.coefficients)
+        if self._degree > DEGREE:
+            held = abs(float(self._table[-1, 0])) if i == 0 else 0.0
+            return max(held, largest_of_rows(a, i, self._knots))
         width = np.diff(self._knots)
-        rounding = EXTREME_ROUNDING if self._degree == DEGREE else HIGHER_ROUNDING
-        values = []
-        for i in range(order + 1):
-            points = [np.zeros_like(width), width, *stationary(derived(a, i + 1), width)]
-            best = max(float(np.abs(evaluate(derived(a, i), s)).max()) for s in points)
-            values.append(round_up(best * rounding))
-        return Bounds(tuple(values), ("exact",) * (order + 1))
+        points = [np.zeros_like(width), width, *stationary(derived(a, i + 1), width)]
+        best = max(float(np.abs(evaluate(derived(a, i), s)).max()) for s in points)
+        return round_up(best * EXTREME_ROUNDING)
 
     def lipschitz_bound(self, order: int, *, between_jumps: bool = False) -> float | None:
         """That of y_d^(order); see :func:`certrack.references.lipschitz_bound`."""

@@ -12,6 +12,10 @@ DEGREE = 3
 #: Above degree 3 a derivative is largest where numerical roots say, and larger by less than this.
 HIGHER_ROUNDING = 1 + 1e-11
 
+#: Where control points reach no further beyond a value at an end, the search of the largest ends;
+#: and after so many halvings, or with so many pieces left.
+CLOSE, MOST_HALVINGS, MOST_PIECES = 1 + 1e-10, 60, 20_000
+
 #: Of the size of its terms: what a dozen roundings may take from a value.
 ROUNDINGS = 2.0**-48
 
@@ -45,8 +49,7 @@ def largest_slope(a: np.ndarray, i: int, width: np.ndarray) -> float:
     """Upper bound of |p^(i)|, i >= 1, of all rows' polynomials on [0, width]."""
     terms = derived(a, i)
     if terms[:, 3:].any():
-        points = [np.zeros_like(width), width, *stationary(derived(terms, 1), width)]
-        return max(float(value_above(terms, s).max()) for s in points) * HIGHER_ROUNDING
+        return largest_by_control_points(terms, width)
     c1, c2 = terms[:, 1], terms[:, 2]
     best = np.maximum(np.abs(terms[:, 0]) * (1 + ROUNDINGS), value_above(terms, width))
     with np.errstate(all="ignore"):
@@ -56,6 +59,47 @@ def largest_slope(a: np.ndarray, i: int, width: np.ndarray) -> float:
     there[:, 0], there[:, 1] = terms[:, 0], c1 / 2  # its value where it turns
     best[inside] = np.maximum(best, value_above(there, turning))[inside]
     return float(best.max())
+
+
+def largest_by_control_points(terms: np.ndarray, width: np.ndarray) -> float:
+    """Upper bound of |p| of all rows' polynomials on [0, width], rounded up.
+
+    A polynomial stays among its control points. Pieces whose control points reach beyond the
+    largest value at an end are halved, by de Casteljau's averages, until none does by more than
+    :data:`CLOSE`, or there are too many, which leaves a larger bound.
+    """
+    degree = terms.shape[1] - 1
+    powers = range(degree + 1)
+    weights = [
+        [math.comb(j, k) / math.comb(degree, k) if k <= j else 0.0 for j in powers] for k in powers
+    ]
+    with np.errstate(all="ignore"):
+        scaled = terms * width[:, None] ** np.arange(degree + 1)
+        points = scaled @ np.array(weights)
+        lost = ROUNDINGS * (degree + 4) * float(np.abs(scaled).sum(axis=1).max(initial=0.0))
+        if not np.isfinite(points).all() or not math.isfinite(lost):
+            return math.inf
+        size, reached = float(np.abs(points).max(initial=0.0)), 0.0
+        for _ in range(MOST_HALVINGS):
+            reached = max(reached, float(np.abs(points[:, [0, -1]]).max(initial=0.0)))
+            open_ = np.abs(points).max(axis=1, initial=0.0) > reached * CLOSE
+            points = points[open_]
+            if not 0 < len(points) <= MOST_PIECES:
+                break
+            points = _halved(points)
+            lost += ROUNDINGS * (degree + 4) * size
+        largest = max(reached * CLOSE, float(np.abs(points).max(initial=0.0)))
+    return (largest + lost) * (1 + ROUNDINGS)
+
+
+def _halved(points: np.ndarray) -> np.ndarray:
+    """Control points of the left and the right halves."""
+    left, right, row = [points[:, 0]], [points[:, -1]], points
+    while row.shape[1] > 1:
+        row = (row[:, :-1] + row[:, 1:]) / 2
+        left.append(row[:, 0])
+        right.append(row[:, -1])
+    return np.vstack([np.array(left).T, np.array(right[::-1]).T])
 
 
 def stationary(slope: np.ndarray, width: np.ndarray) -> list[np.ndarray]:

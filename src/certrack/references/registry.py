@@ -19,6 +19,7 @@ from certrack.core.supported import check_symbols, normal_form
 from certrack.references.base import Reference
 from certrack.references.keys import REFERENCE_KINDS, ReferenceKind
 from certrack.references.piecewise import PiecewiseReference
+from certrack.references.soft_start import SoftStart
 from certrack.references.symbolic import SymbolicReference
 
 _Maker = TypeVar("_Maker", bound=Callable[..., Any])
@@ -158,6 +159,9 @@ def check_reference(reference: Any, order: int, duration: float) -> None:
         If it is not registered, lacks a member, or its formulas are not supported or not those of
         its values.
     """
+    if isinstance(reference, SoftStart):
+        check_reference(reference.target, order, duration)
+        return
     if isinstance(reference, SymbolicReference):
         reference.check_finite(order, duration)
         return

@@ -1,9 +1,9 @@
-"""Shapes of piecewise polynomials: triangle, trapezoid, limited steps, samples, profiles."""
+"""Shapes of piecewise polynomials: triangle, trapezoid, limited steps, profiles."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,8 @@ from certrack.core.errors import InputError
 from certrack.references.piecewise import MAX_PIECE_DEGREE, SAME_TIME, PiecewiseReference
 from certrack.references.polynomials import DEGREE
 
-#: Units of time in which samples may be given, s.
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
-
-#: More samples than this fill the memory of a small machine while the coefficients are computed.
-MAX_REFERENCE_SAMPLES = 1_000_000
+#: More times of a profile than this fill the memory of a small machine.
+MAX_PROFILE_TIMES = 1_000_000
 
 
 def trapezoid(
@@ -30,9 +27,11 @@ def trapezoid(
     *,
     fields: tuple[tuple[str, Any], ...] | None = None,
 ) -> PiecewiseReference:
-    """Periodic trapezoid between offset - amplitude and offset + amplitude.
+    """Periodic trapezoid of the position between offset - amplitude and offset + amplitude.
 
-    It rises during [start, start + rise], holds, falls during an equal time, and holds.
+    It rises at a constant speed during [start, start + rise], holds, falls during an equal time,
+    and holds; the speed jumps at its corners. Where the *speed* is to be a trapezoid, take
+    :func:`~certrack.references.profiles.moves.velocity`.
 
     Parameters
     ----------
@@ -170,60 +169,6 @@ def steps(
     return PiecewiseReference(tuple(knots), rows, 1, None, fields, bound)
 
 
-def samples(
-    times: tuple[float, ...],
-    values: tuple[float, ...],
-    interpolation: str = "monotone",
-    bound: float | None = None,
-    time_unit: str = "s",
-) -> PiecewiseReference:
-    """Interpolated samples, held before the first and after the last.
-
-    Parameters
-    ----------
-    times : m >= 2 increasing times, in the unit of time
-    values : m numbers
-        y_d at these times, unit of the output.
-    interpolation : {"monotone", "cubic"}
-        Monotone never overshoots the data; cubic has a continuous second derivative inside. Both
-        start and end with zero slope, so that holding keeps y_d' continuous (order 2).
-    bound : float, optional
-        D of Assumption 2.
-    time_unit : {"s", "ms", "us", "min"}
-        Of the times.
-    """
-    from scipy.interpolate import CubicSpline, PchipInterpolator
-
-    checks.choice("reference.interpolation", interpolation, ("monotone", "cubic"))
-    times = checks.reals("reference.times", times, None, "sample times, s")
-    values = checks.reals("reference.values", values, len(times), "one value per time")
-    if not 2 <= len(times) <= MAX_REFERENCE_SAMPLES:
-        wanted = f"must be 2 to {MAX_REFERENCE_SAMPLES} samples"
-        raise InputError("reference.times", wanted, len(times))
-    unit = TIME_UNITS[checks.choice("reference.time_unit", time_unit, TIME_UNITS)]
-    t, y = np.array(times) * unit, np.array(values)
-    late = np.flatnonzero(np.diff(t) <= 0)
-    if late.size:
-        i = int(late[0]) + 1
-        raise InputError(f"reference.times[{i}]", "times must increase", times[i])
-    if interpolation == "cubic":
-        slopes = _slopes(lambda: CubicSpline(t, y, bc_type="clamped")(t, 1))
-    else:
-        slopes = _slopes(lambda: PchipInterpolator(t, y)(t, 1))
-        slopes[[0, -1]] = 0.0
-    width, rise = np.diff(t), np.diff(y)
-    a1, b1 = slopes[:-1], slopes[1:]
-    a2 = (3 * rise / width - 2 * a1 - b1) / width  # cubic Hermite
-    a3 = (a1 + b1 - 2 * rise / width) / width**2
-    if not all(np.isfinite(part).all() for part in (a1, a2, a3)):
-        raise InputError(*TOO_CLOSE)
-    rows = tuple(map(tuple, np.column_stack([y[:-1], a1, a2, a3]).tolist()))
-    fields = _fields("samples", times=list(times), values=list(values), interpolation=interpolation)
-    if time_unit != "s":
-        fields = (*fields, ("time_unit", time_unit))
-    return PiecewiseReference(tuple(t.tolist()), rows, 2, None, fields, bound)
-
-
 def profile(
     times: tuple[float, ...],
     start: tuple[float, ...],
@@ -257,8 +202,8 @@ def profile(
     """
     times = checks.reals("reference.times", times, None, "times between the pieces, s")
     start = checks.reals("reference.start", start, None, "y_d, y_d' ... at the first time")
-    if not 2 <= len(times) <= MAX_REFERENCE_SAMPLES:
-        wanted = f"must be 2 to {MAX_REFERENCE_SAMPLES} times"
+    if not 2 <= len(times) <= MAX_PROFILE_TIMES:
+        wanted = f"must be 2 to {MAX_PROFILE_TIMES} times"
         raise InputError("reference.times", wanted, len(times))
     if not 1 <= len(start) <= MAX_PIECE_DEGREE:
         raise InputError("reference.start", f"must be 1 to {MAX_PIECE_DEGREE} numbers", len(start))
@@ -291,17 +236,6 @@ def derivatives_between(
         )
         rows.append(values)
     return rows
-
-
-TOO_CLOSE = ("reference.times", "must not be so close that the slopes overflow")
-
-
-def _slopes(compute: Callable[[], np.ndarray]) -> np.ndarray:
-    try:
-        with np.errstate(all="ignore"):
-            return np.array(compute())
-    except (ValueError, ArithmeticError):
-        raise InputError(*TOO_CLOSE) from None
 
 
 def _fields(kind: str, **values: Any) -> tuple[tuple[str, Any], ...]:

@@ -14,11 +14,12 @@ from functools import lru_cache
 from itertools import pairwise
 
 import sympy
-from flint import arb, arb_poly, fmpq, fmpq_poly
+from flint import arb, fmpq, fmpq_poly
 
 from certrack.core.expressions import TIME
 from certrack.core.kinks import without_minmax
 from certrack.core.powers import put_in
+from certrack.references.extremes import largest
 from certrack.references.growth import Undefined
 from certrack.references.search import Formula, derivative_bound, float_above_ball, prove_defined
 from certrack.references.taylor import constant
@@ -196,18 +197,9 @@ def _simpler(stretch: Stretch) -> Stretch:
 
 
 def _of_polynomial(poly: sympy.Poly, i: int, begin: fmpq, end: fmpq) -> float:
-    """The largest |p^(i)| on [begin, end]: at the ends, or where p^(i+1) is zero."""
+    """The largest |p^(i)| on [begin, end]."""
     p = fmpq_poly([constant(factor) for factor in reversed(poly.all_coeffs())])
-    p, end = p(fmpq_poly([begin, 1])), end - begin  # of the time since the beginning
-    for _ in range(i):
-        p = p.derivative()
-    points = [arb(0), arb(end)]
-    slope = p.derivative().numer()
-    for root, _ in slope.complex_roots() if slope.degree() > 0 else []:
-        inside = not (root.real < 0 or root.real > end)
-        if inside and root.imag.contains(0):
-            points.append(root.real)
-    return max(float_above_ball(arb_poly(p)(point).abs_upper()) for point in points)
+    return largest(p(fmpq_poly([begin, 1])), i, end - begin)  # of the time since the beginning
 
 
 def _order(stretches: tuple[Stretch, ...]) -> float:

@@ -60,12 +60,15 @@ class SymbolicReference:
         Y_0, Y_1, ... where the user knows them; otherwise they are proven or asked for.
     constants : mapping of names to numbers, optional
         Names usable in the formula.
+    fields : pairs, optional
+        The keys of the system file that made it, for saving, where those are not the formula's.
     """
 
     signal: Expression
     bound: float | None = None
     declared: tuple[float, ...] | None = None
     constants: tuple[tuple[str, Expression], ...] = ()
+    fields: tuple[tuple[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         key, names = "reference.constants", list[str]()

@@ -166,7 +166,7 @@ def _from_samples(
 ) -> tuple[float, float, float, float, float]:
     """Settling time, tail error, integral of |e|, peak and variation of the input."""
     return (
-        _settling_time(t, np.abs(e), band),
+        last_outside(t, np.abs(e), band),
         _tail_supremum(t, e, tail_start, per_step),
         _integral_of_magnitude(t, e, integrals[2]),
         supremum(t, u, per_step),
@@ -305,7 +305,7 @@ def _interpolate(t: np.ndarray, f: np.ndarray, at: float, i: int) -> float:
     return math.fsum(w * v for w, v in zip(weights, fs, strict=True))
 
 
-def _settling_time(t: np.ndarray, size: np.ndarray, band: float) -> float:
+def last_outside(t: np.ndarray, size: np.ndarray, band: float) -> float:
     """Last time at which the size exceeds the band; 0 if never, NaN if it does at the end."""
     outside = np.flatnonzero(size > band)
     if not outside.size:

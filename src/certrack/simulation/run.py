@@ -19,8 +19,10 @@ from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.single.taylor import TaylorSeries
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.plant import measured
+from certrack.references.rests import moves_of
 from certrack.simulation.messages import outcome_message
 from certrack.simulation.metrics import Metrics, measure, settling_band
+from certrack.simulation.moves import MoveMetrics, measure_moves
 from certrack.systems.reader import loads
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
@@ -117,6 +119,14 @@ class Run(ShownInNotebooks):
             smooth=self.smooth_steps,
         )
 
+    @cached_property
+    def moves(self) -> tuple[MoveMetrics, ...]:
+        """What every move from rest to rest is judged by; empty for a reference without rests."""
+        system = self.system
+        known = moves_of(system.reference, self.trajectory.end)
+        per_step = self.trajectory.parts + 1 if self.smooth_steps else None
+        return measure_moves(known, self.t, self.x[0], self.y_d, system.settings.band, per_step)
+
     def _signals(self, t: np.ndarray) -> np.ndarray:
         """e_1, u and the integral of e_1 at any times, a row each."""
         states = self.trajectory.interpolate(t)
@@ -153,6 +163,7 @@ class Run(ShownInNotebooks):
         """
         return {
             **self.metrics.as_dict(),
+            "moves": [move.as_dict() for move in self.moves],
             "final_time": self.trajectory.end,
             "final_state": self.final_state,
             "outcome": self.outcome.name,

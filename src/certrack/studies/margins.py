@@ -358,6 +358,8 @@ def _admitted(
     limit, origin = tail_error_limit(system, None)
     if limit is None and system.implementation is not None:
         limit, origin = tail_error_limit(system.replace(implementation=None), None)
+        if origin == "certificate":  # it does not speak of the loop that is tried here
+            origin = "certificate of the continuous loop"
     if not math.isfinite(finest_error):
         raise InputError(
             "margin",

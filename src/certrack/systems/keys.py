@@ -17,7 +17,7 @@ from certrack.model.population import Population
 from certrack.model.truth import Truth
 from certrack.model.uncertainty import Uncertainty
 from certrack.references import known_references
-from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS
+from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS, TRANSIENT
 from certrack.systems.system import Settings, System
 
 
@@ -44,7 +44,7 @@ def reference_keys(kind: str) -> dict[str, Key]:
     """Keys of ``[reference]`` for one kind of reference."""
     choice = Key("choice", help="shape of y_d", choices=tuple(REFERENCE_KINDS), required=True)
     entry = REFERENCE_KINDS[kind] if kind in REFERENCE_KINDS else known_references()[kind]
-    return {"kind": choice, **entry.keys}
+    return {"kind": choice, **entry.keys, "transient": TRANSIENT}
 
 
 #: Tables of the file and their keys. Where the keys depend on the kind, it stands in brackets.

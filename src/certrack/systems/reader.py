@@ -8,31 +8,26 @@ reads like the loaded one.
 from __future__ import annotations
 
 import os
-import re
 import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from certrack.core import checks
 from certrack.core.budget import within_budget
 from certrack.core.errors import InputError
-from certrack.core.keys import Key
 from certrack.laws import Law, known_laws
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth, constants_of_truth
-from certrack.references import Reference, SymbolicReference, known_references
-from certrack.systems.keys import TABLES, law_keys, reference_keys
+from certrack.systems.keys import TABLES, law_keys
 from certrack.systems.lines import line_of
-from certrack.systems.samples_file import SamplesFile, check_time_unit, read_samples
+from certrack.systems.reference_reader import read_reference
 from certrack.systems.system import Settings, System
+from certrack.systems.tables import read_bytes, read_values, refuse_keys_of_another
 from certrack.systems.toml import parse_toml
-
-#: Largest file that is read: a million samples of a reference fit.
-MAX_FILE_BYTES = 20_000_000
 
 #: What loading may take: about five times what a million samples take. See core/budget.py.
 LOAD_SECONDS, LOAD_MEGABYTES = 60, 2000
@@ -139,7 +134,7 @@ def load(source: str | os.PathLike[str]) -> System:
             not path.exists() or (path.is_dir() and str(source) in catalog())
         ):
             return loads(_shipped_text(str(source)), f"{source}.toml")
-        data = _read_bytes(path)
+        data = read_bytes(path)
     except OSError as problem:
         raise InputError(str(source), f"cannot be read ({problem.strerror or problem})") from None
     except InputError:
@@ -147,14 +142,6 @@ def load(source: str | os.PathLike[str]) -> System:
     except ValueError as problem:  # a NUL byte in the name
         raise InputError(str(source), f"is not a file name ({problem})") from None
     return loads(data, str(source), path.parent)
-
-
-def _read_bytes(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        data = stream.read(MAX_FILE_BYTES + 1)
-    if len(data) > MAX_FILE_BYTES:
-        raise InputError(str(path), f"is larger than {MAX_FILE_BYTES // 1_000_000} MB")
-    return data
 
 
 def _shipped_text(name: str) -> str:
@@ -230,11 +217,17 @@ def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
     checks.known_keys("", tables, SECTIONS, required=REQUIRED_SECTIONS)
     plant = _read_plant(tables["plant"])
     constants = plant.constant_values
-    settings = Settings(**_read_values("simulation", tables["simulation"], constants))
+    settings = Settings(**read_values("simulation", tables["simulation"], constants))
     return System(
         plant=plant,
         law=_read_law(tables["law"], constants),
-        reference=_read_reference(tables["reference"], constants, folder, settings.duration),
+        reference=read_reference(
+            tables["reference"],
+            constants,
+            folder,
+            settings.duration,
+            plant.units[0] if plant.units else "",
+        ),
         truth=_read_truth(tables["truth"], plant),
         settings=settings,
         title=checks.text("title", tables.get("title", "")),
@@ -256,25 +249,6 @@ def _refuse_keys_above_their_table(tables: Mapping[str, Any]) -> None:
         if owners:
             remedy = f"It belongs below {' or '.join(f'[{table}]' for table in owners)}"
             raise InputError(name, "stands above its table", remedy=remedy)
-
-
-def _read_values(
-    table: str,
-    entries: Any,
-    constants: Mapping[str, Any],
-    keys: Mapping[str, Key] | None = None,
-) -> dict[str, Any]:
-    """Entries of a table, all known and none missing, with numbers instead of their formulas.
-
-    The class or function that takes them checks the rest.
-    """
-    keys = TABLES[table] if keys is None else keys
-    required = [name for name, key in keys.items() if key.required]
-    checks.known_keys(table, entries, keys, required)
-    return {
-        name: keys[name].evaluated(f"{table}.{name}", value, constants)
-        for name, value in entries.items()
-    }
 
 
 def _read_named_values(table: str, entries: Any) -> dict[str, Any]:
@@ -318,88 +292,10 @@ def _read_law(table: Any, constants: Mapping[str, Any]) -> Law:
     if "kind" not in table:
         raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(laws))
     law = laws[checks.choice("law.kind", table["kind"], laws, OWN_LAW)]
-    _refuse_keys_of_another("law", table, "law", {name: law_keys(laws[name]) for name in laws})
-    values = _read_values("law", table, constants, law_keys(law))
+    refuse_keys_of_another("law", table, "law", {name: law_keys(laws[name]) for name in laws})
+    values = read_values("law", table, constants, law_keys(law))
     del values["kind"]
     return law(**values)
-
-
-def _refuse_keys_of_another(
-    table: str, entries: Mapping[str, Any], what: str, keys: Mapping[str, Mapping[str, Key]]
-) -> None:
-    """Say at once which keys belong to another kind than the table's, and to which."""
-    kind = entries["kind"]
-    owners = {
-        name: [other for other in keys if name in keys[other]]
-        for name in entries
-        if name not in keys[kind]
-    }
-    foreign = [name for name, kinds in owners.items() if kinds]
-    if not foreign:
-        return
-    first, *others = foreign
-    have = "has" if len(owners[first]) == 1 else "have"
-    raise InputError(
-        f"{table}.{first}",
-        f"is not a key of the {kind} {what} ({', '.join(owners[first])} {have} it)",
-        remedy=f"Nor: {', '.join(others)}" if others else "",
-    )
-
-
-def _read_reference(
-    table: Any, constants: Mapping[str, Any], folder: Path | None, duration: float
-) -> Reference:
-    if not isinstance(table, dict):
-        raise InputError("reference", "must be a table [reference]", table)
-    if "signal" in table:
-        values = _read_values("reference", table, constants)
-        return SymbolicReference(
-            signal=values["signal"],
-            bound=values.get("bound"),
-            declared=values.get("bounds"),
-            constants=tuple(constants.items()),
-        )
-    if "kind" not in table:
-        raise InputError("reference", "must have a signal or a kind", sorted(table))
-    kinds = known_references()
-    kind = checks.choice("reference.kind", table["kind"], kinds)
-    entries = dict(table)
-    file = entries.pop("file", None) if kind == "samples" else None
-    if file is not None:
-        for name in ("times", "values"):
-            if name in entries:
-                raise InputError(f"reference.{name}", "must be left out beside reference.file")
-        samples = _samples_of_file(file, folder)
-        if "time_unit" not in entries:
-            check_time_unit(str(file), samples, duration)
-        entries |= {"times": samples.times, "values": samples.values}
-    keys = {name: reference_keys(name) for name in kinds}
-    _refuse_keys_of_another("reference", entries, "reference", keys)
-    values = _read_values("reference", entries, constants, keys[kind])
-    del values["kind"]
-    try:
-        return kinds[kind].make(**values)
-    except InputError as problem:
-        row = re.fullmatch(r"reference\.(?:times|values)\[(\d+)\]", problem.key)
-        if file is None or row is None:
-            raise
-        what = f"row {samples.rows[int(row[1])]} of {file}: {problem.expected}"
-        raise InputError("reference.file", what, problem.got) from None
-
-
-def _samples_of_file(name: Any, folder: Path | None) -> SamplesFile:
-    """Times and values from a CSV file beside the system file."""
-    key = "reference.file"
-    relative = PurePosixPath(checks.text(key, name))
-    if folder is None or relative.is_absolute() or ".." in relative.parts or "\\" in str(name):
-        raise InputError(key, "must lie beside the system file or below it", name)
-    try:
-        data = _read_bytes(folder / relative)
-    except OSError as problem:
-        raise InputError(
-            key, f"cannot be read ({problem.strerror}) in {folder.resolve()}", name
-        ) from None
-    return read_samples(str(relative), data)
 
 
 def _read_population(table: Any, constants: Mapping[str, Any]) -> Population | None:
@@ -408,13 +304,13 @@ def _read_population(table: Any, constants: Mapping[str, Any]) -> Population | N
     names = [*TABLES["ensemble"], "reference"]
     checks.known_keys("ensemble", table, names)
     entries = dict(table)
-    factors = _read_values("ensemble.reference", entries.pop("reference", {}), constants)
+    factors = read_values("ensemble.reference", entries.pop("reference", {}), constants)
     if "constants" in entries:
         entries["constants"] = _read_named_values("ensemble.constants", entries["constants"])
-    return Population(**_read_values("ensemble", entries, constants), **factors)
+    return Population(**read_values("ensemble", entries, constants), **factors)
 
 
 def _read_implementation(table: Any, constants: Mapping[str, Any]) -> Implementation | None:
     if table is None:
         return None
-    return Implementation(**_read_values("implementation", table, constants))
+    return Implementation(**read_values("implementation", table, constants))

@@ -1,25 +1,26 @@
 """Samples of a reference from a CSV file, as drives, spreadsheets and oscilloscopes write it.
 
 The separator (comma, semicolon, tab, blanks) and the decimal mark are found in the file, a byte
-order mark and lines without a number at its top are skipped, and whatever cannot be read is named
-by its row and cell.
+order mark and lines without a number at its top are skipped, two of many columns are chosen by
+their names, and whatever cannot be read is named by its row and cell.
 """
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from certrack.core.errors import InputError
-from certrack.references.shapes import TIME_UNITS
+from certrack.references.samples import TIME_UNITS
 
 #: Separators in the order in which they are tried; None stands for blanks.
 SEPARATORS = (";", "\t", ",", None)
 
 #: Rows by which a separator is chosen, and rows of names and units that may stand at the top.
-TRIED_ROWS, MAX_HEADER_ROWS = 20, 5
+TRIED_ROWS, MAX_HEADER_ROWS = 20, 40
 
 #: Samples that last longer than so many runs are in another unit than seconds, or so it seems.
 MANY_RUNS = 10.0
@@ -28,6 +29,11 @@ MANY_RUNS = 10.0
 ENCODINGS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.I)
+
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}([., ']\d{3})+([.,]\d+)?")
+
+#: What a spreadsheet writes above the rows to name the separator.
+_SEPARATOR_LINE = re.compile(r"sep=(.)", re.I)
 
 KEY = "reference.file"
 COLUMNS = "must have two columns of numbers: time, y_d"
@@ -52,7 +58,7 @@ class SamplesFile:
     header: str
 
 
-def read_samples(name: str, data: bytes) -> SamplesFile:
+def read_samples(name: str, data: bytes, columns: Sequence[str] | None = None) -> SamplesFile:
     """Two columns of numbers from the bytes of a file.
 
     Parameters
@@ -60,6 +66,8 @@ def read_samples(name: str, data: bytes) -> SamplesFile:
     name : str
         What messages call the file.
     data : bytes
+    columns : two texts, optional
+        Of time and y_d: names in the header, or numbers from 1; the only two if left out.
 
     Raises
     ------
@@ -68,26 +76,77 @@ def read_samples(name: str, data: bytes) -> SamplesFile:
     """
     lines = [(i, line.split("#")[0].strip()) for i, line in enumerate(_lines(name, data), 1)]
     lines = [(i, line) for i, line in lines if line]
+    stated = ""
+    if lines and (match := _SEPARATOR_LINE.fullmatch(lines[0][1])):
+        stated, lines = match[1], lines[1:]
     header = ""
     for _ in range(MAX_HEADER_ROWS):
         if lines and not any(map(_is_number, re.split(r"[;,\s]+", lines[0][1]))):
             header = lines.pop(0)[1]
     if not lines:
         raise InputError(KEY, COLUMNS, f"no sample in {name}")
-    separator = _separator([line for _, line in lines[:TRIED_ROWS]])
-    text = " ".join(line for _, line in lines)
-    comma = separator != "," and "," in text and "." not in text
-    times, values = [], []
-    for row, line in lines:
-        cells = _cells(line, separator)
-        if len(cells) != 2:
-            count = f"{len(cells)} cell{'s' * (len(cells) != 1)}"
-            what = f"row {row} of {name}: {COLUMNS}"
-            raise InputError(KEY, what, f"{count}: {line}", "Keep these two columns")
-        numbers = [_number(name, row, i, cell, comma) for i, cell in enumerate(cells, 1)]
-        times.append(numbers[0])
-        values.append(numbers[1])
-    return SamplesFile(times, values, [row for row, _ in lines], header)
+    tried = [line for _, line in lines[:TRIED_ROWS]]
+    separator = stated or _separator(tried, 2 if columns is None else None)
+    heads = _cells(header, separator)
+    places = _places(name, columns, heads)
+    chosen = [
+        (row, _chosen(name, row, line, separator, places if columns else None))
+        for row, line in lines
+    ]
+    text = " ".join(cell for _, cells in chosen for cell in cells)
+    comma = "," in text and "." not in text
+    first, second = (
+        [_number(name, row, place + 1, cells[i], comma) for row, cells in chosen]
+        for i, place in enumerate(places)
+    )
+    names = [heads[i] if i < len(heads) else "" for i in places]
+    return SamplesFile(
+        first,
+        second,
+        [row for row, _ in lines],
+        ";".join(names) if any(names) else header,
+    )
+
+
+def _places(name: str, columns: Sequence[str] | None, heads: Sequence[str]) -> tuple[int, int]:
+    """Where time and y_d stand, from 0."""
+    if columns is None:
+        return 0, 1
+    if len(columns) != 2:
+        raise InputError("reference.columns", "must be two: of time and of y_d", list(columns))
+    places = []
+    for i, wanted in enumerate(columns):
+        found = [k for k, head in enumerate(heads) if wanted in (head, _without_unit(head))]
+        if not found and wanted.isdecimal() and int(wanted) >= 1:
+            found = [int(wanted) - 1]
+        if len(found) != 1:
+            what = f"must be the name of a column of {name}, or its number from 1"
+            names = f"Its columns: {', '.join(heads)}" if any(heads) else "It has no names"
+            raise InputError(f"reference.columns[{i}]", what, wanted, names)
+        places.append(found[0])
+    return places[0], places[1]
+
+
+def _without_unit(head: str) -> str:
+    return re.sub(r"\s*[\[(].*[\])]\s*$", "", head)
+
+
+def _chosen(
+    name: str, row: int, line: str, separator: str | None, places: tuple[int, int] | None
+) -> Sequence[str]:
+    """The two cells of a row, or those at the places."""
+    cells = _cells(line, separator)
+    if places is None and len(cells) == 2:
+        return cells
+    count = f"{len(cells)} cell{'s' * (len(cells) != 1)}"
+    if places is None:
+        what = f"row {row} of {name}: {COLUMNS}"
+        remedy = 'Keep these two columns, or state columns = ["1", "2"] beside file'
+        raise InputError(KEY, what, f"{count}: {line}", remedy)
+    if max(places) >= len(cells):
+        what = f"row {row} of {name}: has no cell {max(places) + 1}"
+        raise InputError(KEY, what, f"{count}: {line}")
+    return cells[places[0]], cells[places[1]]
 
 
 def check_time_unit(name: str, samples: SamplesFile, duration: float) -> None:
@@ -116,15 +175,20 @@ def _lines(name: str, data: bytes) -> list[str]:
         row = data[: problem.start].count(b"\n") + 1
         what = f"row {row} of {name}: is not text in UTF-8"
         raise InputError(KEY, what, remedy="Save it as CSV in UTF-8") from None
+    if "\0" in text:
+        what = f"row 1 of {name}: is not text in UTF-8"
+        raise InputError(KEY, what, remedy="Save it as CSV in UTF-8")
+    text = text.replace("\N{MINUS SIGN}", "-").replace("\N{NO-BREAK SPACE}", " ")
     return re.split(r"\r\n|\r|\n", text)
 
 
-def _separator(lines: Sequence[str]) -> str | None:
-    """The one that makes two numbers of most rows."""
+def _separator(lines: Sequence[str], count: int | None) -> str | None:
+    """The one that makes as many numbers as wanted, or as can be, of most rows."""
 
     def fitting(separator: str | None) -> int:
-        rows = (_cells(line, separator) for line in lines)
-        return sum(len(row) == 2 and all(map(_is_number, row)) for row in rows)
+        rows = [_cells(line, separator) for line in lines]
+        full = [row for row in rows if len(row) >= 2 and all(map(_is_number, row))]
+        return sum(1 if count else len(row) for row in full if count in (None, len(row)))
 
     best = max(SEPARATORS, key=fitting)
     if fitting(best):
@@ -133,7 +197,11 @@ def _separator(lines: Sequence[str]) -> str | None:
 
 
 def _cells(line: str, separator: str | None) -> list[str]:
-    cells = [cell.strip().strip("\"'").strip() for cell in line.split(separator)]
+    if separator is None or '"' not in line:
+        parts = line.split(separator)
+    else:
+        parts = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    cells = [cell.strip().strip("\"'").strip() for cell in parts]
     return cells[:-1] if len(cells) > 2 and not cells[-1] else cells
 
 
@@ -146,6 +214,8 @@ def _number(name: str, row: int, cell: int, text: str, comma: bool) -> float:
         return float(text.replace(",", "."))
     what = f"row {row}, cell {cell} of {name}: must be a number"
     remedy = "Use one decimal mark in all of the file" if _is_number(text) else ""
+    if not remedy and _THOUSANDS.fullmatch(text):
+        remedy = "Write numbers without marks of thousands"
     raise InputError(KEY, what, text or "an empty cell", remedy)
 
 

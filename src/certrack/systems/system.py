@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from certrack.core import checks
 from certrack.core.errors import InputError, shorten
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
@@ -17,7 +19,7 @@ from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth
-from certrack.references import Reference, check_reference, require_order
+from certrack.references import Reference, SoftStart, check_reference, require_order
 from certrack.systems.design import Design, design
 
 #: More periods of the reference than this in a run are refused: each is several pieces to stop at.
@@ -141,6 +143,7 @@ class System(ShownInNotebooks):
                 raise InputError("law", "has a state of this name already", state.name, "Rename it")
         self._bind_population()
         self._bind_implementation()
+        self._join_reference()
         self._check_reference()
         if self.settings.estimates is not None:
             names = ", ".join(state.name for state in self.controller.states) or "none"
@@ -193,6 +196,16 @@ class System(ShownInNotebooks):
                 'Set implementation.update = "exact_leak", or a shorter period',
             )
 
+    def _join_reference(self) -> None:
+        """A soft start begins at the state where the run begins."""
+        if not isinstance(self.reference, SoftStart):
+            return
+        if self.truth.states:
+            message = "needs the state of the design, and the truth has states of its own"
+            raise InputError("reference.transient", message, remedy="Leave it out")
+        start = output_derivatives(self.plant) @ np.array(self.settings.x0)
+        set_fields(self, reference=self.reference.joined(tuple(start.tolist())))
+
     def _check_reference(self) -> None:
         order = self.controller.coordinates.q + 1
         check_reference(self.reference, 1, self.settings.duration)
@@ -205,6 +218,13 @@ class System(ShownInNotebooks):
             )
         require_order(self.reference, order, f"this design (law.feedforward = {order - 1})")
         check_reference(self.reference, order, self.settings.duration)
+
+    @cached_property
+    def long_run(self) -> System:
+        """The same without a transient part of its reference, for what holds in the long run."""
+        if not isinstance(self.reference, SoftStart):
+            return self
+        return self.replace(reference=self.reference.long_run)
 
     @cached_property
     def controller(self) -> Controller:
@@ -308,3 +328,14 @@ def require_system(system: Any, key: str = "system") -> None:
     """Refuse what is no system, such as the name of a file, where one is needed."""
     if not isinstance(system, System):
         raise InputError(key, "must be a System", system, "certrack.load makes one")
+
+
+def output_derivatives(plant: Plant) -> np.ndarray:
+    """Rows that give y, y' ... y^(n-1) of the states, where nothing uncertain acts: (n, n)."""
+    F = np.zeros((plant.n, plant.n))
+    F[:-1] = plant.b
+    F[range(plant.n - 1), range(1, plant.n)] += plant.g
+    rows = [np.eye(plant.n)[0]]
+    for _ in range(plant.n - 1):
+        rows.append(rows[-1] @ F)
+    return np.array(rows)

@@ -21,7 +21,7 @@ from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth
-from certrack.references import PiecewiseReference, Reference, SymbolicReference
+from certrack.references import PiecewiseReference, Reference, SoftStart, SymbolicReference
 from certrack.references.registry import kind_of
 from certrack.systems.system import System, require_system
 
@@ -155,7 +155,9 @@ def _truth_table(truth: Truth) -> dict[str, Any]:
 
 
 def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
-    if isinstance(reference, SymbolicReference):
+    if isinstance(reference, SoftStart):
+        return _reference_table(reference.target, plant) | {"transient": reference.transient}
+    if isinstance(reference, SymbolicReference) and not reference.fields:
         signal: Any = reference.signal
         constants = {name: value.expr for name, value in reference.constants}
         if any(plant.constant_values.get(name) != value for name, value in constants.items()):
@@ -163,7 +165,7 @@ def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
                 "reference.signal", reference.numeric, ["t"]
             )  # the file has no such name
         values = {"signal": signal, "bounds": reference.declared}
-    elif isinstance(reference, PiecewiseReference):
+    elif isinstance(reference, (PiecewiseReference, SymbolicReference)):
         values = dict(reference.fields)
     else:  # its fields are its keys
         kind = kind_of(reference)

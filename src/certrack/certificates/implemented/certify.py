@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.assumptions import assumptions
 from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
 from certrack.certificates.exact import float_up, from_text
-from certrack.certificates.implemented.drive import drive_of
+from certrack.certificates.implemented.cover import failed_cells, prove_cells
+from certrack.certificates.implemented.drive import nominal_drive, open_names
 from certrack.certificates.implemented.from_starts import (
     ANY_START,
     BOX,
@@ -23,6 +25,7 @@ from certrack.certificates.implemented.from_starts import (
     from_starts,
 )
 from certrack.certificates.implemented.input_limits import is_limited
+from certrack.certificates.implemented.margins import PeriodMargins, period_margins
 from certrack.certificates.implemented.polytope import Polytope
 from certrack.certificates.implemented.proof import (
     ImplementedProof,
@@ -30,8 +33,10 @@ from certrack.certificates.implemented.proof import (
     failed_implemented,
     prove_implemented,
 )
+from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.implemented.start_proof import X0
 from certrack.core.errors import InputError
+from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
 from certrack.systems.system import System
 
@@ -66,6 +71,11 @@ class ImplementedCertificate(Certificate):
         Starts from which the limits are proven never to be met.
     parts : mapping of str to float
         What the bound is made of.
+    cells : int
+        So many cells of the ranges of constants it is proven for, over all delays; none where
+        nothing has a range.
+    margins : PeriodMargins or None
+        The slowest and the fastest period that is proven too, if that was asked for.
     """
 
     peak_input: float = math.inf
@@ -76,6 +86,8 @@ class ImplementedCertificate(Certificate):
     peaks: Peaks | None = None
     polytope: Polytope | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
+    cells: int = 0
+    margins: PeriodMargins | None = None
 
     def admits(self, x0: Sequence[float] | np.ndarray) -> np.ndarray | bool:
         """Whether the bound is proven for runs from these starts.
@@ -106,7 +118,12 @@ def missing_implemented(reason: str) -> ImplementedCertificate:
 
 
 def certify_implemented(
-    system: System, *, from_start: bool = False
+    system: System,
+    *,
+    from_start: bool = False,
+    margins: bool = False,
+    effort: str = "default",
+    progress: Progress = silent,
 ) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
     """Certify the loop of a system with an implementation, for each of its delays.
 
@@ -115,12 +132,18 @@ def certify_implemented(
     system : System
     from_start : bool
         Find the peaks from x0 even if the input has no limits.
+    margins : bool
+        Search the slowest and the fastest period, too.
+    effort : {"fast", "default", "high"}
+        How many cells ranges of constants are cut into; ``fast`` makes one.
+    progress : callable
+        Gets the number of cells, None and the bound so far, where constants have ranges.
 
     Returns
     -------
     certificate : ImplementedCertificate
         With limits of the input, verified only where they are proven never to be met from x0.
-    proofs : one ImplementedProof per delay
+    proofs : one ImplementedProof per delay, and for each cell of the ranges
         Empty where nothing is verified.
 
     Examples
@@ -136,17 +159,18 @@ def certify_implemented(
     limited = is_limited(system)
     try:
         with within_floats():
-            proven = [prove_implemented(system, delay) for delay in delays(system) or (None,)]
+            proven = _proven(system, effort, progress)
             proofs = tuple(proof for proof, _ in proven)
             if reason := limits_met(system, proofs):
                 raise NoCertificate(reason)
             evidence = from_starts(system, proofs) if limited or from_start else Findings(proofs)
+            periods = period_margins(system, proofs, limits_met) if margins else None
     except NoCertificate as refusal:
         return missing_implemented(str(refusal)), ()
     worst = max(range(len(proofs)), key=lambda i: from_text(proofs[i].bound))
-    offset = drive_of(system).offset
+    offset = nominal_drive(system).offset
     peak = max(abs(offset) + from_text(proof.input) for proof in proofs)
-    states = zip(*(proof.states for proof in proofs), strict=True)
+    states = zip(*(proof.states[: system.plant.n] for proof in proofs), strict=True)
     verified = not limited or not evidence.reason
     return ImplementedCertificate(
         KIND,
@@ -162,7 +186,22 @@ def certify_implemented(
         peaks=evidence.peaks,
         polytope=evidence.polytope,
         parts=proven[worst][1],
+        cells=sum(bool(proof.cell) for proof in proofs),
+        margins=periods,
     ), evidence.proofs if verified else ()
+
+
+def _proven(
+    system: System, effort: str, progress: Progress
+) -> list[tuple[ImplementedProof, dict[str, float]]]:
+    """Proofs for every delay and cell, and what their bounds are made of."""
+    wanted = delays(system) or (None,)
+    if system.implementation is None or not open_names(system):
+        return [prove_implemented(system, delay) for delay in wanted]
+    plant = RangedPlant(system)
+    return [
+        entry for delay in wanted for entry in prove_cells(system, plant, delay, effort, progress)
+    ]
 
 
 def limits_met(system: System, proofs: Sequence[ImplementedProof]) -> str:
@@ -170,7 +209,7 @@ def limits_met(system: System, proofs: Sequence[ImplementedProof]) -> str:
     drive = system.implementation
     if drive is None:
         return ""
-    offset = drive_of(system).offset
+    offset = nominal_drive(system).offset
     size = max(from_text(proof.input) for proof in proofs)
     if drive.saturation is not None:
         low, high = map(rational, drive.saturation)
@@ -204,13 +243,21 @@ def claim_of(system: System, bound: str) -> str:
 
 
 def failed_cover(system: System, proofs: Sequence[ImplementedProof]) -> str:
-    """Empty if the proofs hold, one for each delay of the system; else what fails."""
+    """Empty if the proofs hold, for each delay of the system and all ranges; else what fails."""
+    try:
+        plant = RangedPlant(system) if open_names(system) else None
+    except NoCertificate as refusal:
+        return str(refusal)
     wanted = delays(system)
-    if len(proofs) != len(wanted) or not wanted:
+    groups = [list(group) for _, group in groupby(proofs, lambda proof: proof.delay)]
+    if len(groups) != len(wanted) or not wanted:
         return "there must be one proof for each delay of [implementation]"
-    for proof, delay in zip(proofs, wanted, strict=True):
-        if reason := failed_implemented(system, proof, delay):
+    for group, delay in zip(groups, wanted, strict=True):
+        if reason := failed_cells(group, plant):
             return reason
-        if reason := failed_starts(system, proof, delay):
-            return reason
+        for proof in group:
+            if reason := failed_implemented(system, proof, delay, plant):
+                return reason
+            if reason := failed_starts(system, proof, delay):
+                return reason
     return limits_met(system, proofs)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from fractions import Fraction
 from typing import Any
 
 from certrack.certificates.exact import MAX_TEXT_LENGTH, from_text
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.start_proof import StartProof
+from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, numbers
 from certrack.core.errors import InputError
 
 #: Keys of the proof for one delay.
 PROOF_KEYS = tuple(entry.name for entry in fields(ImplementedProof))
+
+#: Those that a file without ranges need not have.
+OPTIONAL_KEYS = {"cell"}
 
 #: Keys of what is proven of a set of starts.
 START_KEYS = tuple(entry.name for entry in fields(StartProof))
@@ -34,6 +38,14 @@ def is_implemented(body: Any) -> bool:
     )
 
 
+def record_of(stage: Any) -> dict[str, Any]:
+    """The numbers of a stage of any proof; one of a sampled loop without ranges has no cell."""
+    record = asdict(stage)
+    if isinstance(stage, ImplementedProof) and not stage.cell:
+        del record["cell"]
+    return record
+
+
 def implemented_proofs(entries: list[dict[str, Any]]) -> tuple[ImplementedProof, ...]:
     """The proofs of a body, well formed.
 
@@ -42,13 +54,15 @@ def implemented_proofs(entries: list[dict[str, Any]]) -> tuple[ImplementedProof,
     InputError
         If they are not.
     """
-    if len(entries) > MAX_DELAY_PROOFS:
+    if len(entries) > MAX_DELAY_PROOFS * MAX_PROOF_CELLS:
+        raise InputError("proof", f"must have at most {MAX_DELAY_PROOFS} delays")
+    if len({str(entry.get("delay")) for entry in entries}) > MAX_DELAY_PROOFS:
         raise InputError("proof", f"must have at most {MAX_DELAY_PROOFS} delays")
     return tuple(map(_delay_proof, entries))
 
 
 def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
-    if set(entry) != set(PROOF_KEYS):
+    if not set(PROOF_KEYS) - OPTIONAL_KEYS <= set(entry) <= set(PROOF_KEYS):
         raise InputError("proof", f"must have {', '.join(PROOF_KEYS)}")
     try:
         for text in (entry["input"], entry["step"], entry["bound"], *_as_tuple(entry["states"])):
@@ -57,6 +71,9 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
         if not isinstance(delay, str) or len(delay) > MAX_TEXT_LENGTH:
             raise TypeError("the delay is no fraction")
         Fraction(delay)
+        cell = tuple((str(low), str(high)) for low, high in _as_tuple(entry.get("cell", ())))
+        if not all(low <= high for low, high in numbers(cell)):
+            raise ValueError("an interval is empty")
         counts = (*_as_tuple(entry["parts"]), entry["doublings"])
         if len(counts) != 3 or any(type(count) is not int for count in counts):
             raise TypeError("parts must be two integers, doublings one")
@@ -69,6 +86,7 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
         "parts": tuple(entry["parts"]),
         "states": tuple(entry["states"]),
         "starts": tuple(map(_start_proof, starts)),
+        "cell": cell,
     }
     return ImplementedProof(**(entry | lists))
 

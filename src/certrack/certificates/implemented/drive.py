@@ -15,12 +15,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import flint
+import numpy as np
 import sympy
 
-from certrack.certificates.arithmetic import exact_float, rational
+from certrack.certificates.arithmetic import exact_float, rational, solve
 from certrack.certificates.balls import ball_matrix, ball_of, upper_rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
+from certrack.certificates.implemented.channels import Channel
 from certrack.certificates.scope import ranged_names, refuse_unknown
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
@@ -39,9 +41,10 @@ class UncertainBound:
     Attributes
     ----------
     gamma, beta : rationals
-    weights : n rationals
-        Diagonal of S.
-    Delta : n rationals
+    weights : rationals
+        Diagonal of S: n, and zeros for the channels.
+    Delta : rationals
+        n, and of the channels.
     """
 
     gamma: Any
@@ -81,6 +84,10 @@ class Drive:
         Whether there is one.
     offset : rational
         The constant part of the law, which cancels that of the drift; not in u above.
+    desired : (n, q + 1) ball matrix, or None
+        The states where e = 0, over (y_d ... y_d^(q)); None if that is not known.
+    channels : tuple of Channel
+        Outputs beside the states, for ranges of constants.
     """
 
     A: flint.arb_mat
@@ -103,11 +110,18 @@ class Drive:
     jumps: tuple[Any, Any] | None
     jumps_once: bool
     offset: Any
+    desired: flint.arb_mat | None = None
+    channels: tuple[Channel, ...] = ()
 
     @property
     def n(self) -> int:
         """Order of the plant."""
         return self.A.nrows()
+
+    @property
+    def sized(self) -> int:
+        """How many outputs bound what acts on the loop: the states and the channels."""
+        return self.n + len(self.channels)
 
     @property
     def memories(self) -> int:
@@ -144,11 +158,27 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
     NoCertificate
         If the loop is not one that this room covers, with the reason.
     """
+    if system.implementation is not None and (ranged := open_names(system)):
+        raise NoCertificate(f"plant.ranges lets {', '.join(ranged)} vary: {RANGED}")
+    return nominal_drive(system, delay)
+
+
+def open_names(system: System) -> list[str]:
+    """What the law takes for known, although it has a range."""
+    return ranged_names(system, refuse_unknown(system))
+
+
+def nominal_drive(system: System, delay: Any | None = None) -> Drive:
+    """The same for the nominal constants, whatever has a range.
+
+    Raises
+    ------
+    NoCertificate
+        If the loop is not one that this room covers, with the reason.
+    """
     implementation = system.implementation
     if implementation is None:
         raise NoCertificate(NO_IMPLEMENTATION)
-    if ranged := ranged_names(system, refuse_unknown(system)):
-        raise NoCertificate(f"plant.ranges lets {', '.join(ranged)} vary: {RANGED}")
     if not isinstance(stated_error_system(system), KnownParameters):
         raise NoCertificate(
             "only loops that are linear are covered as implemented, and the adaptive law is not; "
@@ -165,17 +195,14 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
 NO_IMPLEMENTATION = "the file has no [implementation]"
 
 #: Why there is none where what the law takes for known has a range.
-RANGED = (
-    "ranges are covered in continuous time only; without them there is a bound of the sampled loop "
-    "for the nominal constants"
-)
+RANGED = "this is a question about one plant; certrack certify covers ranges cell by cell"
 
 
 def _drive(
     system: System, implementation: Implementation, mu: tuple[Any, ...], delay: Any | None
 ) -> Drive:
     plant, n = system.plant, system.plant.n
-    slopes, constant = _linear_drift(system)
+    slopes, constant = linear_drift(system)
     assert plant.input_gain is not None
     gain = rational(plant.input_gain)
     c = error_coordinates(system, rational)
@@ -204,6 +231,7 @@ def _drive(
         Y=_reference_bounds(system, c.q),
         **_smoothness(system, c.q + 1, T),
         offset=-constant / gain,
+        desired=ball_matrix((solve(c.A, np.eye(n, dtype=object)) @ c.B).tolist()),
         **_controller_matrices(rows, n),
     )
 
@@ -218,7 +246,7 @@ def _uncertain_bound(u: Any, k: int, n: int) -> UncertainBound:
     )
 
 
-def _linear_drift(system: System) -> tuple[list[Any], Any]:
+def linear_drift(system: System) -> tuple[list[Any], Any]:
     """h + phi^T theta = slopes x + constant.
 
     Raises

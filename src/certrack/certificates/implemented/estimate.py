@@ -1,7 +1,8 @@
 """The bound of the implemented loop in floats: fast, for searches; nothing is verified.
 
 The same rows, kernels and fixed point as the proof's, without the enclosures, the bends of kernels
-within a cell and the tail.
+within a cell, the tail, and partial cancellation of the reference: where that helps, the proof's
+bound is smaller.
 """
 
 from __future__ import annotations

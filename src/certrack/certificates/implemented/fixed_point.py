@@ -1,5 +1,7 @@
 """The bounds of all outputs at once: v = (|x_1| ... |x_n|, |u|) with v > F(v).
 
+Where constants have ranges, the channels stand behind the states in x and X, as n + 1 ... m.
+
 F is what the gains make of the inputs' bounds where |x| <= X and |u| <= U: monotone, homogeneous
 but for a constant >= 0. A v >= 0 with v > F(v) in every entry proves limsup |x| <= X, |u| <= U (a
 negative one proves nothing: where F grows faster than v, -v is above F(-v) for every large v):
@@ -38,11 +40,11 @@ class OutputBounds:
     Attributes
     ----------
     outputs : int of each row
-        0 for e_1, 1 ... n for the states, n + 1 for u, n + 2 for its steps.
+        0 for e_1, 1 ... m for the states and channels, m + 1 for u, m + 2 for its steps.
     constant : (rows,) of balls
     w : (rows, columns of W) of balls
         Times the bounds of w.
-    x, u : (rows, n) and (rows,) of balls
+    x, u : (rows, m) and (rows,) of balls
         Times X and U.
     drive : Drive
     gains : PeakGains
@@ -61,17 +63,27 @@ class OutputBounds:
     sample: Any
 
     @classmethod
-    def of(cls, period: Period, rows: Sequence[Row], gains: PeakGains) -> OutputBounds:
-        """From the gains of the rows."""
+    def of(
+        cls,
+        period: Period,
+        rows: Sequence[Row],
+        gains: PeakGains,
+        reference: np.ndarray | None = None,
+    ) -> OutputBounds:
+        """From the gains of the rows, and another bound of the reference's part of each of them."""
         drive = period.drive
         Y = np.array(drive.Y, dtype=object)
         mu = np.array(drive.mu, dtype=object)
         sample = drive.Y[-1] if drive.lipschitz is None else drive.T / 2 * drive.lipschitz
         share = np.array([flint.arb(row.share) for row in rows], dtype=object)
         static = np.array([steady(period, row) for row in rows], dtype=object)
-        r = _as_balls(gains.r) + _as_balls(gains.first)
+        past = static @ Y[:-1] + _as_balls(gains.r) * Y[-1]
+        if reference is not None:
+            smaller = zip(past, _as_balls(reference), strict=True)
+            past = np.array([min(a.upper(), b.upper()) for a, b in smaller], dtype=object)
+        r = _as_balls(gains.first)
         r = r + share * np.array([row.in_cell.r for row in rows], dtype=object)
-        constant = static @ Y[:-1] + r * Y[-1] + _as_balls(gains.noise) @ mu
+        constant = past + r * Y[-1] + _as_balls(gains.noise) @ mu
         constant = constant + _as_balls(gains.sample) * sample + _as_balls(gains.step) * drive.eta
         if drive.jumps is not None:
             constant = constant + _as_balls(gains.jump) * drive.jumps[0]
@@ -93,12 +105,12 @@ class OutputBounds:
 
         Parameters
         ----------
-        X : n balls or rationals
+        X : m balls or rationals
         U : ball or rational
 
         Returns
         -------
-        n + 3 exact balls
+        m + 3 exact balls
 
         Raises
         ------
@@ -110,7 +122,7 @@ class OutputBounds:
             values = values + self.w[:, j] * uncertain_size(bound, X)
         if not all(value.is_finite() for value in values):
             raise NoCertificate("a gain of the sampled loop leaves the range of floating point")
-        count = self.drive.n + 3
+        count = self.drive.sized + 3
         return [max(flint.arb(v.upper()) for v in values[self.outputs == k]) for k in range(count)]
 
     def search(self) -> tuple[list[float], float]:
@@ -121,7 +133,7 @@ class OutputBounds:
         NoCertificate
             If there seems to be none.
         """
-        n, uncertain = self.drive.n, self.drive.uncertain
+        n, uncertain = self.drive.sized, self.drive.uncertain
         constant, w, x, u = (_floats(v) for v in (self.constant, self.w, self.x, self.u))
         gamma, beta = (_floats([getattr(b, name) for b in uncertain]) for name in ("gamma", "beta"))
         weights = _floats([b.weights for b in uncertain]).reshape(-1, n)

@@ -13,7 +13,7 @@ import numpy as np
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import float_up, from_text
-from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
+from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of, nominal_drive
 from certrack.certificates.implemented.enclosed import widened
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.polytope import Polytope, common
@@ -28,6 +28,7 @@ from certrack.certificates.implemented.start_proof import (
     polytope_of,
     start_set_of,
 )
+from certrack.certificates.ranges.proofs import numbers
 from certrack.core import checks
 from certrack.systems.system import System
 
@@ -184,7 +185,9 @@ def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
 def _starts_of_delay(system: System, proof: ImplementedProof) -> Findings:
     limited, polytope, starts, reason = is_limited(system), None, [], ""
     with flint.ctx.workprec(DRIVE_BITS):
-        prover = start_prover(system, rational(Fraction(proof.delay)), proof.parts)
+        prover = start_prover(
+            system, rational(Fraction(proof.delay)), proof.parts, numbers(proof.cell)
+        )
         try:
             starts.append(prover.prove(X0))
             if limited and (limit := limit_met(system, prover.drive, starts[0])):
@@ -202,14 +205,13 @@ def _starts_of_delay(system: System, proof: ImplementedProof) -> Findings:
 
 
 def peaks_of(system: System, proofs: Sequence[ImplementedProof]) -> Peaks | None:
-    """The peaks from x0 over all delays; None if one of them has none."""
+    """The peaks from x0 over all delays and cells; None if one of them has none."""
     from_x0 = [start for proof in proofs for start in proof.starts if start.of == X0]
     if len(from_x0) != len(proofs):
         return None
-    offset, n = abs(drive_of(system).offset), system.plant.n
-    columns = zip(*(map(from_text, start.peaks) for start in from_x0), strict=True)
-    error, *states, size, step = (max(column) for column in columns)
-    assert len(states) == n
+    offset, n = abs(nominal_drive(system).offset), system.plant.n
+    rows = [(*start.peaks[: n + 1], *start.peaks[-2:]) for start in from_x0]  # without channels
+    error, *states, size, step = (max(map(from_text, column)) for column in zip(*rows, strict=True))
     return Peaks(
         float_up(error), tuple(map(float_up, states)), float_up(size + offset), float_up(step)
     )
@@ -226,7 +228,7 @@ def failed_starts(system: System, proof: ImplementedProof, delay: Any) -> str:
         return "a polytope of starts is for an input with limits"
     try:
         with within_floats(), flint.ctx.workprec(DRIVE_BITS):
-            prover = start_prover(system, delay, proof.parts)
+            prover = start_prover(system, delay, proof.parts, numbers(proof.cell))
             for start in proof.starts:
                 if start.of == POLYTOPE:
                     polytope_of(prover, start)

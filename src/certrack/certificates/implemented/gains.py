@@ -125,12 +125,12 @@ def kernel_columns(period: Period, phase: int, smeared: bool) -> KernelColumns:
         nodes.append(beside(matrix * W, spread - matrix * (period.Pi[p] * newest)))
     for matrix, p in zip(over, range(phase - 1, -1, -1), strict=False):
         h = period.cells[p].length
-        lengths.append(_up(flint.arb(h)))
+        lengths.append(upper_number(flint.arb(h)))
         curvature = curvature + absolute(matrix) * _bend_of_w(period, h) * (flint.arb(h) ** 3 / 12)
         for j in range(q - 1):
             bends.append(matrix * column(period.Pi[p + 1], j))
             weight = h ** (q - 2 - j) / math.factorial(q - 2 - j) * h**3 / 12
-            bend_weights.append(_up(flint.arb(weight)))
+            bend_weights.append(upper_number(flint.arb(weight)))
     return KernelColumns(
         np.array(lengths),
         beside(*nodes),
@@ -148,7 +148,8 @@ def _bend_of_w(period: Period, h: Any) -> flint.arb_mat:
     return padded(inner, period.size)
 
 
-def _up(ball: Any) -> float:
+def upper_number(ball: Any) -> float:
+    """A float not below the magnitude of a ball."""
     return float(Enclosed.of(flint.arb_mat([[ball]])).upper[0, 0])
 
 
@@ -172,7 +173,7 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     running, past = running_period(period, rows)
     heads = above(past, identity(period.size))
     of_period = kernel_columns(period, len(period.cells), smeared)
-    sums, samples, last = _sums(period, of_period, heads, doublings)
+    sums, samples, last = sums_of_periods(period, of_period, heads, doublings)
     count = len(rows)
     of_rows, each = (
         gains_table(of_period, drive.n, sums[:count]),
@@ -257,7 +258,7 @@ def gains_table(columns: KernelColumns, n: int, sums: np.ndarray) -> np.ndarray:
     return widened(np.hstack([w, r, samples, first]), size + len(columns.bend_weights) + 8)
 
 
-def _sums(
+def sums_of_periods(
     period: Period, of_period: KernelColumns, rows: flint.arb_mat, doublings: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sums of :func:`sums_over_time` over whole periods; what each sample adds; the rows after.

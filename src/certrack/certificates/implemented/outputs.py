@@ -17,6 +17,7 @@ from typing import Any
 
 import flint
 
+from certrack.certificates.implemented.channels import Channel
 from certrack.certificates.implemented.period import InputCell, Period, absolute
 
 
@@ -59,36 +60,37 @@ ERROR_DEGREE, STATE_DEGREE = 3, 2
 
 
 def output_rows(period: Period) -> list[Row]:
-    """Rows of e_1 (output 0), of the states (1 ... n), of u_k and u_k - u_{k-1} (n + 1, n + 2)."""
-    n, q = period.drive.n, period.drive.q
+    """Rows of e_1 (output 0), of the m states and channels (1 ... m), of u_k and u_k - u_{k-1}."""
+    drive, n, q, m = period.drive, period.drive.n, period.drive.q, period.drive.sized
     none = [flint.arb(0)] * (q + 1)
     of_y = [flint.arb(1), *none[1:]]
-    rows = _state_rows(period, 0, 0, of_y, max(ERROR_DEGREE, q))
-    for i in range(n):
-        rows += _state_rows(period, i + 1, i, none, STATE_DEGREE)
+    eye = [Channel(tuple(int(i == j) for j in range(n)), 0) for i in range(n)]
+    rows = _state_rows(period, 0, eye[0], of_y, max(ERROR_DEGREE, q))
+    for i, seen in enumerate((*eye, *drive.channels)):
+        rows += _state_rows(period, i + 1, seen, none, STATE_DEGREE)
     nothing = flint.arb(0)
-    in_cell = InCell((nothing,) * period.W.ncols(), nothing, (nothing,) * n, nothing)
+    in_cell = InCell((nothing,) * period.W.ncols(), nothing, (nothing,) * m, nothing)
     entries = range(period.size)
     newest = tuple(flint.arb(int(i == period.command)) for i in entries)
     step = tuple(v - int(i == period.command + 1) for i, v in zip(entries, newest, strict=True))
-    for output, row in ((n + 1, newest), (n + 2, step)):
+    for output, row in ((m + 1, newest), (m + 2, step)):
         rows.append(Row(output, 0, row, tuple(none), flint.fmpq(0), in_cell))
     return rows
 
 
 def _state_rows(
-    period: Period, output: int, state: int, of_Y: Sequence[Any], degree: int
+    period: Period, output: int, seen: Channel, of_Y: Sequence[Any], degree: int
 ) -> list[Row]:
-    """Bernstein rows of x_state - of_Y Y in every cell."""
-    A, n = period.drive.A, period.drive.n
-    derivatives = [flint.arb_mat([[flint.arb(int(j == state)) for j in range(n)]])]
+    """Bernstein rows of what is seen of x and the acting u, minus of_Y Y, in every cell."""
+    A, of_u = period.drive.A, flint.arb(seen.of_u)
+    derivatives = [flint.arb_mat([[flint.arb(v) for v in seen.of_x]])]
     for _ in range(degree + 1):
         derivatives.append(derivatives[-1] * A)
     rows, in_cells = [], {}
     for p, cell in enumerate(period.cells):
         if cell.length not in in_cells:
             in_cells[cell.length] = _in_cell(period, cell.length, derivatives, of_Y, degree)
-        taylor = _polynomial_rows(period, cell, derivatives, of_Y, degree)
+        taylor = _polynomial_rows(period, cell, (derivatives, of_u), of_Y, degree)
         for i in range(degree + 1):
             weights = [
                 flint.fmpq(math.comb(i, k), math.comb(degree, k) * math.factorial(k))
@@ -110,16 +112,20 @@ def _state_rows(
 
 
 def _polynomial_rows(
-    period: Period, cell: InputCell, derivatives: Sequence[Any], of_Y: Sequence[Any], degree: int
+    period: Period,
+    cell: InputCell,
+    seen: tuple[Sequence[Any], Any],
+    of_Y: Sequence[Any],
+    degree: int,
 ) -> tuple[list[list[Any]], list[list[Any]]]:
     """Derivatives 0 ... degree of the polynomial, over chi and over Y."""
+    derivatives, of_u = seen
     n, q, size = period.drive.n, period.drive.q, period.size
     over_chi, over_Y = [], []
     for k in range(degree + 1):
         row = [flint.arb(0)] * size
         row[:n] = derivatives[k].entries()
-        if k:
-            row[cell.acting] = (derivatives[k - 1] * period.drive.b)[0, 0]
+        row[cell.acting] = (derivatives[k - 1] * period.drive.b)[0, 0] if k else of_u
         over_chi.append(row)
         over_Y.append([of_Y[j - k] if j >= k else flint.arb(0) for j in range(q + 1)])
     return over_chi, over_Y
@@ -147,7 +153,8 @@ def _in_cell(
     step = flint.arb(h ** (degree + 1) / math.factorial(degree + 1))
     b = absolute(drive.b)
     u = abs((derivatives[degree] * drive.b)[0, 0]) + (last * b)[0, 0] * h
-    return InCell(tuple(w), r, tuple(v * step for v in last.entries()), u * step)
+    x = [v * step for v in last.entries()] + [flint.arb(0)] * len(drive.channels)
+    return InCell(tuple(w), r, tuple(x), u * step)
 
 
 def steady(period: Period, row: Row) -> list[Any]:

@@ -161,11 +161,12 @@ def half_spaces(
 
 
 def common(polytopes: Sequence[Polytope]) -> Polytope:
-    """What lies in all of them; they have one region."""
-    first = polytopes[0]
+    """What lies in all of them, and in the regions of all."""
+    regions = np.array([p.region for p in polytopes])
+    low, high = regions[:, :, 0].max(axis=0), regions[:, :, 1].min(axis=0)
     return Polytope(
         np.concatenate([p.rows for p in polytopes]),
         np.concatenate([p.limits for p in polytopes]),
-        first.region,
-        first.states,
+        tuple(zip(low.tolist(), high.tolist(), strict=True)),
+        polytopes[0].states,
     )

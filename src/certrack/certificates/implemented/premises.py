@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up
-from certrack.certificates.implemented.drive import drive_of
+from certrack.certificates.implemented.drive import nominal_drive
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
 from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
@@ -14,6 +14,7 @@ from certrack.core.rounding import rounded_up
 from certrack.model.implementation import Implementation
 from certrack.references import SymbolicReference
 from certrack.references.base import Reference, lipschitz_bound
+from certrack.references.soft_start import long_run
 from certrack.systems.system import System
 
 #: Names, in the order of the list; they stand in the place of the continuous law's.
@@ -69,7 +70,7 @@ def _covered(system: System, drive: Implementation) -> str:
     parts = [f"sampled every {drive.period:g} s, its input acts {listed} periods later and is held"]
     errors = [
         f"{rounded_up(float_up(mu), 4)} for {name}"
-        for name, mu in zip(system.plant.states, drive_of(system).mu, strict=True)
+        for name, mu in zip(system.plant.states, nominal_drive(system).mu, strict=True)
         if mu and name not in drive.velocity
     ]
     parts += [f"sensors within {', '.join(errors)}"] if errors else ["exact sensors"]
@@ -84,7 +85,7 @@ def _sampled_reference(system: System) -> Premise:
     """The Lipschitz constant of the last derivative that the law uses."""
     order = system.controller.coordinates.q + 1
     try:
-        drive = drive_of(system)
+        drive = nominal_drive(system)
     except NoCertificate as refusal:
         return Premise(SAMPLED_REFERENCE, ASSUMED, f"y_d^({order})", remedy=str(refusal))
     if drive.lipschitz is None:
@@ -109,6 +110,7 @@ def _status(reference: Reference, order: int) -> str:
     """What is known of the Lipschitz constant of y_d^(order)."""
     if not type(reference).__module__.startswith("certrack."):
         return ASSUMED
+    reference = long_run(reference)  # what a soft start adds is exact
     declared = getattr(reference, "declared", None)
     if (
         declared is None

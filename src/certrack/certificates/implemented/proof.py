@@ -19,14 +19,18 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.balls import upper_rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import from_text, root_up
-from certrack.certificates.implemented.drive import DRIVE_BITS, Drive, drive_of
+from certrack.certificates.implemented.drive import DRIVE_BITS, Drive
 from certrack.certificates.implemented.enclosed import Enclosed
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import output_gains
+from certrack.certificates.implemented.levels import partly_cancelled
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
+from certrack.certificates.implemented.ranged import RangedPlant, drive_in
 from certrack.certificates.implemented.start import FromStarts
 from certrack.certificates.implemented.start_proof import StartProof, StartProver
+from certrack.certificates.ranges.cells import Cell
+from certrack.certificates.ranges.proofs import numbers, texts
 from certrack.systems.system import System
 
 #: A cell is at most this part of the time that the plant's fastest motion takes for one radian.
@@ -68,6 +72,9 @@ class ImplementedProof:
         Of limsup |e_1|.
     starts : tuple of StartProof
         What is proven of runs from x0, and from the polytope of starts, if anything.
+    cell : pairs of texts
+        Ends of each range, for constants in this cell; empty where nothing has a range. The
+        channels' bounds stand behind the states' then.
     """
 
     delay: str
@@ -78,6 +85,7 @@ class ImplementedProof:
     step: str
     bound: str
     starts: tuple[StartProof, ...] = ()
+    cell: tuple[tuple[str, str], ...] = ()
 
 
 def delays(system: System) -> tuple[Any, ...]:
@@ -87,15 +95,26 @@ def delays(system: System) -> tuple[Any, ...]:
     return tuple(rational(value) for value in system.implementation.delays)
 
 
-def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dict[str, float]]:
+def prove_implemented(
+    system: System, delay: Any, cell: Cell = (), plant: RangedPlant | None = None
+) -> tuple[ImplementedProof, dict[str, float]]:
     """Prove a bound for one delay; also what it is made of, in floats.
+
+    Parameters
+    ----------
+    system : System
+    delay : rational, periods
+    cell : Cell
+        What constants with a range may be.
+    plant : RangedPlant, optional
+        That of the system, if it is at hand.
 
     Raises
     ------
     NoCertificate
         If there is none, or the loop is not covered.
     """
-    drive = drive_of(system, delay)
+    drive = drive_in(system, delay, cell, plant)
     with flint.ctx.workprec(DRIVE_BITS):
         period = one_period(drive, cells_of(drive))
         doublings = periods_needed(period)
@@ -103,7 +122,15 @@ def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dic
         X, U = bounds.search()
         states = tuple(f"{v:.{DIGITS}g}" for v in X)
         proof = ImplementedProof(
-            str(delay), cells_of(drive), doublings, states, f"{U:.{DIGITS}g}", "0", "0"
+            str(delay),
+            cells_of(drive),
+            doublings,
+            states,
+            f"{U:.{DIGITS}g}",
+            "0",
+            "0",
+            (),
+            texts(cell),
         )
         image = _image(bounds, proof)
         if reason := _not_above(image, proof):
@@ -113,7 +140,9 @@ def prove_implemented(system: System, delay: Any) -> tuple[ImplementedProof, dic
     return replace(proof, bound=bound, step=step), parts
 
 
-def start_prover(system: System, delay: Any, parts: tuple[int, int]) -> StartProver:
+def start_prover(
+    system: System, delay: Any, parts: tuple[int, int], cell: Cell = ()
+) -> StartProver:
     """What proves bounds from a start for one delay; call it with :data:`DRIVE_BITS`.
 
     Raises
@@ -121,12 +150,14 @@ def start_prover(system: System, delay: Any, parts: tuple[int, int]) -> StartPro
     NoCertificate
         If the loop is not covered.
     """
-    drive = drive_of(system, delay)
+    drive = drive_in(system, delay, cell)
     period = one_period(drive, parts)
     return StartProver(system, drive, lambda doublings: FromStarts(period, doublings))
 
 
-def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> str:
+def failed_implemented(
+    system: System, proof: ImplementedProof, delay: Any, plant: RangedPlant | None = None
+) -> str:
     """Empty if the proof holds for the system with this delay, else what fails."""
     if rational(Fraction(proof.delay)) != delay:
         return "the delay is not that of the system"
@@ -136,8 +167,8 @@ def failed_implemented(system: System, proof: ImplementedProof, delay: Any) -> s
     ):
         return f"parts must be 1 ... {MAX_CELLS_OF_INPUT}, doublings 0 ... {MAX_DOUBLINGS}"
     try:
-        drive = drive_of(system, delay)
-        if len(proof.states) != drive.n:
+        drive = drive_in(system, delay, numbers(proof.cell), plant)
+        if len(proof.states) != drive.sized:
             return "the proof does not have the shape of the system"
         if any(from_text(text) < 0 for text in (*proof.states, proof.input)):
             return "a bound of a state or of the input is negative"
@@ -183,6 +214,20 @@ def periods_needed(period: Period, left: float = LEFT) -> int:
     return doublings
 
 
+def work_of(period: Period) -> float:
+    """About how many numbers the tables of a proof go through.
+
+    Raises
+    ------
+    NoCertificate
+        If the loop is unstable, or too slow.
+    """
+    drive, cells = period.drive, len(period.cells)
+    rows = 3 * cells * (drive.sized + 2) + period.size
+    columns = (cells + 1) * (period.W.ncols() + 1) + 2 * (drive.q + 1) * cells * (drive.q + 3)
+    return float(2 ** periods_needed(period) * rows * (columns + 2 * period.size))
+
+
 def _bounds(period: Period, doublings: int) -> OutputBounds:
     rows = output_rows(period)
     size, width = period.size, (len(period.cells) + 1) * (period.W.ncols() + 1) + period.size
@@ -191,7 +236,8 @@ def _bounds(period: Period, doublings: int) -> OutputBounds:
         raise NoCertificate(
             "the sampled loop is too large for its peak gains: fewer states or memories"
         )
-    return OutputBounds.of(period, rows, output_gains(period, rows, doublings))
+    gains = output_gains(period, rows, doublings)
+    return OutputBounds.of(period, rows, gains, partly_cancelled(period, rows, doublings))
 
 
 def _image(bounds: OutputBounds, proof: ImplementedProof) -> list[Any]:

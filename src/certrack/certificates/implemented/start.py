@@ -105,8 +105,8 @@ class PeriodBounds:
 
     Attributes
     ----------
-    bounds : (K, n + 3) array
-        Of e_1, the states, u, its steps.
+    bounds : (K, m + 3) array
+        Of e_1, the m states and channels, u, its steps.
     forced : (K, 2) array
         What u and its steps have of it besides the start.
     """
@@ -131,7 +131,7 @@ class FromStarts:
     """
 
     def __init__(self, period: Period, doublings: int) -> None:
-        drive, n = period.drive, period.drive.n
+        drive, n = period.drive, period.drive.sized
         self.period, self.drive, self.rows = period, drive, output_rows(period)
         self.gains: LagGains = lag_gains(period, self.rows, doublings)
         self.count = len(self.gains.lags)
@@ -259,12 +259,13 @@ class FromStarts:
         NoCertificate
             If a period has no bound.
         """
-        n, nw, K = self.drive.n, self.drive.W.ncols(), self.count
+        n, nw, K = self.drive.sized, self.drive.W.ncols(), self.count
         constant = widened(self._constant + self._jumping(starts), 8)
         history = np.zeros(K * nw)  # sizes of w, the newest period first
         bounds, forced = np.zeros((K, n + 3)), np.zeros((K, 2))
         center = np.array([up(v) for v in starts.center])
         X = widened(center + np.array([up(v) for v in starts.half]))
+        X = np.concatenate([X, np.zeros(n - len(X))])  # channels grow to what follows
         U = up(starts.initial)
         for k in range(K):
             past = self._by_lag[:, : k * nw] @ history[(K - k) * nw :]
@@ -307,9 +308,9 @@ class FromStarts:
 
         Returns
         -------
-        n + 3 floats
+        m + 3 floats
         """
-        n, nw, bounds = self.drive.n, self.drive.W.ncols(), run.bounds
+        n, nw, bounds = self.drive.sized, self.drive.W.ncols(), run.bounds
         X = np.array(later.states)
         U = max(later.input, up(starts.initial), float(bounds[:, n + 1].max()))
         recent = np.maximum(bounds[middle:, 1 : n + 1].max(axis=0, initial=0.0), X)
@@ -339,7 +340,7 @@ class FromStarts:
         NoCertificate
             If none is found.
         """
-        n = self.drive.n
+        n = self.drive.sized
         later = Later((0.0,) * n, 0.0)
         for _ in range(LATER_STEPS):
             image = self.later_image(starts, transient, run, middle, later)

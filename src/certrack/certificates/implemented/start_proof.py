@@ -63,11 +63,12 @@ class StartProof:
     middle : int
         K1.
     states : n texts
-        Bounds of |x_i| in all later periods: X_t.
+        Bounds of |x_i|, and of the channels behind them, in all later periods: X_t.
     input : str
         The same of |u|, without the constant of the law.
     peaks : n + 3 texts
-        Bounds for all t >= 0 of |e_1|, |x_i|, |u| (without that constant), |u_k - u_{k-1}|.
+        Bounds for all t >= 0 of |e_1|, |x_i| (and the channels), |u| (without that constant),
+        |u_k - u_{k-1}|.
     """
 
     of: str
@@ -225,7 +226,7 @@ class StartProver:
         return evidence
 
     def _is_well_formed(self, proof: StartProof) -> bool:
-        n = self.drive.n
+        n, sized = self.drive.n, self.drive.sized
         return (
             proof.of in (X0, POLYTOPE)
             and proof.phase in (FILE_PHASE, ANY_PHASE)
@@ -233,8 +234,8 @@ class StartProver:
             and all(float(low) <= float(high) for low, high in proof.region)
             and 1 <= proof.doublings <= MOST_DOUBLINGS
             and 0 <= proof.middle < 2**proof.doublings
-            and len(proof.states) == n
-            and len(proof.peaks) == n + 3
+            and len(proof.states) == sized
+            and len(proof.peaks) == sized + 3
         )
 
     def bounds(self, starts: Starts, doublings: int, middle: int, later: Later | None) -> Evidence:
@@ -256,7 +257,7 @@ class StartProver:
                 "the bound of what comes after the periods looked at is not above what follows "
                 "from it"
             )
-        n = self.drive.n
+        n = self.drive.sized
         after = image.copy()
         after[1 : n + 2] = [*later.states, later.input]
         peaks = np.maximum(run.bounds.max(axis=0), after)
@@ -311,7 +312,7 @@ def _jumps(system: System, drive: Drive) -> tuple[Any | None, int | None]:
 def limit_met(system: System, drive: Drive, proof: StartProof) -> str:
     """Empty if the peaks of a proof are within the limits of the input, else which is not."""
     limits = input_limits(system, drive)
-    size, step = (from_text(text) for text in proof.peaks[drive.n + 1 :])
+    size, step = (from_text(text) for text in proof.peaks[drive.sized + 1 :])
     if not limits.hold(size, rational(0)):
         peak = float(size + abs(drive.offset))
         return f"|u| is certified to be within {peak:.5g} from simulation.x0 only"
@@ -331,7 +332,7 @@ def polytope_of(prover: StartProver, proof: StartProof) -> Polytope:
     """
     system, drive, evidence = prover.system, prover.drive, prover.evidence(proof)
     limits, run, transient = input_limits(system, drive), evidence.run, evidence.transient
-    n, frame = drive.n, evidence.frame
+    n, frame = drive.sized, evidence.frame
     if not prover.within_later(evidence):
         raise NoCertificate("the limits of the input may be met in the long run")
     region = np.array([[float(low), float(high)] for low, high in proof.region])

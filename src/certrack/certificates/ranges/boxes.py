@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 from certrack.certificates.ranges.cells import Cell
-from certrack.certificates.ranges.loop import RANGED_GAIN, RangedLoop
+from certrack.certificates.ranges.formulas import RANGED_GAIN
+from certrack.certificates.ranges.loop import RangedLoop
 from certrack.core.errors import InputError
 from certrack.core.expressions import number
 from certrack.model.ranges import ConstantRange, check_sign_at_ends
@@ -38,8 +39,20 @@ def scaled(loop: RangedLoop, scale: Any) -> Cell:
     inside that of a larger one.
     """
     ends = tuple(
-        (value + scale * (min(low, value) - value), value + scale * (max(high, value) - value))
+        (min(low, value), max(high, value))
         for value, (low, high) in zip(loop.nominal, loop.box, strict=True)
+    )
+    return moved(loop, ends, scale)
+
+
+def moved(loop: RangedLoop, cell: Cell, scale: Any) -> Cell:
+    """A cell with all distances from the nominal values times a scale (a rational).
+
+    Cells that fill a box so fill the box of the scale. What varies in time has its whole interval.
+    """
+    ends = tuple(
+        (value + scale * (low - value), value + scale * (high - value))
+        for value, (low, high) in zip(loop.nominal, cell, strict=True)
     )
     count = len(ends) - loop.moving
     return (*ends[:count], *loop.box[count:])

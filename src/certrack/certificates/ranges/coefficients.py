@@ -4,7 +4,8 @@
 
 with different functions r_k, such as K_L/J_L: one constant in two entries is one delta. The middle
 of its range goes into the centre, so nothing is lost where the range is not symmetric. N_k is a
-sum of products of a column and a row: each is a channel p = delta_k q.
+sum of products of a column and a row: each is a channel p = delta_k q. A term within a sector,
+bracket(p) s, is one function of them all: where the bracket is small, so is its delta.
 """
 
 from __future__ import annotations
@@ -49,11 +50,14 @@ class Coefficients:
     def __init__(self, loop: RangedLoop) -> None:
         self.loop = loop
         matrices: dict[sympy.Expr, np.ndarray] = {}
-        for i, j in np.ndindex(*loop.matrix.shape):
-            for function, value in _parts(loop.matrix[i, j], loop.symbols):
-                zero = np.full(loop.matrix.shape, flint.fmpq(0), dtype=object)
-                matrices.setdefault(function, zero)[i, j] += value
-        self._fixed = matrices.pop(sympy.S.One, np.full(loop.matrix.shape, flint.fmpq(0)))
+        nothing = np.full(loop.still.shape, flint.fmpq(0), dtype=object)
+        for i, j in np.ndindex(*loop.still.shape):
+            for function, value in _parts(loop.still[i, j], loop.symbols):
+                matrices.setdefault(function, nothing.copy())[i, j] += value
+        self._fixed = matrices.pop(sympy.S.One, nothing)
+        for j, term in loop.slopes:
+            matrices[term] = nothing.copy()
+            matrices[term][-1, j] += 1
         self.functions = list(matrices)
         self._matrices = list(matrices.values())
         self._factors = [_factors(matrix) for matrix in self._matrices]

@@ -48,6 +48,7 @@ def largest_scale(
     begin: float = 1.0,
     known: T | None = None,
     accuracy: float = 1e-3,
+    fall: float = 4.0,
 ) -> Edge[T]:
     """Search the edge between scales with and without a proof.
 
@@ -60,9 +61,12 @@ def largest_scale(
     known : what is found at `begin`, if that is known
     accuracy : float
         Relative width of the last interval.
+    fall : float
+        Where nothing is found at `begin`, the next scale is smaller by this factor, the one after
+        it by its square, and so on up to 4.
     """
     low, best, reason = 0.0, known, ""
-    high = begin
+    high = above = begin
     text = _decimal(begin) if known is not None else "0"
     if known is not None:
         low = begin
@@ -70,12 +74,13 @@ def largest_scale(
         while not low and high >= SMALLEST_SCALE_PART * begin:
             answer = find(rational(_decimal(high)))
             if isinstance(answer, str):
-                reason, high = answer, high / 4
+                reason, above, high = answer, high, high / fall
+                fall = min(fall**2, 4.0)
             else:
                 low, best, text = high, answer, _decimal(high)
         if not low:
             return Edge("0", None, reason)
-        high = 4 * low if low < begin else low
+        high = above if low < begin else low
     while high <= low:
         if low >= LARGEST_SCALE:
             return Edge(text, best, "", unlimited=True)

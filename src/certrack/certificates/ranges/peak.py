@@ -41,6 +41,10 @@ UNBOUNDED = 1e100
 WIDENED, FIXED_POINT_ROUNDING, ITERATIONS, LEAST = 1e-9, 1e-12, 400, 1e-280
 
 
+#: Why there is no bound.
+TOO_MUCH_GAIN = "the loop's gain through the uncertain terms is not below 1"
+
+
 @dataclass(frozen=True)
 class PeakBound:
     """A proven bound.
@@ -65,8 +69,25 @@ class _Outputs:
     offset: np.ndarray
 
 
-def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Interval]) -> PeakBound:
+#: From M, rows and columns to the integrals of |c e^{Mt} b|.
+PeakGains = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def peak_bound(
+    loop: RangedLoop,
+    coefficients: Coefficients,
+    box: Sequence[Interval],
+    gains_of: PeakGains = peak_gains,
+) -> PeakBound:
     """Bound on limsup |e_1| for constants that stay in a box, also if they vary in it.
+
+    Parameters
+    ----------
+    loop : RangedLoop
+    coefficients : Coefficients
+    box : intervals of its symbols
+    gains_of : callable, optional
+        Another quadrature, such as an estimate; then what is returned is no bound either.
 
     Raises
     ------
@@ -90,10 +111,12 @@ def peak_bound(loop: RangedLoop, coefficients: Coefficients, box: Sequence[Inter
         *(c.A @ channels.columns).T,
         *uncertain.a,
     ]
-    constant, gains, levels = _responses(form, outputs, loop.bound_on, columns)
+    constant, gains, levels = _responses(form, outputs, loop.bound_on, columns, gains_of)
     nb, nc = len(bounded), len(channels.rows)
     constant = constant + gains[:, :nb].sum(axis=1)
     through, from_norms = gains[:, nb : nb + nc], gains[:, nb + nc :]
+    if nc and np.abs(np.linalg.eigvals(through[1 : 1 + nc])).max() >= 1:
+        raise NoCertificate(TOO_MUCH_GAIN)  # no v > F(v), of however many steps
 
     def image(v: np.ndarray) -> np.ndarray:
         sizes = np.array([np.linalg.norm(S @ v[1 + nc :]) for S in norms])
@@ -137,6 +160,7 @@ def _responses(
     outputs: _Outputs,
     bound_on: Callable[[int], Any],
     columns: Sequence[np.ndarray],
+    gains_of: PeakGains,
 ) -> tuple[np.ndarray, np.ndarray, list[int]]:
     """For each output: the part of reference and offset, and its gains from the columns."""
     M, W = form.M, form.W
@@ -156,7 +180,7 @@ def _responses(
     acting = [i for i, column in enumerate(table) if any(v != 0 for v in column)]
     gains = np.zeros((len(outputs.C), len(table)))
     inputs = np.array([table[i] for i in acting], dtype=object).reshape(len(acting), len(M)).T
-    gains[:, acting] = peak_gains(M, outputs.C, inputs)
+    gains[:, acting] = gains_of(M, outputs.C, inputs)
     first, later = len(columns), len(columns) + width
     sizes = [float_up(v) for v in Y]
     constant, levels = [], []
@@ -189,5 +213,5 @@ def _bound(image: Any, count: int) -> float:
     v = v * (1 + WIDENED) + LEAST
     after = image(v) * (1 + FIXED_POINT_ROUNDING)
     if not (after[1:] < v[1:]).all() or after.max() >= UNBOUNDED:
-        raise NoCertificate("the loop's gain through the uncertain terms is not below 1")
+        raise NoCertificate(TOO_MUCH_GAIN)
     return float(after[0])

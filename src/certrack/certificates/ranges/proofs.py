@@ -21,12 +21,14 @@ from certrack.certificates.formulation import adaptation_of
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.ranges.cells import Cell
 from certrack.certificates.ranges.coefficients import Coefficients
+from certrack.certificates.ranges.estimates import estimated_peak_gains
 from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
 from certrack.certificates.ranges.peak import peak_bound
 from certrack.certificates.ranges.rational import MAX_HULL_POINTS, RationalVector
 from certrack.certificates.ranges.vertices import (
     ProblemMaker,
     VertexProgram,
+    VertexSolution,
     prove_vertices,
 )
 from certrack.certificates.semidefinite import best_solution
@@ -94,19 +96,28 @@ class RangeProver:
         return CellProof(texts(cell), proofs[0].bound, proofs)
 
     def holds(self, cell: Cell) -> bool:
-        """Whether a cell has a proof at all, of whatever bound: a quadratic function or peak gains.
-
-        A small alpha asks least of the loop.
-        """
+        """Whether a cell has a proof at all, by a quadratic function or by peak gains."""
         if self.by_peak_gains and self.peak(cell) is not None:
             return True
         try:
             problems = self.problems(cell)
         except NoCertificate:
             return False
-        program = VertexProgram([p.in_floats() for p in problems])
-        solution = program.solve(SLOW_RATE * program.fastest) if program.fastest > 0 else None
+        solution = _slow_solution(problems)
         return solution is not None and prove_vertices(problems, solution) is not None
+
+    def promises(self, cell: Cell) -> bool:
+        """Whether `holds` is to be expected, by floats alone: no proof of anything."""
+        if self.by_peak_gains:
+            try:
+                peak_bound(self.loop, self.coefficients, cell, estimated_peak_gains)
+                return True
+            except NoCertificate:
+                pass
+        try:
+            return _slow_solution(self.problems(cell)) is not None
+        except NoCertificate:
+            return False
 
     def peak(self, cell: Cell) -> CellProof | None:
         """A proof by peak gains, or None if there is none."""
@@ -181,6 +192,12 @@ class RangeProver:
         return RationalVector.of(formulas, self.loop.symbols)
 
 
+def _slow_solution(problems: Sequence[ErrorProblem]) -> VertexSolution | None:
+    """What the solver finds for a small alpha, which asks least of the loop."""
+    program = VertexProgram([problem.in_floats() for problem in problems])
+    return program.solve(SLOW_RATE * program.fastest) if program.fastest > 0 else None
+
+
 def texts(cell: Cell) -> tuple[tuple[str, str], ...]:
     """The ends of a cell as fractions."""
     return tuple((str(low), str(high)) for low, high in cell)
@@ -229,7 +246,7 @@ def check_cells(system: System, proofs: Sequence[CellProof], bound: str) -> str:
     if not cells_fill(cells, prover.box):
         return "the cells do not cover the ranges"
     count = len(prover.box) - prover.loop.moving
-    if any(cell[count:] != prover.box[count:] for cell in cells):
+    if not all(_contains(cell[count:], prover.box[count:]) for cell in cells):
         return "a cell cuts the slope of a nonlinear term, which varies in time"
     for proof in proofs:
         if from_text(proof.bound) > from_text(bound):
@@ -241,9 +258,7 @@ def check_cells(system: System, proofs: Sequence[CellProof], bound: str) -> str:
 
 def cells_fill(cells: Sequence[Cell], box: Cell) -> bool:
     """Whether every point of the box is in one of the cells."""
-    if any(
-        all(c <= a and b <= d for (a, b), (c, d) in zip(box, cell, strict=True)) for cell in cells
-    ):
+    if any(_contains(cell, box) for cell in cells):
         return True
     touching = [
         cell
@@ -259,3 +274,7 @@ def cells_fill(cells: Sequence[Cell], box: Cell) -> bool:
                         cells_fill(touching, (*box[:i], part, *box[i + 1 :])) for part in parts
                     )
     return False
+
+
+def _contains(cell: Cell, box: Cell) -> bool:
+    return all(c <= a and b <= d for (a, b), (c, d) in zip(box, cell, strict=True))

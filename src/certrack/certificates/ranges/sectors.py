@@ -29,33 +29,36 @@ SECTORS = {
 
 
 def sector_of(function: sympy.Expr, states: Sequence[sympy.Symbol]) -> tuple[int, Any, Any] | None:
-    """The state j and the interval of m(x)/x_j over all x, in rationals; None if none is known."""
-    if type(function) in SECTORS:
-        return _along_a_line(function, states)
+    """The state j and the interval of m(x)/x_j over all x, in rationals; None if none is known.
+
+    m is x_j, |x_j| or f(a x_j) times something bounded; the first such state counts.
+    """
     for j, state in enumerate(states):
+        found = []
         for factor in sympy.Mul.make_args(function):
-            if factor == state:
-                ends = _ends(function / state, states)
-            elif factor == sympy.Abs(state):
-                ends = _ends(function / factor, states)
-                size = None if ends is None else max(abs(ends[0]), abs(ends[1]))
-                ends = None if size is None else (-size, size)
-            else:
-                continue
-            if ends is not None:
-                return j, *ends
+            slope = _slope_along(factor, state)
+            rest = None if slope is None else _ends(function / factor, states)
+            if slope is not None and rest is not None:
+                products = [u * v for u in slope for v in rest]
+                found.append((min(products), max(products)))
+        if found:  # each of them contains the ratio
+            return j, max(low for low, _ in found), min(high for _, high in found)
     return None
 
 
-def _along_a_line(
-    function: sympy.Expr, states: Sequence[sympy.Symbol]
-) -> tuple[int, Any, Any] | None:
-    """f(a x_j) = a x_j f(z)/z with a rational a."""
-    scale, state = function.args[0].as_independent(*states, as_Add=False)
-    if state not in states or not scale.is_Rational:
+def _slope_along(factor: sympy.Expr, state: sympy.Symbol) -> tuple[Any, Any] | None:
+    """The interval of factor/state over all values of the state; None if none is known."""
+    if factor == state:
+        return rational(1), rational(1)
+    if factor == sympy.Abs(state):
+        return rational(-1), rational(1)
+    if type(factor) not in SECTORS:
         return None
-    low, high = (rational(end) * rational(scale) for end in SECTORS[type(function)])
-    return list(states).index(state), min(low, high), max(low, high)
+    scale = factor.args[0] / state
+    if not scale.is_Rational:
+        return None
+    low, high = (rational(end) * rational(scale) for end in SECTORS[type(factor)])
+    return min(low, high), max(low, high)
 
 
 def _ends(remaining: sympy.Expr, states: Sequence[sympy.Symbol]) -> tuple[Any, Any] | None:

@@ -1,24 +1,26 @@
 """The critical strength of ranges: how far all of them may grow together before no proof is left.
 
 All distances of the ends from the nominal values are scaled alike, and a nominal value outside of
-its range is an end of it. What is returned was proven there, and so holds at every smaller scale:
-those boxes lie inside.
+its range is an end of it. The scale is looked for in floats. What is returned was proven there, and
+so holds at every smaller scale: those boxes lie inside.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate, within_floats
-from certrack.certificates.ranges.boxes import forbidden, scaled
+from certrack.certificates.ranges.boxes import forbidden, moved, scaled
 from certrack.certificates.ranges.cells import Cell, corners_of, halved
-from certrack.certificates.ranges.edges import largest_scale
+from certrack.certificates.ranges.edges import Edge, largest_scale
 from certrack.certificates.ranges.loop import error_form
 from certrack.certificates.ranges.proofs import RangeProver
 from certrack.core.progress import Progress, silent
@@ -65,38 +67,81 @@ def critical_ranges(
         Gets how many scales were tried, None and None.
     """
     tried = itertools.count()
+    known = known and scaled(prover.loop, rational(1)) == tuple(prover.loop.box)
+    search = _Search(prover, cells)
 
-    def find(scale: Any) -> bool | str:
+    def find(holds: Callable[[Cell], bool], scale: Any) -> tuple[Cell, ...] | str:
         progress(next(tried), None, None)
-        box = scaled(prover.loop, scale)
-        reason = forbidden(prover.loop, box)
-        if reason:
-            return reason
         try:
             with within_floats():
-                return provable(prover, box, cells=cells) or NO_PROOF
+                return search.parts(holds, scale)
         except NoCertificate as refusal:
             return str(refusal)
 
-    same = known and scaled(prover.loop, rational(1)) == tuple(prover.loop.box)
-    edge = largest_scale(find, known=True if same else None, accuracy=STRENGTH_ACCURACY)
+    whole: tuple[Cell, ...] | None = (tuple(prover.loop.box),) if known else None
+    edge = largest_scale(partial(find, prover.promises), known=whole, accuracy=STRENGTH_ACCURACY)
+    if edge.result not in (None, whole) and not proven(prover, edge.result or ()):
+        edge = largest_scale(  # floats promised too much, which they do near the edge
+            partial(find, prover.holds),
+            begin=float(edge.scale),
+            accuracy=STRENGTH_ACCURACY,
+            fall=1 + 2 * STRENGTH_ACCURACY,
+        )
+        if known and float(edge.scale) < 1:
+            edge = Edge("1", whole, edge.reason)
     return RangeStrength(math.inf if edge.unlimited else float(edge.scale), edge.reason)
 
 
-def provable(prover: RangeProver, box: Cell, *, cells: bool) -> bool:
-    """Whether a box has a proof of some bound, by itself or, if allowed, cut into cells."""
-    if not stable_at_corners(prover, box):
+def proven(prover: RangeProver, boxes: Sequence[Cell]) -> bool:
+    """Whether every box has a proof of some bound."""
+    try:
+        with within_floats():
+            return all(map(prover.holds, boxes))
+    except NoCertificate:
         return False
-    if prover.holds(box):
-        return True
-    moving = prover.loop.moving
-    sizes, waiting, count = [high - low for low, high in box], [box], 1
-    while cells and waiting:
-        if count >= PROVABLE_CELLS:
-            return False
-        count += 1
-        waiting += [half for half in halved(waiting.pop(), sizes, moving) if not prover.holds(half)]
-    return not waiting
+
+
+class _Search:
+    """Cells that fill the scaled boxes; each search begins with those of the last that held.
+
+    Parameters
+    ----------
+    prover : RangeProver
+    cells : bool
+        Whether a box may be cut.
+    """
+
+    def __init__(self, prover: RangeProver, cells: bool) -> None:
+        self._prover, self._cells = prover, cells
+        self._scale = rational(1)
+        self._held: tuple[Cell, ...] = (scaled(prover.loop, self._scale),)
+
+    def parts(self, holds: Callable[[Cell], bool], scale: Any) -> tuple[Cell, ...]:
+        """Cells that all hold and fill the box of a scale.
+
+        Raises
+        ------
+        NoCertificate
+            If none are found, or nothing of the design's form has such ranges.
+        """
+        loop = self._prover.loop
+        box = scaled(loop, scale)
+        if reason := forbidden(loop, box):
+            raise NoCertificate(reason)
+        if not stable_at_corners(self._prover, box):
+            raise NoCertificate(NO_PROOF)
+        sizes, found = [high - low for low, high in box], []
+        waiting = [moved(loop, cell, scale / self._scale) for cell in self._held]
+        while waiting:
+            part = waiting.pop()
+            if holds(part):
+                found.append(part)
+            elif self._cells and len(found) + len(waiting) + 1 < PROVABLE_CELLS:
+                waiting += halved(part, sizes, loop.moving)
+            else:
+                raise NoCertificate(NO_PROOF)
+        self._scale, self._held = scale, tuple(found)
+        return self._held
 
 
 def stable_at_corners(prover: RangeProver, box: Cell) -> bool:

@@ -1,4 +1,4 @@
-"""The corners of the ranges of constants: they run besides the random members, and count nowhere.
+"""The corners of plant.ranges: they run besides the random members, and count nowhere.
 
 Corner k has the high end of range i where bit i of k is set, and the low end elsewhere; its start,
 disturbance and noise are drawn as those of member k are. In all that computes members, corners are
@@ -8,7 +8,7 @@ members whose numbers no ensemble reaches.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +27,7 @@ MAX_RANGES = 6
 FIRST_CORNER = MAX_MEMBERS
 
 
-def ranges_of(system: System) -> dict[str, tuple[float, float]]:
+def constant_ranges_of(system: System) -> dict[str, tuple[float, float]]:
     """The constants with a range, in the order of the file.
 
     Of a truth with states of its own, those that the population draws: what another constant means
@@ -38,6 +38,19 @@ def ranges_of(system: System) -> dict[str, tuple[float, float]]:
         return boxes
     drawn = dict(system.varied.constants)
     return {name: box for name, box in boxes.items() if name in drawn}
+
+
+def ranges_of(system: System) -> dict[str, tuple[float, float]]:
+    """All that has a range: constants, then ``input_gain``, then entries of theta.
+
+    An interval that is a point is none; nor has a truth with states of its own a gain or theta.
+    """
+    ranges, plant = dict(constant_ranges_of(system)), system.plant
+    if system.truth.states:
+        return ranges
+    others = {"input_gain": plant.input_gain_range} if plant.input_gain_range else {}
+    others |= {f"theta[{i}]": box for i, box in enumerate(plant.theta_range or ())}
+    return ranges | {name: (low, high) for name, (low, high) in others.items() if low < high}
 
 
 def count_of(ranges: Mapping[str, tuple[float, float]]) -> int:
@@ -51,14 +64,47 @@ def span_of(system: System) -> Range | None:
     return (FIRST_CORNER, FIRST_CORNER + count) if count else None
 
 
-def constants_at(
+def values_at(
     ranges: Mapping[str, tuple[float, float]], corners: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """The constants at some corners, by name."""
+    """The values at some corners, by name."""
     return {
         name: np.where(corners >> i & 1, high, low)
         for i, (name, (low, high)) in enumerate(ranges.items())
     }
+
+
+def draws_at_corners(
+    system: System,
+    of_members: Callable[[int, int], dict[str, np.ndarray]],
+    begin: int,
+    end: int,
+) -> dict[str, np.ndarray]:
+    """Every drawn number of some corners, by name.
+
+    Parameters
+    ----------
+    system : System
+    of_members : callable
+        Gives the draws of members begin ... end-1.
+    begin, end : int
+        From :data:`FIRST_CORNER` on; registers are filled with corners from the first on.
+    """
+    ranges, constants = ranges_of(system), system.plant.constant_boxes
+    count = count_of(ranges)
+    corners = np.arange(begin - FIRST_CORNER, end - FIRST_CORNER) % count
+    draws = {name: values[corners] for name, values in of_members(0, count).items()}
+    for name, values in values_at(ranges, corners).items():
+        draws[f"constants.{name}" if name in constants else name] = values
+    return draws
+
+
+def moved_parameters(system: System) -> set[str]:
+    """Parameters of the loop for g_n and theta, where corners have others than members."""
+    ranges, plant = ranges_of(system), system.plant
+    names = {"input_gain": f"true_g_{plant.n - 1}"}
+    names |= {f"theta[{i}]": f"true_theta_{i}" for i in range(plant.r)}
+    return {names[name] for name in ranges if name in names} if count_of(ranges) else set()
 
 
 @dataclass(frozen=True)
@@ -68,6 +114,7 @@ class Corners:
     Attributes
     ----------
     constants : one mapping of names to values for each corner
+        Of all that has a range, ``input_gain`` and ``theta[0]`` among them.
     errors : floats
         Tail error at each corner; inf where the run does not finish.
     outcomes : names of outcomes
@@ -88,7 +135,7 @@ class Corners:
         parts = sorted(statistics.table.parts, key=lambda part: part[0])
         tails = np.concatenate([metrics[METRICS.index("tail_error")] for _, metrics, _ in parts])
         codes = np.concatenate([outcomes for *_, outcomes in parts])
-        values = constants_at(ranges, np.arange(len(tails)))
+        values = values_at(ranges, np.arange(len(tails)))
         names = [outcome.name for outcome in Outcome]
         return cls(
             tuple({n: float(v[k]) for n, v in values.items()} for k in range(len(tails))),

@@ -65,8 +65,8 @@ class Ensemble(ShownInNotebooks):
     seconds : float
         Integration and statistics of the computed ones, without start-up and compilation.
     corners : Corners or None
-        The corners of the ranges of constants, which run besides the members and are counted in
-        nothing else; None where no constant has a range, or more than six have.
+        The corners of plant.ranges, which run besides the members and are counted in nothing
+        else; None where nothing has a range, or more than six have.
     proven : ImplementedCertificate, optional
         Of a drive with limits of its input: whose starts the limit is proven for. Members that
         start elsewhere are counted apart.

@@ -14,14 +14,16 @@ from certrack.certificates.implemented.certify import (
     certify_implemented,
 )
 from certrack.certificates.implemented.from_starts import ANY_START, NO_START
+from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
-from certrack.certificates.ranges.loop import untrue_formulas
+from certrack.certificates.ranges.formulas import untrue_formulas
 from certrack.certificates.scope import has_ranges
 from certrack.core import checks
 from certrack.model.distribution import Distribution
 from certrack.model.disturbance import Multisine
 from certrack.model.population import Population
+from certrack.references import SoftStart
 from certrack.systems.system import System
 
 
@@ -60,9 +62,12 @@ def limit_and_starts(
     if reason is not None:
         return None, f"no certificate covers the population: {reason}", None
     if system.implementation is not None:
-        sampled, _ = certify_implemented(system)
+        sampled, _ = certify_implemented(system if is_limited(system) else system.long_run)
         if sampled.exists and sampled.starts != NO_START:
             proven = None if sampled.starts == ANY_START else sampled
+            if proven is not None and isinstance(system.reference, SoftStart):
+                what = "from the starts that are proven, each member has its own soft start"
+                return None, f"no certificate covers the population: {what}", None
             return sampled.bound, "certificate", proven
         return None, f"no certificate covers the sampled loop: {sampled.reason}", None
     bound = best_sound_bound(system)

@@ -27,20 +27,25 @@ from certrack.model.names import refuse_prefix
 from certrack.model.plant import Plant
 from certrack.model.sampling import MAX_MEMBERS, probabilities
 from certrack.model.truth import Truth
-from certrack.references import SymbolicReference
+from certrack.references import SoftStart, SymbolicReference
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import Simulator
-from certrack.studies.ensembles.corners import FIRST_CORNER, constants_at, count_of, ranges_of
-from certrack.systems.system import System, require_system
+from certrack.studies.ensembles.corners import (
+    FIRST_CORNER,
+    constant_ranges_of,
+    count_of,
+    draws_at_corners,
+    moved_parameters,
+    ranges_of,
+)
+from certrack.studies.ensembles.scaled_reference import scaled_reference
+from certrack.systems.system import System, output_derivatives, require_system
 
 #: Members and times at which the pattern of a registered disturbance is looked at.
 CHECKED_MEMBERS, CHECKED_TIMES = 64, 257
 
 #: ||x|| in the disturbances is sqrt(x.x + offset^2) - offset: smooth at zero, never above.
 NORM_OFFSET = 1e-6
-
-#: Keeps the declared bounds of a scaled reference above its own, in spite of rounding.
-ABOVE_ONE = 1 + 1e-12
 
 #: Parameter that scales the reference of a member.
 AMPLITUDE = symbol("ref_member_amplitude")
@@ -117,6 +122,7 @@ class Members:
         self._constants = tuple(true_constants(self.template))
         self.loop: ClosedLoop = close_loop(self.template)
         self.base = parameter_values(self.loop, self.template)
+        self._moved_at_corners = moved_parameters(system)
         self._refuse_large_patterns()
 
     def _refuse_unscalable(self) -> None:
@@ -154,19 +160,14 @@ class Members:
         So it is a number of each member, and the corners of the ranges can have another.
         """
         drawn, true = dict(self.population.constants), true_constants(self.system)
-        ranges = ranges_of(self.system)
+        ranges = constant_ranges_of(self.system)
         others = {n: Distribution("fixed", (true[n],)) for n in ranges if n not in drawn}
-        return drawn | (others if count_of(ranges) else {})
+        return drawn | (others if count_of(ranges_of(self.system)) else {})
 
     def draws(self, begin: int, end: int) -> dict[str, np.ndarray]:
         """Every drawn number of the members begin ... end-1, or of some corners, by name."""
         if begin >= FIRST_CORNER:
-            ranges = ranges_of(self.system)
-            count = count_of(ranges)  # registers are filled with corners from the first on
-            corners = np.arange(begin - FIRST_CORNER, end - FIRST_CORNER) % count
-            drawn = {name: values[corners] for name, values in self.draws(0, count).items()}
-            values = constants_at(ranges, corners)
-            return drawn | {f"constants.{name}": column for name, column in values.items()}
+            return draws_at_corners(self.system, self.draws, begin, end)
         free = [name for name, entry in self.columns.items() if not entry.fixed]
         table = probabilities(self.population.sampling, self.seed, begin, end, len(free))
         p = dict(zip(free, table, strict=True))
@@ -202,7 +203,7 @@ class Members:
         """
         count = count_of(ranges_of(self.system))
         if not count:
-            message = "there are no corners: they are run for 1 to 6 constants in [plant.ranges]"
+            message = "there are no corners: they are run for 1 to 6 ranges in [plant.ranges]"
             raise InputError("corner", message, index)
         checks.integer("corner", index, 0, count - 1)
         return self._written(FIRST_CORNER + index)
@@ -261,7 +262,19 @@ class Members:
             drawn = draws.get(name if name.startswith("member_") else f"constants.{name}")
             if drawn is not None:
                 columns[f"true_constants_{i}"] = drawn
+        columns |= self._joined(starts[:n])
+        for i, name in enumerate(map(str, self.loop.parameters)):
+            if name in self._moved_at_corners:  # else as in the truth
+                columns.setdefault(name, np.full(count, self.base[i]))
         return starts, {symbol(name): values for name, values in columns.items()}
+
+    def _joined(self, x0: np.ndarray) -> dict[str, np.ndarray]:
+        """A soft start begins where each member does."""
+        reference = self.template.reference
+        if not isinstance(reference, SoftStart):
+            return {}
+        begins = output_derivatives(self.system.plant)[: len(reference.start)] @ x0
+        return {f"ref_gap_{i}": row for i, row in enumerate(reference.gaps(begins))}
 
     def _derived(self, draws: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
         """Numbers of the plant that follow from its varying constants."""
@@ -313,7 +326,7 @@ class Members:
         return System(
             plant=plant,
             law=system.law,
-            reference=self._reference(point),
+            reference=scaled_reference(system.reference, point),
             truth=self._truth(point, plant, written=written),
             settings=replace(settings, x0=tuple(x0), estimates=tuple(estimates) or None),
             title=system.title,
@@ -383,27 +396,3 @@ class Members:
             if not worst <= 1:
                 kind = self.family.kind
                 raise InputError(f"disturbance.{kind}", "must stay within [-1, 1]", f"{worst:.6g}")
-
-    def _reference(self, point: dict[str, float]) -> Any:
-        """The reference with its own amplitude and frequency: A y_d(F t)."""
-        reference = self.system.reference
-        scales = {name: point[name] for name in ("amplitude", "frequency") if name in point}
-        if not scales:
-            return reference
-        assert isinstance(reference, SymbolicReference)
-        a, f = scales.get("amplitude", 1.0), scales.get("frequency", 1.0)
-        text = reference.signal.text
-        if "frequency" in scales:
-            text = re.sub(r"\bt\b", "(member_frequency*t)", text)
-        if "amplitude" in scales:
-            text = f"member_amplitude*({text})"
-        constants: dict[str, Any] = dict(reference.constants)
-        constants |= {f"member_{name}": value for name, value in scales.items()}
-        slack = abs(a) * ABOVE_ONE
-        declared = reference.declared
-        return SymbolicReference(
-            text,  # type: ignore[arg-type]
-            None if reference.bound is None else slack * max(1.0, f) * reference.bound,
-            None if declared is None else tuple(slack * f**i * Y for i, Y in enumerate(declared)),
-            constants,  # type: ignore[arg-type]
-        )

@@ -24,7 +24,7 @@ METHODS = ("native", "lockstep", "alone")
 
 #: Raised by every change after which a member has other numbers or is counted otherwise. Folders of
 #: finished chunks record it, so that none is filled by two revisions.
-REVISION = 2
+REVISION = 3
 
 Range = tuple[int, int]
 

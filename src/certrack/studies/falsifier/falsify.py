@@ -3,14 +3,15 @@
 A population of adversaries is evolved on the batched integrator to maximise |e_1| after the
 transient; the best case is polished alone. Where the error loop is linear, its kernels and a linear
 program give another case, also at the corners of what has a range, and of the loop as a drive
-carries it out (:mod:`certrack.studies.falsifier.linear`). Cases are written as system files and
-replayed there.
+carries it out (:mod:`certrack.studies.falsifier.linear`). Where constants have ranges, the adaptive
+law gets the case of the loop that knows what it estimates, and the search goes on from these
+constants. Cases are written as system files and replayed there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from certrack.certificates import Certificate
 from certrack.certificates.implemented.certify import certify_implemented
@@ -27,8 +28,10 @@ from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.adversary import Adversary, reference_bounds
 from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
 from certrack.studies.falsifier.evolution import Search
+from certrack.studies.falsifier.linear.estimated import estimated_case, is_estimated
 from certrack.studies.falsifier.linear.search import (
     LinearCase,
+    NothingTried,
     continuous_case,
     sampled_case,
     tail_error,
@@ -114,6 +117,9 @@ class Falsification:
         How the worst run ended, where it did not reach its end.
     drive : DriveFalsification or None
         The worst case of the loop as the file's implementation carries it out, where it is linear.
+    left_out : mapping of str to str
+        Why the kernels of the continuous loop (``"kernels"``) or of the implemented one
+        (``"drive"``) were not tried.
     """
 
     worst_error: float
@@ -127,6 +133,7 @@ class Falsification:
     origin: str = "search"
     stopped: str | None = None
     drive: DriveFalsification | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         proven = "none" if self.against is None else rounded_up(self.against.bound, 4)
@@ -183,11 +190,22 @@ def falsify(
             remedy="Give the truth in the design's form, or vary it by certrack ensemble",
         )
     progress(0, budget, None)
+    system = system.long_run  # a soft start has vanished where the worst error is sought
     methods = every_certificate(system)
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
-    drive = None if system.implementation is None else _of_drive(system, bounds)
+    left_out: dict[str, str] = {}
+    drive = linear = None
+    if system.implementation is not None:
+        try:
+            drive = _of_drive(system, bounds)
+        except NothingTried as refusal:
+            left_out["drive"] = str(refusal)
     system = system.replace(implementation=None)
-    linear = continuous_case(system, bounds)
+    try:
+        case = estimated_case if is_estimated(system) else continuous_case
+        linear = case(system, bounds)
+    except NothingTried as refusal:
+        left_out[KERNELS] = str(refusal)
     cases, evaluations = {OWN: system}, 0
     search = _search(_worst_member(system, linear), linear, budget, progress)
     if search is not None:
@@ -221,6 +239,7 @@ def falsify(
         origin=worst,
         stopped=_stopped(runs[worst]),
         drive=drive,
+        left_out=left_out,
     )
 
 
@@ -247,11 +266,9 @@ def _worst_member(system: System, linear: LinearCase | None) -> System:
     return system.replace(truth=truth)
 
 
-def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification | None:
+def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification:
     """The worst case of the loop as it is implemented, and its certificate."""
     case = sampled_case(system, bounds)
-    if case is None:
-        return None
     certificate: Certificate = certify_implemented(system)[0]
     broken = contradicted(premises(system))  # what an implementation adds never is
     if broken and certificate.exists:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from certrack.certificates.ranges.loop import RANGED_GAIN, RANGED_THETA
+from certrack.certificates.ranges.formulas import RANGED_GAIN, RANGED_THETA
 from certrack.certificates.worst_profile import WorstProfile
 from certrack.model.implementation import Implementation
 from certrack.model.truth import Truth

@@ -31,6 +31,10 @@ from certrack.systems.system import System
 MAX_CANDIDATES = 3
 
 
+class NothingTried(Exception):
+    """Why a loop has no worst case by its kernels; the text is the reason."""
+
+
 @dataclass(frozen=True)
 class LinearCase:
     """A worst case of a linear loop.
@@ -52,7 +56,7 @@ class LinearCase:
     error: float
 
 
-def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None:
+def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     """The worst case of the continuous loop at constant parameters.
 
     Parameters
@@ -63,11 +67,14 @@ def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase | N
 
     Returns
     -------
-    LinearCase, or None for a law whose loop is not linear, or where nothing is found.
+    LinearCase
+
+    Raises
+    ------
+    NothingTried
+        For a law whose loop is not linear, or where nothing is found.
     """
-    loop = linear_error_loop(system)
-    if loop is None or not all(map(math.isfinite, bounds)):
-        return None
+    loop = _linear_loop(system, bounds)
     points = worst_corners(loop, bounds, MAX_CANDIDATES)
     return _worst_of(
         loop,
@@ -78,7 +85,7 @@ def continuous_case(system: System, bounds: tuple[float, ...]) -> LinearCase | N
     )
 
 
-def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None:
+def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     """The worst case of the loop as a drive carries it out.
 
     Parameters
@@ -89,11 +96,14 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None
 
     Returns
     -------
-    LinearCase, or None where the loop is not linear or not stable, or nothing is found.
+    LinearCase
+
+    Raises
+    ------
+    NothingTried
+        Where the loop is not linear or not stable, or nothing is found.
     """
-    loop = linear_error_loop(system)
-    if loop is None or not all(map(math.isfinite, bounds)):
-        return None
+    loop = _linear_loop(system, bounds)
     implementation, references = system.implementation, reference_class(system, bounds)
     assert implementation is not None
     members = [
@@ -112,6 +122,15 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase | None
     return _worst_of(loop, chains)
 
 
+def _linear_loop(system: System, bounds: tuple[float, ...]) -> RangedLoop:
+    loop = linear_error_loop(system)
+    if loop is None:
+        raise NothingTried("the error loop is not linear")
+    if not all(map(math.isfinite, bounds)):
+        raise NothingTried("a derivative of the reference that the law uses has no bound")
+    return loop
+
+
 def _worst_partition(chains: list[Chain]) -> Chain:
     """The chain whose pieces are worst, by the first turn of the search for worst inputs."""
     if len(chains) == 1:
@@ -121,7 +140,7 @@ def _worst_partition(chains: list[Chain]) -> Chain:
     return chains[errors.index(max(errors))]
 
 
-def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -> LinearCase | None:
+def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -> LinearCase:
     """The worst inputs of all chains, each with its system, simulated."""
     attacks = [
         (worst, member)
@@ -129,13 +148,13 @@ def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -
         if chain is not None and (worst := worst_inputs(chain)) is not None
     ]
     if not attacks:
-        return None
+        raise NothingTried("the loop is not stable, forgets too slowly, or has no linear program")
     worst, member = max(attacks, key=lambda pair: pair[0].error)
     odd = not loop.brackets and all(entry == 0 for entry in loop.matrix[:, -1])
     try:
         cases = [written_case(member, worst, sense) for sense in ((1,) if odd else (1, -1))]
-    except InputError:  # beyond what a system may be: too many samples, too large a state
-        return None
+    except InputError as problem:  # beyond what a system may be, such as too many samples
+        raise NothingTried(f"the case found cannot be written as a system: {problem}") from None
     played = [(case, simulate(case)) for case in cases]
     entries = [LinearCase(worst.error, case, run, tail_error(run)) for case, run in played]
     return max(entries, key=lambda entry: entry.error)

@@ -1,0 +1,137 @@
+"""Cells of the ranges of constants for the sampled loop: found, and checked to fill the ranges.
+
+Constants that stand still are in one of the cells for ever, so the largest of the cells' bounds
+holds; the worst cell is cut as long as that pays. Constants that vary in time need one cell.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import flint
+
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.exact import float_up, from_text
+from certrack.certificates.implemented.drive import DRIVE_BITS
+from certrack.certificates.implemented.period import one_period
+from certrack.certificates.implemented.proof import (
+    ImplementedProof,
+    cells_of,
+    prove_implemented,
+    work_of,
+)
+from certrack.certificates.implemented.ranged import RangedPlant
+from certrack.certificates.ranges.boxes import names
+from certrack.certificates.ranges.cells import Cell, divided
+from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, cells_fill, numbers
+from certrack.certificates.ranges.search import WORTHWHILE
+from certrack.core.progress import Progress, silent
+from certrack.core.rounding import rounded_range
+from certrack.systems.system import System
+
+#: Cells for one delay at most, by effort.
+MOST_SAMPLED_CELLS = {"fast": 1, "default": 48, "high": 192}
+
+#: What all tables of the cells for one delay may hold, by effort: about a minute, or four.
+MOST_WORK = {"fast": 2e9, "default": 2e9, "high": 8e9}
+
+#: A proof and what its bound is made of.
+Proven = tuple[ImplementedProof, dict[str, float]]
+
+
+def prove_cells(
+    system: System,
+    plant: RangedPlant,
+    delay: Any,
+    effort: str = "default",
+    progress: Progress = silent,
+) -> list[Proven]:
+    """Proofs for cells that fill the ranges of a system, for one delay.
+
+    Parameters
+    ----------
+    system : System
+    plant : RangedPlant
+    delay : rational, periods
+    effort : {"fast", "default", "high"}
+        How many cells there may be.
+    progress : callable
+        Gets the number of cells, None and the bound so far.
+
+    Raises
+    ------
+    NoCertificate
+        If a cell has none, with its name.
+    """
+    tried: dict[Cell, Proven | NoCertificate] = {}
+
+    def bound(cell: Cell) -> float:
+        if cell not in tried:
+            try:
+                tried[cell] = prove_implemented(system, delay, cell, plant)
+            except NoCertificate as refusal:
+                tried[cell] = refusal
+        proven = tried[cell]
+        return math.inf if isinstance(proven, NoCertificate) else _size(proven)
+
+    most = 1 if plant.varies else cells_allowed(plant, delay, effort)
+    cells = divided(plant.box, bound, most, WORTHWHILE, partial(_report, bound, progress))
+    proofs = []
+    for cell in sorted(cells):
+        proven = tried[cell]
+        if isinstance(proven, NoCertificate):
+            raise NoCertificate(_no_bound_for(plant, cell, len(cells), str(proven)))
+        proofs.append(proven)
+    return proofs
+
+
+def cells_allowed(plant: RangedPlant, delay: Any, effort: str) -> int:
+    """So many cells that their proofs take about the time that an effort may."""
+    drive = plant.drive(plant.box, delay)
+    with flint.ctx.workprec(DRIVE_BITS):
+        try:
+            work = work_of(one_period(drive, cells_of(drive)))
+        except NoCertificate:  # not stable in the middle of all ranges
+            return MOST_SAMPLED_CELLS[effort]
+    return max(1, min(MOST_SAMPLED_CELLS[effort], int(MOST_WORK[effort] / work)))
+
+
+def _size(proven: Proven) -> float:
+    return float(float_up(from_text(proven[0].bound)))
+
+
+def _report(bound: Callable[[Cell], float], progress: Progress, cells: list[Cell]) -> None:
+    largest = max(map(bound, cells))
+    progress(len(cells), None, largest if math.isfinite(largest) else None)
+
+
+def _no_bound_for(plant: RangedPlant, cell: Cell, count: int, reason: str) -> str:
+    """Why there is no bound for all of the ranges."""
+    ends = ", ".join(
+        f"{name} in {rounded_range(float(low), float(high))}"
+        for name, (low, high) in zip(names(plant.loop), cell, strict=True)
+    )
+    if plant.varies:
+        return f"no bound for constants that vary in all of plant.ranges ({ends}): {reason}"
+    return (
+        f"no bound for {ends}, the worst of {count} cells of plant.ranges, and there may not be "
+        f"more: {reason}; narrow plant.ranges, or --effort high"
+    )
+
+
+def failed_cells(proofs: Sequence[ImplementedProof], plant: RangedPlant | None) -> str:
+    """Empty if the cells of the proofs for one delay fill the ranges, else what is wrong."""
+    if plant is None:
+        single = len(proofs) == 1 and not proofs[0].cell
+        return "" if single else "there must be one proof for each delay of [implementation]"
+    if len(proofs) > MAX_PROOF_CELLS:
+        return f"there are more than {MAX_PROOF_CELLS} cells"
+    if plant.varies and len(proofs) != 1:
+        return "constants that vary in time need one cell: they do not stay in one of many"
+    cells = [numbers(proof.cell) for proof in proofs]
+    if any(len(cell) != len(plant.box) for cell in cells):
+        return "a cell has not one interval for each range"
+    return "" if cells_fill(cells, plant.box) else "the cells do not cover the ranges"

@@ -1,0 +1,125 @@
+"""Moves of one polynomial each: of degree 2q + 1, with q derivatives that are zero at both ends.
+
+Degree 5 is the move of minimum jerk: of all moves from rest to rest in a given time, with zero
+acceleration at both ends, it has the smallest integral of the squared jerk.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from flint import fmpq, fmpq_poly
+
+from certrack.core import checks
+from certrack.core.errors import InputError
+from certrack.references.exact import exact
+from certrack.references.extremes import largest
+from certrack.references.piecewise import PiecewiseReference
+from certrack.references.profiles.moves import Move, assembled, checked_limits, on_grid
+from certrack.references.profiles.shortest import LIMITS
+
+#: Degrees of a move: up to four derivatives are continuous.
+DEGREES = (3, 5, 7, 9)
+
+
+def polynomial(
+    positions: tuple[float, ...],
+    degree: int = 5,
+    duration: float | tuple[float, ...] | None = None,
+    dwell: float | tuple[float, ...] = 0.0,
+    start: float = 0.0,
+    repeat: bool = False,
+    speed: float | None = None,
+    acceleration: float | None = None,
+    jerk: float | None = None,
+    snap: float | None = None,
+    bound: float | None = None,
+) -> PiecewiseReference:
+    """Moves of one polynomial each, in stated times or the shortest within limits.
+
+    Parameters
+    ----------
+    positions : m + 1 numbers
+        Where it begins, then where each move ends, unit of the output.
+    degree : {3, 5, 7, 9}
+        Of the polynomials; 2q + 1 keeps q derivatives continuous, so that the order is q + 1.
+    duration : float or m numbers, s, optional
+        Of the moves; without it, at least one limit decides.
+    dwell, start, repeat, speed, acceleration, jerk, snap, bound
+        As for :func:`~certrack.references.profiles.moves.moves`.
+
+    Returns
+    -------
+    PiecewiseReference
+
+    Examples
+    --------
+    >>> from certrack.references.profiles.polynomial import polynomial
+    >>> round(polynomial((0, 1), degree=5, duration=2).bounds(1).values[1], 9)
+    0.9375
+    """
+    degree = int(_degree(degree))
+    limits = checked_limits((speed, acceleration, jerk, snap))
+    more: dict[str, Any] = {"degree": degree}
+    stated: tuple[float, ...] = ()
+    if duration is not None:
+        if limits:
+            name = next(iter(limits))
+            raise InputError(f"reference.{name}", "must be left out beside duration")
+        stated = _durations(duration, len(positions) - 1)
+        more["duration"] = duration
+    elif not limits:
+        message = "needs a duration, or limits: " + ", ".join(LIMITS)
+        raise InputError("reference", message, remedy="State e.g. duration = 1.0")
+
+    def move(distance: float, i: int) -> Move:
+        if stated:
+            return Move(
+                stated[i], lambda slack, grid: (_piece(distance, on_grid(stated[i], grid)),)
+            )
+        time = shortest_time(degree, distance, limits)
+        return Move(
+            time, lambda slack, grid: (_piece(distance, on_grid(time * (1 + slack), grid)),)
+        )
+
+    def _piece(distance: float, width: fmpq) -> tuple[fmpq, tuple[fmpq, ...]]:
+        unit = smooth_step(degree)
+        return width, tuple(exact(distance) * unit[k] / width**k for k in range(degree + 1))
+
+    order = (degree + 1) // 2
+    return assembled(
+        "polynomial", positions, dwell, start, repeat, move, limits, order, more, bound
+    )
+
+
+def shortest_time(degree: int, distance: float, limits: dict[str, float]) -> float:
+    """Of a polynomial move under the limits, s."""
+    unit = smooth_step(degree)
+    orders = {LIMITS.index(name) + 1: limit for name, limit in limits.items()}
+    return max(
+        (distance * largest(unit, k, fmpq(1)) / limit) ** (1 / k) for k, limit in orders.items()
+    )
+
+
+@lru_cache
+def smooth_step(degree: int) -> fmpq_poly:
+    """From 0 at 0 to 1 at 1, with (degree - 1)/2 derivatives that are zero at both."""
+    q = (degree - 1) // 2
+    bump = fmpq_poly([0, 1]) ** q * fmpq_poly([1, -1]) ** q
+    step = bump.integral()
+    return step / step(fmpq(1))
+
+
+def _degree(degree: Any) -> Any:
+    if degree not in DEGREES or isinstance(degree, bool):
+        wanted = "must be " + " or ".join(map(str, DEGREES))
+        raise InputError("reference.degree", wanted, checks.as_written(degree))
+    return degree
+
+
+def _durations(duration: Any, count: int) -> tuple[float, ...]:
+    key = "reference.duration"
+    if isinstance(duration, str) or not hasattr(duration, "__len__"):
+        return (checks.real(key, duration, above=0),) * count
+    return checks.reals(key, duration, count, "one per move", above=0)
