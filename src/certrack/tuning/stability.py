@@ -17,7 +17,7 @@ from certrack.tuning.quantities import Quantity
 BRACKET, EDGE_ACCURACY, FARTHEST = 1.3, 1e-9, 1e6
 
 #: Periods below the edge at which the loop must be stable, too: down to the edge over the last.
-LOOKED_AT, DOWN_TO = 40, 100.0
+EDGE_CHECKS, DOWN_TO = 40, 100.0
 
 
 class StabilityEdge(Quantity):
@@ -51,7 +51,7 @@ class StabilityEdge(Quantity):
         edge = self._edge(loop)
         if not math.isfinite(edge):
             return edge
-        below = edge / np.geomspace(1.001, DOWN_TO, LOOKED_AT)
+        below = edge / np.geomspace(1.001, DOWN_TO, EDGE_CHECKS)
         unstable = [value for value in below if self._log_radius(loop, value) >= 0]
         return float(min(unstable, default=edge))
 

@@ -123,7 +123,7 @@ def estimate(system: System, *, warm: BoundEstimate | None = None) -> BoundEstim
     try:
         with within_floats():
             if system.implementation is not None:
-                implemented = _implemented(system)
+                implemented = _of_the_drive(system)
                 if implemented is not None:
                     return implemented
             return _ranged(system) if has_ranges(system) else _nominal(system, warm)
@@ -131,7 +131,7 @@ def estimate(system: System, *, warm: BoundEstimate | None = None) -> BoundEstim
         return BoundEstimate(math.inf, "", {}, reason=str(refusal))
 
 
-def _implemented(system: System) -> BoundEstimate | None:
+def _of_the_drive(system: System) -> BoundEstimate | None:
     try:
         bound = estimate_implemented(system).bound
     except NoCertificate:
