@@ -259,7 +259,7 @@ def certify_semidefinite(
         with within_floats():
             exact = error_problem(system, rational)
             program = SemidefiniteProgram(exact.in_floats())
-            solution = best_solution(program, near)
+            solution = best_solution(program) if near is None else best_solution(program, near)
             proof = None if solution is None else prove(exact, solution)
             if proof is None:
                 damped = own_solution(system, exact)

@@ -159,7 +159,8 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
         peak = peak_estimate(in_plant_coordinates(problem), gradient=False)
         if math.isfinite(peak.bound):
             bounds["peak"] = peak.bound
-            shares["peak"] = dict(zip(causes(problem), peak.shares.tolist(), strict=True))
+            parts = zip(causes(problem), peak.shares.tolist(), strict=True)
+            shares["peak"] = {name: share for name, share in parts if share}
         quick = riccati_estimate(problem, None if warm is None else warm.state)
         if quick is not None:
             near, state = quick.alpha, quick.state
