@@ -28,8 +28,11 @@ settings.load_profile("certrack")
 SHIPPED = (
     "axis",
     "dual-motor",
+    "dual-motor-drag",
     "dual-motor-drive",
     "dual-motor-lean",
+    "dual-motor-linear",
+    "dual-motor-observer",
     "dual-motor-physical",
     "dual-motor-strong",
     "example1",
@@ -41,7 +44,10 @@ SHIPPED = (
 )
 
 
-NOT_LONG = ("axis", "dual-motor-drive", "point-to-point", "theorem1-counterexample")
+NOT_LONG = (
+    *("axis", "dual-motor-drag", "dual-motor-drive", "dual-motor-linear", "dual-motor-observer"),
+    *("point-to-point", "theorem1-counterexample"),
+)
 
 #: Those whose controller is not sampled and whose runs last 20 s; test_papers.py has another, and
 #: test_moves.py the moves.

@@ -4,8 +4,8 @@ import numpy as np
 
 import certrack
 from certrack.core.lowering import numpy_callable
-from certrack.loops.controller import controller_values, sampled_controller, starting_state
-from certrack.loops.sampled import resolved
+from certrack.loops.controller import resolved, sampled_controller, starting_state
+from certrack.loops.controller_values import controller_values
 
 #: All that a controller on a drive may do, for example1.
 EVERYTHING = {

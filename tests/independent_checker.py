@@ -373,10 +373,14 @@ class System:
         c = self.constants = {}
         for name, value in self.plant.get("constants", {}).items():
             c[name] = number(value, c)
-        demand(self.law["kind"] in ("adaptive", "robust"), "no certificate covers this law")
+        kinds = ("adaptive", "robust", "linear")
+        demand(self.law["kind"] in kinds, "no certificate covers this law")
         self.adaptive = self.law["kind"] == "adaptive"
         self.n, self.q = len(self.plant["states"]), self.law.get("feedforward", 0)
-        self._recursion()
+        if self.law["kind"] == "linear":
+            self._feedback()
+        else:
+            self._recursion()
         Y = reference_bounds(table["reference"], self.q + 1, c) or stated_bounds
         demand(Y is not None and len(Y) == self.q + 2, "the bounds of the reference are unknown")
         self.Y = Y
@@ -446,6 +450,33 @@ class System:
         self.R = [B[m][q] for m in range(n - 1)] + [Q(0)]
         self.A_inverse = inverse(A)
         self.through = product(self.A_inverse, B)  # A^-1 B
+
+    def _feedback(self):
+        """docs/equations.md, The linear law: A = 1, B = Pi, M = [F; K]."""
+        n, q, plant, law = self.n, self.q, self.plant, self.law
+        demand("lqr" not in law and "r" in law, "K and r must be stated")
+        g = self.numbers(plant.get("chain", []))
+        b = [
+            self.numbers(row) for row in plant.get("linear", [[0] * (i + 1) for i in range(n - 1)])
+        ]
+        K = self.numbers(law["K"])
+        demand(len(g) == len(b) == n - 1 and len(K) == n, "g, b or K has another length")
+        r = number(law["r"], self.constants)
+        B = zeros(n, q + 2)
+        B[0][0] = Q(1)
+        for i in range(n - 1):
+            for j in range(q + 1):
+                follow = B[i][j - 1] if j else Q(0)
+                B[i + 1][j] = (follow - sum((b[i][m] * B[m][j] for m in range(i + 1)), Q(0))) / g[i]
+        self.A = self.A_inverse = [[Q(i == j) for j in range(n)] for i in range(n)]
+        self.B = self.through = B
+        self.M = [[*row, g[i]] + [Q(0)] * (n - 2 - i) for i, row in enumerate(b)] + [K]
+        self.R = [row[q] for row in B]
+        self.R[-1] -= r
+        self.nu_x = K
+        self.nu_Y = [-v for v in product([K], B)[0]]
+        for i in range(1, q + 2):
+            self.nu_Y[i] += B[-1][i - 1] if i <= q else r
 
     def _weights(self, g, decay):
         """s_1 ... s_n of balanced coordinates; ones without `coupling`."""
@@ -731,12 +762,16 @@ def check(document, stated_bounds=None):
     return check_stage(proof[-1], head(system, E), 0)[0]
 
 
+#: End of the name of a premise that holds where the states stay from x0.
+IN_REGION = " in the region"
+
 #: Keys of the proof for one delay of the implemented loop.
 SAMPLED = {"delay", "parts", "doublings", "states", "input", "step", "bound", "starts"}
 
 
 def is_sampled(proof):
-    return bool(proof) and all(isinstance(e, dict) and set(e) - {"cell"} == SAMPLED for e in proof)
+    more = {"cell", "rates"}  # with ranges, with jitter
+    return bool(proof) and all(isinstance(e, dict) and set(e) - more == SAMPLED for e in proof)
 
 
 def check_sampled(document, stated_bounds):
@@ -753,6 +788,8 @@ def check_sampled(document, stated_bounds):
         system = System(document["system"], stated_bounds)
     bound = max(document["proof"], key=lambda entry: decimal(entry["bound"]))["bound"]
     limited = {"saturation", "rate_limit"} & set(table["implementation"])
+    limited |= {"bound"} & set(table["plant"].get("uncertainty", {}))
+    limited |= {p["name"] for p in document["premises"] if p["name"].endswith(IN_REGION)}
     claim = f"limsup |e_1(t)| <= {bound}" + (" from simulation.x0" if limited else "")
     demand(document["claim"] == claim, "the claim is not the proof's")
     check_premises(document["premises"], system, table, sampled=True)
@@ -769,7 +806,7 @@ def check_premises(premises, system, table, sampled=False):
         demand(record["status"] != "contradicted", f"{record['name']} is contradicted")
         demand(record["witness"] is None, "a premise that holds has a witness")
         demand(isinstance(record["detail"], str) and isinstance(record["remedy"], str), "no text")
-        names.append(record["name"])
+        names.append(record["name"].removesuffix(IN_REGION) if sampled else record["name"])
     own = "states" in table["truth"]
     regressor = bool(table["plant"].get("regressor"))
     expected = ["plant"]
@@ -781,6 +818,8 @@ def check_premises(premises, system, table, sampled=False):
     drive = table.get("implementation", {})
     if sampled:
         expected += ["sampled loop", "sampled reference", "timing and arithmetic"]
+        bounds = table["plant"].get("uncertainty", {}).get("bound")
+        expected += ["region of states"] if bounds else []
         expected += ["input limits"] if {"saturation", "rate_limit"} & set(drive) else []
     elif "implementation" in table:
         expected += ["continuous law, exact states"]

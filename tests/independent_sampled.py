@@ -14,6 +14,7 @@ from fractions import Fraction as Q
 import independent_checker as checker
 import numpy as np
 from independent_levels import all_levels, bernstein_of_Y, reference_part
+from independent_observers import Observer
 
 #: Steps of each cell in which kernels are summed, and what is left of rows.
 GRID, LEFT = 2, 1e-11
@@ -53,16 +54,26 @@ def check_entry(entry, loop, delay, table, system):
     checker.demand(len(X) == len(loop.seen), "the states are others")
     U, step, bound = (float(checker.decimal(entry[k])) for k in ("input", "step", "bound"))
     checker.demand((X >= 0).all() and U >= 0, "v is negative")
-    image = loop.image(X, U)
+    rates = np.array([float(checker.decimal(v)) for v in entry.get("rates", [])])
+    checker.demand(len(rates) == (loop.n if loop.shift else 0), "other rates")
+    if loop.shift:
+        checker.demand(2 * loop.shift <= float(delay) * loop.T, "not causal")
+        checker.demand((rates >= 0).all() and not entry["starts"] and step >= 0, "jitter")
+        loop.mu = loop.mu + loop.shift * rates
+    image = loop.image(X, U, step)
+    if loop.shift:
+        checker.demand((image[loop.n + 3 :] < rates).all(), "a rate is not above")
+        checker.demand(image[loop.n + 2] < step, "the step is not above")
+        image = image[: loop.n + 3]
     checker.demand((image[1:-2] < X).all() and image[-2] < U, "v is not above F(v)")
     checker.demand(bound >= image[0] and step >= image[-1], "a bound is too small")
     loop.check_limits(drive, U, step)
-    limited = "saturation" in drive or "rate_limit" in drive
+    limited = "saturation" in drive or "rate_limit" in drive or loop.formulas
     kinds = [start["of"] for start in entry["starts"]]
     checker.demand("x0" in kinds or not limited, "nothing is said of the start")
     checker.demand(kinds in ([], ["x0"], ["x0", "polytope"]), "other starts")
     for start in entry["starts"]:
-        loop.check_start(start, table, system)
+        loop.check_start(start, table, system, (X, U))
     return checker.decimal(entry["bound"])
 
 
@@ -140,8 +151,30 @@ class Loop:
         checker.demand("noise_bound" in drive or not any(drive.get("noise", [])), "noise")
         self.mu = np.array([float(a / 2 + c) for a, c in zip(quanta, noise, strict=True)])
         self.eta = float(checker.number(drive.get("input_quantum", 0), constants)) / 2
-        self._controller(drive, names, g, b, np.array(K, float))
+        self.shift = float(checker.number(drive.get("jitter", 0), constants)) * self.T
+        law = table["law"]
+        checker.demand("integral" not in law, "integral action is not covered here")
         self.forward = np.array([float(v / gain) for v in system.nu_Y])
+
+        def built():
+            self._controller(drive, names, g, b, np.array(K, float), law)
+            self._period(counted, [1, 1])
+            return self.Pi[-1][0]
+
+        if law.get("sampled_feedforward"):
+            delays = drive.get("delay", 0)
+            counted = drive.get("counted_delay", delays[0] if isinstance(delays, list) else delays)
+            counted = checker.number(counted, constants)
+            own, columns = self.forward.copy(), []
+            self.forward = own * ([0] * (q + 1) + [1])
+            base = built()
+            for j in range(q + 1):
+                self.forward = np.eye(q + 2)[j] + own * ([0] * (q + 1) + [1])
+                columns.append(built() - base)
+            wanted = np.linalg.solve(np.array(columns).T, np.eye(q + 1)[0] - base)
+            self.forward = np.array([*(float(f"{v * float(gain):.13g}") for v in wanted), own[-1]])
+            self.forward[:-1] /= float(gain)
+        self._controller(drive, names, g, b, np.array(K, float), law)
         self._period(delay, parts)
 
     def _uncertainty(self, plant, system):
@@ -155,6 +188,22 @@ class Loop:
         self.S = np.array([system.numbers(row) for row in S], float)
         Delta = u.get("Delta", [[0] * n] * n)
         self.Delta = np.array([system.numbers(row) for row in Delta], float)
+        self.formulas = {k: f for k, f in enumerate(u.get("bound", [])) if f != ""}
+        self.names, self.constants = [*plant["states"], "norm"], system.constants
+        for k, formula in self.formulas.items():
+            checker.demand(not (gamma[k] or beta[k] or self.Delta[k].any()), "two bounds")
+            self.formulas[k] = ast.parse(str(formula), mode="eval").body
+        self._refuse_falling()
+
+    def _refuse_falling(self):
+        """A bound must not fall where a size grows: at random points it does not."""
+        draw = random.Random("sizes")
+        for k in self.formulas:
+            for _ in range(50):
+                low = np.array([draw.uniform(0, 9) for _ in range(self.n)])
+                high = low + [draw.uniform(0, 9) for _ in range(self.n)]
+                falls = self.size(low)[k] > self.size(high)[k] or self.size(low)[k] < 0
+                checker.demand(not falls, "a bound falls")
 
     def _reference(self, table, system):
         self.Y = np.array(system.Y, float)
@@ -167,26 +216,67 @@ class Loop:
         checker.demand(bounds is not None and len(bounds) > self.q + 2, "an unknown reference")
         self.slope, self.jump, self.apart = float(bounds[-1]), 0.0, math.inf
 
-    def _controller(self, drive, names, g, b, K):
-        """u and the next memories over (m, memories)."""
-        n, T = self.n, self.T
-        computed = [i for i in range(1, n) if names[i] in drive.get("velocity", [])]
+    def _controller(self, drive, names, g, b, K, law):
+        """u and the next memories over (m, memories), and over Y'; the first memories."""
+        n, T, y = self.n, self.T, self.q + 2
+        table = law.get("observer")
+        delays = drive.get("delay", 0)
+        delay = drive.get("counted_delay", delays[0] if isinstance(delays, list) else delays)
+        o = table and Observer(
+            table, drive, names, self.A, self.b, T, exponential, checker.number(delay, {})
+        )
+        unread = [i for i in range(1, n) if names[i] in drive.get("velocity", [])]
+        computed = unread if o is None or o.L is None else []
         filter_time = float(drive.get("velocity_filter", 0))
         pole = 1 - math.exp(-T / filter_time) if filter_time else 1.0
-        signals = np.eye(n + 2 * len(computed))
-        x, after = list(signals[:n]), []
-        for place, i in enumerate(computed):
-            p, v = signals[n + 2 * place], signals[n + 2 * place + 1]
+        count = 2 * len(computed)
+        if o:
+            count += len(o.predicted) + len(o.rows) + o.kept
+        signals = np.eye(n + count + y)
+        x, after, memories = list(signals[:n]), [], iter(signals[n : n + count])
+        for i in computed:
+            p, v = next(memories), next(memories)
             f = v + pole * ((x[i - 1] - p) / T - v)
             after += [x[i - 1], f]
             others = sum((float(c) * x[j] for j, c in enumerate(b[i - 1])), 0 * f)
             x[i] = (f - others) / float(g[i - 1])
-        self.command = K @ np.array(x)
-        self.after = np.array(after).reshape(len(after), len(signals))
+        still = list(np.eye(n))
+        for i in unread:
+            others = sum((float(c) * still[j] for j, c in enumerate(b[i - 1])), np.zeros(n))
+            still[i] = -others / float(g[i - 1])
+        self.first = [row for i in computed for row in (still[i - 1], np.zeros(n))]
+        self.first_u = [0.0] * len(self.first)
+        x, added = np.array(x), 0.0
+        if o:
+            expected = np.array([next(memories) for _ in o.predicted])
+            d = np.array([next(memories) for _ in o.rows]).reshape(len(o.rows), len(signals))
+            past = [next(memories) for _ in range(o.kept)]
+            miss = x[o.seen] - expected[[o.predicted.index(i) for i in o.seen]]
+            if o.L is not None:
+                x = expected + o.L @ miss
+            d = d + o.Ld @ miss
+            given, added = x - o.P @ d, o.U @ d
+        else:
+            given = x
+        forward = self.forward @ signals[n + count :]
+        command = K @ given + added + forward
+        if o:
+            inputs = [command, *past]
+            moved = o.F @ x + o.G @ d + np.outer(o.new, inputs[o.late])
+            if o.kept > o.late:
+                moved += np.outer(o.old, inputs[o.late + 1])
+            after += [*moved[o.predicted], *d, *inputs[: o.kept]]
+            self.first += [still[i] for i in o.predicted] + [np.zeros(n)] * len(d)
+            self.first += [np.zeros(n)] * o.kept
+            self.first_u = [0.0] * (len(self.first) - o.kept) + [1.0] * o.kept
+        after = np.array(after).reshape(len(after), len(signals))
+        self.command, self.after = command[: n + count], after[:, : n + count]
+        self.after_Y = after[:, n + count :]
 
     def _period(self, delay, parts):
         n, memories = self.n, len(self.after)
         late, part = math.floor(delay), float(delay - math.floor(delay))
+        self.windows = 2 if min(part, 1 - part) * self.T < self.shift else 1
         self.newest, size = n + memories, n + memories + late + 2
         J = np.zeros((size, size))
         J[:n, :n] = np.eye(n)
@@ -196,6 +286,7 @@ class Loop:
             J[i, i - 1] = 1
         self.J, self.R = J, np.zeros((size, self.q + 2))
         self.R[self.newest] = self.forward
+        self.R[n : self.newest] = self.after_Y
         self.N = J[:, :n].copy()
         self.N[:n] = 0
         self.cells = []
@@ -238,13 +329,25 @@ class Loop:
         for h, _, E in self.cells:
             self.Pi.append(E @ self.Pi[-1] @ self._shift(-h))
 
-    def image(self, X, U):
-        """F: e_1, the states, u, its steps."""
-        w, largest, levels = self.size(X), np.zeros(len(self.seen) + 3), all_levels(self)
+    def image(self, X, U, step=0.0):
+        """F: e_1, the states, u, its steps; with jitter the rates of the states."""
+        w, levels = self.size(X), all_levels(self)
+        largest = np.zeros(len(self.seen) + 3 + (self.n if self.shift else 0))
         for p in range(0, len(self.cells), GRID):
             rows, values, owners, of_Y = [], [], [], []
+            growth = exponential(np.abs(self.A) * self.cells[p][0] * GRID)
+            for i in range(self.n if self.shift else 0):
+                none = np.zeros(self.q + 1)
+                more, value = self._rows(p, (self.A[i], self.b[i]), none, 2, w, X, U)
+                value = value + abs(self.W[i]) @ w + abs(self.b[i]) * step
+                value = value + self.shift * step * growth[i] @ abs(self.A @ self.b)
+                rows, values = [*rows, more], [*values, value]
+                of_Y.append(bernstein_of_Y(self, p, none, 2))
+                owners += [self.n + 3 + i] * len(more)
             for output, (seen, of_y, N) in enumerate(self.outputs()):
                 more, value = self._rows(p, seen, of_y, N, w, X, U)
+                if self.shift:
+                    value = value + self.shift * step * growth[max(output - 1, 0)] @ abs(self.b)
                 rows, values = [*rows, more], [*values, value]
                 of_Y.append(bernstein_of_Y(self, p, of_y, N))
                 owners += [output] * len(more)
@@ -256,7 +359,7 @@ class Loop:
                 of_Y.append(np.zeros((2, self.q + 1)))
                 owners += [len(self.seen) + 1, len(self.seen) + 2]
             rows, of_Y = np.vstack(rows), np.vstack(of_Y)
-            total = np.concatenate(values) + self._responses(rows, p, w)
+            total = np.concatenate(values) + self._responses(rows, p, w, step)
             parts = [reference_part(self, level, rows, of_Y, p // GRID) for level in levels]
             total += np.min(parts, axis=0) - parts[-1]
             np.maximum.at(largest, owners, total)
@@ -306,14 +409,14 @@ class Loop:
         )
         return total + rest * h ** (N + 1) / math.factorial(N + 1)
 
-    def _responses(self, rows, phase, w):
+    def _responses(self, rows, phase, w, step=0.0):
         """The gains of rows at the beginning of a cell times the bounds of the inputs."""
         total = np.zeros(len(rows))
         largest, since, group = np.zeros(len(rows)), 0, math.inf
         if self.jump:
             group = math.floor(self.apart / self.T)
-        for first, of_w, others, sampled, _ in self._periods(rows, phase):
-            total += of_w @ w + others
+        for first, of_w, others, sampled, _, pulse in self._periods(rows, phase):
+            total += of_w @ w + others + self.windows * self.shift * step * pulse
             if not first:
                 largest, since = np.maximum(largest, sampled), since + 1
                 if since == group:
@@ -330,11 +433,14 @@ class Loop:
         for _ in range(10**6):
             below, kernels = rows, []
             of_w, others = np.zeros((len(rows), self.W.shape[1])), np.zeros(len(rows))
+            pulse = np.zeros(len(rows))
             for p in range(phase - 1, -1, -1):
                 h, _, E = self.cells[p]
                 before = below @ E
                 of_w += h * area(below[:, :n] @ self.W, before[:, :n] @ self.W)
                 tip = np.array([h ** (q - j) / math.factorial(q - j) for j in range(q + 1)])
+                for row in (below, before):
+                    pulse = np.maximum(pulse, np.abs(row[:, :n] @ self.b))
                 motion = below @ self.Pi[p + 1]
                 kernels.append((h, -motion[:, -1], -motion @ tip))
                 below = before
@@ -345,7 +451,7 @@ class Loop:
             others += np.abs(below @ self.N) @ self.mu + np.abs(below[:, self.newest]) * self.eta
             others += np.abs(sampled) * (self.Y[-1] if first else self.T / 2 * self.slope)
             rows = below @ self.J
-            yield first, of_w, others, np.abs(sampled), rows
+            yield first, of_w, others, np.abs(sampled), rows, pulse
             if np.abs(rows).max() < LEFT * start:
                 return
             phase, first = len(self.cells), False
@@ -354,7 +460,7 @@ class Loop:
 
     # From a start on ----------------------------------------------------------------------------
 
-    def check_start(self, entry, table, system):
+    def check_start(self, entry, table, system, claimed):
         """The claims of a proof of runs from a start."""
         K, middle = 2 ** entry["doublings"], entry["middle"]
         checker.demand(not self.jump, "jumps are not covered here")
@@ -381,6 +487,7 @@ class Loop:
                 if np.allclose(now[1:-2], X, rtol=1e-12, atol=0):
                     break
                 X = now[1:-2]
+                checker.demand((X < 1e50).all(), "the states have no bound")
             history.append(self.size(X))
             outputs.append(now)
             peaks = np.maximum(peaks, now)
@@ -393,11 +500,29 @@ class Loop:
         image[1:-1] = [*X_t, U_t]
         claimed = np.array([float(checker.decimal(v)) for v in entry["peaks"]])
         checker.demand((claimed >= np.maximum(peaks, image)).all(), "a peak is too small")
+        if self.formulas:
+            self.check_long_run(parts, X_t, U_t, claimed)
         size, step = (image if entry["of"] == "polytope" else claimed)[-2:]
         self.check_limits(drive, size, step)
 
     def size(self, X):
-        return self.gamma * np.linalg.norm(self.S * X, axis=1) + self.Delta @ X + self.beta
+        norm = np.linalg.norm(self.S * X, axis=1)
+        sizes = self.gamma * norm + self.Delta @ X + self.beta
+        for k, formula in self.formulas.items():
+            values = [Q(float(v)) for v in (*X, norm[k])]
+            known = self.constants | dict(zip(self.names, values, strict=True))
+            sizes[k] = float(checker.rational(formula, known))
+        return sizes
+
+    def check_long_run(self, parts, X_t, U_t, claimed):
+        """From X_t, F leads down to what is claimed of the long run."""
+        X, U = X_t, U_t
+        for _ in range(2000):
+            if (claimed[0] >= X).all() and claimed[1] >= U:
+                return
+            now = self._start_image(parts, 10**9, [self.size(X)], X, U, ever=True)
+            X, U = np.minimum(X, now[1:-2]), min(U, now[-2])
+        raise checker.Refused("the long run is not reached")
 
     def _start_parts(self, center, half, Y0, first):
         """Of each phase: rows' owners, what of them is constant, in a cell, and of every lag."""
@@ -410,6 +535,7 @@ class Loop:
         noise = np.vstack([0 * eye, Z, np.zeros((size - self.newest, n))])
         zeta = at @ center
         zeta[self.newest :] = first
+        zeta[n : self.newest] += first * np.array(self.first_u)
         last = self.Pi[-1]
         if Y0 is not None:
             zeta = zeta - last @ Y0
@@ -430,7 +556,7 @@ class Loop:
                 near.append(np.zeros((2, len(unit_w) + m + 1)))
                 owners += [m + 1, m + 2]
             lags, transient = [], []
-            for _, of_w, others, _, before in self._periods(np.vstack(rows), p):
+            for _, of_w, others, _, before, _ in self._periods(np.vstack(rows), p):
                 lags.append((of_w, others))
                 moved = np.abs(before @ zeta) + np.abs(before @ at) @ half
                 moved += np.abs(before @ noise) @ self.mu
@@ -457,11 +583,8 @@ class Loop:
         return largest
 
     def _first_memories(self):
-        """The memories at the first sample over what it measures: differences are zero."""
-        Z = np.zeros((len(self.after), self.n))
-        for place in range(0, len(Z), 2):
-            Z[place] = self.after[place, : self.n] + self.after[place, self.n :] @ Z
-        return Z
+        """The memories at the first sample over what it measures: nothing is missed."""
+        return np.array(self.first).reshape(len(self.after), self.n)
 
     def check_limits(self, drive, U, step):
         if "saturation" in drive:

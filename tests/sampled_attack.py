@@ -40,10 +40,8 @@ class SampledLoop:
         noise = np.array(drive.noise_bound or [0.0] * n)
         self.mu = np.array(drive.measurement_quantum or [0.0] * n) / 2 + noise
         self.eta = drive.input_quantum / 2
-        c = system.controller.coordinates
         assert noise.any() or not any(drive.noise or ()), "noise without a bound has no worst case"
-        self.forward = np.array(c.nu_Y, float) / float(system.plant.input_gain.expr)
-        self.q = c.q
+        self.q = system.controller.coordinates.q
         block = np.zeros((n + 1 + W.shape[1],) * 2)
         block[:n] = np.hstack([loop.A, loop.b[:, None], W]) * h
         over = expm(block)
@@ -58,6 +56,9 @@ class SampledLoop:
         self.jump[self.newest, : self.newest] = law[0, : self.newest]
         for i in range(1, inputs):
             self.jump[self.newest + i, self.newest + i - 1] = 1
+        self.forward = np.zeros((size, self.q + 2))
+        self.forward[n : self.newest] = law[1:, self.newest :]
+        self.forward[self.newest] = law[0, self.newest :]
         self.switch = round((drive.delays[0] - late) * STEPS)
         assert abs(self.switch - (drive.delays[0] - late) * STEPS) < 1e-6
         self.steps = []
@@ -101,8 +102,8 @@ class SampledLoop:
             for k, (of_w, of_noise, of_step) in enumerate(acting):
                 angle = frequency * k * self.T + orders * np.pi / 2
                 Y = amplitude * frequency**orders * np.sin(angle)
-                chi = self.jump @ chi + side * self.noise @ (self.mu * of_noise)
-                chi[self.newest] += self.forward @ Y + side * self.eta * of_step
+                chi = self.jump @ chi + side * self.noise @ (self.mu * of_noise) + self.forward @ Y
+                chi[self.newest] += side * self.eta * of_step
                 for p, sign in enumerate(of_w):
                     size = GROWTH * self.gamma * np.linalg.norm(chi[: self.n]) + self.beta
                     chi = self.steps[p] @ chi
@@ -127,7 +128,8 @@ class SampledLoop:
         for k, (of_w, of_noise, of_step) in enumerate(self.signs(row, step, periods)):
             Y = reference(k * self.T)
             chi = self.jump @ chi + np.outer(self.noise @ (self.mu * of_noise), sides)
-            chi[self.newest] += self.forward @ Y + self.eta * of_step * sides
+            chi += self.forward @ Y
+            chi[self.newest] += self.eta * of_step * sides
             for p, sign in enumerate(of_w):
                 norm = np.linalg.norm(chi[: self.n], axis=0)
                 size = GROWTH * np.outer(self.gamma, norm) + self.beta[:, None]

@@ -13,7 +13,6 @@ class FromStart(SampledLoop):
     def __init__(self, system):
         super().__init__(system)
         drive = system.implementation
-        self.mu = self.mu + np.array(drive.noise_bound or [0.0] * self.n)
         self.x_from = len(drive.velocity)
         plant = system.plant
         numbers = {str(name): float(v) for name, v in plant.constant_values.items()}
@@ -64,7 +63,8 @@ class FromStart(SampledLoop):
         last = chi[self.newest].copy()
         for k, (of_w, of_noise, of_step) in enumerate(acting):
             chi = self.jump @ chi + np.outer(self.noise @ (self.mu * of_noise), sides)
-            chi[self.newest] += self.forward @ reference(k * self.T) + self.eta * of_step * sides
+            chi += (self.forward @ reference(k * self.T))[:, None]
+            chi[self.newest] += self.eta * of_step * sides
             largest[n + 1] = max(largest[n + 1], np.abs(chi[self.newest] + self.constant).max())
             largest[n + 2] = max(largest[n + 2], np.abs(chi[self.newest] - last).max())
             last = chi[self.newest].copy()

@@ -189,6 +189,7 @@ def test_public_surface_is_frozen():
         "Population",
         "Premise",
         "Reproduction",
+        "Linear",
         "Robust",
         "Run",
         "Settings",

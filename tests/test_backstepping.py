@@ -224,3 +224,26 @@ def test_a_design_whose_coefficients_have_no_square_is_refused():
     with pytest.raises(DesignError, match="the design overflows"):
         recursion(plant.g, plant.b, Gains((1e160, 1.0)))
     assert recursion(plant.g, plant.b, Gains((1e140, 1.0))).n == 2
+
+
+@pytest.mark.parametrize("coupling", [None, 0.6])
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_the_error_matrix_is_that_of_the_closed_chain(n, coupling):
+    """x' = F x with x_n' = nu_x x, in e = A x; lambda_m = eta_m x + d_m Y is x_{m+1} - e_{m+1}."""
+    rng = np.random.default_rng(n)
+    g, b = rng.uniform(0.5, 2, n - 1) * rng.choice([-1, 1], n - 1), np.tril(rng.normal(size=(n, n)))
+    gains = Gains(tuple(rng.uniform(1, 3, n)), coupling=coupling)
+    for q in range(n):
+        found = recursion(g, b[: n - 1], gains, q)
+        loop = np.vstack([found.F, found.nu_x])
+        expected = found.A @ loop @ np.linalg.inv(found.A)
+        assert found.error_matrix == pytest.approx(expected, abs=1e-10 * np.abs(found.A).max())
+        assert sorted(np.abs(found.poles)) == pytest.approx(
+            sorted(np.abs(np.linalg.eigvals(loop))), rel=1e-6
+        )
+        x, Y = rng.normal(size=n), rng.normal(size=q + 1)
+        e = found.A @ x - found.B @ Y
+        for m in range(1, n):
+            virtual = found.eta[m - 1] @ x[:m] + found.d[m - 1] @ Y
+            assert x[m] - virtual == pytest.approx(e[m], abs=1e-12 * np.abs(found.A).max())
+        assert list(found.R[:-1]) == list(found.B[:-1, q]) and found.R[-1] == 0

@@ -257,3 +257,35 @@ def test_a_large_irrational_number_is_enclosed():
 def test_bounds_are_rounded_up():
     bound = derivative_bound(Formula(parse("", "t/3", ["t"]).expr, 0.0, 1.0), 1)
     assert Fraction(bound) >= Fraction(1, 3)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "cos(t) + cos(sqrt(2)*t) + 0.7*cos(2*t + 1) + 0.01*exp(-t)",
+        "sin(t)*cos(sqrt(3)*t) + 0.3*sin(3*t)",
+        "sin(t + 0.4)**3 + sin(sqrt(5)*t) - 0.5*cos(2*sqrt(5)*t) - 0.01*exp(-t)",
+        "(1 + exp(-t))*sin(t) - 0.8*cos(2*t) + 0.1*cos(sqrt(2)*t)",
+    ],
+)
+def test_bounds_of_several_frequencies_are_those_over_all_phases(text):
+    """In the long run every pair of phases is approached: the supremum is that over the torus."""
+    irrational = next(root for root in (2, 3, 5) if f"sqrt({root})" in text)
+    first, second = np.meshgrid(*[np.linspace(0, 2 * math.pi, 1201)] * 2)
+    formula = sympy.sympify(text.replace("exp(-t)", "0")).expand()
+    u, v, t = sympy.symbols("u v t")
+    phases = sympy.sympify(str(formula).replace(f"sqrt({irrational})*t", "v").replace("*t", "*u"))
+    phases = phases.xreplace({t: u})
+    values = np.abs(sympy.lambdify((u, v), phases, "numpy")(first, second))
+    times = np.linspace(0, 40, 400_001)
+    sampled = np.abs(sympy.lambdify(t, sympy.sympify(text), "numpy")(times))
+    reached = max(values.max(), sampled.max())
+    found = SymbolicReference(text).bounds(0).values[0]
+    assert reached <= found <= 1.01 * reached
+
+
+@pytest.mark.parametrize("shift", [-1, 0, 1])
+@pytest.mark.parametrize("function", ["asin(sin(t))", "acos(cos(t)) - pi/2"])
+def test_bounds_of_triangles_cover_both_ends(function, shift):
+    found = SymbolicReference(f"{function} + {shift}").bounds(0).values[0]
+    assert math.pi / 2 + abs(shift) <= found <= 1.01 * (math.pi / 2 + abs(shift))

@@ -147,7 +147,7 @@ def test_simulate(capfd, tmp_path):
     assert out.stat().st_size > 10_000
     names = {path.name for path in plots.iterdir()}
     panels = ("output", "error", "states", "estimates", "input", "overview")
-    assert names == {f"{panel}.{kind}" for panel in panels for kind in ("png", "svg")}
+    assert names == {f"{panel}.{kind}" for panel in panels for kind in ("png", "svg", "pdf")}
     assert all(path.stat().st_size < 300_000 for path in plots.glob("*.png"))
 
 
@@ -269,7 +269,8 @@ def test_what_was_written_is_said_but_not_to_programs(capfd, tmp_path):
     _, out, _ = invoke(
         capfd, "ensemble", "example1", "-n", "16", "--keep", "3", "--out", str(members)
     )
-    listed = [path for path in members.iterdir() if path.suffix in (".nc", ".json", ".png", ".svg")]
+    kinds = (".nc", ".json", ".png", ".svg", ".pdf")
+    listed = [path for path in members.iterdir() if path.suffix in kinds]
     assert (members / "member-3.nc") in listed
     assert out.endswith(f"{len(listed)} files written in {members}\n")
 

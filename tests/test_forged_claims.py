@@ -72,3 +72,12 @@ def test_a_drift_whose_slope_is_constant_may_still_jump(drift):
     text = DRIVEN_APART.format(drift=drift).replace("[[0, 0], [12, 6]]", "[[0, 0], [0, 0]]")
     with pytest.raises(NoCertificate, match="only loops that are linear"):
         drive_of(certrack.loads(text))
+
+
+def test_a_file_that_was_changed_is_refused_before_its_proof_is_read():
+    system = certrack.loads(DRIVEN_APART.format(drift=0))
+    proof = ImplementedProof("0", (1, 1), 11, ("1", "1"), "1", "0.000001", "0.000001")
+    document = to_document(system, proof)
+    assert "changed" not in verify(document).reason
+    changed = document | {"made_by": "certrack 99"}
+    assert verify(changed).reason == "the file was changed after it was made"

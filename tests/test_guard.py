@@ -14,6 +14,7 @@ from test_export_st import FunctionBlock
 
 from certrack.core.compilers import c_compilers, load_library
 from certrack.export.c.export import c_files
+from certrack.export.c.guard import guard_header
 from certrack.export.c.source import c_code
 from certrack.export.st.function_block import structured_text
 
@@ -189,3 +190,11 @@ def test_structured_text_holds(options):
             assert {name: block.values[name] for name in kept} == kept
     assert not math.isfinite(plain.call(math.nan, *xs[0][1:], *ys[0])) or options
     assert math.isnan(plain.values["DELTA_HAT"]) or options  # without the guard: for good
+
+
+def test_only_arguments_that_no_condition_reads_are_called_unused():
+    """Which compilers would warn of otherwise."""
+    header = guard_header(c_code(sampled("example1", **EVERYTHING), "drive"))
+    assert "(void)" not in header
+    for argument in ("x[0]", "y_d[0]"):
+        assert f"(({argument} >= -largest) && ({argument} <= largest))" in header

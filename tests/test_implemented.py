@@ -215,6 +215,7 @@ def bare_drive(A, b, W, Ly, T, Y, lipschitz, uncertain, mu=None):
             Ss=flint.arb_mat(0, 0),
             Sy=flint.arb_mat(0, wide),
             first=flint.arb_mat(0, n),
+            first_input=flint.arb_mat(0, 1),
             T=rational(T),
             delay=rational(0.0),
             uncertain=tuple(uncertain),

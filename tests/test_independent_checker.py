@@ -71,7 +71,7 @@ def verified(document):
 
 
 SHIPPED = ("dual-motor", "dual-motor-lean", "dual-motor-drive", "dual-motor-physical", "example1")
-SHIPPED += ("dual-motor-strong", "theorem1-counterexample")
+SHIPPED += ("dual-motor-linear", "dual-motor-strong", "theorem1-counterexample")
 
 
 @pytest.mark.parametrize("name", SHIPPED)

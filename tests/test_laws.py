@@ -1,7 +1,9 @@
 """The shipped laws, and a newcomer's, pass the conformance kit."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -11,8 +13,12 @@ from hypothesis import given
 
 import certrack
 from certrack.core.errors import InputError
+from certrack.core.expressions import symbol
 from certrack.laws import Classic, Robust
+from certrack.laws.backstepping import Gains
+from certrack.laws.balanced import balancing_weights
 from certrack.laws.base import Equations, Law, gain
+from certrack.laws.recursion import recursion
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 from certrack.references import triangle
@@ -208,3 +214,91 @@ def test_classic_law_needs_a_smooth_reference():
     system = certrack.load("example1-classic")
     with pytest.raises(InputError, match="needs 2 bounded derivatives of y_d, the reference has 1"):
         system.replace(reference=triangle(0.2, 4.0))
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["z", "x1"], "has a state of this name already; got x1"),
+        (["K"], "has a state of this name already; got K"),
+        (["z", "z"], "has a state of this name already; got z"),
+        (["ctl_z"], "names of own states must not begin so; got ctl_z"),
+        (["kept_1"], "names of own states must not begin so; got kept_1"),
+    ],
+)
+def test_own_states_have_names_of_their_own(names, message):
+    @dataclass(frozen=True, kw_only=True)
+    class Filtering(Robust):
+        def equations(self, s: Signals) -> Equations:
+            update = tuple((symbol(name), s.x[0] - symbol(name)) for name in names)
+            return Equations(u=super().equations(s).u, update=update)
+
+    plant = Plant(states=["x1"], drift="K*x1", input_gain=1, constants={"K": 2})
+    with pytest.raises(InputError, match=re.escape(message)):
+        Filtering(c=[1]).design(plant)
+    names[:] = ["z", "z_2"]
+    assert [str(z) for z in Filtering(c=[1]).design(plant).states] == names
+
+
+def test_the_classic_update_law_of_several_parameters_is_that_of_full_gamma():
+    Gamma = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, -0.2], [0.1, -0.2, 3.0]])
+    law = Classic(c=[1, 2], gain_rate=0.7, Gamma=Gamma.tolist())
+    base = certrack.load("example1-classic")
+    plant = Plant(states=["x1", "x2"], chain=[2], regressor=["x1", "x2", "1"], gain_sign=-1)
+    truth = replace(base.truth, input_gain=-2, theta=[0.1, 0.2, 0.3], omega=["0", "0"])
+    system = base.replace(plant=plant, law=law, truth=truth)
+    values, nu, phi, e_n = at_random(system)
+    delta_hat, *theta_hat = (values[v] for v in system.controller.states)
+    delta_rate, *theta_rate = (
+        evaluated(rate, values) for _, rate in system.controller.equations.update
+    )
+    assert theta_rate == pytest.approx(Gamma @ phi * e_n, rel=1e-12)
+    ubar = nu - phi @ theta_hat
+    assert delta_rate == pytest.approx(0.7 * ubar * e_n, rel=1e-12)
+    assert evaluated(system.controller.equations.u, values) == pytest.approx(delta_hat * ubar)
+
+
+@pytest.mark.parametrize("rho", [0.25, 1.0, 4.0])
+def test_balanced_weights_are_decimals_of_twelve_digits(rho):
+    g, c = [1e-3, -7.0, 3.0], [1.0, 3.0, 2.0, 5.0]
+    weights = balancing_weights(g, c, rho)
+    assert weights[0] == 1
+    exact = 1.0
+    for i, weight in enumerate(weights[1:]):
+        exact *= abs(g[i]) / (rho * (c[i] * c[i + 1]) ** 0.5)
+        digits = -int(np.floor(np.log10(exact)))
+        assert weight == Fraction(exact).limit_denominator(10**30).__round__(11 + digits)
+    design = recursion(np.array(g), np.zeros((3, 4)), Gains(c, coupling=rho), 1)
+    S = np.diag(np.array(weights, float))
+    C = np.diag(np.sqrt(c))
+    J = np.eye(4, k=1)
+    expected = C @ (rho * (J * np.sign([0, *g]) - (J * np.sign([0, *g])).T) - np.eye(4)) @ C
+    assert S @ design.error_matrix @ np.linalg.inv(S) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("law", "key"),
+    [
+        (Classic, "gain_rate"),
+        (certrack.Adaptive, "gain_rate"),
+        (certrack.Adaptive, "leak_gain"),
+        (certrack.Adaptive, "leak_theta"),
+    ],
+)
+def test_rates_are_positive_and_may_be_small(law, key):
+    assert getattr(law(c=[1], **{key: 1e-9}), key) == 1e-9
+    for wrong in (0, -1e-9):
+        with pytest.raises(InputError, match=f"law.{key}"):
+            law(c=[1], **{key: wrong})
+
+
+@pytest.mark.parametrize("key", ["k", "p"])
+def test_damping_is_positive_and_may_be_left_out(key):
+    def fields(value):
+        return {"k": [[value, 1], [1, 1, 1, 1]]} if key == "k" else {"p": [value]}
+
+    for right in (1e-9, np.inf):
+        assert Robust(c=[1, 1], **fields(right)).c == (1, 1)
+    for wrong in (0, -1e-9, np.nan):
+        with pytest.raises(InputError, match=f"law.{key}"):
+            Robust(c=[1, 1], **fields(wrong))

@@ -332,7 +332,7 @@ def test_bounds_and_their_slopes_are_those_of_the_uncertainty():
     loop = linear_error_loop(LEAN)
     chain = replace(continuous_chain(loop, loop.nominal, bounds_of(LEAN)), uncertainty=u)
     x, step = rng.normal(size=4), 1e-6
-    assert chain.bound(x) == pytest.approx([u.bound(k, x) for k in chain.acting])
+    assert chain.bound(x) == pytest.approx([u.largest(k, x) for k in chain.acting])
     moved = [(chain.bound(x + step * e) - chain.bound(x - step * e)) / 2 / step for e in np.eye(4)]
     assert chain.slopes(x) == pytest.approx(np.array(moved).T, rel=1e-6)
     assert chain.slopes(np.zeros(4)) == pytest.approx(np.zeros((2, 4)))

@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ import certrack
 from certrack.export.c.export import c_files
 from certrack.export.c.source import c_code
 from certrack.export.program import sampled_system
+from certrack.laws.observer import Observer
 
 FIRMWARE = Path(__file__).parent / "firmware"
 PAGE = Path(__file__).parents[1] / "docs" / "deployment.md"
@@ -41,6 +43,10 @@ VARIANTS = [
         "dual-motor-lean": False,
         "dual-motor-lean (monitor)": False,
         "dual-motor-lean (monitor, limiter, parameters)": True,
+        "dual-motor-observer": False,
+        "dual-motor-observer (kalman)": True,
+        "dual-motor-observer (dob, filter)": True,
+        "dual-motor-observer (integral, filter)": True,
     }.items()
     for real in ("float", "double")
 ]
@@ -68,11 +74,26 @@ def monitor_of(name, system):
     return certrack.Monitor(box=dict.fromkeys(system.plant.states, (-1, 1)), **more)
 
 
+def with_other_estimates(system, name):
+    """The system with the observer, or the integral action, that a row of the table speaks of."""
+    law, drive = system.law, system.implementation
+    if "filter" in name and "limits" not in name:
+        drive = replace(drive, velocity_filter=0.002)
+    if "kalman" in name:
+        law = replace(law, observer=Observer(kind="kalman", bandwidth=200.0))
+    elif "dob" in name:
+        law = replace(law, observer=Observer(kind="dob", bandwidth=40.0))
+    elif "integral" in name:
+        law = replace(law, observer=None, integral=6.0)
+    return system.replace(law=law, implementation=drive)
+
+
 @pytest.fixture(params=VARIANTS)
 def firmware(request, tmp_path):
     name, real = request.param
     plain = certrack.load(name.split()[0])
     system = fully_implemented(plain) if "limits" in name else sampled_system(plain, 0.001)
+    system = with_other_estimates(system, name)
     code = c_code(system, "controller", real=real, monitor=monitor_of(name, plain))
     for file, text in c_files(code).items():
         (tmp_path / file).write_text(text)

@@ -1,5 +1,6 @@
 """Pictures: what they show, and that drawing them warns of nothing."""
 
+import importlib
 import math
 from dataclasses import replace
 
@@ -15,8 +16,13 @@ from certrack import plotting
 from certrack.certificates.certificate import Certificate
 from certrack.certificates.tube import Tube
 from certrack.core.errors import InputError
+from certrack.plotting.names import math_name
+from certrack.plotting.units import prefix
+from certrack.plotting.windows import split_time
 from certrack.studies.ensembles.statistics import LEVELS
 from certrack.studies.margins import Margin, Margins
+
+show_module = importlib.import_module("certrack.plotting.show")
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -33,22 +39,24 @@ def texts(legend):
 
 
 @pytest.mark.parametrize("count", [2, 3])
-def test_systems_differ_by_line_and_states_by_colour(runs, tmp_path, count):
+def test_systems_differ_by_colour_and_states_by_line(runs, tmp_path, count):
     some = dict(list(runs.items())[:count])
     made = plotting.overview(some)
     plotting.save_figure(made, tmp_path, "overview")
     (systems,) = made.legends
     assert texts(systems) == list(some)
-    assert len({line.get_linestyle() for line in systems.get_lines()}) == count
-    states = made.axes[2].get_legend()
-    assert len(states.get_texts()) == 4
-    assert len({line.get_color() for line in states.get_lines()}) == 4
+    colors = {to_hex(line.get_color()) for line in systems.get_lines()}
+    assert colors == set(plotting.STYLE["axes.prop_cycle"].by_key()["color"][:count])
+    angles, speeds = (made.axes[k].get_legend() for k in (2, 3))
+    assert [texts(angles), texts(speeds)] == [["$x_{1}$", "$x_{3}$"], ["$x_{2}$", "$x_{4}$"]]
+    assert len({line.get_linestyle() for line in angles.get_lines()}) == 2
+    assert [made.axes[k].get_ylabel() for k in (2, 3)] == ["states [rad]", "states [rad/s]"]
     width, height = made.get_size_inches() * made.dpi
     for legend in (systems, *(ax.get_legend() for ax in made.axes)):
         box = legend.get_window_extent()
         assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
     for ax in made.axes:
-        assert ax.get_legend().get_window_extent().x0 >= ax.get_window_extent().x1
+        assert ax.get_legend().get_window_extent().y0 >= ax.get_window_extent().y1 - 1
 
 
 def test_long_names_stay_on_the_page(runs, tmp_path):
@@ -62,7 +70,7 @@ def test_long_names_stay_on_the_page(runs, tmp_path):
 def test_one_run_needs_no_legend_of_systems(runs):
     made = plotting.overview({"lean": runs["dual-motor-lean"]})
     assert not made.legends
-    assert len(texts(made.axes[2].get_legend())) == 4
+    assert sum(len(texts(ax.get_legend())) for ax in made.axes[2:4]) == 4
 
 
 def test_the_input_of_a_sampled_run_is_a_staircase(runs):
@@ -144,7 +152,7 @@ def test_runaways_leave_the_fan_chart_and_histograms_readable(tmp_path):
 @pytest.mark.parametrize("name", ["dual-motor-lean", "dual-motor-drive"])
 def test_the_tube_is_said_to_be_of_the_continuous_law(name, runs):
     made = plotting.tube_figure(runs[name], Tube(start=9.0, floor=1e-6, alpha=1.0), "title")
-    said = "continuous law" in made.axes[0].get_title(loc="left")
+    said = "continuous law" in made.get_suptitle()
     (shown, *_) = [text for text in texts(made.axes[0].get_legend()) if "tube" in text]
     assert said == ("continuous law" in shown) == (name == "dual-motor-drive")
 
@@ -212,3 +220,151 @@ def test_zeros_do_not_stretch_a_histogram_to_the_smallest_number():
     (ax,) = [each for each in made.axes if "settling" in each.get_xlabel()]
     assert ax.get_xscale() == "linear"
     assert sum(bar.get_height() for bar in ax.patches) == 100
+
+
+@pytest.mark.parametrize(
+    ("peak", "decay", "split"),
+    [(1.0, 5.0, 1.0), (0.02, 5.0, None), (1.0, 0.4, None), (0.0, 1.0, None)],
+)
+def test_a_short_transient_that_dominates_gets_axes_of_its_own(peak, decay, split):
+    t = np.linspace(0, 20, 4001)
+    signal = peak * np.exp(-decay * t) + 0.01 * np.sin(t)
+    found = split_time(20.0, [(t, signal), (t, 0.01 * np.sin(t))])
+    assert found == split
+    if split is not None:
+        assert np.abs(signal[t > split]).max() < 0.05
+
+
+def test_the_rest_of_a_run_is_scaled_to_its_error_and_shows_bound_and_reference(tmp_path):
+    system = certrack.load("dual-motor-lean")
+    run, found = certrack.simulate(system), certrack.certify(system, effort="fast")
+    made = plotting.overview({"": run}, certified={"": found})
+    plotting.save_figure(made, tmp_path, "overview")
+    first, rest = made.axes[2:4]  # output, then error
+    assert first.get_xlim()[1] == rest.get_xlim()[0] == 1.5
+    assert rest.get_ylabel() == "[mrad]" and first.get_ylabel() == "tracking error [rad]"
+    bound = found.best.bound
+    assert bound < rest.get_ylim()[1] < 2 * bound
+    assert {line.get_ydata()[0] for line in rest.lines} >= {bound, -bound}
+    assert not any("band" in text.get_label() for text in rest.patches)  # it does not fit
+    shown = texts(rest.get_legend())
+    assert "certified 0.001288 rad" in shown and "tube" in shown
+    y, y_d = made.axes[0].lines
+    assert y_d.get_label() == "$y_d$" and y_d.get_zorder() > y.get_zorder()
+
+
+def test_limits_of_the_input_are_drawn(runs):
+    drive = runs["dual-motor-drive"]
+    limited = replace(drive.system.implementation, rate_limit=5000.0)
+    run = certrack.simulate(drive.system.replace(implementation=limited))
+    ax = Figure().subplots()
+    plotting.plot_input(ax, {"": run})
+    flat = {line.get_ydata()[0] for line in ax.lines if len(line.get_xdata()) == 2}
+    assert {-15.0, 15.0} <= flat
+    (rate,) = [line for line in ax.lines if line.get_label() == "rate limit 5000/s"]
+    slopes = [np.diff(line.get_ydata()) / np.diff(line.get_xdata()) for line in ax.lines[-2:]]
+    assert sorted(float(slope[0]) for slope in slopes) == pytest.approx([-5000, 5000])
+    assert rate in ax.lines
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("x1", "$x_{1}$"),
+        ("phi", r"$\phi$"),
+        ("phi_dot", r"$\dot\phi$"),
+        ("theta_m", r"$\theta_{m}$"),
+        ("theta_m_dot", r"$\dot\theta_{m}$"),
+        ("theta_hat_2", r"$\hat\theta_{2}$"),
+        ("delta_hat", r"$\hat\delta$"),
+        ("q", "$q$"),
+        ("v_load", r"$v_{\mathrm{load}}$"),
+        ("speed", "speed"),
+        ("e_1", "$e_{1}$"),
+    ],
+)
+def test_names_are_set_as_mathematics(name, shown):
+    assert math_name(name) == shown
+
+
+@pytest.mark.parametrize(
+    ("unit", "size", "shown"),
+    [
+        ("rad", 0.5, (1.0, "rad")),
+        ("rad", 0.02, (1e3, "mrad")),
+        ("m", 3e-5, (1e6, "\N{MICRO SIGN}m")),
+        ("deg", 1e-3, (1.0, "deg")),
+        ("m", 0.0, (1.0, "m")),
+    ],
+)
+def test_units_take_a_prefix(unit, size, shown):
+    assert prefix(unit, size) == shown
+
+
+def test_appearances(runs, tmp_path):
+    run = runs["dual-motor-lean"]
+    paper = plotting.overview({"": run}, "title", plotting.Appearance("paper"))
+    assert paper.get_figwidth() == 3.5
+    wide = plotting.Appearance("slides", (10, 5), "new", (0.2, 0.4))
+    slide = plotting.figure(plotting.plot_error, {"": run}, "old", wide)
+    assert tuple(slide.get_size_inches()) == (10, 5)
+    assert slide.get_suptitle() == "new"
+    assert slide.axes[0].get_xlim() == (0.2, 0.4)
+    written = plotting.save_figure(slide, tmp_path, "error")
+    assert [path.suffix for path in written] == [".png", ".svg", ".pdf"]
+    same = plotting.figure(plotting.plot_error, {"": run}, "old", wide)
+    again = plotting.save_figure(same, tmp_path / "again", "error")
+    for first, second in zip(written, again, strict=True):
+        assert first.read_bytes() == second.read_bytes()
+    for wrong in ({"kind": "poster"}, {"size": (0, 1)}, {"window": (2, 1)}):
+        with pytest.raises(InputError, match="appearance"):
+            plotting.Appearance(**wrong)
+
+
+def test_a_limit_far_from_the_errors_does_not_squeeze_their_histogram():
+    found = certrack.ensemble(certrack.load("example1"), 40, limit=10.0)
+    ax = plotting.metric_histograms(found).axes[0]
+    assert ax.get_xlim()[1] < 0.1
+    assert "limit 10" in ax.texts[0].get_text()
+    near = certrack.ensemble(certrack.load("example1"), 40, limit=0.0355)
+    assert 0.0355 in {
+        line.get_xdata()[0] for line in plotting.metric_histograms(near).axes[0].lines
+    }
+
+
+def test_without_a_display_there_is_no_window(monkeypatch):
+    monkeypatch.setattr(show_module.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert plotting.show([Figure()]) == "there is no display here"
+
+
+def test_a_window_is_opened_by_the_first_toolkit_that_can(monkeypatch):
+    """A toolkit that fails is passed over; the figures are shown, then the loop runs."""
+    calls = []
+
+    class Manager:
+        def show(self):
+            calls.append("shown")
+
+        @classmethod
+        def start_main_loop(cls):
+            calls.append("loop")
+
+    class Canvas:
+        manager_class = Manager
+
+        @classmethod
+        def new_manager(cls, figure, number):
+            calls.append(number)
+            return Manager()
+
+    def load(name):
+        if name.endswith("qtagg"):
+            raise ImportError("no Qt")
+        return type("Backend", (), {"FigureCanvas": Canvas})
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(show_module, "import_module", load)
+    assert plotting.show([Figure(), Figure()]) == ""
+    assert calls == [1, 2, "shown", "shown", "loop"]

@@ -1,6 +1,7 @@
 """What the printers of all languages share."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from certrack.core.kinks import fold_minmax, without_minmax
 from certrack.core.lowering import numpy_callable
 from certrack.core.printing import ATOM, PRODUCT, SUM, FormulaPrinter, recognise_selection
 from certrack.core.select import Select, larger, magnitude, smaller
-from certrack.export.c.printer import CPrinter
+from certrack.export.c.printer import CPrinter, helper_definition
 from certrack.export.st.statements import Statements, Variables
 from certrack.integrators.many.native_source import VectorPrinter
 
@@ -115,3 +116,28 @@ def test_parentheses_where_they_are_wanted():
 def test_an_unfinished_language_says_so():
     with pytest.raises(NotImplementedError):
         FormulaPrinter(NAMES).text(sympy.Integer(1))
+
+
+@pytest.mark.parametrize(
+    ("formula", "text"),
+    [
+        (sympy.sqrt(a), "sqrt(a)"),
+        (1 / sympy.sqrt(a), "1.0 / sqrt(a)"),
+        (a**3, "a * a * a"),
+        (a**-2, "1.0 / (a * a)"),
+        (a ** sympy.Rational(1, 3), "pow(a, 0.3333333333333333)"),
+    ],
+)
+def test_powers_in_c(formula, text):
+    assert CPrinter(NAMES, "double", {}).text(formula) == text
+
+
+@pytest.mark.parametrize(("real", "one"), [("double", "1.0"), ("float", "1.0F")])
+def test_the_sign_in_c_is_one_or_minus_one(real, one):
+    text = helper_definition("sign", real, real)
+    assert re.findall(r"[-\d.f]*\d\.\d\w*", text.partition("return")[2]) == [
+        one.replace("1", "0"),
+        one,
+        one.replace("1", "0"),
+        f"-{one}",
+    ]

@@ -185,7 +185,7 @@ def test_plot_draws_every_result_and_refuses_what_it_cannot(results):
     for name in ("system", "run", "escaped", "certificates", "none", "ensemble", "margins"):
         assert certrack.plot(results[name]).axes, name
     several = certrack.plot({"a": results["run"], "b": results["run"]})
-    assert len(several.axes) == 5
+    assert len(several.axes) == 10  # five panels, the transient of each apart
     for value in (3, {}, {"a": 3}):
         with pytest.raises(InputError, match="plot"):
             certrack.plot(value)

@@ -466,3 +466,12 @@ def test_an_irrational_constant_is_enclosed():
     (found,) = SymbolicReference("pi*tanh(t)").bounds(0).values
     assert sympy.Rational(found) >= sympy.pi
     assert found < math.pi * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("text", ["abs(t - 2)*exp(-t)", "abs(2 - t)*exp(-t)"])
+def test_a_kink_is_the_same_from_both_sides(text):
+    """The slope of |t - 2| exp(-t) jumps by 2 exp(-2) at t = 2."""
+    ((time, size),) = SymbolicReference(text).smoothness.jumps(1)
+    assert time == pytest.approx(2, abs=1e-12)
+    assert 2 * math.exp(-2) <= size <= 2 * math.exp(-2) * (1 + 1e-12)
+    assert SymbolicReference(text).smoothness.jumps(0) == ()

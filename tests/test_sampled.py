@@ -352,7 +352,8 @@ def test_differenced_speed():
 
 def test_exact_leak_is_exponential_euler():
     """L W = exp(L T) - I, for a full adaptation gain; nothing couples delta_hat and theta_hat."""
-    from certrack.loops.controller import controller_values, sampled_controller
+    from certrack.loops.controller import sampled_controller
+    from certrack.loops.controller_values import controller_values
 
     Gamma = ((2.0, 0.5), (0.5, 1.0))
     base = certrack.load("example1")

@@ -33,7 +33,7 @@ def test_it_is_joined_at_both_ends_and_bounded(start, transient):
     made = SoftStart(SymbolicReference("0.1*sin(0.75*t) + 0.2"), transient).joined(tuple(start))
     order = len(start)
     assert made.order == order
-    t = np.linspace(0, transient, 2001)
+    t = np.append(np.linspace(0, transient, 2001)[:-1], [transient * (1 - 1e-12), transient])
     values = made.values(t, order)
     np.testing.assert_allclose(values[:-1, 0], start, rtol=1e-9, atol=1e-9)
     target = made.target.values(np.array([transient, 2 * transient]), order)

@@ -37,6 +37,7 @@ from .laws import Adaptive as Adaptive
 from .laws import Classic as Classic
 from .laws import Controller as Controller
 from .laws import Law as Law
+from .laws import Linear as Linear
 from .laws import Robust as Robust
 from .laws.backstepping import ErrorCoordinates as ErrorCoordinates
 from .laws.backstepping import Gains as Gains

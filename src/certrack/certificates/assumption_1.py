@@ -5,6 +5,7 @@ First by majorants, which prove it; else by samples, which can only refute it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -15,11 +16,13 @@ from scipy.optimize import minimize
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.domain import always_defined, more_digits, undefined_at
-from certrack.certificates.majorants import Majorant, covers, majorants
+from certrack.certificates.majorants import Majorant, covers, majorants, root_above
 from certrack.certificates.sampling import Points, nearest_failure, random_points
-from certrack.core.expressions import TIME
+from certrack.certificates.size_majorants import Sizes, stays_below, sympy_number
+from certrack.core.expressions import TIME, Expression, symbol
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.powers import put_in
+from certrack.model.growth import NORM, GrowthInFloats
 from certrack.model.truth import constants_of_truth
 from certrack.systems.system import System, require_system
 
@@ -116,8 +119,8 @@ def uncertain_terms(system: System) -> list[UncertainTerm]:
         weights = tuple(map(_fraction, u.norm_weights(k)))
         single = tuple(map(_fraction, u.Delta[k])) if u.Delta else ()
         formula = put_in(w.expr, exact)
-        term = UncertainTerm(k, formula, plant.symbols, strength, tau, gamma, beta, weights, single)
-        terms.append(term)
+        bounds = gamma, beta, weights, single, u.formula(k)
+        terms.append(UncertainTerm(k, formula, plant.symbols, strength, tau, *bounds))
     return terms
 
 
@@ -145,6 +148,8 @@ class UncertainTerm:
         Diagonal of S.
     single : n Fractions, or none
         Row of Delta.
+    growing : Expression or None
+        The bound in the place of gamma, Delta and beta, if it is a formula.
     """
 
     k: int
@@ -156,6 +161,7 @@ class UncertainTerm:
     beta: Fraction
     weights: tuple[Fraction, ...] = ()
     single: tuple[Fraction, ...] = ()
+    growing: Expression | None = None
 
     @property
     def name(self) -> str:
@@ -176,15 +182,49 @@ class UncertainTerm:
     @property
     def proven(self) -> bool:
         """Whether the bound holds for all t >= 0 and x, by exact arithmetic."""
+        if self.growing is not None:
+            return self.proven_within(None)
         return self.proven_with(self.gamma, self.beta)
+
+    def proven_within(self, region: Sequence[Fraction] | None) -> bool:
+        """The same for all states with |x_i| <= region_i; for all if there is none."""
+        if self.zero:
+            return True
+        if not always_defined(self.formula, self.states):
+            return False
+        norm = Fraction(0)
+        if region is not None:
+            norm = root_above(
+                sum(((w * r) ** 2 for w, r in zip(self.weights, region, strict=True)), norm)
+            )
+        sizes = Sizes(self.states, self.weights, None if region is None else tuple(region), norm)
+        return stays_below(self.formula, self.bound, sizes, self.strength)
+
+    @cached_property
+    def bound(self) -> sympy.Expr:
+        """tau times the bound, of the sizes of the states and the norm."""
+        if self.growing is not None:
+            inside = self.growing.expr
+        else:
+            sizes = zip(self.single, self.states, strict=False)
+            inside = sum((sympy_number(c) * x for c, x in sizes), sympy_number(self.beta))
+            inside += sympy_number(self.gamma) * symbol(NORM)
+        return sympy_number(self.tau) * inside
 
     def proven_with(self, gamma: Fraction, beta: Fraction) -> bool:
         """The same for another gamma and beta; Delta is left out, and S taken by its least."""
         tau, gamma = self.tau, gamma * min(self.weights, default=Fraction(1))
         return self.zero or covers(self.majorants, tau * gamma, tau * beta, self.strength)
 
-    def violation(self, points: Points) -> Violation | None:
-        """A point where it exceeds its bound or has no value, of those given and near them."""
+    def violation(self, points: Points, *, polished: bool = True) -> Violation | None:
+        """A point where it exceeds its bound or has no value, of those given and near them.
+
+        Parameters
+        ----------
+        points : Points
+        polished : bool
+            Whether points around the worst one may be looked at.
+        """
         if self.zero:
             return None
         undefined = undefined_at(self.formula, self.states, points)
@@ -193,7 +233,7 @@ class UncertainTerm:
             limit = float(self.limit(where)[0])
             remedy = f"rewrite truth.omega[{self.k}]: {condition}"
             return self._violation(where, float("nan"), limit, remedy)
-        beyond = self.exceeded(points)
+        beyond = self.exceeded(points, polished=polished)
         if beyond is None:
             return None
         size, limit = float(self.size(beyond)[0]), float(self.limit(beyond)[0])
@@ -207,7 +247,7 @@ class UncertainTerm:
         t, x = float(where.t[0]), tuple(where.x[:, 0].tolist())
         return Violation(self.name, t, x, value, limit, remedy or "raise gamma or beta")
 
-    def exceeded(self, points: Points) -> Points | None:
+    def exceeded(self, points: Points, *, polished: bool = True) -> Points | None:
         """A point beyond the bound, clearly if there is one, of the smallest ||x|| found."""
         excess = self.excess(points)
         worst = int(np.argmax(excess / (1 + points.norm)))
@@ -216,7 +256,7 @@ class UncertainTerm:
         )
         if where is None or not self.confirmed(where):
             where = nearest_failure(points, self._fails)
-        if where is None:
+        if where is None and polished:
             where = nearest_failure(self._polished(points[worst]), self._fails)
         return where if where is not None and self.confirmed(where) else None
 
@@ -237,6 +277,9 @@ class UncertainTerm:
             norm = np.linalg.norm(
                 np.array(list(map(float, self.weights)))[:, None] * points.x, axis=0
             )
+        if self.growing is not None:
+            grown = GrowthInFloats(self.growing, [s.name for s in self.states])
+            return float(self.tau) * grown.value(points.x, norm)
         allowed: np.ndarray = float(self.tau * self.gamma) * norm
         if self.single:
             allowed = allowed + np.array([float(self.tau * v) for v in self.single]) @ abs(points.x)
@@ -245,6 +288,8 @@ class UncertainTerm:
     @property
     def allowance(self) -> str:
         """What the design allows, in words."""
+        if self.growing is not None:
+            return self.growing.text if self.tau == 1 else f"{float(self.tau):.6g} ({self.growing})"
         norm = "||x||" if all(w == 1 for w in self.weights) else "||S x||"
         text = f"{float(self.tau * self.gamma):.6g} {norm}"
         if any(self.single):

@@ -12,12 +12,14 @@ from certrack.certificates.exact import Proof
 from certrack.certificates.implemented.certify import (
     ImplementedCertificate,
     certify_implemented,
+    from_x0_only,
     missing_implemented,
 )
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
-from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.implemented.region import is_only_in_region
+from certrack.certificates.implemented.regional import is_of_starts
 from certrack.certificates.methods import (
     METHOD_STEPS,
     NOMINAL_KINDS,
@@ -235,15 +237,22 @@ def certify(
         progress=lambda _, __, best: progress(METHOD_STEPS, STEPS, best),
     )
     later = system.long_run
-    as_run = system if is_limited(system) else later
-    rests_on = premises_as_implemented(as_run) if implemented.verified else premises(later)
+    as_run = system if is_of_starts(system) else later
+    rests_on = everywhere = premises(later)
+    if implemented.verified:
+        everywhere = premises(as_run)
+        rests_on = premises_as_implemented(as_run, implemented_proof)
+    if is_only_in_region(rests_on):
+        implemented, implemented_proof = from_x0_only(implemented, implemented_proof)
     result = Certificates(
         **methods.certificates,
         proof=next(iter(methods.stages_of("semidefinite")), None),
         cascade_proof=methods.stages_of("cascade") or None,
         critical_published=critical_strength(later),
         critical_semidefinite=critical_semidefinite(later, methods.certificates["semidefinite"]),
-        tube=None if contradicted(rests_on) else _tube(system, stages, methods.ranges.vertex_proof),
+        tube=None
+        if contradicted(everywhere)
+        else _tube(system, stages, methods.ranges.vertex_proof),
         premises=rests_on,
         tightest=methods.tightest,
         kinds=methods.kinds,
@@ -254,7 +263,11 @@ def certify(
         critical_ranges=methods.ranges.strength,
     )
     progress(STEPS, STEPS, None)
-    return _unverified(result) if result.contradicted else result
+    broken = contradicted(everywhere)
+    if broken and not result.contradicted:  # where the implemented loop stays it is not broken
+        others = replace(result, proof=None, cascade_proof=None, tightest=())
+        return replace(_unverified(others, broken[0]), implemented=implemented)
+    return _unverified(result, broken[0]) if result.contradicted else result
 
 
 def _implemented(
@@ -262,7 +275,7 @@ def _implemented(
 ) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
     """That of the loop as it runs; without limits of the input a soft start counts from x0 only."""
     how: Any = {"margins": margins, "effort": effort, "progress": progress}
-    if system.long_run is system or is_limited(system):
+    if system.long_run is system or is_of_starts(system):
         return certify_implemented(system, from_start=True, **how)
     early, _ = certify_implemented(system, from_start=True, effort=effort, progress=progress)
     later, later_proofs = certify_implemented(system.long_run, **how)
@@ -283,9 +296,9 @@ def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | N
     return tube(system, stages) if stages else None
 
 
-def _unverified(result: Certificates) -> Certificates:
+def _unverified(result: Certificates, broken: Premise) -> Certificates:
     """Without a word of verification: the bounds are of another plant than the file's."""
-    reason = f"a premise is contradicted: {result.contradicted[0].detail}"
+    reason = f"a premise is contradicted: {broken.detail}"
     kinds = [f.name for f in fields(result) if isinstance(getattr(result, f.name), Certificate)]
     changed = {
         kind: replace(c, verified=False, reason=c.reason or reason)

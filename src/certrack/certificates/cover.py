@@ -59,6 +59,8 @@ class Cover:
 def smallest_cover(term: UncertainTerm, points: Points) -> Cover:
     """The smallest gamma and beta of the term, each with the other as in the file.
 
+    Where the bound is a formula they are zero if it covers the term; there are none if it does not.
+
     Parameters
     ----------
     term : UncertainTerm
@@ -70,6 +72,10 @@ def smallest_cover(term: UncertainTerm, points: Points) -> Cover:
         return Cover(term.name, 0.0, 0.0, None, proven=True)
     if not term.tau or term.violation_of_domain(points):
         return Cover(term.name, None, None, None, proven=False)
+    if term.growing is not None:
+        broken = term.violation(points) is not None
+        size = None if broken else 0.0
+        return Cover(term.name, size, size, None, term.proven)
     search = _Suprema(term, points)
     gamma = search.smallest(search.gamma_needed(float(term.beta)), None, term.beta)
     beta = search.smallest(search.beta_needed(float(term.gamma)), term.gamma, None)

@@ -27,9 +27,10 @@ from certrack.certificates.implemented.document import (
     is_implemented,
     record_of,
 )
-from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
+from certrack.certificates.implemented.regional import is_of_starts
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.certify import cover_bound
@@ -127,8 +128,8 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         raise InputError("stages", "there is no proof to save")
     cells = tuple(stage for stage in stages if isinstance(stage, CellProof))
     sampled = tuple(stage for stage in stages if isinstance(stage, ImplementedProof))
-    system = system if sampled and is_limited(system) else system.long_run
-    rests_on = premises_as_implemented(system) if sampled else premises(system)
+    system = system if sampled and is_of_starts(system) else system.long_run
+    rests_on = premises_as_implemented(system, sampled) if sampled else premises(system)
     if broken := contradicted(rests_on):
         raise InputError("premises", f"the truth contradicts one: {broken[0]}")
     bound = stages[-1].bound
@@ -137,9 +138,9 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
-        "claim": claim_of(system, bound) if sampled else f"limsup |e_1(t)| <= {bound}",
+        "claim": claim_of(system, bound, rests_on) if sampled else f"limsup |e_1(t)| <= {bound}",
         "premises": [premise.record() for premise in rests_on],
-        "system": to_text(system),
+        "system": to_text(system.replace(law=system.law.settled(system.plant))),
         "proof": [json.loads(json.dumps(record_of(stage))) for stage in stages],
     }
     return body | {"sha256": _digest(body)}
@@ -281,11 +282,15 @@ def _verify_implemented(body: dict[str, Any]) -> Verdict:
     if body["sha256"] != _digest(body):
         return Verdict(False, bound, "the file was changed after it was made")
     system = loads(body["system"], "system")
-    if body["claim"] != claim_of(system, bound):
+    rests_on = premises_as_implemented(system, proofs)
+    if body["claim"] != claim_of(system, bound, rests_on):
         return Verdict(False, bound, "the claim is not that of the proof")
+    if is_only_in_region(rests_on) and without_polytopes(proofs) != proofs:
+        reason = "a bound of w holds in the region of x0 only, and other starts are claimed"
+        return Verdict(False, bound, reason)
     if reason := failed_cover(system, proofs):
         return Verdict(False, bound, reason)
-    return _rests_on(body, bound, premises_as_implemented(system), ())
+    return _rests_on(body, bound, rests_on, ())
 
 
 def _cell(entries: Any) -> CellProof:

@@ -21,6 +21,9 @@ from certrack.certificates.stated import stated_error_system
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
 from certrack.laws.balanced import balanced, balancing_weights
 from certrack.laws.error_system import KnownParameters
+from certrack.laws.integral import longer_chain, of_the_plant
+from certrack.laws.linear import Linear
+from certrack.laws.plant_coordinates import plant_coordinates
 from certrack.model.uncertainty import Uncertainty
 from certrack.references.base import bound_of
 from certrack.systems.system import System
@@ -156,9 +159,9 @@ def uncertain_inputs(u: Uncertainty, A: np.ndarray, number: ToNumber) -> Uncerta
 
 
 def error_coordinates(system: System, number: ToNumber) -> ErrorCoordinates:
-    """The error coordinates of the design, by the recursion in the arithmetic of `number`."""
-    plant, gains, dtype = system.plant, system.law.gains(), _dtype(number)
-    assert plant.linear is not None and gains.k is not None and gains.p is not None
+    """The error coordinates of the design, in the arithmetic of `number`."""
+    plant, dtype = system.plant, _dtype(number)
+    assert plant.linear is not None
     n = plant.n
     g = np.array([number(v) for v in plant.chain], dtype=dtype)
     b = np.zeros((n - 1, n), dtype=dtype)
@@ -166,21 +169,37 @@ def error_coordinates(system: System, number: ToNumber) -> ErrorCoordinates:
         b[i, : i + 1] = [number(v) for v in row]
     if dtype is object:
         b = b + flint.fmpq(0)
+    if isinstance(system.law, Linear):
+        law = system.law.settled(plant)
+        assert law.K is not None
+        K = np.array([number(v) for v in law.K], dtype=dtype)
+        return plant_coordinates(g, b, K, number(law.r), law.feedforward)
+
+    gains = system.law.gains()
+    assert gains.k is not None and gains.p is not None
     c = np.array([number(v) for v in gains.c], dtype=dtype)
 
+    q, rows, damping = system.law.order(plant), gains.k, gains.p
+    floats = plant.g, np.array(gains.c)
+    if gains.integral is not None:
+        g, b, c = longer_chain(g, b, c, number(gains.integral))
+        floats = np.append(1.0, floats[0]), np.append(gains.integral, floats[1])
+        rows, damping = tuple((np.inf,) * (2 * m) for m in range(1, n + 2)), (np.inf,) * n
+        q += 1
     if gains.coupling is not None:
-        s = balancing_weights(plant.g, gains.c, gains.coupling)
-        return balanced(g, b, c, system.law.order(plant), s, number)
+        design = balanced(g, b, c, q, balancing_weights(*floats, gains.coupling), number)
+        return design if gains.integral is None else of_the_plant(design)
 
     def weight(k: float) -> Any:
         return number(0) if k == float("inf") else 1 / (4 * number(k))
 
     weights = [
         np.array([weight(row[2 * i]) + weight(row[2 * i + 1]) for i in range(m + 1)], dtype=dtype)
-        for m, row in enumerate(gains.k)
+        for m, row in enumerate(rows)
     ]
-    residual = np.array([weight(p) for p in gains.p], dtype=dtype)
-    return carry_out(g, b, c, weights, residual, system.law.order(plant))
+    residual = np.array([weight(p) for p in damping], dtype=dtype)
+    design = carry_out(g, b, c, weights, residual, q)
+    return design if gains.integral is None else of_the_plant(design)
 
 
 def adaptation_of(system: System, number: ToNumber) -> Adaptation | None:

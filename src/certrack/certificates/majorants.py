@@ -160,7 +160,7 @@ class _Majorants:
         for majorant in self.of(argument):
             yield majorant
             if len(majorant) == 3 and not any(majorant[:2]):
-                yield (Fraction(0), ROOT_FACTORS[function] * _root(majorant[2]))
+                yield (Fraction(0), ROOT_FACTORS[function] * root_above(majorant[2]))
 
     def _logarithm(self, argument: sympy.Expr) -> Iterator[Majorant]:
         """log(c + z) <= log(c) + log(1 + z/c) for c >= 1, z >= 0."""
@@ -205,7 +205,7 @@ class _Majorants:
                 offset, candidates = self._root_less_offset(factor)
                 constant += c * offset
                 others.append([_times((abs(c),), majorant) for majorant in candidates])
-        norm = _root(sum((c**2 for c in linear.values()), Fraction(0)))
+        norm = root_above(sum((c**2 for c in linear.values()), Fraction(0)))
         direct: Majorant = (abs(constant), norm, squares)
         for parts in _combinations(others):
             result = direct
@@ -246,7 +246,7 @@ def _times(a: Majorant, b: Majorant) -> Majorant:
     return tuple(result)
 
 
-def _root(square: Fraction) -> Fraction:
+def root_above(square: Fraction) -> Fraction:
     """Square root, exact where it is rational, else rounded up."""
     p, q = math.isqrt(square.numerator), math.isqrt(square.denominator)
     if p * p == square.numerator and q * q == square.denominator:
@@ -267,13 +267,13 @@ def _root_of(majorant: Majorant) -> Majorant | None:
     b, a, p, *higher = (*majorant, Fraction(0), Fraction(0), Fraction(0))[: max(3, len(majorant))]
     if any(higher) or (a and not b):
         return None
-    slope = _root(p)
+    slope = root_above(p)
     if a:
         low = Fraction(math.isqrt((b.numerator << 2 * ROOT_BITS) // b.denominator), 1 << ROOT_BITS)
         if not low:
             return None
         slope = max(slope, a / (2 * low))
-    return (_root(b), slope)
+    return (root_above(b), slope)
 
 
 def _best(candidates: list[Majorant]) -> list[Majorant]:

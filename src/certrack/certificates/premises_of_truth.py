@@ -179,7 +179,7 @@ def _equal(a: sympy.Expr, b: sympy.Expr) -> bool:
 def _knows_parameters(system: System) -> bool:
     """Whether the law uses the plant's g_n and theta themselves, by the error system it states."""
     try:
-        return isinstance(stated_error_system(system), KnownParameters)
+        return isinstance(stated_error_system(system, integral=True), KnownParameters)
     except NoCertificate:
         return False
 
@@ -293,6 +293,8 @@ def _term(term: UncertainTerm, points: Points) -> Premise:
 def widening(term: UncertainTerm, cover: Cover) -> str:
     """What makes Assumption 1 hold for a term that breaks it, in words."""
     k = term.k
+    if term.growing is not None:
+        return f"raise plant.uncertainty.bound[{k}], or bound truth.omega[{k}] (tanh, min, max)"
     if not term.tau:
         return f"set plant.uncertainty.tau[{k}] to {_number(term.strength)}, with gamma and beta"
     options = [] if cover.gamma is None else [f"widen gamma[{k}] to {cover.gamma:g}"]

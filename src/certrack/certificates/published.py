@@ -53,6 +53,7 @@ from certrack.certificates.certificate import (
 from certrack.certificates.exact import float_down, float_up, from_text, root_up
 from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.laws.backstepping import ErrorCoordinates
+from certrack.laws.linear import Linear
 from certrack.references.base import total_bound
 from certrack.systems.system import System
 
@@ -229,6 +230,8 @@ def collect(system: System, number: ToNumber = decimal, *, critical: bool = Fals
 
 def uncertainty_terms(system: System, number: ToNumber) -> tuple[Any, Any]:
     """G and H: the damping times the squared gamma-parts and beta-parts [28], [29]."""
+    if isinstance(system.law, Linear):
+        raise NoCertificate("the published proof is of the recursion; a linear law has none")
     gains, u = system.law.gains(), system.plant.uncertainty
     assert gains.k is not None
     if gains.coupling is not None:

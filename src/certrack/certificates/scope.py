@@ -17,6 +17,16 @@ def refuse(system: System) -> None:
             f"plant.ranges lets {', '.join(ranged)} vary: only vertices, cells and peak can cover "
             "it"
         )
+    refuse_formulas(system)
+
+
+def refuse_formulas(system: System) -> None:
+    """Raise NoCertificate where a bound of w_k is a formula: of the sampled loop only."""
+    if system.plant.uncertainty.bound is not None:
+        raise NoCertificate(
+            "plant.uncertainty.bound is covered for the loop as implemented only: state "
+            "[implementation]"
+        )
 
 
 def ranged_names(system: System, stated: ErrorSystem) -> list[str]:
@@ -27,9 +37,12 @@ def ranged_names(system: System, stated: ErrorSystem) -> list[str]:
     return ranged
 
 
-def refuse_unknown(system: System) -> ErrorSystem:
-    """Raise NoCertificate where no certificate of this room can hold; what the law states."""
-    stated = stated_error_system(system)
+def refuse_unknown(system: System, *, integral: bool = False) -> ErrorSystem:
+    """Raise NoCertificate where no certificate of this room can hold; what the law states.
+
+    With `integral`, a law with integral action is not refused.
+    """
+    stated = stated_error_system(system, integral=integral)
     if system.truth.states:
         _refuse_unknown_ranges(system, stated)
     return stated
@@ -40,7 +53,7 @@ def has_ranges(system: System) -> bool:
     if system.plant.constant_ranges:
         return True
     try:
-        stated = stated_error_system(system)
+        stated = stated_error_system(system, integral=True)
     except NoCertificate:
         return False
     return isinstance(stated, KnownParameters) and bool(_open_parameters(system, stated))

@@ -19,18 +19,34 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
 from certrack.laws.base import Equations
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
+from certrack.laws.integral import INTEGRAL
+from certrack.laws.linear import Linear
 from certrack.laws.recursion import recursion
 from certrack.laws.signals import Signals
 from certrack.systems.system import System
+
+#: Why there is no certificate in continuous time of a law with integral action.
+INTEGRAL_ACTION = (
+    "integral action (law.integral) is covered as implemented only: state [implementation], and a "
+    "law of known parameters"
+)
 
 #: Relative difference from the recursion's numbers that is a rounding and not another design.
 SAME_NUMBERS = 1e-9
 
 
-def stated_error_system(system: System) -> KnownParameters | EstimatedParameters:
+def stated_error_system(
+    system: System, *, integral: bool = False
+) -> KnownParameters | EstimatedParameters:
     """The error system of the law, which its equations do obey.
 
     Its gains are exact rationals (as SymPy numbers).
+
+    Parameters
+    ----------
+    system : System
+    integral : bool
+        Whether the law may have integral action; what it states is then of the nu that has it.
 
     Raises
     ------
@@ -38,6 +54,8 @@ def stated_error_system(system: System) -> KnownParameters | EstimatedParameters
         If the law states none, or does not obey what it states.
     """
     law, plant = system.law, system.plant
+    if law.integral is not None and not integral:
+        raise NoCertificate(INTEGRAL_ACTION)
     signals = _bare_signals(system)
     stated = law.error_system(signals)
     if law.no_certificate or stated is None or isinstance(stated, OwnErrors):
@@ -101,9 +119,15 @@ def _refusal(system: System, what: str) -> str:
 def _compare_controller(system: System, equations: Equations, bare: Signals) -> None:
     """Refuse a law whose controller has other formulas or numbers than the law's own."""
     law, plant, controller = system.law, system.plant, system.controller
-    full = Signals(plant, bare.q)
+    full = Signals(plant, bare.q, integral=law.integral is not None)
     parts = dict(zip((bare.nu, bare.e_n, *bare.phi), (full.nu, full.e_n, *full.phi), strict=True))
     runs = controller.equations.formulas
+    others = [z for z in controller.states if z not in [name for name, _ in equations.update]]
+    rates = dict(controller.equations.update)
+    if others != [INTEGRAL] * (law.integral is not None) or any(
+        not _identical(rates[z], full.x[0] - full.Y[0]) for z in others
+    ):
+        raise NoCertificate(_refusal(system, "it has states that are not its own"))
     for name, formula in equations.formulas.items():
         if name not in runs or not _identical(runs[name], sympy.sympify(formula).xreplace(parts)):
             raise NoCertificate(_refusal(system, f"what runs as {name} is another"))
@@ -114,10 +138,17 @@ def _compare_controller(system: System, equations: Equations, bare: Signals) -> 
 
 
 def _compare_recursion(system: System) -> None:
-    """Refuse a law whose e_n and nu are not those of the recursion with its gains."""
+    """Refuse a law whose e_n and nu are not those of the recursion, or of K, with its gains."""
     law, plant, controller = system.law, system.plant, system.controller
-    design = recursion(plant.g, plant.b, law.gains(), law.order(plant))
-    expected = {
+    q, beyond = law.order(plant), law.sampled_feedforward
+    design = (
+        Linear.coordinates(law, plant)
+        if isinstance(law, Linear)
+        else recursion(plant.g, plant.b, law.gains(), q, beyond=beyond)
+    )
+    part = design.integral
+    expected = {} if part is None else {"A_n0": part.column[-1:], "nu_0": np.array([part.nu])}
+    expected |= {
         "A_n": design.A[-1],
         "B_n": design.B[-1],
         "nu_x": design.nu_x,

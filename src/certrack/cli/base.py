@@ -105,16 +105,6 @@ def note_unlikely(system: System) -> None:
         click.echo(f"certrack: note: {note}", err=True)
 
 
-def draw(runs: dict[str, Run], folder: Path, title: str) -> list[Path]:
-    """Write every panel as a picture of its own, and all of them together; returns the paths."""
-    from certrack import plotting
-
-    paths: list[Path] = []
-    for name, panel in plotting.panels_for(runs).items():
-        paths += plotting.save_figure(plotting.figure(panel, runs, title), folder, name)
-    return paths + plotting.save_figure(plotting.overview(runs, title), folder, "overview")
-
-
 def diagnose(*runs: Run) -> None:
     """Notes of all runs to standard error; exit code 1 if one of them did not finish."""
     for run in runs:

@@ -55,7 +55,17 @@ def _of_drive(drive: DriveFalsification) -> dict[str, Any]:
         "verified": drive.certificate.verified,
         "reason": drive.certificate.reason or None,
         "ratio": drive.certificate.bound / drive.worst_error if drive.worst_error else math.inf,
+        "first_escape": _of_escape(drive),
     }
+
+
+def _of_escape(drive: DriveFalsification) -> dict[str, Any] | None:
+    """The nearest start from which the states escape."""
+    escape = drive.escape
+    if escape is None:
+        return None
+    x0 = list(escape.system.settings.x0)
+    return {"box": list(escape.box), "x0": x0, "in_certified_box": escape.within}
 
 
 def drive_lines(drive: Mapping[str, Any]) -> list[str]:
@@ -64,11 +74,18 @@ def drive_lines(drive: Mapping[str, Any]) -> list[str]:
     certified = printed_bound(drive["certified"])
     if not drive["verified"]:
         certified += f" (not verified: {drive['reason']})"
-    return [
+    lines = [
         f"as implemented, worst |e_1| found: {drive['worst_error']:.6g} (simulated)",
         f"{rounding}, by the linear loop: {drive['estimate']:.6g}",
         f"as implemented, certified limsup |e_1|: {certified}",
     ]
+    if (escape := drive["first_escape"]) is not None:
+        box = ", ".join(f"+-{half:.4g}" for half in escape["box"])
+        lines.append(
+            f"as implemented, first escape found at a corner of the box {box}"
+            + (": INSIDE the certified box" if escape["in_certified_box"] else "")
+        )
+    return lines
 
 
 def _beside(certificate: Certificate, error: float, settling: bool) -> dict[str, Any]:

@@ -16,12 +16,14 @@ from certrack.cli.base import (
     note_engine,
     note_implementation,
 )
+from certrack.cli.pictures import picture_options
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
 from certrack.core import checks
 from certrack.core.errors import InputError
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificates
+    from certrack.plotting import Appearance
     from certrack.systems.system import System
 
 
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     help="How long it may take: fast makes no cells of ranges, high four times as many.",
 )
 @click.option("--require", is_flag=True, help="Exit with 1 if nothing is verified.")
+@picture_options
 @json_option
 def certify(
     file: str,
@@ -55,6 +58,7 @@ def certify(
     states: str | None,
     effort: str,
     require: bool,
+    appearance: Appearance,
     as_json: bool,
 ) -> None:
     """Compute guaranteed bounds on the tracking error.
@@ -84,12 +88,13 @@ def certify(
         from certrack.simulation.simulator import simulate as run_system
 
         run = run_system(system)
-        drawing = plotting.tube_figure(run, result.tube, system.title, result.best)
+        drawing = plotting.tube_figure(run, result.tube, system.title, result.best, appearance)
         plotting.save_figure(drawing, plot, "tube")
     if plot is not None and result.implemented.polytope is not None and system.plant.n > 1:
         from certrack import plotting
 
-        drawing = plotting.starts_figure(result.implemented, axes, system.title, system.plant.units)
+        title, units = appearance.titled(system.title), system.plant.units
+        drawing = plotting.starts_figure(result.implemented, axes, title, units, appearance)
         plotting.save_figure(drawing, plot, "starts")
     if as_json:
         click.echo(report.to_json(range_report.ranged_summary(result)))

@@ -12,16 +12,17 @@ from certrack.cli.base import (
     MEMBER_SEED,
     NEW_FILE,
     diagnose,
-    draw,
     json_option,
     naming,
     note_engine,
     note_unlikely,
     tell_written,
 )
+from certrack.cli.pictures import certified_runs, draw, picture_options, show_runs
 from certrack.cli.premises import note_contradictions
 
 if TYPE_CHECKING:
+    from certrack.plotting import Appearance
     from certrack.studies.ensembles.ensemble import Ensemble
 
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     type=click.IntRange(2, 10_000_000),
     help="Equidistant times in --out; default: the integrator's own steps, subdivided.",
 )
-@click.option("--plot", type=FOLDER, help="Folder for pictures (PNG and SVG).")
+@click.option("--plot", type=FOLDER, help="Folder for pictures (PNG, SVG and PDF).")
 @click.option(
     "--integrator",
     type=click.Choice(["auto", "taylor", "scipy", "implicit"]),
@@ -54,6 +55,14 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Run the exported C code as the controller; needs [implementation] and a C compiler.",
 )
+@click.option("--show", "in_window", is_flag=True, help="Show the pictures in a window.")
+@click.option(
+    "--certify",
+    "with_bound",
+    is_flag=True,
+    help="Certify first, and draw the bound and the tube beside the error.",
+)
+@picture_options
 @json_option
 def simulate(
     file: str,
@@ -66,6 +75,9 @@ def simulate(
     corner: int | None,
     seed: int | None,
     with_c: bool,
+    in_window: bool,
+    with_bound: bool,
+    appearance: Appearance,
     as_json: bool,
 ) -> None:
     """Simulate one run and print its metrics.
@@ -83,6 +95,8 @@ def simulate(
         raise click.UsageError("--seed needs --member or --corner", click.get_current_context())
     if member is not None and corner is not None:
         raise click.UsageError("--member or --corner, not both", click.get_current_context())
+    if with_bound and plot is None and not in_window:
+        raise click.UsageError("--certify needs --plot or --show", click.get_current_context())
     system = load(file)
     if member is not None:
         from certrack.studies.ensembles.members import member as member_of
@@ -108,7 +122,9 @@ def simulate(
             run, controller = Simulator(system).run(progress=advance), {"controller": "python"}
     if out is not None:
         run.save(out, samples)
-    pictures = [] if plot is None else draw({Path(file).stem: run}, plot, system.title)
+    runs = {Path(file).stem: run}
+    certified = certified_runs({Path(file).stem: system}) if with_bound else None
+    pictures = [] if plot is None else draw(runs, plot, system.title, appearance, certified)
     summary = run.summary()
     if as_json:
         click.echo(report.to_json(summary | controller))
@@ -124,14 +140,29 @@ def simulate(
             )
     tell_written(as_json, *([] if out is None else [out]))
     tell_written(as_json, *pictures)
+    if in_window:
+        show_runs(runs, system.title, appearance, certified)
     diagnose(run)
 
 
 @click.command()
 @click.argument("files", nargs=-1, required=True)
-@click.option("--plot", type=FOLDER, help="Folder for pictures (PNG and SVG).")
+@click.option("--plot", type=FOLDER, help="Folder for pictures (PNG, SVG and PDF).")
+@click.option(
+    "--certify",
+    "with_bound",
+    is_flag=True,
+    help="Certify first, and draw the bounds and the tubes beside the errors.",
+)
+@picture_options
 @json_option
-def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
+def compare(
+    files: tuple[str, ...],
+    plot: Path | None,
+    with_bound: bool,
+    appearance: Appearance,
+    as_json: bool,
+) -> None:
     """Simulate several systems and print their metrics side by side.
 
     \b
@@ -141,11 +172,14 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
     from certrack.simulation.simulator import simulate as run_system
     from certrack.systems.reader import load
 
+    if with_bound and plot is None:
+        raise click.UsageError("--certify needs --plot", click.get_current_context())
     systems = {file: load(file) for file in files}
     for file, system in systems.items():
         note_contradictions(system, file)
     runs = {file: run_system(system) for file, system in systems.items()}
-    pictures = [] if plot is None else draw(runs, plot, "")
+    certified = certified_runs(systems) if with_bound else None
+    pictures = [] if plot is None else draw(runs, plot, "", appearance, certified)
     summaries = {file: run.summary() for file, run in runs.items()}
     if as_json:
         click.echo(report.to_json(summaries))
@@ -198,6 +232,7 @@ def compare(files: tuple[str, ...], plot: Path | None, as_json: bool) -> None:
     multiple=True,
     help="Save the full run of this member in --out; may be repeated.",
 )
+@picture_options
 @json_option
 def ensemble(
     file: str,
@@ -209,6 +244,7 @@ def ensemble(
     threads: int | None,
     cluster: str | None,
     keep: tuple[int, ...],
+    appearance: Appearance,
     as_json: bool,
 ) -> None:
     """Simulate many random members: plants, starts and disturbances.
@@ -260,7 +296,7 @@ def ensemble(
             click.echo(f"certrack: {out} keeps what is done; the same command goes on", err=True)
         raise
     summary = result.summary()
-    written = [] if out is None else _save_ensemble(result, summary, out, keep)
+    written = [] if out is None else _save_ensemble(result, summary, out, keep, appearance)
     if as_json:
         click.echo(report.to_json(summary))
     else:
@@ -271,7 +307,11 @@ def ensemble(
 
 
 def _save_ensemble(
-    ensemble: Ensemble, summary: dict[str, Any], out: Path, keep: tuple[int, ...]
+    ensemble: Ensemble,
+    summary: dict[str, Any],
+    out: Path,
+    keep: tuple[int, ...],
+    appearance: Appearance,
 ) -> list[Path]:
     """Bands, summary, pictures and chosen members; returns the paths."""
     from certrack import plotting
@@ -281,7 +321,7 @@ def _save_ensemble(
     paths = [out / "bands.nc", out / "summary.json"]
     write_netcdf(paths[0], ensemble.dataset())
     write_text(paths[1], report.to_json(summary) + "\n")
-    for name, figure in plotting.ensemble_figures(ensemble).items():
+    for name, figure in plotting.ensemble_figures(ensemble, appearance).items():
         paths += plotting.save_figure(figure, out, name)
     for index in keep:
         paths.append(out / f"member-{index}.nc")

@@ -6,14 +6,23 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from certrack.certificates.implemented.certify import INACTIVE, MAY_ACT, ImplementedCertificate
+from certrack.certificates.implemented.certify import (
+    INACTIVE,
+    MAY_ACT,
+    NO_LIMITS,
+    ImplementedCertificate,
+)
 from certrack.core.rounding import rounded_down, rounded_up
 
-#: For which starts a bound is proven, in words; for all if it is not here.
-FOR_STARTS = {
-    "x0": ", from x0 and the proven polytope",
-    "box": ", from x0 and the ensemble's box",
-}
+
+def _for_starts(sampled: ImplementedCertificate) -> str:
+    """For which starts a bound is proven, in words; nothing for all."""
+    if sampled.starts == "x0":
+        return ", from x0" + (" and the proven polytope" if sampled.polytope is not None else "")
+    if sampled.starts == "box":
+        whose = "proven box of starts" if sampled.saturation == NO_LIMITS else "ensemble's box"
+        return f", from x0 and the {whose}"
+    return ""
 
 
 def implemented_summary(sampled: ImplementedCertificate) -> dict[str, Any]:
@@ -53,7 +62,7 @@ def implemented_notes(sampled: ImplementedCertificate, digits: int) -> list[str]
     )
     ship = (
         f"ship with implemented: limsup |e_1| <= {bound} holds for the sampled loop, between its "
-        f"samples too{FOR_STARTS.get(sampled.starts, '')}; the others speak of the continuous law"
+        f"samples too{_for_starts(sampled)}; the others speak of the continuous law"
     )
     if not sampled.verified:
         ship = (
@@ -76,11 +85,12 @@ def _margin_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
     margins = sampled.margins
     if margins is None:
         return []
-    slow = f"{margins.slowest:g} s" + (" and more" if margins.slower_untried else "")
-    fast = f"{margins.fastest:g} s" + (" and less" if margins.faster_untried else "")
+    slow = "slowest tried" if margins.slower_untried else "slowest"
+    fast = "fastest tried" if margins.faster_untried else "fastest"
     return [
-        f"as implemented, sampling margins: proven within twice the bound "
-        f"({rounded_up(margins.bound, digits)}) at periods of {slow} (slowest) and {fast} (fastest)"
+        "as implemented, sampling margins: in the long run also proven, within "
+        f"{rounded_up(margins.bound, digits)}, at a period of {margins.slowest:g} s ({slow}) and "
+        f"of {margins.fastest:g} s ({fast})"
     ]
 
 
@@ -97,15 +107,22 @@ def _start_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
             f"{_listed(states)}{limits.get(sampled.saturation, '')}"
         )
     if polytope is not None:
-        if polytope.is_region:
+        if sampled.saturation == NO_LIMITS:
+            proven = " x ".join(_ends(*pair) for pair in polytope.region)
+            lines.append(f"largest box of starts that is proven, for any reference: {proven}")
+        elif polytope.is_region:
             lines.append("no limit of the input is met from any start of the ensemble's box")
         elif (box := polytope.largest_box()) is not None:
-            ends = (f"[{-float(rounded_down(-a, 4)):g}, {rounded_down(b, 4)}]" for a, b in box)
+            ends = (_ends(*pair) for pair in box)
             lines.append(
                 "no limit of the input is met from starts in the proven polytope, whose largest "
                 f"box is {' x '.join(ends)}; from elsewhere they may be met"
             )
     return lines
+
+
+def _ends(low: float, high: float) -> str:
+    return f"[{-float(rounded_down(-low, 4)):g}, {rounded_down(high, 4)}]"
 
 
 def _listed(states: Sequence[str]) -> str:

@@ -43,6 +43,7 @@ KIND_WORDS = {
     "rows": "list of lists of numbers",
     "text": "text",
     "texts": "list of texts",
+    "weights": "{error, input}: numbers, error also a list",
 }
 
 #: Kinds whose texts are formulas of the plant's constants that give numbers: one, lists, tables.
@@ -51,7 +52,7 @@ LISTS = (
     *("distributions", "interval", "intervals", "metric"),
     *("number or numbers", "numbers", "rows"),
 )
-BY_NAME = ("distributions by name",)
+BY_NAME = ("distributions by name", "weights")
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,9 @@ from certrack.core.lowering import numpy_callable, rows
 from certrack.export.program import ControllerProgram
 from certrack.export.undecided import undecided_jumps
 from certrack.integrators.sampled.maps import SampledMaps, Scalar
-from certrack.loops.controller import COMMAND, FIRST, SAMPLE_NUMBER, controller_values
-from certrack.loops.sampled import SampledLoop, resolved
+from certrack.loops.controller import COMMAND, FIRST, SAMPLE_NUMBER, resolved
+from certrack.loops.controller_values import controller_values
+from certrack.loops.sampled import SampledLoop
 from certrack.simulation.sampled import SampledSimulator
 from certrack.systems.system import System
 

@@ -19,7 +19,9 @@ from certrack.core.expressions import TIME, symbol
 from certrack.core.kinks import fold_minmax
 from certrack.core.printing import MAX_FACTORS
 from certrack.core.select import larger, magnitude, smaller
+from certrack.export.step_notes import note_before_the_law
 from certrack.laws.base import Equations
+from certrack.laws.observer import DOB
 from certrack.laws.signals import Signals
 from certrack.loops.controller import (
     COMMAND,
@@ -27,27 +29,26 @@ from certrack.loops.controller import (
     PERIOD,
     SAMPLE_TIME,
     SampledController,
-    controller_values,
-    differenced,
     forgetting_rates,
     next_estimates,
     sampled_controller,
     starting_state,
 )
+from certrack.loops.controller_values import controller_values
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System, require_system
 
 E_N, NU, UBAR, DRIFT, CUT = (symbol(f"ctl_{name}") for name in ("e_n", "nu", "ubar", "h", "cut"))
 
 #: Gains that are printed as numbers in the linear forms e_n and nu; all others are named.
-LINEAR_FORM_GAINS = ("A_n", "B_n", "nu_x", "nu_Y", "sign_g")
+LINEAR_FORM_GAINS = ("A_n", "B_n", "A_n0", "nu_x", "nu_Y", "nu_0", "sign_g")
 
 #: Those of them that are no parameters at run time either.
 FIXED_GAINS = ("sign_g",)
 
 #: What whoever tunes by hand must know of these forms.
 DERIVED_NUMBERS = (
-    "numbers made from c, k, p, chain, linear: change the system file and export again"
+    "numbers made from the gains, chain and linear: change the system file and export again"
 )
 
 NOTES = {
@@ -145,6 +146,9 @@ def unread_states(system: System) -> dict[str, str]:
     """States whose measurement the controller does not read, and what to say of each."""
     implementation, states = system.implementation, system.plant.states
     velocity = () if implementation is None else implementation.velocity
+    observer = system.law.observer
+    if observer is not None and observer.kind != DOB:
+        return {name: "not read; estimated" for name in states if name in velocity}
     return {
         name: f"not read; computed from {before}"
         for before, name in pairwise(states)
@@ -180,16 +184,13 @@ def controller_program(system: System, *, parameters: bool = False) -> Controlle
     printed = FIXED_GAINS if parameters else LINEAR_FORM_GAINS
     unnamed = _unnamed_numbers(system, controller, values, printed)
     parts, equations = _named_parts(system)
-    x = {
-        name: differenced(name.name)
-        for name in plant.symbols
-        if name.name in implementation.velocity
-    }
+    x = dict(controller.values)
     x[TIME] = SAMPLE_TIME
     rates, update = _update(controller, implementation, equations, x)
     rates = _printable(rates, unnamed, "r")
     update = tuple(formula.xreplace(unnamed) for formula in update)
-    steps = _steps(controller, [*parts, Step(LAW_INPUT, equations.u, NOTES[LAW_INPUT])], x, unnamed)
+    law = Step(LAW_INPUT, equations.u + controller.compensation, NOTES[LAW_INPUT])
+    steps = _steps(controller, [*parts, law], x, unnamed)
     needed = {COMMAND}.union(*(f.free_symbols for f in (*update, *(r.formula for r in rates))))
     steps = _without_unused(steps, needed)
     if parameters:
@@ -226,7 +227,7 @@ def _steps(
     controller: SampledController, law: Sequence[Step], x: Replacements, unnamed: Replacements
 ) -> list[Step]:
     """From the inputs to the command, by the law's own steps."""
-    before = [Step(*step, _velocity_note(step[0])) for step in controller.steps[:-2]]
+    before = [Step(*step, note_before_the_law(step[0])) for step in controller.steps[:-2]]
     within = [replace(step, formula=step.formula.xreplace(x)) for step in law]
     command = controller.steps[-1][1]
     if command == LAW_INPUT:  # without limits
@@ -263,7 +264,7 @@ def _named_parts(system: System) -> tuple[list[Step], Equations]:
     """Parts of the law by their names, and the law in these names."""
     plant, controller = system.plant, system.controller
     exact = controller.signals
-    named = Signals(plant, exact.q)
+    named = Signals(plant, exact.q, integral=system.law.integral is not None)
     named.e_n, named.nu = E_N, NU
     named.phi = tuple(symbol(f"ctl_phi_{i + 1}") for i in range(plant.r))
     equations = system.law.normal_equations(named)
@@ -297,14 +298,6 @@ def _without_unused(steps: Sequence[Step], needed: set[sympy.Symbol]) -> list[St
 
 def _all_parts(equations: Equations) -> list[sympy.Expr]:
     return [equations.u, *(part for pair in equations.update for part in pair)]
-
-
-def _velocity_note(name: sympy.Symbol) -> str:
-    if name == SAMPLE_TIME:
-        return "time of the sample, s"
-    if name.name.startswith("ctl_filtered_"):
-        return "filtered difference of the state before it"
-    return "not measured: (difference - sum_j b_ij x_j)/g_i"
 
 
 def _unnamed_numbers(

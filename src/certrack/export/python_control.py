@@ -23,12 +23,13 @@ from certrack.integrators.sampled.events import event_timeline
 from certrack.integrators.sampled.run import SampledProblem, SampledRun, sensed
 from certrack.loops.controller import (
     SampledController,
-    controller_values,
+    resolved,
     sampled_controller,
     starting_state,
 )
+from certrack.loops.controller_values import controller_values
 from certrack.loops.plant import INPUT, plant_values, simulated_plant
-from certrack.loops.sampled import loop_values, resolved
+from certrack.loops.sampled import loop_values
 from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.sampled import SampledSimulator

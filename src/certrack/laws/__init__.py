@@ -13,6 +13,8 @@ from certrack.laws.adaptive import Adaptive
 from certrack.laws.base import Controller, Equations, Law, gain, theta_metric, theta_vector
 from certrack.laws.classic import Classic
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
+from certrack.laws.linear import Linear
+from certrack.laws.lqr import LqrWeights
 from certrack.laws.numbers import metric, vector
 from certrack.laws.registry import LAWS, known_laws
 from certrack.laws.registry import register_law as register
@@ -32,6 +34,8 @@ __all__ = [
     "InputError",
     "KnownParameters",
     "Law",
+    "Linear",
+    "LqrWeights",
     "OwnErrors",
     "Plant",
     "Robust",

@@ -43,12 +43,15 @@ class Gains:
         Damping of the reference derivative that is not fed forward.
     coupling : float > 0, optional
         rho of the balanced recursion (:mod:`certrack.laws.balanced`); the paper's if left out.
+    integral : float > 0, optional
+        c_0 of integral action (:mod:`certrack.laws.integral`); none if left out.
     """
 
     c: tuple[float, ...]
     k: tuple[tuple[float, ...], ...] | None = None
     p: tuple[float, ...] | None = None
     coupling: float | None = None
+    integral: float | None = None
 
     def __post_init__(self) -> None:
         c = checks.reals("law.c", self.c, None, "c_1 ... c_n", above=0)
@@ -72,6 +75,15 @@ class Gains:
                     self.coupling,
                     "Leave out k and p, or coupling",
                 )
+        if self.integral is not None:
+            set_fields(self, integral=checks.real("law.integral", self.integral, above=0))
+            if not self.is_lean:
+                raise InputError(
+                    "law.integral",
+                    "needs k and p to be inf: the recursion has a step more, without damping",
+                    self.integral,
+                    "Leave out k and p, or integral",
+                )
 
     @property
     def is_lean(self) -> bool:
@@ -83,6 +95,27 @@ class Gains:
     def n(self) -> int:
         """Order of the plant that the gains are for."""
         return len(self.c)
+
+
+@dataclass(frozen=True)
+class IntegralPart:
+    """What the integral of the error adds; see :mod:`certrack.laws.integral`.
+
+    Attributes
+    ----------
+    gain : c_0, 1/s
+    column : (n,) array
+        Of e_1 ... e_n by e_0.
+    nu : number
+        Of nu by e_0.
+    error_matrix : (n + 1, n + 1) array
+        Of e_0 ... e_n.
+    """
+
+    gain: Any
+    column: np.ndarray
+    nu: Any
+    error_matrix: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -106,6 +139,8 @@ class ErrorCoordinates:
         without theta_hat.
     weights : (n,) array, optional
         s_1 ... s_n of the balanced recursion; 1 if left out.
+    integral : IntegralPart, optional
+        Of a law with integral action; then e has a column more and nu a term more.
     """
 
     A: np.ndarray
@@ -117,11 +152,12 @@ class ErrorCoordinates:
     nu_x: np.ndarray
     nu_Y: np.ndarray
     weights: np.ndarray | None = None
+    integral: IntegralPart | None = None
 
     @property
     def n(self) -> int:
         """Order of the plant."""
-        return len(self.c)
+        return len(self.A)
 
     @property
     def q(self) -> int:
@@ -151,13 +187,20 @@ class ErrorCoordinates:
 
         It is what the open-loop rates [7], [11], [16] and, for e_n, [21] become with the virtual
         controls and the law in them. Balanced: V = sum s_i^2 e_i^2/2, and -g_{i} (s_i/s_{i+1})^2
-        below the diagonal.
+        below the diagonal. With integral action, that of e_0 ... e_n.
         """
+        if self.integral is not None:
+            return self.integral.error_matrix
         below = self.g
         if self.weights is not None:
             below = below * (self.weights[:-1] / self.weights[1:]) ** 2
         skew = np.diag(self.g, 1) - np.diag(below, -1)
         return skew - np.diag(self.c + self.kappa)
+
+    @property
+    def input_feedback(self) -> np.ndarray:
+        """k of v = -k e, what the last row has beside the terms that cancel in V'."""
+        return np.append(np.zeros(self.n - 1), -self.error_matrix[-1, -1])
 
     @cached_property
     def poles(self) -> np.ndarray:

@@ -22,6 +22,8 @@ from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.supported import check_symbols, normal_form
 from certrack.laws.backstepping import ErrorCoordinates, Gains
 from certrack.laws.error_system import ErrorSystem
+from certrack.laws.integral import INTEGRAL
+from certrack.laws.observer import Observer
 from certrack.laws.recursion import recursion
 from certrack.laws.signals import Signals
 from certrack.model.names import NUMBER_PREFIXES
@@ -82,6 +84,8 @@ class Controller:
         Values of :attr:`symbols`.
     start : tuple of float
         Initial values of :attr:`states`, as the law states them.
+    law : Law, optional
+        Whose it is.
     """
 
     equations: Equations
@@ -89,6 +93,7 @@ class Controller:
     coordinates: ErrorCoordinates
     values: np.ndarray
     start: tuple[float, ...] = ()
+    law: Law | None = None
 
     @property
     def states(self) -> tuple[sympy.Symbol, ...]:
@@ -124,7 +129,7 @@ class Law(ABC):
        into them;
     4. return from :meth:`parameters` a number, or an array of the shape asked for, for each of
        these names, and raise DesignError where the plant does not tell what the law must know. The
-       names A_n, B_n, nu_x, nu_Y and sign_g are taken;
+       names A_n, B_n, nu_x, nu_Y, A_n0, nu_0 and sign_g are taken;
     5. pass ``certrack.testing.LawConformance``.
 
     Optional: another feed-forward order (:meth:`order`); a reason in `no_certificate`; initial
@@ -146,6 +151,15 @@ class Law(ABC):
         q, how many derivatives of y_d the virtual controls use; needs q + 1 bounded derivatives.
     coupling : float > 0, optional
         rho of :mod:`certrack.laws.balanced`; the paper's recursion if left out.
+    sampled_feedforward : bool
+        Whether a sampled controller multiplies y_d ... y_d^(q) by what its own loop needs: hold,
+        delay and filters then leave no error of a reference that is a polynomial, and q may exceed
+        n - 1. For laws and plants that are linear.
+    integral : float > 0, optional, 1/s
+        c_0 of integral action (:mod:`certrack.laws.integral`): e_0, the integral of x_1 - y_d, is
+        an own state of the law, the last one.
+    observer : Observer, optional
+        What a sampled controller estimates, and gives to the law instead of filtered differences.
     """
 
     kind: ClassVar[str]
@@ -192,14 +206,33 @@ class Law(ABC):
         above=0,
         otherwise="the paper's recursion",
     )
+    sampled_feedforward: bool = keyed(
+        "flag",
+        False,
+        help="feed-forward of the loop as sampled, delayed and filtered; q may then exceed n-1",
+    )
+    integral: float | None = keyed(
+        "number",
+        None,
+        help="c_0 of integral action: the recursion begins with the integral of the error",
+        unit="1/s",
+        above=0,
+        otherwise="none",
+    )
+    observer: Observer | None = None
 
     def __post_init__(self) -> None:
-        gains = Gains(self.c, self.k, self.p, self.coupling)
+        gains = self.gains()
         values: dict[str, Any] = {"c": gains.c}
         values |= {"k": gains.k} if self.k is not None else {}
         values |= {"p": gains.p} if self.p is not None else {}
         set_fields(self, **values)
         check_fields(self, "law", *(name for name in keys_of(self) if name not in ("c", "k", "p")))
+        self._check_observer()
+
+    def _check_observer(self) -> None:
+        if not isinstance(self.observer, Observer | None):
+            raise InputError("law.observer", "must be an Observer", self.observer)
 
     @abstractmethod
     def equations(self, s: Signals) -> Equations:
@@ -231,17 +264,22 @@ class Law(ABC):
         """Initial values of the law's own states, by name; zero for those that are left out."""
         return {}
 
+    def settled(self, plant: Plant) -> Law:
+        """The law with every number stated that it computes for `plant`: what a proof names."""
+        return self
+
     def order(self, plant: Plant) -> int:
         """Feed-forward order q on this plant, 0 <= q <= n - 1; y_d needs q + 1 derivatives."""
         return self.feedforward
 
     def gains(self) -> Gains:
         """Gains of the recursion."""
-        return Gains(self.c, self.k, self.p, self.coupling)
+        return Gains(self.c, self.k, self.p, self.coupling, self.integral)
 
     def coordinates(self, plant: Plant) -> ErrorCoordinates:
         """Carry out the recursion for `plant`."""
-        return recursion(plant.g, plant.b, self.gains(), self.order(plant))
+        q = self.order(plant)
+        return recursion(plant.g, plant.b, self.gains(), q, beyond=self.sampled_feedforward)
 
     def values(self, plant: Plant, names: Sequence[str]) -> np.ndarray:
         """Numbers for the named gains, flattened; all a sweep over gains has to recompute."""
@@ -255,6 +293,7 @@ class Law(ABC):
             "B_n": coordinates.B[-1],
             "nu_x": coordinates.nu_x,
             "nu_Y": coordinates.nu_Y,
+            **_of_integral(coordinates),
             "sign_g": plant.gain_sign,
             **self.parameters(plant),
         }
@@ -274,7 +313,7 @@ class Law(ABC):
             If no such controller exists.
         """
         coordinates = self.coordinates(plant)
-        signals = Signals(plant, coordinates.q)
+        signals = Signals(plant, coordinates.q, integral=self.integral is not None)
         equations = self.normal_equations(signals)
         names = tuple(z.name for z, _ in equations.update)
         _check_own_states(names, (*plant.states, *plant.constant_values))
@@ -294,7 +333,7 @@ class Law(ABC):
             raise InputError("law.initial_states", "names no state of the law", ", ".join(foreign))
         values = self._values(coordinates, plant, list(signals.all_parameters))
         start = tuple(stated.get(name, 0.0) for name in names)
-        return Controller(equations, signals, coordinates, values, start)
+        return Controller(equations, signals, coordinates, values, start, self)
 
     def normal_equations(self, s: Signals) -> Equations:
         """The equations in the one form that is compiled, printed and exported.
@@ -307,22 +346,30 @@ class Law(ABC):
         equations = self.equations(s)
         if not isinstance(equations, Equations):
             raise InputError("law", "equations must return Equations", equations)
-        for z, _ in equations.update:
+        names = [z for z, _ in equations.update]
+        for i, z in enumerate(names):
             if z != symbol(str(z)):
                 raise InputError("law", "own states must be made by certrack.laws.symbol", z)
+            if z in names[:i]:
+                raise InputError("law", "has a state of this name already", z, "Rename it")
         normal = {name: normal_form("law", name, f) for name, f in equations.formulas.items()}
         u, *rates = normal.values()
-        names = [z for z, _ in equations.update]
-        return Equations(u, tuple(zip(names, rates, strict=True)), tuple(equations.filters))
+        update = tuple(zip(names, rates, strict=True))
+        if self.integral is not None:
+            update = (*update, (INTEGRAL, s.x[0] - s.Y[0]))
+        return Equations(u, update, tuple(equations.filters))
+
+
+def _of_integral(coordinates: ErrorCoordinates) -> dict[str, Any]:
+    part = coordinates.integral
+    return {} if part is None else {"A_n0": part.column[-1], "nu_0": part.nu}
 
 
 def _check_own_states(names: Sequence[str], used: Collection[str]) -> None:
     """Refuse names of own states that stand for something else already."""
-    seen = set(used)
     for name in names:
         check_name("law", name)
         if name.startswith(NUMBER_PREFIXES):
             raise InputError("law", "names of own states must not begin so", name, "Rename it")
-        if name in seen:
+        if name in used:
             raise InputError("law", "has a state of this name already", name, "Rename it")
-        seen.add(name)

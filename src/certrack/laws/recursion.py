@@ -8,9 +8,13 @@ from certrack.core import checks
 from certrack.core.errors import DesignError, InputError
 from certrack.laws.backstepping import ErrorCoordinates, Gains, carry_out, is_moderate
 from certrack.laws.balanced import balanced, balancing_weights
+from certrack.laws.integral import longer_chain, of_the_plant
+from certrack.model.plant import MAX_ORDER
 
 
-def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCoordinates:
+def recursion(
+    g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0, *, beyond: bool = False
+) -> ErrorCoordinates:
     """Carry out the recursion in O(n^3).
 
     Parameters
@@ -22,6 +26,8 @@ def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCo
     gains : Gains
     q : int
         Feed-forward order, 0 <= q <= n-1.
+    beyond : bool
+        Whether q may be larger: the recursion has no use for the others, a sampled loop has.
 
     Returns
     -------
@@ -37,13 +43,17 @@ def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCo
     n = len(g) + 1
     if gains.n != n:
         raise InputError("law.c", f"must be a list of {n}: c_1 ... c_n", list(gains.c))
-    q = checks.integer("law.feedforward", q, 0, n - 1)
+    q = checks.integer("law.feedforward", q, 0, MAX_ORDER - 1 if beyond else n - 1)
     assert gains.k is not None and gains.p is not None
-    g, c = np.asarray(g, float), np.array(gains.c)
+    g, c, b = np.asarray(g, float), np.array(gains.c), np.asarray(b, float)
+    k, p = gains.k, gains.p
+    if gains.integral is not None:
+        g, b, c = longer_chain(g, b, c, gains.integral)
+        k, p, q = tuple((np.inf,) * (2 * m) for m in range(1, n + 2)), (np.inf,) * n, q + 1
     with np.errstate(over="ignore", invalid="ignore"):
         if gains.coupling is None:
-            weights = [(0.25 / np.array(row)).reshape(-1, 2).sum(axis=1) for row in gains.k]
-            design = carry_out(g, b, c, weights, 0.25 / np.array(gains.p), q)
+            weights = [(0.25 / np.array(row)).reshape(-1, 2).sum(axis=1) for row in k]
+            design = carry_out(g, b, c, weights, 0.25 / np.array(p), q)
         else:
             design = balanced(g, b, c, q, balancing_weights(g, c, gains.coupling))
     if not is_moderate(design):
@@ -57,4 +67,4 @@ def recursion(g: np.ndarray, b: np.ndarray, gains: Gains, q: int = 0) -> ErrorCo
             f"the damping overflows at step {step} of {n}: each step squares it",
             remedy="Raise k and p, or leave them out (a lean design)",
         )
-    return design
+    return design if gains.integral is None else of_the_plant(design)

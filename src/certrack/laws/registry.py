@@ -12,9 +12,10 @@ from certrack.core.keys import keys_of
 from certrack.laws.adaptive import Adaptive
 from certrack.laws.base import Law
 from certrack.laws.classic import Classic
+from certrack.laws.linear import Linear
 from certrack.laws.robust import Robust
 
-LAWS: dict[str, type[Law]] = {law.kind: law for law in (Adaptive, Robust, Classic)}
+LAWS: dict[str, type[Law]] = {law.kind: law for law in (Adaptive, Robust, Linear, Classic)}
 
 _L = TypeVar("_L", bound=type[Law])
 

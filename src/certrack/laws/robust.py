@@ -31,16 +31,23 @@ class Robust(Law):
         return KnownParameters(s.parameter("g_n"), s.parameters("theta", s.r))
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
-        if plant.input_gain is None:
-            raise DesignError(
-                "plant.input_gain", "the robust law must know g_n", remedy=_REMEDY_FOR_UNKNOWN
-            )
+        g_n = self.known_gain(plant)
         if plant.theta is None and plant.r:
             raise DesignError(
-                "plant.theta", "the robust law must know theta", remedy=_REMEDY_FOR_UNKNOWN
+                "plant.theta", f"the {self.kind} law must know theta", remedy=_REMEDY_FOR_UNKNOWN
             )
         theta = [float_of(value.expr) for value in plant.theta or ()]
-        return {"g_n": float_of(plant.input_gain.expr), "theta": theta}
+        return {"g_n": g_n, "theta": theta}
+
+    def known_gain(self, plant: Plant) -> float:
+        """g_n, which the plant must state."""
+        if plant.input_gain is None:
+            raise DesignError(
+                "plant.input_gain",
+                f"the {self.kind} law must know g_n",
+                remedy=_REMEDY_FOR_UNKNOWN,
+            )
+        return float_of(plant.input_gain.expr)
 
 
 _REMEDY_FOR_UNKNOWN = 'State it, or use kind = "adaptive"'

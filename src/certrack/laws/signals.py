@@ -10,6 +10,7 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, symbol
+from certrack.laws.integral import INTEGRAL
 from certrack.model.plant import Plant
 
 
@@ -55,8 +56,13 @@ class Signals:
 
     t = TIME
 
-    def __init__(self, plant: Plant, q: int, *, short: bool = False) -> None:
-        """With `short`, e_n and nu stay symbols: for printing a law as the paper does."""
+    def __init__(
+        self, plant: Plant, q: int, *, short: bool = False, integral: bool = False
+    ) -> None:
+        """With `short`, e_n and nu stay symbols: for printing a law as the paper does.
+
+        With `integral` they contain the integral of the error, e_0.
+        """
         self.plant, self.q = plant, q
         self.x = _signal("s.x", plant.symbols)
         self.Y = _signal("s.Y", (symbol(f"y_d_{i}") for i in range(q + 2)))
@@ -68,6 +74,9 @@ class Signals:
         nu_y = self.parameters("nu_Y", q + 2)
         self.e_n = dot(a, self.x) - dot(b, self.Y[: q + 1])
         self.nu = dot(nu_x, self.x) + dot(nu_y, self.Y) - plant.drift.expr
+        if integral:
+            self.e_n += self.parameter("A_n0") * INTEGRAL
+            self.nu += self.parameter("nu_0") * INTEGRAL
         if short:
             self.e_n, self.nu = symbol("e_n"), symbol("nu")
         self.sign_g = self.parameter("sign_g")

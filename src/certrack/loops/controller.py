@@ -5,6 +5,7 @@ measured states m, the reference Y = (y_d ... y_d^(q+1)) and the controller's ow
 t_k:
 
     x_{i+1} = (v_i - sum_j b_ij x_j)/g_i        where not measured; v_i: filtered difference of x_i
+                                                or all by an observer (:mod:`~.observers`)
     u_law   = law(x, Y, estimates)
     u       = u_law, within the saturation and the rate limit
     z_{k+1} = z_k + W rate(x, Y, z_k)           estimates; only forgetting while u /= u_law
@@ -18,7 +19,6 @@ the estimates (the leak) into account exactly: W = L^-1 (exp(L T) - I) [exponent
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
@@ -26,15 +26,19 @@ import numpy as np
 import sympy
 
 from certrack.core.expressions import TIME, symbol
-from certrack.core.lowering import numpy_callable
 from certrack.core.select import Select, clamp, magnitude
-from certrack.laws.base import Controller, Law
+from certrack.laws.base import Controller
 from certrack.laws.leakage import leak_jacobian
+from certrack.laws.observer import DOB
+from certrack.loops.observers import INPUT_BEFORE, at_rest, estimation
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 
 #: Pairs (symbol, formula), to be computed in this order.
 Assignments = tuple[tuple[sympy.Symbol, sympy.Expr], ...]
+
+#: What is remembered, its next value, and the one before the first sample, as in `presets`.
+Memory = tuple[sympy.Symbol, sympy.Expr, sympy.Expr]
 
 #: The commanded input, and the one that the law asks for before any limit.
 COMMAND, LAW_INPUT = symbol("ctl_u"), symbol("ctl_u_law")
@@ -67,12 +71,19 @@ class SampledController:
     update : formulas, one per state
         Of everything above.
     parameters : symbols
-        Of :func:`controller_values`: gains, then numbers of the implementation.
+        Of :func:`~.controller_values.controller_values`: gains, then numbers of the implementation.
     gain_names : names of the law's gains
     hold : pairs (i, j)
         Entries of W that are not structurally zero, where it is not T I.
     leak : formulas
         Constant part of the Jacobian, row-major, of the gains.
+    presets : formulas, one per state
+        Over what is measured at the first sample and :data:`~.observers.INPUT_BEFORE`: with these
+        values before it the first sample is as any other. Zero for estimates.
+    values : pairs (symbol, formula)
+        What the law takes for states that it is not given as they are measured.
+    compensation : formula
+        What an observer adds to the law's input.
     """
 
     measured: tuple[sympy.Symbol, ...]
@@ -85,6 +96,9 @@ class SampledController:
     gain_names: tuple[str, ...]
     hold: tuple[tuple[int, int], ...]
     leak: tuple[sympy.Expr, ...]
+    presets: tuple[sympy.Expr, ...]
+    values: Assignments
+    compensation: sympy.Expr
 
     @property
     def numbers(self) -> tuple[sympy.Symbol, ...]:
@@ -112,17 +126,30 @@ def sampled_controller(
     """
     s = controller.signals
     steps: list[tuple[sympy.Symbol, sympy.Expr]] = []
-    memories: list[tuple[sympy.Symbol, sympy.Expr]] = []
+    memories: list[Memory] = []
     numbers = [PERIOD]
-    x = _state_values(plant, implementation, steps, memories, numbers)
+    law, compensation = controller.law, sympy.S.Zero
+    observer = None if law is None else law.observer
+    differenced = observer is None or observer.kind == DOB
+    x = _state_values(plant, implementation, steps, memories, numbers) if differenced else {}
+    if observer is not None:
+        assert law is not None
+        observed = estimation(plant, law, implementation, x, COMMAND, FIRST)
+        steps += observed.steps
+        memories += observed.memories
+        numbers += observed.numbers
+        x, compensation = x | observed.values, observed.compensation
+    if memories:
+        memories.append((FIRST, sympy.S.Zero, sympy.S.Zero))
+    values = tuple(x.items())
     if any(formula.has(TIME) for formula in controller.equations.formulas.values()):
         steps.append((SAMPLE_TIME, PERIOD * SAMPLE_NUMBER))
-        memories.append((SAMPLE_NUMBER, SAMPLE_NUMBER + 1))
+        memories.append((SAMPLE_NUMBER, SAMPLE_NUMBER + 1, sympy.S.Zero))
         x[TIME] = SAMPLE_TIME
-    steps.append((LAW_INPUT, controller.equations.u.xreplace(x)))
+    steps.append((LAW_INPUT, controller.equations.u.xreplace(x) + compensation))
     steps.append((COMMAND, _limited(implementation, numbers)))
     if implementation.rate_limit is not None:
-        memories.append((symbol("ctl_u_last"), COMMAND))
+        memories.append((symbol("ctl_u_last"), COMMAND, INPUT_BEFORE))
     estimates = controller.states
     rates = [rate.xreplace(x) for _, rate in controller.equations.update]
     leak = leak_jacobian(controller) if implementation.update == "exact_leak" else ()
@@ -138,13 +165,16 @@ def sampled_controller(
         measured=s.x,
         Y=s.Y,
         estimates=estimates,
-        states=(*estimates, *(name for name, _ in memories)),
+        states=(*estimates, *(name for name, _, _ in memories)),
         steps=tuple(steps),
-        update=(*after, *(formula for _, formula in memories)),
+        update=(*after, *(formula for _, formula, _ in memories)),
         parameters=(*controller.symbols, *constants, *numbers),
         gain_names=tuple(s.all_parameters),
         hold=hold,
         leak=leak,
+        presets=(*(sympy.S.Zero,) * len(estimates), *(before for _, _, before in memories)),
+        values=values,
+        compensation=compensation,
     )
 
 
@@ -214,19 +244,20 @@ def _state_values(
     plant: Plant,
     implementation: Implementation,
     steps: list[tuple[sympy.Symbol, sympy.Expr]],
-    memories: list[tuple[sympy.Symbol, sympy.Expr]],
+    memories: list[Memory],
     numbers: list[sympy.Symbol],
 ) -> dict[sympy.Symbol, sympy.Expr]:
     """What stands for a state that is not measured: its value by differences.
 
-    Adds to `steps` what is computed for it, to `memories` pairs of what is remembered and its next
-    value, to `numbers` the parameters.
+    Adds to `steps` what is computed for it, to `memories` what is remembered, to `numbers` the
+    parameters.
     """
     values: dict[sympy.Symbol, sympy.Expr] = {}
     if not implementation.velocity:
         return values
     x, pole = plant.symbols, symbol("ctl_filter")
     numbers.append(pole)
+    still = at_rest(plant, implementation.velocity)
     for i in range(1, plant.n):
         if plant.states[i] not in implementation.velocity:
             continue
@@ -239,9 +270,8 @@ def _state_values(
         row = [b.expr * values.get(x[j], x[j]) for j, b in enumerate(plant.linear[i - 1])]
         steps.append((filtered, speed + pole * (difference - speed)))
         steps.append((value, (filtered - sympy.Add(*row)) / plant.chain[i - 1].expr))
-        memories += [(before, position), (speed, filtered)]
+        memories += [(before, position, still[x[i - 1]]), (speed, filtered, sympy.S.Zero)]
         values[x[i]] = value
-    memories.append((FIRST, sympy.Integer(0)))
     return values
 
 
@@ -287,55 +317,6 @@ def _hold_entries(leak: tuple[sympy.Expr, ...], count: int) -> tuple[tuple[int, 
     return tuple((int(i), int(j)) for i, j in np.argwhere(reach))
 
 
-def controller_values(
-    controller: SampledController, plant: Plant, law: Law, implementation: Implementation
-) -> np.ndarray:
-    """Values of :attr:`SampledController.parameters`.
-
-    Parameters
-    ----------
-    controller : SampledController
-    plant : Plant
-    law : Law
-        Has the gains.
-    implementation : Implementation
-        Of the structure that the controller was made for.
-
-    Returns
-    -------
-    (P,) array
-    """
-    gains = law.values(plant, controller.gain_names)
-    T, filter_time = implementation.period, implementation.velocity_filter
-    known = {PERIOD: T}
-    known[symbol("ctl_filter")] = 1.0 - math.exp(-T / filter_time) if filter_time else 1.0
-    if implementation.rate_limit is not None:
-        known[symbol("ctl_u_step")] = implementation.rate_limit * T
-    if implementation.saturation is not None:
-        known[symbol("ctl_u_low")], known[symbol("ctl_u_high")] = implementation.saturation
-    if controller.hold:
-        weights = _hold_weights(controller, gains, T)
-        known |= {symbol(f"ctl_hold_{i}_{j}"): weights[i, j] for i, j in controller.hold}
-    for i, end in enumerate(end for box in implementation.projection or () for end in box):
-        known[symbol(f"ctl_box_{i}")] = end
-    constants = [float(value) for value in plant.constant_values.values()]
-    numbers = controller.parameters[len(gains) + len(constants) :]
-    return np.concatenate([gains, constants, [known[name] for name in numbers]])
-
-
-def _hold_weights(controller: SampledController, gains: np.ndarray, T: float) -> np.ndarray:
-    """W = L^-1 (exp(L T) - I), without dividing by L."""
-    from scipy.linalg import expm
-
-    count = len(controller.estimates)
-    names = controller.parameters[: len(gains)]
-    L = np.array(numpy_callable(names, controller.leak)(*gains), dtype=float).reshape(count, count)
-    block = np.zeros((2 * count, 2 * count))
-    block[:count, :count], block[:count, count:] = L * T, np.eye(count) * T
-    weights: np.ndarray = expm(block)[:count, count:]
-    return weights
-
-
 def starting_state(
     controller: SampledController, estimates: tuple[float, ...], implementation: Implementation
 ) -> np.ndarray:
@@ -355,6 +336,17 @@ def starting_state(
     """
     first_number = implementation.offset / implementation.period
     initial = {FIRST: 1.0, SAMPLE_NUMBER: first_number}
-    initial[symbol("ctl_u_last")] = implementation.initial_input
+    before = zip(controller.states, controller.presets, strict=True)
+    initial |= {
+        name: implementation.initial_input for name, preset in before if preset == INPUT_BEFORE
+    }
     memories = [initial.get(name, 0.0) for name in controller.states[len(controller.estimates) :]]
     return np.array([*estimates, *memories])
+
+
+def resolved(controller: SampledController) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
+    """The command and the next states as formulas without intermediate steps."""
+    known: dict[sympy.Symbol, sympy.Expr] = {}
+    for name, formula in controller.steps:
+        known[name] = formula.xreplace(known)
+    return known[COMMAND], tuple(formula.xreplace(known) for formula in controller.update)

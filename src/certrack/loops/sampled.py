@@ -18,11 +18,10 @@ from certrack.core.kinks import derivative
 from certrack.core.select import STEP_LENGTH
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.controller import (
-    COMMAND,
     SampledController,
-    controller_values,
     sampled_controller,
 )
+from certrack.loops.controller_values import controller_values
 from certrack.loops.plant import INPUT, SimulatedPlant, plant_values, simulated_plant
 from certrack.systems.system import System
 
@@ -171,11 +170,3 @@ def loop_values(loop: SampledLoop, system: System) -> np.ndarray:
     ):
         known |= dict(zip(names, values, strict=True))
     return np.array([known[name] for name in loop.parameters])
-
-
-def resolved(controller: SampledController) -> tuple[sympy.Expr, tuple[sympy.Expr, ...]]:
-    """The command and the next states as formulas without intermediate steps."""
-    known: dict[sympy.Symbol, sympy.Expr] = {}
-    for name, formula in controller.steps:
-        known[name] = formula.xreplace(known)
-    return known[COMMAND], tuple(formula.xreplace(known) for formula in controller.update)

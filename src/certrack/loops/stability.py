@@ -24,16 +24,16 @@ import sympy
 
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
-from certrack.core.select import Select
 from certrack.laws.base import Law
+from certrack.laws.integral import INTEGRAL
 from certrack.loops.controller import (
-    FIRST,
     SampledController,
-    controller_values,
+    resolved,
     sampled_controller,
 )
+from certrack.loops.controller_values import controller_values
+from certrack.loops.linear_controller import after_first_sample
 from certrack.loops.plant import INPUT, plant_values, simulated_plant
-from certrack.loops.sampled import resolved
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 
@@ -150,12 +150,14 @@ def linear_loop(system: System) -> LinearLoop | None:
         None also for a law with states of its own or the time in it, and without an implementation.
     """
     law = system.controller
-    if law.states or system.implementation is None or law.equations.u.has(TIME):
+    others = set(law.states) - {INTEGRAL}
+    if others or system.implementation is None or law.equations.u.has(TIME):
         return None
     implementation = Implementation(
         system.implementation.period,
         velocity=system.implementation.velocity,
         velocity_filter=system.implementation.velocity_filter,
+        counted_delay=system.implementation.design_delay,
     )
     system = system.replace(truth=replace(system.truth, omega=None), implementation=implementation)
 
@@ -165,7 +167,7 @@ def linear_loop(system: System) -> LinearLoop | None:
     controller = sampled_controller(system.plant, system.controller, implementation)
     command, update = resolved(controller)
     signals = (*controller.measured, *controller.states, *controller.Y)
-    slopes = [sympy.diff(_after_first_sample(f), v) for f in (command, *update) for v in signals]
+    slopes = [sympy.diff(after_first_sample(f), v) for f in (command, *update) for v in signals]
     if not (_only_of(table, plant.parameters) and _only_of(slopes, controller.parameters)):
         return None
     values = numpy_callable(plant.parameters, table)(*plant_values(plant, system))
@@ -195,12 +197,6 @@ def _reachable_subspace(A: np.ndarray, B: np.ndarray) -> np.ndarray:
             basis.append(direction / np.linalg.norm(direction))
             waiting.append(A @ basis[-1])
     return np.array(basis).reshape(-1, len(A)).T
-
-
-def _after_first_sample(formula: sympy.Expr) -> sympy.Expr:
-    """The formula from the second sample on."""
-    formula = formula.xreplace({FIRST: sympy.S.Zero})
-    return formula.replace(lambda f: isinstance(f, Select) and f.args[0] == 0, lambda f: f.args[3])
 
 
 def _only_of(table: list[sympy.Expr], parameters: tuple[sympy.Symbol, ...]) -> bool:

@@ -20,6 +20,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, Expression, parse
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.lowering import numpy_callable, rows
+from certrack.model.jitter import JITTER_PATTERNS, MAX_JITTER, RANDOM
 from certrack.model.plant import Plant
 
 UPDATES = ("euler", "exact_leak")
@@ -64,6 +65,14 @@ class Implementation:
     delay : float >= 0, or several, periods
         From a sample until its input acts; fractions and more than one period are possible. Of
         several a run has the first, and a certificate of the sampled loop covers each.
+    jitter : float, periods
+        Samples and inputs come up to so much earlier or later than they should, each by itself, and
+        a reference by the controller's clock. At most half of every delay: an input follows its
+        sample.
+    jitter_pattern : {"random", "alternating", "late"}
+        How they do in a run; a certificate covers all that are within the jitter.
+    counted_delay : float >= 0, optional, periods
+        The delay that observers and sampled feed-forward count on; the one of a run if left out.
     saturation : (low, high), optional
         Limits of the input.
     rate_limit : float > 0, optional
@@ -115,6 +124,29 @@ class Implementation:
         unit="periods",
         least=0,
         most=MAX_DELAY,
+    )
+    jitter: float = keyed(
+        "number",
+        0.0,
+        help="largest shift of a sample, and of an input, from its time; at most half the delay",
+        unit="periods",
+        least=0,
+        most=MAX_JITTER,
+    )
+    jitter_pattern: str = keyed(
+        "choice",
+        RANDOM,
+        help="how the shifts of a run go; proofs are of all",
+        choices=JITTER_PATTERNS,
+    )
+    counted_delay: float | None = keyed(
+        "number",
+        None,
+        help="the delay that observers and sampled feed-forward count on",
+        unit="periods",
+        least=0,
+        most=MAX_DELAY,
+        otherwise="that of a run",
     )
     saturation: tuple[float, float] | None = keyed(
         "interval",
@@ -213,6 +245,9 @@ class Implementation:
         if not 1 <= len(self.delays) <= MAX_DELAYS:
             count, wanted = len(self.delays), f"must be a number or a list of 1 to {MAX_DELAYS}"
             raise InputError("implementation.delay", wanted, f"a list of {count}")
+        if 2 * self.jitter > min(self.delays):
+            wanted = "must be at most half of every delay, for an input follows its sample"
+            raise InputError("implementation.jitter", wanted, self.jitter)
         for i, (noise, bound) in enumerate(
             zip(self.noise or (), self.noise_bound or (), strict=False)
         ):
@@ -276,6 +311,11 @@ class Implementation:
     def run_delay(self) -> float:
         """The delay of a run, periods: the first."""
         return self.delays[0]
+
+    @property
+    def design_delay(self) -> float:
+        """The delay that the controller counts on, periods."""
+        return self.run_delay if self.counted_delay is None else self.counted_delay
 
     def largest_noise(self, states: int) -> tuple[float, ...]:
         """The largest |noise| on each of the `states`; what noise_bound says, or zero.

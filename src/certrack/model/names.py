@@ -19,7 +19,12 @@ NUMBER_PREFIXES = (
 
 #: Names and beginnings of names that a closed loop gives to its own signals.
 LOOP_SIGNALS = ("u", "e", "nu", "time", "state", "parameter", "member")
-LOOP_PREFIXES = ("e_", "lambda_", "y_d", "delta_", "theta_", *NUMBER_PREFIXES)
+#: An ensemble gives its members' plants constants of its own, so it refuses its prefix itself.
+OF_ENSEMBLES = "member_"
+LOOP_PREFIXES = (
+    *("e_", "lambda_", "y_d", "delta_", "theta_"),
+    *(prefix for prefix in NUMBER_PREFIXES if prefix != OF_ENSEMBLES),
+)
 
 
 def new_name(key: str, name: Any, used: Iterable[str]) -> str:

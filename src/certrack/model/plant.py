@@ -197,7 +197,7 @@ class Plant:
             moved = self._moved(dict(self.constants))
             fixed = {k: v for k, v in self.constant_values.items() if k not in moved}
             try:
-                return Uncertainty.from_table(bounds, n, fixed)
+                return Uncertainty.from_table(bounds, self.states, fixed)
             except InputError as problem:
                 if not any(f"{name!r}" in problem.expected for name in moved):
                     raise
@@ -209,7 +209,7 @@ class Plant:
         for name in ("tau", "gamma", "beta"):
             values = getattr(bounds, name)
             checks.sequence(f"plant.uncertainty.{name}", values, n, "one number per state")
-        return bounds
+        return bounds.bound_to(self.states, self.constant_values)
 
     def _check_states(self) -> tuple[str, ...]:
         names = checks.sequence("plant.states", self.states, None, "names of x_1 ... x_n")

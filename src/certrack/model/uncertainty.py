@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from certrack.core import checks
 from certrack.core.errors import InputError
+from certrack.core.expressions import Expression
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
+from certrack.model.growth import (
+    BOUND_KEY,
+    GrowthInFloats,
+    bound_as_formula,
+    growing_bounds,
+    is_global,
+    smooth_size,
+)
 
 
 @dataclass(frozen=True)
@@ -30,6 +39,10 @@ class Uncertainty:
         Weights of the states in the norm of gamma: of all norms, or row k of that of w_k.
     constants_vary : bool
         Whether constants with a range may vary in time; otherwise they stand still.
+    bound : n formulas, optional
+        Where one is not empty it bounds |w_k|, in the place of gamma_k, beta_k and the row of
+        Delta, which must be zero there. The name of a state stands for its magnitude, ``norm`` for
+        ||S_k x||; it is proven to grow with all of them when a plant is made.
 
     Raises
     ------
@@ -77,6 +90,14 @@ class Uncertainty:
         False,
         help="whether constants with a range may vary in time",
     )
+    bound: tuple[Expression | str, ...] | None = keyed(
+        "formulas",
+        None,
+        help="of the states and norm, which stand for magnitudes: |w_k| is at most that, in the "
+        'place of gamma, beta and Delta; "" for these',
+        shape="one per state",
+        otherwise="none",
+    )
 
     def __post_init__(self) -> None:
         for name in ("tau", "gamma", "beta"):
@@ -90,11 +111,36 @@ class Uncertainty:
             if len(values) != len(self.tau):
                 wanted = f"must be a list of {len(self.tau)}, as many as tau"
                 raise InputError(f"plant.uncertainty.{name}", wanted, list(values))
+        if self.bound is not None:
+            set_fields(self, bound=self._check_bounds(self.bound))
+
+    def _check_bounds(self, bounds: Any) -> tuple[Expression | str, ...] | None:
+        """The formulas, of which only the plant knows the names; None if all are empty."""
+        n, shape = len(self.tau), keys_of(self)["bound"].shape
+        entries = checks.sequence(BOUND_KEY, bounds, n, f"{shape} (n = {n})")
+        for k, entry in enumerate(entries):
+            if entry == "":
+                continue
+            growth = self.Delta[k] if self.Delta is not None else ()
+            if self.gamma[k] or self.beta[k] or any(growth):
+                key = f"{BOUND_KEY}[{k}]"
+                what = f"must be all of the bound of w_{k + 1}"
+                remedy = f"Set gamma[{k}], beta[{k}] and the row of Delta to 0, or leave it empty"
+                raise InputError(key, what, getattr(entry, "text", entry), remedy)
+        return tuple(entries) if any(entry != "" for entry in entries) else None
+
+    def bound_to(self, states: Sequence[str], constants: Mapping[str, Any]) -> Uncertainty:
+        """These bounds with their formulas read, of the names of a plant."""
+        if self.bound is None:
+            return self
+        return replace(self, bound=growing_bounds(self.bound, states, constants))
 
     @classmethod
-    def from_table(cls, table: Any, n: int, constants: Mapping[str, Any]) -> Uncertainty:
+    def from_table(
+        cls, table: Any, states: Sequence[str], constants: Mapping[str, Any]
+    ) -> Uncertainty:
         """The bounds of a table ``{tau, gamma, beta ...}`` whose numbers may be formulas."""
-        keys = keys_of(cls)
+        keys, n = keys_of(cls), len(states)
         required = [name for name, key in keys.items() if key.required]
         checks.known_keys("plant.uncertainty", table, keys, required=required)
         values: dict[str, Any] = {
@@ -104,15 +150,35 @@ class Uncertainty:
             values |= {name: _weights(name, table[name], n, constants)} if name in table else {}
         if "constants_vary" in table:
             values["constants_vary"] = table["constants_vary"]
+        if "bound" in table:
+            entries = checks.sequence(
+                BOUND_KEY, table["bound"], n, f"{keys['bound'].shape} (n = {n})"
+            )
+            values["bound"] = growing_bounds(entries, states, constants)
         return cls(**values)
+
+    def formula(self, k: int) -> Expression | None:
+        """The formula that bounds w_k, if it has one."""
+        entry = "" if self.bound is None else self.bound[k]
+        return entry if isinstance(entry, Expression) else None
 
     def grows(self, k: int) -> bool:
         """Whether the bound of w_k grows with the state."""
+        formula = self.formula(k)
+        if formula is not None:
+            return bool(formula.expr.free_symbols)
         return self.gamma[k] > 0 or (self.Delta is not None and any(self.Delta[k]))
 
     def acts(self, k: int) -> bool:
         """Whether w_k may differ from zero."""
-        return self.grows(k) or self.beta[k] > 0
+        formula = self.formula(k)
+        return self.grows(k) or self.beta[k] > 0 or (formula is not None and formula.expr != 0)
+
+    @property
+    def is_regional(self) -> bool:
+        """Whether a bound of a w_k that acts grows faster than the state."""
+        formulas = ((t, self.formula(k)) for k, t in enumerate(self.tau))
+        return any(t and entry is not None and not is_global(entry) for t, entry in formulas)
 
     def norm_weights(self, k: int) -> tuple[float, ...]:
         """Diagonal of S_k."""
@@ -120,10 +186,14 @@ class Uncertainty:
             return (1.0,) * len(self.tau)
         return self.S[k] if isinstance(self.S[0], tuple) else self.S  # type: ignore[return-value]
 
-    def bound(self, k: int, x: np.ndarray) -> np.ndarray:
-        """The bound of w_k at states (n,) or (n, N)."""
+    def largest(self, k: int, x: np.ndarray, states: Sequence[str] = ()) -> np.ndarray:
+        """The bound of w_k at states (n,) or (n, N); of their names, where it is a formula."""
         weighted = (np.array(self.norm_weights(k)) * x.T).T
-        total: np.ndarray = self.gamma[k] * np.linalg.norm(weighted, axis=0) + self.beta[k]
+        norm = np.linalg.norm(weighted, axis=0)
+        formula = self.formula(k)
+        if formula is not None:
+            return GrowthInFloats(formula, states).value(x, norm)
+        total: np.ndarray = self.gamma[k] * norm + self.beta[k]
         return total if self.Delta is None else total + np.array(self.Delta[k]) @ np.abs(x)
 
     def bound_formula(self, k: int, states: Sequence[str], offset: float) -> str:
@@ -143,9 +213,12 @@ class Uncertainty:
             if weight
         ]
         norm = f"(sqrt({' + '.join(squares) or 0} + {offset**2!r}) - {offset!r})"
+        formula = self.formula(k)
+        if formula is not None:
+            return bound_as_formula(formula, states, norm, offset)
         parts = [f"{self.gamma[k]!r}*{norm}"] if self.gamma[k] else []
         for x, entry in zip(states, self.Delta[k] if self.Delta else (), strict=False):
-            parts += [f"{entry!r}*(sqrt({x}**2 + {offset**2!r}) - {offset!r})"] if entry else []
+            parts += [f"{entry!r}*{smooth_size(x, offset)}"] if entry else []
         parts += [repr(self.beta[k])] if self.beta[k] else []
         return " + ".join(parts) or "0"
 

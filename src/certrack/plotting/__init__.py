@@ -5,6 +5,7 @@ Figures are made without pyplot, so nothing global is touched and no window open
 legend names the runs, and a curve never gets the style of another one on the same axes.
 """
 
+from certrack.plotting.appearance import Appearance
 from certrack.plotting.certificates import certificates_figure
 from certrack.plotting.curves import Runs
 from certrack.plotting.ensembles import (
@@ -16,27 +17,26 @@ from certrack.plotting.ensembles import (
 from certrack.plotting.fronts import front_figure
 from certrack.plotting.main_picture import plot
 from certrack.plotting.margins import drift_figure, margin_figure
+from certrack.plotting.overviews import figure, overview, panels_for
 from certrack.plotting.references import reference_figure
 from certrack.plotting.runs import (
     PANELS,
     Panel,
-    figure,
-    overview,
-    panels_for,
     plot_error,
     plot_estimates,
     plot_input,
     plot_output,
     plot_states,
-    plot_tube,
-    tube_figure,
 )
 from certrack.plotting.shared import STYLE, save_figure, style
+from certrack.plotting.show import show
 from certrack.plotting.starts import starts_figure
+from certrack.plotting.tubes import plot_tube, tube_figure
 
 __all__ = [
     "PANELS",
     "STYLE",
+    "Appearance",
     "Panel",
     "Runs",
     "certificates_figure",
@@ -59,6 +59,7 @@ __all__ = [
     "plot_tube",
     "reference_figure",
     "save_figure",
+    "show",
     "starts_figure",
     "style",
     "tube_figure",

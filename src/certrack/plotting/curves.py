@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from certrack.plotting.shared import BLUE, plain
+from certrack.plotting.units import label_with_unit
 from certrack.simulation.run import Run
 
 #: Longer names of systems are cut in a legend, which has so many letters to an inch.
@@ -24,31 +25,48 @@ LINE_LETTERS = 8
 #: Runs by the name that the legend shows.
 Runs = Mapping[str, Run]
 
+#: The same of the shorter lines above axes.
+SHORT_LINE = 6
+
+#: Part of a figure's width that a row of axes takes, and the size of the letters counted above.
+SHARE_OF_ROW, LETTER_SIZE = 0.88, 8.0
+
 #: Marks the curves of runs among the lines of axes, so that no style is drawn twice.
 CURVE_MARK = "certrack-curve"
 
-#: How system after system is drawn over the others: line, width, and the share of white (of black
-#: where negative) that is mixed into the colour.
-LINE_STYLES = (("-", 2.4, 0.55), ("--", 1.2, 0.0), (":", 1.2, -0.45), ("-.", 0.8, -0.2))
+#: Marks what the legend shows of a signal of several runs.
+SIGNAL_MARK = "certrack-signal"
+
+#: Widths of the lines of design after design: the later ones lie above and are thinner, so that
+#: both are seen where they agree.
+WIDTHS = (2.0, 1.3, 0.9)
+
+#: Lines that tell the signals of several runs apart in a legend.
+NEUTRAL = "#404040"
+
+#: Lines, in the order in which they are used.
+LINES = ("-", "--", ":", "-.")
 
 
 def dashes(k: int) -> Any:
     """The k-th line of an endless row: solid, dashed, ..., then a dash and more and more dots."""
-    plain = [line for line, *_ in LINE_STYLES]
-    return plain[k] if k < len(plain) else (0, (6, 1.5, *(1, 1.5) * (k - len(plain) + 2)))
+    return LINES[k] if k < len(LINES) else (0, (6, 1.5, *(1, 1.5) * (k - len(LINES) + 2)))
 
 
-def line_style(color: Any, k: int) -> dict[str, Any]:
-    """How a signal of this colour is drawn for the k-th of several systems."""
-    _, width, light = LINE_STYLES[k % len(LINE_STYLES)]
-    end = 1.0 if light > 0 else 0.0
-    mixed = (1 - abs(light)) * np.array(to_rgb(color)) + abs(light) * end
-    return {"color": tuple(mixed.tolist()), "ls": dashes(k), "lw": width}
+def design_style(k: int, signal: int = 0) -> dict[str, Any]:
+    """Of the k-th of several runs: the run sets the colour, the signal the line."""
+    colors = _colors()
+    line = dashes(signal + k // len(colors))
+    return {"color": colors[k % len(colors)], "ls": line, "lw": WIDTHS[min(k, len(WIDTHS) - 1)]}
+
+
+def _colors() -> list[str]:
+    return list(matplotlib.rcParams["axes.prop_cycle"].by_key().get("color", [BLUE]))
 
 
 def next_style(ax: Axes) -> dict[str, Any]:
     """Colour and line of the next curve on the axes: those of no curve that is there."""
-    colors = matplotlib.rcParams["axes.prop_cycle"].by_key().get("color", [BLUE])
+    colors = _colors()
     count = sum(line.get_gid() == CURVE_MARK for line in ax.lines)
     return {"color": colors[count % len(colors)], "ls": dashes(count // len(colors))}
 
@@ -68,7 +86,7 @@ def draw_curve(
     *,
     named: bool,
 ) -> None:
-    """Signal of the k-th run: the signal sets the colour, the run the line."""
+    """Signal of the k-th run; of one run, the signal sets the colour."""
     name, run = list(runs.items())[k]
     if len(runs) == 1:
         style_of = next_style(ax) if color is None else {"color": color}
@@ -76,11 +94,11 @@ def draw_curve(
         mark = CURVE_MARK if color is None else None
         ax.plot(run.t, values, label=shown, gid=mark, **style_of)
         return
-    lines = {line.get_label(): line for line in ax.lines}
-    if label not in lines:  # the legend shows the plain colour
-        plain = {"color": color, "gid": None} if color else next_style(ax) | {"gid": CURVE_MARK}
-        (lines[label],) = ax.plot([], [], label=label, **plain)
-    ax.plot(run.t, values, **line_style(lines[label].get_color(), k))
+    signals = [line.get_label() for line in ax.lines if line.get_gid() == SIGNAL_MARK]
+    if label not in signals:  # the legend shows the line without a colour
+        signals.append(label)
+        ax.plot([], [], label=label, color=NEUTRAL, ls=dashes(len(signals) - 1), gid=SIGNAL_MARK)
+    ax.plot(run.t, values, **design_style(k, signals.index(label)))
 
 
 def short_name(name: str) -> str:
@@ -90,7 +108,7 @@ def short_name(name: str) -> str:
 
 def run_lines(runs: Runs) -> tuple[list[Line2D], list[str]]:
     """What a legend shows of several runs: their lines and names."""
-    lines = [Line2D([], [], **line_style("#404040", k)) for k in range(len(runs))]
+    lines = [Line2D([], [], **design_style(k)) for k in range(len(runs))]
     return lines, [short_name(name) for name in runs]
 
 
@@ -104,16 +122,70 @@ def name_systems(drawing: Figure, runs: Runs) -> None:
     drawing.legend(lines, names, loc="outside upper center", ncols=columns, handlelength=3)
 
 
-def label_axes(ax: Axes, label: str, runs: Runs, named: bool) -> None:
-    """Labels, margin and legend; the legend is beside the axes where there are several runs."""
+def label_axes(ax: Axes, label: str, unit: str, runs: Runs, *, named: bool) -> None:
+    """Labels, margin and legend."""
     ax.set_xlabel("time [s]")
-    ax.set_ylabel(label)
-    ax.margins(x=0.01)  # a jump at t = 0 stays visible beside the axis
-    if len(runs) == 1:
-        ax.legend(ncols=1 if named and any(runs) else 3, loc="best")
+    label_with_unit(ax, label, unit)
+    if not named:
+        add_legend(ax)
         return
     handles, labels = ax.get_legend_handles_labels()
-    if named:
+    if len(runs) > 1:
         lines, names = run_lines(runs)
         handles, labels = [*handles, *lines], [*labels, *names]
-    ax.legend(handles, labels, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        ax.legend(handles, labels, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        return
+    ax.legend(handles, labels, ncols=1 if any(runs) else 3, loc="best")
+
+
+def add_legend(ax: Axes, row: Sequence[Axes] = ()) -> None:
+    """The legend above the axes, at their right end: off the curves.
+
+    Parameters
+    ----------
+    ax : Axes
+    row : sequence of Axes, optional
+        Whose entries it has, each once; those of `ax` if left out.
+    """
+    shown: dict[str, Any] = {}
+    for side in row or (ax,):
+        for handle, label in zip(*side.get_legend_handles_labels(), strict=True):
+            shown.setdefault(str(label), handle)
+    if not shown:
+        return
+    entries = [*map(_letters, shown)]
+    drawing = ax.get_figure()
+    assert drawing is not None
+    inches = float(drawing.get_figwidth()) * SHARE_OF_ROW  # type: ignore[union-attr]
+    columns = _columns_that_fit(entries, inches * LETTERS_PER_INCH * LETTER_SIZE / _legend_size())
+    ax.legend(
+        list(shown.values()),
+        list(shown),
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=columns,
+        borderaxespad=0.1,
+        handlelength=1.6,
+        columnspacing=1.2,
+    ).set_in_layout(False)  # it may be wider than the last of two columns
+    lines = -(-len(entries) // columns)
+    ax.set_title("\n".join([" "] * lines), fontsize=_legend_size())  # room for it
+
+
+def _letters(label: str) -> int:
+    """Letters that an entry of a legend takes, with its line."""
+    return len(re.sub(r"[${}_^]", "", re.sub(r"\\[a-z]+", "x", label))) + SHORT_LINE
+
+
+def _columns_that_fit(letters: Sequence[int], room: float) -> int:
+    """The most columns, filled one after the other, within so many letters."""
+    for columns in range(len(letters), 1, -1):
+        rows = -(-len(letters) // columns)
+        widths = [max(letters[k : k + rows]) for k in range(0, len(letters), rows)]
+        if sum(widths) <= room:
+            return columns
+    return 1
+
+
+def _legend_size() -> float:
+    return float(matplotlib.rcParams["legend.fontsize"])

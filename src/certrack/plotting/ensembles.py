@@ -11,22 +11,30 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from certrack.core.errors import InputError
+from certrack.plotting.appearance import PAGE, Appearance
+from certrack.plotting.names import math_name
 from certrack.plotting.shared import (
     BLUE,
-    PAGE_WIDTH,
     few_ticks,
     in_brackets,
-    math_name,
     new_figure,
     set_title,
     style,
 )
+from certrack.plotting.units import label_with_unit, prefix, short
+from certrack.plotting.windows import Window, columns, show_window, split_time
 from certrack.studies.ensembles.statistics import LEVELS
 
 if TYPE_CHECKING:
     from certrack.studies.ensembles.ensemble import Ensemble
     from certrack.studies.ensembles.statistics import Tally
 
+
+#: A limit farther from what varies than so many times its width is told, not drawn.
+LIMIT_NEAR = 1.0
+
+#: Entries beside each other in the legend below a fan chart.
+LEGEND_COLUMNS = {"page": 5, "paper": 3, "slides": 5}
 
 #: Members run away where the outer quantiles exceed the inner ones by this factor.
 RUNAWAY = 30.0
@@ -41,7 +49,7 @@ SMALLEST_SHARE = 1e-12
 BANDS = ((0, -1, "1 to 99 %", 0.14), (1, -2, "5 to 95 %", 0.22), (2, -3, "25 to 75 %", 0.34))
 
 
-def ensemble_figures(ensemble: Ensemble) -> dict[str, Figure]:
+def ensemble_figures(ensemble: Ensemble, appearance: Appearance = PAGE) -> dict[str, Figure]:
     """Fan chart of error, states and input, and histograms of the metrics.
 
     Parameters
@@ -60,10 +68,13 @@ def ensemble_figures(ensemble: Ensemble) -> dict[str, Figure]:
     >>> sorted(certrack.plotting.ensemble_figures(result))
     ['fan', 'metrics']
     """
-    return {"fan": fan_chart(ensemble), "metrics": metric_histograms(ensemble)}
+    return {
+        "fan": fan_chart(ensemble, appearance),
+        "metrics": metric_histograms(ensemble, appearance),
+    }
 
 
-def fan_chart(ensemble: Ensemble) -> Figure:
+def fan_chart(ensemble: Ensemble, appearance: Appearance = PAGE) -> Figure:
     """Quantile bands of every signal against time.
 
     Parameters
@@ -82,19 +93,47 @@ def fan_chart(ensemble: Ensemble) -> Figure:
     4
     """
     names = ensemble.signals
-    with style():
-        drawing = new_figure(PAGE_WIDTH, 1.7 * len(names) + 0.4)
-        axes = drawing.subplots(len(names), 1, sharex=True)
-        for ax, name in zip(axes, names, strict=True):
-            plot_fan(ax, ensemble, name)
-        drawing.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
-        axes[-1].set_xlabel("time [s]")
-        drawing.align_ylabels()
-        set_title(drawing, _title(ensemble))
+    with style(appearance):
+        drawing = new_figure(*appearance.extent(0.95 * len(names)))
+        windows = _windows(ensemble, appearance)
+        rows = columns(drawing, len(names), windows)
+        for row, name in zip(rows, names, strict=True):
+            for ax, window in zip(row, windows, strict=True):
+                plot_fan(ax, ensemble, name, window=window)
+            for ax in row[1:]:
+                ax.set_ylabel(ax.get_ylabel().removeprefix(math_name(name)).strip())
+        shown = {
+            label: handle
+            for ax in rows[0]
+            for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
+        }
+        entries = LEGEND_COLUMNS[appearance.kind]
+        drawing.legend(shown.values(), shown, loc="outside lower center", ncols=entries)
+        for ax in rows[-1]:
+            ax.set_xlabel("time [s]")
+        drawing.align_ylabels([row[0] for row in rows])
+        set_title(drawing, appearance.titled(_title(ensemble)))
     return drawing
 
 
-def plot_fan(ax: Axes, ensemble: Ensemble, signal: str = "e_1", color: str = BLUE) -> None:
+def _windows(ensemble: Ensemble, appearance: Appearance) -> tuple[Window | None, ...]:
+    """What the columns show: the transient apart where that of the outer quantiles is short."""
+    if appearance.window is not None:
+        return (appearance.window,)
+    t, bands = ensemble.t, _finite(ensemble.bands)
+    outer = np.abs(bands).max(axis=0)
+    split = split_time(float(t[-1]), [(t, outer[0]), (t, outer[-1])])
+    return (None,) if split is None else ((0.0, split), (split, float(t[-1])))
+
+
+def plot_fan(
+    ax: Axes,
+    ensemble: Ensemble,
+    signal: str = "e_1",
+    color: str = BLUE,
+    *,
+    window: Window | None = None,
+) -> None:
     """Quantile bands of one signal against time, on any axes.
 
     Parameters
@@ -105,6 +144,8 @@ def plot_fan(ax: Axes, ensemble: Ensemble, signal: str = "e_1", color: str = BLU
         One of ``ensemble.signals``.
     color : str
         Another one for another ensemble on the same axes.
+    window : (from, to), optional
+        Times that are shown, s; all of them if left out.
 
     Raises
     ------
@@ -129,11 +170,18 @@ def plot_fan(ax: Axes, ensemble: Ensemble, signal: str = "e_1", color: str = BLU
     ax.plot(t, bands[len(LEVELS) // 2, i], color=color, lw=1.0, label="median")
     if i == 0 and ensemble.limit is not None:
         tail = (max(ensemble.system.settings.tail_start, t[0]), t[-1])
-        for sign, entry in ((-1, None), (1, "limit")):
+        for sign, entry in ((-1, None), (1, _limit_name(ensemble))):
             ax.plot(tail, [sign * ensemble.limit] * 2, "k--", lw=0.8, label=entry)
-    ax.set_ylabel(math_name(signal) + in_brackets([units[0], *units][i]))
     ax.margins(x=0.01)
-    _keep_readable(ax, bands[:, i])
+    within = slice(None) if window is None else (t >= window[0]) & (t <= window[1])
+    show_window(ax, window, (float(bands[:, i, within].min()), float(bands[:, i, within].max())))
+    _keep_readable(ax, bands[:, i, within])
+    label_with_unit(ax, math_name(signal), [units[0], *units][i])
+
+
+def _limit_name(ensemble: Ensemble) -> str:
+    """What the legend calls the limit: certified where it is a certificate's."""
+    return "certified limit" if "certif" in ensemble.limit_origin else "limit"
 
 
 def _title(ensemble: Ensemble) -> str:
@@ -166,7 +214,7 @@ def _keep_readable(ax: Axes, bands: np.ndarray) -> None:
 #: Metrics with a histogram, their labels, and which of the plant's units they have.
 HISTOGRAMS = {
     "tail_error": ("tail error", 0),
-    "settling_time": ("settling time [s]", None),
+    "settling_time": ("settling time", None),
     "rms_error": ("RMS error", 0),
     "peak_input": ("peak input", -1),
 }
@@ -175,7 +223,7 @@ HISTOGRAMS = {
 HISTOGRAM_BARS = 60
 
 
-def metric_histograms(ensemble: Ensemble) -> Figure:
+def metric_histograms(ensemble: Ensemble, appearance: Appearance = PAGE) -> Figure:
     """Distribution of four metrics; the limit of the tail error is marked.
 
     Parameters
@@ -194,23 +242,45 @@ def metric_histograms(ensemble: Ensemble) -> Figure:
     4
     """
     units = ensemble.system.plant.units or ("",)
-    with style():
-        drawing = new_figure(PAGE_WIDTH, 4.2)
+    with style(appearance):
+        drawing = new_figure(*appearance.extent(2.1))
         axes = drawing.subplots(2, 2).ravel()
         for ax, (name, (label, index)) in zip(axes, HISTOGRAMS.items(), strict=True):
             tally = ensemble.statistics.metrics[name]
             if tally.counts.size:
                 _histogram(ax, tally)
             if name == "tail_error" and ensemble.limit is not None:
-                ax.axvline(ensemble.limit, color="k", ls="--", lw=0.8, label="limit")
-                ax.legend()
-            ax.set_xlabel(label + in_brackets("" if index is None else units[index]))
+                _mark_limit(ax, ensemble)
+            _label_values(ax, label, "s" if index is None else units[index])
             ax.set_ylabel("members")
             if tally.missing:
                 lack = "not settled" if name == "settling_time" else "not finished"
                 ax.set_title(f"{tally.missing} {lack}", loc="right", fontweight="normal")
-        set_title(drawing, _title(ensemble))
+        set_title(drawing, appearance.titled(_title(ensemble)))
     return drawing
+
+
+def _mark_limit(ax: Axes, ensemble: Ensemble) -> None:
+    """A line at the limit where it is near what varies, else a word and an arrow at the edge."""
+    limit, name = ensemble.limit, _limit_name(ensemble)
+    assert limit is not None
+    low, high = ax.get_xlim()
+    if ax.get_xscale() == "log" or limit <= high + LIMIT_NEAR * (high - low):
+        ax.axvline(limit, color="k", ls="--", lw=0.8, label=name)
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+        return
+    where: dict[str, Any] = {"transform": ax.transAxes, "ha": "right", "va": "bottom"}
+    ax.text(1.0, 1.01, f"{name} {limit:.4g} $\\rightarrow$", fontsize="small", **where)
+
+
+def _label_values(ax: Axes, label: str, unit: str) -> None:
+    """The abscissa of a histogram, in a unit that fits."""
+    factor, shown = prefix(unit, max(map(abs, ax.get_xlim())))
+    ax.set_xlabel(label + in_brackets(shown))
+    if factor != 1 and ax.get_xscale() == "linear":
+        ax.xaxis.set_major_formatter(ticker.FuncFormatter(lambda v, _: short(factor * v)))
+    elif factor != 1:
+        ax.set_xlabel(label + in_brackets(unit))
 
 
 def _first_of_size(tally: Tally) -> float:

@@ -14,7 +14,7 @@ from certrack.core.errors import InputError
 from certrack.plotting.certificates import certificates_figure
 from certrack.plotting.ensembles import fan_chart
 from certrack.plotting.margins import margin_figure
-from certrack.plotting.runs import overview
+from certrack.plotting.overviews import overview
 from certrack.plotting.shared import PAGE_WIDTH, in_brackets, new_figure, style
 from certrack.simulation.run import Run
 from certrack.studies.ensembles.ensemble import Ensemble

@@ -16,7 +16,7 @@ from certrack.references import Reference
 NAMES = ("position", "speed", "acceleration", "jerk", "snap")
 
 #: Points of a stretch between two breaks, just inside its ends and between.
-POINTS = np.concatenate([[1e-9], np.linspace(0, 1, 120)[1:-1], [1 - 1e-9]])
+POINTS_BETWEEN = np.concatenate([[1e-9], np.linspace(0, 1, 120)[1:-1], [1 - 1e-9]])
 
 #: Height of a panel, inches.
 HEIGHT = 1.45
@@ -77,7 +77,7 @@ def reference_figure(
         panels = drawing.subplots(order + 1, 1, sharex=True, squeeze=False)[:, 0]
         for name, reference in references.items():
             edges = np.concatenate([[0.0], reference.breaks(0.0, duration), [duration]])
-            t = (edges[:-1, None] + np.diff(edges)[:, None] * POINTS).ravel()
+            t = (edges[:-1, None] + np.diff(edges)[:, None] * POINTS_BETWEEN).ravel()
             for ax, row in zip(panels, reference.values(t, order), strict=True):
                 ax.plot(t, row, lw=1.1, label=name)
         first = next(iter(references.values()))

@@ -1,52 +1,40 @@
-"""Pictures of one run or of several: output, error, states, estimates, input, the tube."""
+"""Panels of one run or of several: output, error, states, estimates, input.
+
+A panel draws on any axes, and scales them to what is within the window of times that it is given.
+"""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from certrack.certificates.certificate import Certificate
-from certrack.certificates.tube import Tube
-from certrack.core.rounding import rounded_up
-from certrack.plotting.curves import Runs, draw_curve, label_axes, label_once, name_systems
-from certrack.plotting.shared import (
-    BLUE,
-    GREEN,
-    PAGE_WIDTH,
-    PURPLE,
-    in_brackets,
-    math_name,
-    new_figure,
-    plain,
-    set_title,
-    style,
-)
-from certrack.simulation.run import Run
+from certrack.plotting.curves import Runs, draw_curve, label_axes, label_once
+from certrack.plotting.limits import Certified, draw_guarantees, draw_input_limits
+from certrack.plotting.names import math_name
+from certrack.plotting.shared import PURPLE, in_brackets, plain
+from certrack.plotting.windows import Window, largest_within, show_window
 
 #: The estimate of the gain has its own axis, of this colour, where the largest values of it and of
 #: the other estimates differ by more than this factor.
 GAIN_COLOR, SAME_AXIS_RATIO = PURPLE, 10.0
 
-
-#: Bounds that differ by less are one line of the picture of the tube.
-SAME_BOUND = 1e-3
+#: The settling band is drawn where it is at most so many times the largest error that is seen.
+BAND_FITS = 2.0
 
 #: Part of the height of two axes that is left free above for their legend.
 LEGEND_ROOM = 0.3
 
 
-def unit(run: Run, index: int) -> str:
-    """Unit of state `index` (the input is last) as a label suffix."""
-    units = run.system.plant.units
-    return in_brackets(units[index] if units else "")
+def units_of(runs: Runs) -> tuple[str, ...]:
+    """Units of the states and of the input of the first run; empty where there is none."""
+    plant = next(iter(runs.values())).system.plant
+    return tuple("" if u == "1" else u for u in plant.units or ("",) * (plant.n + 1))
 
 
-def plot_output(ax: Axes, runs: Runs, *, named: bool = True) -> None:
+def plot_output(ax: Axes, runs: Runs, *, named: bool = True, window: Window | None = None) -> None:
     """Output and reference against time.
 
     Parameters
@@ -55,6 +43,8 @@ def plot_output(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     runs : mapping of names to runs
     named : bool
         Whether the legend names the runs.
+    window : (from, to), optional
+        Times that are shown, s; all of the runs if left out.
 
     Examples
     --------
@@ -62,16 +52,24 @@ def plot_output(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     >>> run = certrack.simulate(certrack.load("example1"))
     >>> certrack.plotting.plot_output(certrack.plot(run).axes[0], {"": run})
     """
-    first = next(iter(runs.values()))
-    line, width = ("--", 1.0) if len(runs) == 1 else ("-", 0.7)  # dashes tell several runs apart
-    ax.plot(first.t, first.y_d, color="k", ls=line, lw=width, label=label_once(ax, "$y_d$"))
     for k, run in enumerate(runs.values()):
         draw_curve(ax, runs, k, run.x[0], "$y$", named=named)
-    label_axes(ax, f"output{unit(first, 0)}", runs, named)
+    first = next(iter(runs.values()))
+    line, width = ("--", 1.0) if len(runs) == 1 else ("-", 0.7)  # dashes tell signals apart
+    shown: Any = {"color": "k", "ls": line, "lw": width, "zorder": 3}  # above y, where it is seen
+    ax.plot(first.t, first.y_d, label=label_once(ax, "$y_d$"), **shown)
+    _finish(ax, "output", units_of(runs)[0], runs, window, named=named)
 
 
-def plot_error(ax: Axes, runs: Runs, *, named: bool = True) -> None:
-    """Tracking error against time, with the settling band.
+def plot_error(
+    ax: Axes,
+    runs: Runs,
+    *,
+    named: bool = True,
+    window: Window | None = None,
+    certified: Certified | None = None,
+) -> None:
+    """Tracking error against time, with the settling band where it fits.
 
     Parameters
     ----------
@@ -79,6 +77,10 @@ def plot_error(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     runs : mapping of names to runs
     named : bool
         Whether the legend names the runs.
+    window : (from, to), optional
+        Times that are shown, s; all of the runs if left out.
+    certified : mapping of names of runs to Certificates, optional
+        Whose bound and tube are drawn.
 
     Examples
     --------
@@ -89,14 +91,28 @@ def plot_error(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     first = next(iter(runs.values()))
     for k, run in enumerate(runs.values()):
         draw_curve(ax, runs, k, run.e[0], "$e_1$", named=named)
+    largest = largest_within(ax, window)
+    bounds = draw_guarantees(ax, runs, certified or {}, window, largest)
+    show_window(ax, window, bounds)
     band = first.metrics.band
-    if label := label_once(ax, f"band $\\pm${band:.3g}"):
+    unit = units_of(runs)[0]
+    label = label_once(ax, rf"band $\pm${band:.3g} {plain(unit)}".strip())
+    if label and band <= BAND_FITS * largest:
+        if window is not None:
+            show_window(ax, window, (*bounds, band, -band))
         ax.axhspan(-band, band, color="#000000", alpha=0.07, lw=0, label=label)
-    label_axes(ax, f"tracking error{unit(first, 0)}", runs, named)
+    _finish(ax, "tracking error", unit, runs, None, named=named)
 
 
-def plot_states(ax: Axes, runs: Runs, *, named: bool = True) -> None:
-    """All plant states against time.
+def plot_states(
+    ax: Axes,
+    runs: Runs,
+    *,
+    named: bool = True,
+    window: Window | None = None,
+    unit: str | None = None,
+) -> None:
+    """Plant states against time.
 
     Parameters
     ----------
@@ -104,6 +120,10 @@ def plot_states(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     runs : mapping of names to runs
     named : bool
         Whether the legend names the runs.
+    window : (from, to), optional
+        Times that are shown, s; all of the runs if left out.
+    unit : str, optional
+        Only the states of this unit; all of them if left out.
 
     Examples
     --------
@@ -111,13 +131,18 @@ def plot_states(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     >>> run = certrack.simulate(certrack.load("example1"))
     >>> certrack.plotting.plot_states(certrack.plot(run).axes[0], {"": run})
     """
+    units = units_of(runs)
     for k, run in enumerate(runs.values()):
         for i, state in enumerate(run.system.plant.states):
-            draw_curve(ax, runs, k, run.x[i], math_name(state) + unit(run, i), named=named)
-    label_axes(ax, "states", runs, named)
+            if unit in (None, units[i]):
+                label = math_name(state) + (in_brackets(units[i]) if unit is None else "")
+                draw_curve(ax, runs, k, run.x[i], label, named=named)
+    _finish(ax, "states", unit or "", runs, window, named=named)
 
 
-def plot_estimates(ax: Axes, runs: Runs, *, named: bool = True) -> None:
+def plot_estimates(
+    ax: Axes, runs: Runs, *, named: bool = True, window: Window | None = None
+) -> None:
     """Controller states against time, with the true values they estimate.
 
     The estimate of the gain has an axis of its own, on the right, where the others are of another
@@ -127,6 +152,10 @@ def plot_estimates(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     ----------
     ax : Axes
     runs : mapping of names to runs
+    named : bool
+        Whether the legend names the runs.
+    window : (from, to), optional
+        Times that are shown, s; all of the runs if left out.
 
     Examples
     --------
@@ -154,8 +183,9 @@ def plot_estimates(ax: Axes, runs: Runs, *, named: bool = True) -> None:
         entry = label_once(ax, "true values") if (name, value) == true[-1] else None
         color = GAIN_COLOR if right else "k"
         (gain_ax if right else ax).axhline(value, color=color, lw=0.8, ls=":", label=entry)
-    label_axes(ax, "estimates", runs, named)
+    _finish(ax, "estimates", "", runs, window, named=named)
     if apart:
+        show_window(gain_ax, window)
         _share_legend(ax, gain_ax)
         gain_ax.set_ylabel(math_name("delta_hat"), color=GAIN_COLOR)
 
@@ -190,7 +220,7 @@ def _share_legend(ax: Axes, right: Axes) -> None:
     right.grid(visible=False)
 
 
-def plot_input(ax: Axes, runs: Runs, *, named: bool = True) -> None:
+def plot_input(ax: Axes, runs: Runs, *, named: bool = True, window: Window | None = None) -> None:
     """Control input against time.
 
     Parameters
@@ -199,6 +229,8 @@ def plot_input(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     runs : mapping of names to runs
     named : bool
         Whether the legend names the runs.
+    window : (from, to), optional
+        Times that are shown, s; all of the runs if left out.
 
     Examples
     --------
@@ -206,10 +238,20 @@ def plot_input(ax: Axes, runs: Runs, *, named: bool = True) -> None:
     >>> run = certrack.simulate(certrack.load("example1"))
     >>> certrack.plotting.plot_input(certrack.plot(run).axes[0], {"": run})
     """
-    first = next(iter(runs.values()))
     for k, run in enumerate(runs.values()):
         draw_curve(ax, runs, k, run.u, "$u$", named=named)
-    label_axes(ax, f"input{unit(first, -1)}", runs, named)
+    limits = draw_input_limits(ax, runs, window, largest_within(ax, window))
+    show_window(ax, window, limits)
+    _finish(ax, "input", units_of(runs)[-1], runs, None, named=named)
+
+
+def _finish(
+    ax: Axes, label: str, unit: str, runs: Runs, window: Window | None, *, named: bool
+) -> None:
+    """The scale of what is seen, labels and legend."""
+    ax.margins(x=0.01)  # a jump at t = 0 stays visible beside the axis
+    show_window(ax, window)
+    label_axes(ax, label, unit, runs, named=named)
 
 
 Panel = Callable[..., None]
@@ -222,171 +264,3 @@ PANELS: dict[str, Panel] = {
     "estimates": plot_estimates,
     "input": plot_input,
 }
-
-
-def panels_for(runs: Runs) -> dict[str, Panel]:
-    """The panels that have something to show.
-
-    Parameters
-    ----------
-    runs : mapping of names to runs
-
-    Returns
-    -------
-    dict
-
-    Examples
-    --------
-    >>> import certrack
-    >>> run = certrack.simulate(certrack.load("example1"))
-    >>> list(certrack.plotting.panels_for({"": run}))
-    ['output', 'error', 'states', 'estimates', 'input']
-    """
-    estimating = any(run.system.controller.states for run in runs.values())
-    return {name: draw for name, draw in PANELS.items() if name != "estimates" or estimating}
-
-
-def figure(panel: Panel, runs: Runs, title: str = "") -> Figure:
-    """One panel as a figure of a paper's column width.
-
-    Parameters
-    ----------
-    panel : callable
-        One of :data:`PANELS`.
-    runs : mapping of names to runs
-    title : str
-
-    Returns
-    -------
-    Figure
-
-    Examples
-    --------
-    >>> import certrack
-    >>> run = certrack.simulate(certrack.load("example1"))
-    >>> drawing = certrack.plotting.figure(certrack.plotting.plot_error, {"": run})
-    """
-    with style():
-        drawing = new_figure(5.0, 3.0)
-        ax = drawing.add_subplot()
-        panel(ax, runs, named=False)
-        ax.set_title(plain(title), loc="left")
-        name_systems(drawing, runs)
-    return drawing
-
-
-def plot_tube(ax: Axes, runs: Runs, tube: Tube, *, named: bool = True) -> None:
-    """Tracking errors and the certified tube, which is of the continuous law.
-
-    Parameters
-    ----------
-    ax : Axes
-    runs : mapping of names to runs
-    tube : Tube
-    named : bool
-        Whether the legend names the runs.
-
-    Examples
-    --------
-    >>> import certrack
-    >>> system = certrack.load("dual-motor-lean")
-    >>> run, tube = certrack.simulate(system), certrack.certify(system).tube
-    >>> certrack.plotting.plot_tube(certrack.plot(run).axes[0], {"": run}, tube)
-    """
-    first = next(iter(runs.values()))
-    t = np.unique(np.concatenate([run.t for run in runs.values()]))
-    bound = tube(t)
-    sampled = any(run.system.implementation is not None for run in runs.values())
-    label = "certified tube" + (" (continuous law)" if sampled else "")
-    ax.fill_between(t, -bound, bound, color=BLUE, alpha=0.10, lw=0, label=label)
-    for k, run in enumerate(runs.values()):
-        label = "$e_1$" if run.system.implementation is None else "$e_1$ (sampled run)"
-        draw_curve(ax, runs, k, run.e[0], label, named=named)
-    floor = math.sqrt(tube.floor)
-    for sign, entry in ((-1, None), (1, f"limsup $|e_1| \\leq$ {rounded_up(floor, 4)}")):
-        ax.axhline(sign * floor, color=BLUE, lw=0.9, ls="--", label=entry)
-    label_axes(ax, f"tracking error{unit(first, 0)}", runs, named)
-
-
-def tube_figure(run: Run, tube: Tube, title: str = "", best: Certificate | None = None) -> Figure:
-    """The response in its tube: the whole run, and the end of it magnified.
-
-    Parameters
-    ----------
-    run : Run
-    tube : Tube
-    title : str
-    best : Certificate, optional
-        The certificate to rely on, which is drawn where its bound is another than the tube's.
-
-    Returns
-    -------
-    Figure
-
-    Examples
-    --------
-    >>> import certrack
-    >>> system = certrack.load("dual-motor-lean")
-    >>> run, tube = certrack.simulate(system), certrack.certify(system).tube
-    >>> drawing = certrack.plotting.tube_figure(run, tube)
-    """
-    with style():
-        drawing = new_figure(PAGE_WIDTH, 4.2)
-        axes = drawing.subplots(2, 1, sharex=True)
-        for ax in axes:
-            plot_tube(ax, {"": run}, tube, named=False)
-            ax.label_outer()
-        floor = math.sqrt(tube.floor)
-        axes[1].set_ylim(-2 * floor, 2 * floor)
-        axes[1].get_legend().remove()
-        if best is not None and best.exists:
-            _add_bound(axes[1], best, floor)
-        axes[1].set_title("magnified", loc="left")
-        if run.system.implementation is not None:
-            title = f"{title}\ntube of the continuous law; the run shown is sampled".strip()
-        axes[0].set_title(plain(title), loc="left")
-        drawing.align_ylabels()
-    return drawing
-
-
-def _add_bound(ax: Axes, best: Certificate, floor: float) -> None:
-    """Lines at a bound that is another than the tube's."""
-    if math.isclose(best.bound, floor, rel_tol=SAME_BOUND):
-        return
-    name = f"{best.kind}: limsup $|e_1| \\leq$ {rounded_up(best.bound, 4)}"
-    for sign in (-1, 1):
-        line = ax.axhline(sign * best.bound, color=GREEN, lw=0.9, ls="-.")
-    height = max(2 * floor, 1.3 * best.bound)
-    ax.set_ylim(-height, height)
-    ax.legend([line], [name], loc="lower right")
-
-
-def overview(runs: Runs, title: str = "") -> Figure:
-    """All panels below each other.
-
-    Parameters
-    ----------
-    runs : mapping of names to runs
-    title : str
-
-    Returns
-    -------
-    Figure
-
-    Examples
-    --------
-    >>> import certrack
-    >>> run = certrack.simulate(certrack.load("example1"))
-    >>> drawing = certrack.plotting.overview({"example1": run})
-    """
-    panels = panels_for(runs)
-    with style():
-        drawing = new_figure(PAGE_WIDTH, 1.9 * len(panels) + 0.4)
-        axes = drawing.subplots(len(panels), 1, sharex=True)
-        for ax, panel in zip(np.atleast_1d(axes), panels.values(), strict=True):
-            panel(ax, runs, named=False)
-            ax.label_outer()
-        drawing.align_ylabels()
-        set_title(drawing, title)
-        name_systems(drawing, runs)
-    return drawing

@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from certrack.core.files import write_folder
+from certrack.plotting.appearance import PAGE, Appearance
 
 #: Colours of curves, in the order in which they are used.
 BLUE, RED, GREEN, GOLD, PURPLE = "#0b61a4", "#d1495b", "#2e8b57", "#edae49", "#6a4c93"
@@ -25,7 +26,10 @@ TEAL, BROWN, GRAY = "#00798c", "#8c564b", "#7f7f7f"
 PAGE_WIDTH = 6.5
 
 #: Dots per inch of PNG pictures: fine enough for print.
-DPI = 200
+DPI = 170
+
+#: What the formats write of the time and the program.
+STAMPS = {"png": ("Software",), "svg": ("Date",), "pdf": ("CreationDate", "Creator", "Producer")}
 
 #: Times shorter than this, in seconds, are shown in milliseconds.
 MILLISECONDS_BELOW = 0.1
@@ -48,13 +52,18 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 8,
     "lines.linewidth": 1.3,
     "svg.fonttype": "none",
+    "pdf.fonttype": 42,
     "svg.hashsalt": "certrack",
     "axes.prop_cycle": cycler(color=[BLUE, RED, GREEN, GOLD, PURPLE, TEAL, BROWN, GRAY]),
 }
 
 
-def style() -> AbstractContextManager[None]:
+def style(appearance: Appearance = PAGE) -> AbstractContextManager[None]:
     """Context in which certrack draws.
+
+    Parameters
+    ----------
+    appearance : Appearance
 
     Returns
     -------
@@ -67,7 +76,7 @@ def style() -> AbstractContextManager[None]:
     >>> with certrack.plotting.style():
     ...     ax = Figure().subplots()
     """
-    return matplotlib.rc_context(STYLE)
+    return matplotlib.rc_context(STYLE | appearance.changes)
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -82,7 +91,8 @@ def plain(text: str) -> str:
 
 def set_title(drawing: Figure, title: str) -> None:
     """The title above all panels of a figure."""
-    drawing.suptitle(plain(title), fontsize=10, fontweight="bold")
+    size = 1 + float(matplotlib.rcParams["axes.titlesize"])
+    drawing.suptitle(plain(title), fontsize=size, fontweight="bold")
 
 
 def in_brackets(unit: str) -> str:
@@ -115,7 +125,7 @@ def few_ticks(ax: Axes) -> None:
 
 
 def save_figure(drawing: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and SVG; returns the paths.
+    """Write a figure as PNG, SVG and PDF; returns the paths.
 
     Parameters
     ----------
@@ -123,7 +133,7 @@ def save_figure(drawing: Figure, folder: Path, name: str) -> list[Path]:
     folder : path
         Made if it does not exist.
     name : str
-        Of both files, without extension.
+        Of the files, without extension.
 
     Returns
     -------
@@ -136,25 +146,12 @@ def save_figure(drawing: Figure, folder: Path, name: str) -> list[Path]:
     >>> from pathlib import Path
     >>> drawing = certrack.plotting.overview({"": run})
     >>> [path.name for path in certrack.plotting.save_figure(drawing, Path("pictures"), "run")]
-    ['run.png', 'run.svg']
+    ['run.png', 'run.svg', 'run.pdf']
     """
     pictures: dict[str, bytes] = {}
     with style():
-        for kind, stamp in (("png", "Software"), ("svg", "Date")):
+        for kind, stamps in STAMPS.items():
             buffer = io.BytesIO()  # no stamp: the same figure gives the same bytes
-            drawing.savefig(buffer, format=kind, dpi=DPI, metadata={stamp: None})
+            drawing.savefig(buffer, format=kind, dpi=DPI, metadata=dict.fromkeys(stamps))
             pictures[f"{name}.{kind}"] = buffer.getvalue()
     return list(write_folder(folder, pictures))
-
-
-def math_name(name: str) -> str:
-    """A state or estimate name in mathematical type where it has an index."""
-    if name in ("e_1", "u"):
-        return f"${name}$"
-    if name == "delta_hat":
-        return r"$\hat\delta$"
-    if name.startswith("theta_hat_"):
-        return rf"$\hat\theta_{{{name[10:]}}}$"
-    head = name.rstrip("0123456789")
-    index = name[len(head) :]
-    return f"${head}_{{{index}}}$" if index and len(head) == 1 else name

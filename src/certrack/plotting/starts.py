@@ -11,13 +11,14 @@ from matplotlib.patches import Polygon, Rectangle
 
 from certrack.certificates.implemented.certify import ImplementedCertificate
 from certrack.core.errors import InputError
+from certrack.plotting.appearance import PAGE, Appearance
+from certrack.plotting.names import math_name
 from certrack.plotting.shared import (
     BLUE,
     GRAY,
     GREEN,
     RED,
     in_brackets,
-    math_name,
     new_figure,
     style,
 )
@@ -31,6 +32,7 @@ def starts_figure(
     states: tuple[str, str] | None = None,
     title: str = "",
     units: Sequence[str] | None = None,
+    appearance: Appearance = PAGE,
 ) -> Figure:
     """Sections of the proven starts by two states.
 
@@ -43,6 +45,7 @@ def starts_figure(
     title : str
     units : texts, optional
         Of the states, as ``system.plant.units``.
+    appearance : Appearance
 
     Returns
     -------
@@ -70,8 +73,8 @@ def starts_figure(
         )
     first, second = states or _first_two(polytope.states)
     i, j = polytope.index(first), polytope.index(second)
-    with style():
-        drawing = new_figure(*SIZE)
+    with style(appearance):
+        drawing = new_figure(*appearance.size or SIZE)
         ax = drawing.subplots()
         _fill(ax, polytope.section(i, j), BLUE, "proven, the other states zero")
         if len(certificate.start) == len(polytope.states):

@@ -17,7 +17,7 @@ def nearest(value: fmpq) -> float:
     return int(value.p) / int(value.q)
 
 
-def above(value: fmpq) -> float:
+def rational_above(value: fmpq) -> float:
     """The smallest float that is not below a rational."""
     near = nearest(value)
     return near if exact(near) >= value else math.nextafter(near, math.inf)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from flint import arb_poly, fmpq, fmpq_poly
 
-from certrack.references.exact import above, exact
+from certrack.references.exact import exact, rational_above
 from certrack.references.polynomials import derived, evaluate
 from certrack.references.search import float_above_ball
 
@@ -15,14 +15,14 @@ from certrack.references.search import float_above_ball
 DISTANCE = 1e-9
 
 #: Of the size of its terms: what roundings may take from a control point.
-ROUNDING = 1e-12
+CONTROL_ROUNDING = 1e-12
 
 
-def largest(p: fmpq_poly, i: int, end: fmpq) -> float:
+def largest_derivative(p: fmpq_poly, i: int, end: fmpq) -> float:
     """The largest |p^(i)| on [0, end], rounded up: at the ends, or where p^(i+1) is zero."""
     for _ in range(i):
         p = p.derivative()
-    best = max(above(abs(p(fmpq(0)))), above(abs(p(end))))
+    best = max(rational_above(abs(p(fmpq(0)))), rational_above(abs(p(end))))
     slope = p.derivative().numer()
     for root, _ in slope.complex_roots() if slope.degree() > 0 else []:
         inside = not (root.real <= 0 or root.real >= end)
@@ -44,7 +44,7 @@ def largest_of_rows(a: np.ndarray, i: int, knots: np.ndarray) -> float:
     best = 0.0
     for row in _candidates(derived(a, i), np.diff(knots)):
         width = exact(knots[row + 1]) - exact(knots[row])
-        best = max(best, largest(fmpq_poly([exact(v) for v in a[row]]), i, width))
+        best = max(best, largest_derivative(fmpq_poly([exact(v) for v in a[row]]), i, width))
     return best
 
 
@@ -57,6 +57,6 @@ def _candidates(terms: np.ndarray, width: np.ndarray) -> list[int]:
         powers = range(degree + 1)
         weights = [[math.comb(k, j) / math.comb(degree, j) for j in powers] for k in powers]
         points = np.abs(scaled @ np.array(weights).T).max(axis=1)
-        points += ROUNDING * np.abs(scaled).sum(axis=1)
+        points += CONTROL_ROUNDING * np.abs(scaled).sum(axis=1)
         passed_over = points < (1 - DISTANCE) * np.max(reached, initial=0.0)
     return np.flatnonzero(~passed_over).tolist()

@@ -10,7 +10,7 @@ from certrack.references import shapes
 from certrack.references.base import Reference
 from certrack.references.profiles import moves, polynomial, waves
 from certrack.references.profiles.pieces import pieces
-from certrack.references.samples import DEGREES, INTERPOLATIONS, TIME_UNITS, samples
+from certrack.references.samples import INTERPOLATIONS, SPLINE_DEGREES, TIME_UNITS, samples
 
 _BOUND = Key(
     "number",
@@ -27,7 +27,7 @@ _SPEED = Key("number", help="limit of the speed |y_d'|", above=0, required=True)
 _ACCELERATION = Key("number", help="limit of |y_d''|", above=0, required=True)
 _JERK = Key("number", help="limit of |y_d^(3)|", above=0, required=True)
 _SNAP = Key("number", help="limit of |y_d^(4)|", above=0, required=True)
-_DEGREE = Key("choice", help="degree of the polynomials", choices=DEGREES, default=5)
+_DEGREE = Key("choice", help="degree of the polynomials", choices=SPLINE_DEGREES, default=5)
 
 #: Keys of every list of moves from rest to rest.
 _MOVES = {
@@ -262,7 +262,9 @@ REFERENCE_KINDS: dict[str, ReferenceKind] = {
                 choices=INTERPOLATIONS,
                 default="monotone",
             ),
-            "degree": replace(_DEGREE, help="degree of a spline"),
+            "degree": replace(
+                _DEGREE, help="degree of a spline", default=None, otherwise="5 for splines"
+            ),
             "repeat": _REPEAT,
             "bound": _BOUND,
             "time_unit": Key(

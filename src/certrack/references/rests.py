@@ -46,7 +46,7 @@ def moves_of(reference: Reference, end: float) -> tuple[MoveTimes, ...]:
     times = begins[:, None] + widths[:, None] * LOOKED_AT
     speeds = reference.values(times.ravel(), 1)[1].reshape(times.shape)
     resting = (speeds == 0.0).all(axis=1).tolist()
-    found: list[MoveTimes] = []
+    moves: list[MoveTimes] = []
     begin: float | None = None if resting[0] else 0.0
     for i, (before, after) in enumerate(pairwise(resting), 1):
         if before and not after:
@@ -55,5 +55,5 @@ def moves_of(reference: Reference, end: float) -> tuple[MoveTimes, ...]:
             j = next((k for k in range(i, len(resting)) if not resting[k]), len(resting))
             ends = np.array([begin, (edges[i] + edges[i + 1]) / 2])
             origin, target = reference.values(ends, 0)[0].tolist()
-            found.append(MoveTimes(begin, edges[i], edges[j], origin, target))
-    return tuple(found)
+            moves.append(MoveTimes(begin, edges[i], edges[j], origin, target))
+    return tuple(moves)

@@ -19,7 +19,7 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
 MAX_REFERENCE_SAMPLES = 1_000_000
 
 #: What lies between the samples, and the degrees of a spline that is told by its degree.
-INTERPOLATIONS, DEGREES = ("monotone", "cubic", "spline"), (3, 5, 7, 9)
+INTERPOLATIONS, SPLINE_DEGREES = ("monotone", "cubic", "spline"), (3, 5, 7, 9)
 
 TOO_CLOSE = ("reference.times", "must not be so close that the slopes overflow")
 
@@ -96,8 +96,8 @@ def _zero_derivatives(interpolation: str, degree: Any) -> int:
             raise InputError("reference.degree", "is that of a spline", degree, remedy)
         return 1
     degree = 5 if degree is None else degree
-    if degree not in DEGREES or isinstance(degree, bool):
-        wanted = "must be " + " or ".join(map(str, DEGREES))
+    if degree not in SPLINE_DEGREES or isinstance(degree, bool):
+        wanted = "must be " + " or ".join(map(str, SPLINE_DEGREES))
         raise InputError("reference.degree", wanted, checks.as_written(degree))
     return (int(degree) - 1) // 2
 

@@ -19,7 +19,7 @@ from flint import arb, fmpq, fmpq_poly
 from certrack.core.expressions import TIME
 from certrack.core.kinks import without_minmax
 from certrack.core.powers import put_in
-from certrack.references.extremes import largest
+from certrack.references.extremes import largest_derivative
 from certrack.references.growth import Undefined
 from certrack.references.search import Formula, derivative_bound, float_above_ball, prove_defined
 from certrack.references.taylor import constant
@@ -199,7 +199,9 @@ def _simpler(stretch: Stretch) -> Stretch:
 def _of_polynomial(poly: sympy.Poly, i: int, begin: fmpq, end: fmpq) -> float:
     """The largest |p^(i)| on [begin, end]."""
     p = fmpq_poly([constant(factor) for factor in reversed(poly.all_coeffs())])
-    return largest(p(fmpq_poly([begin, 1])), i, end - begin)  # of the time since the beginning
+    return largest_derivative(
+        p(fmpq_poly([begin, 1])), i, end - begin
+    )  # of the time since the beginning
 
 
 def _order(stretches: tuple[Stretch, ...]) -> float:

@@ -29,7 +29,7 @@ from certrack.references.base import (
     round_up,
 )
 from certrack.references.exact import exact, nearest
-from certrack.references.extremes import largest
+from certrack.references.extremes import largest_derivative
 from certrack.references.piecewise import SAME_TIME
 
 #: Derivatives of y_d at the start that are brought to those of the state, beyond y_d itself.
@@ -117,7 +117,7 @@ class SoftStart(Reference):
         p = fmpq_poly([0])
         for gap, polynomial in zip(self._own_gaps, self._basis, strict=True):
             p += exact(gap) * polynomial
-        return largest(p, i, exact(self.transient))
+        return largest_derivative(p, i, exact(self.transient))
 
     def lipschitz_bound(self, order: int, *, between_jumps: bool = False) -> float | None:
         """That of y_d^(order); see :func:`certrack.references.lipschitz_bound`."""

@@ -107,9 +107,9 @@ def _measure(
         offset = where.start % per_step if per_step else 0
         return supremum(t[where], signal[where], per_step, offset)
 
-    e, rest = y - y_d, window(move.arrival, move.until)
+    e, dwell = y - y_d, window(move.arrival, move.until)
     beyond = np.maximum(0.0, math.copysign(1.0, size) * (y - move.target))
-    settled = last_outside(t[rest], np.abs(e[rest]), width)
+    settled = last_outside(t[dwell], np.abs(e[dwell]), width)
     return MoveMetrics(
         *move,
         following_error=largest(e, window(move.begin, move.arrival)),

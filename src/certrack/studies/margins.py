@@ -215,6 +215,7 @@ def margins(
     base = implementation or Implementation(first)
     saturation = base.saturation
     base = replace(base, offset=0.0, saturation=saturation or UNLIMITED_INPUT)
+    base = replace(base, counted_delay=base.design_delay)  # which the controller is made for
     coarse = replace(base, period=min(first, base.period))
     system = system.replace(implementation=coarse)
     trials = _Trials(system, members, seed, progress)

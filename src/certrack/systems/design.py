@@ -9,6 +9,7 @@ from certrack.core.errors import InputError
 from certrack.core.notebook import ShownInNotebooks
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.systems import formulas
+from certrack.systems.optimality import Optimality, optimality
 
 if TYPE_CHECKING:
     from certrack.systems.system import System
@@ -29,6 +30,8 @@ class Design(ShownInNotebooks):
         Virtual controls, control law and update laws, a line each.
     latex : str
         The same as an ``align*`` environment.
+    optimality : Optimality
+        The cost that the law minimises, and its gain and phase margins.
     """
 
     title: str
@@ -36,6 +39,7 @@ class Design(ShownInNotebooks):
     coordinates: ErrorCoordinates
     formulas: tuple[str, ...]
     latex: str
+    optimality: Optimality
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON, but for arrays.
@@ -59,6 +63,7 @@ class Design(ShownInNotebooks):
             "error_poles": [[pole.real, pole.imag] for pole in poles],
             "law": list(self.formulas),
             "latex": self.latex,
+            **self.optimality.record(),
         }
 
     def __repr__(self) -> str:
@@ -67,10 +72,11 @@ class Design(ShownInNotebooks):
 
     def __str__(self) -> str:
         """The formulas, and how fast the error system is."""
-        damping = ", ".join(f"{value:.6g}" for value in self.coordinates.kappa)
-        pole = self.coordinates.fastest_pole
-        end = f"kappa = ({damping}) 1/s; fastest error pole {pole:.4g} 1/s"
-        return "\n".join([*self.formulas, "", end])
+        kappa, pole = self.coordinates.kappa, self.coordinates.fastest_pole
+        damping = ", ".join(f"{value:.6g}" for value in kappa)
+        damped = f"kappa = ({damping}) 1/s; " if self.coordinates.c.any() else ""
+        end = f"{damped}fastest error pole {pole:.4g} 1/s"
+        return "\n".join([*self.formulas, "", end, *self.optimality.lines()])
 
 
 def design(system: System) -> Design:
@@ -98,4 +104,5 @@ def design(system: System) -> Design:
         coordinates=system.controller.coordinates,
         formulas=tuple(formulas.as_text(system)),
         latex=formulas.as_latex(system),
+        optimality=optimality(system),
     )

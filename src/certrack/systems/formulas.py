@@ -10,6 +10,7 @@ import sympy
 from sympy.printing.latex import LatexPrinter
 
 from certrack.core.expressions import symbol
+from certrack.laws.integral import INTEGRAL
 from certrack.laws.signals import Signals, dot
 
 if TYPE_CHECKING:
@@ -44,12 +45,16 @@ def _equation_sides(
     plant, design = system.plant, system.controller.coordinates
     n, x = plant.n, plant.symbols
     Y = [symbol(f"y_d_{i}") for i in range(design.q + 2)]
-    lines: Sides = [(e.format(1), show(x[0] - Y[0]))]
+    part = design.integral
+    a = np.zeros(n) if part is None else part.column  # of e_0
+    lines: Sides = [(e.format(1), show(x[0] - Y[0] + _linear(a[:1], [INTEGRAL])))]
     for m in range(1, n):
         formula = _linear(design.eta[m - 1], x[:m]) + _linear(design.d[m - 1], Y[:-1])
+        formula += _linear([-a[m]], [INTEGRAL])
         lines.append((virtual.format(m), show(formula)))
         lines.append((e.format(m + 1), f"{show(x[m])} - {virtual.format(m)}"))
     nu = _linear(design.nu_x, x) + _linear(design.nu_Y, Y) - _rounded(plant.drift.expr)
+    nu += _linear([0.0 if part is None else part.nu], [INTEGRAL])
     lines.append((show(symbol("nu")), show(nu)))
 
     short = Signals(plant, design.q, short=True)
@@ -59,12 +64,14 @@ def _equation_sides(
     symbols = {s: sympy.Float(v, PRINTED_DIGITS) for s, v in zip(names, values, strict=True)}
     symbols[symbol("e_n")] = symbol(f"e_{n}")
     lines.append(("u", show(_rounded(equations.u.xreplace(symbols)))))
+    if part is not None:
+        lines.append((_dotted(show, INTEGRAL), show(x[0] - Y[0])))
     for state, rate in equations.update:
         lines.append((_dotted(show, state), show(_rounded(rate.xreplace(symbols)))))
     return lines
 
 
-def _linear(weights: np.ndarray, terms: Sequence[sympy.Symbol]) -> sympy.Expr:
+def _linear(weights: np.ndarray | Sequence[float], terms: Sequence[sympy.Symbol]) -> sympy.Expr:
     return dot(
         [sympy.Float(weight, PRINTED_DIGITS) if weight else sympy.S.Zero for weight in weights],
         terms,

@@ -11,6 +11,7 @@ from typing import Any
 
 from certrack.core.keys import Key, keys_of
 from certrack.laws import LAWS, Law
+from certrack.laws.observer import Observer
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
@@ -19,6 +20,9 @@ from certrack.model.uncertainty import Uncertainty
 from certrack.references import known_references
 from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS, TRANSIENT
 from certrack.systems.system import Settings, System
+
+#: A field of every law that is a table below its own.
+OBSERVER = "observer"
 
 
 def _keys_below(owner: Any, below: str = "") -> dict[str, Key]:
@@ -35,7 +39,9 @@ def law_keys(law: type[Law]) -> dict[str, Key]:
     """Keys of ``[law]`` for one law, a user's own among them."""
     kind = Key("choice", help="which law", choices=tuple(LAWS), required=True)
     undescribed = {
-        entry.name: Key("any", required=entry.default is MISSING) for entry in fields(law)
+        entry.name: Key("any", required=entry.default is MISSING)
+        for entry in fields(law)
+        if entry.init and entry.name != OBSERVER
     }
     return {"kind": kind, **undescribed, **keys_of(law)}
 
@@ -57,6 +63,7 @@ TABLES: dict[str, dict[str, Key]] = {
     "reference": dict(FORMULA_KEYS),
     **{f"reference[{kind}]": reference_keys(kind) for kind in REFERENCE_KINDS},
     **{f"law[{kind}]": law_keys(law) for kind, law in LAWS.items()},
+    "law.observer": _keys_below(Observer),
     "simulation": _keys_below(Settings),
     "implementation": _keys_below(Implementation),
     "ensemble": _keys_below(Population),

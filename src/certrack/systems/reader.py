@@ -18,11 +18,12 @@ from certrack.core import checks
 from certrack.core.budget import within_budget
 from certrack.core.errors import InputError
 from certrack.laws import Law, known_laws
+from certrack.laws.observer import Observer
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth, constants_of_truth
-from certrack.systems.keys import TABLES, law_keys
+from certrack.systems.keys import OBSERVER, TABLES, law_keys
 from certrack.systems.lines import line_of
 from certrack.systems.reference_reader import read_reference
 from certrack.systems.system import Settings, System
@@ -218,9 +219,13 @@ def _read_system(tables: dict[str, Any], folder: Path | None) -> System:
     plant = _read_plant(tables["plant"])
     constants = plant.constant_values
     settings = Settings(**read_values("simulation", tables["simulation"], constants))
+    law = _read_law(tables["law"], constants)
+    if law.observer is not None and "implementation" not in tables:
+        remedy = "Add a table [implementation]"
+        raise InputError("law.observer", "needs samples to estimate from", remedy=remedy)
     return System(
         plant=plant,
-        law=_read_law(tables["law"], constants),
+        law=law,
         reference=read_reference(
             tables["reference"],
             constants,
@@ -292,10 +297,14 @@ def _read_law(table: Any, constants: Mapping[str, Any]) -> Law:
     if "kind" not in table:
         raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(laws))
     law = laws[checks.choice("law.kind", table["kind"], laws, OWN_LAW)]
+    observer = table.get(OBSERVER)
+    table = {name: value for name, value in table.items() if name != OBSERVER}
     refuse_keys_of_another("law", table, "law", {name: law_keys(laws[name]) for name in laws})
     values = read_values("law", table, constants, law_keys(law))
     del values["kind"]
-    return law(**values)
+    if observer is None:
+        return law(**values)
+    return law(**values, observer=Observer(**read_values("law.observer", observer, constants)))
 
 
 def _read_population(table: Any, constants: Mapping[str, Any]) -> Population | None:

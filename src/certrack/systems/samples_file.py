@@ -116,14 +116,14 @@ def _places(name: str, columns: Sequence[str] | None, heads: Sequence[str]) -> t
         raise InputError("reference.columns", "must be two: of time and of y_d", list(columns))
     places = []
     for i, wanted in enumerate(columns):
-        found = [k for k, head in enumerate(heads) if wanted in (head, _without_unit(head))]
-        if not found and wanted.isdecimal() and int(wanted) >= 1:
-            found = [int(wanted) - 1]
-        if len(found) != 1:
+        matching = [k for k, head in enumerate(heads) if wanted in (head, _without_unit(head))]
+        if not matching and wanted.isdecimal() and int(wanted) >= 1:
+            matching = [int(wanted) - 1]
+        if len(matching) != 1:
             what = f"must be the name of a column of {name}, or its number from 1"
             names = f"Its columns: {', '.join(heads)}" if any(heads) else "It has no names"
             raise InputError(f"reference.columns[{i}]", what, wanted, names)
-        places.append(found[0])
+        places.append(matching[0])
     return places[0], places[1]
 
 

@@ -15,6 +15,7 @@ from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.notebook import ShownInNotebooks
 from certrack.laws.base import Controller, Law
 from certrack.laws.leakage import longest_euler_period
+from certrack.laws.observer_model import observer_model
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
@@ -181,6 +182,8 @@ class System(ShownInNotebooks):
         implementation.samples(self.settings.duration)
         if implementation.update == "euler":
             self._check_leak(implementation.period)
+        if self.law.observer is not None:
+            observer_model(self.plant, self.law, implementation)
         set_fields(self, implementation=implementation)
 
     def _check_leak(self, period: float) -> None:

@@ -27,7 +27,7 @@ VALUE_UNITS: dict[str, tuple[str, float, float]] = {
 #: Other ways to write them.
 _ALIASES = {"\u00b5m": "um", "\u03bcm": "um", "\u00b0": "deg", "degrees": "deg", "inch": "in"}
 
-KEY = "reference.value_unit"
+VALUE_UNIT = "reference.value_unit"
 
 
 def converted(values: list[float], unit: str, output: str) -> list[float]:
@@ -49,13 +49,13 @@ def converted(values: list[float], unit: str, output: str) -> list[float]:
         return values
     if not output:
         message = "needs the unit of the output"
-        raise InputError(KEY, message, unit, "State plant.units, or convert the file")
-    for key, name in ((KEY, unit), ("plant.units[0]", output)):
+        raise InputError(VALUE_UNIT, message, unit, "State plant.units, or convert the file")
+    for key, name in ((VALUE_UNIT, unit), ("plant.units[0]", output)):
         if name not in VALUE_UNITS:
             raise InputError(key, "must be one of " + ", ".join(VALUE_UNITS), name)
     (kind, up, down), (wanted, over, under) = VALUE_UNITS[unit], VALUE_UNITS[output]
     if kind != wanted:
-        raise InputError(KEY, f"must measure the output, which is in {output}", unit)
+        raise InputError(VALUE_UNIT, f"must measure the output, which is in {output}", unit)
     return [value * (up * under) / (down * over) for value in values]
 
 

@@ -15,7 +15,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import Expression, parse
 from certrack.core.files import write_text
 from certrack.core.rationals import RationalFloat
-from certrack.laws import Law, known_laws
+from certrack.laws import Law, LqrWeights, known_laws
 from certrack.model.distribution import Distribution
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
@@ -120,6 +120,8 @@ def _as_toml(value: Any) -> Any:
         return number_or_text(value.text)
     if isinstance(value, RationalFloat):
         return value.text
+    if isinstance(value, LqrWeights):
+        return _as_toml(field_values(value))
     if isinstance(value, dict):
         return {name: _as_toml(entry) for name, entry in value.items()}
     if isinstance(value, (tuple, list)):
@@ -187,7 +189,13 @@ def toml_table(law: Law) -> dict[str, Any]:
 
 
 def _law_table(law: Law) -> dict[str, Any]:
-    return {"kind": law.kind} | _present(field_values(law))
+    values = _present(field_values(law))
+    if not law.sampled_feedforward:
+        values.pop("sampled_feedforward", None)
+    if law.observer is not None:
+        observer = _present(field_values(law.observer))
+        values["observer"] = {name: value for name, value in observer.items() if value != ()}
+    return {"kind": law.kind} | values
 
 
 def _population_table(population: Population) -> dict[str, Any]:
@@ -202,8 +210,8 @@ def _population_table(population: Population) -> dict[str, Any]:
 
 
 def field_values(instance: Any) -> dict[str, Any]:
-    """The fields of a dataclass, not copied."""
-    return {entry.name: getattr(instance, entry.name) for entry in fields(instance)}
+    """The fields of a dataclass that its constructor takes, not copied."""
+    return {entry.name: getattr(instance, entry.name) for entry in fields(instance) if entry.init}
 
 
 def _implementation_table(implementation: Implementation) -> dict[str, Any]:

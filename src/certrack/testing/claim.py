@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import sympy
+from scipy.linalg import solve_continuous_lyapunov
 
 from certrack.core.expressions import TIME, symbol
 from certrack.core.lowering import numpy_callable
 from certrack.laws import EstimatedParameters, KnownParameters, OwnErrors, Signals, dot
 from certrack.laws.backstepping import ErrorCoordinates
+from certrack.laws.plant_coordinates import PlantCoordinates
 from certrack.loops.continuous import close_loop
 from certrack.model.truth import Truth
 from certrack.systems.system import System
@@ -70,7 +72,10 @@ class TestedClaim:
             skip(f"the {system.law.kind} law states no error system")
         if isinstance(stated, OwnErrors):
             return stated
-        recursive = recursion_errors(s, system.controller.coordinates)
+        coordinates = system.controller.coordinates
+        if isinstance(coordinates, PlantCoordinates):
+            return linear_errors(s, coordinates)
+        recursive = recursion_errors(s, coordinates)
         if isinstance(stated, KnownParameters):
             return recursive
         assert truth.input_gain is not None
@@ -130,6 +135,18 @@ def recursion_errors(s: Signals, design: ErrorCoordinates) -> OwnErrors:
     decay = (design.c + design.kappa).tolist()
     V_rate = -dot(decay, [e**2 for e in errors]) - dot(R, errors) * s.Y[q + 1]
     return OwnErrors(errors, rates, dot(errors, errors) / 2, V_rate)
+
+
+def linear_errors(s: Signals, design: PlantCoordinates) -> OwnErrors:
+    """xi = x - Pi Y with xi' = M xi - R y_d^(q+1), and V = xi^T P xi/2, M^T P + P M = -2 I."""
+    n, q = design.n, design.q
+    B, M, R = (m.tolist() for m in (design.B, design.error_matrix, design.R))
+    P = solve_continuous_lyapunov(design.error_matrix.T, -2 * np.eye(n)).tolist()
+    errors = tuple(s.x[m] - dot(B[m], s.Y[: q + 1]) for m in range(n))
+    rates = tuple(dot(M[m], errors) - R[m] * s.Y[q + 1] for m in range(n))
+    weighted = [dot(row, errors) for row in P]
+    V_rate = -dot(errors, errors) - dot(R, weighted) * s.Y[q + 1]
+    return OwnErrors(errors, rates, dot(errors, weighted) / 2, V_rate)
 
 
 def with_estimates(

@@ -27,7 +27,7 @@ FIRST_STEP, BLOCK_POWER = 0.03, 7
 
 #: The kernels are followed until the slowest mode has fallen to this; blocks at most, which is a
 #: stiffness of 1e9.
-LEFT_OVER, MOST_BLOCKS = 1e-7, 40
+LEFT_OVER, BLOCK_LIMIT = 1e-7, 40
 
 #: Steps of the fixed point, and what counts as standing still.
 MOST_PASSES, PASS_ACCURACY = 200, 1e-13
@@ -118,7 +118,7 @@ def _kernels(M: np.ndarray, B: np.ndarray, step: float, slowest: float) -> _Kern
     end = math.log(1 / LEFT_OVER) / slowest
     power, start, t = expm(M * step), B, 0.0
     powers, stacks = [power], []
-    for block in range(MOST_BLOCKS):
+    for block in range(BLOCK_LIMIT):
         while len(powers) < block + BLOCK_POWER + 1:
             powers.append(powers[-1] @ powers[-1])
         doubled = [start[:, None, :]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 import numpy as np
@@ -34,7 +34,10 @@ from certrack.certificates.implemented.proof import (
     prove_implemented,
 )
 from certrack.certificates.implemented.ranged import RangedPlant
+from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
+from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.implemented.start_proof import X0
+from certrack.certificates.premise import Premise
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
@@ -133,7 +136,7 @@ def certify_implemented(
     from_start : bool
         Find the peaks from x0 even if the input has no limits.
     margins : bool
-        Search the slowest and the fastest period, too.
+        Search the slowest and the fastest period, too; not with jitter or claims on a region.
     effort : {"fast", "default", "high"}
         How many cells ranges of constants are cut into; ``fast`` makes one.
     progress : callable
@@ -152,19 +155,23 @@ def certify_implemented(
     >>> from certrack.certificates.implemented.certify import certify_implemented
     >>> system = certrack.load("dual-motor-lean")
     >>> drive = certrack.Implementation(period=0.003, delay=0.5)
-    >>> found, proofs = certify_implemented(system.replace(implementation=drive))
-    >>> found
+    >>> certificate, proofs = certify_implemented(system.replace(implementation=drive))
+    >>> certificate
     Certificate(implemented: limsup |e_1| <= 0.001279, verified)
     """
     limited = is_limited(system)
+    partly = limited or is_regional(system)
     try:
         with within_floats():
             proven = _proven(system, effort, progress)
             proofs = tuple(proof for proof, _ in proven)
             if reason := limits_met(system, proofs):
                 raise NoCertificate(reason)
-            evidence = from_starts(system, proofs) if limited or from_start else Findings(proofs)
-            periods = period_margins(system, proofs, limits_met) if margins else None
+            evidence = Findings(proofs)
+            if partly or (from_start and not jitters(system)):
+                evidence = from_starts(system, proofs)
+            searched = margins and not (is_regional(system) or jitters(system))
+            periods = period_margins(system, proofs, limits_met) if searched else None
     except NoCertificate as refusal:
         return missing_implemented(str(refusal)), ()
     worst = max(range(len(proofs)), key=lambda i: from_text(proofs[i].bound))
@@ -181,7 +188,7 @@ def certify_implemented(
         peak_input=float_up(peak),
         states=tuple(float_up(max(map(from_text, values))) for values in states),
         saturation=NO_LIMITS if not limited else INACTIVE if verified else MAY_ACT,
-        starts=evidence.starts if limited else ANY_START,
+        starts=evidence.starts if partly else ANY_START,
         start=() if system.truth.states else system.settings.x0,
         peaks=evidence.peaks,
         polytope=evidence.polytope,
@@ -189,6 +196,18 @@ def certify_implemented(
         cells=sum(bool(proof.cell) for proof in proofs),
         margins=periods,
     ), evidence.proofs if verified else ()
+
+
+def jitters(system: System) -> bool:
+    """Whether samples and inputs may be off their times: then nothing is said of a start."""
+    return system.implementation is not None and system.implementation.jitter > 0
+
+
+def from_x0_only(
+    certificate: ImplementedCertificate, proofs: Sequence[ImplementedProof]
+) -> tuple[ImplementedCertificate, tuple[ImplementedProof, ...]]:
+    """A certificate and its proofs where the bounds of w hold in the region of x0 only."""
+    return replace(certificate, starts=X0, polytope=None), without_polytopes(proofs)
 
 
 def _proven(
@@ -236,10 +255,11 @@ def largest_bound(proofs: Sequence[ImplementedProof]) -> str:
     return max((proof.bound for proof in proofs), key=from_text)
 
 
-def claim_of(system: System, bound: str) -> str:
-    """What a certificate file claims; with limits of the input, of the file's own start."""
+def claim_of(system: System, bound: str, rests_on: Sequence[Premise] = ()) -> str:
+    """What a certificate file claims; of the file's own start where it is not of all."""
     claim = f"limsup |e_1(t)| <= {bound}"
-    return f"{claim} from simulation.x0" if is_limited(system) else claim
+    partly = is_limited(system) or is_regional(system) or is_only_in_region(rests_on)
+    return f"{claim} from simulation.x0" if partly else claim
 
 
 def failed_cover(system: System, proofs: Sequence[ImplementedProof]) -> str:

@@ -15,8 +15,8 @@ from certrack.core.errors import InputError
 #: Keys of the proof for one delay.
 PROOF_KEYS = tuple(entry.name for entry in fields(ImplementedProof))
 
-#: Those that a file without ranges need not have.
-OPTIONAL_KEYS = {"cell"}
+#: Those that a file without ranges, or without jitter, need not have.
+OPTIONAL_KEYS = {"cell", "rates"}
 
 #: Keys of what is proven of a set of starts.
 START_KEYS = tuple(entry.name for entry in fields(StartProof))
@@ -39,10 +39,12 @@ def is_implemented(body: Any) -> bool:
 
 
 def record_of(stage: Any) -> dict[str, Any]:
-    """The numbers of a stage of any proof; one of a sampled loop without ranges has no cell."""
+    """The numbers of a stage of any proof; of a sampled loop no empty cell and rates."""
     record = asdict(stage)
-    if isinstance(stage, ImplementedProof) and not stage.cell:
-        del record["cell"]
+    if isinstance(stage, ImplementedProof):
+        for name in OPTIONAL_KEYS:
+            if not record[name]:
+                del record[name]
     return record
 
 
@@ -65,7 +67,8 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
     if not set(PROOF_KEYS) - OPTIONAL_KEYS <= set(entry) <= set(PROOF_KEYS):
         raise InputError("proof", f"must have {', '.join(PROOF_KEYS)}")
     try:
-        for text in (entry["input"], entry["step"], entry["bound"], *_as_tuple(entry["states"])):
+        listed = (*_as_tuple(entry["states"]), *_as_tuple(entry.get("rates", ())))
+        for text in (entry["input"], entry["step"], entry["bound"], *listed):
             from_text(text)
         delay = entry["delay"]
         if not isinstance(delay, str) or len(delay) > MAX_TEXT_LENGTH:
@@ -85,6 +88,7 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
     lists = {
         "parts": tuple(entry["parts"]),
         "states": tuple(entry["states"]),
+        "rates": tuple(entry.get("rates", ())),
         "starts": tuple(map(_start_proof, starts)),
         "cell": cell,
     }

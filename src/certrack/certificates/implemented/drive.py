@@ -16,20 +16,24 @@ from typing import Any
 
 import flint
 import numpy as np
-import sympy
 
 from certrack.certificates.arithmetic import exact_float, rational, solve
 from certrack.certificates.balls import ball_matrix, ball_of, upper_rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.implemented.channels import Channel
+from certrack.certificates.implemented.controller_matrices import controller_matrices
+from certrack.certificates.implemented.growing import GrowingBound
 from certrack.certificates.scope import ranged_names, refuse_unknown
 from certrack.certificates.stated import stated_error_system
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
-from certrack.core.powers import put_in
 from certrack.laws.error_system import KnownParameters
+from certrack.laws.integral import INTEGRAL
+from certrack.loops.feedforward import sampled_feedforward
 from certrack.model.implementation import Implementation
+from certrack.model.linear_drift import linear_parts, total_drift
+from certrack.model.plant import Plant
 from certrack.references.base import bound_of, jumps, lipschitz_bound
 from certrack.systems.system import System
 
@@ -45,12 +49,15 @@ class UncertainBound:
         Diagonal of S: n, and zeros for the channels.
     Delta : rationals
         n, and of the channels.
+    growing : GrowingBound or None
+        In the place of gamma, Delta and beta, which are zero then.
     """
 
     gamma: Any
     beta: Any
     weights: tuple[Any, ...]
     Delta: tuple[Any, ...]
+    growing: GrowingBound | None = None
 
 
 @dataclass(frozen=True)
@@ -63,7 +70,10 @@ class Drive:
     Lx, Ls, Ly : ball matrices of one row
     Sx, Ss, Sy : ball matrices of a row per memory
     first : (memories, n) ball matrix
-        The memories before the first sample, over what it measures: its differences are zero.
+        The memories before the first sample, over what it measures: its differences are zero, and
+        an observer has not missed anything.
+    first_input : (memories, 1) ball matrix
+        The same over the input before the first sample.
     T : rational
         Period, s.
     delay : rational
@@ -84,6 +94,8 @@ class Drive:
         Whether there is one.
     offset : rational
         The constant part of the law, which cancels that of the drift; not in u above.
+    jitter : rational
+        Samples and inputs may be off their times by so many periods.
     desired : (n, q + 1) ball matrix, or None
         The states where e = 0, over (y_d ... y_d^(q)); None if that is not known.
     channels : tuple of Channel
@@ -100,6 +112,7 @@ class Drive:
     Ss: flint.arb_mat
     Sy: flint.arb_mat
     first: flint.arb_mat
+    first_input: flint.arb_mat
     T: Any
     delay: Any
     uncertain: tuple[UncertainBound, ...]
@@ -110,6 +123,7 @@ class Drive:
     jumps: tuple[Any, Any] | None
     jumps_once: bool
     offset: Any
+    jitter: Any = flint.fmpq(0)
     desired: flint.arb_mat | None = None
     channels: tuple[Channel, ...] = ()
 
@@ -165,7 +179,7 @@ def drive_of(system: System, delay: Any | None = None) -> Drive:
 
 def open_names(system: System) -> list[str]:
     """What the law takes for known, although it has a range."""
-    return ranged_names(system, refuse_unknown(system))
+    return ranged_names(system, refuse_unknown(system, integral=True))
 
 
 def nominal_drive(system: System, delay: Any | None = None) -> Drive:
@@ -179,12 +193,13 @@ def nominal_drive(system: System, delay: Any | None = None) -> Drive:
     implementation = system.implementation
     if implementation is None:
         raise NoCertificate(NO_IMPLEMENTATION)
-    if not isinstance(stated_error_system(system), KnownParameters):
+    if not isinstance(stated_error_system(system, integral=True), KnownParameters):
         raise NoCertificate(
             "only loops that are linear are covered as implemented, and the adaptive law is not; "
             'use law.kind = "robust", or certrack margin for what samples say'
         )
-    if system.controller.equations.u.has(TIME) or system.controller.states:
+    integral = [INTEGRAL] * (system.law.integral is not None)
+    if system.controller.equations.u.has(TIME) or list(system.controller.states) != integral:
         raise NoCertificate("a law with the time or states of its own is not covered")
     sensors = sensor_errors(implementation, system.plant.n)
     with flint.ctx.workprec(DRIVE_BITS):
@@ -215,34 +230,40 @@ def _drive(
     u = plant.uncertainty
     acting = [k for k in range(n) if u.tau[k] and u.acts(k)]
     K = [(v - h) / gain for v, h in zip(c.nu_x, slopes, strict=True)]
-    rows = _controller_rows(system, implementation, A, K)
+    nu_Y = list(c.nu_Y)
+    if system.law.sampled_feedforward:
+        corrected = sampled_feedforward(plant, system.controller, system.law, implementation)
+        nu_Y = [exact_float(v, rational) for v in corrected]
+    gains_of_u = [*K, *(v / gain for v in nu_Y)]
+    gains_of_u += [] if c.integral is None else [c.integral.nu / gain]
     T = rational(implementation.period)
     return Drive(
         A=ball_matrix(A),
         b=ball_matrix([[flint.fmpq(0)]] * (n - 1) + [[gain]]),
         W=ball_matrix([[rational(u.tau[k]) if i == k else 0 for k in acting] for i in range(n)]),
-        Ly=ball_matrix([[v / gain for v in c.nu_Y]]),
-        Sy=flint.arb_mat(len(rows[1]), c.q + 2),
         T=T,
         delay=rational(implementation.run_delay) if delay is None else delay,
-        uncertain=tuple(_uncertain_bound(u, k, n) for k in acting),
+        uncertain=tuple(_uncertain_bound(plant, k) for k in acting),
         mu=mu,
         eta=upper_rational_of(implementation.input_quantum) / 2,
         Y=_reference_bounds(system, c.q),
         **_smoothness(system, c.q + 1, T),
         offset=-constant / gain,
+        jitter=rational(implementation.jitter),
         desired=ball_matrix((solve(c.A, np.eye(n, dtype=object)) @ c.B).tolist()),
-        **_controller_matrices(rows, n),
+        **controller_matrices(system, implementation, gains_of_u),
     )
 
 
-def _uncertain_bound(u: Any, k: int, n: int) -> UncertainBound:
-    Delta = (0.0,) * n if u.Delta is None else u.Delta[k]
+def _uncertain_bound(plant: Plant, k: int) -> UncertainBound:
+    u, formula = plant.uncertainty, plant.uncertainty.formula(k)
+    Delta = (0.0,) * plant.n if u.Delta is None else u.Delta[k]
     return UncertainBound(
         rational(u.gamma[k]),
         rational(u.beta[k]),
         tuple(map(rational, u.norm_weights(k))),
         tuple(map(rational, Delta)),
+        None if formula is None else GrowingBound(formula.expr, plant.symbols),
     )
 
 
@@ -255,74 +276,15 @@ def linear_drift(system: System) -> tuple[list[Any], Any]:
         If it is not linear.
     """
     plant = system.plant
-    total = plant.drift.expr
-    for phi, theta in zip(plant.regressor, plant.theta or (), strict=True):
-        total += phi.expr * theta.expr
-    constants = plant.constant_values
-    named = {s: constants[s.name] for s in total.free_symbols if s.name in constants}
-    total = sympy.expand(put_in(total, named))
-    # atan(tan(x)) has the slope 1 wherever it has one, and is not linear
-    linear = total.is_polynomial(*plant.symbols)
-    slopes = [sympy.simplify(sympy.diff(total, x)) for x in plant.symbols]
-    if not linear or any(slope.free_symbols for slope in slopes):
+    total = total_drift(plant, plant.theta or ())
+    parts = linear_parts(plant, total)
+    if parts is None:
         raise NoCertificate(
             "only loops that are linear are covered as implemented: plant.drift (with the known "
             f"regressors) is {total}"
         )
-    constant = total.xreplace(dict.fromkeys(plant.symbols, sympy.S.Zero))
-    return [rational(slope) for slope in slopes], rational(sympy.simplify(constant))
-
-
-def _controller_rows(
-    system: System, implementation: Implementation, A: list[list[Any]], K: list[Any]
-) -> tuple[list[Any], list[list[Any]], list[list[Any]]]:
-    """u and the next memories, over the measured states and the memories; and the first memories.
-
-    A state that is not measured has two memories: the state before it at the last sample, and the
-    filtered difference; see :mod:`certrack.loops.controller`.
-    """
-    plant, n = system.plant, system.plant.n
-    differenced = [i for i in range(1, n) if plant.states[i] in implementation.velocity]
-    width = n + 2 * len(differenced)
-    eye = [[flint.arb(int(i == j)) for j in range(width)] for i in range(width)]
-    x, after, still, first = eye[:n], [], [list(row) for row in eye[:n]], []
-    T = rational(implementation.period)
-    pole = flint.arb(1)
-    if implementation.velocity_filter:
-        pole = 1 - (-flint.arb(T / rational(implementation.velocity_filter))).exp()
-    for index, i in enumerate(differenced):
-        position, before, speed = x[i - 1], eye[n + 2 * index], eye[n + 2 * index + 1]
-        filtered = [
-            v + pole * ((p - last) / T - v)
-            for p, last, v in zip(position, before, speed, strict=True)
-        ]
-        gain, row = A[i - 1][i], A[i - 1][:i]
-        x[i] = [
-            (f - sum((a * x[j][k] for j, a in enumerate(row)), flint.arb(0))) / gain
-            for k, f in enumerate(filtered)
-        ]
-        after += [position, filtered]
-        first += [still[i - 1][:n], [flint.arb(0)] * n]
-        still[i] = [
-            sum((-a * still[j][k] for j, a in enumerate(row)), flint.arb(0)) / gain
-            for k in range(width)
-        ]
-    command = [sum((K[i] * x[i][k] for i in range(n)), flint.arb(0)) for k in range(width)]
-    return command, after, first
-
-
-def _controller_matrices(
-    rows: tuple[list[Any], list[list[Any]], list[list[Any]]], n: int
-) -> dict[str, flint.arb_mat]:
-    command, after, first = rows
-    count = len(after)
-    return {
-        "Lx": flint.arb_mat([command[:n]]),
-        "Ls": flint.arb_mat(1, count, command[n:]),
-        "Sx": flint.arb_mat(count, n, [v for row in after for v in row[:n]]),
-        "Ss": flint.arb_mat(count, count, [v for row in after for v in row[n:]]),
-        "first": flint.arb_mat(count, n, [v for row in first for v in row]),
-    }
+    slopes, constant = parts
+    return [rational(slope) for slope in slopes], rational(constant)
 
 
 def sensor_errors(implementation: Implementation, n: int) -> tuple[Any, ...]:

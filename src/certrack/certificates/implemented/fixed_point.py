@@ -51,6 +51,7 @@ class OutputBounds:
         What the balls were made of.
     sample : rational
         Bound of the input `sample` of the gains.
+    rows : of outputs
     """
 
     outputs: np.ndarray
@@ -61,6 +62,7 @@ class OutputBounds:
     drive: Drive
     gains: PeakGains
     sample: Any
+    rows: tuple[Row, ...] = ()
 
     @classmethod
     def of(
@@ -98,7 +100,14 @@ class OutputBounds:
             drive=drive,
             gains=gains,
             sample=sample,
+            rows=tuple(rows),
         )
+
+    @property
+    def is_regional(self) -> bool:
+        """Whether a bound of w grows faster than the state: then v > F(v) is not enough."""
+        growing = (bound.growing for bound in self.drive.uncertain)
+        return any(entry is not None and not entry.is_global for entry in growing)
 
     def image(self, X: Sequence[Any], U: Any) -> list[Any]:
         """F: upper bounds of e_1, of the states, of u and of its steps.
@@ -138,11 +147,15 @@ class OutputBounds:
         gamma, beta = (_floats([getattr(b, name) for b in uncertain]) for name in ("gamma", "beta"))
         weights = _floats([b.weights for b in uncertain]).reshape(-1, n)
         Delta = _floats([b.Delta for b in uncertain]).reshape(-1, n)
+        growing = [(j, b.growing) for j, b in enumerate(uncertain) if b.growing is not None]
         chosen = [self.outputs == k for k in range(1, n + 2)]
         v = np.zeros(n + 1)
         for _ in range(FIXED_POINT_STEPS):
             X = v[:n]
-            size = gamma * np.linalg.norm(weights * X, axis=1) + Delta @ X + beta
+            norm = np.linalg.norm(weights * X, axis=1)
+            size = gamma * norm + Delta @ X + beta
+            for j, bound in growing:
+                size[j] = bound.largest_float(X.tolist(), float(norm[j]))
             values = constant + w @ size + x @ X + u * v[n]
             after = np.array([values[rows].max() for rows in chosen])
             if not after.max() < LARGEST_BOUND:
@@ -161,7 +174,8 @@ class OutputBounds:
         """What the bound of e_1 is made of, in its largest row."""
         drive, gains = self.drive, self.gains
         sizes = [float(uncertain_size(bound, X).mid()) for bound in drive.uncertain]
-        beta = [float(bound.beta) for bound in drive.uncertain]
+        still = [0.0] * drive.n
+        beta = [float(uncertain_size(bound, still).mid()) for bound in drive.uncertain]
         w, x, u, constant = (_floats(v) for v in (self.w, self.x, self.u, self.constant))
         values = constant + w @ np.array(sizes) + x @ np.array(X) + u * U
         rows = np.flatnonzero(self.outputs == 0)
@@ -184,9 +198,12 @@ class OutputBounds:
 
 def uncertain_size(bound: Any, X: Sequence[Any]) -> Any:
     """Largest |w| where |x| <= X."""
+    X = [flint.arb(v) for v in X]
     square = sum(
         ((flint.arb(s) * v) ** 2 for s, v in zip(bound.weights, X, strict=True)), flint.arb(0)
     )
+    if bound.growing is not None:
+        return bound.growing.largest(X, square.sqrt())
     grown = sum((flint.arb(d) * v for d, v in zip(bound.Delta, X, strict=True)), flint.arb(0))
     return bound.gamma * square.sqrt() + grown + bound.beta
 

@@ -18,6 +18,7 @@ from certrack.certificates.implemented.enclosed import widened
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.polytope import Polytope, common
 from certrack.certificates.implemented.proof import ImplementedProof, cells_of, start_prover
+from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.implemented.start_proof import (
     ANY_PHASE,
     FILE_PHASE,
@@ -183,22 +184,24 @@ def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
 
 
 def _starts_of_delay(system: System, proof: ImplementedProof) -> Findings:
-    limited, polytope, starts, reason = is_limited(system), None, [], ""
+    limited, polytope, reason = is_limited(system), None, ""
+    starts = list(proof.starts)
     with flint.ctx.workprec(DRIVE_BITS):
         prover = start_prover(
             system, rational(Fraction(proof.delay)), proof.parts, numbers(proof.cell)
         )
         try:
-            starts.append(prover.prove(X0))
+            starts = starts or [prover.prove(X0)]
             if limited and (limit := limit_met(system, prover.drive, starts[0])):
                 reason = f"the limits of the input may act: {limit}"
         except NoCertificate as refusal:
             reason = f"the limits of the input may act: {refusal}" if limited else ""
-        if limited:
+        if limited or is_regional(system):
             try:
-                region = prover.prove(POLYTOPE)
+                known = [start for start in starts if start.of == POLYTOPE]
+                region = known[0] if known else prover.prove(POLYTOPE)
                 polytope = polytope_of(prover, region)
-                starts.append(region)
+                starts += [] if known else [region]
             except NoCertificate:
                 polytope = None
     return Findings((replace(proof, starts=tuple(starts)),), None, polytope, reason)
@@ -219,13 +222,17 @@ def peaks_of(system: System, proofs: Sequence[ImplementedProof]) -> Peaks | None
 
 def failed_starts(system: System, proof: ImplementedProof, delay: Any) -> str:
     """Empty if what is said of starts holds, and no limit is met from x0; else what fails."""
-    limited, kinds = is_limited(system), [start.of for start in proof.starts]
+    limited, regional = is_limited(system), is_regional(system)
+    kinds = [start.of for start in proof.starts]
     if len(set(kinds)) < len(kinds) or not set(kinds) <= {X0, POLYTOPE}:
         return "there must be at most one proof from x0 and one of a polytope"
-    if limited and X0 not in kinds:
-        return "the input has limits, and nothing is said of the start"
-    if POLYTOPE in kinds and not limited:
+    if (limited or regional) and X0 not in kinds:
+        what = "the input has limits" if limited else "the bound is not for every start"
+        return f"{what}, and nothing is said of the start"
+    if POLYTOPE in kinds and not (limited or regional):
         return "a polytope of starts is for an input with limits"
+    if kinds and system.implementation is not None and system.implementation.jitter:
+        return "with jitter nothing is proven of starts"
     try:
         with within_floats(), flint.ctx.workprec(DRIVE_BITS):
             prover = start_prover(system, delay, proof.parts, numbers(proof.cell))

@@ -65,9 +65,9 @@ def output_rows(period: Period) -> list[Row]:
     none = [flint.arb(0)] * (q + 1)
     of_y = [flint.arb(1), *none[1:]]
     eye = [Channel(tuple(int(i == j) for j in range(n)), 0) for i in range(n)]
-    rows = _state_rows(period, 0, eye[0], of_y, max(ERROR_DEGREE, q))
+    rows = state_rows(period, 0, eye[0], of_y, max(ERROR_DEGREE, q))
     for i, seen in enumerate((*eye, *drive.channels)):
-        rows += _state_rows(period, i + 1, seen, none, STATE_DEGREE)
+        rows += state_rows(period, i + 1, seen, none, STATE_DEGREE)
     nothing = flint.arb(0)
     in_cell = InCell((nothing,) * period.W.ncols(), nothing, (nothing,) * m, nothing)
     entries = range(period.size)
@@ -78,7 +78,7 @@ def output_rows(period: Period) -> list[Row]:
     return rows
 
 
-def _state_rows(
+def state_rows(
     period: Period, output: int, seen: Channel, of_Y: Sequence[Any], degree: int
 ) -> list[Row]:
     """Bernstein rows of what is seen of x and the acting u, minus of_Y Y, in every cell."""

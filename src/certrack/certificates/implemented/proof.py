@@ -23,12 +23,15 @@ from certrack.certificates.implemented.drive import DRIVE_BITS, Drive
 from certrack.certificates.implemented.enclosed import Enclosed
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.gains import output_gains
+from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.levels import partly_cancelled
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
 from certrack.certificates.implemented.ranged import RangedPlant, drive_in
+from certrack.certificates.implemented.regional import in_the_long_run, is_regional, not_reached
 from certrack.certificates.implemented.start import FromStarts
-from certrack.certificates.implemented.start_proof import StartProof, StartProver
+from certrack.certificates.implemented.start_proof import POLYTOPE, X0, StartProof, StartProver
+from certrack.certificates.implemented.timing import TimedBounds, rate_rows
 from certrack.certificates.ranges.cells import Cell
 from certrack.certificates.ranges.proofs import numbers, texts
 from certrack.systems.system import System
@@ -72,6 +75,8 @@ class ImplementedProof:
         Of limsup |e_1|.
     starts : tuple of StartProof
         What is proven of runs from x0, and from the polytope of starts, if anything.
+    rates : n texts
+        With jitter: bounds of limsup |x_i'|.
     cell : pairs of texts
         Ends of each range, for constants in this cell; empty where nothing has a range. The
         channels' bounds stand behind the states' then.
@@ -85,6 +90,7 @@ class ImplementedProof:
     step: str
     bound: str
     starts: tuple[StartProof, ...] = ()
+    rates: tuple[str, ...] = ()
     cell: tuple[tuple[str, str], ...] = ()
 
 
@@ -114,12 +120,16 @@ def prove_implemented(
     NoCertificate
         If there is none, or the loop is not covered.
     """
+    refuse_in_cells(system, cell)
     drive = drive_in(system, delay, cell, plant)
     with flint.ctx.workprec(DRIVE_BITS):
         period = one_period(drive, cells_of(drive))
         doublings = periods_needed(period)
         bounds = _bounds(period, doublings)
-        X, U = bounds.search()
+        if drive.jitter:
+            return _prove_with_jitter(system, period, doublings, bounds)
+        starts = _starts_of_region(system, delay, cells_of(drive))
+        X, U = in_the_long_run(bounds, starts) if starts else bounds.search()
         states = tuple(f"{v:.{DIGITS}g}" for v in X)
         proof = ImplementedProof(
             str(delay),
@@ -129,15 +139,96 @@ def prove_implemented(
             f"{U:.{DIGITS}g}",
             "0",
             "0",
-            (),
-            texts(cell),
+            starts,
+            cell=texts(cell),
         )
         image = _image(bounds, proof)
-        if reason := _not_above(image, proof):
+        if reason := _not_above(bounds, image, proof):
             raise NoCertificate(reason)
         bound, step = (_text_above(image[i]) for i in (0, -1))
         parts = bounds.parts(X, U)
     return replace(proof, bound=bound, step=step), parts
+
+
+def refuse_in_cells(system: System, cell: Sequence[Any]) -> None:
+    """Raise NoCertificate where constants have ranges and a bound is a formula, or times move."""
+    drive = system.implementation
+    if cell and (system.plant.uncertainty.bound is not None or (drive and drive.jitter)):
+        raise NoCertificate(
+            "plant.uncertainty.bound and implementation.jitter are not covered together with "
+            "ranges of constants: leave plant.ranges out"
+        )
+
+
+def _prove_with_jitter(
+    system: System, period: Period, doublings: int, bounds: OutputBounds
+) -> tuple[ImplementedProof, dict[str, float]]:
+    """A proof for a loop whose samples and inputs are off their times."""
+    drive, n = period.drive, period.drive.n
+    if is_regional(system) or is_limited(system):
+        what = "a bound that grows faster than the state" if is_regional(system) else "limits"
+        raise NoCertificate(
+            f"implementation.jitter is not covered together with {what}: leave one of them out"
+        )
+    timed = TimedBounds.of(period, bounds.rows, bounds, doublings)
+    v = timed.search()
+    entries = [f"{value:.{DIGITS}g}" for value in v]
+    proof = ImplementedProof(
+        str(drive.delay),
+        cells_of(drive),
+        doublings,
+        tuple(entries[:n]),
+        entries[n],
+        entries[n + 1],
+        "0",
+        (),
+        tuple(entries[n + 2 :]),
+    )
+    image = _timed_image(timed, proof)
+    if reason := _not_above_timed(image, proof):
+        raise NoCertificate(reason)
+    parts = bounds.parts(v[:n], v[n])
+    bound = _text_above(image[0])
+    parts |= {"jitter": max(0.0, float(image[0]) - sum(parts.values()))}
+    return replace(proof, bound=bound), parts
+
+
+def _timed_image(timed: TimedBounds, proof: ImplementedProof) -> list[Any]:
+    X, U, step = [from_text(v) for v in proof.states], from_text(proof.input), proof.step
+    return timed.image(X, U, from_text(step), [from_text(v) for v in proof.rates])
+
+
+def _not_above_timed(image: Sequence[Any], proof: ImplementedProof) -> str:
+    """Empty if v = (X, U, DU, R) is above F(v) in every entry."""
+    claimed = (*proof.states, proof.input, proof.step, *proof.rates)
+    for text, value in zip(claimed, image[1:], strict=True):
+        if not flint.arb(from_text(text)) > value:
+            return "a bound of the loop with jitter is not above what follows from all of them"
+    return ""
+
+
+def _starts_of_region(system: System, delay: Any, parts: tuple[int, int]) -> tuple[StartProof, ...]:
+    """Proofs from x0 and from the largest box, where none can be from every start.
+
+    Raises
+    ------
+    NoCertificate
+        If there is none from x0.
+    """
+    if not is_regional(system):
+        return ()
+    prover, starts = start_prover(system, delay, parts), []
+    for of in (X0, POLYTOPE):
+        try:
+            starts.append(prover.prove(of))
+        except NoCertificate as refusal:
+            if of == X0:
+                raise NoCertificate(
+                    "the uncertain terms grow faster than the state, and from simulation.x0 no "
+                    f"region is proven that the states keep ({refusal}); begin nearer to the "
+                    "reference, lower plant.uncertainty.bound, or raise c"
+                ) from None
+    return tuple(starts)
 
 
 def start_prover(
@@ -167,16 +258,35 @@ def failed_implemented(
     ):
         return f"parts must be 1 ... {MAX_CELLS_OF_INPUT}, doublings 0 ... {MAX_DOUBLINGS}"
     try:
+        refuse_in_cells(system, proof.cell)
         drive = drive_in(system, delay, numbers(proof.cell), plant)
         if len(proof.states) != drive.sized:
             return "the proof does not have the shape of the system"
         if any(from_text(text) < 0 for text in (*proof.states, proof.input)):
             return "a bound of a state or of the input is negative"
+        if len(proof.rates) != (drive.n if drive.jitter else 0):
+            return "the proof does not have the rates that jitter needs, or has some without it"
         with flint.ctx.workprec(DRIVE_BITS):
-            bounds = _bounds(one_period(drive, proof.parts), proof.doublings)
-            return _not_proven(_image(bounds, proof), proof)
+            period = one_period(drive, proof.parts)
+            bounds = _bounds(period, proof.doublings)
+            if drive.jitter:
+                return _failed_with_jitter(period, bounds, proof)
+            if is_regional(system) and not proof.starts:
+                return "the bound is not for every start, and nothing is said of one"
+            return _not_proven(bounds, _image(bounds, proof), proof)
     except NoCertificate as refusal:
         return str(refusal)
+
+
+def _failed_with_jitter(period: Period, bounds: OutputBounds, proof: ImplementedProof) -> str:
+    if any(from_text(text) < 0 for text in (*proof.rates, proof.step)):
+        return "a bound of the loop with jitter is negative"
+    image = _timed_image(TimedBounds.of(period, bounds.rows, bounds, proof.doublings), proof)
+    if reason := _not_above_timed(image, proof):
+        return reason
+    if not flint.arb(from_text(proof.bound)) >= image[0]:
+        return "the bound is smaller than what the fixed point gives"
+    return ""
 
 
 def cells_of(drive: Drive) -> tuple[int, int]:
@@ -229,7 +339,7 @@ def work_of(period: Period) -> float:
 
 
 def _bounds(period: Period, doublings: int) -> OutputBounds:
-    rows = output_rows(period)
+    rows = output_rows(period) + (rate_rows(period) if period.drive.jitter else [])
     size, width = period.size, (len(period.cells) + 1) * (period.W.ncols() + 1) + period.size
     block = 2 ** (doublings // 2 + 1)
     if (len(rows) + size) * block * max(width, size) > MAX_NUMBERS:
@@ -244,9 +354,9 @@ def _image(bounds: OutputBounds, proof: ImplementedProof) -> list[Any]:
     return bounds.image([from_text(v) for v in proof.states], from_text(proof.input))
 
 
-def _not_proven(image: Sequence[Any], proof: ImplementedProof) -> str:
+def _not_proven(bounds: OutputBounds, image: Sequence[Any], proof: ImplementedProof) -> str:
     """Empty if v > F(v), and the bounds are not below what follows from it."""
-    if reason := _not_above(image, proof):
+    if reason := _not_above(bounds, image, proof):
         return reason
     if not flint.arb(from_text(proof.bound)) >= image[0]:
         return "the bound is smaller than what the fixed point gives"
@@ -255,8 +365,12 @@ def _not_proven(image: Sequence[Any], proof: ImplementedProof) -> str:
     return ""
 
 
-def _not_above(image: Sequence[Any], proof: ImplementedProof) -> str:
-    """Empty if v > F(v) in every entry."""
+def _not_above(bounds: OutputBounds, image: Sequence[Any], proof: ImplementedProof) -> str:
+    """Empty if v > F(v) in every entry, and the bounds of all starts lead down to v."""
+    states, size = [from_text(v) for v in proof.states], from_text(proof.input)
+    for start in proof.starts if bounds.is_regional else ():
+        if reason := not_reached(bounds, (states, size), start):
+            return reason
     for name, text, value in zip(
         (*(f"state {i + 1}" for i in range(len(proof.states))), "the input"),
         (*proof.states, proof.input),

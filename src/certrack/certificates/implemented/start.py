@@ -204,6 +204,8 @@ class FromStarts:
         fixed = flint.arb_mat(period.size, 1)
         for i in range(period.command, period.size):
             fixed[i, 0] = starts.initial
+        for i in range(drive.memories):
+            fixed[drive.n + i, 0] = drive.first_input[i, 0] * starts.initial
         free = _product_with(before, Enclosed.of(of_noise)).upper @ mu
         start_free = Enclosed.of(of_noise).upper @ mu
         if starts.Y is not None:
@@ -245,7 +247,12 @@ class FromStarts:
         if not len(gamma):
             return np.zeros(0)
         norm = np.sqrt(((weights * X) ** 2).sum(axis=1))
-        return widened(gamma[:, 0] * norm + Delta @ X + beta[:, 0], 2 * len(X) + 8)
+        values = widened(gamma[:, 0] * norm + Delta @ X + beta[:, 0], 2 * len(X) + 8)
+        for j, bound in enumerate(self.drive.uncertain):
+            if bound.growing is not None:
+                norm_above = widened(norm[j], 2 * len(X) + 8)
+                values[j] = bound.growing.largest_float(X.tolist(), float(norm_above))
+        return values
 
     def largest(self, values: np.ndarray) -> np.ndarray:
         """The largest of the rows of each output."""

@@ -21,6 +21,7 @@ from certrack.certificates.implemented.drive import Drive
 from certrack.certificates.implemented.enclosed import ROUNDOFF
 from certrack.certificates.implemented.input_limits import input_limits, region_of
 from certrack.certificates.implemented.polytope import Polytope, half_spaces
+from certrack.certificates.implemented.regional import is_regional, largest_region
 from certrack.certificates.implemented.start import (
     FromStarts,
     Later,
@@ -151,7 +152,7 @@ class StartProver:
             If none is found.
         """
         phase = phase_of(self.system, self.drive, of)
-        region = region_of(self.system, self.drive, self.first_frame) if of == POLYTOPE else ()
+        region = self._region(phase) if of == POLYTOPE else ()
         starts = start_set_of(self.system, self.drive, phase, region)
         enough = self.within_later if of == POLYTOPE else lambda _: True
         doublings, evidence = self.search(starts, enough)
@@ -165,6 +166,28 @@ class StartProver:
             f"{evidence.later.input:.{START_DIGITS}g}",
             tuple(f"{v * TEXT_FACTOR:.{START_DIGITS}g}" for v in evidence.peaks),
         )
+
+    def _region(self, phase: str) -> tuple[tuple[str, str], ...]:
+        """Where starts are looked at: where the bounds hold, if they do not everywhere."""
+        if not is_regional(self.system):
+            return region_of(self.system, self.drive, self.first_frame)
+        best = self._doublings(phase)
+
+        def holds(region: tuple[tuple[str, str], ...]) -> bool:
+            starts = start_set_of(self.system, self.drive, phase, region)
+            try:
+                self.bounds(starts, best, 2 ** (best - 1), None)
+            except NoCertificate:
+                return False
+            return True
+
+        return largest_region(self.system, holds)
+
+    def _doublings(self, phase: str) -> int:
+        """As many periods as the start x(0) = 0 needs, and twice as many."""
+        origin = (("0.0", "0.0"),) * self.drive.n
+        starts = start_set_of(self.system, self.drive, phase, origin)
+        return min(self.search(starts, lambda _: True)[0] + 1, MOST_DOUBLINGS)
 
     def search(self, starts: Starts, enough: Callable[[Evidence], bool]) -> tuple[int, Evidence]:
         """The fewest doublings after which nothing that comes is larger than before.
@@ -266,9 +289,14 @@ class StartProver:
 
 
 def phase_of(system: System, drive: Drive, of: str) -> str:
-    """Whether y_d(0) ... counts as the file has it: it must be known, and no member differ."""
+    """Whether y_d(0) ... counts as the file has it: it must be known, and no member differ.
+
+    A box of starts is for any reference where it is all that is claimed.
+    """
     population = system.varied
-    varied = population.amplitude is not None or population.frequency is not None
+    varied = (
+        is_regional(system) or population.amplitude is not None or population.frequency is not None
+    )
     known = reference_at_start(system, drive.q)[1]
     return FILE_PHASE if known and not (of == POLYTOPE and varied) else ANY_PHASE
 

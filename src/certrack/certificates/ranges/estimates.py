@@ -13,7 +13,7 @@ from certrack.certificates.ranges.kernels import CELLS, FIRST_CELL
 HORIZON = 20.0
 
 #: Widest cell over the period of the fastest oscillation, in radians; and the most blocks of cells.
-WIDEST_CELL, MAX_BLOCKS = 0.5, 400
+WIDEST_CELL, MOST_BLOCKS = 0.5, 400
 
 #: Terms of the series of the first step's exponential.
 SERIES_TERMS = 16
@@ -48,7 +48,7 @@ def estimated_peak_gains(M: np.ndarray, C: np.ndarray, B: np.ndarray) -> np.ndar
     total = np.zeros((len(rows), columns.shape[1]))
     step, t = _exponential(moved * h), 0.0
     powers = _powers(step)
-    for _ in range(MAX_BLOCKS):
+    for _ in range(MOST_BLOCKS):
         sizes = np.abs(rows @ powers @ columns)
         total += h * (sizes.sum(axis=0) - (sizes[0] + sizes[-1]) / 2)
         rows, t = rows @ powers[-1], t + h * CELLS

@@ -70,14 +70,14 @@ class _Outputs:
 
 
 #: From M, rows and columns to the integrals of |c e^{Mt} b|.
-PeakGains = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+Quadrature = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def peak_bound(
     loop: RangedLoop,
     coefficients: Coefficients,
     box: Sequence[Interval],
-    gains_of: PeakGains = peak_gains,
+    gains_of: Quadrature = peak_gains,
 ) -> PeakBound:
     """Bound on limsup |e_1| for constants that stay in a box, also if they vary in it.
 
@@ -160,7 +160,7 @@ def _responses(
     outputs: _Outputs,
     bound_on: Callable[[int], Any],
     columns: Sequence[np.ndarray],
-    gains_of: PeakGains,
+    gains_of: Quadrature,
 ) -> tuple[np.ndarray, np.ndarray, list[int]]:
     """For each output: the part of reference and offset, and its gains from the columns."""
     M, W = form.M, form.W

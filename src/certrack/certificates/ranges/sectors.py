@@ -34,15 +34,15 @@ def sector_of(function: sympy.Expr, states: Sequence[sympy.Symbol]) -> tuple[int
     m is x_j, |x_j| or f(a x_j) times something bounded; the first such state counts.
     """
     for j, state in enumerate(states):
-        found = []
+        ratios = []
         for factor in sympy.Mul.make_args(function):
             slope = _slope_along(factor, state)
-            rest = None if slope is None else _ends(function / factor, states)
-            if slope is not None and rest is not None:
-                products = [u * v for u in slope for v in rest]
-                found.append((min(products), max(products)))
-        if found:  # each of them contains the ratio
-            return j, max(low for low, _ in found), min(high for _, high in found)
+            other = None if slope is None else _ends(function / factor, states)
+            if slope is not None and other is not None:
+                products = [u * v for u in slope for v in other]
+                ratios.append((min(products), max(products)))
+        if ratios:  # each of them contains the ratio
+            return j, max(low for low, _ in ratios), min(high for _, high in ratios)
     return None
 
 

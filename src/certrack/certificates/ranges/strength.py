@@ -78,9 +78,11 @@ def critical_ranges(
         except NoCertificate as refusal:
             return str(refusal)
 
-    whole: tuple[Cell, ...] | None = (tuple(prover.loop.box),) if known else None
-    edge = largest_scale(partial(find, prover.promises), known=whole, accuracy=STRENGTH_ACCURACY)
-    if edge.result not in (None, whole) and not proven(prover, edge.result or ()):
+    all_ranges: tuple[Cell, ...] | None = (tuple(prover.loop.box),) if known else None
+    edge = largest_scale(
+        partial(find, prover.promises), known=all_ranges, accuracy=STRENGTH_ACCURACY
+    )
+    if edge.result not in (None, all_ranges) and not all_hold(prover, edge.result or ()):
         edge = largest_scale(  # floats promised too much, which they do near the edge
             partial(find, prover.holds),
             begin=float(edge.scale),
@@ -88,11 +90,11 @@ def critical_ranges(
             fall=1 + 2 * STRENGTH_ACCURACY,
         )
         if known and float(edge.scale) < 1:
-            edge = Edge("1", whole, edge.reason)
+            edge = Edge("1", all_ranges, edge.reason)
     return RangeStrength(math.inf if edge.unlimited else float(edge.scale), edge.reason)
 
 
-def proven(prover: RangeProver, boxes: Sequence[Cell]) -> bool:
+def all_hold(prover: RangeProver, boxes: Sequence[Cell]) -> bool:
     """Whether every box has a proof of some bound."""
     try:
         with within_floats():
@@ -130,17 +132,17 @@ class _Search:
             raise NoCertificate(reason)
         if not stable_at_corners(self._prover, box):
             raise NoCertificate(NO_PROOF)
-        sizes, found = [high - low for low, high in box], []
+        sizes, holding = [high - low for low, high in box], []
         waiting = [moved(loop, cell, scale / self._scale) for cell in self._held]
         while waiting:
             part = waiting.pop()
             if holds(part):
-                found.append(part)
-            elif self._cells and len(found) + len(waiting) + 1 < PROVABLE_CELLS:
+                holding.append(part)
+            elif self._cells and len(holding) + len(waiting) + 1 < PROVABLE_CELLS:
                 waiting += halved(part, sizes, loop.moving)
             else:
                 raise NoCertificate(NO_PROOF)
-        self._scale, self._held = scale, tuple(found)
+        self._scale, self._held = scale, tuple(holding)
         return self._held
 
 

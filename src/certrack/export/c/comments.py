@@ -7,6 +7,8 @@ import sympy
 from certrack.core.version import version
 from certrack.export.c.printer import comment
 from certrack.export.program import ControllerProgram, unread_states
+from certrack.laws import Law, Linear
+from certrack.laws.integral import INTEGRAL
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
 
@@ -18,15 +20,15 @@ def introduction(name: str, system: System) -> str:
     """What the first comment says."""
     implementation = system.implementation
     assert implementation is not None
-    text = to_text(system).splitlines()
+    law = system.law.settled(system.plant)
+    text = to_text(system.replace(law=law)).splitlines()
     if sum(map(len, text)) > MAX_SYSTEM_TEXT:
         text = [f"({sum(map(len, text))} characters: too long to be repeated here)"]
-    c = ", ".join(f"{value:g}" for value in system.law.c)
     order = system.controller.coordinates.q
     lines = [
         f"{name}: tracking controller, sampled every {implementation.period!r} s.",
         "",
-        f"Written by certrack {version()}. Design: {system.law.kind} law, c = ({c}) 1/s,",
+        f"Written by certrack {version()}. Design: {law.kind} law, {_gains(law)},",
         f"feed-forward order {order}. This is no certificate: guarantees are proven in continuous",
         "time; simulate the sampled loop before you rely on them.",
         "",
@@ -35,6 +37,13 @@ def introduction(name: str, system: System) -> str:
         *(f"  {line}" for line in text),
     ]
     return comment(lines)
+
+
+def _gains(law: Law) -> str:
+    """What the comment names of the law."""
+    if isinstance(law, Linear):
+        return f"K = ({', '.join(f'{value:g}' for value in law.K or ())})"
+    return f"c = ({', '.join(f'{value:g}' for value in law.c)}) 1/s"
 
 
 def inputs_comment(system: System) -> str:
@@ -50,6 +59,8 @@ def member_note(program: ControllerProgram, symbol: sympy.Symbol) -> str:
     """A comment on a member of the state."""
     kind, _, which = program.labels[symbol].partition("_")
     if symbol in program.controller.estimates:
+        if symbol == INTEGRAL:
+            return " /* integral of x_1 - y_d */"
         notes = {"delta": "estimate of 1/g_n", "theta": "estimate of an unknown parameter"}
         return f" /* {notes[kind]} */" if kind in notes and which.startswith("hat") else ""
     notes = {
@@ -58,7 +69,9 @@ def member_note(program: ControllerProgram, symbol: sympy.Symbol) -> str:
         "first": "1 before the first sample, then 0",
         "sample": "number of the sample: its time over the period",
         "u": "the last input",
+        "predicted": "what the observer expects at the next sample",
+        "d": "what acts on its rate, estimated",
+        "past": "a command that still acts",
     }
-    return (
-        f" /* {which}: {notes[kind]} */" if kind in ("before", "speed") else f" /* {notes[kind]} */"
-    )
+    of_a_state = ("before", "speed", "predicted", "d")
+    return f" /* {which}: {notes[kind]} */" if kind in of_a_state else f" /* {notes[kind]} */"

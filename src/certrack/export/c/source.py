@@ -328,6 +328,13 @@ def _constant_definition(code: CCode, symbol: sympy.Symbol) -> str:
         "ctl_filter": "1 - exp(-period/velocity_filter)",
         "ctl_u_step": "rate_limit * period",
         "ctl_hold": "weight of a rate: exact for the leak",
+        "ctl_over": "the plant over one period",
+        "ctl_push": "what a constant disturbance does in one period",
+        "ctl_new": "what the newer input of a period does",
+        "ctl_old": "what the older input of a period does",
+        "ctl_correct": "gain of the observer",
+        "ctl_counter": "input that a disturbance is met with",
+        "ctl_steady": "state that a disturbance is met with",
     }
     note = next((f" /* {n} */" for start, n in notes.items() if symbol.name.startswith(start)), "")
     return f"{code.names[symbol]} = {number};{note}"

@@ -9,6 +9,7 @@ import numpy as np
 
 from certrack.core.arrays import Array
 from certrack.model.implementation import Implementation
+from certrack.model.jitter import timing_shifts
 
 #: Events closer than this part of a period are one, and so are those closer than
 #: `EVENT_ROUNDING` times the run: rounding may have separated what the user meant to be one.
@@ -40,6 +41,8 @@ class EventTimeline:
     ----------
     times : (K+1,) array, s
         From the begin to the end of the run.
+    clock : (K+1,) array, s
+        The times as the controller knows them: those of samples are without jitter.
     samples, acts : (K+1,) arrays of bool
         Where a sample is taken; where the next command begins to act.
     breaks : (K+1,) array of int
@@ -49,6 +52,7 @@ class EventTimeline:
     """
 
     times: Array
+    clock: Array
     samples: Array
     acts: Array
     breaks: Array
@@ -63,7 +67,7 @@ def event_timeline(
     Parameters
     ----------
     implementation : Implementation
-        Sampling period, offset and delay.
+        Sampling period, offset, delay and jitter.
     duration : float, s
     breaks : array, s
         Where rates, the reference or what is totalled may jump.
@@ -71,9 +75,13 @@ def event_timeline(
         Times of interest, increasing.
     """
     period = implementation.period
-    samples = implementation.offset + period * np.arange(implementation.samples(duration))
-    samples = samples[samples < duration * (1 - END_MARGIN)]
-    actions = samples + implementation.run_delay * period
+    nominal = implementation.offset + period * np.arange(implementation.samples(duration))
+    nominal = nominal[nominal < duration * (1 - END_MARGIN)]
+    shifts = period * timing_shifts(implementation, len(nominal))
+    samples = np.maximum(nominal + shifts[0], 0.0)
+    nominal = nominal[samples < duration * (1 - END_MARGIN)]
+    samples = samples[: len(nominal)]
+    actions = nominal + implementation.run_delay * period + shifts[1, : len(nominal)]
     actions = actions[actions < duration * (1 - END_MARGIN)]
     columns = [samples, actions, np.asarray(breaks), np.asarray(marks), np.array([0.0, duration])]
     times = np.concatenate(columns)
@@ -92,7 +100,9 @@ def event_timeline(
         flags[event[kind == part]] = True
         return flags
 
+    clock = merged.copy()
+    clock[event[kind == _Kind.sample]] = nominal
     numbers = np.full(len(merged), -1)
     numbers[event[kind == _Kind.mark]] = np.arange(len(marks))
     pieces = np.bincount(event[kind == _Kind.jump], minlength=len(merged))
-    return EventTimeline(merged, has(_Kind.sample), has(_Kind.action), pieces, numbers)
+    return EventTimeline(merged, clock, has(_Kind.sample), has(_Kind.action), pieces, numbers)

@@ -20,9 +20,9 @@ from certrack.core.lowering import numpy_callable, rows, to_heyoka
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH, larger, magnitude
 from certrack.integrators.pairs import DORMAND_PRINCE, heyoka_step, heyoka_sum, numpy_step
 from certrack.integrators.registers import LANES
-from certrack.loops.controller import COMMAND
+from certrack.loops.controller import COMMAND, resolved
 from certrack.loops.plant import INPUT
-from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
+from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop
 
 #: A number for all members, or one for each.
 Scalar = float | np.ndarray

@@ -34,6 +34,7 @@ typedef struct {
   const uint64_t *keys; /* of the noise of each member */
   int64_t events;
   const double *times;
+  const double *clock; /* of samples as the controller knows them: without jitter */
   const uint8_t *kinds; /* SAMPLE, ACT */
   const int32_t *marks; /* number of the time of interest, or -1 */
   const int32_t *segments; /* which row of `shared` holds from an event on */
@@ -258,7 +259,7 @@ static void integrate_group(const Task *task, int64_t first, Group *g, V *waitin
   for (int64_t k = 0; k < task->events; k++) {
     double t = task->times[k];
     const double *s = task->shared + task->segments[k] * SHARED;
-    if (task->kinds[k] & SAMPLE) take_sample(g, task, t, s, waiting);
+    if (task->kinds[k] & SAMPLE) take_sample(g, task, task->clock[k], s, waiting);
     if (task->kinds[k] & ACT) {
       V u = waiting[g->commands++ % task->depth];
       if (k) g->variation += v_abs(u - g->u);

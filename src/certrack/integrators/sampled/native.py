@@ -26,8 +26,9 @@ from certrack.integrators.many.native_source import (
 from certrack.integrators.sampled import step_control
 from certrack.integrators.sampled.maps import PAIR
 from certrack.integrators.sampled.run import SampledProblem
+from certrack.loops.controller import resolved
 from certrack.loops.plant import INPUT
-from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
+from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop
 
 #: Numbers that native.c shares with step_control.py; errors are squared there.
 SHARED_CONSTANTS = {
@@ -53,7 +54,10 @@ class _SampledTask(ctypes.Structure):
             for name in ("starts", "controllers", "totals", "parameters", "keys")
         ),
         ("events", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("times", "kinds", "marks", "segments", "shared")),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("times", "clock", "kinds", "marks", "segments", "shared")
+        ),
         ("depth", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in ("noise", "noise_bound", "quantum", "errors")),
         *(
@@ -139,6 +143,7 @@ class SampledNative:
             *(np.ascontiguousarray(a, dtype=float) for a in starts),
             np.ascontiguousarray(problem.keys),
             np.ascontiguousarray(line.times),
+            np.ascontiguousarray(line.clock),
             (line.samples + 2 * line.acts).astype(np.uint8),
             line.marks.astype(np.int32),
             np.cumsum(line.breaks).astype(np.int32),
@@ -150,9 +155,9 @@ class SampledNative:
             count,
             *pointers[:5],
             len(line.times),
-            *pointers[5:10],
-            int(implementation.run_delay) + 2,
-            *pointers[10:],
+            *pointers[5:11],
+            int(implementation.run_delay + 2 * implementation.jitter) + 2,
+            *pointers[11:],
             None if errors is None else errors.ctypes.data,
             *implementation.converter,
             implementation.initial_input,

@@ -149,7 +149,7 @@ class SampledRun:
                 self.parameters[self._pieces] = self._problem.pieces(t)[:, None]
             if samples[k]:
                 on_sample(t, self.states)
-                self._sample(t)
+                self._sample(float(line.clock[k]))
             if acts[k]:
                 before, self.u = self.u, self._waiting.popleft()
                 if k:
@@ -161,7 +161,7 @@ class SampledRun:
                 return
 
     def _sample(self, t: float) -> None:
-        """Measure, evaluate the law; its command waits for the actuator."""
+        """Measure, evaluate the law at the controller's own time; its command waits."""
         implementation, x = self._problem.implementation, self.x
         outputs = self._problem.outputs
         true = x if outputs is None else outputs(x, self.parameters)

@@ -15,8 +15,9 @@ from certrack.core.scalar import NotOrdinary, ScalarFunction
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.sampled.maps import NumpyMaps, Scalar
 from certrack.integrators.scalar_step import SCALAR_DORMAND_PRINCE
+from certrack.loops.controller import resolved
 from certrack.loops.plant import INPUT
-from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop, resolved
+from certrack.loops.sampled import AREA, SIDES, SQUARE, SampledLoop
 
 
 class ScalarMaps:

@@ -8,7 +8,8 @@ limit is exceeded by a rounding.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from flint import fmpq, fmpq_poly
@@ -16,23 +17,23 @@ from flint import fmpq, fmpq_poly
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.references.exact import exact, nearest
-from certrack.references.extremes import largest
+from certrack.references.extremes import largest_derivative
 from certrack.references.piecewise import SAME_TIME, PiecewiseReference
 from certrack.references.polynomials import DEGREE
 from certrack.references.profiles.phases import Phase, Profile, following, travelled
-from certrack.references.profiles.shortest import LIMITS, shortest
+from certrack.references.profiles.shortest import MOTION_LIMITS, shortest
 
 #: More moves than this are refused: each has up to fifteen pieces.
 MAX_MOVES = 10_000
 
 #: Durations are longer by this part at first, and by more until no limit is exceeded.
-SLACK, MORE, MOST_SLACK = 1e-12, 8.0, 1e-3
+FIRST_SLACK, MORE, MOST_SLACK = 1e-12, 8.0, 1e-3
 
 #: Phases shorter than so many of the times that count as the same are left out.
 SHORT = 8.0
 
 #: A piece: how long, in exact s, and the factors of the powers of the time since its begin.
-Piece = tuple[fmpq, tuple[fmpq, ...]]
+ExactPiece = tuple[fmpq, tuple[fmpq, ...]]
 
 
 class Move(NamedTuple):
@@ -42,7 +43,7 @@ class Move(NamedTuple):
     """
 
     duration: float
-    pieces: Callable[[float, fmpq], tuple[Piece, ...]]
+    pieces: Callable[[float, fmpq], tuple[ExactPiece, ...]]
 
 
 def moves(
@@ -86,8 +87,8 @@ def moves(
     >>> moves((0, 1), speed=0.5, acceleration=2).breaks(0, 10)
     array([0.25, 2.  , 2.25])
     """
-    given = (speed, acceleration, jerk, snap)
-    return shortest_moves("moves", positions, dwell, start, repeat, given, bound)
+    values = (speed, acceleration, jerk, snap)
+    return shortest_moves("moves", positions, dwell, start, repeat, values, bound)
 
 
 def velocity(
@@ -110,8 +111,8 @@ def velocity(
     -------
     PiecewiseReference
     """
-    given = (speed, acceleration)
-    return shortest_moves("velocity", positions, dwell, start, repeat, given, bound)
+    values = (speed, acceleration)
+    return shortest_moves("velocity", positions, dwell, start, repeat, values, bound)
 
 
 def scurve(
@@ -135,8 +136,8 @@ def scurve(
     -------
     PiecewiseReference
     """
-    given = (speed, acceleration, jerk)
-    return shortest_moves("scurve", positions, dwell, start, repeat, given, bound)
+    values = (speed, acceleration, jerk)
+    return shortest_moves("scurve", positions, dwell, start, repeat, values, bound)
 
 
 def shortest_moves(
@@ -145,16 +146,16 @@ def shortest_moves(
     dwell: Any,
     start: Any,
     repeat: Any,
-    given: Sequence[Any],
+    values: Sequence[Any],
     bound: float | None,
 ) -> PiecewiseReference:
-    """A move list of one kind under the limits that are given."""
-    stated = checked_limits(given)
+    """A move list of one kind under the limits that are stated."""
+    stated = checked_limits(values)
     if not stated:
-        message = "needs a limit: " + ", ".join(LIMITS[:-1]) + f" or {LIMITS[-1]}"
+        message = "needs a limit: " + ", ".join(MOTION_LIMITS[:-1]) + f" or {MOTION_LIMITS[-1]}"
         raise InputError("reference", message, remedy="State e.g. speed and acceleration")
-    order = 1 + max(LIMITS.index(name) for name in stated)
-    limits = tuple(stated.get(name, math.inf) for name in LIMITS[:order])
+    order = 1 + max(MOTION_LIMITS.index(name) for name in stated)
+    limits = tuple(stated.get(name, math.inf) for name in MOTION_LIMITS[:order])
 
     def move(distance: float, i: int) -> Move:
         profile = shortest(distance, limits)
@@ -163,9 +164,9 @@ def shortest_moves(
     return assembled(kind, positions, dwell, start, repeat, move, stated, order, {}, bound)
 
 
-def checked_limits(given: Sequence[Any]) -> dict[str, float]:
+def checked_limits(values: Sequence[Any]) -> dict[str, float]:
     """The limits that are stated, by name."""
-    pairs = zip(LIMITS, given, strict=False)
+    pairs = zip(MOTION_LIMITS, values, strict=False)
     return {
         name: checks.real(f"reference.{name}", value, above=0)
         for name, value in pairs
@@ -173,6 +174,19 @@ def checked_limits(given: Sequence[Any]) -> dict[str, float]:
     }
 
 
+@contextmanager
+def _in_floats() -> Iterator[None]:
+    """Refuse distances and limits of which times or speeds are beyond floats."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (ArithmeticError, ValueError, RuntimeError):
+        what = "must not have distances and limits so far apart that times or speeds overflow"
+        raise InputError("reference", what) from None
+
+
+@_in_floats()
 def assembled(
     kind: str,
     positions: Any,
@@ -247,9 +261,9 @@ def assembled(
     }
     defaults = {"dwell": 0.0, "start": 0.0, "repeat": False}
     fields = [(k, tuple(v) if isinstance(v, list) else v) for k, v in written.items()]
-    kept = tuple((k, v) for k, v in fields if k not in defaults or v != defaults[k])
+    stated = tuple((k, v) for k, v in fields if k not in defaults or v != defaults[k])
     period = times[-1] - times[0] if repeat else None
-    return PiecewiseReference(times, tuple(rows), order, period, (("kind", kind), *kept), bound)
+    return PiecewiseReference(times, tuple(rows), order, period, (("kind", kind), *stated), bound)
 
 
 def _dwells(dwell: Any, count: int) -> tuple[float, ...]:
@@ -272,10 +286,13 @@ def on_grid(time: float, grid: fmpq) -> fmpq:
 
 
 def _within(
-    make: Callable[[float, fmpq], tuple[Piece, ...]], limits: dict[str, float], grid: fmpq, i: int
-) -> tuple[Piece, ...]:
+    make: Callable[[float, fmpq], tuple[ExactPiece, ...]],
+    limits: dict[str, float],
+    grid: fmpq,
+    i: int,
+) -> tuple[ExactPiece, ...]:
     """The pieces of a move with just so much slack that they keep the limits exactly."""
-    slack = SLACK
+    slack = FIRST_SLACK
     while slack < MOST_SLACK:
         pieces = make(slack, grid)
         if pieces and _keeps(pieces, limits):
@@ -286,17 +303,17 @@ def _within(
     raise InputError(f"reference.positions[{i + 1}]", what, remedy=remedy)
 
 
-def _keeps(pieces: Sequence[Piece], limits: dict[str, float]) -> bool:
+def _keeps(pieces: Sequence[ExactPiece], limits: dict[str, float]) -> bool:
     """Whether no derivative exceeds its limit, with room for the rounding of the factors."""
     for width, factors in pieces:
         p = fmpq_poly(list(factors))
         for name, limit in limits.items():
-            if largest(p, LIMITS.index(name) + 1, width) >= limit:
+            if largest_derivative(p, MOTION_LIMITS.index(name) + 1, width) >= limit:
                 return False
     return True
 
 
-def _exact(profile: Profile, distance: float, slack: float, grid: fmpq) -> tuple[Piece, ...]:
+def _exact(profile: Profile, distance: float, slack: float, grid: fmpq) -> tuple[ExactPiece, ...]:
     """Pieces that travel the distance exactly, from rest to rest exactly; none if it is too short.
 
     Rounded durations change where phases end, so their values are scaled: those of the fall for an
@@ -318,11 +335,11 @@ def _exact(profile: Profile, distance: float, slack: float, grid: fmpq) -> tuple
         balance = -travelled(rise, 2) / travelled(fall, 2)
         fall = tuple(Phase(p.duration, balance * p.value) for p in fall)
     (cruise,) = rounded([Phase(profile.cruise, 0.0)]) or (Phase(fmpq(0), fmpq(0)),)
-    phases = Profile(rise, cruise.duration, profile.order, fall).whole()
+    phases = Profile(rise, cruise.duration, profile.order, fall).phases()
     scale = exact(distance) / travelled(phases, profile.order)
     state: tuple[Any, ...] = (fmpq(0),) * profile.order
     padding = (fmpq(0),) * (DEGREE - profile.order)
-    pieces: list[Piece] = []
+    pieces: list[ExactPiece] = []
     for phase in phases:
         every = (*state, phase.value)
         factors = (scale * value / math.factorial(k) for k, value in enumerate(every))

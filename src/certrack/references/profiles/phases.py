@@ -45,11 +45,11 @@ class Profile:
         """Of the move, s."""
         return 2 * sum(phase.duration for phase in self.half) + self.cruise
 
-    def whole(self) -> tuple[Phase, ...]:
+    def phases(self) -> tuple[Phase, ...]:
         """All phases that last some time."""
         speed = self.rise[-1].value if self.order == 1 else self.cruise * 0
-        phases = (*self.half, Phase(self.cruise, speed), *mirrored(self.half, self.order))
-        return tuple(phase for phase in phases if phase.duration)
+        every = (*self.half, Phase(self.cruise, speed), *mirrored(self.half, self.order))
+        return tuple(phase for phase in every if phase.duration)
 
 
 def mirrored(phases: Sequence[Phase], order: int) -> tuple[Phase, ...]:

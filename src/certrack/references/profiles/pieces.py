@@ -63,10 +63,12 @@ def pieces(
     written |= {"repeat": True} if repeat else {}
     fields = (("kind", "pieces"), *written.items())
     period = times[-1] - times[0] if repeat and len(times) > 1 else None
-    made = PiecewiseReference(times, padded, 1, period, fields, bound)
-    while made.smoothness < degree:
+    reference = PiecewiseReference(times, padded, 1, period, fields, bound)
+    while reference.smoothness < degree:
         try:
-            made = PiecewiseReference(times, padded, made.smoothness + 1, period, fields, bound)
+            reference = PiecewiseReference(
+                times, padded, reference.smoothness + 1, period, fields, bound
+            )
         except InputError:
             break
-    return made
+    return reference

@@ -14,13 +14,13 @@ from flint import fmpq, fmpq_poly
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.references.exact import exact
-from certrack.references.extremes import largest
+from certrack.references.extremes import largest_derivative
 from certrack.references.piecewise import PiecewiseReference
 from certrack.references.profiles.moves import Move, assembled, checked_limits, on_grid
-from certrack.references.profiles.shortest import LIMITS
+from certrack.references.profiles.shortest import MOTION_LIMITS
 
 #: Degrees of a move: up to four derivatives are continuous.
-DEGREES = (3, 5, 7, 9)
+MOVE_DEGREES = (3, 5, 7, 9)
 
 
 def polynomial(
@@ -67,11 +67,15 @@ def polynomial(
         if limits:
             name = next(iter(limits))
             raise InputError(f"reference.{name}", "must be left out beside duration")
+        positions = checks.reals("reference.positions", positions, None, "begin, then each target")
         stated = _durations(duration, len(positions) - 1)
         more["duration"] = duration
     elif not limits:
-        message = "needs a duration, or limits: " + ", ".join(LIMITS)
+        message = "needs a duration, or limits: " + ", ".join(MOTION_LIMITS)
         raise InputError("reference", message, remedy="State e.g. duration = 1.0")
+    elif all(MOTION_LIMITS.index(name) >= degree for name in limits):
+        message = f"needs a limit that binds: a polynomial of degree {degree} has no snap"
+        raise InputError("reference", message, remedy="State speed, acceleration or jerk")
 
     def move(distance: float, i: int) -> Move:
         if stated:
@@ -96,9 +100,10 @@ def polynomial(
 def shortest_time(degree: int, distance: float, limits: dict[str, float]) -> float:
     """Of a polynomial move under the limits, s."""
     unit = smooth_step(degree)
-    orders = {LIMITS.index(name) + 1: limit for name, limit in limits.items()}
+    orders = {MOTION_LIMITS.index(name) + 1: limit for name, limit in limits.items()}
     return max(
-        (distance * largest(unit, k, fmpq(1)) / limit) ** (1 / k) for k, limit in orders.items()
+        (distance * largest_derivative(unit, k, fmpq(1)) / limit) ** (1 / k)
+        for k, limit in orders.items()
     )
 
 
@@ -112,8 +117,8 @@ def smooth_step(degree: int) -> fmpq_poly:
 
 
 def _degree(degree: Any) -> Any:
-    if degree not in DEGREES or isinstance(degree, bool):
-        wanted = "must be " + " or ".join(map(str, DEGREES))
+    if degree not in MOVE_DEGREES or isinstance(degree, bool):
+        wanted = "must be " + " or ".join(map(str, MOVE_DEGREES))
         raise InputError("reference.degree", wanted, checks.as_written(degree))
     return degree
 

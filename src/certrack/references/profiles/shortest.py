@@ -18,10 +18,10 @@ from functools import lru_cache
 from certrack.references.profiles.phases import Phase, Profile, travelled
 
 #: Names of the limits, from the first derivative on.
-LIMITS = ("speed", "acceleration", "jerk", "snap")
+MOTION_LIMITS = ("speed", "acceleration", "jerk", "snap")
 
 #: Part of a root that is not resolved.
-RESOLUTION = 1e-15
+ROOT_RESOLUTION = 1e-15
 
 
 @lru_cache(maxsize=1024)
@@ -53,7 +53,7 @@ def _recursive(distance: float, limits: Sequence[float]) -> Profile:
     peak = min(top, _peak_speed(distance, higher))
     up = _recursive(peak, higher)
     cruise = max(0.0, distance / top - up.duration) if peak == top else 0.0
-    return Profile(up.whole(), cruise, len(limits))
+    return Profile(up.phases(), cruise, len(limits))
 
 
 def _peak_speed(distance: float, higher: Sequence[float]) -> float:
@@ -73,9 +73,9 @@ def _snap_limited(distance: float, speed: float, *higher: float) -> Profile:
         """
         bend = 0.5 + share - share**2 / 2
         grow = min(math.sqrt(a / (snap * bend)), jerk / snap)
-        rest = max(0.0, (a - snap * grow**2 * bend) / jerk)
-        fall = (Phase(grow, -snap), Phase(rest, 0.0), Phase(share * grow, snap))
-        rise = (*_recursive(a, (jerk, snap)).whole(), Phase(hold, 0.0))
+        steady = max(0.0, (a - snap * grow**2 * bend) / jerk)
+        fall = (Phase(grow, -snap), Phase(steady, 0.0), Phase(share * grow, snap))
+        rise = (*_recursive(a, (jerk, snap)).phases(), Phase(hold, 0.0))
         return Profile(rise, 0.0, 4, fall)
 
     def reaching(wanted: float, what: Callable[[Profile], float], share: float) -> Profile:
@@ -100,7 +100,7 @@ def _snap_limited(distance: float, speed: float, *higher: float) -> Profile:
 
 
 def _distance(profile: Profile) -> float:
-    return float(travelled(profile.whole(), profile.order))
+    return float(travelled(profile.phases(), profile.order))
 
 
 def _largest_speed(profile: Profile) -> float:
@@ -122,6 +122,6 @@ def _solve(rising: Callable[[float], float], wanted: float, most: float = math.i
     if rising(low) >= wanted:
         return low
     root: float = brentq(
-        lambda x: rising(x) - wanted, low, high, xtol=RESOLUTION * high, rtol=1e-15
+        lambda x: rising(x) - wanted, low, high, xtol=ROOT_RESOLUTION * high, rtol=1e-15
     )
     return root

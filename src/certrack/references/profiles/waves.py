@@ -14,12 +14,12 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.rationals import float_above
 from certrack.references.base import require_order, round_up
-from certrack.references.extremes import largest
+from certrack.references.extremes import largest_derivative
 from certrack.references.profiles.polynomial import smooth_step
 from certrack.references.symbolic import SymbolicReference
 
 #: More sines than this are refused.
-MAX_SINES = 50
+MAX_REFERENCE_SINES = 50
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,13 @@ class SweptSine(SymbolicReference):
 
     def _size(self, i: int) -> float:
         """Upper bound of |y_d^(i)| between the jumps, i >= 0."""
+        try:
+            return self._exact_size(i)
+        except OverflowError:
+            what = f"must not be so large or fast that |y_d^({i})| overflows"
+            raise InputError("reference", what) from None
+
+    def _exact_size(self, i: int) -> float:
         stated = dict(self.fields)
         amplitude = abs(Fraction(stated["amplitude"]))
         if i == 0:
@@ -51,7 +58,7 @@ class SweptSine(SymbolicReference):
         step, pace = smooth_step(2 * stated.get("smoothness", 0) + 1), Fraction(stated["duration"])
         rates = [max(low, high)]
         for k in range(1, i):
-            steepest = Fraction(largest(step, k, fmpq(1)))
+            steepest = Fraction(largest_derivative(step, k, fmpq(1)))
             rates.append(abs(high - low) * steepest / pace**k)
         sizes = [(Fraction(1), Fraction(0))]  # of the real and the imaginary part
         for n in range(i):
@@ -113,8 +120,8 @@ def chirp(
     signal = f"{offset!r} + {amplitude!r}*sin({low!r}*{t} + {change})"
     written = {"amplitude": amplitude, "frequencies": (low, high), "duration": duration}
     more = {"offset": offset, "smoothness": smoothness}
-    kept = {k: v for k, v in more.items() if v}
-    fields = (("kind", "chirp"), *written.items(), *kept.items())
+    others = {k: v for k, v in more.items() if v}
+    fields = (("kind", "chirp"), *written.items(), *others.items())
     return SweptSine(signal, bound=bound, fields=fields)  # type: ignore[arg-type]
 
 
@@ -151,8 +158,10 @@ def multisine(
     """
     amplitudes = checks.reals("reference.amplitudes", amplitudes, None, "one per sine")
     count = len(amplitudes)
-    if not 1 <= count <= MAX_SINES:
-        raise InputError("reference.amplitudes", f"must be 1 to {MAX_SINES} numbers", count)
+    if not 1 <= count <= MAX_REFERENCE_SINES:
+        raise InputError(
+            "reference.amplitudes", f"must be 1 to {MAX_REFERENCE_SINES} numbers", count
+        )
     frequencies = checks.reals("reference.frequencies", frequencies, count, "one per sine", above=0)
     offset = checks.real("reference.offset", offset)
     written: dict[str, Any] = {"amplitudes": amplitudes, "frequencies": frequencies}

@@ -64,7 +64,7 @@ def span_of(system: System) -> Range | None:
     return (FIRST_CORNER, FIRST_CORNER + count) if count else None
 
 
-def values_at(
+def corner_values(
     ranges: Mapping[str, tuple[float, float]], corners: np.ndarray
 ) -> dict[str, np.ndarray]:
     """The values at some corners, by name."""
@@ -94,7 +94,7 @@ def draws_at_corners(
     count = count_of(ranges)
     corners = np.arange(begin - FIRST_CORNER, end - FIRST_CORNER) % count
     draws = {name: values[corners] for name, values in of_members(0, count).items()}
-    for name, values in values_at(ranges, corners).items():
+    for name, values in corner_values(ranges, corners).items():
         draws[f"constants.{name}" if name in constants else name] = values
     return draws
 
@@ -135,7 +135,7 @@ class Corners:
         parts = sorted(statistics.table.parts, key=lambda part: part[0])
         tails = np.concatenate([metrics[METRICS.index("tail_error")] for _, metrics, _ in parts])
         codes = np.concatenate([outcomes for *_, outcomes in parts])
-        values = values_at(ranges, np.arange(len(tails)))
+        values = corner_values(ranges, np.arange(len(tails)))
         names = [outcome.name for outcome in Outcome]
         return cls(
             tuple({n: float(v[k]) for n, v in values.items()} for k in range(len(tails))),

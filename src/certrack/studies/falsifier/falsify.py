@@ -15,6 +15,8 @@ from dataclasses import dataclass, field, replace
 
 from certrack.certificates import Certificate
 from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.implemented.premises import premises_as_implemented
+from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.methods import Methods, every_certificate
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
@@ -27,6 +29,7 @@ from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.adversary import Adversary, reference_bounds
 from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
+from certrack.studies.falsifier.escape import Escape, first_escape
 from certrack.studies.falsifier.evolution import Search
 from certrack.studies.falsifier.linear.estimated import estimated_case, is_estimated
 from certrack.studies.falsifier.linear.search import (
@@ -60,8 +63,11 @@ class DriveFalsification:
     certificate : Certificate
         Of the loop as it is implemented; not verified if a premise is contradicted.
     limited : bool
-        Whether the input may have met its limits: the certificate is not for such a run, which
-        begins elsewhere than the file's.
+        Whether the input may have met its limits, or the run begins where nothing is certified: the
+        certificate is not for such a run, which begins elsewhere than the file's.
+    escape : Escape or None
+        Where a bound of w grows faster than the state: the nearest start found from which the
+        states escape.
     """
 
     worst_error: float
@@ -70,10 +76,13 @@ class DriveFalsification:
     stopped: str | None
     certificate: Certificate
     limited: bool = False
+    escape: Escape | None = None
 
     @property
     def exceeds(self) -> bool:
         """Whether the case is beyond a verified bound: then certrack is wrong."""
+        if self.certificate.verified and self.escape is not None and self.escape.within:
+            return True
         beyond = self.certificate.verified and self.worst_error > self.certificate.bound
         return beyond and not self.limited
 
@@ -269,15 +278,21 @@ def _worst_member(system: System, linear: LinearCase | None) -> System:
 def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification:
     """The worst case of the loop as it is implemented, and its certificate."""
     case = sampled_case(system, bounds)
-    certificate: Certificate = certify_implemented(system)[0]
-    broken = contradicted(premises(system))  # what an implementation adds never is
+    implemented, proofs = certify_implemented(system)
+    certificate: Certificate = implemented
+    broken = contradicted(premises_as_implemented(system, proofs))
     if broken and certificate.exists:
         reason = f"a premise is contradicted: {broken[0].detail}"
         certificate = replace(certificate, verified=False, reason=reason)
-    run = case.run
-    limited = _may_be_limited(system, run)
+    run, escape, limited = case.run, None, _may_be_limited(system, case.run)
+    if is_regional(system):
+        escape = first_escape(system, bounds, implemented.polytope)
+        within = (
+            implemented.polytope is not None and case.system.settings.x0 in implemented.polytope
+        )
+        limited = limited or not within
     return DriveFalsification(
-        case.error, case.estimate, case.system, _stopped(run), certificate, limited
+        case.error, case.estimate, case.system, _stopped(run), certificate, limited, escape
     )
 
 

@@ -15,7 +15,8 @@ from certrack.integrators.registers import LANES
 from certrack.integrators.sampled.events import EventTimeline, event_timeline
 from certrack.integrators.sampled.run import SampledProblem
 from certrack.integrators.sampled.sliding import with_modes
-from certrack.loops.controller import controller_values, sampled_controller, starting_state
+from certrack.loops.controller import sampled_controller, starting_state
+from certrack.loops.controller_values import controller_values
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import loop_values, sample_loop
 from certrack.loops.time_switches import switched_sampled_loop

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from certrack.certificates.worst_profile import WorstProfile
+from certrack.model.growth import GrowthInFloats
 from certrack.model.uncertainty import Uncertainty
 
 #: A norm below this has no direction.
@@ -69,6 +70,8 @@ class Chain:
         Whether pieces begin just after a sample, which then sees the one before.
     largest_jump : float
         The largest that y_d^(m) may make between pieces.
+    states : names of the plant's states
+        Where bounds are formulas of them.
     """
 
     uncertainty: Uncertainty
@@ -83,6 +86,7 @@ class Chain:
     pieces: np.ndarray
     late: bool = False
     largest_jump: float = math.inf
+    states: tuple[str, ...] = ()
 
     @property
     def period(self) -> float:
@@ -118,10 +122,19 @@ class Chain:
         Delta = np.zeros((n, n)) if u.Delta is None else np.array(u.Delta)
         return S, np.array(u.gamma)[acting], np.array(u.beta)[acting], Delta[acting]
 
+    @cached_property
+    def _growing(self) -> dict[int, GrowthInFloats]:
+        """Bounds that are formulas, by the number of their input."""
+        formulas = {j: self.uncertainty.formula(k) for j, k in enumerate(self.acting)}
+        return {j: GrowthInFloats(f, self.states) for j, f in formulas.items() if f is not None}
+
     def bound(self, x: np.ndarray) -> np.ndarray:
         """The bounds of the w that act, at a state."""
         S, gamma, beta, Delta = self._weights
-        limits: np.ndarray = gamma * np.sqrt(((S * x) ** 2).sum(axis=1)) + beta + Delta @ np.abs(x)
+        norm = np.sqrt(((S * x) ** 2).sum(axis=1))
+        limits: np.ndarray = gamma * norm + beta + Delta @ np.abs(x)
+        for j, grown in self._growing.items():
+            limits[j] = grown.value(x, norm[j])
         return limits
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
@@ -131,6 +144,11 @@ class Chain:
         norm = np.sqrt((scaled**2).sum(axis=-1, keepdims=True))
         by_norm = gamma[:, None] * S * scaled / np.maximum(norm, LEAST_NORM)
         rows: np.ndarray = by_norm + Delta * np.sign(x[..., None, :])
+        for j, grown in self._growing.items():
+            size, at = norm[..., j, 0], np.moveaxis(x, -1, 0)
+            *by_size, by_norm = grown.slopes(at, size)
+            unit = S[j] * scaled[..., j, :] / np.maximum(size, LEAST_NORM)[..., None]
+            rows[..., j, :] = np.moveaxis(by_size * np.sign(at), 0, -1) + by_norm[..., None] * unit
         return rows
 
 

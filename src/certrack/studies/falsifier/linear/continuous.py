@@ -72,6 +72,7 @@ def continuous_chain(
     row[0], row[n] = 1.0, -1.0
     return Chain(
         uncertainty=u,
+        states=loop.system.plant.states,
         acting=acting,
         jump=None,
         cells=(cell,),

@@ -60,6 +60,7 @@ def sampled_chain(system: System, bounds: tuple[float, ...]) -> Chain | None:
     row[:N], row[size] = loop.C[0], -1.0
     return Chain(
         uncertainty=u,
+        states=system.plant.states,
         acting=acting,
         jump=_jump(loop, T, delay, m),
         cells=tuple(cells),

@@ -10,9 +10,10 @@ from typing import Any
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.ranges.loop import RangedLoop, ranged_loop
 from certrack.certificates.scope import refuse_unknown
-from certrack.core.errors import InputError
+from certrack.core.errors import CertrackError, InputError
 from certrack.integrators.base import Outcome
 from certrack.laws.error_system import EstimatedParameters
+from certrack.model.jitter import JITTER_PATTERNS
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.linear.ascent import worst_inputs
@@ -31,7 +32,7 @@ from certrack.systems.system import System
 MAX_CANDIDATES = 3
 
 
-class NothingTried(Exception):
+class NothingTried(CertrackError):
     """Why a loop has no worst case by its kernels; the text is the reason."""
 
 
@@ -108,7 +109,9 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     assert implementation is not None
     members = [
         at_point(system, values_at(loop, point)).replace(
-            implementation=replace(implementation, delay=delay)
+            implementation=replace(
+                implementation, delay=delay, counted_delay=implementation.design_delay
+            )
         )
         for point in worst_corners(loop, bounds, MAX_CANDIDATES)
         for delay in implementation.delays
@@ -140,6 +143,17 @@ def _worst_partition(chains: list[Chain]) -> Chain:
     return chains[errors.index(max(errors))]
 
 
+def _timed(case: System) -> list[System]:
+    """The case with every pattern of its jitter."""
+    drive = case.implementation
+    if drive is None or not drive.jitter:
+        return [case]
+    return [
+        case.replace(implementation=replace(drive, jitter_pattern=pattern))
+        for pattern in JITTER_PATTERNS
+    ]
+
+
 def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -> LinearCase:
     """The worst inputs of all chains, each with its system, simulated."""
     attacks = [
@@ -152,7 +166,8 @@ def _worst_of(loop: RangedLoop, chains: Iterable[tuple[Chain | None, System]]) -
     worst, member = max(attacks, key=lambda pair: pair[0].error)
     odd = not loop.brackets and all(entry == 0 for entry in loop.matrix[:, -1])
     try:
-        cases = [written_case(member, worst, sense) for sense in ((1,) if odd else (1, -1))]
+        senses = (1,) if odd else (1, -1)
+        cases = [case for sense in senses for case in _timed(written_case(member, worst, sense))]
     except InputError as problem:  # beyond what a system may be, such as too many samples
         raise NothingTried(f"the case found cannot be written as a system: {problem}") from None
     played = [(case, simulate(case)) for case in cases]

@@ -1,0 +1,106 @@
+"""What a design is optimal for, and its margins, as :func:`certrack.design` shows them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from certrack.laws.cost import Cost, freed_loop, optimal_cost
+from certrack.laws.loop_margins import LoopMargins, loop_margins
+from certrack.model.linear_drift import linear_parts, total_drift
+
+if TYPE_CHECKING:
+    from certrack.systems.system import System
+
+#: Significant digits of weights and margins in a text.
+SHOWN_DIGITS = 4
+
+
+@dataclass(frozen=True)
+class Optimality:
+    """Cost and margins of a design, for known g_n and theta and without uncertain terms.
+
+    Attributes
+    ----------
+    cost : Cost or None
+        None for a linear law whose K was given.
+    at_v : LoopMargins
+        At v, what the law adds to the terms that it cancels.
+    at_u : LoopMargins or None
+        At the input of the plant; None where h + phi^T theta is not linear in x.
+    """
+
+    cost: Cost | None
+    at_v: LoopMargins
+    at_u: LoopMargins | None
+
+    def record(self) -> dict[str, Any]:
+        """Ready for JSON, but for arrays."""
+        cost = self.cost
+        return {
+            "cost": None
+            if cost is None
+            else {"state": cost.state, "input": cost.input, "of_states": cost.of_states},
+            "margins_at_v": _record(self.at_v),
+            "margins_at_u": None if self.at_u is None else _record(self.at_u),
+        }
+
+    def lines(self) -> list[str]:
+        """Sentences for a reader."""
+        shown = []
+        if self.cost is not None:
+            weights = self.cost.state
+            terms = [f"{_short(v)} e_{i + 1}^2" for i, v in enumerate(weights) if v]
+            integrand = " + ".join([*terms, f"{_short(self.cost.input)} v^2"])
+            shown += [
+                f"with known parameters and w = 0 it minimises int ({integrand}) dt,",
+                f"where v is what it adds to e_{len(weights)}'; in x - x_d the weights of e are",
+                *(f"  [{', '.join(map(_short, row))}]" for row in self.cost.of_states.tolist()),
+            ]
+        shown.append(f"margins at v: {_words(self.at_v)}")
+        if self.at_u is not None:
+            shown.append(f"margins at u: {_words(self.at_u)}")
+        return shown
+
+
+def optimality(system: System) -> Optimality:
+    """Cost and margins of a system's design."""
+    coordinates = system.controller.coordinates
+    M, k = freed_loop(coordinates)
+    last = np.eye(coordinates.n)[-1]
+    slopes = _linear_part(system)
+    at_u = None
+    if slopes is not None:
+        plant = np.vstack([coordinates.F, slopes])
+        at_u = loop_margins(plant, last, slopes - coordinates.nu_x)
+    cost = optimal_cost(system.law, system.plant, coordinates)
+    return Optimality(cost, loop_margins(M, last, k), at_u)
+
+
+def _linear_part(system: System) -> np.ndarray | None:
+    """The slopes of h + phi^T theta in x; None where it is not linear, or theta is not known."""
+    plant = system.plant
+    known = plant.theta or system.truth.theta
+    if len(known or ()) != plant.r:
+        return None
+    parts = linear_parts(plant, total_drift(plant, known or ()))
+    return None if parts is None else np.array([float(slope) for slope in parts[0]])
+
+
+def _record(margins: LoopMargins) -> dict[str, Any]:
+    return {
+        "lowest_gain": margins.lowest_gain,
+        "highest_gain": margins.highest_gain,
+        "phase": margins.phase,
+    }
+
+
+def _words(margins: LoopMargins) -> str:
+    low, high, phase = map(_short, (margins.lowest_gain, margins.highest_gain, margins.phase))
+    return f"gain {low} to {high}, phase {phase} degrees"
+
+
+def _short(value: float) -> str:
+    return f"{value:.{SHOWN_DIGITS}g}"

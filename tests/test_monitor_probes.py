@@ -1,0 +1,143 @@
+"""The probes of a monitor reach both sides of every limit, and its numbers keep inside it."""
+
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+from exported import sampled
+from test_monitor import FREE, FULL
+
+from certrack import Monitor
+from certrack.core.errors import InputError
+from certrack.export.golden_vectors import golden_vectors
+from certrack.export.monitor import monitor_program
+from certrack.export.monitor_probes import (
+    BEYOND_BOUND,
+    DOWN,
+    LEAST_SPEED_LIMIT,
+    SPEED_MARGIN,
+    UP,
+    _expected,
+    _input_edges,
+    _limited_references,
+    _rate_edges,
+    _Samples,
+    _speed_edges,
+    monitor_probes,
+)
+from certrack.export.program import controller_program
+
+SMALL = Monitor(box={"x1": (-1, 1), "x2": ("-1e-5", 0.5)}, limit_reference=True)
+
+
+class Case:
+    def __init__(self, limits, monitor):
+        self.box = monitor.box
+        self.system = sampled("example1", **limits)
+        self.program = controller_program(self.system)
+        self.monitor = monitor_program(monitor, self.system, self.program)
+        self.vectors = golden_vectors(self.system, self.program)
+        self.golden = self.samples(self.vectors.x, self.vectors.Y, self.vectors.states)
+
+    def samples(self, *inputs):
+        return _Samples(self.system, self.program, self.monitor, *inputs)
+
+
+@pytest.fixture(scope="module", params=["full", "free", "small"])
+def case(request):
+    limits, monitor = {"full": FULL, "free": FREE, "small": (FULL[0], SMALL)}[request.param]
+    return Case(limits, Monitor(box=monitor.box, limit_reference=monitor.limit_reference))
+
+
+def premises(case):
+    return [premise for flag in case.monitor.flags for premise in flag.premises]
+
+
+def test_inputs_lie_at_their_limits_and_just_beyond(case):
+    x, Y, states = _input_edges(case.program, case.monitor, "float64")
+    inputs = (*case.program.measured, *case.program.Y)
+    table = np.vstack([x, Y])
+    assert (np.count_nonzero(table, axis=0) <= 1).all()
+    assert (states == np.array(case.program.start)[:, None]).all()
+    for premise in premises(case):
+        if premise.value in inputs:
+            found = set(table[inputs.index(premise.value)])
+            low, high = float(premise.low), float(premise.high)
+            assert {low, high, np.nextafter(low, -9), np.nextafter(high, 9)} <= found
+
+
+def test_speeds_lie_on_both_sides_of_their_limits(case):
+    seen = 0
+    for inputs in _speed_edges(case.program, case.monitor, case.samples):
+        probes = case.samples(*inputs)
+        assert (inputs[0] == 1).all() and (inputs[1] == 0).all()
+        near = [p for p in premises(case) if "ctl_speed" in str(p.value)]
+        (premise,) = near
+        value, low, high = probes.values(premise)
+        for end in (low[0], high[0]):
+            margin = max(abs(end), LEAST_SPEED_LIMIT) * SPEED_MARGIN
+            for side in (-1, 1):
+                wanted = end + side * margin
+                assert np.abs(value - wanted).min() <= 1e-6 * margin
+        seen += 1
+    assert seen == (1 if case.box else 0)
+
+
+def test_commands_before_lie_far_on_both_sides(case):
+    found = list(_rate_edges(case.program, case.golden))
+    limited = any("ctl_u_step" in str(c) for c in case.program.constants)
+    assert len(found) == limited
+    for x, Y, states in found:
+        probes = case.samples(x, Y, states)
+        step = next(v for c, v in case.program.constants.items() if str(c) == "ctl_u_step")
+        assert probes.before - probes.asked == pytest.approx([-3 * step, 3 * step])
+        assert abs(probes.asked[0]) == np.abs(case.golden.asked).min()
+
+
+def test_limited_references_go_beyond_their_bounds(case):
+    found = list(_limited_references(case.program, case.monitor, case.golden, case.samples))
+    assert len(found) == (2 * len(case.program.Y) if case.monitor.limit_reference else 0)
+    for k, (_, Y, _) in enumerate(found):
+        bound = case.monitor.reference_bounds[k // 2]
+        assert Y[k // 2, 0] == pytest.approx((-1, 1)[k % 2] * BEYOND_BOUND * bound)
+
+
+def test_every_flag_is_expected_up_and_down(case):
+    probes = monitor_probes(case.system, case.program, case.monitor, case.vectors, "double")
+    for flag, row in zip(case.monitor.flags, probes.expected, strict=True):
+        assert (row == DOWN).any(), flag
+        assert (row == UP).any() or not flag.premises, flag
+    assert probes.x.shape[1] == probes.Y.shape[1] == len(probes.before) == probes.expected.shape[1]
+
+
+def test_what_is_expected_is_what_the_conditions_say(case):
+    for flag in case.monitor.flags:
+        row = _expected(flag, case.monitor.flags, case.golden, "double")
+        holds = np.ones(row.shape, dtype=bool)
+        for premise in flag.premises:
+            value, low, high = case.golden.values(premise)
+            holds &= (
+                (value > low) & (value < high)
+                if premise.strict
+                else ((value >= low) & (value <= high))
+            )
+        assert (row[row != 2] == np.where(holds, DOWN, UP)[row != 2]).all()
+
+
+@pytest.mark.parametrize("root", [2, 3, 5, 6, 7, 10, 11, 13])
+def test_irrational_ends_of_a_box_are_rounded_inward(root):
+    ((_, (low, high)),) = Monitor(box={"x1": (f"-sqrt({root})", f"sqrt({root})")}).box
+    for end in (low, high):
+        assert Fraction(end) ** 2 < root
+        assert Fraction(abs(end) + 2 * np.spacing(abs(end))) ** 2 > root
+    with mpmath.workdps(60):
+        assert mpmath.mpf(high) < mpmath.sqrt(root)
+
+
+def test_a_box_that_is_empty_is_refused():
+    for ends in ((1, 1), (2, 1), ("1/3", "1/3"), ("sqrt(2)", "sqrt(2)")):
+        with pytest.raises(InputError, match="low must be less than high"):
+            Monitor(box={"x1": ends})
+    with pytest.raises(InputError, match="monitor.limit_reference: must be True or False"):
+        Monitor(limit_reference=1)

@@ -1,0 +1,1 @@
+"""Mutation testing: which changes, which tests, what came of them."""

@@ -1,0 +1,65 @@
+"""Which modules are changed together, and which tests are to notice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCE = ROOT / "src" / "certrack"
+
+
+@dataclass(frozen=True)
+class Group:
+    """Patterns of modules below ``src/certrack``, and the files of tests, without ``test_``."""
+
+    patterns: str
+    tests: str
+    texts: bool = False  # whether operators inside texts are changed, too: printers
+
+    @property
+    def modules(self) -> list[str]:
+        """Paths below ``src/certrack``; packages' own files only gather names."""
+        found = {p for pattern in self.patterns.split() for p in SOURCE.glob(pattern + ".py")}
+        return sorted(str(p.relative_to(SOURCE)) for p in found if p.name != "__init__.py")
+
+    @property
+    def files(self) -> list[str]:
+        """Files of tests, relative to the repository."""
+        return [f"tests/test_{name}.py" for name in self.tests.split()]
+
+
+GROUPS = {
+    "backstepping": Group("laws/backstepping laws/recursion", "backstepping laws testing"),
+    "laws": Group(
+        "laws/adaptive laws/balanced laws/base laws/classic laws/error_system laws/leakage"
+        " laws/numbers laws/registry laws/robust laws/signals",
+        "laws testing backstepping exact_numbers lyapunov extensions",
+    ),
+    "certificates": Group(
+        "certificates/*",
+        "certificates certificate_data exact_checks rounding independent_checker bounds peak tube"
+        " premises truth strength exact_numbers false_claims forged_claims",
+    ),
+    "ranges": Group(
+        "certificates/ranges/*", "range_algebra ranges independent_ranges sectors strength peak"
+    ),
+    "implemented": Group(
+        "certificates/implemented/*",
+        "implemented implemented_start enclosed range_algebra forged_claims",
+    ),
+    "references": Group(
+        "references/*", "references testing bounds premises simulation time_events units lipschitz"
+    ),
+    "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
+    "sampled": Group(
+        "loops/controller loops/sampled integrators/sampled/run", "controller sampled sliding"
+    ),
+    "statistics": Group("studies/ensembles/statistics", "statistics"),
+    "c-printers": Group(
+        "export/c/export export/c/guard export/c/printer export/c/source core/printing",
+        "printing export_c guard words",
+        texts=True,
+    ),
+    "monitor": Group("export/monitor* export/*/monitor*", "monitor_probes monitor"),
+}

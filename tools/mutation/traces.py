@@ -1,0 +1,140 @@
+"""Which tests run which lines, and how long they take: measured once, kept in ``build/mutants``."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from mutation.changes import Mutant
+from mutation.groups import GROUPS, ROOT, SOURCE
+from mutation.runs import collect, in_child
+
+KEPT = ROOT / "build" / "mutants"
+
+#: Seconds of the processor: no test that takes longer is used, nor are more of them for a mutant.
+LONGEST, BUDGET = 3.0, 12.0
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Of each line of each module the tests that run it (None: the import), of each its seconds."""
+
+    lines: dict[str, dict[int, list[str | None]]]
+    seconds: dict[str, float]
+
+    def tests(self, mutant: Mutant) -> tuple[list[str], bool]:
+        """Tests that run a mutant, and whether they must import it anew.
+
+        The fastest first, those of a file together so that they share what they set up.
+        """
+        lines = self.lines.get(mutant.module, {})
+        runners = {name for line in mutant.lines for name in lines.get(line, [])}
+        anew = mutant.function is None or None in runners
+        nearest = {name for names in lines.values() for name in names}
+        if anew:  # whoever uses the module, and then all others
+            runners = {name for known in self.lines.values() for x in known.values() for name in x}
+        chosen, total = [], 0.0
+        for name in sorted(
+            runners - {None}, key=lambda name: (name not in nearest, self.seconds[name], name)
+        ):
+            total += self.seconds[name]
+            if total > BUDGET:
+                break
+            chosen.append(name)
+        return sorted(chosen, key=self._order), anew
+
+    def _order(self, name: str) -> tuple[int, str, float]:
+        seconds = self.seconds[name]
+        return math.ceil(math.log10(max(seconds, 0.03))), name.partition("::")[0], seconds
+
+
+def trace(files: Iterable[str], modules: Iterable[str]) -> Trace:
+    """From ``build/mutants`` where neither the tests nor the modules changed, else by a run."""
+    lines: dict[str, dict[int, list[str | None]]] = {module: {} for module in modules}
+    seconds: dict[str, float] = {}
+    digests = {module: _digest(SOURCE / module) for module in lines}
+    for file in files:
+        kept = KEPT / (Path(file).stem + ".json")
+        digest = _digest(ROOT / file)
+        found = json.loads(kept.read_text()) if kept.exists() else {}
+        same = digests.items() <= found.get("modules", {}).items()
+        if not same or found["digest"] != digest:
+            print(f"  which lines {file} runs ...", end=" ", flush=True)
+            code, _ = in_child(lambda _, file=file, kept=kept: _measure(file, kept), 3600)
+            if code:
+                sys.exit(f"{file} cannot be traced")
+            found = json.loads(kept.read_text())
+            print(f"{len(found['seconds'])} tests, {sum(found['seconds'].values()):.0f} s")
+        names = list(found["seconds"])
+        seconds |= found["seconds"]
+        for module, ran in found["lines"].items():
+            for line, numbers in ran.items() if module in lines else ():
+                runners = lines[module].setdefault(int(line), [])
+                runners += [None if i < 0 else names[i] for i in numbers]
+    return Trace(lines, seconds)
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _measure(file: str, kept: Path) -> None:
+    """Run a file of tests with coverage; a test that fails so, or takes too long, is left out."""
+    import coverage  # here, so that the other children do without
+
+    modules = sorted({module for group in GROUPS.values() for module in group.modules})
+    paths = [str(SOURCE / module) for module in modules]
+    measured = coverage.Coverage(data_file=None, config_file=False, include=paths)
+    seconds: dict[str, float] = {}
+    failed = set()
+
+    class TooLong(BaseException):
+        pass
+
+    def stop(signum: int, frame: object) -> None:
+        raise TooLong
+
+    class Failures:
+        def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+            if report.failed:
+                failed.add(report.nodeid)
+
+    def action(items: list[pytest.Item]) -> None:
+        items[0].config.pluginmanager.register(Failures())
+        for item, following in zip(items, [*items[1:], None], strict=True):
+            measured.switch_context(item.nodeid)
+            began = time.process_time()
+            signal.setitimer(signal.ITIMER_VIRTUAL, LONGEST)
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+            seconds[item.nodeid] = time.process_time() - began
+
+    signal.signal(signal.SIGVTALRM, stop)
+    measured.start()
+    log = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(log, 1)
+    collect([file], action)
+    measured.stop()
+    data = measured.get_data()
+    numbers = {name: i for i, name in enumerate(seconds)} | {"": -1}
+    lines = {}
+    for path in sorted(data.measured_files()):
+        module = str(Path(path).relative_to(SOURCE))
+        lines[module] = {
+            line: sorted(numbers[name] for name in names if name not in failed)
+            for line, names in data.contexts_by_lineno(path).items()
+        }
+    digests = {module: _digest(SOURCE / module) for module in modules}
+    KEPT.mkdir(parents=True, exist_ok=True)
+    text = {"digest": _digest(ROOT / file), "modules": digests, "seconds": seconds, "lines": lines}
+    kept.write_text(json.dumps(text))
