@@ -21,9 +21,9 @@ from certrack.certificates.methods import certify_peak
 from certrack.certificates.semidefinite import SemidefiniteProgram
 from certrack.loops.stability import linear_loop
 from certrack.tuning.candidate import Candidate
-from certrack.tuning.families import tuning_family
 from certrack.tuning.problem import Requirements, TuningProblem
 from certrack.tuning.quantities import NoiseGain, PeakGainError, SemidefiniteError
+from certrack.tuning.registry import tuning_family
 from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, LinearPlant
 from certrack.tuning.stability import StabilityEdge
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from certrack.cli import report
 from certrack.core.rounding import printed_bound
 from certrack.core.version import __version__
+from certrack.tuning.result import tuned_numbers
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -47,7 +48,7 @@ def _shown(figures: Measured, name: str) -> object:
 def tuned_notes(result: Tuned) -> list[str]:
     """The law, the limits, and what they cost."""
     law = result.system.law
-    gains = {"c": list(law.c), **_others(result)}
+    gains = tuned_numbers(result.system)
     lines = [f"law: {law.kind}, feedforward = {law.feedforward}"]
     lines += [f"  {name} = {_numbers(value)}" for name, value in gains.items()]
     lines.append(f"limits: {', '.join(dict.fromkeys(result.limits)) or 'none'}")
@@ -117,12 +118,6 @@ def remarks(result: Tuned, file: str) -> list[str]:
         f"({printed_bound(result.before.certified, 5)} before)",
         *price_lines(result),
     ]
-
-
-def _others(result: Tuned) -> dict[str, object]:
-    from certrack.tuning.result import tuned_numbers
-
-    return tuned_numbers(result.system)
 
 
 def _numbers(value: object) -> str:

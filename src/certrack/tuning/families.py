@@ -1,28 +1,23 @@
-"""Which numbers of a law are tuned: its positive gains, as logarithms.
-
-A family turns a vector v into a law. To give a law a family, write a class here and list it in
-:data:`FAMILIES`; all else follows from the law's own certificate.
-"""
+"""Which numbers of a law are tuned: a family turns a vector v into a law."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
-from certrack.core.errors import InputError
 from certrack.laws.adaptive import Adaptive
 from certrack.laws.base import Law
-from certrack.laws.classic import Classic
-from certrack.laws.robust import Robust
 from certrack.systems.system import System
 
 #: Gains are searched between these, over those of the start: nobody means a gain that is 1e4 times
 #: another, and the recursion's coefficients are powers of them.
 LOWEST_GAIN, HIGHEST_GAIN = 1e-3, 1e3
+
+#: Standard deviation of random starts, in logarithms of gains.
+SPREAD = 0.7
 
 #: Significant digits of a gain in the tuned file.
 GAIN_DIGITS = 6
@@ -32,7 +27,39 @@ ALPHA_SHARE, SHARES = 0.4, (0.02, 0.97)
 
 
 class Family(ABC):
-    """The laws that a search goes through.
+    """The laws that a search goes through: one for each vector v.
+
+    Attributes
+    ----------
+    kind : str
+        Of the laws.
+    has_share : bool
+        Whether the last entry of v is no gain, but log(alpha/fastest) of the semidefinite program.
+    start, low, high : arrays
+        The v of the system's own law, and the ends of the search.
+    """
+
+    kind: ClassVar[str]
+    has_share: ClassVar[bool] = False
+    start: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    @abstractmethod
+    def law(self, v: np.ndarray) -> Law:
+        """The law of a point."""
+
+    @abstractmethod
+    def written(self, v: np.ndarray) -> Law:
+        """The law of a point, its gains rounded to the digits of a file."""
+
+    @abstractmethod
+    def random(self, rng: np.random.Generator) -> np.ndarray:
+        """A point where another search may begin."""
+
+
+class PositiveGains(Family):
+    """Laws whose tuned numbers are positive; v are their logarithms.
 
     Parameters
     ----------
@@ -42,39 +69,26 @@ class Family(ABC):
         q of all of them.
     """
 
-    kind: ClassVar[str]
-    #: Whether the last entry of v is no gain, but log(alpha/fastest) of the semidefinite program.
-    has_share: ClassVar[bool] = False
-
     def __init__(self, system: System, feedforward: int) -> None:
         self.plant = system.plant
         self.base = self._base(system.law, feedforward)
         numbers = [*self._numbers(self.base), *([ALPHA_SHARE] if self.has_share else [])]
         self.start = np.log(np.array(numbers, dtype=float))
-
-    @property
-    def low(self) -> np.ndarray:
-        """Lower ends of v."""
-        low: np.ndarray = self.start + np.log(LOWEST_GAIN)
+        self.low, self.high = self.start + np.log(LOWEST_GAIN), self.start + np.log(HIGHEST_GAIN)
         if self.has_share:
-            low[-1] = np.log(SHARES[0])
-        return low
-
-    @property
-    def high(self) -> np.ndarray:
-        """Upper ends of v."""
-        high: np.ndarray = self.start + np.log(HIGHEST_GAIN)
-        if self.has_share:
-            high[-1] = np.log(SHARES[1])
-        return high
+            self.low[-1], self.high[-1] = np.log(SHARES)
 
     def law(self, v: np.ndarray) -> Law:
-        """The law of a point."""
         return self._with(np.exp(v))
 
     def written(self, v: np.ndarray) -> Law:
-        """The law of a point, its gains rounded to the digits of a file."""
-        return self._with(np.array([float(f"{value:.{GAIN_DIGITS}g}") for value in np.exp(v)]))
+        return self._with(np.array([in_digits(value) for value in np.exp(v)]))
+
+    def random(self, rng: np.random.Generator) -> np.ndarray:
+        moved = self.start + SPREAD * rng.standard_normal(len(self.start))
+        if self.has_share:
+            moved[-1] = self.start[-1]
+        return np.clip(moved, self.low, self.high)
 
     @abstractmethod
     def _base(self, law: Law, feedforward: int) -> Law:
@@ -89,7 +103,12 @@ class Family(ABC):
         """The law with these numbers."""
 
 
-class RobustFamily(Family):
+def in_digits(value: float) -> float:
+    """A gain with the digits of a file."""
+    return float(f"{value:.{GAIN_DIGITS}g}")
+
+
+class RobustFamily(PositiveGains):
     """c, and where the recursion is balanced its coupling."""
 
     kind = "robust"
@@ -125,7 +144,7 @@ class AdaptiveFamily(RobustFamily):
         if plant.input_gain_range is not None:
             low, high = map(float, plant.input_gain_range)
             delta0 = plant.gain_sign / float(np.sqrt(low * high))
-            law = replace(law, delta0=float(f"{delta0:.{GAIN_DIGITS}g}"))
+            law = replace(law, delta0=in_digits(delta0))
         if plant.theta_range is not None:
             middle = tuple((float(a) + float(b)) / 2 for a, b in plant.theta_range)
             law = replace(law, theta0=middle)
@@ -150,38 +169,3 @@ class AdaptiveFamily(RobustFamily):
             leak_theta=leak_theta,
             Gamma=tuple(Gamma) or None,
         )
-
-
-#: The family of each kind of law.
-FAMILIES: Mapping[str, type[Family]] = {
-    family.kind: family for family in (RobustFamily, AdaptiveFamily)
-}
-
-
-def tuning_family(system: System, kind: str, feedforward: int) -> Family:
-    """The family in which `system` is tuned.
-
-    Raises
-    ------
-    InputError
-        If laws of this kind have none, or the plant does not tell what they must know.
-    """
-    if kind not in FAMILIES:
-        why = "has no certificate: without leakage no bound exists" if kind == Classic.kind else ""
-        raise InputError(
-            "law.kind",
-            f"{why or 'has no gains that tune knows'}",
-            kind,
-            f"Choose --law {' or --law '.join(FAMILIES)}",
-        )
-    return FAMILIES[kind](_with_law(system, kind, feedforward), feedforward)
-
-
-def _with_law(system: System, kind: str, feedforward: int) -> System:
-    """The system with a law of this kind, c and coupling of its own."""
-    law = system.law
-    if law.kind == kind:
-        return system
-    known = {"robust": Robust, "adaptive": Adaptive}[kind]
-    same = {"c": law.c, "coupling": law.coupling, "feedforward": feedforward}
-    return system.replace(law=known(**same), settings=replace(system.settings, estimates=None))

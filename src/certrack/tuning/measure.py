@@ -18,7 +18,6 @@ from certrack.studies.ensembles.ensemble import ensemble
 from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
-from certrack.tuning.families import FAMILIES
 from certrack.tuning.quantities import NoiseGain
 from certrack.tuning.responses import Grid, LinearPlant
 from certrack.tuning.runs import corners
@@ -90,7 +89,7 @@ class _Fixed(Candidate):
     """A system as it stands, as a candidate: its damping counts, too."""
 
     def __init__(self, system: System) -> None:
-        super().__init__(next(iter(FAMILIES.values()))(system, 0), system, np.zeros(0))
+        self.base, self.v = system, np.zeros(0)
         self.__dict__ |= {"law": system.law, "design": system.controller.coordinates}
         self.__dict__ |= {"system": system}
 

@@ -16,6 +16,7 @@ from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.families import AdaptiveFamily
 from certrack.tuning.implemented import DrivePeak, ImplementedError
 from certrack.tuning.limits import Limit, Task
 from certrack.tuning.quantities import (
@@ -24,6 +25,7 @@ from certrack.tuning.quantities import (
     Quantity,
     SemidefiniteError,
 )
+from certrack.tuning.registry import tuning_family
 from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, LinearPlant, StartPeak
 from certrack.tuning.runs import (
     MOST_CORNERS,
@@ -184,8 +186,6 @@ class TuningProblem:
     @property
     def first(self) -> Candidate:
         """The start's design: that of the base."""
-        from certrack.tuning.families import tuning_family
-
         family = tuning_family(self.base, self.base.law.kind, self.base.law.order(self.base.plant))
         return Candidate(family, self.base, family.start)
 
@@ -297,8 +297,6 @@ class _Largest(Quantity):
 
 
 def _error_quantity(base: System) -> PeakGainError | SemidefiniteError:
-    from certrack.tuning.families import AdaptiveFamily
-
     return SemidefiniteError(base) if base.law.kind == AdaptiveFamily.kind else PeakGainError(base)
 
 

@@ -93,10 +93,10 @@ class LinearPlant:
 
     @classmethod
     def of(cls, system: System) -> LinearPlant | None:
-        """None where the loop is not linear, or a constant force acts."""
+        """None where the loop is not linear, the law has memories, or a constant force acts."""
         plain = system.replace(implementation=Implementation(PLAIN_PERIOD))
         loop = linear_loop(plain)
-        if loop is None or not _passes_through_zero(system):
+        if loop is None or loop.controller.states or not _passes_through_zero(system):
             return None
         return cls(loop)
 

@@ -107,7 +107,7 @@ class Tuned:
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
         law = self.system.law
-        gains = {"kind": law.kind, "c": list(law.c), "feedforward": law.feedforward}
+        gains = {"kind": law.kind, "feedforward": law.feedforward}
         front = None
         if self.front is not None:
             points = [{"limit": p.limit, "objective": p.objective} for p in self.front.points]
@@ -129,11 +129,22 @@ class Tuned:
 
 
 def tuned_numbers(system: System) -> dict[str, Any]:
-    """The gains of a law beside c, by name."""
-    names = ("coupling", "gain_rate", "leak_gain", "leak_theta", "Gamma", "delta0", "theta0")
+    """The gains of a law, by name."""
+    names = (
+        "c",
+        "K",
+        "r",
+        "coupling",
+        "gain_rate",
+        "leak_gain",
+        "leak_theta",
+        "Gamma",
+        "delta0",
+        "theta0",
+    )
     values = {name: getattr(system.law, name, None) for name in names}
     return {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in values.items()
-        if value is not None
+        if value not in (None, ())
     }

@@ -22,9 +22,6 @@ AIMED_INSIDE, KEPT_INSIDE = 1e-4, 1e-5
 #: Iterations of one start, and the change of the logarithm that ends them.
 MOST_ITERATIONS, ACCURACY = 40, 1e-5
 
-#: Standard deviation of the starts about the first, in logarithms of gains.
-SPREAD = 0.7
-
 #: A limit is active where less than this is left of it, in logarithms.
 ACTIVE = 3e-3
 
@@ -136,10 +133,7 @@ def random_starts(family: Family, count: int, seed: int) -> list[np.ndarray]:
     points = [family.start]
     for i in range(1, count):
         rng = np.random.default_rng([seed, i])
-        moved = family.start + SPREAD * rng.standard_normal(len(family.start))
-        if family.has_share:
-            moved[-1] = family.start[-1]
-        points.append(np.clip(moved, family.low, family.high))
+        points.append(family.random(rng))
     return points
 
 

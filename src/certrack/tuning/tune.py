@@ -19,11 +19,12 @@ from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.conflict import conflict
-from certrack.tuning.families import Family, tuning_family
+from certrack.tuning.families import Family
 from certrack.tuning.front import sweep
 from certrack.tuning.limits import Task
 from certrack.tuning.measure import figures_of
 from certrack.tuning.problem import OBJECTIVES, Requirements, TuningProblem
+from certrack.tuning.registry import tuning_family
 from certrack.tuning.result import ActiveLimit, Front, Tuned
 from certrack.tuning.search import GainSearch, prices, random_starts
 
