@@ -365,6 +365,36 @@ def test_goals_of_the_dual_motor():
 
 
 @pytest.mark.slow
+def test_goals_of_any_linear_law():
+    """Random starts are backstepping designs; the result is none."""
+    system = certrack.load("dual-motor-lean")
+    found = certrack.tune(system, peak_input=39.1, period=0.087, law="linear")
+    assert found.after.certified <= 0.00120
+    assert found.after.peak_input <= 39.1 and found.after.period >= 0.087
+    assert found.programs <= 250 and np.median(found.programs_per_start) <= 30
+    again = certrack.tune(found.system, peak_input=39.1, period=0.087, starts=1)
+    assert again.after.certified <= found.after.certified * (1 + 1e-6)
+    back = certrack.tune(found.system, peak_input=60, period=0.05, law="robust", starts=1)
+    assert back.system.law.kind == "robust" and back.after.certified < 0.0013
+
+
+@pytest.mark.parametrize("n", [2, 4])
+def test_a_linear_family_holds_the_backstepping_designs(n):
+    """The start is the design itself, and a random start a design with other rates."""
+    system = random_system(8, n)
+    point = candidate_of(system)
+    error = PeakGainError(point.base)
+    q = system.law.feedforward
+    family = tuning_family(point.base, "linear", q)
+    base = point.base.replace(law=family.law(family.start))
+    linear = Candidate(family, base, family.start)
+    assert PeakGainError(base).value(linear) == pytest.approx(error.value(point), rel=1e-9)
+    moved = Candidate(family, base, family.random(np.random.default_rng(0)))
+    assert np.linalg.eigvals(moved.design.error_matrix).real.max() < 0
+    assert moved.law.feedforward == q
+
+
+@pytest.mark.slow
 def test_goals_of_example1():
     system = certrack.load("example1")
     first = certrack.tune(system, peak_input=15.9, feedforward=1, starts=1)

@@ -39,12 +39,10 @@ class LinearFamily(Family):
         else:
             self._rates = np.array(law.c, dtype=float)
             self.base = self._backstepping(self._rates)
-        self._K = np.array(self.base.K, dtype=float)
-        self._r = float(self.base.r or 0.0)
         self._has_r = feedforward < self.plant.n - 1
-        self._sizes = np.abs(np.append(self._K, self._r if self._has_r else []))
-        largest = self._sizes.max()
-        self._sizes = np.where(self._sizes > 0, self._sizes, largest)
+        self._centre = self._joined(np.array(self.base.K, dtype=float), self.base.r or 0.0)
+        self._signs, sizes = np.where(self._centre < 0, -1.0, 1.0), np.abs(self._centre)
+        self._sizes = np.where(sizes > 0, sizes, sizes.max())
         self.start = np.zeros(len(self._sizes))
         self.low, self.high = self.start + LEAST_CHANGE, self.start + LARGEST_CHANGE
 
@@ -59,16 +57,16 @@ class LinearFamily(Family):
     def random(self, rng: np.random.Generator) -> np.ndarray:
         c = self._rates * np.exp(SPREAD * rng.standard_normal(len(self._rates)))
         law = self._backstepping(c)
-        numbers = np.append(np.array(law.K), law.r if self._has_r else [])
-        centre = np.append(self._K, self._r if self._has_r else [])
-        signs = np.where(centre < 0, -1.0, 1.0)
-        return np.clip((numbers - centre) * signs / self._sizes, self.low, self.high)
+        numbers = self._joined(np.array(law.K, dtype=float), law.r or 0.0)
+        changes = (numbers - self._centre) * self._signs / self._sizes
+        return np.clip(changes, self.low, self.high)
+
+    def _joined(self, K: np.ndarray, r: float) -> np.ndarray:
+        """The tuned numbers in one array."""
+        return np.append(K, r) if self._has_r else K
 
     def _numbers(self, v: np.ndarray) -> tuple[np.ndarray, float | None]:
-        centre = np.append(self._K, self._r if self._has_r else [])
-        signs = np.where(centre < 0, -1.0, 1.0)
-        values = centre + signs * self._sizes * v
-        n = len(self._K)
+        values, n = self._centre + self._signs * self._sizes * v, self.plant.n
         return values[:n], float(values[n]) if self._has_r else None
 
     def _with(self, K: np.ndarray, r: float | None) -> Law:

@@ -51,7 +51,7 @@ def _with_law(system: System, kind: str, feedforward: int) -> System:
     law = system.law
     if law.kind == kind or kind == LinearFamily.kind:
         return system
-    known: type[Law] = {"robust": Robust, "adaptive": Adaptive}[kind]
+    known = Robust if kind == RobustFamily.kind else Adaptive
     c = tuple(np.round(rates_of(system), 6).tolist()) if not law.c else law.c
-    changed = known(c=c, coupling=law.coupling, feedforward=feedforward)
+    changed: Law = known(c=c, coupling=law.coupling, feedforward=feedforward)
     return system.replace(law=changed, settings=replace(system.settings, estimates=None))
