@@ -11,10 +11,12 @@ from test_implemented import NOISE, on_a_drive, random_drive
 
 import certrack
 from certrack.certificates import to_document, verify
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.document import _digest
 from certrack.certificates.implemented.certify import certify_implemented, failed_cover
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
 from certrack.certificates.implemented.fixed_point import OutputBounds
+from certrack.certificates.implemented.from_starts import bounds_from_start
 from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import one_period
@@ -203,6 +205,13 @@ def test_a_window_that_reaches_into_the_next_period_counts_in_both():
     assert gains(0.5, 0.2) == pytest.approx(gains(0.5, 0.0))
     # each pulse adds at least what b at the sample does: a row of x_2 sees 1 of it at once
     assert gains(0.5, 0.2).max() > 0.9
+
+
+def test_nothing_is_said_of_a_start_with_jitter():
+    """The bounds from a start are those of exact times."""
+    with pytest.raises(NoCertificate, match="with jitter"):
+        bounds_from_start(fast(0.1))
+    assert bounds_from_start(fast(0.0)).peaks.error > 0
 
 
 def test_two_inputs_may_change_in_a_cell_that_is_a_whole_period():
