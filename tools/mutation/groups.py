@@ -34,11 +34,11 @@ GROUPS = {
     "laws": Group(
         "laws/adaptive laws/balanced laws/base laws/classic laws/error_system laws/leakage"
         " laws/numbers laws/registry laws/robust laws/signals",
-        "laws testing backstepping exact_numbers lyapunov extensions",
+        "laws law_formulas testing backstepping exact_numbers lyapunov extensions",
     ),
     "certificates": Group(
         "certificates/*",
-        "certificates certificate_data exact_checks rounding independent_checker bounds peak tube"
+        "certificates certificate_formulas certificate_data exact_checks rounding independent_checker bounds peak tube"
         " premises truth strength exact_numbers false_claims forged_claims",
     ),
     "ranges": Group(
