@@ -164,6 +164,7 @@ def test_the_leak_of_the_adaptive_law():
         ((-1, 3), 2.0),
         ((0, 0), math.inf),
         ((5, 2), math.inf),
+        ((-sympy.oo, -1), math.inf),
     ],
 )
 def test_the_longest_period_of_an_euler_step(poles, period):
@@ -206,6 +207,25 @@ def test_orders_of_feed_forward_end_at_the_largest_plant():
     for order in (MAX_ORDER, -1):
         with pytest.raises(InputError, match="feedforward"):
             Robust(c=(1,), feedforward=order)
+
+
+def test_gains_that_are_left_out():
+    law = Adaptive(c=(1, 2))
+    found = law.gain_rate, law.leak_gain, law.leak_theta, law.delta0, law.theta0, law.Gamma
+    assert found == (1.0, 0.1, 0.1, 0.0, None, None)
+    assert Classic(c=(1, 2)).gain_rate == 1.0
+    assert (law.feedforward, law.coupling, law.integral, law.observer) == (0, None, None, None)
+    assert law.sampled_feedforward is False
+    for name in ("gain_rate", "leak_gain", "leak_theta"):
+        with pytest.raises(InputError, match=name):
+            Adaptive(c=(1, 2), **{name: 0})
+
+
+def test_integral_action_is_one_more_state_of_the_law():
+    s = Signals(PLANT, 0, integral=True)
+    with_it, without = Robust(c=(1, 2), coupling=0.5, integral=1.0), Robust(c=(1, 2))
+    assert with_it.normal_equations(s).update == ((INTEGRAL, x1 - s.Y[0]),)
+    assert without.normal_equations(s).update == ()
 
 
 def test_the_classic_law_refuses_what_it_does_not_use():

@@ -38,15 +38,16 @@ GROUPS = {
     ),
     "certificates": Group(
         "certificates/*",
-        "certificates certificate_formulas certificate_data exact_checks rounding independent_checker bounds peak tube"
-        " premises truth strength exact_numbers false_claims forged_claims",
+        "certificates certificate_formulas certificate_data exact_checks rounding"
+        " independent_checker bounds peak tube premises truth strength exact_numbers false_claims forged_claims",
     ),
     "ranges": Group(
-        "certificates/ranges/*", "range_algebra ranges independent_ranges sectors strength peak"
+        "certificates/ranges/*",
+        "range_algebra attainable ranges independent_ranges sectors strength peak",
     ),
     "implemented": Group(
         "certificates/implemented/*",
-        "implemented implemented_start enclosed range_algebra forged_claims",
+        "implemented implemented_formulas implemented_start enclosed range_algebra forged_claims",
     ),
     "references": Group(
         "references/*", "references testing bounds premises simulation time_events units lipschitz"
