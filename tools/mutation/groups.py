@@ -39,7 +39,8 @@ GROUPS = {
     "certificates": Group(
         "certificates/*",
         "certificates certificate_formulas certificate_data exact_checks rounding"
-        " independent_checker bounds peak tube premises truth strength exact_numbers false_claims forged_claims",
+        " independent_checker bounds peak tube premises truth strength exact_numbers"
+        " false_claims forged_claims",
     ),
     "ranges": Group(
         "certificates/ranges/*",
@@ -54,13 +55,14 @@ GROUPS = {
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
     "sampled": Group(
-        "loops/controller loops/sampled integrators/sampled/run", "controller sampled sliding"
+        "loops/controller loops/sampled integrators/sampled/run",
+        "controller sampled_steps sampled sliding",
     ),
     "statistics": Group("studies/ensembles/statistics", "statistics"),
     "c-printers": Group(
         "export/c/export export/c/guard export/c/printer export/c/source core/printing",
-        "printing export_c guard words",
+        "printing monitor_text export_c guard words",
         texts=True,
     ),
-    "monitor": Group("export/monitor* export/*/monitor*", "monitor_probes monitor"),
+    "monitor": Group("export/monitor* export/*/monitor*", "monitor_text monitor_probes monitor"),
 }
