@@ -51,7 +51,8 @@ GROUPS = {
         "implemented implemented_formulas implemented_start enclosed range_algebra forged_claims",
     ),
     "references": Group(
-        "references/*", "references testing bounds premises simulation time_events units lipschitz"
+        "references/*",
+        "references growth testing bounds premises simulation time_events units lipschitz",
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
     "sampled": Group(
