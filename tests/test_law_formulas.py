@@ -12,6 +12,7 @@ import sympy
 import certrack
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
+from certrack.core.rationals import RationalFloat
 from certrack.laws import Adaptive, Classic, Robust
 from certrack.laws.backstepping import Gains
 from certrack.laws.balanced import balancing_weights
@@ -195,6 +196,9 @@ def test_metrics_are_positive_definite_matrices():
     ):
         with pytest.raises(InputError, match=why):
             metric("Gamma", value, 2)
+    third = RationalFloat(Fraction(1, 3))
+    mixed = metric("Gamma", (third, 2.0), 2)
+    assert mixed.dtype == object and mixed[0, 0] is third and mixed[0, 1] == 0
     assert (vector("theta0", None, 3) == np.zeros(3)).all()
     assert (vector("theta0", (1, 2), 2) == [1, 2]).all()
     assert vector("theta0", (1, 2), 2).dtype == float

@@ -38,8 +38,8 @@ GROUPS = {
     ),
     "certificates": Group(
         "certificates/*",
-        "certificates certificate_formulas certificate_data exact_checks rounding"
-        " independent_checker bounds peak tube premises truth strength exact_numbers"
+        "certificates certificate_formulas published_formulas certificate_data exact_checks"
+        " rounding independent_checker bounds peak tube premises truth strength exact_numbers"
         " false_claims forged_claims",
     ),
     "ranges": Group(
