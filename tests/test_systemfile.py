@@ -395,7 +395,7 @@ def test_unreadable_sources_are_our_error(name):
 
 
 def test_too_large_file_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("certrack.systems.reader.MAX_FILE_BYTES", 100)
+    monkeypatch.setattr("certrack.systems.tables.MAX_FILE_BYTES", 100)
     (tmp_path / "big.toml").write_text("#" * 200)
     with pytest.raises(InputError, match="larger than"):
         certrack.load(tmp_path / "big.toml")
