@@ -144,7 +144,8 @@ def _plant_matrix(loop: RangedLoop) -> sympy.Matrix:
 
 
 def _as_sympy(value: Any) -> sympy.Rational:
-    return sympy.Rational(int(value.p), int(value.q))
+    exact = flint.fmpq(value)
+    return sympy.Rational(int(exact.p), int(exact.q))
 
 
 def _longer(values: Sequence[Any], count: int) -> tuple[Any, ...]:
