@@ -16,7 +16,7 @@ import numpy as np
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import ToNumber, exact_float, rational, solve
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.scope import refuse
+from certrack.certificates.scope import refuse, refuse_formulas
 from certrack.certificates.stated import stated_error_system
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
 from certrack.laws.balanced import balanced, balancing_weights
@@ -134,7 +134,13 @@ def uncertain_inputs(u: Uncertainty, A: np.ndarray, number: ToNumber) -> Uncerta
 
     |w_k| <= gamma_k ||S_k x|| + sum_j Delta_kj |x_j| + beta_k splits, without loss, into an a-input
     for ||S_k x||, one for each Delta_kj, and a b-input.
+
+    Raises
+    ------
+    NoCertificate
+        If a bound is a formula, which does not split so.
     """
+    refuse_formulas(u)
     n = len(A)
     a: list[tuple[int, np.ndarray, Any]] = []
     b: list[tuple[int, np.ndarray]] = []
