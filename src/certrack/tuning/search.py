@@ -20,7 +20,7 @@ from certrack.tuning.quantities import log_of, slope_of
 AIMED_INSIDE, KEPT_INSIDE = 1e-4, 1e-5
 
 #: Iterations of one start, and the change of the logarithm that ends them.
-MOST_ITERATIONS, ACCURACY = 40, 1e-5
+MOST_ITERATIONS, ACCURACY = 28, 1e-5
 
 #: A limit is active where less than this is left of it, in logarithms.
 ACTIVE = 3e-3
