@@ -10,7 +10,7 @@ from certrack.certificates.implemented.certify import certify_implemented
 from certrack.laws.observer import Observer
 from certrack.model.implementation import Implementation
 from certrack.simulation.implementation_notes import implementation_notes, quantum_error
-from certrack.simulation.remedies import remedy_for_sampling, slower_law
+from certrack.simulation.remedies import shorter_period, slower_law
 
 JOINT, DRIVE = certrack.load("flexible-joint"), certrack.load("dual-motor-drive")
 LEAN = certrack.load("dual-motor-lean")
@@ -58,7 +58,7 @@ def test_notes_of_an_unstable_loop_name_the_observer():
     slow = replace(DRIVE.implementation, period=0.2, velocity_filter=0.0)
     law = replace(DRIVE.law, observer=Observer(kind="kalman", bandwidth=60))
     system = DRIVE.replace(law=law, implementation=slow)
-    assert "change law.observer" in remedy_for_sampling(system)
+    assert "change law.observer" in shorter_period(system)
     assert any(
         "Shorten implementation.period or delay, change" in note
         for note in implementation_notes(system)

@@ -13,7 +13,7 @@ import numpy as np
 from certrack.loops.stability import linear_loop
 from certrack.model.implementation import Implementation
 from certrack.simulation.metrics import settling_band
-from certrack.simulation.remedies import remedy_for_sampling
+from certrack.simulation.remedies import shorter_period
 from certrack.systems.system import System
 
 #: Below this part of the period at which the fastest pole fails, no loop is looked at closer.
@@ -107,7 +107,7 @@ def _speed_notes(system: System, implementation: Implementation) -> tuple[str, .
             return ()
         return (
             f"the sampled loop is unstable at a period of {period:g} s: the largest eigenvalue of "
-            f"one period is {radius:.4g}. {_capital(remedy_for_sampling(system))}",
+            f"one period is {radius:.4g}. {_capital(shorter_period(system))}",
         )
     if period < longest:
         return ()
@@ -115,7 +115,7 @@ def _speed_notes(system: System, implementation: Implementation) -> tuple[str, .
     return (
         f"the period of {period:g} s{delayed} is too long for the fastest error pole, {pole:.4g} "
         f"/s: a sampled loop of this speed is unstable from {longest:.3g} s on. "
-        f"{_capital(remedy_for_sampling(system))}",
+        f"{_capital(shorter_period(system))}",
     )
 
 

@@ -30,7 +30,7 @@ def slower_law(system: System) -> str:
     return "lower law.c"
 
 
-def remedy_for_sampling(system: System) -> str:
+def shorter_period(system: System) -> str:
     """The remedy for a loop that is unstable as it is sampled."""
     observer = "" if system.law.observer is None else ", change law.observer"
     return (

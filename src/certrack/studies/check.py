@@ -24,7 +24,7 @@ from certrack.simulation.implementation_notes import (
     SMALL_POLE_PERIOD,
     longest_speed_period,
 )
-from certrack.simulation.remedies import remedy_for_sampling, slower_law, takes_differences
+from certrack.simulation.remedies import shorter_period, slower_law, takes_differences
 from certrack.studies.norm_weights import proposed_weights
 from certrack.studies.units import misfits
 from certrack.systems.system import System, require_system
@@ -187,7 +187,7 @@ def _sampled_stability(system: System, implementation: Implementation) -> Iterat
                 FAULT,
                 f"the period of {implementation.period:g} s is too long for the fastest error "
                 f"pole: a sampled loop of this speed is unstable from {longest:.3g} s on",
-                remedy_for_sampling(system),
+                shorter_period(system),
             )
         return
     radius = max(loop.radius(implementation.period, delay) for delay in implementation.delays)
@@ -199,7 +199,7 @@ def _sampled_stability(system: System, implementation: Implementation) -> Iterat
         "sampled stability",
         FAULT,
         f"{detail}, not below 1: the loop is unstable as it is sampled",
-        remedy_for_sampling(system),
+        shorter_period(system),
     )
 
 
