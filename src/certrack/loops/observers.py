@@ -36,7 +36,7 @@ from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 
 #: A symbol, and the formula that it stands for.
-Step = tuple[sympy.Symbol, sympy.Expr]
+NamedFormula = tuple[sympy.Symbol, sympy.Expr]
 
 
 @dataclass(frozen=True)
@@ -207,9 +207,9 @@ class _Observed:
         measured: Mapping[sympy.Symbol, sympy.Expr],
         begin: Mapping[sympy.Symbol, sympy.Expr],
         first: sympy.Symbol,
-    ) -> tuple[dict[sympy.Symbol, sympy.Expr], list[Step]]:
+    ) -> tuple[dict[sympy.Symbol, sympy.Expr], list[NamedFormula]]:
         """The states as they are estimated, and the steps up to there."""
-        steps: list[Step] = []
+        steps: list[NamedFormula] = []
         for state in self.predicted:
             expected = Select(first, 0, begin[state], _predicted(state))
             steps.append((symbol(f"ctl_expected_{state}"), expected))
