@@ -65,11 +65,6 @@ def in_error_coordinates(problem: ErrorProblem, A: np.ndarray) -> ErrorProblem:
     )
 
 
-def by_plant_data(gradient: DataGradient, A: np.ndarray) -> DataGradient:
-    """The gradient by M and Uy in plant coordinates, from that in e = A xi."""
-    return DataGradient(A.T @ gradient.M @ np.linalg.inv(A).T, A.T @ gradient.Uy)
-
-
 @dataclass(frozen=True)
 class PlainLoop:
     """The loops of one plant, reference and q, for any gains.
