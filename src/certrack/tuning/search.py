@@ -154,10 +154,10 @@ class Price:
     value: float
     exponent: float
 
-    def gain(self, share: float) -> float:
-        """The part of the objective that is saved where the limit is eased by this share."""
+    def gain(self, share: float, sign: float = 1.0) -> float:
+        """The part of the objective that is gained where the limit is eased by this share."""
         eased = -math.log1p(-share) if self.limit.at_least else math.log1p(share)
-        return -math.expm1(-self.exponent * eased)
+        return -sign * math.expm1(-sign * self.exponent * eased)
 
 
 def prices(task: Task, candidate: Candidate) -> list[Price]:
