@@ -22,14 +22,15 @@ from certrack.certificates.semidefinite import SemidefiniteProgram
 from certrack.loops.stability import linear_loop
 from certrack.systems.edit import with_law
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.conflict import conflict
 from certrack.tuning.kept import broken_limits
-from certrack.tuning.limits import Limit
+from certrack.tuning.limits import Limit, Task
 from certrack.tuning.measure import FOUND, SIMULATED, figures_of
 from certrack.tuning.problem import Requirements, TuningProblem
-from certrack.tuning.quantities import NoiseGain, PeakGainError, SemidefiniteError
+from certrack.tuning.quantities import NoiseGain, PeakGainError, Quantity, SemidefiniteError
 from certrack.tuning.registry import tuning_family
 from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, LinearPlant
-from certrack.tuning.search import Price
+from certrack.tuning.search import GainSearch, Price
 from certrack.tuning.stability import StabilityEdge
 
 #: What a gradient may differ from central differences by, over its largest entry.
@@ -367,6 +368,24 @@ def test_figures_that_exceed_their_limits_are_told():
         "peak input <= 0.001",
     ]
     assert not broken_limits([Limit(named[0], figures.certified)], figures)
+
+
+def test_what_has_no_certificate_is_no_design():
+    """It keeps every limit, and is neither the best nor the nearest."""
+
+    class Nothing(Quantity):
+        name = "error"
+
+        def value(self, candidate):
+            return math.inf
+
+    system = certrack.load("dual-motor-lean")
+    family = tuning_family(system, "robust", 1)
+    search = GainSearch(system, Task(Nothing(), True, (), lambda candidate: True))
+    search.run(family, family.start)
+    assert search.state.best is None and search.state.nearest is None
+    problem = TuningProblem(system, system, Requirements(), "error")
+    assert "has a certificate" in str(conflict(problem, family, search))
 
 
 def test_the_price_of_a_longer_period():
