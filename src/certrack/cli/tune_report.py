@@ -79,7 +79,8 @@ def price_lines(result: Tuned) -> list[str]:
         ease = f"10 % {'shorter' if shorter else 'more'} {active.limit}"
         share = 100 * abs(prices[active.limit])
         lines[active.limit] = (
-            f"active: {active.limit} {active.value:.5g}: {ease} buys {share:.2g} % {name}"
+            f"active: {active.limit} {active.value:.5g}: {ease} "
+            f"buys {share:.2g} % {name} at the margin"
         )
     return list(lines.values()) or ["no limit is active"]
 

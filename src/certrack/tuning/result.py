@@ -20,7 +20,8 @@ class ActiveLimit:
     value : float
         Of the limit.
     price : float
-        The part of the objective that is gained where the limit is eased by a tenth.
+        The part of the objective that is gained where the limit is eased by a tenth, at
+        the slope of the optimum: over the whole tenth it is mostly less.
     """
 
     limit: str
