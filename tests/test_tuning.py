@@ -23,7 +23,7 @@ from certrack.loops.stability import linear_loop
 from certrack.systems.edit import with_law
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.conflict import conflict
-from certrack.tuning.kept import broken_limits
+from certrack.tuning.exceeded import broken_limits
 from certrack.tuning.limits import Limit, Task
 from certrack.tuning.measure import FOUND, SIMULATED, figures_of
 from certrack.tuning.problem import Requirements, TuningProblem

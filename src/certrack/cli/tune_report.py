@@ -73,8 +73,8 @@ def price_lines(result: Tuned) -> list[str]:
     lines: dict[str, str] = {}
     for active in result.active:  # corners have a limit each: one price
         sign = -1 if result.objective == "period" else 1
-        kept = (1 - sign * prices.get(active.limit, 0.0)) * (1 - sign * active.price)
-        prices[active.limit] = sign * (1 - kept)
+        remaining = (1 - sign * prices.get(active.limit, 0.0)) * (1 - sign * active.price)
+        prices[active.limit] = sign * (1 - remaining)
         shorter = active.limit in ("period", "delay margin")
         ease = f"10 % {'shorter' if shorter else 'more'} {active.limit}"
         share = 100 * abs(prices[active.limit])

@@ -61,9 +61,9 @@ def _after_the_keys(table: Any) -> list[Any]:
         count = len(body)
         while count and body[count - 1][0] is None:
             count -= 1
-        rest = [item for _, item in body[count:]]
-        lines = [item for item in rest if isinstance(item, Comment | Whitespace)]
-        table = body[count - 1][1] if count and not rest else None
+        trailing = [item for _, item in body[count:]]
+        lines = [item for item in trailing if isinstance(item, Comment | Whitespace)]
+        table = body[count - 1][1] if count and not trailing else None
     return lines
 
 

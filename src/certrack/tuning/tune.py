@@ -19,9 +19,9 @@ from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.conflict import conflict
+from certrack.tuning.exceeded import broken_limits
 from certrack.tuning.families import Family
 from certrack.tuning.front import limits_named, sweep
-from certrack.tuning.kept import broken_limits
 from certrack.tuning.limits import Task
 from certrack.tuning.measure import figures_of
 from certrack.tuning.problem import OBJECTIVES, Requirements, TuningProblem
