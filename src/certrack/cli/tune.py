@@ -72,6 +72,7 @@ def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted
     from certrack.tuning.tune import tune as search_gains
 
     system = load(file)
+    source = _text_of(file)  # as it is now: the search may take minutes
     keep_source(file, *filter(None, [out]))
     if plot is not None and wanted["front"] is None:
         raise InputError("--plot", "draws a front, and none is asked for", remedy="Add --front")
@@ -89,7 +90,7 @@ def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted
         figure = plotting.front_figure(result.front, system.title, system.plant.units)
         pictures = plotting.save_figure(figure, plot, "front")
     if out is not None:
-        text = with_law(_text_of(file), result.system, tune_report.remarks(result, file))
+        text = with_law(source, result.system, tune_report.remarks(result, file))
         from certrack.core.files import write_text
 
         write_text(out, text)
