@@ -372,8 +372,10 @@ def test_a_window_is_opened_by_the_first_toolkit_that_can(monkeypatch):
 
 def test_dollars_in_a_title_are_no_formula():
     from certrack.plotting import Appearance
+    from certrack.plotting.shared import set_title
 
     drawing = Figure()
-    text = drawing.suptitle(Appearance(title=r"$\bad$").titled("none"))
+    set_title(drawing, Appearance(title=r"$\bad$").titled("none"))
+    text = drawing._suptitle
     drawing.canvas.draw()  # a formula that is none would raise
     assert text._preprocess_math(text.get_text()) == (r"$\bad$", False)

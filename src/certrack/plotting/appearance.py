@@ -85,8 +85,8 @@ class Appearance:
         return width, height * panels + 0.25 * height
 
     def titled(self, title: str) -> str:
-        """The title to show where the system's is this one; a dollar sign begins no formula."""
-        return (title if self.title is None else self.title).replace("$", r"\$")
+        """The title to show where the system's is this one."""
+        return title if self.title is None else self.title
 
 
 #: As pictures are drawn if nothing else is asked for.
