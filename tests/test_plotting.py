@@ -375,7 +375,8 @@ def test_dollars_in_a_title_are_no_formula():
     from certrack.plotting.shared import set_title
 
     drawing = Figure()
-    set_title(drawing, Appearance(title=r"$\bad$").titled("none"))
+    with plotting.style():
+        set_title(drawing, Appearance(title=r"$\bad$").titled("none"))
     text = drawing._suptitle
     drawing.canvas.draw()  # a formula that is none would raise
     assert text._preprocess_math(text.get_text()) == (r"$\bad$", False)
