@@ -257,6 +257,7 @@ def test_a_run_that_does_not_finish_is_exit_1_with_the_remedy(capfd, tmp_path):
     assert "Raise c" in err
 
 
+@pytest.mark.slow
 def test_what_was_written_is_said_but_not_to_programs(capfd, tmp_path):
     run, pictures, members = tmp_path / "run.nc", tmp_path / "pictures", tmp_path / "members"
     simulate = ("simulate", "example1", "--out", str(run), "--plot", str(pictures))
