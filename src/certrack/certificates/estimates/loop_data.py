@@ -52,19 +52,6 @@ def in_plant_coordinates(problem: ErrorProblem) -> ErrorProblem:
     )
 
 
-def in_error_coordinates(problem: ErrorProblem, A: np.ndarray) -> ErrorProblem:
-    """The problem of plant coordinates in e = A xi: those of a nearby design are well scaled."""
-    Xe = np.linalg.inv(A)
-    return replace(
-        problem,
-        M=A @ problem.M @ Xe,
-        Ua=A @ problem.Ua,
-        Ub=A @ problem.Ub,
-        Uy=A @ problem.Uy,
-        Xe=Xe,
-    )
-
-
 @dataclass(frozen=True)
 class PlainLoop:
     """The loops of one plant, reference and q, for any gains.
