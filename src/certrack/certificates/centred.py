@@ -58,7 +58,7 @@ def centred_problem(
     assert law is not None
     coordinates = error_coordinates(system, rational)
     n, q = problem.n, coordinates.q
-    AB, Y = _reference_part(system, problem)
+    AB, Y = reference_part(system, problem)
     M = problem.M.copy()
     M[-1] = M[-1] - kappa * (coordinates.nu_x @ problem.Xe)
     Uy, Xy = np.zeros((2, n, q + 2), dtype=object) + 0 * kappa
@@ -84,7 +84,7 @@ def centred_problem(
     )
 
 
-def _reference_part(system: System, problem: ErrorProblem) -> tuple[np.ndarray, list[Any]]:
+def reference_part(system: System, problem: ErrorProblem) -> tuple[np.ndarray, list[Any]]:
     """A^{-1} B and the bounds Y: x = A^{-1} e + A^{-1} B (y_d ... y_d^(q)), |y_d^(i)| <= Y_i."""
     coordinates = error_coordinates(system, rational)
     try:
@@ -102,7 +102,7 @@ def remainder_bound(system: System, problem: ErrorProblem) -> Callable[[Proof], 
     """
     law, plant = problem.adaptation, system.plant
     assert law is not None
-    AB, Y = _reference_part(system, problem)
+    AB, Y = reference_part(system, problem)
     exact = {symbol(name): value for name, value in plant.constant_values.items()}
     drift = put_in(plant.drift.expr, exact)
     regressor = [put_in(phi.expr, exact) for phi in plant.regressor]

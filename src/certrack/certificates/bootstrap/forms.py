@@ -1,0 +1,133 @@
+"""The loop at the corners of the ranges of phi, ubar and g_n: everything affine in one vector.
+
+w = (zeta, 1, a, b, y, rho, t): the errors z = m + r zeta in the box (zeta in [-1, 1]), the inputs
+scaled to their bounds on the box, the remainder h - k x + phi^T (theta - theta_m) = c + r_h rho,
+and theta = theta_m + r_t t. All entries of w but the 1 are in [-1, 1]. At a corner
+
+    zeta' = F w,    ubar = relation of w    (both affine in phi, ubar and v for every w).
+
+Every other condition is a quadratic form in w that is not negative where the state is in the box.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from certrack.certificates.bootstrap.box import GroundNumbers
+from certrack.certificates.bootstrap.loop import AdaptiveLoop
+
+
+@dataclass(frozen=True)
+class Corner:
+    """F and (relation of ubar) - ubar, one row each."""
+
+    F: np.ndarray
+    relation: np.ndarray
+
+
+@dataclass(frozen=True)
+class Forms:
+    """The loop on a box.
+
+    Attributes
+    ----------
+    size : int
+        Of the errors; w begins with them and 1.
+    width : int
+        Of w.
+    corners : Corner
+    squares : pairs (rows, place)
+        |rows w|^2 - w_place^2 >= 0, of the a-inputs.
+    sectors : rows over (zeta, 1)
+        In [-1, 1]: the errors and the linear row of ubar.
+    middle, radius : arrays
+        Of the errors.
+    """
+
+    size: int
+    width: int
+    corners: tuple[Corner, ...]
+    squares: tuple[tuple[np.ndarray, int], ...]
+    sectors: np.ndarray
+    middle: np.ndarray
+    radius: np.ndarray
+
+
+def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
+    """All forms, in the arithmetic of the arguments."""
+    n, r, size = loop.n, loop.r, loop.size
+    zero = 0 * loop.leak_gain
+    na, nb, ny = loop.Ua.shape[1], loop.Ub.shape[1], len(loop.Y)
+    ranged = [i for i in range(r) if loop.theta_radius[i] > 0]
+    width = size + 1 + na + nb + ny + 1 + len(ranged)
+    unit = np.eye(width, dtype=loop.M.dtype) + zero
+    one, a, b, y, rho, t = np.split(unit[size:], np.cumsum([1, na, nb, ny, 1]))
+    one, rho, y, a = one[0], rho[0], loop.Y[:, None] * y, ground.reach[:, None] * a
+    middle, radius = ground.box.sum(axis=1) / 2, (ground.box[:, 1] - ground.box[:, 0]) / 2
+    z = middle[:, None] * one + radius[:, None] * unit[:size]
+    e, theta_tilde, d = z[:n], z[n : n + r], z[-1]
+    x = loop.Xe @ e + loop.AB @ y[:-1]
+    linear = (loop.nu_x - ground.slope) @ x + loop.nu_Y @ y
+    sizes = np.abs(ground.regressor).max(axis=1, initial=zero)
+    remainder = ground.drift.sum() / 2 * one
+    reached = (ground.drift[1] - ground.drift[0]) / 2 + _dot(sizes, loop.theta_radius, zero)
+    remainder = remainder + reached * rho
+    offset = (loop.theta_middle - loop.theta0)[:, None] * one
+    for row, i in enumerate(ranged):
+        offset[i] = offset[i] + loop.theta_radius[i] * t[row]
+    known = loop.M @ e + loop.Ua @ a + loop.Ub @ b - loop.R[:, None] * y[-1]
+    regressors = [_ends(pair) for pair in ground.regressor]
+    corners = []
+    for corner in product(*regressors, _ends(ground.ubar(loop)), loop.gain_points):
+        phi = np.array(corner[:r], dtype=loop.M.dtype) + zero
+        ubar, (v, prior) = corner[r:]
+        last = loop.gain_sign * v * ubar
+        rates = known.copy()
+        rates[-1] = rates[-1] + _dot(phi, theta_tilde, 0 * one) - loop.smallest_gain * last * d
+        drive = phi[:, None] * e[-1] + loop.leak_theta * (theta_tilde - offset)
+        forgotten = loop.leak_gain * (d - prior * one)
+        parts = [rates, -loop.Gamma @ drive, [loop.gain_rate * (last * e[-1] - forgotten)]]
+        F = np.vstack([part for part in parts if len(part)]) / radius[:, None]
+        known_part = theta_tilde - loop.theta_middle[:, None] * one
+        relation = linear - remainder + _dot(phi, known_part, 0 * one)
+        corners.append(Corner(F, relation - ubar * one))
+    places = range(size + 1, size + 1 + na)
+    return Forms(
+        size=size,
+        width=width,
+        corners=tuple(corners),
+        squares=tuple(
+            (S @ x / reach, i)
+            for S, reach, i in zip(loop.selections, ground.reach, places, strict=True)
+        ),
+        sectors=_sectors(loop, ground, middle, radius),
+        middle=middle,
+        radius=radius,
+    )
+
+
+def _dot(numbers: np.ndarray, rows: np.ndarray, zero: Any) -> Any:
+    """Their inner product; `zero` where there are none."""
+    return sum((v * row for v, row in zip(numbers, rows, strict=True)), zero)
+
+
+def _ends(pair: Any) -> tuple[Any, ...]:
+    return (pair[0],) if pair[0] == pair[1] else (pair[0], pair[1])
+
+
+def _sectors(
+    loop: AdaptiveLoop, ground: GroundNumbers, middle: np.ndarray, radius: np.ndarray
+) -> np.ndarray:
+    """The errors, and the row of ubar where it is not zero, as what is in [-1, 1]."""
+    size = loop.size
+    rows = np.eye(size + 1, dtype=loop.M.dtype)[:size] + 0 * middle[0]
+    row = ground.linear_row(loop)
+    if not (row != 0).any():
+        return rows
+    low, high = ground.row
+    extra = np.append(row * radius, row @ middle - (low + high) / 2) / ((high - low) / 2)
+    return np.vstack([rows, extra])
