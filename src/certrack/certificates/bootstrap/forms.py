@@ -1,12 +1,15 @@
-"""The loop at the corners of the ranges of phi, ubar and g_n: everything affine in one vector.
+"""The loop at the ends of ubar and of the gain's range: everything affine in one vector.
 
-w = (zeta, 1, a, b, y, rho, t): the errors z = m + r zeta in the box (zeta in [-1, 1]), the inputs
-scaled to their bounds on the box, the remainder h - k x + phi^T (theta - theta_m) = c + r_h rho,
-and theta = theta_m + r_t t. All entries of w but the 1 are in [-1, 1]. At a corner
+w = (zeta, 1, a, b, y, rho, t, psi v): the errors z = m + r zeta in the box, the inputs scaled to
+their bounds on the box, the remainder h - k x + phi^T (theta - theta_m) = c + r_h rho, and
+theta = theta_m + r_t t. For each phi_i that is not constant, phi_i = phi_m + r_i psi, there are
+the three entries of psi v, v = (1, zeta_n, zeta of theta_tilde_i). All of w but the 1 is in
+[-1, 1]. At a corner
 
-    zeta' = F w,    ubar = relation of w    (both affine in phi, ubar and v for every w).
+    zeta' = F w,    ubar = relation of w    (both affine in ubar and v for every w).
 
-Every other condition is a quadratic form in w that is not negative where the state is in the box.
+Every other condition is a quadratic form in w that is not negative where the state is in the box,
+or zero.
 """
 
 from __future__ import annotations
@@ -42,6 +45,8 @@ class Forms:
     corners : Corner
     squares : pairs (rows, place)
         |rows w|^2 - w_place^2 >= 0, of the a-inputs.
+    products : pairs (places of v, places of psi v)
+        (psi v)^T D (psi v) <= v^T D v for D >= 0, and v^T K (psi v) = 0 for K = -K^T.
     sectors : rows over (zeta, 1)
         In [-1, 1]: the errors and the linear row of ubar.
     middle, radius : arrays
@@ -52,6 +57,7 @@ class Forms:
     width: int
     corners: tuple[Corner, ...]
     squares: tuple[tuple[np.ndarray, int], ...]
+    products: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]
     sectors: np.ndarray
     middle: np.ndarray
     radius: np.ndarray
@@ -63,9 +69,11 @@ def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
     zero = 0 * loop.leak_gain
     na, nb, ny = loop.Ua.shape[1], loop.Ub.shape[1], len(loop.Y)
     ranged = [i for i in range(r) if loop.theta_radius[i] > 0]
-    width = size + 1 + na + nb + ny + 1 + len(ranged)
+    varying = [i for i in range(r) if ground.regressor[i][0] != ground.regressor[i][1]]
+    begin = size + 1 + na + nb + ny + 1 + len(ranged)
+    width = begin + 3 * len(varying)
     unit = np.eye(width, dtype=loop.M.dtype) + zero
-    one, a, b, y, rho, t = np.split(unit[size:], np.cumsum([1, na, nb, ny, 1]))
+    one, a, b, y, rho, t = np.split(unit[size:begin], np.cumsum([1, na, nb, ny, 1]))
     one, rho, y, a = one[0], rho[0], loop.Y[:, None] * y, ground.reach[:, None] * a
     middle, radius = ground.box.sum(axis=1) / 2, (ground.box[:, 1] - ground.box[:, 0]) / 2
     z = middle[:, None] * one + radius[:, None] * unit[:size]
@@ -80,21 +88,32 @@ def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
     for row, i in enumerate(ranged):
         offset[i] = offset[i] + loop.theta_radius[i] * t[row]
     known = loop.M @ e + loop.Ua @ a + loop.Ub @ b - loop.R[:, None] * y[-1]
-    regressors = [_ends(pair) for pair in ground.regressor]
+    phi = [(low + high) / 2 for low, high in ground.regressor]
+    spread = [(high - low) / 2 for low, high in ground.regressor]
+    linear = linear - remainder
+    drive = loop.leak_theta * (theta_tilde - offset)
+    products = []
+    for i in range(r):  # phi_i times theta_tilde_i, e_n and 1
+        of_estimate, of_error, of_one = phi[i] * theta_tilde[i], phi[i] * e[-1], phi[i] * one
+        if i in varying:
+            at = begin + 3 * len(products)
+            products.append(((size, n - 1, n + i), (at, at + 1, at + 2)))
+            first, second, third = unit[at : at + 3]
+            of_one = of_one + spread[i] * first
+            of_error = of_error + spread[i] * (middle[n - 1] * first + radius[n - 1] * second)
+            of_estimate = of_estimate + spread[i] * (middle[n + i] * first + radius[n + i] * third)
+        known[-1] = known[-1] + of_estimate
+        drive[i] = drive[i] + of_error
+        linear = linear + of_estimate - loop.theta_middle[i] * of_one
     corners = []
-    for corner in product(*regressors, _ends(ground.ubar(loop)), loop.gain_points):
-        phi = np.array(corner[:r], dtype=loop.M.dtype) + zero
-        ubar, (v, prior) = corner[r:]
+    for ubar, (v, prior) in product(_ends(ground.ubar(loop)), loop.gain_points):
         last = loop.gain_sign * v * ubar
         rates = known.copy()
-        rates[-1] = rates[-1] + _dot(phi, theta_tilde, 0 * one) - loop.smallest_gain * last * d
-        drive = phi[:, None] * e[-1] + loop.leak_theta * (theta_tilde - offset)
+        rates[-1] = rates[-1] - loop.smallest_gain * last * d
         forgotten = loop.leak_gain * (d - prior * one)
         parts = [rates, -loop.Gamma @ drive, [loop.gain_rate * (last * e[-1] - forgotten)]]
         F = np.vstack([part for part in parts if len(part)]) / radius[:, None]
-        known_part = theta_tilde - loop.theta_middle[:, None] * one
-        relation = linear - remainder + _dot(phi, known_part, 0 * one)
-        corners.append(Corner(F, relation - ubar * one))
+        corners.append(Corner(F, linear - ubar * one))
     places = range(size + 1, size + 1 + na)
     return Forms(
         size=size,
@@ -104,6 +123,7 @@ def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
             (S @ x / reach, i)
             for S, reach, i in zip(loop.selections, ground.reach, places, strict=True)
         ),
+        products=tuple(products),
         sectors=_sectors(loop, ground, middle, radius),
         middle=middle,
         radius=radius,

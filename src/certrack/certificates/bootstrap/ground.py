@@ -7,6 +7,7 @@ keep at any time.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from certrack.certificates.arithmetic import rational, solve
 from certrack.certificates.bootstrap.box import Ground, GroundNumbers, Interval, interval_of
 from certrack.certificates.bootstrap.loop import AdaptiveLoop
+from certrack.certificates.bootstrap.proof import FunctionProof
 from certrack.certificates.bootstrap.ranges import Combination, Ranges, largest_reach
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, float_down, float_up, from_text, root_up
@@ -70,6 +72,20 @@ class Known:
 def _cut(ends: Any, side: int, bound: Any) -> tuple[Any, Any]:
     low, high = ends
     return (low, min(high, bound)) if side > 0 else (max(low, -bound), high)
+
+
+def after(known: Known, functions: Sequence[FunctionProof], rows: Sequence[np.ndarray]) -> Known:
+    """What is known with the bounds of a stage."""
+    for function in functions:
+        for claim in function.claims:
+            row, bound = rows[claim.error], from_text(claim.bound)
+            known = known.improved(claim.error, claim.side, bound, row)
+    return known
+
+
+def rows_of(loop: AdaptiveLoop, numbers: GroundNumbers) -> list[np.ndarray]:
+    """The rows that a stage may bound: every error, and the linear row of ubar."""
+    return [*(np.eye(loop.size, dtype=object) + rational(0)), numbers.linear_row(loop)]
 
 
 def first_box(loop: AdaptiveLoop, proof: Proof) -> Known:

@@ -3,9 +3,11 @@
 W = (zeta, 1)^T G (zeta, 1) need not be positive. At every corner, with multipliers >= 0 but for mu,
 
     W' + alpha W + sum squares_k (|rows_k w|^2 - w_k^2) + sum inputs_i (1 - w_i^2)
-       + sum sectors_j (1 - (row_j (zeta, 1))^2) + (mu w) (relation w)  <=  0,
+       + sum sectors_j (1 - (row_j (zeta, 1))^2) + (mu w) (relation w)
+       + sum (v^T D_i v - (psi v)^T D_i (psi v) + v^T K_i (psi v))  <=  0,
 
-so W' <= -alpha W in the box, for the left side is affine in phi, ubar and v, what stands behind the
+with D_i >= 0 and K_i = -K_i^T, so W' <= -alpha W in the box, for the left side is affine in ubar
+and v, what stands behind the
 multipliers is not negative and the relation is zero for the true ones. In the long run W is not
 positive, and a row c with W + u - c (zeta, 1) >= 0 everywhere has limsup c (zeta, 1) <= u.
 """
@@ -30,6 +32,8 @@ class Unknowns:
     G : (size + 1, size + 1) array
     squares, inputs, sectors, mu : arrays
         Multipliers; `inputs` one for each entry of w behind the 1.
+    scales, turns : arrays
+        Upper triangles of the D_i, column by column, and of the K_i without their diagonals.
     """
 
     alpha: Any
@@ -38,6 +42,18 @@ class Unknowns:
     inputs: np.ndarray
     sectors: np.ndarray
     mu: np.ndarray
+    scales: np.ndarray
+    turns: np.ndarray
+
+    def scale(self, i: int) -> np.ndarray:
+        """D_i."""
+        a, b, c, d, e, f = self.scales[6 * i : 6 * i + 6]
+        return np.array([[a, b, d], [b, c, e], [d, e, f]])
+
+    def turn(self, i: int) -> np.ndarray:
+        """K_i."""
+        a, b, c = self.turns[3 * i : 3 * i + 3]
+        return np.array([[0 * a, a, b], [-a, 0 * a, c], [-b, -c, 0 * a]])
 
 
 def shared_form(forms: Forms, unknowns: Unknowns) -> np.ndarray:
@@ -53,6 +69,12 @@ def shared_form(forms: Forms, unknowns: Unknowns) -> np.ndarray:
     Q[size, size] += sum(unknowns.inputs, 0 * Q[0, 0]) + sum(unknowns.sectors, 0 * Q[0, 0])
     for value, row in zip(unknowns.sectors, forms.sectors, strict=True):
         Q[: size + 1, : size + 1] -= value * np.outer(row, row)
+    for i, (at, times) in enumerate(forms.products):
+        D, K = unknowns.scale(i), unknowns.turn(i)
+        Q[np.ix_(at, at)] += D
+        Q[np.ix_(times, times)] -= D
+        Q[np.ix_(at, times)] += K / 2
+        Q[np.ix_(times, at)] += K.T / 2
     return Q
 
 

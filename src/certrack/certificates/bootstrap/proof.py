@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,13 +24,19 @@ from certrack.certificates.exact import decimal_text, from_text
 #: How far a solution gives way until exact arithmetic confirms it, in the units of a box's radius.
 BACK_OFF = (1e-7, 1e-6, 1e-5, 1e-4)
 
+#: Multipliers of :class:`Unknowns`, in the order of its fields.
+MULTIPLIERS = ("squares", "inputs", "sectors", "mu", "scales", "turns")
+
+#: Where the diagonal stands in the upper triangle of a D_i.
+DIAGONAL = (1.0, 0.0, 1.0, 0.0, 0.0, 1.0)
+
 #: Part of it that is added to G, so that W + bound - row is positive definite.
 FLOOR_PART = 1e-2
 
 
 @dataclass(frozen=True)
-class BoundProof:
-    """limsup side * row (z) <= bound, in decimal texts.
+class Claim:
+    """limsup side * row (z) <= bound, for scale (W + bound/scale) >= side * row (z).
 
     Attributes
     ----------
@@ -37,34 +44,42 @@ class BoundProof:
         Which row: of the n + r + 1 errors, from 0, or the linear row of ubar behind them.
     side : int
         1 for an upper bound, -1 for the bound of what is negated.
-    bound, alpha : str
-    G : rows of texts
-    squares, inputs, sectors, mu : texts
+    scale, bound : str
     """
 
     error: int
     side: int
+    scale: str
     bound: str
+
+
+@dataclass(frozen=True)
+class FunctionProof:
+    """A quadratic function and its multipliers, in decimal texts, and what it bounds."""
+
     alpha: str
     G: tuple[tuple[str, ...], ...]
     squares: tuple[str, ...]
     inputs: tuple[str, ...]
     sectors: tuple[str, ...]
     mu: tuple[str, ...]
+    scales: tuple[str, ...]
+    turns: tuple[str, ...]
+    claims: tuple[Claim, ...]
 
     def unknowns(self) -> Unknowns:
         """The numbers, exact."""
-        vectors = [_vector(getattr(self, name)) for name in ("squares", "inputs", "sectors", "mu")]
+        vectors = [_vector(getattr(self, name)) for name in MULTIPLIERS]
         G = np.array([[from_text(v) for v in row] for row in self.G], dtype=object)
         return Unknowns(from_text(self.alpha), G, *vectors)
 
 
 @dataclass(frozen=True)
 class BootstrapStage:
-    """What a stage stands on, and what it proves."""
+    """What a stage stands on, and the functions that prove its bounds."""
 
     ground: Ground
-    bounds: tuple[BoundProof, ...]
+    functions: tuple[FunctionProof, ...]
 
 
 def _vector(texts: tuple[str, ...]) -> np.ndarray:
@@ -80,12 +95,16 @@ def _inner(row: np.ndarray, values: np.ndarray) -> Any:
     return sum((a * b for a, b in zip(row, values, strict=True)), 0 * values[0])
 
 
-def failed_condition(forms: Forms, proof: BoundProof, row: np.ndarray) -> str:
-    """Empty if the proof holds (exactly) for the side of `row`, else the first that fails."""
+def failed_condition(forms: Forms, proof: FunctionProof, rows: Sequence[np.ndarray]) -> str:
+    """Empty if the proof holds exactly, else the first condition that fails.
+
+    `rows` are those that claims may name, over the errors.
+    """
     unknowns = proof.unknowns()
     size, width = forms.size, forms.width
-    counts = (len(forms.squares), width - size - 1, len(forms.sectors), width)
-    found = [len(getattr(unknowns, name)) for name in ("squares", "inputs", "sectors", "mu")]
+    kinds = len(forms.products)
+    counts = (len(forms.squares), width - size - 1, len(forms.sectors), width, 6 * kinds, 3 * kinds)
+    found = [len(getattr(unknowns, name)) for name in MULTIPLIERS]
     if unknowns.G.shape != (size + 1, size + 1) or tuple(found) != counts:
         return "G or the multipliers do not have the shape of the loop"
     if not (unknowns.G == unknowns.G.T).all():
@@ -94,9 +113,17 @@ def failed_condition(forms: Forms, proof: BoundProof, row: np.ndarray) -> str:
         return "alpha is not positive"
     if any(v < 0 for v in (*unknowns.squares, *unknowns.inputs, *unknowns.sectors)):
         return "a multiplier is negative"
-    target = target_form(unknowns.G, row_over_box(forms, row), from_text(proof.bound))
-    if not proven_definite(target):
-        return "the function is below what it shall bound"
+    if not all(proven_definite(unknowns.scale(i)) for i in range(kinds)):
+        return "a multiplier of the regressor is not positive definite"
+    for claim in proof.claims:
+        if claim.side not in (1, -1) or not 0 <= claim.error < len(rows):
+            return "a claim is of no row"
+        scale = from_text(claim.scale)
+        if not scale > 0:
+            return "a scale is not positive"
+        row = row_over_box(forms, claim.side * rows[claim.error])
+        if not proven_definite(target_form(scale * unknowns.G, row, from_text(claim.bound))):
+            return "the function is below what it shall bound"
     shared = shared_form(forms, unknowns)
     for corner in forms.corners:
         if not proven_definite(-(shared + corner_form(forms, corner, unknowns))):
@@ -104,7 +131,12 @@ def failed_condition(forms: Forms, proof: BoundProof, row: np.ndarray) -> str:
     return ""
 
 
-def prove(forms: Forms, found: Found, error: int, side: int, row: np.ndarray) -> BoundProof | None:
+def prove(
+    forms: Forms,
+    found: Found,
+    wanted: Sequence[tuple[int, int]],
+    rows: Sequence[np.ndarray],
+) -> FunctionProof | None:
     """Round what the solver found so that exact arithmetic confirms it; None if it does not.
 
     Parameters
@@ -112,35 +144,33 @@ def prove(forms: Forms, found: Found, error: int, side: int, row: np.ndarray) ->
     forms : Forms
         In exact rationals.
     found : Found
-    error, side : int
-    row : array
-        Over the errors, with its side.
+    wanted : pairs (error, side)
+    rows : arrays
+        Over the errors.
     """
     u, size = found.unknowns, forms.size
-    speed = max(
-        float(np.abs(corner.F.astype(float)).sum(axis=1).max()) for corner in forms.corners
-    )
-    radius = float(np.abs((row * forms.radius).astype(float)).sum())
+    speed = max(float(np.abs(c.F.astype(float)).sum(axis=1).max()) for c in forms.corners)
+    room = len(u.inputs) + len(u.sectors) + len(u.turns)
     for part in BACK_OFF:
-        extra = part * radius
-        floor = FLOOR_PART * extra / max(speed, u.alpha)
-        inputs, sectors = (np.maximum(v, 0.0) + extra * speed for v in (u.inputs, u.sectors))
+        more = part * speed
+        inputs, sectors = (np.maximum(v, 0.0) + more for v in (u.inputs, u.sectors))
         squares = np.maximum(u.squares, 0.0)
-        margin = extra * (1 + 2 * speed * (len(inputs) + len(sectors)) / u.alpha)
-        G = (u.G + u.G.T) / 2 + floor * np.eye(size + 1)
+        scales = u.scales + more * np.tile(DIAGONAL, len(u.turns) // 3)
+        margin = part + 2 * more * room / u.alpha
+        G = (u.G + u.G.T) / 2 + FLOOR_PART * part * np.eye(size + 1)
         G[-1, -1] -= margin
-        proof = BoundProof(
-            error=error,
-            side=side,
-            bound=decimal_text(found.bound + margin + extra),
-            alpha=decimal_text(u.alpha),
-            G=tuple(tuple(decimal_text(v) for v in line) for line in G),
-            squares=tuple(map(decimal_text, squares)),
-            inputs=tuple(map(decimal_text, inputs)),
-            sectors=tuple(map(decimal_text, sectors)),
-            mu=tuple(map(decimal_text, u.mu)),
+        claims = [
+            Claim(error, side, decimal_text(scale), decimal_text(scale * (bound + margin + part)))
+            for (error, side), scale, bound in zip(wanted, found.sizes, found.bounds, strict=True)
+        ]
+        vectors = [squares, inputs, sectors, u.mu, scales, u.turns]
+        proof = FunctionProof(
+            decimal_text(u.alpha),
+            tuple(tuple(decimal_text(v) for v in line) for line in G),
+            *(tuple(map(decimal_text, vector)) for vector in vectors),
+            claims=tuple(claims),
         )
-        if not failed_condition(forms, proof, row):
+        if not failed_condition(forms, proof, rows):
             return proof
     return None
 

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from certrack.certificates.arithmetic import rational
 from certrack.certificates.bootstrap.forms import forms_of
-from certrack.certificates.bootstrap.ground import Known, first_box, ground_on
+from certrack.certificates.bootstrap.ground import Known, after, first_box, ground_on, rows_of
 from certrack.certificates.bootstrap.loop import AdaptiveLoop, adaptive_loop, formulas_of
 from certrack.certificates.bootstrap.program import BootstrapProgram, Found
 from certrack.certificates.bootstrap.proof import (
@@ -31,6 +30,10 @@ FIRST_TRIES, LATER_TRIES, LAST_TRIES = 4, 1, 4
 
 #: A bound is proven if it is better than what is known by this part of the interval.
 WORTH_A_PROOF = 1e-3
+
+
+#: Rows, each with its side, that one function bounds.
+Group = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
@@ -58,19 +61,31 @@ def bootstrap(system: System, problem: ErrorProblem, first: Proof) -> Bootstrap:
     loop = adaptive_loop(system, problem)
     ranges = Ranges(formulas_of(system), loop)
     known = first_box(loop, first)
-    rates: dict[tuple[int, int], Rate] = {}
+    rates: dict[Group, Rate] = {}
     starts = _starts(loop, float(from_text(first.alpha)))
     stages: list[BootstrapStage] = []
     for count in range(MOST_STAGES):
         tries = LATER_TRIES if count else FIRST_TRIES
-        stage, after = _stage(loop, ranges, known, rates, starts, tries)
-        if not stage.bounds:
+        stage, later = _stage(loop, ranges, known, rates, starts, tries)
+        if not stage.functions:
             break
         stages.append(stage)
-        gain, known = _shrunk(known, after), after
+        gain, known = _shrunk(known, later), later
         if gain < WORTH_A_STAGE:
             break
     return Bootstrap(tuple(stages), known)
+
+
+def groups_of(loop: AdaptiveLoop, rows: int) -> list[Group]:
+    """Rows that share a function: e_1; the others that follow e_n; e_n; the estimates and ubar.
+
+    A function for every row and side gives bounds that are less than 1 % smaller, in three times
+    the time.
+    """
+    n = loop.n
+    parts = [[0], list(range(1, n - 1)), [n - 1], list(range(n, rows))]
+    parts = parts if n > 1 else parts[2:]
+    return [tuple((error, side) for error in part for side in (1, -1)) for part in parts if part]
 
 
 def _starts(loop: AdaptiveLoop, slow: float) -> list[float]:
@@ -90,38 +105,45 @@ def _stage(
     loop: AdaptiveLoop,
     ranges: Ranges,
     known: Known,
-    rates: dict[tuple[int, int], Rate],
+    rates: dict[Group, Rate],
     starts: list[float],
     tries: int,
 ) -> tuple[BootstrapStage, Known]:
     ground = ground_on(loop, ranges, known)
     numbers = ground.numbers()
     forms = forms_of(loop, numbers)
-    program = BootstrapProgram(forms_of(loop.in_floats(), numbers.in_floats()))
-    bounds = []
-    rows = [*(np.eye(loop.size, dtype=object) + rational(0)), numbers.linear_row(loop)]
-    for error, row in enumerate(rows[: len(forms.sectors)]):
-        low, high = known.interval_of(row)
-        for side in (1, -1):
-            rate = rates.setdefault((error, side), Rate(starts[error]))
-            best = high if side > 0 else -low
-            found = _best(program, row_over_box(forms, side * row).astype(float), rate, tries)
-            if found is None or found.bound > float(best) - WORTH_A_PROOF * float(high - low):
-                continue
-            proof = prove(forms, found, error, side, side * row)
-            if proof is not None and from_text(proof.bound) < best:
-                bounds.append(proof)
-    for proof in bounds:
-        known = known.improved(proof.error, proof.side, from_text(proof.bound), rows[proof.error])
-    return BootstrapStage(ground, tuple(bounds)), known
+    floats = forms_of(loop.in_floats(), numbers.in_floats())
+    rows = rows_of(loop, numbers)
+    functions, programs = [], {}
+    for group in groups_of(loop, len(forms.sectors)):
+        if len(group) not in programs:
+            programs[len(group)] = BootstrapProgram(floats, len(group))
+        rate = rates.setdefault(group, Rate(min(starts[error] for error, _ in group)))
+        asked = np.array([row_over_box(forms, side * rows[error]) for error, side in group])
+        found = _best(programs[len(group)], asked.astype(float), rate, tries)
+        if found is None or not any(
+            _gain(known, rows[error], side, bound) > WORTH_A_PROOF
+            for (error, side), bound in zip(group, found.bounds * found.sizes, strict=True)
+        ):
+            continue
+        proof = prove(forms, found, group, rows)
+        functions += [] if proof is None else [proof]
+    return BootstrapStage(ground, tuple(functions)), after(known, functions, rows)
 
 
-def _best(program: BootstrapProgram, row: np.ndarray, rate: Rate, tries: int) -> Found | None:
+def _gain(known: Known, row: np.ndarray, side: int, bound: float) -> float:
+    """By which part of an interval a bound makes it smaller."""
+    low, high = known.interval_of(row)
+    best = high if side > 0 else -low
+    return (float(best) - bound) / float(high - low)
+
+
+def _best(program: BootstrapProgram, rows: np.ndarray, rate: Rate, tries: int) -> Found | None:
     best: Found | None = None
     for _ in range(tries):
-        found = program.solve(rate.alpha, row)
+        found = program.solve(rate.alpha, rows)
         rate.met(None if found is None else found.slope)
-        if found is not None and (best is None or found.bound < best.bound):
+        if found is not None and (best is None or found.bounds.sum() < best.bounds.sum()):
             best = found
     return best
 
