@@ -17,6 +17,9 @@ from typing import Any
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.assumptions import assumptions
+from certrack.certificates.bootstrap.check import bound_of, check_bootstrap
+from certrack.certificates.bootstrap.document import bootstrap_stages, is_bootstrap
+from certrack.certificates.bootstrap.proof import BootstrapStage
 from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
@@ -94,7 +97,7 @@ class Verdict:
 
 
 #: What a document holds: a stage, a cell, or the proof for one delay.
-Stage = Proof | CellProof | ImplementedProof
+Stage = Proof | CellProof | ImplementedProof | BootstrapStage
 
 
 def to_document(system: System, *stages: Stage) -> dict[str, Any]:
@@ -132,9 +135,13 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     rests_on = premises_as_implemented(system, sampled) if sampled else premises(system)
     if broken := contradicted(rests_on):
         raise InputError("premises", f"the truth contradicts one: {broken[0]}")
-    bound = stages[-1].bound
-    if cells or sampled:
-        bound = cover_bound(cells) if cells else largest_bound(sampled)
+    grounded = tuple(stage for stage in stages if isinstance(stage, BootstrapStage))
+    if cells or sampled or grounded:
+        bound = cover_bound(cells) if cells else ""
+        bound = largest_bound(sampled) if sampled else bound
+        bound = bound_of(grounded) if grounded else bound
+    else:
+        bound = tuple(stage for stage in stages if isinstance(stage, Proof))[-1].bound
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
@@ -216,6 +223,8 @@ def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
             return _verify_implemented(body)
         if _is_cover(body):
             return _verify_cover(body)
+        if is_bootstrap(body):
+            return _verify_bootstrap(body)
         stages = _stages(body)
         proof = stages[-1]
         if body["sha256"] != _digest(body):
@@ -268,6 +277,26 @@ def _verify_cover(body: dict[str, Any]) -> Verdict:
         return Verdict(False, bound, "the claim is not that of the proof")
     system = loads(body["system"], "system")
     if reason := check_cells(system, cells, bound):
+        return Verdict(False, bound, reason)
+    return _rests_on(body, bound, premises(system), assumptions(system))
+
+
+def _verify_bootstrap(body: dict[str, Any]) -> Verdict:
+    """Check a proof by a bootstrap."""
+    _check_layout(body)
+    if body["format"] != FORMAT:
+        raise InputError("format", f"must be {FORMAT} for a bootstrap", body["format"])
+    first, stages = _proof(body["proof"][0]), bootstrap_stages(body["proof"][1:])
+    bound = bound_of(stages)
+    if body["sha256"] != _digest(body):
+        return Verdict(False, bound, "the file was changed after it was made")
+    if first.shift != NO_SHIFT:
+        return Verdict(False, bound, "a shift stands in a stage that does not use it")
+    if body["claim"] != f"limsup |e_1(t)| <= {bound}":
+        return Verdict(False, bound, "the claim is not that of the proof")
+    system = loads(body["system"], "system")
+    exact = error_problem(system, rational)
+    if reason := check_bootstrap(system, exact, first, stages):
         return Verdict(False, bound, reason)
     return _rests_on(body, bound, premises(system), assumptions(system))
 

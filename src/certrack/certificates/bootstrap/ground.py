@@ -113,7 +113,10 @@ def ground_on(loop: AdaptiveLoop, ranges: Ranges, known: Known) -> Ground:
         low, high = (rational_float(v) for v in ranges.bounds(combination, place))
         return _wider(low - spread, high + spread, LOOSER)
 
-    regressor = tuple(enclosed(_single(loop, i)) for i in range(loop.r))
+    regressor = tuple(
+        enclosed(_single(loop, i)) if value is None else (value, value)
+        for i, value in enumerate(ranges.constants)
+    )
     drift = enclosed(Combination((rational(1), *none), k, zero))
     middle = tuple(
         f"{float((from_text(low) + from_text(high)) / 2):.{FREE_DIGITS}g}" for low, high in regressor
@@ -137,12 +140,16 @@ def stands(loop: AdaptiveLoop, ranges: Ranges, known: Known, ground: Ground) -> 
     if not all(new[0] < old[0] and new[1] > old[1] for new, old in intervals):
         return "a stage's box does not hold what was proven before"
     place, zero = box_of_states(loop, numbers.box), rational(0)
-    if any(v < rational_float(w) for v, w in zip(numbers.reach, largest_reach(loop, place), strict=True)):
+    if any(not v > 0 for v in numbers.reach) or any(v < rational_float(w) for v, w in zip(numbers.reach, largest_reach(loop, place), strict=True)):
         return "a stage's bound of ||x|| is smaller than that of its box"
     none = tuple(zero for _ in range(loop.r))
     combination, spread = rest_of(loop, numbers)
     claims = [
-        *((_single(loop, i), pair, zero) for i, pair in enumerate(numbers.regressor)),
+        *(
+            (_single(loop, i), pair, zero)
+            for i, pair in enumerate(numbers.regressor)
+            if ground.regressor[i] != (ranges.constants[i],) * 2
+        ),
         (Combination((rational(1), *none), tuple(numbers.slope), zero), numbers.drift, zero),
         (combination, numbers.rest, spread),
     ]

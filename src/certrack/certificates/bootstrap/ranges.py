@@ -21,9 +21,11 @@ import flint
 import numpy as np
 import sympy
 
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.bootstrap.loop import AdaptiveLoop, Formulas
 from certrack.certificates.bootstrap.tape import Tape
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.exact import from_text
 
 #: The search stops when the bound exceeds a value by this part of the range, or at so many parts.
 ENOUGH, MOST_PARTS = 0.02, 400
@@ -75,6 +77,7 @@ class Ranges:
         self._through = exact.astype(float)
         self._balls = [[flint.arb(v) for v in row] for row in exact]
         known = (formulas.drift, *formulas.regressor)
+        self.constants = tuple(map(_decimal_of, formulas.regressor))
         try:
             self._values = Tape(known, formulas.states)
         except ValueError as problem:
@@ -179,6 +182,14 @@ def _middle_and_width(box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middles and half widths that hold the box in spite of their roundings."""
     middle, width = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
     return middle, width * WIDENED + np.abs(box).max(axis=1) * TINY
+
+
+def _decimal_of(formula: sympy.Expr) -> str | None:
+    """The text of a formula that is a short decimal; None for all others."""
+    if not formula.is_Rational:
+        return None
+    text = f"{float(formula):.13g}"
+    return text if from_text(text) == rational(formula) else None
 
 
 def _slopes(formula: sympy.Expr, states: Sequence[sympy.Symbol]) -> Tape | None:

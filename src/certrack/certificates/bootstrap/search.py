@@ -18,6 +18,7 @@ from certrack.certificates.bootstrap.proof import (
 )
 from certrack.certificates.bootstrap.ranges import Ranges
 from certrack.certificates.bootstrap.rates import Rate
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, from_text
 from certrack.certificates.problem import ErrorProblem
 from certrack.systems.system import System
@@ -31,6 +32,9 @@ FIRST_TRIES, LATER_TRIES, LAST_TRIES = 4, 1, 4
 #: A bound is proven if it is better than what is known by this part of the interval.
 WORTH_A_PROOF = 1e-3
 
+
+#: Entries of the matrices of all corners above which it takes more than about ten seconds.
+MOST_OF_DEFAULT = 1600
 
 #: Rows, each with its side, that one function bounds.
 Group = tuple[tuple[int, int], ...]
@@ -50,15 +54,19 @@ class Bootstrap:
         return max(abs(low), abs(high))
 
 
-def bootstrap(system: System, problem: ErrorProblem, first: Proof) -> Bootstrap:
+def bootstrap(
+    system: System, problem: ErrorProblem, first: Proof, effort: str = "default"
+) -> Bootstrap:
     """All stages behind the proof `first` of a bound on e_n.
 
     Raises
     ------
     NoCertificate
-        If drift or regressor have no bounds on the first box.
+        If drift or regressor have no bounds on the first box, or it would take too long.
     """
     loop = adaptive_loop(system, problem)
+    if effort != "high" and _corner_sizes(loop) > MOST_OF_DEFAULT:
+        raise NoCertificate("takes more time for a plant of this size: --effort high")
     ranges = Ranges(formulas_of(system), loop)
     known = first_box(loop, first)
     rates: dict[Group, Rate] = {}
@@ -74,6 +82,14 @@ def bootstrap(system: System, problem: ErrorProblem, first: Proof) -> Bootstrap:
         if gain < WORTH_A_STAGE:
             break
     return Bootstrap(tuple(stages), known)
+
+
+def _corner_sizes(loop: AdaptiveLoop) -> int:
+    """Entries of the matrices of all corners, of which the time of a program depends."""
+    inputs = loop.Ua.shape[1] + loop.Ub.shape[1] + len(loop.Y)
+    ranged = sum(1 for radius in loop.theta_radius if radius > 0)
+    width = loop.size + inputs + ranged + 3 * loop.r + 2
+    return 2 * len(loop.gain_points) * width**2
 
 
 def groups_of(loop: AdaptiveLoop, rows: int) -> list[Group]:
