@@ -97,9 +97,7 @@ def _pair(value: Any) -> tuple[str, str]:
     return low, high
 
 
-def _many(
-    values: Any, read: Callable[[Any], Any], most: int = MAX_ENTRIES
-) -> tuple[Any, ...]:
+def _many(values: Any, read: Callable[[Any], Any], most: int = MAX_ENTRIES) -> tuple[Any, ...]:
     if not isinstance(values, (list, tuple)):
         raise TypeError("a list is missing")
     if len(values) > most:

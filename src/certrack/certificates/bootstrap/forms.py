@@ -1,12 +1,13 @@
-"""The loop at the ends of ubar and of the gain's range: everything affine in one vector.
+"""The loop at the ends of pi = v ubar: everything affine in one vector.
 
-w = (zeta, 1, a, b, y, rho, t, psi v): the errors z = m + r zeta in the box, the inputs scaled to
+w = (zeta, 1, a, b, y, rho, t, o, psi v): the errors z = m + r zeta in the box, the inputs scaled to
 their bounds on the box, the remainder h - k x + phi^T (theta - theta_m) = c + r_h rho, and
-theta = theta_m + r_t t. For each phi_i that is not constant, phi_i = phi_m + r_i psi, there are
-the three entries of psi v, v = (1, zeta_n, zeta of theta_tilde_i). All of w but the 1 is in
-[-1, 1]. At a corner
+theta = theta_m + r_t t. If g_n has a range, two entries say where 1/v is in [1/v_1, 1], and v
+between its chord and what is below it. For each phi_i that is not constant, phi_i = phi_m + r_i
+psi, there are the three entries of psi v, v = (1, zeta_n, zeta of theta_tilde_i). All of w but the
+1 is in [-1, 1]. At a corner
 
-    zeta' = F w,    ubar = relation of w    (both affine in ubar and v for every w).
+    zeta' = F w,    0 = relation of w    (both affine in pi for every w).
 
 Every other condition is a quadratic form in w that is not negative where the state is in the box,
 or zero.
@@ -15,7 +16,6 @@ or zero.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from certrack.certificates.bootstrap.loop import AdaptiveLoop
 
 @dataclass(frozen=True)
 class Corner:
-    """F and (relation of ubar) - ubar, one row each."""
+    """F, and the relation of ubar: (its formula) - pi/v."""
 
     F: np.ndarray
     relation: np.ndarray
@@ -70,10 +70,12 @@ def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
     na, nb, ny = loop.Ua.shape[1], loop.Ub.shape[1], len(loop.Y)
     ranged = [i for i in range(r) if loop.theta_radius[i] > 0]
     varying = [i for i in range(r) if ground.regressor[i][0] != ground.regressor[i][1]]
-    begin = size + 1 + na + nb + ny + 1 + len(ranged)
+    scales = 2 if loop.largest_scale > 1 else 0
+    begin = size + 1 + na + nb + ny + 1 + len(ranged) + scales
     width = begin + 3 * len(varying)
     unit = np.eye(width, dtype=loop.M.dtype) + zero
-    one, a, b, y, rho, t = np.split(unit[size:begin], np.cumsum([1, na, nb, ny, 1]))
+    counts = [1, na, nb, ny, 1, len(ranged)]
+    one, a, b, y, rho, t, of_scale = np.split(unit[size:begin], np.cumsum(counts))
     one, rho, y, a = one[0], rho[0], loop.Y[:, None] * y, ground.reach[:, None] * a
     middle, radius = ground.box.sum(axis=1) / 2, (ground.box[:, 1] - ground.box[:, 0]) / 2
     z = middle[:, None] * one + radius[:, None] * unit[:size]
@@ -92,7 +94,7 @@ def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
     spread = [(high - low) / 2 for low, high in ground.regressor]
     linear = linear - remainder
     drive = loop.leak_theta * (theta_tilde - offset)
-    products = []
+    products: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
     for i in range(r):  # phi_i times theta_tilde_i, e_n and 1
         of_estimate, of_error, of_one = phi[i] * theta_tilde[i], phi[i] * e[-1], phi[i] * one
         if i in varying:
@@ -105,15 +107,15 @@ def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
         known[-1] = known[-1] + of_estimate
         drive[i] = drive[i] + of_error
         linear = linear + of_estimate - loop.theta_middle[i] * of_one
+    inverse, prior = _scale_and_prior(loop, one, of_scale)
     corners = []
-    for ubar, (v, prior) in product(_ends(ground.ubar(loop)), loop.gain_points):
-        last = loop.gain_sign * v * ubar
+    for pi in _ends(scaled_ubar(loop, ground)):
         rates = known.copy()
-        rates[-1] = rates[-1] - loop.smallest_gain * last * d
-        forgotten = loop.leak_gain * (d - prior * one)
-        parts = [rates, -loop.Gamma @ drive, [loop.gain_rate * (last * e[-1] - forgotten)]]
+        rates[-1] = rates[-1] - loop.gain_sign * loop.smallest_gain * pi * d
+        pulled = loop.gain_sign * pi * e[-1] - loop.leak_gain * (d - prior)
+        parts = [rates, -loop.Gamma @ drive, [loop.gain_rate * pulled]]
         F = np.vstack([part for part in parts if len(part)]) / radius[:, None]
-        corners.append(Corner(F, linear - ubar * one))
+        corners.append(Corner(F, linear - pi * inverse))
     places = range(size + 1, size + 1 + na)
     return Forms(
         size=size,
@@ -128,6 +130,22 @@ def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
         middle=middle,
         radius=radius,
     )
+
+
+def scaled_ubar(loop: AdaptiveLoop, ground: GroundNumbers) -> tuple[Any, Any]:
+    """Bounds of pi = v ubar."""
+    low, high = ground.ubar(loop)
+    return min(low, low * loop.largest_scale), max(high, high * loop.largest_scale)
+
+
+def _scale_and_prior(loop: AdaptiveLoop, one: np.ndarray, of_scale: np.ndarray) -> tuple[Any, Any]:
+    """1/v, and s/(g_0 v) - v delta_0, what d is pulled to."""
+    end, inverse, below = loop.largest_scale, one, 0 * one
+    if len(of_scale):
+        inverse = (1 + 1 / end) / 2 * one + (1 - 1 / end) / 2 * of_scale[0]
+        below = (end - 1) * (end - 1) / 8 * (one + of_scale[1])
+    v = (1 + end) * one - end * inverse - below
+    return inverse, loop.gain_sign / loop.smallest_gain * inverse - loop.delta0 * v
 
 
 def _dot(numbers: np.ndarray, rows: np.ndarray, zero: Any) -> Any:

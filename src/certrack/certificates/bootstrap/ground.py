@@ -119,7 +119,8 @@ def ground_on(loop: AdaptiveLoop, ranges: Ranges, known: Known) -> Ground:
     )
     drift = enclosed(Combination((rational(1), *none), k, zero))
     middle = tuple(
-        f"{float((from_text(low) + from_text(high)) / 2):.{FREE_DIGITS}g}" for low, high in regressor
+        f"{float((from_text(low) + from_text(high)) / 2):.{FREE_DIGITS}g}"
+        for low, high in regressor
     )
     start = Ground(box, middle, slope, ("0", "0"), regressor, drift, ("0", "0"), ())
     numbers = start.numbers()
@@ -140,7 +141,10 @@ def stands(loop: AdaptiveLoop, ranges: Ranges, known: Known, ground: Ground) -> 
     if not all(new[0] < old[0] and new[1] > old[1] for new, old in intervals):
         return "a stage's box does not hold what was proven before"
     place, zero = box_of_states(loop, numbers.box), rational(0)
-    if any(not v > 0 for v in numbers.reach) or any(v < rational_float(w) for v, w in zip(numbers.reach, largest_reach(loop, place), strict=True)):
+    if any(not v > 0 for v in numbers.reach) or any(
+        v < rational_float(w)
+        for v, w in zip(numbers.reach, largest_reach(loop, place), strict=True)
+    ):
         return "a stage's bound of ||x|| is smaller than that of its box"
     none = tuple(zero for _ in range(loop.r))
     combination, spread = rest_of(loop, numbers)

@@ -2,7 +2,8 @@
 
 With theta_tilde = theta - theta_hat, delta_tilde = 1/g_n - delta_hat, phi = phi(x):
 
-    e'           = M e + U (a, b) - R y_d^(q+1) + (0 ... 0, phi^T theta_tilde - g_n delta_tilde ubar)
+    e'           = M e + U (a, b) - R y_d^(q+1) + (0 ... 0, mismatch)
+    mismatch     = phi^T theta_tilde - g_n delta_tilde ubar
     theta_tilde' = -Gamma (phi e_n + gbar2 theta_tilde - gbar2 (theta - theta_0))
     delta_tilde' = gbar sign(g_n) ubar e_n - gbar gbar1 (delta_tilde - (1/g_n - delta_0))
     ubar         = nu_x x + nu_Y Y - h - phi^T theta + phi^T theta_tilde,    x = A^-1 (e + B Y)
@@ -12,9 +13,11 @@ In the place of delta_tilde stands d = v delta_tilde with v = sqrt(|g_n|/g_0) an
 cancel does so for every g_n:
 
     g_n delta_tilde ubar = s g_0 v ubar d,
-    d'                   = s gbar v ubar e_n - gbar gbar1 (d - (s/(g_0 v) - v delta_0)),  s = sign(g_n)
+    d'                   = s gbar v ubar e_n - gbar gbar1 (d - (s/(g_0 v) - v delta_0))
 
-(v, 1/v) is on a convex curve, in a triangle: the curve's ends, and where its tangents there meet.
+with s = sign(g_n). So the rows see pi = v ubar alone; 1/v, in [1/v_1, 1], stands in pi = v ubar and
+in what d is pulled to, where v is between its chord, 1 + v_1 - v_1/v, and that less
+((v_1 - 1)/2)^2.
 """
 
 from __future__ import annotations
@@ -57,8 +60,9 @@ class AdaptiveLoop:
         Of the box of theta.
     gain_rate, leak_gain, leak_theta, gain_sign, smallest_gain : numbers
         gbar, gbar1, gbar2, s, g_0.
-    gain_points : pairs (v, s/(g_0 v) - v delta_0)
-        A polygon that holds all of them.
+    delta0 : number
+    largest_scale : number
+        v_1 >= v for all g_n in their range; 1 if g_n has none.
     """
 
     M: np.ndarray
@@ -80,7 +84,8 @@ class AdaptiveLoop:
     leak_theta: Any
     gain_sign: Any
     smallest_gain: Any
-    gain_points: tuple[tuple[Any, Any], ...]
+    delta0: Any
+    largest_scale: Any
 
     @property
     def n(self) -> int:
@@ -165,19 +170,11 @@ def adaptive_loop(system: System, problem: ErrorProblem | None = None) -> Adapti
         leak_theta=law.leak_theta,
         gain_sign=rational(law.gain_sign),
         smallest_gain=min(law.gains),
-        gain_points=_gain_points(law),
+        delta0=law.delta0,
+        largest_scale=_largest_scale(law),
     )
 
 
-def _gain_points(law: Adaptation) -> tuple[tuple[Any, Any], ...]:
-    """The polygon around (v, s/(g_0 v) - v delta_0) for all g_n in their range."""
+def _largest_scale(law: Adaptation) -> Any:
     low, high = min(law.gains), max(law.gains)
-
-    def point(v: Any, inverse: Any) -> tuple[Any, Any]:
-        return v, law.gain_sign * inverse / low - v * law.delta0
-
-    one = rational(1)
-    if low == high:
-        return (point(one, one),)
-    end = from_text(root_up(high / low))  # not below the root: a larger range
-    return point(one, one), point(end, 1 / end), point(2 * end / (1 + end), 2 / (1 + end))
+    return rational(1) if low == high else from_text(root_up(high / low))  # not below the root

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import clarabel
 import numpy as np
@@ -69,7 +68,9 @@ class BootstrapProgram:
         shared = [shared_form(forms, unit) for unit in units]
         self._slopes = np.array([self._padded(unit.G) for unit in units])
         blocks = [
-            np.array([s + corner_form(forms, corner, u) for s, u in zip(shared, units, strict=True)])
+            np.array(
+                [s + corner_form(forms, corner, u) for s, u in zip(shared, units, strict=True)]
+            )
             for corner in forms.corners
         ]
         zero = np.zeros(size + 1)
@@ -131,7 +132,9 @@ class BootstrapProgram:
         G = np.zeros((self.forms.size + 1, self.forms.size + 1))
         for (i, j), value in zip(self._entries, x[: self._free], strict=True):
             G[i, j] = G[j, i] = value
-        squares, inputs, sectors, mu, scales, turns = np.split(x[self._free : -self.targets], self._parts)
+        squares, inputs, sectors, mu, scales, turns = np.split(
+            x[self._free : -self.targets], self._parts
+        )
         return Unknowns(alpha, G, squares, inputs, sectors, mu, scales, turns)
 
     def _padded(self, G: np.ndarray) -> np.ndarray:

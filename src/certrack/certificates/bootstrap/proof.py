@@ -163,13 +163,13 @@ def prove(
             Claim(error, side, decimal_text(scale), decimal_text(scale * (bound + margin + part)))
             for (error, side), scale, bound in zip(wanted, found.sizes, found.bounds, strict=True)
         ]
-        vectors = [squares, inputs, sectors, u.mu, scales, u.turns]
-        proof = FunctionProof(
-            decimal_text(u.alpha),
-            tuple(tuple(decimal_text(v) for v in line) for line in G),
-            *(tuple(map(decimal_text, vector)) for vector in vectors),
-            claims=tuple(claims),
-        )
+        vectors = (squares, inputs, sectors, u.mu, scales, u.turns)
+        texts = {
+            name: tuple(map(decimal_text, vector))
+            for name, vector in zip(MULTIPLIERS, vectors, strict=True)
+        }
+        lines = tuple(tuple(decimal_text(v) for v in line) for line in G)
+        proof = FunctionProof(alpha=decimal_text(u.alpha), G=lines, claims=tuple(claims), **texts)
         if not failed_condition(forms, proof, rows):
             return proof
     return None
@@ -193,8 +193,4 @@ def proven_definite(matrix: np.ndarray) -> bool:
     )
     product = left * flint.fmpq_mat([list(row) for row in matrix]) * left.transpose()
     rows = product.tolist()
-    return all(
-        2 * row[i] > sum((abs(v) for v in row), flint.fmpq(0)) for i, row in enumerate(rows)
-    )
-
-
+    return all(2 * row[i] > sum((abs(v) for v in row), flint.fmpq(0)) for i, row in enumerate(rows))

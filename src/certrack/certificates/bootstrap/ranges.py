@@ -48,6 +48,7 @@ TINY, WIDENED = 1e-15, 1 + 1e-15
 #: A checker may halve so often until all parts are within a stated bound.
 MOST_PARTS_TO_CHECK = 20_000
 
+
 @dataclass(frozen=True)
 class Combination:
     """weights . (h, phi) - slope . x + constant, in exact rationals."""
@@ -153,6 +154,7 @@ class Ranges:
         self, chosen: Combination, box: np.ndarray, sign: float, target: float, most: int
     ) -> float:
         """An upper bound of sign times the formula; the search stops where it is the target's."""
+        exact, count = most == MOST_PARTS_TO_CHECK, 0
 
         def part(middle: np.ndarray, width: np.ndarray) -> tuple[float, int, Any, Any, Any]:
             nonlocal count, target
@@ -162,7 +164,6 @@ class Ranges:
                 target = max(target, sign * value)
             return (-high if sign > 0 else low), count, middle, width, share
 
-        count, exact = 0, most == MOST_PARTS_TO_CHECK
         parts = [part(*_middle_and_width(box))]
         while count < most and -parts[0][0] > target:
             _, _, middle, width, share = parts[0]

@@ -88,8 +88,9 @@ def _corner_sizes(loop: AdaptiveLoop) -> int:
     """Entries of the matrices of all corners, of which the time of a program depends."""
     inputs = loop.Ua.shape[1] + loop.Ub.shape[1] + len(loop.Y)
     ranged = sum(1 for radius in loop.theta_radius if radius > 0)
-    width = loop.size + inputs + ranged + 3 * loop.r + 2
-    return 2 * len(loop.gain_points) * width**2
+    scales = 2 if loop.largest_scale > 1 else 0
+    width = loop.size + inputs + ranged + scales + 3 * loop.r + 2
+    return 2 * width**2
 
 
 def groups_of(loop: AdaptiveLoop, rows: int) -> list[Group]:
@@ -162,5 +163,3 @@ def _best(program: BootstrapProgram, rows: np.ndarray, rate: Rate, tries: int) -
         if found is not None and (best is None or found.bounds.sum() < best.bounds.sum()):
             best = found
     return best
-
-
