@@ -3,24 +3,26 @@
 import copy
 import json
 import math
+from functools import cache
 
 import flint
+import independent_checker
 import numpy as np
 import pytest
 import sympy
 
 import certrack
 from certrack.certificates import to_document, verify
-from certrack.certificates.arithmetic import positive_definite, rational
-from certrack.certificates.bootstrap.box import Ground
+from certrack.certificates.arithmetic import decimal, positive_definite, rational
 from certrack.certificates.bootstrap.certify import certify_bootstrap
+from certrack.certificates.bootstrap.check import bound_of
+from certrack.certificates.bootstrap.document import bootstrap_stages
 from certrack.certificates.bootstrap.forms import forms_of, scaled_ubar
 from certrack.certificates.bootstrap.ground import box_of_states, rows_of
 from certrack.certificates.bootstrap.loop import adaptive_loop, formulas_of
-from certrack.certificates.bootstrap.proof import proven_definite, row_over_box
+from certrack.certificates.bootstrap.proof import proven_definite
 from certrack.certificates.bootstrap.ranges import Combination, Ranges, largest_reach
 from certrack.certificates.bootstrap.rates import Rate
-from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.document import _digest
 from certrack.certificates.exact import from_text
 
@@ -66,15 +68,16 @@ tail = 10
 WORST_OF_EXAMPLE1 = 0.0445
 
 
-def ranged():
-    return certrack.loads(RANGED)
-
-
-@pytest.fixture(scope="module", params=["example1", "ranged"])
-def proven(request):
+@cache
+def proven_system(name):
     """A system, its certificate and the proof."""
-    system = ranged() if request.param == "ranged" else certrack.load(request.param)
-    return (system, *certify_bootstrap(system, "high"))
+    system = certrack.loads(RANGED) if name == "ranged" else certrack.load(name)
+    return (system, *certify_bootstrap(system))
+
+
+@pytest.fixture(params=["example1", "ranged"])
+def proven(request):
+    return proven_system(request.param)
 
 
 class ErrorsByHand:
@@ -158,8 +161,7 @@ def vector_of(system, hand, ground, z, Y, w_parts):
 def test_equations_are_those_of_the_plant_and_the_law(gain):
     """zeta' = F w and the relation of ubar, at random states, against the law's own formulas."""
     rng = np.random.default_rng(3)
-    system = ranged()
-    _, (_, stage, *_) = certify_bootstrap(system, "high")
+    system, _, (_, stage, *_) = proven_system("ranged")
     ground, loop = stage.ground, adaptive_loop(system)
     numbers = ground.numbers()
     forms = forms_of(loop.in_floats(), numbers.in_floats())
@@ -185,3 +187,259 @@ def test_equations_are_those_of_the_plant_and_the_law(gain):
         relation = (1 - part) * first.relation + part * second.relation
         assert (F @ w) * forms.radius == pytest.approx(rates, abs=1e-9)
         assert relation @ w == pytest.approx(0, abs=1e-9)
+
+
+def test_example1_is_tight_and_never_below_the_worst_found(proven):
+    system, certificate, stages = proven
+    assert certificate.verified
+    if system.plant.input_gain_range is None:
+        assert WORST_OF_EXAMPLE1 <= certificate.bound <= 0.0620
+    assert certificate.bound >= certrack.simulate(system).metrics.tail_error
+    document = json.loads(json.dumps(to_document(system, *stages)))
+    assert from_text(document["claim"].split()[-1]) <= from_text(repr(certificate.bound))
+    verdict = verify(document)
+    assert (verdict.verified, verdict.reason) == (True, "")
+
+
+def test_a_checker_that_shares_no_line_agrees(proven):
+    system, certificate, stages = proven
+    document = json.loads(json.dumps(to_document(system, *stages)))
+    document["proof"] = (
+        document["proof"][:2] if system.plant.input_gain_range else document["proof"]
+    )
+    document = claimed_again(document)
+    assert verify(document).verified
+    bound = independent_checker.check(document)
+    assert float(bound) >= certificate.bound * (1 - 1e-12)
+
+
+def claimed_again(document):
+    """With the claim and the digest of its own proof."""
+    text = bound_of(bootstrap_stages(document["proof"][1:]))
+    document["claim"] = f"limsup |e_1(t)| <= {text}"
+    document["sha256"] = _digest(document)
+    return document
+
+
+def times(text, factor):
+    return f"{float(text) * factor:.13g}"
+
+
+def of_stage(*keys, change):
+    """A mutant that changes one entry of the last stage but one."""
+
+    def mutate(proof):
+        record = proof[-2]
+        for key in keys[:-1]:
+            record = record[key]
+        record[keys[-1]] = change(record[keys[-1]])
+
+    return mutate
+
+
+def narrower(pair):
+    middle = (float(pair[0]) + float(pair[1])) / 2
+    return [f"{middle + 0.9 * (float(v) - middle):.13g}" for v in pair]
+
+
+def box_inside_of_what_is_known(proof):
+    """A box that is not invariant: the last stage's, a little smaller, for the stage before."""
+    proof[-2]["ground"]["box"] = copy.deepcopy(proof[-1]["ground"]["box"])
+
+
+def negated(texts):
+    largest = max(range(len(texts)), key=lambda i: abs(float(texts[i])))
+    return [f"-{v}" if i == largest else v for i, v in enumerate(texts)]
+
+
+def without_a_stage(proof):
+    """Later boxes do not stand on the first one."""
+    del proof[1]
+
+
+def another_row(proof):
+    """The bound of one error claimed of another."""
+    for function in proof[-2]["functions"]:
+        for claim in function["claims"]:
+            claim["error"] = {0: 2, 1: 0}.get(claim["error"], claim["error"])
+
+
+MUTANTS = {
+    "bound of e_1": of_stage("functions", 0, "claims", 0, "bound", change=lambda v: times(v, 0.98)),
+    "bound of e_n": of_stage("functions", 1, "claims", 1, "bound", change=lambda v: times(v, 0.95)),
+    "scale": of_stage("functions", 1, "claims", 0, "scale", change=lambda v: times(v, 0.9)),
+    "no scale": of_stage("functions", 1, "claims", 0, "scale", change=lambda v: "0"),
+    "side": of_stage("functions", 1, "claims", 0, "side", change=lambda v: -v),
+    "no side": of_stage("functions", 1, "claims", 0, "side", change=lambda v: 2),
+    "alpha": of_stage("functions", 1, "alpha", change=lambda v: times(v, 1.5)),
+    "alpha's sign": of_stage("functions", 1, "alpha", change=lambda v: f"-{v}"),
+    "G": of_stage("functions", 1, "G", 0, 0, change=lambda v: times(v, 0.5)),
+    "G not symmetric": of_stage("functions", 1, "G", 0, 1, change=lambda v: times(v, 1.001)),
+    "sectors": of_stage("functions", 1, "sectors", change=negated),
+    "inputs": of_stage("functions", 1, "inputs", change=negated),
+    "squares": of_stage("functions", 1, "squares", change=lambda v: [f"-{u}" for u in v]),
+    "mu": of_stage("functions", 1, "mu", change=lambda v: [f"{-float(u):.13g}" for u in v]),
+    "scales": of_stage("functions", 1, "scales", change=negated),
+    "turns": of_stage("functions", 1, "turns", change=lambda v: [f"{-float(u):.13g}" for u in v]),
+    "fewer multipliers": of_stage("functions", 1, "inputs", change=lambda v: v[:-1]),
+    "regressor": of_stage("ground", "regressor", 0, change=narrower),
+    "regressor as a constant": of_stage("ground", "regressor", 0, change=lambda v: [v[0], v[0]]),
+    "drift": of_stage("ground", "drift", change=narrower),
+    "rest": of_stage("ground", "rest", change=narrower),
+    "row": of_stage("ground", "row", change=narrower),
+    "reach": of_stage("ground", "reach", 0, change=lambda v: times(v, 0.98)),
+    "no reach": of_stage("ground", "reach", 0, change=lambda v: "0"),
+    "box of e_n": of_stage("ground", "box", 1, change=narrower),
+    "box of d": of_stage("ground", "box", -1, change=narrower),
+    "box that is not invariant": box_inside_of_what_is_known,
+    "no first stage": without_a_stage,
+    "another row": another_row,
+    "first proof": lambda proof: proof[0].update(bound=times(proof[0]["bound"], 0.9)),
+    "shift": lambda proof: proof[0].update(shift="0.1"),
+}
+
+
+@pytest.fixture(scope="module")
+def document():
+    system, _, stages = proven_system("example1")
+    return json.loads(json.dumps(to_document(system, *stages)))
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_mutants_are_refused(document, name):
+    mutant = copy.deepcopy(document)
+    MUTANTS[name](mutant["proof"])
+    mutant = claimed_again(mutant)
+    assert not verify(mutant).verified
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MUTANTS)
+def test_mutants_are_refused_by_the_other_checker(document, name):
+    mutant = copy.deepcopy(document)
+    MUTANTS[name](mutant["proof"])
+    with pytest.raises((independent_checker.Refused, ZeroDivisionError)):
+        independent_checker.check(claimed_again(mutant))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("tau = [0.1, 0.2]", "tau = [0.1, 0.25]"),
+        ("gamma = [0.5, 0.2]", "gamma = [0.55, 0.2]"),
+        ('signal = "0.2*cos(t)"', 'signal = "0.21*cos(t)"'),
+        ("leak_theta = 0.6", "leak_theta = 0.5"),
+        ("delta0 = 0.4", "delta0 = 0.3"),
+        ("theta0 = [2.1]", "theta0 = [2.3]"),
+        ("input_gain = 2.0", "input_gain = 2.1"),
+        ('"x1**2*x2"', '"1.2*x1**2*x2"'),
+        ('"1 + x1*sin(x2)"', '"1 + 1.1*x1*sin(x2)"'),
+    ],
+)
+def test_another_system_with_the_same_proof_is_refused(document, old, new):
+    mutant = copy.deepcopy(document)
+    text = mutant["system"]
+    assert old in text or old.replace(".0", "") in text, text
+    mutant["system"] = (
+        text.replace(old, new) if old in text else text.replace(old.replace(".0", ""), new)
+    )
+    mutant["sha256"] = _digest(mutant)
+    assert not verify(mutant).verified
+
+
+def test_functions_fall_along_runs_that_are_in_the_box():
+    """W' <= -alpha W along a run, once it is in the box, and W is not positive in the end."""
+    system, _, (_, *stages) = proven_system("example1")
+    system = system.with_settings(duration=60.0)
+    loop = adaptive_loop(system)
+    times = np.arange(0.0, 60.0, 0.002)
+    states = certrack.simulate(system).trajectory.interpolate(times)
+    Y = system.reference.values(times, 1)
+    c, truth = system.controller.coordinates, system.truth
+    e = c.A @ states[:2] - c.B @ Y[: c.B.shape[1]]
+    theta, gain = decimal(truth.theta[0]), decimal(truth.input_gain)
+    z = np.vstack([e, theta - states[3], 1 / gain - states[2]])
+    fell = 0
+    for stage in stages:
+        box = stage.ground.numbers().box.astype(float)
+        inside = ((z >= box[:, :1]) & (z <= box[:, 1:])).all(axis=0)
+        last = len(times) - int(np.argmin(inside[::-1]))  # from here on it is in the box
+        assert last < 0.9 * len(times)
+        zeta = (z - box.mean(axis=1)[:, None]) / (np.diff(box, axis=1) / 2)
+        one = np.vstack([zeta, np.ones(len(times))])
+        for function in stage.functions:
+            G, alpha = function.unknowns().G.astype(float), float(function.alpha)
+            W = np.einsum("it,ij,jt->t", one, G, one)[last:]
+            rate = np.diff(W) / np.diff(times[last:])
+            middle = (W[1:] + W[:-1]) / 2
+            assert (rate <= -alpha * middle + 1e-5 * np.abs(G).max()).all()
+            assert W[-1] <= 0
+            fell += bool((W > 0).any())
+        rows = rows_of(loop, stage.ground.numbers())
+        for claim in (claim for function in stage.functions for claim in function.claims):
+            row = claim.side * rows[claim.error].astype(float)
+            assert (row @ z)[-5000:].max() <= float(claim.bound)
+    assert fell  # some of it began above
+
+
+def test_ranges_hold_at_random_points_and_are_near_to_them(proven):
+    system, _, (_, *stages) = proven
+    rng = np.random.default_rng(5)
+    loop, formulas = adaptive_loop(system), formulas_of(system)
+    ranges, ground = Ranges(formulas, loop), stages[0].ground
+    numbers = ground.numbers()
+    place = box_of_states(loop, numbers.box)
+    through = np.hstack([loop.Xe, loop.AB]).astype(float)
+    corners = rng.choice([0, 1], (4000, len(place)))
+    points = np.vstack(
+        [rng.uniform(*place.T, (4000, len(place))), place[np.arange(len(place)), corners]]
+    )
+    x = points @ through.T
+    functions = sympy.lambdify([formulas.states], [formulas.drift, *formulas.regressor])
+    h, *phi = (np.broadcast_to(v, len(x)) for v in functions(x.T))
+    drift = h - x @ numbers.slope.astype(float)
+    for values, (low, high) in zip([drift, *phi], [numbers.drift, *numbers.regressor], strict=True):
+        width = float(high - low)
+        assert float(low) <= values.min() <= float(low) + 0.15 * width
+        assert float(high) - 0.15 * width <= values.max() <= float(high)
+        chosen = Combination(
+            (rational(1),) + (rational(0),) * loop.r, tuple(numbers.slope), rational(0)
+        )
+    assert ranges.within(chosen, place, *(float(v) for v in numbers.drift))
+    low, high = (float(v) for v in numbers.drift)
+    assert not ranges.within(chosen, place, low + 0.1 * (high - low), high)
+    sizes = np.linalg.norm(x, axis=1).max()
+    assert all(sizes <= reach <= 1.01 * sizes for reach in largest_reach(loop, place))
+
+
+def test_definiteness_is_that_of_exact_factorisation():
+    rng = np.random.default_rng(2)
+    for _ in range(30):
+        A = rng.integers(-9, 10, (5, 5))
+        matrix = A @ A.T
+        shift = int(rng.integers(-3, 4))
+        exact = np.array(
+            [[flint.fmpq(int(v)) for v in row] for row in matrix + shift * np.eye(5, dtype=int)]
+        )
+        assert proven_definite(exact) == positive_definite(exact)
+    singular = np.array([[flint.fmpq(1), flint.fmpq(1)], [flint.fmpq(1), flint.fmpq(1)]])
+    assert not proven_definite(singular)
+
+
+def test_a_rate_surrounds_the_best_and_comes_near():
+    rate = Rate(0.01)
+    for _ in range(14):
+        rate.met(math.log(rate.alpha / 3.0))
+    assert rate.surrounded
+    assert rate.alpha == pytest.approx(3.0, rel=0.02)
+
+
+def test_what_has_no_bootstrap_says_why():
+    robust, _ = certify_bootstrap(certrack.load("dual-motor-lean"))
+    assert "adaptive law" in robust.reason
+    fast, proof = certify_bootstrap(certrack.load("example1"), "fast")
+    assert "takes more time" in fast.reason
+    assert proof == ()
+    text = RANGED.replace('"-0.3*x2 + 0.2*x1**2"', '"-0.3*x2 + 0.2*sign(x1)"')
+    jumps, _ = certify_bootstrap(certrack.loads(text))
+    assert jumps.exists or jumps.reason

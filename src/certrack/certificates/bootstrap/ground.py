@@ -49,17 +49,6 @@ class Known:
     row: np.ndarray | None = None
     interval: tuple[Any, Any] | None = None
 
-    def improved(self, error: int, side: int, bound: Any, row: np.ndarray) -> Known:
-        """With one more bound: side * (error's row) <= bound in the long run."""
-        if error < len(self.box):
-            box = self.box.copy()
-            box[error] = _cut(box[error], side, bound)
-            return replace(self, box=box)
-        interval = (None, None) if self.interval is None else self.interval
-        same = self.row is not None and bool((self.row == row).all())
-        ends = interval if same else interval_of(row, self.box)
-        return replace(self, row=row, interval=tuple(_cut(ends, side, bound)))
-
     def interval_of(self, row: np.ndarray) -> tuple[Any, Any]:
         """What is known of another row."""
         low, high = interval_of(row, self.box)
@@ -75,12 +64,19 @@ def _cut(ends: Any, side: int, bound: Any) -> tuple[Any, Any]:
 
 
 def after(known: Known, functions: Sequence[FunctionProof], rows: Sequence[np.ndarray]) -> Known:
-    """What is known with the bounds of a stage."""
+    """What is known with the bounds of a stage; its last row is that of ubar."""
+    box, size = known.box.copy(), len(known.box)
+    interval = before = known.interval_of(rows[-1])
     for function in functions:
         for claim in function.claims:
-            row, bound = rows[claim.error], from_text(claim.bound)
-            known = known.improved(claim.error, claim.side, bound, row)
-    return known
+            bound = from_text(claim.bound)
+            if claim.error < size:
+                box[claim.error] = _cut(box[claim.error], claim.side, bound)
+            else:
+                interval = _cut(interval, claim.side, bound)
+    if interval == before:
+        return replace(known, box=box)
+    return Known(box, rows[-1], interval)
 
 
 def rows_of(loop: AdaptiveLoop, numbers: GroundNumbers) -> list[np.ndarray]:
