@@ -362,10 +362,8 @@ class Ground:
             demand(new[0] < old[0] and new[1] > old[1], "a box does not hold what is known")
         through_y = product([rest], system.through)[0]
         self._ranges(record["regressor"])
-        spread = sum(
-            (abs(a + b) * y for a, b, y in zip(self.through_y, system.nu_Y, system.Y, strict=True)),
-            Q(0),
-        )
+        sizes = [abs(a + b) for a, b in zip(through_y, system.nu_Y, strict=True)]
+        spread = dot(sizes, system.Y)
         low, high = self.ends[0] - spread - self.rest[1], self.ends[1] + spread - self.rest[0]
         self.pi = min(low, low * loop.v1), max(high, high * loop.v1)
         self._forms()

@@ -46,7 +46,7 @@ SAMPLES = 32
 TINY, WIDENED = 1e-15, 1 + 1e-15
 
 #: A checker may halve so often until all parts are within a stated bound.
-MOST_PARTS_TO_CHECK = 20_000
+MOST_PARTS_TO_CHECK = 10_000
 
 
 @dataclass(frozen=True)
@@ -154,18 +154,20 @@ class Ranges:
         self, chosen: Combination, box: np.ndarray, sign: float, target: float, most: int
     ) -> float:
         """An upper bound of sign times the formula; the search stops where it is the target's."""
-        exact, count = most == MOST_PARTS_TO_CHECK, 0
+        fixed, count, best = most == MOST_PARTS_TO_CHECK, 0, -np.inf
 
         def part(middle: np.ndarray, width: np.ndarray) -> tuple[float, int, Any, Any, Any]:
-            nonlocal count, target
+            nonlocal count, best
             low, high, value, share = self._on(chosen, middle, width)
             count += 1
-            if not exact and value == value:
-                target = max(target, sign * value)
+            if value == value:
+                best = max(best, sign * value)
             return (-high if sign > 0 else low), count, middle, width, share
 
         parts = [part(*_middle_and_width(box))]
-        while count < most and -parts[0][0] > target:
+        while count < most and -parts[0][0] > (target if fixed else max(target, best)):
+            if fixed and best > target:
+                break  # it is attained
             _, _, middle, width, share = parts[0]
             i = int(np.argmax(share))
             if not share[i] > 0:
