@@ -11,7 +11,7 @@ from fractions import Fraction as Q
 
 from independent_checker import Refused, decimal, demand, inverse, product, root_above, transposed
 
-GROUND = {"box", "middle", "slope", "row", "regressor", "drift", "rest", "reach"}
+REGION = {"box", "middle", "slope", "row", "regressor", "drift", "remainder", "reach"}
 FUNCTION = {"alpha", "G", "squares", "inputs", "sectors", "mu", "scales", "turns", "claims"}
 CLAIM = {"error", "side", "scale", "bound"}
 
@@ -23,7 +23,7 @@ def is_bootstrap(proof):
     return (
         isinstance(proof, list)
         and len(proof) > 1
-        and all(isinstance(entry, dict) and "ground" in entry for entry in proof[1:])
+        and all(isinstance(entry, dict) and "region" in entry for entry in proof[1:])
     )
 
 
@@ -321,14 +321,14 @@ class Loop:
         return max(low, self.interval[0] + less), min(high, self.interval[1] + more)
 
     def stage(self, stage):
-        demand(isinstance(stage, dict) and set(stage) == {"ground", "functions"}, "other keys")
-        ground = Ground(self, stage["ground"])
+        demand(isinstance(stage, dict) and set(stage) == {"region", "functions"}, "other keys")
+        region = Region(self, stage["region"])
         size = self.size
         box, row = list(self.box), None
         for function in stage["functions"]:
-            for claim in ground.function(function):
+            for claim in region.function(function):
                 error, side, bound = claim
-                ends = box[error] if error < size else row or self.known(ground.row)
+                ends = box[error] if error < size else row or self.known(region.row)
                 ends = (
                     (ends[0], min(ends[1], bound)) if side > 0 else (max(ends[0], -bound), ends[1])
                 )
@@ -337,23 +337,23 @@ class Loop:
                 else:
                     row = ends
         if row is not None:
-            self.row, self.interval = ground.row, row
+            self.row, self.interval = region.row, row
         self.box = box
 
 
-class Ground:
+class Region:
     """A stage's box, its ranges, and the forms on it."""
 
     def __init__(self, loop, record):
         system, n, r = loop.system, loop.n, loop.r
-        demand(isinstance(record, dict) and set(record) == GROUND, "a ground has other keys")
+        demand(isinstance(record, dict) and set(record) == REGION, "a region has other keys")
         self.loop, self.box = loop, [pair(v) for v in record["box"]]
         self.phi_middle, self.slope = ([decimal(v) for v in record[k]] for k in ("middle", "slope"))
         self.regressor = [pair(v) for v in record["regressor"]]
-        self.drift, self.rest, self.ends = (pair(record[k]) for k in ("drift", "rest", "row"))
+        self.drift, self.rest, self.ends = (pair(record[k]) for k in ("drift", "remainder", "row"))
         self.reach = [decimal(v) for v in record["reach"]]
         counts = (len(self.box), len(self.phi_middle), len(self.slope), len(self.regressor))
-        demand(counts == (loop.size, r, n, r), "a ground has another shape")
+        demand(counts == (loop.size, r, n, r), "a region has another shape")
         demand(len(self.reach) == len(system.a) and min(self.reach, default=1) > 0, "no reach")
         rest = [v - k for v, k in zip(system.nu_x, self.slope, strict=True)]
         self.through_e = product([rest], system.A_inverse)[0]

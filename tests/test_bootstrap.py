@@ -15,14 +15,14 @@ import certrack
 from certrack.certificates import to_document, verify
 from certrack.certificates.arithmetic import decimal, positive_definite, rational
 from certrack.certificates.bootstrap.certify import certify_bootstrap
-from certrack.certificates.bootstrap.check import bound_of
+from certrack.certificates.bootstrap.check import claimed_bound
 from certrack.certificates.bootstrap.document import bootstrap_stages
 from certrack.certificates.bootstrap.forms import forms_of, scaled_ubar
-from certrack.certificates.bootstrap.ground import box_of_states, rows_of
 from certrack.certificates.bootstrap.loop import adaptive_loop, formulas_of
 from certrack.certificates.bootstrap.proof import proven_definite
 from certrack.certificates.bootstrap.ranges import Combination, Ranges, largest_reach
 from certrack.certificates.bootstrap.rates import Rate
+from certrack.certificates.bootstrap.regions import box_of_states, rows_of
 from certrack.certificates.document import _digest
 from certrack.certificates.exact import from_text
 
@@ -126,10 +126,10 @@ class ErrorsByHand:
         return np.array([*e, *(-v for v in theta_rates), -self.v * delta_rate])[: n + len(z)], ubar
 
 
-def vector_of(system, hand, ground, z, Y, w_parts):
+def vector_of(system, hand, region, z, Y, w_parts):
     """w at a state, and which part of the way ubar is between its bounds, from the page."""
     loop = adaptive_loop(system).in_floats()
-    numbers = ground.numbers().in_floats()
+    numbers = region.numbers().in_floats()
     middle, radius = numbers.box.mean(axis=1), np.diff(numbers.box, axis=1)[:, 0] / 2
     x, _ = hand.states(z, Y)
     h, *phi = hand.known(x)
@@ -162,8 +162,8 @@ def test_equations_are_those_of_the_plant_and_the_law(gain):
     """zeta' = F w and the relation of ubar, at random states, against the law's own formulas."""
     rng = np.random.default_rng(3)
     system, _, (_, stage, *_) = proven_system("ranged")
-    ground, loop = stage.ground, adaptive_loop(system)
-    numbers = ground.numbers()
+    region, loop = stage.region, adaptive_loop(system)
+    numbers = region.numbers()
     forms = forms_of(loop.in_floats(), numbers.in_floats())
     low, high = (float(v) for v in numbers.ubar(loop))
     u = system.plant.uncertainty
@@ -177,7 +177,7 @@ def test_equations_are_those_of_the_plant_and_the_law(gain):
         b = rng.uniform(-1, 1, 2)
         tau, gamma, beta = (np.array(v, float) for v in (u.tau, u.gamma, u.beta))
         rates, ubar = hand.rates(z, Y, tau * (gamma * a + beta * b))
-        w, _ = vector_of(system, hand, ground, z, Y, (a, b))
+        w, _ = vector_of(system, hand, region, z, Y, (a, b))
         assert np.abs(w).max() <= 1 + 1e-9  # every entry is within its bound
         assert low <= ubar <= high
         first, second = forms.corners  # at the lower and the upper end of pi
@@ -215,7 +215,7 @@ def test_a_checker_that_shares_no_line_agrees(proven):
 
 def claimed_again(document):
     """With the claim and the digest of its own proof."""
-    text = bound_of(bootstrap_stages(document["proof"][1:]))
+    text = claimed_bound(bootstrap_stages(document["proof"][1:]))
     document["claim"] = f"limsup |e_1(t)| <= {text}"
     document["sha256"] = _digest(document)
     return document
@@ -244,7 +244,7 @@ def narrower(pair):
 
 def box_inside_of_what_is_known(proof):
     """A box that is not invariant: the last stage's, a little smaller, for the stage before."""
-    proof[-2]["ground"]["box"] = copy.deepcopy(proof[-1]["ground"]["box"])
+    proof[-2]["region"]["box"] = copy.deepcopy(proof[-1]["region"]["box"])
 
 
 def negated(texts):
@@ -282,15 +282,15 @@ MUTANTS = {
     "scales": of_stage("functions", 1, "scales", change=negated),
     "turns": of_stage("functions", 1, "turns", change=lambda v: [f"{-float(u):.13g}" for u in v]),
     "fewer multipliers": of_stage("functions", 1, "inputs", change=lambda v: v[:-1]),
-    "regressor": of_stage("ground", "regressor", 0, change=narrower),
-    "regressor as a constant": of_stage("ground", "regressor", 0, change=lambda v: [v[0], v[0]]),
-    "drift": of_stage("ground", "drift", change=narrower),
-    "rest": of_stage("ground", "rest", change=narrower),
-    "row": of_stage("ground", "row", change=narrower),
-    "reach": of_stage("ground", "reach", 0, change=lambda v: times(v, 0.98)),
-    "no reach": of_stage("ground", "reach", 0, change=lambda v: "0"),
-    "box of e_n": of_stage("ground", "box", 1, change=narrower),
-    "box of d": of_stage("ground", "box", -1, change=narrower),
+    "regressor": of_stage("region", "regressor", 0, change=narrower),
+    "regressor as a constant": of_stage("region", "regressor", 0, change=lambda v: [v[0], v[0]]),
+    "drift": of_stage("region", "drift", change=narrower),
+    "remainder": of_stage("region", "remainder", change=narrower),
+    "row": of_stage("region", "row", change=narrower),
+    "reach": of_stage("region", "reach", 0, change=lambda v: times(v, 0.98)),
+    "no reach": of_stage("region", "reach", 0, change=lambda v: "0"),
+    "box of e_n": of_stage("region", "box", 1, change=narrower),
+    "box of d": of_stage("region", "box", -1, change=narrower),
     "box that is not invariant": box_inside_of_what_is_known,
     "no first stage": without_a_stage,
     "another row": another_row,
@@ -361,7 +361,7 @@ def test_functions_fall_along_runs_that_are_in_the_box():
     z = np.vstack([e, theta - states[3], 1 / gain - states[2]])
     fell = 0
     for stage in stages:
-        box = stage.ground.numbers().box.astype(float)
+        box = stage.region.numbers().box.astype(float)
         inside = ((z >= box[:, :1]) & (z <= box[:, 1:])).all(axis=0)
         last = len(times) - int(np.argmin(inside[::-1]))  # from here on it is in the box
         assert last < 0.9 * len(times)
@@ -375,7 +375,7 @@ def test_functions_fall_along_runs_that_are_in_the_box():
             assert (rate <= -alpha * middle + 1e-5 * np.abs(G).max()).all()
             assert W[-1] <= 0
             fell += bool((W > 0).any())
-        rows = rows_of(loop, stage.ground.numbers())
+        rows = rows_of(loop, stage.region.numbers())
         for claim in (claim for function in stage.functions for claim in function.claims):
             row = claim.side * rows[claim.error].astype(float)
             assert (row @ z)[-5000:].max() <= float(claim.bound)
@@ -386,8 +386,8 @@ def test_ranges_hold_at_random_points_and_are_near_to_them(proven):
     system, _, (_, *stages) = proven
     rng = np.random.default_rng(5)
     loop, formulas = adaptive_loop(system), formulas_of(system)
-    ranges, ground = Ranges(formulas, loop), stages[0].ground
-    numbers = ground.numbers()
+    ranges, region = Ranges(formulas, loop), stages[0].region
+    numbers = region.numbers()
     place = box_of_states(loop, numbers.box)
     through = np.hstack([loop.Xe, loop.AB]).astype(float)
     corners = rng.choice([0, 1], (4000, len(place)))

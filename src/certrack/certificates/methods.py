@@ -32,7 +32,8 @@ from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
 #: Those of a nominal loop, and those that cover ranges of constants, as they are shown.
-NOMINAL_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade", "bootstrap", "peak")
+BOOTSTRAP = "bootstrap"
+NOMINAL_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade", BOOTSTRAP, "peak")
 RANGE_KINDS = ("vertices", "peak", "cells")
 
 #: Of which a tube follows: inequalities for V, which hold for every t.
@@ -146,7 +147,7 @@ def every_certificate(
         "cascade": stages or (),
     }
     first = None if stages is None else stages[0]
-    certificates["bootstrap"], proofs["bootstrap"] = certify_bootstrap(system, effort, first)
+    certificates[BOOTSTRAP], proofs[BOOTSTRAP] = certify_bootstrap(system, effort, first)
     progress(4, METHOD_STEPS, None)
     ranged, attainable = has_ranges(system), None
     if ranged:

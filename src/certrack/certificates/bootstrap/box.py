@@ -15,11 +15,11 @@ import numpy as np
 from certrack.certificates.bootstrap.loop import AdaptiveLoop
 from certrack.certificates.exact import from_text
 
-Interval = tuple[str, str]
+TextPair = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Ground:
+class Region:
     """The box and the ranges, as decimal texts.
 
     Attributes
@@ -36,38 +36,38 @@ class Ground:
         Of phi_i.
     drift : pair
         Of h - k x.
-    rest : pair
+    remainder : pair
         Of h - k x + phi^T theta - (phi - phi_m)^T theta_tilde.
     reach : texts
         Bounds of ||S_k x|| of each a-input.
     """
 
-    box: tuple[Interval, ...]
+    box: tuple[TextPair, ...]
     middle: tuple[str, ...]
     slope: tuple[str, ...]
-    row: Interval
-    regressor: tuple[Interval, ...]
-    drift: Interval
-    rest: Interval
+    row: TextPair
+    regressor: tuple[TextPair, ...]
+    drift: TextPair
+    remainder: TextPair
     reach: tuple[str, ...]
 
-    def numbers(self) -> GroundNumbers:
+    def numbers(self) -> RegionNumbers:
         """The same in exact rationals."""
-        return GroundNumbers(
-            box=_pairs(self.box),
-            middle=_vector(self.middle),
-            slope=_vector(self.slope),
-            row=_pairs((self.row,))[0],
-            regressor=_pairs(self.regressor),
-            drift=_pairs((self.drift,))[0],
-            rest=_pairs((self.rest,))[0],
-            reach=_vector(self.reach),
+        return RegionNumbers(
+            box=_intervals_of(self.box),
+            middle=_numbers_of(self.middle),
+            slope=_numbers_of(self.slope),
+            row=_intervals_of((self.row,))[0],
+            regressor=_intervals_of(self.regressor),
+            drift=_intervals_of((self.drift,))[0],
+            remainder=_intervals_of((self.remainder,))[0],
+            reach=_numbers_of(self.reach),
         )
 
 
 @dataclass(frozen=True)
-class GroundNumbers:
-    """A :class:`Ground` in numbers, exact or floats; intervals are rows of arrays."""
+class RegionNumbers:
+    """A :class:`Region` in numbers, exact or floats; intervals are rows of arrays."""
 
     box: np.ndarray
     middle: np.ndarray
@@ -75,12 +75,12 @@ class GroundNumbers:
     row: np.ndarray
     regressor: np.ndarray
     drift: np.ndarray
-    rest: np.ndarray
+    remainder: np.ndarray
     reach: np.ndarray
 
-    def in_floats(self) -> GroundNumbers:
+    def in_floats(self) -> RegionNumbers:
         """The nearest floats."""
-        return GroundNumbers(
+        return RegionNumbers(
             **{name: value.astype(float) for name, value in vars(self).items()},
         )
 
@@ -90,18 +90,18 @@ class GroundNumbers:
         return np.concatenate([first, self.middle, [0 * first[0]]])
 
     def ubar(self, loop: AdaptiveLoop) -> tuple[Any, Any]:
-        """Bounds of ubar: the row, what y_d adds, and the rest."""
+        """Bounds of ubar: the row, what y_d adds, and the remainder."""
         through = [(loop.nu_x - self.slope) @ loop.AB[:, i] for i in range(len(loop.Y) - 1)]
         through.append(0 * loop.Y[-1])
         spread = sum(abs(a + b) * y for a, b, y in zip(through, loop.nu_Y, loop.Y, strict=True))
-        return self.row[0] - spread - self.rest[1], self.row[1] + spread - self.rest[0]
+        return self.row[0] - spread - self.remainder[1], self.row[1] + spread - self.remainder[0]
 
 
-def _vector(texts: tuple[str, ...]) -> np.ndarray:
+def _numbers_of(texts: tuple[str, ...]) -> np.ndarray:
     return np.array([from_text(text) for text in texts], dtype=object)
 
 
-def _pairs(texts: tuple[Interval, ...]) -> np.ndarray:
+def _intervals_of(texts: tuple[TextPair, ...]) -> np.ndarray:
     rows = [[from_text(low), from_text(high)] for low, high in texts]
     return np.array(rows, dtype=object).reshape(len(rows), 2)
 

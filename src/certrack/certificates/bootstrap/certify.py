@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.assumptions import assumptions
-from certrack.certificates.bootstrap.check import bound_of
+from certrack.certificates.bootstrap.check import claimed_bound
 from certrack.certificates.bootstrap.proof import BootstrapStage
 from certrack.certificates.bootstrap.search import bootstrap
 from certrack.certificates.certificate import (
@@ -32,7 +32,7 @@ def certify_bootstrap(
     ----------
     system : System
     effort : {"fast", "default", "high"}
-        ``fast`` leaves it out, ``default`` what takes longer than about ten seconds.
+        ``fast`` leaves it out, ``default`` what takes longer than about five seconds.
     first : Proof, optional
         A proven bound on e_n, such as the first stage of the cascade; it is sought if left out.
 
@@ -49,13 +49,13 @@ def certify_bootstrap(
             if effort == "fast":
                 raise NoCertificate("takes more time: --effort default")
             first = first or _first_proof(exact)
-            found = bootstrap(system, exact, first, effort)
-            bound = float_up(from_text(bound_of(found.stages)))
+            solution = bootstrap(system, exact, first, effort)
+            bound = float_up(from_text(claimed_bound(solution.stages)))
     except NoCertificate as refusal:
         return missing("bootstrap", str(refusal)), ()
     rests_on = tuple(assumptions(system))
     certificate = Certificate("bootstrap", bound, verified=True, assumptions=rests_on)
-    return certificate, (first, *found.stages)
+    return certificate, (first, *solution.stages)
 
 
 def _first_proof(exact: ErrorProblem) -> Proof:

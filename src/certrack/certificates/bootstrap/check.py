@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from certrack.certificates.bootstrap.forms import forms_of
-from certrack.certificates.bootstrap.ground import after, first_box, rows_of, stands
 from certrack.certificates.bootstrap.loop import adaptive_loop, formulas_of
-from certrack.certificates.bootstrap.proof import BootstrapStage
-from certrack.certificates.bootstrap.proof import failed_condition as failed_function
+from certrack.certificates.bootstrap.proof import BootstrapStage, failed_part
 from certrack.certificates.bootstrap.ranges import Ranges
+from certrack.certificates.bootstrap.regions import after, failed_region, first_box, rows_of
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.problem import ErrorProblem
@@ -29,21 +28,21 @@ def check_bootstrap(
     ranges = Ranges(formulas_of(system), loop)
     known = first_box(loop, first)
     for stage in stages:
-        reason = stands(loop, ranges, known, stage.ground)
+        reason = failed_region(loop, ranges, known, stage.region)
         if reason:
             return reason
-        numbers = stage.ground.numbers()
+        numbers = stage.region.numbers()
         forms, rows = forms_of(loop, numbers), rows_of(loop, numbers)[:]
         allowed = rows[: len(forms.sectors)]
         for function in stage.functions:
-            reason = failed_function(forms, function, allowed)
+            reason = failed_part(forms, function, allowed)
             if reason:
                 return reason
         known = after(known, stage.functions, rows)
     return ""
 
 
-def bound_of(stages: Sequence[BootstrapStage]) -> str:
+def claimed_bound(stages: Sequence[BootstrapStage]) -> str:
     """The text of the bound on limsup |e_1| that the stages claim: the worse of its two sides.
 
     Raises

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import Any
 
-from certrack.certificates.bootstrap.box import Ground
-from certrack.certificates.bootstrap.proof import BootstrapStage, Claim, FunctionProof
+from certrack.certificates.bootstrap.box import Region
+from certrack.certificates.bootstrap.proof import BootstrapStage, FunctionProof, RowBound
 from certrack.certificates.exact import from_text
 from certrack.core.errors import InputError
 
@@ -15,7 +15,7 @@ from certrack.core.errors import InputError
 MAX_STAGES, MAX_FUNCTIONS, MAX_CLAIMS = 64, 256, 256
 
 #: Entries of a vector, and rows of G.
-MAX_ENTRIES = 2000
+MAX_VECTOR_LENGTH = 2000
 
 
 def is_bootstrap(body: Any) -> bool:
@@ -24,7 +24,7 @@ def is_bootstrap(body: Any) -> bool:
     return (
         isinstance(proof, list)
         and len(proof) > 1
-        and all(isinstance(entry, dict) and "ground" in entry for entry in proof[1:])
+        and all(isinstance(entry, dict) and "region" in entry for entry in proof[1:])
     )
 
 
@@ -39,30 +39,30 @@ def bootstrap_stages(entries: list[Any]) -> tuple[BootstrapStage, ...]:
     if len(entries) > MAX_STAGES:
         raise InputError("proof", f"must have at most {MAX_STAGES} stages of a bootstrap")
     try:
-        return tuple(_stage(entry) for entry in entries)
+        return tuple(_stage_of(entry) for entry in entries)
     except (TypeError, ValueError) as problem:
         raise InputError("proof", f"must hold decimal texts ({problem})") from None
 
 
-def _stage(entry: Any) -> BootstrapStage:
+def _stage_of(entry: Any) -> BootstrapStage:
     _keys(entry, BootstrapStage)
-    ground = entry["ground"]
-    _keys(ground, Ground)
+    region = entry["region"]
+    _keys(region, Region)
     pairs = {"box", "regressor"}
     single = {"row", "drift", "rest"}
     parts = {
-        name: _many(ground[name], _pair)
+        name: _many(region[name], _pair)
         if name in pairs
-        else _pair(ground[name])
+        else _pair(region[name])
         if name in single
-        else _many(ground[name], _text)
-        for name in (entry.name for entry in fields(Ground))
+        else _many(region[name], _text)
+        for name in (entry.name for entry in fields(Region))
     }
-    functions = _many(entry["functions"], _function, MAX_FUNCTIONS)
-    return BootstrapStage(Ground(**parts), functions)
+    functions = _many(entry["functions"], _function_of, MAX_FUNCTIONS)
+    return BootstrapStage(Region(**parts), functions)
 
 
-def _function(entry: Any) -> FunctionProof:
+def _function_of(entry: Any) -> FunctionProof:
     _keys(entry, FunctionProof)
     vectors = ("squares", "inputs", "sectors", "mu", "scales", "turns")
     return FunctionProof(
@@ -73,12 +73,12 @@ def _function(entry: Any) -> FunctionProof:
     )
 
 
-def _claim(entry: Any) -> Claim:
-    _keys(entry, Claim)
+def _claim(entry: Any) -> RowBound:
+    _keys(entry, RowBound)
     for name in ("error", "side"):
         if type(entry[name]) is not int:
             raise TypeError(f"{name} is no integer")
-    return Claim(entry["error"], entry["side"], _text(entry["scale"]), _text(entry["bound"]))
+    return RowBound(entry["error"], entry["side"], _text(entry["scale"]), _text(entry["bound"]))
 
 
 def _keys(entry: Any, kind: type) -> None:
@@ -97,7 +97,9 @@ def _pair(value: Any) -> tuple[str, str]:
     return low, high
 
 
-def _many(values: Any, read: Callable[[Any], Any], most: int = MAX_ENTRIES) -> tuple[Any, ...]:
+def _many(
+    values: Any, read: Callable[[Any], Any], most: int = MAX_VECTOR_LENGTH
+) -> tuple[Any, ...]:
     if not isinstance(values, (list, tuple)):
         raise TypeError("a list is missing")
     if len(values) > most:

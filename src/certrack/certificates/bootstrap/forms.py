@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from certrack.certificates.bootstrap.box import GroundNumbers
+from certrack.certificates.bootstrap.box import RegionNumbers
 from certrack.certificates.bootstrap.loop import AdaptiveLoop
 
 
@@ -63,35 +63,37 @@ class Forms:
     radius: np.ndarray
 
 
-def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
+def forms_of(loop: AdaptiveLoop, region: RegionNumbers) -> Forms:
     """All forms, in the arithmetic of the arguments."""
     n, r, size = loop.n, loop.r, loop.size
     zero = 0 * loop.leak_gain
     na, nb, ny = loop.Ua.shape[1], loop.Ub.shape[1], len(loop.Y)
     ranged = [i for i in range(r) if loop.theta_radius[i] > 0]
-    varying = [i for i in range(r) if ground.regressor[i][0] != ground.regressor[i][1]]
+    varying = [i for i in range(r) if region.regressor[i][0] != region.regressor[i][1]]
     scales = 2 if loop.largest_scale > 1 else 0
     begin = size + 1 + na + nb + ny + 1 + len(ranged) + scales
     width = begin + 3 * len(varying)
     unit = np.eye(width, dtype=loop.M.dtype) + zero
     counts = [1, na, nb, ny, 1, len(ranged)]
     one, a, b, y, rho, t, of_scale = np.split(unit[size:begin], np.cumsum(counts))
-    one, rho, y, a = one[0], rho[0], loop.Y[:, None] * y, ground.reach[:, None] * a
-    middle, radius = ground.box.sum(axis=1) / 2, (ground.box[:, 1] - ground.box[:, 0]) / 2
+    one, rho, y, a = one[0], rho[0], loop.Y[:, None] * y, region.reach[:, None] * a
+    middle, radius = region.box.sum(axis=1) / 2, (region.box[:, 1] - region.box[:, 0]) / 2
     z = middle[:, None] * one + radius[:, None] * unit[:size]
     e, theta_tilde, d = z[:n], z[n : n + r], z[-1]
     x = loop.Xe @ e + loop.AB @ y[:-1]
-    linear = (loop.nu_x - ground.slope) @ x + loop.nu_Y @ y
-    sizes = np.abs(ground.regressor).max(axis=1, initial=zero)
-    remainder = ground.drift.sum() / 2 * one
-    reached = (ground.drift[1] - ground.drift[0]) / 2 + _dot(sizes, loop.theta_radius, zero)
+    linear = (loop.nu_x - region.slope) @ x + loop.nu_Y @ y
+    sizes = np.abs(region.regressor).max(axis=1, initial=zero)
+    remainder = region.drift.sum() / 2 * one
+    reached = (region.drift[1] - region.drift[0]) / 2 + _weighted_sum(
+        sizes, loop.theta_radius, zero
+    )
     remainder = remainder + reached * rho
     offset = (loop.theta_middle - loop.theta0)[:, None] * one
     for row, i in enumerate(ranged):
         offset[i] = offset[i] + loop.theta_radius[i] * t[row]
     known = loop.M @ e + loop.Ua @ a + loop.Ub @ b - loop.R[:, None] * y[-1]
-    phi = [(low + high) / 2 for low, high in ground.regressor]
-    spread = [(high - low) / 2 for low, high in ground.regressor]
+    phi = [(low + high) / 2 for low, high in region.regressor]
+    spread = [(high - low) / 2 for low, high in region.regressor]
     linear = linear - remainder
     drive = loop.leak_theta * (theta_tilde - offset)
     products: list[tuple[tuple[int, ...], tuple[int, ...]]] = []
@@ -109,7 +111,7 @@ def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
         linear = linear + of_estimate - loop.theta_middle[i] * of_one
     inverse, prior = _scale_and_prior(loop, one, of_scale)
     corners = []
-    for pi in _ends(scaled_ubar(loop, ground)):
+    for pi in _different_ends(scaled_ubar(loop, region)):
         rates = known.copy()
         rates[-1] = rates[-1] - loop.gain_sign * loop.smallest_gain * pi * d
         pulled = loop.gain_sign * pi * e[-1] - loop.leak_gain * (d - prior)
@@ -123,18 +125,18 @@ def forms_of(loop: AdaptiveLoop, ground: GroundNumbers) -> Forms:
         corners=tuple(corners),
         squares=tuple(
             (S @ x / reach, i)
-            for S, reach, i in zip(loop.selections, ground.reach, places, strict=True)
+            for S, reach, i in zip(loop.selections, region.reach, places, strict=True)
         ),
         products=tuple(products),
-        sectors=_sectors(loop, ground, middle, radius),
+        sectors=_sectors(loop, region, middle, radius),
         middle=middle,
         radius=radius,
     )
 
 
-def scaled_ubar(loop: AdaptiveLoop, ground: GroundNumbers) -> tuple[Any, Any]:
+def scaled_ubar(loop: AdaptiveLoop, region: RegionNumbers) -> tuple[Any, Any]:
     """Bounds of pi = v ubar."""
-    low, high = ground.ubar(loop)
+    low, high = region.ubar(loop)
     return min(low, low * loop.largest_scale), max(high, high * loop.largest_scale)
 
 
@@ -148,24 +150,24 @@ def _scale_and_prior(loop: AdaptiveLoop, one: np.ndarray, of_scale: np.ndarray) 
     return inverse, loop.gain_sign / loop.smallest_gain * inverse - loop.delta0 * v
 
 
-def _dot(numbers: np.ndarray, rows: np.ndarray, zero: Any) -> Any:
+def _weighted_sum(numbers: np.ndarray, rows: np.ndarray, zero: Any) -> Any:
     """Their inner product; `zero` where there are none."""
     return sum((v * row for v, row in zip(numbers, rows, strict=True)), zero)
 
 
-def _ends(pair: Any) -> tuple[Any, ...]:
+def _different_ends(pair: Any) -> tuple[Any, ...]:
     return (pair[0],) if pair[0] == pair[1] else (pair[0], pair[1])
 
 
 def _sectors(
-    loop: AdaptiveLoop, ground: GroundNumbers, middle: np.ndarray, radius: np.ndarray
+    loop: AdaptiveLoop, region: RegionNumbers, middle: np.ndarray, radius: np.ndarray
 ) -> np.ndarray:
     """The errors, and the row of ubar where it is not zero, as what is in [-1, 1]."""
     size = loop.size
     rows = np.eye(size + 1, dtype=loop.M.dtype)[:size] + 0 * middle[0]
-    row = ground.linear_row(loop)
+    row = region.linear_row(loop)
     if not (row != 0).any():
         return rows
-    low, high = ground.row
+    low, high = region.row
     extra = np.append(row * radius, row @ middle - (low + high) / 2) / ((high - low) / 2)
     return np.vstack([rows, extra])

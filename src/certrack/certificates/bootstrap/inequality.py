@@ -6,10 +6,10 @@ W = (zeta, 1)^T G (zeta, 1) need not be positive. At every corner, with multipli
        + sum sectors_j (1 - (row_j (zeta, 1))^2) + (mu w) (relation w)
        + sum (v^T D_i v - (psi v)^T D_i (psi v) + v^T K_i (psi v))  <=  0,
 
-with D_i >= 0 and K_i = -K_i^T, so W' <= -alpha W in the box, for the left side is affine in ubar
-and v, what stands behind the
-multipliers is not negative and the relation is zero for the true ones. In the long run W is not
-positive, and a row c with W + u - c (zeta, 1) >= 0 everywhere has limsup c (zeta, 1) <= u.
+with D_i >= 0 and K_i = -K_i^T. So W' <= -alpha W in the box: the left side is affine in pi, what
+stands behind the multipliers is not negative, and the relation is zero for the true pi. In the long
+run W is not positive, and a row c with scale W + u >= c (zeta, 1) everywhere has limsup
+c (zeta, 1) <= u.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ cancel does so for every g_n:
     g_n delta_tilde ubar = s g_0 v ubar d,
     d'                   = s gbar v ubar e_n - gbar gbar1 (d - (s/(g_0 v) - v delta_0))
 
-with s = sign(g_n). So the rows see pi = v ubar alone; 1/v, in [1/v_1, 1], stands in pi = v ubar and
-in what d is pulled to, where v is between its chord, 1 + v_1 - v_1/v, and that less
+with s = sign(g_n). So the rows see pi = v ubar alone; 1/v, in [1/v_1, 1], acts in
+pi = v ubar and in what d is pulled to, where v is between its chord, 1 + v_1 - v_1/v, and that less
 ((v_1 - 1)/2)^2.
 """
 
@@ -104,12 +104,12 @@ class AdaptiveLoop:
 
     def in_floats(self) -> AdaptiveLoop:
         """The same loop in floating point."""
-        return AdaptiveLoop(*(_floats(getattr(self, entry.name)) for entry in fields(self)))
+        return AdaptiveLoop(*(_floats_of(getattr(self, entry.name)) for entry in fields(self)))
 
 
-def _floats(value: Any) -> Any:
+def _floats_of(value: Any) -> Any:
     if isinstance(value, tuple):
-        return tuple(_floats(entry) for entry in value)
+        return tuple(_floats_of(entry) for entry in value)
     return value.astype(float) if isinstance(value, np.ndarray) else float(value)
 
 

@@ -85,8 +85,8 @@ class BootstrapProgram:
         base = [_vectors(block) for block in blocks]
         slope = _vectors(self._slopes)
         self._base = sparse.csc_matrix(np.vstack([*base, *above, *scales, signs]))
-        rest = np.zeros((self._base.shape[0] - len(base) * len(slope), self._count))
-        self._slope = sparse.csc_matrix(np.vstack([slope] * len(base) + [rest]))
+        nothing = np.zeros((self._base.shape[0] - len(base) * len(slope), self._count))
+        self._slope = sparse.csc_matrix(np.vstack([slope] * len(base) + [nothing]))
         self._right = np.zeros(self._base.shape[0])
         begin = len(base) * len(slope)
         self._target_rows = slice(begin, begin + targets * len(above[0]))

@@ -10,7 +10,7 @@ import flint
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from certrack.certificates.bootstrap.box import Ground
+from certrack.certificates.bootstrap.box import Region
 from certrack.certificates.bootstrap.forms import Forms
 from certrack.certificates.bootstrap.inequality import (
     Unknowns,
@@ -22,7 +22,7 @@ from certrack.certificates.bootstrap.program import Found
 from certrack.certificates.exact import decimal_text, from_text
 
 #: How far a solution gives way until exact arithmetic confirms it, in the units of a box's radius.
-BACK_OFF = (1e-7, 1e-6, 1e-5, 1e-4)
+GIVING_WAY = (1e-7, 1e-6, 1e-5, 1e-4)
 
 #: Multipliers of :class:`Unknowns`, in the order of its fields.
 MULTIPLIERS = ("squares", "inputs", "sectors", "mu", "scales", "turns")
@@ -35,7 +35,7 @@ FLOOR_PART = 1e-2
 
 
 @dataclass(frozen=True)
-class Claim:
+class RowBound:
     """limsup side * row (z) <= bound, for scale (W + bound/scale) >= side * row (z).
 
     Attributes
@@ -65,11 +65,11 @@ class FunctionProof:
     mu: tuple[str, ...]
     scales: tuple[str, ...]
     turns: tuple[str, ...]
-    claims: tuple[Claim, ...]
+    claims: tuple[RowBound, ...]
 
     def unknowns(self) -> Unknowns:
         """The numbers, exact."""
-        vectors = [_vector(getattr(self, name)) for name in MULTIPLIERS]
+        vectors = [_exact_vector(getattr(self, name)) for name in MULTIPLIERS]
         G = np.array([[from_text(v) for v in row] for row in self.G], dtype=object)
         return Unknowns(from_text(self.alpha), G, *vectors)
 
@@ -78,11 +78,11 @@ class FunctionProof:
 class BootstrapStage:
     """What a stage stands on, and the functions that prove its bounds."""
 
-    ground: Ground
+    region: Region
     functions: tuple[FunctionProof, ...]
 
 
-def _vector(texts: tuple[str, ...]) -> np.ndarray:
+def _exact_vector(texts: tuple[str, ...]) -> np.ndarray:
     return np.array([from_text(v) for v in texts], dtype=object)
 
 
@@ -95,7 +95,7 @@ def _inner(row: np.ndarray, values: np.ndarray) -> Any:
     return sum((a * b for a, b in zip(row, values, strict=True)), 0 * values[0])
 
 
-def failed_condition(forms: Forms, proof: FunctionProof, rows: Sequence[np.ndarray]) -> str:
+def failed_part(forms: Forms, proof: FunctionProof, rows: Sequence[np.ndarray]) -> str:
     """Empty if the proof holds exactly, else the first condition that fails.
 
     `rows` are those that claims may name, over the errors.
@@ -104,8 +104,8 @@ def failed_condition(forms: Forms, proof: FunctionProof, rows: Sequence[np.ndarr
     size, width = forms.size, forms.width
     kinds = len(forms.products)
     counts = (len(forms.squares), width - size - 1, len(forms.sectors), width, 6 * kinds, 3 * kinds)
-    found = [len(getattr(unknowns, name)) for name in MULTIPLIERS]
-    if unknowns.G.shape != (size + 1, size + 1) or tuple(found) != counts:
+    lengths = [len(getattr(unknowns, name)) for name in MULTIPLIERS]
+    if unknowns.G.shape != (size + 1, size + 1) or tuple(lengths) != counts:
         return "G or the multipliers do not have the shape of the loop"
     if not (unknowns.G == unknowns.G.T).all():
         return "G is not symmetric"
@@ -131,27 +131,27 @@ def failed_condition(forms: Forms, proof: FunctionProof, rows: Sequence[np.ndarr
     return ""
 
 
-def prove(
+def prove_function(
     forms: Forms,
-    found: Found,
+    solution: Found,
     wanted: Sequence[tuple[int, int]],
     rows: Sequence[np.ndarray],
 ) -> FunctionProof | None:
-    """Round what the solver found so that exact arithmetic confirms it; None if it does not.
+    """Round what the solver returned so that exact arithmetic confirms it; None if it does not.
 
     Parameters
     ----------
     forms : Forms
         In exact rationals.
-    found : Found
+    solution : Found
     wanted : pairs (error, side)
     rows : arrays
         Over the errors.
     """
-    u, size = found.unknowns, forms.size
+    u, size = solution.unknowns, forms.size
     speed = max(float(np.abs(c.F.astype(float)).sum(axis=1).max()) for c in forms.corners)
     room = len(u.inputs) + len(u.sectors) + len(u.turns)
-    for part in BACK_OFF:
+    for part in GIVING_WAY:
         more = part * speed
         inputs, sectors = (np.maximum(v, 0.0) + more for v in (u.inputs, u.sectors))
         squares = np.maximum(u.squares, 0.0)
@@ -160,8 +160,12 @@ def prove(
         G = (u.G + u.G.T) / 2 + FLOOR_PART * part * np.eye(size + 1)
         G[-1, -1] -= margin
         claims = [
-            Claim(error, side, decimal_text(scale), decimal_text(scale * (bound + margin + part)))
-            for (error, side), scale, bound in zip(wanted, found.sizes, found.bounds, strict=True)
+            RowBound(
+                error, side, decimal_text(scale), decimal_text(scale * (bound + margin + part))
+            )
+            for (error, side), scale, bound in zip(
+                wanted, solution.sizes, solution.bounds, strict=True
+            )
         ]
         vectors = (squares, inputs, sectors, u.mu, scales, u.turns)
         texts = {
@@ -170,7 +174,7 @@ def prove(
         }
         lines = tuple(tuple(decimal_text(v) for v in line) for line in G)
         proof = FunctionProof(alpha=decimal_text(u.alpha), G=lines, claims=tuple(claims), **texts)
-        if not failed_condition(forms, proof, rows):
+        if not failed_part(forms, proof, rows):
             return proof
     return None
 

@@ -34,7 +34,7 @@ ENOUGH, MOST_PARTS = 0.02, 400
 FLOAT_SUM = 1e-12
 
 #: Corners that are looked at for the largest ||S x||; beyond, each entry is bounded by itself.
-MOST_CORNERS = 2**13
+MOST_BOX_CORNERS = 2**13
 
 #: Slopes smaller than this part of the largest are noise.
 FIT_NOISE = 1e-9
@@ -43,7 +43,7 @@ FIT_NOISE = 1e-9
 SAMPLES = 32
 
 #: Middles and half widths are rounded to floats; this covers it.
-TINY, WIDENED = 1e-15, 1 + 1e-15
+FLOAT_SHARE, FLOAT_WIDENING = 1e-15, 1 + 1e-15
 
 #: A checker may halve so often until all parts are within a stated bound.
 MOST_PARTS_TO_CHECK = 10_000
@@ -100,10 +100,10 @@ class Ranges:
         def value_at(x: list[Any]) -> Any:
             values = self._values(x)
             total = sum((w * values[i] for i, w in weights), flint.arb(chosen.constant))
-            return total - sum((k * v for k, v in zip(slope, x, strict=True)), ZERO)
+            return total - sum((k * v for k, v in zip(slope, x, strict=True)), ZERO_BALL)
 
         centre = value_at(at)
-        low, high = _ends(value_at(box))
+        low, high = _float_ends(value_at(box))
         share = np.abs(self._through).sum(axis=0) * width
         if centre.is_finite() and all(self._slopes[i] is not None for i, _ in weights):
             gradient = [-k for k in slope]
@@ -112,14 +112,19 @@ class Ranges:
                 assert tape is not None
                 gradient = [g + w * v for g, v in zip(gradient, tape(box), strict=True)]
             parts = [
-                abs(sum((g * row[i] for g, row in zip(gradient, self._balls, strict=True)), ZERO))
+                abs(
+                    sum(
+                        (g * row[i] for g, row in zip(gradient, self._balls, strict=True)),
+                        ZERO_BALL,
+                    )
+                )
                 * flint.arb(float(w))
                 for i, w in enumerate(width)
             ]
-            total = sum(parts, ZERO)
+            total = sum(parts, ZERO_BALL)
             if total.is_finite():
                 share = np.array([float(part.abs_upper()) for part in parts])
-                below, above = _ends(centre + flint.arb(0, 1) * total.abs_upper())
+                below, above = _float_ends(centre + flint.arb(0, 1) * total.abs_upper())
                 low, high = max(low, below), min(high, above)
         return low, high, float(centre.mid()) if centre.is_finite() else np.nan, share
 
@@ -175,7 +180,9 @@ class Ranges:
             heapq.heappop(parts)
             half, shift = width.copy(), np.zeros(len(width))
             shift[i] = width[i] / 2
-            half[i] = np.nextafter(width[i] / 2 * WIDENED + abs(middle[i]) * TINY, np.inf)
+            half[i] = np.nextafter(
+                width[i] / 2 * FLOAT_WIDENING + abs(middle[i]) * FLOAT_SHARE, np.inf
+            )
             for at in (middle - shift, middle + shift):
                 heapq.heappush(parts, part(at, half))
         return -parts[0][0]
@@ -184,7 +191,7 @@ class Ranges:
 def _middle_and_width(box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middles and half widths that hold the box in spite of their roundings."""
     middle, width = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
-    return middle, width * WIDENED + np.abs(box).max(axis=1) * TINY
+    return middle, width * FLOAT_WIDENING + np.abs(box).max(axis=1) * FLOAT_SHARE
 
 
 def _decimal_of(formula: sympy.Expr) -> str | None:
@@ -212,28 +219,28 @@ def largest_reach(loop: AdaptiveLoop, box: np.ndarray) -> list[float]:
     bounded by itself.
     """
     through = np.hstack([loop.Xe, loop.AB]).astype(float)
-    found = []
+    limits = []
     for S in loop.selections:
         rows = S.astype(float) @ through
         middle, width = _middle_and_width(box)
-        if 2 ** len(box) <= MOST_CORNERS:
+        if 2 ** len(box) <= MOST_BOX_CORNERS:
             signs = np.array(list(product((-1.0, 1.0), repeat=len(box))))
             largest = float(np.linalg.norm((middle + signs * width) @ rows.T, axis=1).max())
         else:
             largest = float(np.linalg.norm(np.abs(rows @ middle) + np.abs(rows) @ width))
         wide = np.abs(S.astype(float)) @ np.abs(through) @ (np.abs(middle) + width)
-        found.append(largest + FLOAT_SUM * float(np.linalg.norm(wide)) + FLOAT_SUM * largest)
-    return found
+        limits.append(largest + FLOAT_SUM * float(np.linalg.norm(wide)) + FLOAT_SUM * largest)
+    return limits
 
 
-ZERO = flint.arb(0)
+ZERO_BALL = flint.arb(0)
 
 
 def _combined(rows: Sequence[Sequence[Any]], values: Sequence[Any]) -> list[Any]:
-    return [sum((a * v for a, v in zip(row, values, strict=True)), ZERO) for row in rows]
+    return [sum((a * v for a, v in zip(row, values, strict=True)), ZERO_BALL) for row in rows]
 
 
-def _ends(ball: Any) -> tuple[float, float]:
+def _float_ends(ball: Any) -> tuple[float, float]:
     """Floats below and above a ball; infinite where nothing is known."""
     if not ball.is_finite():
         return -np.inf, np.inf

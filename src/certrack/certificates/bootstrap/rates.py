@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 #: Factor by which alpha moves while its best value is not surrounded; and the ends of all.
-STRIDE, MOST, LEAST = 2.5, 1e6, 1e-6
+STRIDE, LARGEST_ALPHA, LEAST_ALPHA = 2.5, 1e6, 1e-6
 
 #: A step between two alpha leaves this part of their distance to either.
 INNER = 0.15
@@ -46,9 +46,9 @@ class Rate:
 
     def _next(self, here: float) -> float:
         if self._below is None:
-            return max(here - math.log(STRIDE), math.log(LEAST))
+            return max(here - math.log(STRIDE), math.log(LEAST_ALPHA))
         if self._above is None:
-            return min(here + math.log(STRIDE), math.log(MOST))
+            return min(here + math.log(STRIDE), math.log(LARGEST_ALPHA))
         (low, first), (high, last) = self._below, self._above
         part = 0.5 if last == math.inf else first / (first - last) if first < 0 else 0.0
         return low + min(max(part, INNER), 1 - INNER) * (high - low)

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from certrack.certificates.bootstrap.forms import forms_of
-from certrack.certificates.bootstrap.ground import Known, after, first_box, ground_on, rows_of
 from certrack.certificates.bootstrap.loop import AdaptiveLoop, adaptive_loop, formulas_of
 from certrack.certificates.bootstrap.program import BootstrapProgram, Found
 from certrack.certificates.bootstrap.proof import (
     BootstrapStage,
-    prove,
+    prove_function,
     row_over_box,
 )
 from certrack.certificates.bootstrap.ranges import Ranges
 from certrack.certificates.bootstrap.rates import Rate
+from certrack.certificates.bootstrap.regions import Reached, after, first_box, next_region, rows_of
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, from_text
 from certrack.certificates.problem import ErrorProblem
@@ -33,8 +33,8 @@ FIRST_TRIES, LATER_TRIES, LAST_TRIES = 4, 1, 4
 WORTH_A_PROOF = 1e-3
 
 
-#: Entries of the matrices of all corners above which it takes more than about ten seconds.
-MOST_OF_DEFAULT = 1600
+#: Entries of the matrices of all corners above which it takes more than about five seconds.
+MOST_OF_DEFAULT = 1200
 
 #: Rows, each with its side, that one function bounds.
 Group = tuple[tuple[int, int], ...]
@@ -42,10 +42,10 @@ Group = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """The stages that were found, and what is known after them."""
+    """The stages, and what is known after them."""
 
     stages: tuple[BootstrapStage, ...]
-    known: Known
+    known: Reached
 
     @property
     def bound(self) -> Any:
@@ -74,7 +74,7 @@ def bootstrap(
     stages: list[BootstrapStage] = []
     for count in range(MOST_STAGES):
         tries = LATER_TRIES if count else FIRST_TRIES
-        stage, later = _stage(loop, ranges, known, rates, starts, tries)
+        stage, later = _next_stage(loop, ranges, known, rates, starts, tries)
         if not stage.functions:
             break
         stages.append(stage)
@@ -112,22 +112,22 @@ def _starts(loop: AdaptiveLoop, slow: float) -> list[float]:
     return [max(fast, slow)] * (loop.n - 1) + [slow] * (loop.r + 3)
 
 
-def _shrunk(before: Known, after: Known) -> float:
+def _shrunk(before: Reached, after: Reached) -> float:
     """The largest part by which an interval has become smaller."""
     old, new = ((k.box[:, 1] - k.box[:, 0]).astype(float) for k in (before, after))
     return float((1 - new / old).max())
 
 
-def _stage(
+def _next_stage(
     loop: AdaptiveLoop,
     ranges: Ranges,
-    known: Known,
+    known: Reached,
     rates: dict[Group, Rate],
     starts: list[float],
     tries: int,
-) -> tuple[BootstrapStage, Known]:
-    ground = ground_on(loop, ranges, known)
-    numbers = ground.numbers()
+) -> tuple[BootstrapStage, Reached]:
+    region = next_region(loop, ranges, known)
+    numbers = region.numbers()
     forms = forms_of(loop, numbers)
     floats = forms_of(loop.in_floats(), numbers.in_floats())
     rows = rows_of(loop, numbers)
@@ -137,29 +137,31 @@ def _stage(
             programs[len(group)] = BootstrapProgram(floats, len(group))
         rate = rates.setdefault(group, Rate(min(starts[error] for error, _ in group)))
         asked = np.array([row_over_box(forms, side * rows[error]) for error, side in group])
-        found = _best(programs[len(group)], asked.astype(float), rate, tries)
-        if found is None or not any(
+        solution = _best_of_rates(programs[len(group)], asked.astype(float), rate, tries)
+        if solution is None or not any(
             _gain(known, rows[error], side, bound) > WORTH_A_PROOF
-            for (error, side), bound in zip(group, found.bounds * found.sizes, strict=True)
+            for (error, side), bound in zip(group, solution.bounds * solution.sizes, strict=True)
         ):
             continue
-        proof = prove(forms, found, group, rows)
+        proof = prove_function(forms, solution, group, rows)
         functions += [] if proof is None else [proof]
-    return BootstrapStage(ground, tuple(functions)), after(known, functions, rows)
+    return BootstrapStage(region, tuple(functions)), after(known, functions, rows)
 
 
-def _gain(known: Known, row: np.ndarray, side: int, bound: float) -> float:
+def _gain(known: Reached, row: np.ndarray, side: int, bound: float) -> float:
     """By which part of an interval a bound makes it smaller."""
     low, high = known.interval_of(row)
     best = high if side > 0 else -low
     return (float(best) - bound) / float(high - low)
 
 
-def _best(program: BootstrapProgram, rows: np.ndarray, rate: Rate, tries: int) -> Found | None:
+def _best_of_rates(
+    program: BootstrapProgram, rows: np.ndarray, rate: Rate, tries: int
+) -> Found | None:
     best: Found | None = None
     for _ in range(tries):
-        found = program.solve(rate.alpha, rows)
-        rate.met(None if found is None else found.slope)
-        if found is not None and (best is None or found.bounds.sum() < best.bounds.sum()):
-            best = found
+        solution = program.solve(rate.alpha, rows)
+        rate.met(None if solution is None else solution.slope)
+        if solution is not None and (best is None or solution.bounds.sum() < best.bounds.sum()):
+            best = solution
     return best

@@ -1,4 +1,4 @@
-"""From a proven box to what a stage stands on, and back: whether it stands.
+"""From a proven box to what a stage stands on, and back: whether the stage stands.
 
 Every interval of a stage is wider than what was proven before, so that after some time the state is
 in it and stays there: what was proven is a bound of the limes superior, which the state need not
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from certrack.certificates.arithmetic import rational, solve
-from certrack.certificates.bootstrap.box import Ground, GroundNumbers, Interval, interval_of
+from certrack.certificates.bootstrap.box import Region, RegionNumbers, TextPair, interval_of
 from certrack.certificates.bootstrap.loop import AdaptiveLoop
 from certrack.certificates.bootstrap.proof import FunctionProof
 from certrack.certificates.bootstrap.ranges import Combination, Ranges, largest_reach
@@ -33,7 +33,7 @@ FIT_POINTS = 256
 
 
 @dataclass(frozen=True)
-class Known:
+class Reached:
     """What is proven so far, in exact rationals: limsup and liminf of every error.
 
     Attributes
@@ -58,12 +58,14 @@ class Known:
         return max(low, self.interval[0] + less), min(high, self.interval[1] + more)
 
 
-def _cut(ends: Any, side: int, bound: Any) -> tuple[Any, Any]:
+def _cut_to(ends: Any, side: int, bound: Any) -> tuple[Any, Any]:
     low, high = ends
     return (low, min(high, bound)) if side > 0 else (max(low, -bound), high)
 
 
-def after(known: Known, functions: Sequence[FunctionProof], rows: Sequence[np.ndarray]) -> Known:
+def after(
+    known: Reached, functions: Sequence[FunctionProof], rows: Sequence[np.ndarray]
+) -> Reached:
     """What is known with the bounds of a stage; its last row is that of ubar."""
     box, size = known.box.copy(), len(known.box)
     interval = before = known.interval_of(rows[-1])
@@ -71,20 +73,20 @@ def after(known: Known, functions: Sequence[FunctionProof], rows: Sequence[np.nd
         for claim in function.claims:
             bound = from_text(claim.bound)
             if claim.error < size:
-                box[claim.error] = _cut(box[claim.error], claim.side, bound)
+                box[claim.error] = _cut_to(box[claim.error], claim.side, bound)
             else:
-                interval = _cut(interval, claim.side, bound)
+                interval = _cut_to(interval, claim.side, bound)
     if interval == before:
         return replace(known, box=box)
-    return Known(box, rows[-1], interval)
+    return Reached(box, rows[-1], interval)
 
 
-def rows_of(loop: AdaptiveLoop, numbers: GroundNumbers) -> list[np.ndarray]:
+def rows_of(loop: AdaptiveLoop, numbers: RegionNumbers) -> list[np.ndarray]:
     """The rows that a stage may bound: every error, and the linear row of ubar."""
     return [*(np.eye(loop.size, dtype=object) + rational(0)), numbers.linear_row(loop)]
 
 
-def first_box(loop: AdaptiveLoop, proof: Proof) -> Known:
+def first_box(loop: AdaptiveLoop, proof: Proof) -> Reached:
     """The box around the ellipsoid of a proof with the function that the update laws cancel."""
     P = np.array([[from_text(v) for v in row] for row in proof.P], dtype=object)
     square = from_text(proof.bound) ** 2
@@ -93,10 +95,10 @@ def first_box(loop: AdaptiveLoop, proof: Proof) -> Known:
     parts += [loop.Gamma[i, i] / P[-1, -1] for i in range(loop.r)]
     parts += [loop.gain_rate / (loop.smallest_gain * P[-1, -1])]
     sizes = [from_text(root_up(square * part)) for part in parts]
-    return Known(np.array([[-size, size] for size in sizes], dtype=object))
+    return Reached(np.array([[-size, size] for size in sizes], dtype=object))
 
 
-def ground_on(loop: AdaptiveLoop, ranges: Ranges, known: Known) -> Ground:
+def next_region(loop: AdaptiveLoop, ranges: Ranges, known: Reached) -> Region:
     """What the next stage stands on."""
     box = tuple(_wider(low, high, WIDER) for low, high in known.box)
     exact = np.array([[from_text(v) for v in pair] for pair in box], dtype=object)
@@ -105,7 +107,7 @@ def ground_on(loop: AdaptiveLoop, ranges: Ranges, known: Known) -> Ground:
     k, zero = tuple(map(from_text, slope)), rational(0)
     none = tuple(zero for _ in range(loop.r))
 
-    def enclosed(combination: Combination, spread: Any = zero) -> Interval:
+    def enclosed(combination: Combination, spread: Any = zero) -> TextPair:
         low, high = (rational_float(v) for v in ranges.bounds(combination, place))
         return _wider(low - spread, high + spread, LOOSER)
 
@@ -118,17 +120,17 @@ def ground_on(loop: AdaptiveLoop, ranges: Ranges, known: Known) -> Ground:
         f"{float((from_text(low) + from_text(high)) / 2):.{FREE_DIGITS}g}"
         for low, high in regressor
     )
-    start = Ground(box, middle, slope, ("0", "0"), regressor, drift, ("0", "0"), ())
+    start = Region(box, middle, slope, ("0", "0"), regressor, drift, ("0", "0"), ())
     numbers = start.numbers()
-    combination, spread = rest_of(loop, numbers)
+    combination, spread = remainder_of(loop, numbers)
     row = _wider(*known.interval_of(numbers.linear_row(loop)), WIDER)
     reach = tuple(_up(rational_float(v)) for v in largest_reach(loop, place))
-    return replace(start, row=row, rest=enclosed(combination, spread), reach=reach)
+    return replace(start, row=row, remainder=enclosed(combination, spread), reach=reach)
 
 
-def stands(loop: AdaptiveLoop, ranges: Ranges, known: Known, ground: Ground) -> str:
+def failed_region(loop: AdaptiveLoop, ranges: Ranges, known: Reached, region: Region) -> str:
     """Empty if a stage stands on what is known and its ranges hold, else what is wrong."""
-    numbers = ground.numbers()
+    numbers = region.numbers()
     shapes = (len(numbers.box), len(numbers.middle), len(numbers.slope), len(numbers.regressor))
     if shapes != (loop.size, loop.r, loop.n, loop.r) or len(numbers.reach) != len(loop.selections):
         return "a stage does not have the shape of the loop"
@@ -143,15 +145,15 @@ def stands(loop: AdaptiveLoop, ranges: Ranges, known: Known, ground: Ground) -> 
     ):
         return "a stage's bound of ||x|| is smaller than that of its box"
     none = tuple(zero for _ in range(loop.r))
-    combination, spread = rest_of(loop, numbers)
+    combination, spread = remainder_of(loop, numbers)
     claims = [
         *(
             (_single(loop, i), pair, zero)
             for i, pair in enumerate(numbers.regressor)
-            if ground.regressor[i] != (ranges.constants[i],) * 2
+            if region.regressor[i] != (ranges.constants[i],) * 2
         ),
         (Combination((rational(1), *none), tuple(numbers.slope), zero), numbers.drift, zero),
-        (combination, numbers.rest, spread),
+        (combination, numbers.remainder, spread),
     ]
     for combination, (low, high), spread in claims:
         first, last = float_up(low + spread), float_down(high - spread)
@@ -166,7 +168,7 @@ def _single(loop: AdaptiveLoop, i: int) -> Combination:
     return Combination(weights, (zero,) * loop.n, zero)
 
 
-def rest_of(loop: AdaptiveLoop, numbers: GroundNumbers) -> tuple[Combination, Any]:
+def remainder_of(loop: AdaptiveLoop, numbers: RegionNumbers) -> tuple[Combination, Any]:
     """h - k x + phi^T theta - (phi - phi_m)^T theta_tilde: with both in their middles, and more."""
     errors = numbers.box[loop.n : loop.n + loop.r]
     middles = [(low + high) / 2 for low, high in errors]
@@ -195,7 +197,7 @@ def rational_float(value: float) -> Any:
     return rational(float(value))
 
 
-def _wider(low: Any, high: Any, part: float) -> Interval:
+def _wider(low: Any, high: Any, part: float) -> TextPair:
     """Texts of an interval that is strictly wider."""
     more = rational(part) * (high - low)
     return _minus(_up(more - low)), _up(high + more)
