@@ -81,14 +81,14 @@ def read_slowness(
             where, shape = f"{TABLE}.{name}", keys[name].shape
             read[name] = checks.reals(where, values[name], n, shape, constants, **limits)
     if values.get(DWELL) is not None:
-        read[DWELL] = checks.real(
-            f"{TABLE}.{DWELL}", values[DWELL], constants, above=0, side=-1
-        )
+        read[DWELL] = checks.real(f"{TABLE}.{DWELL}", values[DWELL], constants, above=0, side=-1)
     if values.get(DELTA_RATE) is not None:
         where, shape = f"{TABLE}.{DELTA_RATE}", keys[DELTA_RATE].shape
         rows = checks.sequence(where, values[DELTA_RATE], n, f"{shape} (n = {n})")
         read[DELTA_RATE] = tuple(
-            checks.reals(f"{where}[{k}]", row, n, "one number per state", constants, least=0, side=1)
+            checks.reals(
+                f"{where}[{k}]", row, n, "one number per state", constants, least=0, side=1
+            )
             for k, row in enumerate(rows)
         )
     return read

@@ -23,10 +23,10 @@ from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
 from certrack.loops.plant import true_constants
 from certrack.model.distribution import Distribution
 from certrack.model.disturbance import Multisine, family_of
-from certrack.model.slowness import slow_size
 from certrack.model.names import refuse_prefix
 from certrack.model.plant import Plant
 from certrack.model.sampling import MAX_MEMBERS, probabilities
+from certrack.model.slowness import slow_size
 from certrack.model.truth import Truth
 from certrack.references import SoftStart, SymbolicReference
 from certrack.simulation.run import Run
