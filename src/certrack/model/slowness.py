@@ -138,3 +138,13 @@ def slow_size(u: Uncertainty, k: int, fastest: float) -> float | None:
     if slowness is None:
         return None
     return min(u.beta[k], slowness.rate / fastest) * (1 - ROUNDING)
+
+
+def follows_growth(u: Uncertainty, k: int) -> bool:
+    """Whether gamma_k ||S_k x|| + sum_j Delta_kj |x_j| is admissible as a part of a slow w_k."""
+    slowness = slowness_of(u, k)
+    if slowness is None or u.formula(k) is not None:
+        return False
+    Delta = (0.0,) * len(u.tau) if u.Delta is None else u.Delta[k]
+    slopes = zip(slowness.by_states, u.norm_weights(k), Delta, strict=True)
+    return all(allowed >= u.gamma[k] * s + d for allowed, s, d in slopes)

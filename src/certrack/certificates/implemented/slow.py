@@ -7,8 +7,8 @@ is one at most in any window shorter than `dwell`, and for every z that is const
     |int k s| <= s0 TV(z) + rho int |g - z| da + J sum of sup |g - z| over windows.
 
 For k = z' + (g - z)' as measures where z(0-) = 0 and z is g beyond some age: the first part meets
-|s| <= s0, the second one by parts the changes of s. TV(z) counts the jumps of z, the last of them to
-g, and int |k| beyond. z = g is the plain peak gain, z = 0 uses the rate alone. f counts by |k|.
+|s| <= s0, the second one by parts the changes of s. TV(z) counts the jumps of z, the last one to g,
+and int |k| beyond. z = g is the plain peak gain, z = 0 uses the rate alone. f counts by |k|.
 
 In a cell |g - z| has the integral of the line between the ends and h^3/12 sup|g''| more at most,
 and is at most h^2/8 sup|g''| above its ends; g'' = k' is at most |lambda| e^{|A|h} |A W|.

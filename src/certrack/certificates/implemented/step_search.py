@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import flint
 import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
@@ -15,6 +16,10 @@ from certrack.certificates.implemented.slow import SlowTerms, Steps, slow_column
 
 #: Steps of z, at most; digits of each, and by how much of the largest |g| two of them differ.
 MAX_STEPS, STEP_DIGITS, LEAST_STEP = 300, 9, 1e-7
+
+#: A z that is written where none gains more than this factor.
+UNUSED: Steps = ((0, "0"),)
+LEAST_GAIN = flint.fmpq(1_000_001, 1_000_000)
 
 
 def by_rates(
@@ -36,6 +41,11 @@ def by_rates(
     try:
         terms = SlowTerms.of(period, bounds, doublings, *claimed)
         steps = search_steps(terms)
+        found = terms.bound(steps)
+        for i in range(len(steps)):  # where a z gains nothing, none is written
+            fewer = (*steps[:i], UNUSED, *steps[i + 1 :])
+            if terms.bound(fewer) <= found * LEAST_GAIN:
+                steps = fewer
         found = terms.bound(steps)
     except NoCertificate:  # too many numbers, or jumps in every period
         return (), plain
