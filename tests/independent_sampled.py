@@ -13,9 +13,9 @@ from fractions import Fraction as Q
 
 import independent_checker as checker
 import numpy as np
-from independent_levels import all_levels, bernstein_of_Y, reference_part
+from independent_levels import all_levels, area, bernstein_of_Y, reference_part
 from independent_observers import Observer
-from independent_slow import Slow, area
+from independent_slow import Slow
 
 #: Steps of each cell in which kernels are summed, and what is left of rows.
 GRID, LEFT = 2, 1e-11
@@ -63,7 +63,7 @@ def check_entry(entry, loop, delay, table, system):
         loop.mu = loop.mu + loop.shift * rates
     image = loop.image(X, U, step)
     if "slow" in entry:
-        slow = Slow(entry, loop, table, system)
+        slow = Slow(entry, loop, table, system, exponential)
         image[0] = loop.image(X, U, slow=slow, speeds=slow.speeds(X, U))[0]
     if loop.shift:
         checker.demand((image[loop.n + 3 :] < rates).all(), "a rate is not above")

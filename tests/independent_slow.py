@@ -4,20 +4,14 @@ import math
 
 import independent_checker as checker
 import numpy as np
-
-
-def area(a, b):
-    """Under the magnitude of a line over a unit of time."""
-    size = np.abs(a) + np.abs(b)
-    crossing = (a * b < 0) & (size > 0)
-    return np.where(crossing, (a * a + b * b) / np.where(size > 0, size, 1), size) / 2
+from independent_levels import area
 
 
 class Slow:
     """What the file says of the speed of its uncertain terms, and a z for each."""
 
-    def __init__(self, entry, loop, table, system):
-        self.loop, self.entry = loop, entry
+    def __init__(self, entry, loop, table, system, exponential):
+        self.loop, self.entry, self.exponential = loop, entry, exponential
         u, law = table["plant"]["uncertainty"], table["law"]
         estimated = law.get("observer", {}).get("kind") in ("eso", "dob")
         checker.demand(estimated or "integral" in law, "nothing estimates what acts")
@@ -57,12 +51,13 @@ class Slow:
         loop, W = self.loop, self.loop.W
         kernels = np.zeros((len(rows), W.shape[1]))
         g = np.zeros((len(rows), W.shape[1]))
-        z = {k: dict((int(m), float(v)) for m, v in s) for k, s in self._z()}
+        z = {k: {int(m): float(v) for m, v in s} for k, s in self._z()}
         value = {k: z[k][0] for k in self.known}
         tv = {k: abs(value[k]) for k in self.known}
         spent, jumps, most = ({k: np.zeros(len(rows)) for k in self.known} for _ in range(3))
         windows = math.floor(self.dwell / loop.T) if self.dwell else 0
         checker.demand(windows or not any(self.jump.values()), "jumps in every period")
+        halves = {}
         until, start = 2 ** self.entry["doublings"], np.abs(rows).max()
         for m in range(10**6):
             for k in self.known:
@@ -73,9 +68,11 @@ class Slow:
                 h, _, E = loop.cells[p]
                 before = rows @ E
                 a, b = rows[:, : loop.n] @ W, before[:, : loop.n] @ W
-                kernels += h * area(a, b)
+                half = halves.setdefault(h, self.exponential(loop.A * h / 2)) @ W
+                middle = rows[:, : loop.n] @ half
+                kernels += h * (area(a, middle) + area(middle, b)) / 2
                 if m <= until:
-                    after = g + h * (a + b) / 2
+                    after = g + h * (a + 4 * middle + b) / 6
                     for k in self.known:
                         gap, old = g[:, k] - value[k], after[:, k] - value[k]
                         spent[k] += h * area(gap, old)
