@@ -261,7 +261,7 @@ def test_members_keep_to_the_rates():
     fastest = members.population.frequencies[1]
     assert slow_size(system.plant.uncertainty, 1, fastest) * fastest <= 0.3
     for i in range(3):
-        t, values = over_time(members.system(i).truth.omega[1], 10)
+        t, values = over_time(members.member(i).truth.omega[1], 10)
         assert np.abs(np.diff(values)).max() <= 0.3 * t[1] * (1 + 1e-9)
         assert np.abs(values).max() > 0
 

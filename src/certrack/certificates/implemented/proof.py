@@ -154,7 +154,8 @@ def prove_implemented(
         if reason := _not_above(bounds, image, proof):
             raise NoCertificate(reason)
         parts = bounds.parts(X, U)
-        slow, smaller = (), image[0]
+        slow: tuple[Steps, ...] = ()
+        smaller = image[0]
         if not cell:
             slow, smaller = by_rates(period, bounds, proof.doublings, _claimed(proof), image[0])
         if slow:

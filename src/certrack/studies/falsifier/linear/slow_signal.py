@@ -49,12 +49,15 @@ class SlowSignal:
         return slow + self.fast * np.sign(self.weights)
 
     def formula(self, sense: int) -> str:
-        """As a formula of t: a straight line, and a kink at every time between the ends."""
+        """As a formula of t: a straight line, and a kink at every time but the first.
+
+        After the last one it stands still.
+        """
         if not self.values.any() and not self.fast:
             return "0"
-        slopes = np.diff(self.values) / np.diff(self.times)
+        slopes = np.append(np.diff(self.values) / np.diff(self.times), 0.0)
         kinks = np.diff(slopes) / 2
-        inner = self.times[1:-1]
+        inner = self.times[1:]
         slope = float(slopes[0] + slopes[-1]) / 2
         begin = float(self.values[0] - slope * self.times[0])
         begin -= float(np.abs(self.times[0] - inner) @ kinks)
