@@ -76,6 +76,12 @@ class Observer:
         else:
             full = np.eye(n + count)
             full[:n, :n], full[:n, n:] = self.F, self.G
+            if "weights" in table:
+                stated = [names.index(name) for name in table.get("rows", names[-1:])]
+                hidden = n - len(measured)
+                entries = dict(zip(stated, table["weights"][hidden:], strict=True))
+                in_order = [*table["weights"][:hidden], *(entries[i] for i in rows)]
+                table = {**table, "weights": in_order}
             weights = weights_of(table, A, T, measured, rows, n)
             gain = stationary(full, np.eye(n + count)[measured], np.diag(weights**2))
             self.L, self.Ld = gain[:n], gain[n:]

@@ -338,14 +338,16 @@ class Loop:
                 none = np.zeros(self.q + 1)
                 more, value = self._rows(p, (self.A[i], self.b[i]), none, 2, w, X, U)
                 value = value + abs(self.W[i]) @ w + abs(self.b[i]) * step
-                value = value + self.shift * step * growth[i] @ abs(self.A @ self.b)
+                at_most = self.windows * self.shift * step
+                value = value + at_most * growth[i] @ abs(self.A @ self.b)
                 rows, values = [*rows, more], [*values, value]
                 of_Y.append(bernstein_of_Y(self, p, none, 2))
                 owners += [self.n + 3 + i] * len(more)
             for output, (seen, of_y, N) in enumerate(self.outputs()):
                 more, value = self._rows(p, seen, of_y, N, w, X, U)
                 if self.shift:
-                    value = value + self.shift * step * growth[max(output - 1, 0)] @ abs(self.b)
+                    at_most = self.windows * self.shift * step
+                    value = value + at_most * growth[max(output - 1, 0)] @ abs(self.b)
                 rows, values = [*rows, more], [*values, value]
                 of_Y.append(bernstein_of_Y(self, p, of_y, N))
                 owners += [output] * len(more)

@@ -89,6 +89,7 @@ ONE_MEANING = {
             "fmu",
             "reproduce",
             "simulate",
+            "tune",
             "verify",
         ),
         "the verb of the command line, and what it calls",
@@ -151,6 +152,7 @@ def test_public_surface_is_frozen():
     assert certrack.__all__ == sorted(certrack.__all__)
     assert set(certrack.__all__) == {
         "Adaptive",
+        "BoundEstimate",
         "Bounds",
         "Cancellable",
         "Cancelled",
@@ -170,6 +172,7 @@ def test_public_surface_is_frozen():
         "ErrorCoordinates",
         "Exported",
         "Falsification",
+        "Front",
         "Gains",
         "Implementation",
         "InputError",
@@ -195,6 +198,7 @@ def test_public_surface_is_frozen():
         "System",
         "Truth",
         "Tube",
+        "Tuned",
         "Uncertainty",
         "Verdict",
         "__version__",
@@ -205,6 +209,7 @@ def test_public_surface_is_frozen():
         "check_assumption_1",
         "design",
         "ensemble",
+        "estimate",
         "export_c",
         "export_fmu",
         "export_st",
@@ -229,6 +234,7 @@ def test_public_surface_is_frozen():
         "to_text",
         "trapezoid",
         "triangle",
+        "tune",
     }
     for name in certrack.__all__:
         assert getattr(certrack, name).__doc__

@@ -203,6 +203,10 @@ def test_taylor_coefficients_enclose_those_of_mpmath(text, begin, width):
         return
     for part in (0.0, 0.37, 1.0):
         t = begin + part * width
+        try:
+            sympy.lambdify(TIME, expr, "math")(t)
+        except (ArithmeticError, ValueError):  # mpmath counts the digits of sinh(1e20) for ever
+            continue
         with mpmath.workdps(60):
             at = sympy.Float(t, 60)
             exact = expr.xreplace({TIME: at}).evalf(40)

@@ -144,6 +144,23 @@ def test_the_truth_contradicts_the_premise(name):
     assert not found.verified and found.stages == ()
 
 
+def test_a_bound_that_is_a_formula_is_not_left_out_with_ranges():
+    """The certificates of ranges read gamma, Delta and beta alone, which are zero beside it."""
+
+    def system(bound):
+        plant = f"{WITH_D}[plant.uncertainty]\ntau = [0, 1]\ngamma = [0, 0]\nbeta = [0, 0]\n{bound}"
+        return made({**ROBUST, "plant": plant, "truth": 'input_gain = 1\nomega = [0, "5*sin(t)"]'})
+
+    formula = system('bound = ["", "5 + 0.1*v**2"]')
+    found = certrack.certify(formula, "fast")
+    assert not found.verified and not found.best.exists
+    assert "plant.uncertainty.bound" in found.peak.reason
+    quiet = system("").replace(truth=formula.truth.__class__(input_gain=1, omega=(0, 0)))
+    document = certrack.certificates.to_document(formula, *certrack.certify(quiet, "fast").stages)
+    verdict = certrack.certificates.verify(document)
+    assert not verdict.verified and "plant.uncertainty.bound" in verdict.reason
+
+
 def test_constants_that_vary_need_one_cell():
     system = made({**BOUNDED["S and ranges"]})
     stages = certrack.certify(system).stages

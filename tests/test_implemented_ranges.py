@@ -309,3 +309,13 @@ def test_sampling_margins_are_proven():
     for period, serves in ((margins.slowest, True), (1.05 * margins.slowest, False)):
         other = system.replace(implementation=replace(drive, period=period))
         assert (certify_implemented(other)[0].bound <= margins.bound) is serves
+
+
+@pytest.mark.parametrize("r", [0.0, 1.0])
+def test_a_linear_law_without_a_share_of_the_last_derivative(r):
+    """What the gain's range makes of the input is no quotient by that share."""
+    system, *_ = random_ranged_drive(np.random.default_rng(4))
+    K = tuple(map(float, system.controller.coordinates.nu_x))
+    law = certrack.laws.Linear(K=K, r=r, feedforward=system.law.feedforward)
+    found, _ = certify_implemented(system.replace(law=law), effort="fast")
+    assert found.exists

@@ -11,12 +11,16 @@ from test_implemented import NOISE, on_a_drive, random_drive
 
 import certrack
 from certrack.certificates import to_document, verify
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.document import _digest
 from certrack.certificates.implemented.certify import certify_implemented, failed_cover
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
+from certrack.certificates.implemented.fixed_point import OutputBounds
+from certrack.certificates.implemented.from_starts import bounds_from_start
+from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import one_period
-from certrack.certificates.implemented.timing import pulse_gains
+from certrack.certificates.implemented.timing import TimedBounds, pulse_gains, rate_rows
 from certrack.core.errors import InputError
 from certrack.integrators.sampled.events import event_timeline
 from certrack.model.implementation import Implementation
@@ -201,6 +205,32 @@ def test_a_window_that_reaches_into_the_next_period_counts_in_both():
     assert gains(0.5, 0.2) == pytest.approx(gains(0.5, 0.0))
     # each pulse adds at least what b at the sample does: a row of x_2 sees 1 of it at once
     assert gains(0.5, 0.2).max() > 0.9
+
+
+def test_nothing_is_said_of_a_start_with_jitter():
+    """The bounds from a start are those of exact times."""
+    with pytest.raises(NoCertificate, match="with jitter"):
+        bounds_from_start(fast(0.1))
+    assert bounds_from_start(fast(0.0)).peaks.error > 0
+
+
+def test_two_inputs_may_change_in_a_cell_that_is_a_whole_period():
+    """One late at its begin, the next early at its end: each adds up to j T in the cell."""
+
+    def in_cell(delay):
+        with flint.ctx.workprec(DRIVE_BITS):
+            drive = drive_of(fast(0.1, delay=delay))
+            period = one_period(drive, (1, 1))
+            rows = output_rows(period) + rate_rows(period)
+            bounds = OutputBounds.of(period, rows, output_gains(period, rows, 9))
+            timed = TimedBounds.of(period, rows, bounds, 9)
+            pulses = pulse_gains(period, rows, 9)
+            shift = float(drive.jitter * drive.T)
+        moving = [i for i, row in enumerate(rows) if row.output == 2]
+        return [float(timed.by_step[i]) / shift - pulses[i] for i in moving]
+
+    assert in_cell(0.5) == pytest.approx([1.0] * len(in_cell(0.5)), rel=0.01)
+    assert in_cell(1.0) == pytest.approx([2.0] * len(in_cell(1.0)), rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from certrack.certificates.methods import certify_peak, certify_semidefinite
 from certrack.certificates.ranges.certify import certify_ranges
 from certrack.core.errors import DesignError, InputError
 from certrack.laws.cost import freed_loop, optimal_cost
+from certrack.laws.integral import longer_chain, of_the_chain
 from certrack.laws.loop_margins import loop_margins
 from certrack.laws.lqr import LqrWeights
 from certrack.laws.recursion import recursion
@@ -335,3 +336,53 @@ def test_there_is_no_gain_of_the_recursion():
     with pytest.raises(DesignError, match="no gains of the recursion"):
         LINEAR.law.gains()
     assert "linear law" in certrack.certify(LINEAR, effort="fast").published.reason
+
+
+@pytest.mark.parametrize("coupling", [None, 0.5])
+def test_integral_action_has_the_cost_and_margins_of_the_longer_chain(coupling):
+    law = Robust(c=(5, 6, 7, 8), feedforward=1, integral=4, coupling=coupling)
+    system = LEAN.replace(law=law)
+    design, shown = system.controller.coordinates, system.design()
+    longer = of_the_chain(design)
+    chain = longer_chain(design.g, LEAN.plant.b, np.array(law.c), law.integral)
+    gains = certrack.laws.backstepping.Gains(tuple(chain[2]), coupling=coupling)
+    expected = recursion(*chain[:2], gains, 2)
+    for name in ("A", "B", "F", "c", "kappa", "g", "nu_x", "nu_Y"):
+        np.testing.assert_allclose(getattr(longer, name), getattr(expected, name), rtol=1e-9)
+    M, k = freed_loop(longer)
+    cost = shown.optimality.cost
+    weights = np.ones(5) if coupling is None else longer.weights.astype(float) ** 2
+    X, last = np.diag(weights), np.eye(5)[:, -1:]
+    residual = M.T @ X + X @ M - X @ last @ last.T @ X / cost.input + np.diag(cost.state)
+    assert np.abs(residual).max() < 1e-9 * np.abs(M.T @ X).max()
+    np.testing.assert_allclose(X[-1] / cost.input, k, rtol=1e-9)
+    assert "e_0^2 + " in str(shown) and "what it adds to e_4'; in (e_0, x - x_d)" in str(shown)
+    found = shown.optimality.at_u
+    plant = np.vstack([longer.F, np.insert(SLOPES, 0, 0.0)])
+    feedback = plant[-1] - longer.nu_x  # u = -k x of the whole input
+    for factor, stable in ((1.001, True), (0.999, False)):
+        loop = plant.copy()
+        loop[-1] -= found.lowest_gain * factor * feedback
+        assert (np.linalg.eigvals(loop).real.max() < 0) == stable
+
+
+@pytest.mark.parametrize(
+    ("law", "key"),
+    [
+        ({"coupling": 1e-320}, "law.coupling"),
+        ({"coupling": 1e299}, "law.coupling"),
+        ({"coupling": 0.5, "c": (1e-300,) * 4}, "law.coupling"),
+        ({"integral": 1e299}, "law.c"),
+    ],
+)
+def test_a_design_beyond_floats_is_refused(law, key):
+    with pytest.raises(certrack.DesignError) as refusal:
+        LEAN.replace(law=Robust(**{"c": (6, 6, 6, 6), **law})).design()
+    assert refusal.value.key == key
+
+
+@pytest.mark.filterwarnings("error")
+def test_weights_that_differ_too_much_are_refused_without_a_warning():
+    for weights in ({"error": 1e300, "input": 1e-300}, {"error": 1e-300, "input": 1e300}):
+        with pytest.raises(certrack.DesignError, match=r"law\.(K|lqr)"):
+            LEAN.replace(law=Linear(lqr=weights)).design()

@@ -119,6 +119,39 @@ def test_what_cannot_be_told_apart_is_refused():
         with_observer(observer, only_motor)
 
 
+@pytest.mark.parametrize("weights", [(1e200, 1, 1e-200), (1e-320, 1, 1), (1, 1, 1e-250)])
+def test_weights_beyond_the_precision_are_refused_or_have_gains(weights):
+    try:
+        system = with_observer(Observer(kind="eso", weights=weights))
+        found = observer_model(system.plant, system.law, system.implementation)
+    except DesignError as refusal:
+        assert refusal.key == "law.observer"
+        assert "weights that differ less" in str(refusal)
+    else:
+        assert np.isfinite(found.correction).all()
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [{"kind": "eso", "weights": (30, 16, 500, 2000)}, {"kind": "dob", "bandwidth": (20, 50)}],
+)
+def test_numbers_of_rows_go_with_their_rows(numbers):
+    """Rows may be named in any order; their weights and bandwidths are in the same order."""
+    several = next(name for name in numbers if name != "kind")
+    turned = {**numbers, several: (*numbers[several][:-2], *numbers[several][:-3:-1])}
+    first, second, wrong = (
+        with_observer(Observer(rows=rows, **values))
+        for rows, values in (
+            (("x2", "x4"), numbers),
+            (("x4", "x2"), turned),
+            (("x4", "x2"), numbers),
+        )
+    )
+    models = [observer_model(s.plant, s.law, s.implementation) for s in (first, second, wrong)]
+    np.testing.assert_array_equal(models[0].correction, models[1].correction)
+    assert np.abs(models[0].correction - models[2].correction).max() > 1e-3
+
+
 # The observer by hand ---------------------------------------------------------------------------
 
 

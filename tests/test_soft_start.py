@@ -147,7 +147,8 @@ def test_the_loop_as_it_runs_counts_it_from_the_start_only():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("transient = 1.0", "transient = 0"), "transient: must be positive"),
+        (("transient = 1.0", "transient = 0"), "transient: must be at least 1e-06"),
+        (("transient = 1.0", "transient = 1e-320"), "transient: must be at least 1e-06"),
         (("transient = 1.0", 'transient = "x"'), "transient"),
     ],
 )

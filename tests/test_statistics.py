@@ -188,3 +188,17 @@ def test_wider_levels_have_wider_intervals():
     low, high = binomial_interval(3, 40)
     lower, higher = binomial_interval(3, 40, level=0.99)
     assert 0 < lower < low < 3 / 40 < high < higher < 1
+
+
+@pytest.mark.parametrize("scale", [0.25, 4.0])
+def test_quantiles_are_in_the_unit_of_the_signal(scale):
+    found = bands([7.0, 7.0, 9.0], centre=5.0, scale=scale).quantiles((0.5, 1.0))[:, 1, 2]
+    assert found - 5 == pytest.approx([2, 4], abs=(4 + scale / 4096) / 128)
+
+
+def test_a_bin_of_a_metric_is_a_thousandth_of_it():
+    """Of the leading ten bits: 2 to 2 + 1/512 is one bin, and what follows is another."""
+    tally = Tally()
+    tally.observe(np.array([2.0, 2 + 0.9 / 512, 2 + 1 / 512, 2 + 2.1 / 512]))
+    assert tally.counts.tolist() == [2, 1, 1]
+    assert tally.values == pytest.approx([2 + 0.5 / 512, 2 + 1.5 / 512, 2 + 2.1 / 512])

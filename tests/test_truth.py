@@ -489,7 +489,8 @@ def test_estimates_are_drawn_without_true_values(tmp_path):
 
     run = simulate(in_other_coordinates(certrack.load("example1"), [1]))
     made = plotting.overview({"": run})
-    labels = [text.get_text() for ax in made.axes for text in ax.get_legend().get_texts()]
+    legends = filter(None, (ax.get_legend() for ax in made.axes))
+    labels = [text.get_text() for legend in legends for text in legend.get_texts()]
     assert "true values" not in labels and any("hat" in label for label in labels)
 
 

@@ -80,7 +80,7 @@ FILES = {
     ),
     "a key above its table": (
         "duration = 3\n" + certrack.starter(),
-        "duration: stands above its table. It belongs below [simulation]",
+        "duration: stands above its table. It belongs below [reference] or [simulation]",
     ),
     "a law of one's own": (
         edited('^kind = "adaptive"', 'kind = "mine"'),

@@ -5,6 +5,7 @@ from . import laws as laws
 from . import plotting as plotting
 from . import references as references
 from . import testing as testing
+from .certificates import BoundEstimate as BoundEstimate
 from .certificates import Certificate as Certificate
 from .certificates import Certificates as Certificates
 from .certificates import NoCertificate as NoCertificate
@@ -12,6 +13,7 @@ from .certificates import Premise as Premise
 from .certificates import Tube as Tube
 from .certificates import Verdict as Verdict
 from .certificates import certify as certify
+from .certificates import estimate as estimate
 from .certificates.assumption_1 import check_assumption_1 as check_assumption_1
 from .core.compilers import CompilerError as CompilerError
 from .core.errors import Cancelled as Cancelled
@@ -79,3 +81,6 @@ from .systems.system import Settings as Settings
 from .systems.system import System as System
 from .systems.writer import save as save
 from .systems.writer import to_text as to_text
+from .tuning.result import Front as Front
+from .tuning.result import Tuned as Tuned
+from .tuning.tune import tune as tune

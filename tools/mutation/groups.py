@@ -34,32 +34,36 @@ GROUPS = {
     "laws": Group(
         "laws/adaptive laws/balanced laws/base laws/classic laws/error_system laws/leakage"
         " laws/numbers laws/registry laws/robust laws/signals",
-        "laws testing backstepping exact_numbers lyapunov extensions",
+        "laws law_formulas testing backstepping exact_numbers lyapunov extensions",
     ),
     "certificates": Group(
         "certificates/*",
-        "certificates certificate_data exact_checks rounding independent_checker bounds peak tube"
-        " premises truth strength exact_numbers false_claims forged_claims",
+        "certificates certificate_formulas published_formulas certificate_data exact_checks"
+        " rounding independent_checker bounds peak tube premises truth strength exact_numbers"
+        " false_claims forged_claims",
     ),
     "ranges": Group(
-        "certificates/ranges/*", "range_algebra ranges independent_ranges sectors strength peak"
+        "certificates/ranges/*",
+        "range_algebra attainable ranges independent_ranges sectors strength peak",
     ),
     "implemented": Group(
         "certificates/implemented/*",
-        "implemented implemented_start enclosed range_algebra forged_claims",
+        "implemented implemented_formulas implemented_start enclosed range_algebra forged_claims",
     ),
     "references": Group(
-        "references/*", "references testing bounds premises simulation time_events units lipschitz"
+        "references/*",
+        "references growth testing bounds premises simulation time_events units lipschitz",
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
     "sampled": Group(
-        "loops/controller loops/sampled integrators/sampled/run", "controller sampled sliding"
+        "loops/controller loops/sampled integrators/sampled/run",
+        "controller sampled_steps sampled sliding",
     ),
     "statistics": Group("studies/ensembles/statistics", "statistics"),
     "c-printers": Group(
         "export/c/export export/c/guard export/c/printer export/c/source core/printing",
-        "printing export_c guard words",
+        "printing monitor_text export_c guard words",
         texts=True,
     ),
-    "monitor": Group("export/monitor* export/*/monitor*", "monitor_probes monitor"),
+    "monitor": Group("export/monitor* export/*/monitor*", "monitor_text monitor_probes monitor"),
 }

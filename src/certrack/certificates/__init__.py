@@ -12,7 +12,8 @@ certificate and its checker) and `tube` (the bound for every t, from the `start`
 Which systems have a certificate at all is said by `scope`. What a bound rests on is a list of
 `premise` records, made by `premises_of_truth` (by `reference_premise` for y_d); `assumptions` has
 it as texts. What the truth keeps of Assumption 1 is found by `majorants` and `cover`, where
-formulas are defined by `domain`.
+formulas are defined by `domain`. `estimates` are bounds in floats with their gradients, for
+searches.
 
 A bound is a claim that others build on, so the author of a new method must:
 
@@ -45,6 +46,7 @@ A bound is a claim that others build on, so the author of a new method must:
 from certrack.certificates.certificate import Certificate, NoCertificate
 from certrack.certificates.certify import Certificates, certify
 from certrack.certificates.document import Verdict, save_certificate, to_document, verify
+from certrack.certificates.estimates.estimate import BoundEstimate, TubeEstimate, estimate
 from certrack.certificates.exact import Proof
 from certrack.certificates.methods import best_sound_bound, certify_peak, certify_semidefinite
 from certrack.certificates.premise import Premise
@@ -52,17 +54,20 @@ from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.tube import Tube, tube
 
 __all__ = [
+    "BoundEstimate",
     "Certificate",
     "Certificates",
     "NoCertificate",
     "Premise",
     "Proof",
     "Tube",
+    "TubeEstimate",
     "Verdict",
     "best_sound_bound",
     "certify",
     "certify_peak",
     "certify_semidefinite",
+    "estimate",
     "premises",
     "save_certificate",
     "to_document",

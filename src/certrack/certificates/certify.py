@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from certrack.certificates.certificate import Certificate
+from certrack.certificates.estimates.estimate import BoundEstimate
 from certrack.certificates.exact import Proof
 from certrack.certificates.implemented.certify import (
     ImplementedCertificate,
@@ -174,7 +176,13 @@ class Certificates(ShownInNotebooks):
         return () if self.proof is None else (self.proof,)
 
 
-def certify(system: System, effort: str = "default", progress: Progress = silent) -> Certificates:
+def certify(
+    system: System,
+    effort: str = "default",
+    progress: Progress = silent,
+    *,
+    warm: BoundEstimate | None = None,
+) -> Certificates:
     """Certify `system` by every method.
 
     Published, corrected, rate, semidefinite, cascade and peak speak of the nominal loop; where
@@ -189,6 +197,9 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         gains of large orders, ``high`` cuts them into four times as many as the default.
     progress : callable
         Gets the number of the step that begins, their number and, for ranges, the bound so far.
+    warm : BoundEstimate, optional
+        Of :func:`certrack.estimate`, for this system or one nearby: a search for a decay rate
+        begins at its rate. What is proven is proven as without.
 
     Returns
     -------
@@ -215,6 +226,7 @@ def certify(system: System, effort: str = "default", progress: Progress = silent
         effort,
         lambda step, _, best: progress(step, STEPS, best),
         details=effort != "fast",
+        near=None if warm is None or math.isnan(warm.alpha) else warm.alpha,
     )
     progress(METHOD_STEPS, STEPS, None)
     stages = methods.stages

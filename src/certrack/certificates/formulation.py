@@ -6,7 +6,7 @@ file states and not a float near it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import ToNumber, exact_float, rational, solve
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.scope import refuse
+from certrack.certificates.scope import refuse, refuse_formulas
 from certrack.certificates.stated import stated_error_system
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
 from certrack.laws.balanced import balanced, balancing_weights
@@ -51,14 +51,44 @@ def error_problem(system: System, number: ToNumber) -> ErrorProblem:
         If a bound of the reference can neither be proven nor is declared.
     """
     refuse(system)
-    plant, dtype = system.plant, _dtype(number)
-    coordinates = error_coordinates(system, number)
-    n, q, A = plant.n, coordinates.q, coordinates.A
-    inputs = uncertain_inputs(plant.uncertainty, A, number)
+
+    def bound(i: int) -> Any:
+        return exact_float(bound_of(system.reference, i)[0], number)
+
+    return problem_of_design(
+        error_coordinates(system, number),
+        system.plant.uncertainty,
+        bound,
+        adaptation_of(system, number),
+        number,
+    )
+
+
+def problem_of_design(
+    coordinates: ErrorCoordinates,
+    uncertainty: Uncertainty,
+    bound_on: Callable[[int], Any],
+    adaptation: Adaptation | None,
+    number: ToNumber,
+) -> ErrorProblem:
+    """The error system of a design in the arithmetic of its numbers.
+
+    Parameters
+    ----------
+    coordinates : ErrorCoordinates
+    uncertainty : Uncertainty
+    bound_on : callable
+        Y_i of an order i; asked for only where it acts.
+    adaptation : Adaptation or None
+    number : callable
+    """
+    dtype, A = _dtype(number), coordinates.A
+    n, q = coordinates.n, coordinates.q
+    inputs = uncertain_inputs(uncertainty, A, number)
     Xe = solve(A, np.eye(n, dtype=dtype))
     used = [i for i in range(q + 1) if inputs.a and any(coordinates.B[:, i] != 0)]
     used += [q + 1] if any(coordinates.R != 0) else []
-    bounds = {i: exact_float(bound_of(system.reference, i)[0], number) for i in used}
+    bounds = {i: bound_on(i) for i in used}
     in_x = [i for i in used if i <= q and bounds[i] != 0]
     residual = bool(bounds.get(q + 1, 0) != 0)
     Uy = np.zeros((n, len(in_x) + residual), dtype=dtype)
@@ -76,7 +106,7 @@ def error_problem(system: System, number: ToNumber) -> ErrorProblem:
         Xy=Xy,
         states=inputs.states,
         derivatives=(*in_x, *([q + 1] if residual else [])),
-        adaptation=adaptation_of(system, number),
+        adaptation=adaptation,
         selections=inputs.selections,
     )
 
@@ -104,7 +134,13 @@ def uncertain_inputs(u: Uncertainty, A: np.ndarray, number: ToNumber) -> Uncerta
 
     |w_k| <= gamma_k ||S_k x|| + sum_j Delta_kj |x_j| + beta_k splits, without loss, into an a-input
     for ||S_k x||, one for each Delta_kj, and a b-input.
+
+    Raises
+    ------
+    NoCertificate
+        If a bound is a formula, which does not split so.
     """
+    refuse_formulas(u)
     n = len(A)
     a: list[tuple[int, np.ndarray, Any]] = []
     b: list[tuple[int, np.ndarray]] = []

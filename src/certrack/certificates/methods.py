@@ -107,7 +107,12 @@ def smallest(certificates: Iterable[Certificate]) -> Certificate | None:
 
 
 def every_certificate(
-    system: System, effort: str = "default", progress: Progress = silent, *, details: bool = False
+    system: System,
+    effort: str = "default",
+    progress: Progress = silent,
+    *,
+    details: bool = False,
+    near: float | None = None,
 ) -> Methods:
     """Certify `system` by every method, for the long run of its reference.
 
@@ -119,6 +124,8 @@ def every_certificate(
         Gets the number of the method that begins, their number and, for ranges, the bound so far.
     details : bool
         Whether it is also asked what each range costs, and how far the ranges may grow.
+    near : float, optional, 1/s
+        Where the search for the semidefinite one's alpha begins.
 
     Raises
     ------
@@ -129,7 +136,7 @@ def every_certificate(
     progress(0, METHOD_STEPS, None)
     certificates = dict(certify_published(system))
     progress(1, METHOD_STEPS, None)
-    certificates["semidefinite"], proof = certify_semidefinite(system)
+    certificates["semidefinite"], proof = certify_semidefinite(system, near)
     progress(2, METHOD_STEPS, None)
     certificates["cascade"], stages = certify_cascade(system)
     progress(3, METHOD_STEPS, None)
@@ -224,12 +231,16 @@ def certify_peak(
     return Certificate("peak", bound, verified=True, assumptions=rests_on), (proof,)
 
 
-def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
+def certify_semidefinite(
+    system: System, near: float | None = None
+) -> tuple[Certificate, Proof | None]:
     """The tight certificate of `system`, verified exactly, and the numbers that prove it.
 
     Parameters
     ----------
     system : System
+    near : float, optional, 1/s
+        Where the search for alpha begins.
 
     Returns
     -------
@@ -248,7 +259,7 @@ def certify_semidefinite(system: System) -> tuple[Certificate, Proof | None]:
         with within_floats():
             exact = error_problem(system, rational)
             program = SemidefiniteProgram(exact.in_floats())
-            solution = best_solution(program)
+            solution = best_solution(program) if near is None else best_solution(program, near)
             proof = None if solution is None else prove(exact, solution)
             if proof is None:
                 damped = own_solution(system, exact)

@@ -6,6 +6,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.stated import stated_error_system
 from certrack.laws.error_system import ErrorSystem, EstimatedParameters, KnownParameters
+from certrack.model.uncertainty import Uncertainty
 from certrack.systems.system import System
 
 
@@ -17,15 +18,15 @@ def refuse(system: System) -> None:
             f"plant.ranges lets {', '.join(ranged)} vary: only vertices, cells and peak can cover "
             "it"
         )
-    refuse_formulas(system)
+    refuse_formulas(system.plant.uncertainty)
 
 
-def refuse_formulas(system: System) -> None:
+def refuse_formulas(uncertainty: Uncertainty) -> None:
     """Raise NoCertificate where a bound of w_k is a formula: of the sampled loop only."""
-    if system.plant.uncertainty.bound is not None:
+    if uncertainty.bound is not None:
         raise NoCertificate(
             "plant.uncertainty.bound is covered for the loop as implemented only: state "
-            "[implementation]"
+            "[implementation], and no plant.ranges"
         )
 
 

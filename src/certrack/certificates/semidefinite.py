@@ -36,6 +36,9 @@ ALPHA_GRID = np.append(np.geomspace(1e-3, 0.9, 14), 0.98)
 #: log alpha is refined to this width: the bound is flat there, to about its square.
 ALPHA_ACCURACY = 2e-3
 
+#: A warm search looks at this far in log alpha to either side, to this width.
+NEARBY, NEARBY_ACCURACY = 0.7, 2e-2
+
 #: What a search sees where there is no certificate: it cannot calculate with infinity.
 NO_BOUND = 1e30
 
@@ -62,6 +65,25 @@ class Solution:
     def bound(self) -> float:
         """limsup |e_1| in floating point, not yet verified."""
         return math.sqrt(max(0.0, 2 * self.delta / self.alpha))
+
+
+@dataclass(frozen=True)
+class ProgramPoint:
+    """The minimiser of a program and its dual, in scaled units.
+
+    Attributes
+    ----------
+    x : variables
+        The free entries of P, then lam, nu, k.
+    z : dual variables
+        Of the matrix inequality first, as a vector in Clarabel's convention.
+    cost : of each variable
+        Up to a common factor.
+    """
+
+    x: np.ndarray
+    z: np.ndarray
+    cost: np.ndarray
 
 
 class SemidefiniteProgram:
@@ -106,13 +128,13 @@ class SemidefiniteProgram:
         unit[target, target] = 1.0
         floor = np.zeros((n * (n + 1) // 2, len(identity)))
         for column, matrix in enumerate(self._units()):
-            floor[:, column] = -_svec(matrix)
-        self.floor = floor, -_svec(unit)
+            floor[:, column] = -svec(matrix)
+        self.floor = floor, -svec(unit)
         multipliers = -identity[len(self.entries) :]
         self._base = np.vstack([base, floor, multipliers])
         self._slope = np.vstack([slope, np.zeros((len(floor) + len(multipliers), len(identity)))])
         self._right = np.concatenate(
-            [np.zeros(size * (size + 1) // 2), -_svec(unit), np.zeros(len(multipliers))]
+            [np.zeros(size * (size + 1) // 2), -svec(unit), np.zeros(len(multipliers))]
         )
         self._cones = [clarabel.PSDTriangleConeT(size), clarabel.PSDTriangleConeT(n)]
         if len(multipliers):
@@ -135,7 +157,7 @@ class SemidefiniteProgram:
         return units
 
     def _columns(self) -> tuple[np.ndarray, np.ndarray]:
-        """_svec of the inequality for each variable: the part without alpha and its slope."""
+        """svec of the inequality for each variable: the part without alpha and its slope."""
         na, nb, ny = self._na, self._nb, self._ny
         zero = np.zeros((self.problem.n, self.problem.n))
         lam, nu, k = (np.zeros(count) for count in (na, nb, ny))
@@ -143,13 +165,13 @@ class SemidefiniteProgram:
         for matrix in self._units():
             first = self._scaled.inequality(matrix, lam, nu, k, 0.0)
             second = self._scaled.inequality(matrix, lam, nu, k, 1.0)
-            base.append(_svec(first))
-            slope.append(_svec(second - first))
+            base.append(svec(first))
+            slope.append(svec(second - first))
         for group, count in enumerate((na, nb, ny)):
             for index in range(count):
                 weights = (np.zeros(na), np.zeros(nb), np.zeros(ny))
                 weights[group][index] = 1.0
-                column = _svec(self._scaled.inequality(zero, *weights, 0.0))
+                column = svec(self._scaled.inequality(zero, *weights, 0.0))
                 base.append(column)
                 slope.append(np.zeros_like(column))
         return np.array(base).T, np.array(slope).T
@@ -162,28 +184,35 @@ class SemidefiniteProgram:
     @cached_property
     def fastest(self) -> float:
         """Supremum of the alpha for which there may be a certificate, 1/s."""
-        rates = [-2.0 * float(np.linalg.eigvals(self.problem.M).real.max())]
-        law = self.problem.adaptation
-        if law is not None:
-            rates.append(2 * law.gain_rate * law.leak_gain)
-            if len(law.Gamma):
-                rates.append(2 * law.leak_theta * float(np.linalg.eigvalsh(law.Gamma).min()))
-        return min(rates)
+        return fastest_rate(self.problem)
 
     def solve(self, alpha: float) -> Solution | None:
         """The solution of least bound with this decay rate (1/s); None if there is none."""
+        point = self.point(alpha)
+        return None if point is None else self.solution(point, alpha)
+
+    def point(self, alpha: float) -> ProgramPoint | None:
+        """The same with its dual, in scaled units."""
         leak = self.problem.leakage(alpha)
         if leak is None:
             return None
+        cost = self.cost(leak)
+        cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
+        return self._call(cost, self._base + self.scaling.rate(alpha) * self._slope)
+
+    def cost(self, leak: Any) -> np.ndarray:
+        """What each variable costs."""
         cost = np.zeros(self._base.shape[1])
         cost[len(self.entries) + self._na :] = 1.0  # nu and k; the lam cost nothing
         if self.problem.adaptation is not None:
             cost[len(self.entries) - 1] = self.scaling.leak_cost(leak)
-        cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
-        variables = self._call(cost, self._base + self.scaling.rate(alpha) * self._slope)
-        return None if variables is None else self._unscaled(variables, alpha, leak)
+        return cost
 
-    def _call(self, cost: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
+    def solution(self, point: ProgramPoint, alpha: float) -> Solution:
+        """A point in unscaled coordinates."""
+        return self._unscaled(point.x, alpha, self.problem.leakage(alpha))
+
+    def _call(self, cost: np.ndarray, matrix: np.ndarray) -> ProgramPoint | None:
         """Clarabel's minimiser of cost . x with right - matrix x in the cones, or None."""
         settings = clarabel.DefaultSettings()
         settings.verbose = False
@@ -198,7 +227,17 @@ class SemidefiniteProgram:
         )
         result = solver.solve()
         usable = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
-        return np.array(result.x) if result.status in usable else None
+        if result.status not in usable:
+            return None
+        return ProgramPoint(np.array(result.x), np.array(result.z), cost)
+
+    def parts(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """The scaled P, and the multipliers lam, nu, k, of the program's variables."""
+        n, count = self.problem.n, len(self.entries)
+        P = np.zeros((n, n))
+        for (i, j), value in zip(self.entries, x[:count], strict=True):
+            P[i, j] = P[j, i] = value
+        return P, np.split(x[count:], [self._na, self._na + self._nb])
 
     def _unscaled(self, x: np.ndarray, alpha: float, leak: Any) -> Solution:
         count = len(self.entries)
@@ -209,6 +248,17 @@ class SemidefiniteProgram:
         if self.problem.adaptation is not None:
             delta += float(P[-1, -1] * leak)
         return Solution(alpha, P, lam, nu, k, delta, lam_unit)
+
+
+def fastest_rate(problem: ErrorProblem) -> float:
+    """Supremum of the alpha for which there may be a certificate, 1/s."""
+    rates = [-2.0 * float(np.linalg.eigvals(problem.M).real.max())]
+    law = problem.adaptation
+    if law is not None:
+        rates.append(2 * law.gain_rate * law.leak_gain)
+        if len(law.Gamma):
+            rates.append(2 * law.leak_theta * float(np.linalg.eigvalsh(law.Gamma).min()))
+    return min(rates)
 
 
 class Bounded(Protocol):
@@ -234,8 +284,15 @@ class Program(Protocol[_Out]):
         """The solution of least bound with this decay rate (1/s); None if there is none."""
 
 
-def best_solution(program: Program[_Found]) -> _Found | None:
-    """The solution of least bound over alpha, None if there is none: a grid, then a refinement."""
+def best_solution(program: Program[_Found], near: float | None = None) -> _Found | None:
+    """The solution of least bound over alpha, None if there is none: a grid, then a refinement.
+
+    Parameters
+    ----------
+    program : Program
+    near : float, optional, 1/s
+        The best alpha of a program nearby: the refinement begins there, without the grid.
+    """
     if not program.fastest > 0:
         return None
     solutions: dict[float, _Found] = {}
@@ -248,6 +305,13 @@ def best_solution(program: Program[_Found]) -> _Found | None:
         solutions[alpha] = solution
         return solution.bound
 
+    if near is not None:
+        middle = math.log(min(max(near, 1e-3 * program.fastest), 0.9 * program.fastest))
+        ends = (middle - NEARBY, min(middle + NEARBY, math.log(0.98 * program.fastest)))
+        if bound(middle) < NO_BOUND:
+            accuracy = {"xatol": NEARBY_ACCURACY}
+            minimize_scalar(bound, bounds=ends, method="bounded", options=accuracy)
+            return min(solutions.values(), key=lambda solution: solution.bound)
     grid = np.log(program.fastest * ALPHA_GRID)
     values = [bound(v) for v in grid]
     i = int(np.argmin(values))
@@ -259,7 +323,7 @@ def best_solution(program: Program[_Found]) -> _Found | None:
     return min(solutions.values(), key=lambda solution: solution.bound)
 
 
-def _svec(matrix: np.ndarray) -> np.ndarray:
+def svec(matrix: np.ndarray) -> np.ndarray:
     """Upper triangle, column by column, off-diagonals times sqrt 2 (Clarabel's convention)."""
     rows, columns = np.tril_indices(len(matrix))  # (j, i) of the upper triangle, by columns
     entries: np.ndarray = matrix[columns, rows].copy()

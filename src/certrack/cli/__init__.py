@@ -30,13 +30,14 @@ from certrack.cli.surroundings import (
     flushed,
     trouble,
 )
+from certrack.cli.tune import tune
 from certrack.core.errors import CertrackError, one_line
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="certrack")
 def cli() -> None:
-    """Design, certify, simulate and deploy tracking controllers for uncertain nonlinear systems.
+    """Design, tune, certify, simulate, deploy tracking controllers for uncertain nonlinear systems.
 
     FILE is a system file (TOML) or the name of a shipped system, see `certrack list`.
 
@@ -53,6 +54,7 @@ for verb in (
     compare,
     ensemble,
     margin,
+    tune,
     check,
     certify,
     verify,

@@ -145,13 +145,13 @@ def _bar(*fields: str) -> Iterator[Bar]:
 
 
 @contextmanager
-def progress(what: str) -> Iterator[Progress]:
-    """Progress bar; yields the `progress` of a long call."""
+def progress(what: str, extreme: str = "worst") -> Iterator[Progress]:
+    """Progress bar; yields the `progress` of a long call that looks for an extreme."""
     with _bar() as bar:
         task = bar.add_task(what, total=None)
 
         def advance(done: float, total: float | None, best: float | None, /) -> None:
-            shown = what if best is None else f"{what}, worst {best:.4g}"
+            shown = what if best is None else f"{what}, {extreme} {best:.4g}"
             done = done if total is None else min(done, total)
             bar.update(task, completed=done, total=total, description=shown)
 

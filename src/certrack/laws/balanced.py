@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from certrack.core.errors import DesignError
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
 
 #: Significant digits of the weights: they are exact decimals, the same for floats and rationals.
@@ -39,10 +40,23 @@ def balancing_weights(
     c : n numbers, 1/s
     coupling : float > 0
         rho.
+
+    Raises
+    ------
+    DesignError
+        If a weight is beyond floats.
     """
     weights = [1.0]
     for i, coefficient in enumerate(g):
-        weights.append(weights[-1] * abs(coefficient) / (coupling * math.sqrt(c[i] * c[i + 1])))
+        rate = coupling * math.sqrt(c[i] * c[i + 1])
+        weights.append(weights[-1] * abs(coefficient) / rate if rate else math.inf)
+    if not all(0 < weight < math.inf for weight in weights):
+        raise DesignError(
+            "law.coupling",
+            "the weights of the balanced recursion leave the range of floating point",
+            coupling,
+            "Take a coupling near 0.5, or scale the states (chain)",
+        )
     return [Fraction(f"{weight:.{WEIGHT_DIGITS}g}") for weight in weights]
 
 

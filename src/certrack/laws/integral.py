@@ -63,3 +63,31 @@ def of_the_plant(design: ErrorCoordinates) -> ErrorCoordinates:
         weights=None if weights is None else weights[1:],
         integral=part,
     )
+
+
+def of_the_chain(design: ErrorCoordinates) -> ErrorCoordinates:
+    """The recursion of the longer chain, whose rows of the plant's states `design` has.
+
+    A design without integral action is returned as it is.
+    """
+    part, weights = design.integral, design.weights
+    if part is None:
+        return design
+    return replace(
+        design,
+        A=_bordered(design.A, part.column),
+        B=_bordered(design.B, part.column),
+        F=np.vstack([np.eye(1, design.n + 1, 1), np.insert(design.F, 0, 0.0, axis=1)]),
+        c=np.append(part.gain, design.c),
+        kappa=np.append(0.0, design.kappa),
+        g=np.append(1.0, design.g),
+        nu_x=np.append(part.nu, design.nu_x),
+        nu_Y=np.append(-part.nu, design.nu_Y),
+        weights=None if weights is None else np.append(1.0, weights),
+        integral=None,
+    )
+
+
+def _bordered(rows: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """The rows with a column before them, and 1, 0, ... above."""
+    return np.vstack([np.eye(1, rows.shape[1] + 1), np.column_stack([column, rows])])

@@ -97,7 +97,7 @@ class Observer:
             )
 
     def bound_to(self, plant: Plant, implementation: Implementation) -> Observer:
-        """This observer with rows and bandwidths filled in, checked against both.
+        """This observer with rows and their numbers filled in, in the order of the states.
 
         Raises
         ------
@@ -119,10 +119,14 @@ class Observer:
             checks.sequence("law.observer.bandwidth", values, len(rows), shape)
             of_row = dict(zip(self.rows or rows, values, strict=True))
             bandwidth = tuple(of_row[name] for name in rows)
-        if self.weights is not None:
-            estimated = (*implementation.velocity, *rows)
+        weights = self.weights
+        if weights is not None:
+            count, stated = len(implementation.velocity), self.rows or rows
+            estimated = (*implementation.velocity, *stated)
             shape = f"one number for each of {', '.join(estimated) or 'no state'}"
-            checks.sequence("law.observer.weights", self.weights, len(estimated), shape)
+            checks.sequence("law.observer.weights", weights, len(estimated), shape)
+            weight_of = dict(zip(stated, weights[count:], strict=True))
+            weights = (*weights[:count], *(weight_of[name] for name in rows))
         if self.kind != DOB and implementation.velocity_filter:
             raise InputError(
                 "implementation.velocity_filter",
@@ -130,4 +134,4 @@ class Observer:
                 implementation.velocity_filter,
                 "Leave it out",
             )
-        return replace(self, rows=rows, bandwidth=bandwidth)
+        return replace(self, rows=rows, bandwidth=bandwidth, weights=weights)

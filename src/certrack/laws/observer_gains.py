@@ -118,7 +118,10 @@ def stationary_gains(
         change, scale = _largest(h - before), _largest(h)
         if change <= RICCATI_CHANGE * scale:
             seen = C * h * C.transpose() + _eye(len(measured))
-            return h * C.transpose() * seen.inv()
+            try:
+                return h * C.transpose() * seen.inv()
+            except ZeroDivisionError:  # weights that differ too much for the precision
+                break
         if not math.isfinite(scale) or scale > LARGEST_SOLUTION:
             break
     return flint.arb_mat(size, len(measured), [flint.arb("nan")] * (size * len(measured)))
@@ -147,7 +150,7 @@ def unseen(rows: Sequence[str]) -> DesignError:
         "law.observer",
         f"what acts on {', '.join(rows) or 'the states'} cannot be told from what is measured"
         + (", or not be compensated by the input" if rows else ""),
-        remedy="Measure more states, or estimate fewer rows",
+        remedy="Measure more states, estimate fewer rows, or take weights that differ less",
     )
 
 

@@ -24,6 +24,7 @@ import sympy
 
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
+from certrack.laws.base import Law
 from certrack.laws.integral import INTEGRAL
 from certrack.loops.controller import (
     SampledController,
@@ -57,6 +58,8 @@ class LinearLoop:
     slopes : callable
         Of the controller's parameters: derivatives of the command and the next memories, a row
         each, by the measured states, the memories and the reference y_d ... y_d^(q+1).
+    law : Law
+        Whose gains count: the system's, or another of the same structure.
     """
 
     system: System
@@ -65,6 +68,7 @@ class LinearLoop:
     C: np.ndarray
     controller: SampledController
     slopes: Callable[..., list[Any]]
+    law: Law
 
     def period_map(self, period: float, delay: float) -> np.ndarray:
         """M of the module's text.
@@ -116,7 +120,7 @@ class LinearLoop:
         system = self.system
         assert system.implementation is not None
         implementation = replace(system.implementation, period=period)
-        values = controller_values(self.controller, system.plant, system.law, implementation)
+        values = controller_values(self.controller, system.plant, self.law, implementation)
         rows = 1 + len(self.controller.states)
         return np.array(self.slopes(*values), dtype=float).reshape(rows, -1)
 
@@ -175,7 +179,8 @@ def linear_loop(system: System) -> LinearLoop | None:
         A, b, C = V.T @ A @ V, V.T @ b, C @ V
         V = _reachable_subspace(A.T, C.T)
         A, b, C = V.T @ A @ V, V.T @ b, C @ V
-    return LinearLoop(system, A, b, C, controller, numpy_callable(controller.parameters, slopes))
+    values_of = numpy_callable(controller.parameters, slopes)
+    return LinearLoop(system, A, b, C, controller, values_of, system.law)
 
 
 def _reachable_subspace(A: np.ndarray, B: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from certrack.plotting.ensembles import (
     metric_histograms,
     plot_fan,
 )
+from certrack.plotting.fronts import front_figure
 from certrack.plotting.main_picture import plot
 from certrack.plotting.margins import drift_figure, margin_figure
 from certrack.plotting.overviews import figure, overview, panels_for
@@ -43,6 +44,7 @@ __all__ = [
     "ensemble_figures",
     "fan_chart",
     "figure",
+    "front_figure",
     "margin_figure",
     "metric_histograms",
     "overview",

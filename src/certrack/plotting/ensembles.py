@@ -89,8 +89,8 @@ def fan_chart(ensemble: Ensemble, appearance: Appearance = PAGE) -> Figure:
     --------
     >>> import certrack
     >>> result = certrack.ensemble(certrack.load("example1"), members=8, method="lockstep")
-    >>> len(certrack.plotting.fan_chart(result).axes)
-    4
+    >>> len(certrack.plotting.fan_chart(result).axes)  # four signals; the start by itself
+    8
     """
     names = ensemble.signals
     with style(appearance):

@@ -11,6 +11,7 @@ from certrack.references.base import Reference
 from certrack.references.profiles import moves, polynomial, waves
 from certrack.references.profiles.pieces import pieces
 from certrack.references.samples import INTERPOLATIONS, SPLINE_DEGREES, TIME_UNITS, samples
+from certrack.references.soft_start import MIN_TRANSIENT
 
 _BOUND = Key(
     "number",
@@ -58,7 +59,7 @@ TRANSIENT = Key(
     "number",
     help="soft start: in this time the reference is joined from the state at the start",
     unit="s",
-    above=0,
+    least=MIN_TRANSIENT,
     otherwise="none",
 )
 

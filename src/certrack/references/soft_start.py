@@ -35,6 +35,9 @@ from certrack.references.piecewise import SAME_TIME
 #: Derivatives of y_d at the start that are brought to those of the state, beyond y_d itself.
 MAX_JOINED = 20
 
+#: Shortest soft start, s: derivatives grow with its inverse powers.
+MIN_TRANSIENT = 1e-6
+
 #: 1 while it joins, 0 afterwards.
 JOINING = sympy.Symbol("piece_joining", real=True)
 
@@ -61,7 +64,7 @@ class SoftStart(Reference):
     def __post_init__(self) -> None:
         if isinstance(self.target, SoftStart):
             raise InputError("reference.transient", "must not be stated twice")
-        transient = checks.real("reference.transient", self.transient, above=0)
+        transient = checks.real("reference.transient", self.transient, least=MIN_TRANSIENT)
         start = checks.reals("reference.start", self.start, None, "y, y', ... at t = 0")
         set_fields(self, transient=transient, start=start)
 

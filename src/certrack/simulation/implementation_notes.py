@@ -13,6 +13,7 @@ import numpy as np
 from certrack.loops.stability import linear_loop
 from certrack.model.implementation import Implementation
 from certrack.simulation.metrics import settling_band
+from certrack.simulation.remedies import shorter_period
 from certrack.systems.system import System
 
 #: Below this part of the period at which the fastest pole fails, no loop is looked at closer.
@@ -24,9 +25,6 @@ SMALL_POLE_PERIOD, LARGE_POLE_PERIOD = 0.3, 1.0
 
 #: Forward Euler of an estimate's leak, 1 - rate T: above 1 the estimate alternates.
 ALTERNATING_LEAK = 1.0
-
-#: The remedy for a loop that is unstable as it is sampled.
-SHORTEN = "shorten implementation.period or delay, or lower law.c (certrack margin finds the edge)"
 
 
 def implementation_notes(system: System) -> tuple[str, ...]:
@@ -72,7 +70,7 @@ def quantum_error(system: System) -> float:
 
     Half a quantum of each measured state and of the input act as one constant input of the designed
     error system, all to its disadvantage. States that are differenced count zero: the difference of
-    a constant error vanishes.
+    a constant error vanishes. With integral action what is left is the error of the first sensor.
 
     Parameters
     ----------
@@ -85,6 +83,8 @@ def quantum_error(system: System) -> float:
     for i, name in enumerate(system.plant.states):
         if name in implementation.velocity:
             quanta[i] = 0.0
+    if coordinates.integral is not None:
+        return float(quanta[0] / 2)
     gain = system.truth.input_gain
     size = abs(float(gain.expr)) if gain is not None and gain.expr.is_number else 0.0
     pushed = np.abs(coordinates.nu_x) @ quanta / 2 + size * implementation.input_quantum / 2
@@ -107,17 +107,20 @@ def _speed_notes(system: System, implementation: Implementation) -> tuple[str, .
             return ()
         return (
             f"the sampled loop is unstable at a period of {period:g} s: the largest eigenvalue of "
-            f"one period is {radius:.4g}. Shorten implementation.period (certrack margin finds the "
-            "longest) or its delay, or lower c",
+            f"one period is {radius:.4g}. {_capital(shorter_period(system))}",
         )
     if period < longest:
         return ()
     delayed = f" and its delay of {delay:g} periods" if delay else ""
     return (
         f"the period of {period:g} s{delayed} is too long for the fastest error pole, {pole:.4g} "
-        f"/s: a sampled loop of this speed is unstable from {longest:.3g} s on. Shorten "
-        "implementation.period (certrack margin finds the longest), or lower c",
+        f"/s: a sampled loop of this speed is unstable from {longest:.3g} s on. "
+        f"{_capital(shorter_period(system))}",
     )
+
+
+def _capital(sentence: str) -> str:
+    return sentence[0].upper() + sentence[1:]
 
 
 def _quantum_notes(system: System) -> tuple[str, ...]:

@@ -21,10 +21,10 @@ from certrack.model.implementation import Implementation
 from certrack.simulation.implementation_notes import (
     ALTERNATING_LEAK,
     LARGE_POLE_PERIOD,
-    SHORTEN,
     SMALL_POLE_PERIOD,
     longest_speed_period,
 )
+from certrack.simulation.remedies import shorter_period, slower_law, takes_differences
 from certrack.studies.norm_weights import proposed_weights
 from certrack.studies.units import misfits
 from certrack.systems.system import System, require_system
@@ -164,7 +164,9 @@ def _pole_period(system: System, implementation: Implementation) -> Finding:
     product = fastest * lag
     what = "period" if not max(implementation.delays) else "(period + delay)"
     detail = f"fastest pole {fastest:.4g} rad/s x {what} {lag:.4g} s = {product:.3g}"
-    remedy = f"take a period of {SMALL_POLE_PERIOD / fastest:.2g} s or less, or lower law.c"
+    remedy = (
+        f"take a period of {SMALL_POLE_PERIOD / fastest:.2g} s or less, or {slower_law(system)}"
+    )
     if product > LARGE_POLE_PERIOD:
         return Finding("poles x period", WARNING, f"{detail}, above {LARGE_POLE_PERIOD:g}", remedy)
     if product > SMALL_POLE_PERIOD:
@@ -185,7 +187,7 @@ def _sampled_stability(system: System, implementation: Implementation) -> Iterat
                 FAULT,
                 f"the period of {implementation.period:g} s is too long for the fastest error "
                 f"pole: a sampled loop of this speed is unstable from {longest:.3g} s on",
-                SHORTEN,
+                shorter_period(system),
             )
         return
     radius = max(loop.radius(implementation.period, delay) for delay in implementation.delays)
@@ -197,7 +199,7 @@ def _sampled_stability(system: System, implementation: Implementation) -> Iterat
         "sampled stability",
         FAULT,
         f"{detail}, not below 1: the loop is unstable as it is sampled",
-        SHORTEN,
+        shorter_period(system),
     )
 
 
@@ -235,8 +237,12 @@ def _sensor_quanta(system: System, implementation: Implementation) -> Iterator[F
     plant, coordinates = system.plant, system.controller.coordinates
     quanta = list(implementation.measurement_quantum or (0.0,) * plant.n)
     origin = [""] * plant.n
+    differenced = takes_differences(system)
+    other = "a finer sensor or a velocity filter" if differenced else "a finer sensor"
     for i, state in enumerate(plant.states):
-        if state in implementation.velocity:  # a filtered difference of the one before
+        if state in implementation.velocity and not differenced:  # an observer's
+            quanta[i] = 0.0
+        elif state in implementation.velocity:  # a filtered difference of the one before
             span = implementation.period + implementation.velocity_filter
             quanta[i] = quanta[i - 1] / span / abs(plant.g[i - 1])
             origin[i] = f", from differences of {plant.states[i - 1]}"
@@ -256,7 +262,7 @@ def _sensor_quanta(system: System, implementation: Implementation) -> Iterator[F
         if implementation.saturation is not None:
             low, high = implementation.saturation
             if step > LARGE_INPUT_STEP * (high - low):
-                status, remedy = WARNING, "lower law.c, or take a finer sensor or a velocity filter"
+                status, remedy = WARNING, f"{slower_law(system)}, or take {other}"
                 detail += f", {100 * step / (high - low):.3g} % of the input's range"
         yield Finding(f"quantum of {state}", status, detail, remedy)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from certrack.laws.cost import Cost, freed_loop, optimal_cost
+from certrack.laws.integral import of_the_chain
 from certrack.laws.loop_margins import LoopMargins, loop_margins
 from certrack.model.linear_drift import linear_parts, total_drift
 
@@ -30,11 +31,14 @@ class Optimality:
         At v, what the law adds to the terms that it cancels.
     at_u : LoopMargins or None
         At the input of the plant; None where h + phi^T theta is not linear in x.
+    has_integral : bool
+        Whether the errors begin with e_0, the integral of the tracking error.
     """
 
     cost: Cost | None
     at_v: LoopMargins
     at_u: LoopMargins | None
+    has_integral: bool = False
 
     def record(self) -> dict[str, Any]:
         """Ready for JSON, but for arrays."""
@@ -52,11 +56,13 @@ class Optimality:
         shown = []
         if self.cost is not None:
             weights = self.cost.state
-            terms = [f"{_short(v)} e_{i + 1}^2" for i, v in enumerate(weights) if v]
+            first = 0 if self.has_integral else 1
+            terms = [f"{_short(v)} e_{i}^2" for i, v in enumerate(weights, first) if v]
             integrand = " + ".join([*terms, f"{_short(self.cost.input)} v^2"])
             shown += [
                 f"with known parameters and w = 0 it minimises int ({integrand}) dt,",
-                f"where v is what it adds to e_{len(weights)}'; in x - x_d the weights of e are",
+                f"where v is what it adds to e_{first + len(weights) - 1}'; in "
+                f"{'(e_0, x - x_d)' if self.has_integral else 'x - x_d'} the weights of e are",
                 *(f"  [{', '.join(map(_short, row))}]" for row in self.cost.of_states.tolist()),
             ]
         shown.append(f"margins at v: {_words(self.at_v)}")
@@ -67,16 +73,18 @@ class Optimality:
 
 def optimality(system: System) -> Optimality:
     """Cost and margins of a system's design."""
-    coordinates = system.controller.coordinates
+    has_integral = system.controller.coordinates.integral is not None
+    coordinates = of_the_chain(system.controller.coordinates)
     M, k = freed_loop(coordinates)
     last = np.eye(coordinates.n)[-1]
     slopes = _linear_part(system)
     at_u = None
     if slopes is not None:
+        slopes = np.append(np.zeros(coordinates.n - len(slopes)), slopes)
         plant = np.vstack([coordinates.F, slopes])
         at_u = loop_margins(plant, last, slopes - coordinates.nu_x)
     cost = optimal_cost(system.law, system.plant, coordinates)
-    return Optimality(cost, loop_margins(M, last, k), at_u)
+    return Optimality(cost, loop_margins(M, last, k), at_u, has_integral)
 
 
 def _linear_part(system: System) -> np.ndarray | None:

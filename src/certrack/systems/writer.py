@@ -182,6 +182,12 @@ def _reference_table(reference: Reference, plant: Plant) -> dict[str, Any]:
     return _present(values | {"bound": reference.declared_bound})
 
 
+def toml_table(law: Law) -> dict[str, Any]:
+    """A law as the entries of its table in a file."""
+    entries: dict[str, Any] = _as_toml(_law_table(law))
+    return entries
+
+
 def _law_table(law: Law) -> dict[str, Any]:
     values = _present(field_values(law))
     if not law.sampled_feedforward:

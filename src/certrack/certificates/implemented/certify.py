@@ -32,6 +32,7 @@ from certrack.certificates.implemented.proof import (
     delays,
     failed_implemented,
     prove_implemented,
+    refuse_in_cells,
 )
 from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
@@ -218,6 +219,7 @@ def _proven(
     if system.implementation is None or not open_names(system):
         return [prove_implemented(system, delay) for delay in wanted]
     plant = RangedPlant(system)
+    refuse_in_cells(system, plant.box)
     return [
         entry for delay in wanted for entry in prove_cells(system, plant, delay, effort, progress)
     ]

@@ -240,6 +240,12 @@ def _drive(
 ) -> Drive:
     plant, n = system.plant, system.plant.n
     slopes, constant = linear_drift(system)
+    if constant != 0 and system.law.observer is not None:
+        # its rounded coefficients do not cancel the constant, as the law does
+        raise NoCertificate(
+            f"a constant in plant.drift ({float(constant):.6g}) is not covered together with "
+            "law.observer: move the state's origin, or state it in plant.uncertainty.beta"
+        )
     assert plant.input_gain is not None
     gain = rational(plant.input_gain)
     c = error_coordinates(system, rational)

@@ -174,7 +174,7 @@ class OutputBounds:
         """What the bound of e_1 is made of, in its largest row."""
         drive, gains = self.drive, self.gains
         sizes = [float(uncertain_size(bound, X).mid()) for bound in drive.uncertain]
-        still = [0.0] * drive.n
+        still = [0.0] * drive.sized
         beta = [float(uncertain_size(bound, still).mid()) for bound in drive.uncertain]
         w, x, u, constant = (_floats(v) for v in (self.w, self.x, self.u, self.constant))
         values = constant + w @ np.array(sizes) + x @ np.array(X) + u * U

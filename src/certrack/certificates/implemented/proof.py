@@ -167,10 +167,15 @@ def prove_implemented(
 def refuse_in_cells(system: System, cell: Sequence[Any]) -> None:
     """Raise NoCertificate where constants have ranges and a bound is a formula, or times move."""
     drive = system.implementation
-    if cell and (system.plant.uncertainty.bound is not None or (drive and drive.jitter)):
+    stated = {
+        "plant.uncertainty.bound": system.plant.uncertainty.bound is not None,
+        "implementation.jitter": drive is not None and drive.jitter > 0,
+    }
+    if cell and any(stated.values()):
+        what = " and ".join(name for name, is_stated in stated.items() if is_stated)
         raise NoCertificate(
-            "plant.uncertainty.bound and implementation.jitter are not covered together with "
-            "ranges of constants: leave plant.ranges out"
+            f"{what} {'is' if sum(stated.values()) == 1 else 'are'} not covered together with "
+            "ranges of constants: leave it or plant.ranges out"
         )
 
 

@@ -127,13 +127,12 @@ def drive_in(system: System, delay: Any, cell: Cell, plant: RangedPlant | None =
 def _plant_matrix(loop: RangedLoop) -> sympy.Matrix:
     """(A | b | o)(p): the closed loop of `loop`, opened again.
 
-    Its last row is rho (nu_x x + nu_Y Y') + the rest of h, with rho = g_n(p)/g_n(p_0), and nu_Y
-    ends with a number that is not zero.
+    Its last row is rho (nu_x x + nu_Y Y') + the rest of h, with rho = g_n(p)/g_n(p_0).
     """
     c, n = loop.coordinates, loop.n
     slopes, _ = linear_drift(loop.system)
     gain = rational(loop.system.plant.input_gain)
-    rho = sympy.cancel(loop.matrix[n - 1, n + c.q + 1] / _as_sympy(c.nu_Y[c.q + 1]))
+    rho = loop.gain_ratio
     matrix = sympy.zeros(n, n + 2)
     matrix[: n - 1, :n] = loop.matrix[: n - 1, :n]
     for j in range(n):
@@ -145,7 +144,8 @@ def _plant_matrix(loop: RangedLoop) -> sympy.Matrix:
 
 
 def _as_sympy(value: Any) -> sympy.Rational:
-    return sympy.Rational(int(value.p), int(value.q))
+    exact = flint.fmpq(value)
+    return sympy.Rational(int(exact.p), int(exact.q))
 
 
 def _longer(values: Sequence[Any], count: int) -> tuple[Any, ...]:

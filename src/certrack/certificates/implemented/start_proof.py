@@ -315,6 +315,8 @@ def start_set_of(
     assert implementation is not None
     if implementation.offset:
         raise NoCertificate("the first sample is not at t = 0")
+    if drive.jitter:
+        raise NoCertificate("with jitter nothing is proven of starts")
     x0, known = states_at_start(system)
     if not known:
         raise NoCertificate("the states at t = 0 are not known exactly")

@@ -12,7 +12,7 @@ input comes before its sample, for 2 j <= delay.
 
 The supremum of a window is at most that of its period: the largest of the values at the cells' ends
 and h^2/8 |lambda| e^{|A|h} |A^2 b| more. Where a window reaches into the next period it is at most
-the sum of both, so each counts twice.
+the sum of both, so each counts twice; and then a cell that is a whole period may have two of them.
 """
 
 from __future__ import annotations
@@ -95,13 +95,14 @@ class TimedBounds:
         shift = flint.arb(drive.jitter * drive.T)
         pulses = pulse_gains(period, rows, doublings)
         inside = {p: _in_cell_pulse(period, cell.length) for p, cell in enumerate(period.cells)}
+        windows = 2 if _crosses(drive) else 1  # of two inputs, in a cell that is all of a period
         by_step, direct = [], np.zeros((len(rows), drive.W.ncols()), dtype=object)
         for i, row in enumerate(rows):
             held = flint.arb(float(pulses[i]))
             i_state = row.output - 1 if 1 <= row.output <= n else max(row.output - n - 3, 0)
             rate = row.output >= n + 3
             if rate or row.output <= n:
-                held = held + inside[row.phase][int(rate)][i_state]
+                held = held + windows * inside[row.phase][int(rate)][i_state]
             total = shift * held
             if rate:
                 total = total + abs(drive.b[i_state, 0])

@@ -70,6 +70,8 @@ class RangedLoop:
     estimated : formulas of g_n and theta, or None
         Of the adaptive law, where the constants determine them; None in the place of one that has a
         range of its own.
+    gain_ratio : formula
+        rho.
     """
 
     system: System
@@ -82,6 +84,7 @@ class RangedLoop:
     brackets: tuple[sympy.Expr, ...]
     sizes: tuple[Any, ...]
     estimated: tuple[sympy.Expr | None, tuple[sympy.Expr, ...] | None]
+    gain_ratio: sympy.Expr
 
     @property
     def n(self) -> int:
@@ -198,6 +201,7 @@ def ranged_loop(system: System, *, sectors: bool = False) -> RangedLoop:
         tuple(brackets),
         tuple(sizes),
         design.estimated,
+        rho,
     )
 
 

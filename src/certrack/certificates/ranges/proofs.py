@@ -31,6 +31,7 @@ from certrack.certificates.ranges.vertices import (
     VertexSolution,
     prove_vertices,
 )
+from certrack.certificates.scope import refuse_formulas
 from certrack.certificates.semidefinite import best_solution
 from certrack.certificates.strength import SLOW_RATE
 from certrack.core.rounding import rounded_up
@@ -68,6 +69,7 @@ class RangeProver:
     """Proves and checks bounds for cells of a system's constants."""
 
     def __init__(self, system: System, *, sectors: bool = False) -> None:
+        refuse_formulas(system.plant.uncertainty)
         self.loop: RangedLoop = ranged_loop(system, sectors=sectors)
         self.coefficients = Coefficients(self.loop)
         self._problems = ProblemMaker(self.loop)

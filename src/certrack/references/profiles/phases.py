@@ -46,10 +46,16 @@ class Profile:
         return 2 * sum(phase.duration for phase in self.half) + self.cruise
 
     def phases(self) -> tuple[Phase, ...]:
-        """All phases that last some time."""
+        """All phases that last some time; neighbours of one value are one."""
         speed = self.rise[-1].value if self.order == 1 else self.cruise * 0
         every = (*self.half, Phase(self.cruise, speed), *mirrored(self.half, self.order))
-        return tuple(phase for phase in every if phase.duration)
+        joined: list[Phase] = []
+        for phase in every:
+            if joined and joined[-1].value == phase.value:
+                joined[-1] = Phase(joined[-1].duration + phase.duration, phase.value)
+            elif phase.duration:
+                joined.append(phase)
+        return tuple(joined)
 
 
 def mirrored(phases: Sequence[Phase], order: int) -> tuple[Phase, ...]:

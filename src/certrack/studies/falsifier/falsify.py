@@ -280,7 +280,7 @@ def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification:
     case = sampled_case(system, bounds)
     implemented, proofs = certify_implemented(system)
     certificate: Certificate = implemented
-    broken = contradicted(premises_as_implemented(system, proofs))
+    broken = contradicted(premises_as_implemented(system, proofs) if proofs else premises(system))
     if broken and certificate.exists:
         reason = f"a premise is contradicted: {broken[0].detail}"
         certificate = replace(certificate, verified=False, reason=reason)

@@ -1,0 +1,1 @@
+"""Bounds in floats, with their gradients in the data of the loop: for searches, never as proven."""

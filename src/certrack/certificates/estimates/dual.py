@@ -1,0 +1,116 @@
+"""Value and gradient of the semidefinite certificate from one program: its dual gives both.
+
+For a decay rate alpha the program is  Delta = min c.x  with  G x + s = h, s in K. Where a number
+of the problem changes, so does the optimum, by the dual z of the same solve:
+
+    dDelta = z . dG x + dc . x = <Z, dQ> + x_s dq
+
+with Q the matrix of the inequality at the optimal P and multipliers, and q the leakage's cost; only
+Q of the changed problem is computed, no program. The bound is sqrt(2 Delta/alpha). With alpha a
+share of the fastest rate,
+
+    d log bound = dDelta/(2 Delta) + (alpha Delta_alpha/(2 Delta) - 1/2) d log alpha
+
+The scaling stays that of the point. It holds where the dual is unique.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from certrack.certificates.problem import ErrorProblem
+from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate, svec
+
+#: Half the relative step of alpha's difference; the problem's part in alpha is linear.
+ALPHA_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class SemidefiniteEstimate:
+    """The semidefinite bound for one share of the fastest rate, and its gradient.
+
+    Attributes
+    ----------
+    bound : float
+        Of limsup |e_target|.
+    log_gradient : array
+        Derivatives of log bound, one for each pair of changed problems.
+    by_log_share : float
+        Its derivative by the logarithm of the share.
+    """
+
+    bound: float
+    log_gradient: np.ndarray
+    by_log_share: float
+
+
+def semidefinite_estimate(
+    problem: ErrorProblem,
+    share: float,
+    changed: Sequence[tuple[ErrorProblem, ErrorProblem]] = (),
+    step: float = 1.0,
+    target: int = 0,
+) -> SemidefiniteEstimate | None:
+    """The bound with alpha = share times the fastest rate; None if there is none.
+
+    Parameters
+    ----------
+    problem : ErrorProblem
+        In floats.
+    share : float
+        Below 1.
+    changed : pairs of ErrorProblem
+        With each parameter a step above and below.
+    step : float
+        Of these.
+    target : int
+        Which e_i is bounded.
+    """
+    fastest = fastest_rate(problem)
+    if not fastest > 0:
+        return None
+    alpha = share * fastest
+    program = SemidefiniteProgram(problem, target)
+    point = program.point(alpha)
+    if point is None:
+        return None
+    solution = program.solution(point, alpha)
+    if not solution.bound > 0:
+        return None
+    scaled_P, (lam, nu, k) = program.parts(point.x)
+    size = problem.n + sum(problem.counts)
+    Z = point.z[: size * (size + 1) // 2]
+    value = float(point.cost @ point.x)
+    leak_unit = point.cost[len(program.entries) - 1] / _positive(problem.leakage(alpha))
+
+    def lagrangian(other: ErrorProblem, rate: float) -> float:
+        """z . G x + c . x as the problem and alpha have it, but for what does not change."""
+        Q = program.scaling.applied(other).inequality(
+            scaled_P, lam, nu, k, program.scaling.rate(rate)
+        )
+        total = float(Z @ svec(Q))
+        if other.adaptation is not None:
+            leak = other.leakage(rate)
+            if leak is None:
+                return math.inf
+            total += float(point.x[len(program.entries) - 1] * leak * leak_unit)
+        return total
+
+    up, down = alpha * (1 + ALPHA_STEP), alpha * (1 - ALPHA_STEP)
+    by_alpha = (lagrangian(problem, up) - lagrangian(problem, down)) / (2 * ALPHA_STEP)
+    by_log_share = by_alpha / (2 * value) - 0.5
+    slopes = []
+    for above, below in changed:
+        direct = (lagrangian(above, alpha) - lagrangian(below, alpha)) / (2 * step)
+        rates = math.log(fastest_rate(above) / fastest_rate(below)) / (2 * step)
+        slopes.append(direct / (2 * value) + by_log_share * rates)
+    gradient = np.nan_to_num(np.array(slopes))
+    return SemidefiniteEstimate(solution.bound, gradient, float(np.nan_to_num(by_log_share)))
+
+
+def _positive(leak: float | None) -> float:
+    return leak if leak else 1.0

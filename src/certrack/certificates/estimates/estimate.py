@@ -1,0 +1,227 @@
+"""The bound in floats, by the method that the exact path will use: for searches and designers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from certrack.certificates.arithmetic import decimal
+from certrack.certificates.cascade import head_problem
+from certrack.certificates.certificate import NoCertificate, within_floats
+from certrack.certificates.estimates.loop_data import in_plant_coordinates
+from certrack.certificates.estimates.peak_gains import peak_estimate
+from certrack.certificates.estimates.riccati import RiccatiState, riccati_estimate
+from certrack.certificates.formulation import error_problem
+from certrack.certificates.implemented.estimate import estimate_implemented
+from certrack.certificates.problem import ErrorProblem
+from certrack.certificates.ranges.proofs import RangeProver
+from certrack.certificates.ranges.vertices import VertexProgram
+from certrack.certificates.scope import has_ranges
+from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
+from certrack.core.errors import InputError
+from certrack.systems.system import System, require_system
+
+
+@dataclass(frozen=True)
+class TubeEstimate:
+    """|e_1(t)|^2 <= 2 V(0) e^(-alpha t) + bound^2 (1 - e^(-alpha t)), in floats.
+
+    Attributes
+    ----------
+    start : float
+        sqrt(2 V(0)).
+    bound : float
+    alpha : float, 1/s
+    """
+
+    start: float
+    bound: float
+    alpha: float
+
+    def __call__(self, t: float | np.ndarray) -> float | np.ndarray:
+        """The bound on |e_1| at the times t, s."""
+        decayed = np.exp(-self.alpha * np.asarray(t, dtype=float))
+        values = np.sqrt(self.start**2 * decayed + self.bound**2 * (1 - decayed))
+        return values if np.ndim(t) else float(values)
+
+
+@dataclass(frozen=True)
+class BoundEstimate:
+    """Bounds of limsup |e_1|, as far as floats tell: nothing is proven.
+
+    Attributes
+    ----------
+    bound : float
+        The smallest; inf if there is none.
+    method : str
+        Of it, as :func:`certrack.certify` calls it; empty if there is none.
+    bounds : mapping of str to float
+        By method.
+    shares : mapping of str to float
+        What each cause adds to the bound of `method`; empty where the method does not tell.
+    tube : TubeEstimate or None
+        From the system's own start, of the semidefinite bound.
+    alpha : float, 1/s
+        Of that bound; NaN if there is none.
+    state : RiccatiState or None
+        What a warm start needs besides.
+    reason : str
+        Why there is none.
+    """
+
+    bound: float
+    method: str
+    bounds: Mapping[str, float]
+    shares: Mapping[str, float] = field(default_factory=dict)
+    tube: TubeEstimate | None = None
+    alpha: float = math.nan
+    state: RiccatiState | None = None
+    reason: str = ""
+
+    def __repr__(self) -> str:
+        if not self.method:
+            return f"BoundEstimate(none, {self.reason})"
+        return f"BoundEstimate({self.method}: limsup |e_1| about {self.bound:.4g}, not proven)"
+
+
+def estimate(system: System, *, warm: BoundEstimate | None = None) -> BoundEstimate:
+    """Estimate the certified error, many times faster than it is proven.
+
+    The methods are those of :func:`certrack.certify`, without cells of ranges, centred stages and
+    anything exact. Never show the result as proven.
+
+    Parameters
+    ----------
+    system : System
+    warm : BoundEstimate, optional
+        Of a system nearby: the search for the decay rate begins at its rate.
+
+    Returns
+    -------
+    BoundEstimate
+
+    Raises
+    ------
+    InputError
+        If a bound of the reference can neither be proven nor is declared.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> found = certrack.estimate(certrack.load("dual-motor-lean"))
+    >>> found
+    BoundEstimate(peak: limsup |e_1| about 0.001287, not proven)
+    >>> sorted(found.shares)
+    ['w_2 (state)', 'w_4', 'w_4 (state)', 'y_d^(2)']
+    """
+    require_system(system)
+    if warm is not None and not isinstance(warm, BoundEstimate):
+        raise InputError("warm", "must be what certrack.estimate returned", warm)
+    try:
+        with within_floats():
+            if system.implementation is not None:
+                implemented = _of_the_drive(system)
+                if implemented is not None:
+                    return implemented
+            return _ranged(system) if has_ranges(system) else _nominal(system, warm)
+    except NoCertificate as refusal:
+        return BoundEstimate(math.inf, "", {}, reason=str(refusal))
+
+
+def _of_the_drive(system: System) -> BoundEstimate | None:
+    try:
+        bound = estimate_implemented(system).bound
+    except NoCertificate:
+        return None
+    return BoundEstimate(bound, "implemented", {"implemented": bound})
+
+
+def _ranged(system: System) -> BoundEstimate:
+    """By one quadratic function for all constants in their ranges."""
+    prover = RangeProver(system)
+    problems = [problem.in_floats() for problem in prover.problems(prover.box)]
+    solution = best_solution(VertexProgram(problems))
+    if solution is None:
+        raise NoCertificate("no quadratic function was found for the whole box of constants")
+    return BoundEstimate(solution.bound, "vertices", {"vertices": solution.bound})
+
+
+def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
+    problem = error_problem(system, decimal)
+    near = None if warm is None or math.isnan(warm.alpha) else warm.alpha
+    bounds: dict[str, float] = {}
+    shares: dict[str, dict[str, float]] = {}
+    state = None
+    if problem.adaptation is None:
+        peak = peak_estimate(in_plant_coordinates(problem), gradient=False)
+        if math.isfinite(peak.bound):
+            bounds["peak"] = peak.bound
+            parts = zip(causes(problem), peak.shares.tolist(), strict=True)
+            shares["peak"] = {name: share for name, share in parts if share}
+        quick = riccati_estimate(problem, None if warm is None else warm.state)
+        if quick is not None:
+            near, state = quick.alpha, quick.state
+    program = SemidefiniteProgram(problem)
+    if state is not None and near is not None:
+        solution = program.solve(near)
+    else:
+        solution = best_solution(program, near)
+    if solution is not None:
+        bounds["semidefinite"] = solution.bound
+        shares["semidefinite"] = _quadratic_shares(problem, solution)
+    if problem.adaptation is not None and problem.n > 1:
+        bounds |= _cascade(problem)
+    if not bounds:
+        raise NoCertificate("the uncertainty is too strong for this design; lower tau, or raise c")
+    method = min(bounds, key=lambda kind: bounds[kind])
+    return BoundEstimate(
+        bounds[method],
+        method,
+        bounds,
+        shares.get(method, {}),
+        None if solution is None else _tube_of(system, problem, solution),
+        math.nan if solution is None else solution.alpha,
+        state,
+    )
+
+
+def _cascade(problem: ErrorProblem) -> dict[str, float]:
+    """The two stages of the cascade, without a centred one between."""
+    last = best_solution(SemidefiniteProgram(problem, problem.n - 1))
+    if last is None:
+        return {}
+    head = best_solution(SemidefiniteProgram(head_problem(problem, last.bound)))
+    return {} if head is None else {"cascade": head.bound}
+
+
+def causes(problem: ErrorProblem) -> list[str]:
+    """Names of the inputs of a problem."""
+    a, b = problem.states
+    names = [f"w_{k + 1} (state)" for k in a] + [f"w_{k + 1}" for k in b]
+    names += [f"y_d^({i})" for i in problem.derivatives]
+    return [name if names.count(name) == 1 else f"{name} {i + 1}" for i, name in enumerate(names)]
+
+
+def _quadratic_shares(problem: ErrorProblem, solution: Solution) -> dict[str, float]:
+    """The bound, divided among the causes as Delta is."""
+    na = problem.counts[0]
+    parts = dict(zip(causes(problem)[na:], np.concatenate([solution.nu, solution.k]), strict=True))
+    if problem.adaptation is not None:
+        parts["estimates"] = solution.P[-1, -1] * problem.leakage(solution.alpha)
+    return {name: float(solution.bound * v / solution.delta) for name, v in parts.items()}
+
+
+def _tube_of(system: System, problem: ErrorProblem, solution: Solution) -> TubeEstimate | None:
+    if system.truth.states:
+        return None
+    design, x0 = system.controller.coordinates, np.array(system.settings.x0)
+    Y = np.array(system.reference.values(np.zeros(1), design.q))[:, 0]
+    e = design.A @ x0 - design.B @ Y
+    twice = float(e @ solution.P @ e)
+    if problem.adaptation is not None:
+        estimates = np.array(system.estimates, dtype=float)
+        twice += 2 * float(solution.P[-1, -1] * problem.adaptation.energy(estimates))
+    return TubeEstimate(math.sqrt(twice), solution.bound, solution.alpha)

@@ -1,0 +1,148 @@
+"""The verb that chooses gains: tune."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from certrack.cli.base import (
+    FOLDER,
+    MEMBER_SEED,
+    NEW_FILE,
+    json_option,
+    keep_source,
+    naming,
+    tell_written,
+)
+from certrack.core.errors import InputError
+
+
+def _number(name: str, text: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    return click.option(name, type=float, help=text)
+
+
+@click.command()
+@click.argument("file")
+@click.option(
+    "--objective",
+    type=click.Choice(["error", "peak", "energy", "period"]),
+    default="error",
+    show_default=True,
+    help="What is optimised: certified error, peak input, energy, longest stable period.",
+)
+@_number("--error", "Limit of the certified error; for other objectives the file's own.")
+@_number("--peak-input", "Limit of |u| over the box of starts.")
+@_number("--energy", "Limit of the integral of u^2, from the file's start.")
+@_number("--period", "Held at this period the loop must be stable, s.")
+@_number("--delay-margin", "Delay that the held loop must bear, s.")
+@_number("--noise", "Limit of the gain from noise on the states to the input.")
+@click.option(
+    "--feedforward", type=int, help="Derivatives of y_d fed forward; default: the file's."
+)
+@click.option("--law", help="Kind of the law; default: the file's.")
+@click.option(
+    "--box", metavar="LOW:HIGH,...", help="Box of starts, one range a state; default: ensemble.x0."
+)
+@click.option(
+    "--starts",
+    type=click.IntRange(1, 10_000),
+    help="Searches, from the file's gains and from random ones; default: 8, nonlinear loops 2.",
+)
+@click.option("--seed", type=MEMBER_SEED, default=0, show_default=True, help="Seed of the starts.")
+@click.option("--front", metavar="LIMIT", help="Sweep this limit too, such as period.")
+@click.option("--plot", type=FOLDER, help="Folder for the picture of the front.")
+@click.option("--out", type=NEW_FILE, help="File for the tuned system (TOML).")
+@json_option
+def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted: Any) -> None:
+    """Choose gains: optimise one quantity, with limits on the others.
+
+    Always in force besides the limits given: the loop held at three times the file's period (3 ms
+    without one) is stable, and the noise gain is at most ten times that of the file's design. The
+    tuned design is certified in full. Progress shows the best so far; Ctrl-C keeps it.
+
+    \b
+    Example: certrack tune dual-motor-lean --peak-input 39.1 --period 0.087 --out tuned.toml
+    """
+    from certrack.cli import report, tune_report
+    from certrack.systems.edit import with_law
+    from certrack.systems.reader import load
+    from certrack.tuning.tune import tune as search_gains
+
+    system = load(file)
+    keep_source(file, *filter(None, [out]))
+    if plot is not None and wanted["front"] is None:
+        raise InputError("--plot", "draws a front, and none is asked for", remedy="Add --front")
+    wanted["box"] = _box_of(wanted["box"])
+    with (
+        _options_named(),
+        naming(file, "law", "tune"),
+        report.progress("Tuning, starts", "best") as bar,
+    ):
+        result = search_gains(system, progress=bar, **wanted)
+    pictures: list[Path] = []
+    if plot is not None and result.front is not None:
+        from certrack import plotting
+
+        figure = plotting.front_figure(result.front, system.title, system.plant.units)
+        pictures = plotting.save_figure(figure, plot, "front")
+    if out is not None:
+        text = with_law(_text_of(file), result.system, tune_report.remarks(result, file))
+        from certrack.core.files import write_text
+
+        write_text(out, text)
+    if as_json:
+        click.echo(report.to_json(result.summary()))
+    else:
+        click.echo(system.title or file)
+        report.console().print(tune_report.tuned_table(result, system.plant.units))
+        report.print_lines(tune_report.tuned_notes(result))
+    tell_written(as_json, *pictures, *filter(None, [out]))
+    for warning in tune_report.warnings(result):
+        click.echo(f"certrack: note: {warning}", err=True)
+
+
+def _box_of(text: str | None) -> list[tuple[float, float]] | None:
+    """Pairs of ends; the sign and the number of states are checked later."""
+    if text is None:
+        return None
+    pairs: list[tuple[float, float]] = []
+    for part in text.split(","):
+        ends: Sequence[str] = part.split(":")
+        try:
+            low, high = map(float, ends)
+        except ValueError:
+            raise InputError(
+                "--box", "must be low:high for each state, such as -1:1,-2:2", text
+            ) from None
+        pairs.append((low, high))
+    return pairs
+
+
+class _options_named:
+    """Name the options in refusals of the arguments that they set."""
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, _kind: Any, problem: BaseException | None, _trace: Any) -> None:
+        if isinstance(problem, InputError):
+            name, mark, index = problem.key.partition("[")
+            if name in OPTIONS:
+                problem.key = f"--{name.replace('_', '-')}{mark}{index}"
+
+
+#: Arguments of certrack.tune that are options of the verb.
+OPTIONS = (
+    *("objective", "error", "peak_input", "energy", "period", "delay_margin", "noise"),
+    *("feedforward", "box", "starts", "seed", "front"),
+)
+
+
+def _text_of(file: str) -> str:
+    from certrack.systems.reader import starter
+
+    path = Path(file)
+    return path.read_text("utf-8-sig") if path.exists() else starter(file)

@@ -1,0 +1,126 @@
+"""What `certrack tune` prints for people, and writes into the tuned file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from certrack.cli import report
+from certrack.core.rounding import printed_bound
+from certrack.core.version import __version__
+from certrack.tuning.result import tuned_numbers
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from certrack.tuning.measure import Measured
+    from certrack.tuning.result import Tuned
+
+#: A loop that is stable only below so many times its period is warned of.
+PERIODS_FOR_COMFORT = 3.0
+
+
+def tuned_table(result: Tuned, units: Sequence[str] | None) -> Table:
+    """Before and after, side by side."""
+    output = f" [{units[0]}]" if units and units[0] not in ("", "1") else ""
+    entries = [
+        (f"certified error{output}", "certified"),
+        (f"worst error found{output}", "worst_found"),
+        (f"tail error, simulated{output}", "tail_error"),
+        ("peak input, over the box of starts", "peak_input"),
+        ("input energy", "energy"),
+        ("variation of input", "input_variation"),
+        ("gain from noise to input", "noise"),
+        ("longest stable period [s]", "period"),
+    ]
+    rows = [
+        [label, _shown(result.before, name), _shown(result.after, name)] for label, name in entries
+    ]
+    return report.table("", ["", "before", "after"], rows)
+
+
+def _shown(figures: Measured, name: str) -> object:
+    value = getattr(figures, name)
+    return printed_bound(value, 5) if name == "certified" else value
+
+
+def tuned_notes(result: Tuned) -> list[str]:
+    """The law, the limits, and what they cost."""
+    law = result.system.law
+    gains = tuned_numbers(result.system)
+    lines = [f"law: {law.kind}, feedforward = {law.feedforward}"]
+    lines += [f"  {name} = {_numbers(value)}" for name, value in gains.items()]
+    lines.append(f"limits: {', '.join(dict.fromkeys(result.limits)) or 'none'}")
+    lines += price_lines(result)
+    per_start = ", ".join(map(str, result.programs_per_start))
+    lines.append(
+        f"{result.programs} programs ({per_start} a start), seed {result.seed}; certified by "
+        f"{result.after.method or 'nothing'}"
+    )
+    if result.front is not None:
+        lines += _front_lines(result)
+    return [*lines, *result.notes]
+
+
+def price_lines(result: Tuned) -> list[str]:
+    """The active limits, each with what a tenth more of it buys."""
+    what = {"error": "error", "peak": "peak input", "energy": "energy", "period": "period"}
+    name = what[result.objective]
+    prices: dict[str, float] = {}
+    lines: dict[str, str] = {}
+    for active in result.active:  # corners have a limit each: one price
+        prices[active.limit] = 1 - (1 - prices.get(active.limit, 0.0)) * (1 - active.price)
+        shorter = active.limit in ("period", "delay margin")
+        ease = f"10 % {'shorter' if shorter else 'more'} {active.limit}"
+        share = 100 * abs(prices[active.limit])
+        verb = "buys" if result.objective != "period" else "buys a longer"
+        lines[active.limit] = (
+            f"active: {active.limit} {active.value:.5g}: {ease} {verb} {share:.2g} % {name}"
+        )
+    return list(lines.values()) or ["no limit is active"]
+
+
+def _front_lines(result: Tuned) -> list[str]:
+    assert result.front is not None
+    head = f"front, {result.front.limit}: {result.front.objective} (estimates, not certified)"
+    points = []
+    for p in result.front.points:
+        best = "nothing keeps all limits" if p.objective is None else f"{p.objective:.5g}"
+        points.append(f"  {p.limit:.5g}: {best}")
+    return [head, *points]
+
+
+def warnings(result: Tuned) -> list[str]:
+    """What should worry: an interruption, a bound that is no better, a tight period."""
+    lines = []
+    if result.stopped:
+        lines.append("stopped before all starts were searched: this is the best so far")
+    if result.objective == "error" and result.after.certified >= result.before.certified:
+        lines.append("the certified error is not better than the file's, within these limits")
+    if not math.isfinite(result.after.certified):
+        lines.append("nothing is verified of the tuned design")
+    drive, edge = result.system.implementation, result.after.period
+    if drive is not None and edge is not None and edge < PERIODS_FOR_COMFORT * drive.period:
+        lines.append(
+            f"the loop is stable up to a period of {edge:.4g} s, less than three times the file's"
+        )
+    return lines
+
+
+def remarks(result: Tuned, file: str) -> list[str]:
+    """How the law was made, as comments of the tuned file."""
+    certified = printed_bound(result.after.certified, 5)
+    return [
+        f"tuned by certrack {__version__} from {file}: {result.objective} optimised within",
+        *(f"  {limit}" for limit in dict.fromkeys(result.limits)),
+        f"seed {result.seed}, {result.programs} programs; limsup |e_1| certified {certified} "
+        f"({printed_bound(result.before.certified, 5)} before)",
+        *price_lines(result),
+    ]
+
+
+def _numbers(value: object) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_numbers, value))}]"
+    return report.short_number(value, 6) if isinstance(value, float) else str(value)

@@ -1,0 +1,1 @@
+"""Gains under the certificate: one quantity is optimised, the others are limits."""

@@ -1,0 +1,74 @@
+"""Nothing feasible: which limit conflicts with the others, and what is the best achievable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from certrack.core.errors import InputError
+from certrack.tuning.families import Family
+from certrack.tuning.limits import Limit
+from certrack.tuning.problem import TuningProblem
+from certrack.tuning.search import GainSearch
+
+
+def conflict(problem: TuningProblem, family: Family, search: GainSearch) -> InputError:
+    """The refusal: the limit that cannot be kept, and how far it can."""
+    nearest = search.state.nearest
+    limits = problem.task.limits
+    if nearest is None:
+        return InputError("tune", "no design has a certificate near the system's own gains")
+    exceeded = [limit for limit in limits if limit.excess(nearest) > 0]
+    if not exceeded:
+        return InputError(
+            "tune",
+            "what keeps all limits does not work when it is held at the period",
+            remedy="Shorten the period, or lower --noise",
+        )
+    options = [limit for limit in limits if limit.option] or exceeded
+    best = None
+    for limit in sorted(options, key=lambda entry: -entry.excess(nearest)):
+        value = _best_achievable(problem, family, limit)
+        if value is not None:
+            best = limit, value
+            break
+    if best is None:
+        worst = max(exceeded, key=lambda entry: entry.excess(nearest))
+        return InputError(
+            _key(worst),
+            f"no design was found that keeps {', '.join(limit.describe() for limit in limits)} "
+            f"together; nearest comes one with {worst.name} "
+            f"{worst.quantity.value(nearest):.4g}",
+            remedy="Ease two of these limits",
+        )
+    limit, value = best
+    others = [entry.describe() for entry in limits if entry.quantity is not limit.quantity]
+    return InputError(
+        _key(limit),
+        f"{limit.describe()} conflicts with {', '.join(dict.fromkeys(others))}: with these the "
+        f"best {limit.name} found is {value:.4g}",
+        remedy="Ease one of them, or try a higher --feedforward",
+    )
+
+
+def _best_achievable(problem: TuningProblem, family: Family, limit: Limit) -> float | None:
+    """The best of a limited quantity within the other limits; None if these conflict, too."""
+    others = tuple(entry for entry in problem.task.limits if entry.name != limit.name)
+    task = replace(
+        problem.task,
+        objective=limit.quantity,
+        smallest=not limit.at_least,
+        limits=others,
+        accepts=_always,
+    )
+    search = GainSearch(problem.base, task)
+    search.run(family, family.start)
+    best = search.state.best
+    return None if best is None else limit.quantity.value(best)
+
+
+def _always(_: object) -> bool:
+    return True
+
+
+def _key(limit: Limit) -> str:
+    return limit.option.removeprefix("--").replace("-", "_") or limit.name.replace(" ", "_")

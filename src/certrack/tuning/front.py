@@ -1,0 +1,63 @@
+"""The front: the best objective against one of the limits, each point from the one before."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from certrack.core.errors import Cancelled, InputError
+from certrack.core.progress import Progress
+from certrack.tuning.candidate import Candidate
+from certrack.tuning.families import Family
+from certrack.tuning.problem import TuningProblem
+from certrack.tuning.result import Front, FrontPoint
+from certrack.tuning.search import GainSearch
+
+#: Points of a front, and how far it goes to either side of the limit.
+FRONT_POINTS, FRONT_REACH = 9, 4.0
+
+
+def sweep(
+    problem: TuningProblem, family: Family, best: Candidate, name: str, progress: Progress
+) -> Front:
+    """The front over the limit of this name, as an option spells it.
+
+    Raises
+    ------
+    InputError
+        If there is no such limit.
+    """
+    wanted = name.replace("-", " ").replace("_", " ")
+    limits = problem.task.limits
+    swept = [limit for limit in limits if limit.name == wanted]
+    if not swept:
+        known = ", ".join(dict.fromkeys(limit.name.replace(" ", "-") for limit in limits))
+        raise InputError("front", f"must be one of the limits in force: {known}", name)
+    middle = swept[0].value
+    if not swept[0].option:  # one that is always in force, and mostly far away
+        middle = swept[0].quantity.value(best)
+    steps = FRONT_REACH ** (np.arange(1, FRONT_POINTS // 2 + 1) / (FRONT_POINTS // 2))
+    others = tuple(limit for limit in limits if limit.name != wanted)
+    points: dict[float, float | None] = {}
+    with suppress(KeyboardInterrupt, Cancelled):
+        for branch in ((middle, *(middle * steps)), tuple(middle / steps)):
+            start = best.v
+            for value in map(float, branch):
+                progress(len(points), FRONT_POINTS, None)
+                moved = tuple(replace(limit, value=value) for limit in swept)
+                task = replace(problem.task, limits=(*others, *moved), accepts=_always_kept)
+                search = GainSearch(problem.base, task)
+                search.run(family, start)
+                best_here = search.state.best
+                points[value] = None if best_here is None else problem.objective.value(best_here)
+                if best_here is None:  # nor will anything beyond
+                    break
+                start = best_here.v
+    ordered = tuple(FrontPoint(value, points[value]) for value in sorted(points))
+    return Front(wanted, problem.objective.name, ordered)
+
+
+def _always_kept(_: object) -> bool:
+    return True

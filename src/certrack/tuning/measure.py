@@ -1,0 +1,131 @@
+"""A design as a table shows it: certified, searched for, simulated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from certrack.certificates.certify import certify
+from certrack.core.errors import InputError
+from certrack.loops.stability import linear_loop
+from certrack.model.distribution import Distribution
+from certrack.model.implementation import Implementation
+from certrack.simulation.simulator import simulate
+from certrack.studies.ensembles.ensemble import ensemble
+from certrack.studies.falsifier.falsify import falsify
+from certrack.systems.system import System
+from certrack.tuning.candidate import Candidate
+from certrack.tuning.quantities import NoiseGain
+from certrack.tuning.responses import Grid, LinearPlant
+from certrack.tuning.runs import corners
+from certrack.tuning.stability import StabilityEdge
+
+#: Runs of the falsifier; members of the ensemble that looks for a larger peak than the corners';
+#: grid of the exact peak, over that of the search.
+FALSIFIED_RUNS, PEAK_MEMBERS, REFINED = 200, 200, 4
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Figures of one design.
+
+    Attributes
+    ----------
+    certified : float
+        The best verified bound of limsup |e_1|; inf if there is none.
+    method : str
+        Of that certificate.
+    worst_found : float or None
+        The worst |e_1| that the falsifier found.
+    tail_error, energy, input_variation : float
+        Of the file's own run.
+    peak_input : float
+        Largest |u| from the box of starts, or from the file's start where there is none.
+    noise : float
+        ||dK_u/dx||.
+    period : float or None
+        Longest period at which the held loop is stable, exact; None for a nonlinear loop.
+    """
+
+    certified: float
+    method: str
+    worst_found: float | None
+    tail_error: float
+    peak_input: float
+    energy: float
+    input_variation: float
+    noise: float
+    period: float | None
+
+    def summary(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        entries = asdict(self)
+        return {"found" if name == "worst_found" else name: v for name, v in entries.items()}
+
+
+def figures_of(system: System, box: np.ndarray | None, seed: int) -> Measured:
+    """The figures of a system."""
+    result = certify(system, "fast")
+    best = result.best
+    metrics = simulate(system).metrics
+    candidate = _Fixed(system)
+    return Measured(
+        certified=best.bound if best.verified else math.inf,
+        method=best.kind if best.verified else "",
+        worst_found=_falsified(system, seed),
+        tail_error=metrics.tail_error,
+        peak_input=metrics.peak_input if box is None else box_peak(system, box, seed),
+        energy=metrics.input_energy,
+        input_variation=metrics.input_variation,
+        noise=NoiseGain(system).value(candidate),
+        period=_exact_edge(system, candidate),
+    )
+
+
+class _Fixed(Candidate):
+    """A system as it stands, as a candidate: its damping counts, too."""
+
+    def __init__(self, system: System) -> None:
+        self.base, self.v = system, np.zeros(0)
+        self.__dict__ |= {"law": system.law, "design": system.controller.coordinates}
+        self.__dict__ |= {"system": system}
+
+
+def box_peak(system: System, box: np.ndarray, seed: int) -> float:
+    """The largest |u| over a box of starts: exact for a linear loop without disturbance.
+
+    Otherwise the largest of the corners and of an ensemble of starts in the box, with the
+    disturbances of the file.
+    """
+    system = system.replace(implementation=None)
+    plant = LinearPlant.of(system)
+    if plant is not None:
+        centre, radius = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
+        grid = Grid.of(system, REFINED)
+        return plant.response(_Fixed(system), grid, centre, radius).peak
+    peaks = [simulate(system, x0=tuple(corner)).metrics.peak_input for corner in corners(box)]
+    starts = tuple(Distribution("uniform", tuple(ends)) for ends in box)
+    population = replace(system.varied, x0=starts, disturbance="file", estimates=None)
+    members = ensemble(system.replace(population=population), members=PEAK_MEMBERS, seed=seed)
+    largest = members.statistics.metrics["peak_input"].summary()["max"]
+    finite = [peak for peak in (*peaks, largest) if peak is not None]
+    return float(max(finite)) if len(finite) == len(peaks) + 1 else math.inf
+
+
+def _falsified(system: System, seed: int) -> float | None:
+    try:
+        return falsify(system, budget=FALSIFIED_RUNS, seed=seed).worst_error
+    except InputError:
+        return None  # a truth with states of its own, or names that the search needs
+
+
+def _exact_edge(system: System, candidate: Candidate) -> float | None:
+    drive = system.implementation or Implementation(1e-3)
+    loop = linear_loop(system.replace(implementation=drive))
+    if loop is None:
+        return None
+    guess = 1 / system.controller.coordinates.fastest_pole
+    return StabilityEdge(loop, guess, float(drive.run_delay)).first(candidate)

@@ -1,0 +1,150 @@
+"""What :func:`certrack.tune` returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from certrack.core.rounding import rounded_up
+from certrack.systems.system import System
+from certrack.tuning.measure import Measured
+
+
+@dataclass(frozen=True)
+class ActiveLimit:
+    """A limit that the tuned design uses fully.
+
+    Attributes
+    ----------
+    limit : str
+    value : float
+        Of the limit.
+    price : float
+        The part of the objective that is saved where the limit is eased by a tenth.
+    """
+
+    limit: str
+    value: float
+    price: float
+
+    def summary(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {"limit": self.limit, "value": self.value, "price": self.price}
+
+
+@dataclass(frozen=True)
+class FrontPoint:
+    """One design of a front.
+
+    Attributes
+    ----------
+    limit : float
+        The value of the limit that is swept.
+    objective : float or None
+        The best estimate with it; None if nothing keeps all limits.
+    """
+
+    limit: float
+    objective: float | None
+
+
+@dataclass(frozen=True)
+class Front:
+    """The best objective against one of the limits.
+
+    Attributes
+    ----------
+    limit, objective : str
+        Names of the quantities.
+    points : tuple of FrontPoint
+    """
+
+    limit: str
+    objective: str
+    points: tuple[FrontPoint, ...]
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """Result of :func:`certrack.tune`.
+
+    Attributes
+    ----------
+    system : System
+        With the tuned law.
+    objective : str
+    before, after : Measured
+    limits : tuple of str
+        All that were in force.
+    active : tuple of ActiveLimit
+    programs : int
+        Evaluations of the certificate with its gradient.
+    programs_per_start : tuple of int
+    seed : int
+    front : Front or None
+    notes : tuple of str
+    stopped : bool
+        Whether the search was interrupted: the best so far.
+    """
+
+    system: System
+    objective: str
+    before: Measured
+    after: Measured
+    limits: tuple[str, ...]
+    active: tuple[ActiveLimit, ...]
+    programs: int
+    programs_per_start: tuple[int, ...]
+    seed: int
+    front: Front | None = None
+    notes: tuple[str, ...] = ()
+    stopped: bool = False
+
+    def __repr__(self) -> str:
+        before, after = (rounded_up(m.certified, 4) for m in (self.before, self.after))
+        return f"Tuned(certified {before} -> {after}, {self.programs} programs)"
+
+    def summary(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        law = self.system.law
+        gains = {"kind": law.kind, "feedforward": law.feedforward}
+        front = None
+        if self.front is not None:
+            points = [{"limit": p.limit, "objective": p.objective} for p in self.front.points]
+            front = {"limit": self.front.limit, "points": points}
+        return {
+            "objective": self.objective,
+            "before": self.before.summary(),
+            "after": self.after.summary(),
+            "limits": list(self.limits),
+            "active": [limit.summary() for limit in self.active],
+            "law": gains | tuned_numbers(self.system),
+            "programs": self.programs,
+            "programs_per_start": list(self.programs_per_start),
+            "seed": self.seed,
+            "front": front,
+            "notes": list(self.notes),
+            "stopped": self.stopped,
+        }
+
+
+def tuned_numbers(system: System) -> dict[str, Any]:
+    """The gains of a law, by name."""
+    names = (
+        "c",
+        "K",
+        "r",
+        "coupling",
+        "gain_rate",
+        "leak_gain",
+        "leak_theta",
+        "Gamma",
+        "delta0",
+        "theta0",
+    )
+    values = {name: getattr(system.law, name, None) for name in names}
+    return {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in values.items()
+        if value not in (None, ())
+    }

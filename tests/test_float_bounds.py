@@ -1,0 +1,97 @@
+"""Bounds in floats: against what is proven, and their gradients against differences."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_tuning import agree, random_system
+
+import certrack
+from certrack.certificates.estimates.loop_data import PlainLoop
+from certrack.certificates.estimates.riccati import riccati_estimate
+from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
+
+
+@pytest.mark.parametrize("n", range(1, 7))
+def test_riccati_equation_gives_the_program_s_bound(n):
+    problem = PlainLoop.of(random_system(6, n)).problem
+    found = riccati_estimate(problem)
+    bound = best_solution(SemidefiniteProgram(problem)).bound
+    assert found.bound == pytest.approx(bound, rel=1e-3)
+    assert found.bound <= bound * (1 + 1e-5)  # the program's alpha is only searched to 2e-3
+
+
+@pytest.mark.parametrize("n", range(1, 7))
+def test_riccati_gradient(n):
+    """In K and in the column of y^(q+1), each difference of two optima that are found anew."""
+    loop = PlainLoop.of(random_system(7, n))
+    K = loop.problem.M[-1]
+    r = -loop.problem.Uy[-1, -1] / loop.last_bound if loop.last_bound else 0.0
+    found = riccati_estimate(loop.problem)
+    gradient = np.append(found.gradient.M[-1], -found.gradient.Uy[-1, -1] * loop.last_bound)
+    point = np.append(K, r)
+    steps = 1e-3 * np.maximum(np.abs(point), 0.3)
+    expected = []
+    for i, step in enumerate(steps):
+        bounds = []
+        for sign in (1, -1):
+            moved = point.copy()
+            moved[i] += sign * step
+            bounds.append(riccati_estimate(loop.with_feedback(moved[:-1], moved[-1])).bound)
+        expected.append((bounds[0] - bounds[1]) / (2 * step))
+    scale = steps / 1e-3
+    assert agree(gradient * scale, np.array(expected) * scale)
+
+
+def test_a_warm_start_ends_where_a_cold_one_does():
+    loop = PlainLoop.of(certrack.load("dual-motor-lean"))
+    K, r = loop.problem.M[-1], -loop.problem.Uy[-1, -1] / loop.last_bound
+    state = riccati_estimate(loop.problem).state
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        problem = loop.with_feedback(K * (1 + 0.03 * rng.standard_normal(4)), r)
+        warm, cold = riccati_estimate(problem, state), riccati_estimate(problem)
+        assert warm.bound == pytest.approx(cold.bound, rel=1e-4)
+        state = warm.state
+
+
+def test_a_loop_that_is_not_covered_has_no_estimate():
+    found = certrack.estimate(certrack.load("example1-classic"))
+    assert found.bound == math.inf and not found.method and "without leakage" in found.reason
+    assert repr(found).startswith("BoundEstimate(none, without leakage")
+
+
+@pytest.mark.parametrize(
+    ("name", "kinds"),
+    [
+        ("dual-motor-lean", ("peak", "semidefinite")),
+        ("example1", ("semidefinite",)),
+        ("dual-motor-drive", ("implemented",)),
+        ("axis", ("vertices",)),
+    ],
+)
+def test_estimates_are_what_certify_proves(name, kinds):
+    system = certrack.load(name)
+    found, proven = certrack.estimate(system), certrack.certify(system, "fast")
+    assert set(kinds) <= set(found.bounds)
+    assert found.bound == min(found.bounds.values())
+    for kind in kinds:
+        assert found.bounds[kind] == pytest.approx(getattr(proven, kind).bound, rel=2e-3), kind
+    if found.shares:
+        assert sum(found.shares.values()) == pytest.approx(found.bound)
+    if found.tube is not None and proven.tube_kind == "semidefinite":
+        assert found.tube(1.0) == pytest.approx(proven.tube(1.0), rel=1e-2)
+
+
+def test_a_warm_certificate_is_as_good_and_as_proven():
+    system = certrack.load("dual-motor-lean")
+    warm = certrack.certify(system, "fast", warm=certrack.estimate(system))
+    cold = certrack.certify(system, "fast")
+    assert warm.semidefinite.verified
+    assert warm.semidefinite.bound == pytest.approx(cold.semidefinite.bound, rel=1e-4)
+    nearby = system.replace(law=replace(system.law, c=(5.5, 6, 6.5, 6)))
+    moved = certrack.estimate(nearby, warm=certrack.estimate(system))
+    assert moved.bound == pytest.approx(certrack.estimate(nearby).bound, rel=1e-6)
+    with pytest.raises(certrack.InputError, match="must be what certrack.estimate returned"):
+        certrack.estimate(system, warm=3)

@@ -1,0 +1,249 @@
+"""Parts of the bounds of implemented loops by themselves: kernels, gains, tails, growing bounds."""
+
+import math
+from dataclasses import replace
+from fractions import Fraction
+
+import flint
+import numpy as np
+import pytest
+from test_implemented import UNIT_W, bare_drive
+
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented.drive import DRIVE_BITS
+from certrack.certificates.implemented.enclosed import Enclosed
+from certrack.certificates.implemented.gains import (
+    gains_of,
+    kernel_columns,
+    largest_of_each,
+    output_gains,
+    powers_of_columns,
+    powers_of_rows,
+    tail_gains,
+    upper_number,
+)
+from certrack.certificates.implemented.growing import GrowingBound
+from certrack.certificates.implemented.outputs import output_rows
+from certrack.certificates.implemented.period import column, gamma, one_period, shift
+from certrack.certificates.implemented.start import (
+    Later,
+    _product_with,
+    first_state,
+    is_above,
+    up,
+)
+from certrack.core.expressions import parse, symbol
+
+
+def exact_period(Ly, parts, n=1, lipschitz=0.01):
+    """x' = -x + u with the law u = Ly Y', in cells of equal length."""
+    A, b = [[-1]], [1]
+    if n == 2:
+        A, b = [[-1, 1], [0, -2]], [0, 1]
+    W = [[0]] * (n - 1) + [[1]]
+    Y = [1.0] * len(Ly)
+    return one_period(bare_drive(A, b, W, Ly, 0.1, Y, lipschitz, [UNIT_W][:1]), parts)
+
+
+@pytest.mark.parametrize("smeared", [True, False])
+@pytest.mark.parametrize("q", [0, 1, 2, 4])
+def test_columns_of_the_kernels_are_their_definitions(q, smeared):
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, *range(2, q + 3)], (1, 3))
+        found = kernel_columns(period, 3, smeared)
+        h = Fraction(1, 30)
+        expected = [
+            float(h ** (q - 2 - j) / math.factorial(q - 2 - j) * h**3 / 12) for j in range(q - 1)
+        ]
+        assert found.bend_weights == pytest.approx(np.array(expected * 3), rel=1e-12)
+        assert (found.bends is None) == (q < 2)
+        assert found.lengths == pytest.approx([1 / 30] * 3) and (found.lengths >= 1 / 30).all()
+        over = period.since_jump(3)
+        last = over[-1] * column(period.reference, q + 1)
+        for i, matrix in enumerate(over):
+            k_w = matrix * period.W
+            k_r = -matrix * (period.Pi[3 - i] * gamma(q, flint.fmpq(0)))
+            if smeared:
+                k_r = k_r + last * (1 / flint.arb(period.drive.T))
+            for row in range(period.size):
+                assert found.nodes[row, 2 * i].overlaps(k_w[row, 0])
+                assert found.nodes[row, 2 * i + 1].overlaps(k_r[row, 0])
+        for i, matrix in enumerate(over[:-1]):
+            for j in range(q - 1):
+                bend = matrix * column(period.Pi[3 - i], j)
+                at = i * (q - 1) + j
+                assert all(
+                    found.bends[row, at].overlaps(bend[row, 0]) for row in range(period.size)
+                )
+        # |k_w''| <= e^{h}, three cells of it, each through at most e^0
+        bound = 3 * math.exp(1 / 30) * (1 / 30) ** 3 / 12
+        assert 0.9 * bound < found.curvature[0, 0] <= 1.0001 * bound
+        width = 2 * 4 + 1 + 2 + 3 * max(q - 1, 0) + period.size
+        assert found.all().ncols() == width
+
+
+def test_of_the_running_period_only_what_has_passed_is_seen():
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 1, 1, 1], (1, 3))
+        assert [len(kernel_columns(period, p, False).lengths) for p in range(4)] == [0, 1, 2, 3]
+        assert kernel_columns(period, 0, False).nodes.ncols() == 2
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_jumps_add_up_once_in_so_many_periods(n):
+    """x_{k+1} = a x_k + (1 - a) r_k: jumps N periods apart sum up to (1 - a)/(1 - a^N)."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([0, 1], (1, 1), n=n)
+        drive = replace(period.drive, jumps=(rational(1.0), rational(0.35)), jumps_once=False)
+        assert drive.periods_between_jumps == 3
+        period = one_period(drive, (1, 1))
+        rows = output_rows(period)
+        found = output_gains(period, rows, 8)
+        first = [row.output == n and row.phase == 0 and not row.share for row in rows].index(True)
+        a = math.exp(-0.1 * n)
+        weight = (1 - a) / n  # of x_n, whose pole is -n
+        assert found.jump[first] == pytest.approx(weight / (1 - a**3), rel=1e-6)
+        assert found.jump[first] >= weight / (1 - a**3) * (1 - 1e-12)
+        assert found.sample[first] == pytest.approx(1 / n, rel=1e-6)
+        without = output_gains(exact_period([0, 1], (1, 1), n=n), rows, 8)
+        assert (without.jump == 0).all()
+
+
+def test_the_largest_of_each_group():
+    samples = np.array([[1.0, 5.0, 2.0, 3.0, 4.0], [9.0, 1.0, 1.0, 1.0, 2.0]])
+    assert list(largest_of_each(samples, 2)) == [5 + 3 + 4, 9 + 1 + 2]
+    assert list(largest_of_each(samples, 1)) == [15, 14]
+    assert list(largest_of_each(samples, 9)) == [5, 9]
+
+
+def test_a_tail_is_a_geometric_series():
+    """Sums S of unit rows over L periods, M^L = r: l (S + r S + r^2 S ...) = l S/(1 - r)."""
+    for r in (0.0, 0.25, 0.75):
+        found = tail_gains(np.array([[2.0]]), np.array([[3.0, 0.0, 5.0]]), np.array([[r]]))
+        expected = 2 * np.array([3, 0, 5]) / (1 - r)
+        assert found[0] == pytest.approx(expected) and (found[0] >= expected).all()
+    with pytest.raises(NoCertificate, match="does not shrink"):
+        tail_gains(np.array([[2.0]]), np.array([[3.0]]), np.array([[1.0]]))
+
+
+def test_a_tail_of_two_entries_is_not_below_its_series():
+    power, each = np.array([[0.5, 0.2], [0.1, 0.3]]), np.array([[1.0, 2.0], [4.0, 0.5]])
+    last = np.array([[1.0, 0.0], [0.3, 2.0]])
+    series = last @ np.linalg.solve(np.eye(2) - power, each)
+    found = tail_gains(last, each, power)
+    assert (found >= series).all() and (found <= 4 * series).all()
+
+
+def test_powers_of_columns_and_rows():
+    M, x = flint.arb_mat([[2, 1], [0, 3]]), flint.arb_mat([[1], [1]])
+    columns, power = powers_of_columns(M, x, 2)
+    expected = [(1, 1), (3, 3), (9, 9), (27, 27)]
+    assert [(int(float(columns[0, k])), int(float(columns[1, k]))) for k in range(4)] == expected
+    assert float(power[1, 1]) == 81
+    heads, after = powers_of_rows(M, flint.arb_mat([[1, 0]]), 2)
+    assert heads.value == pytest.approx(np.array([[1, 0], [2, 1], [4, 5], [8, 19]]))
+    assert after[0] == pytest.approx([16, 65])
+
+
+def test_columns_of_a_table_by_their_names():
+    table, jump = np.arange(16.0).reshape(2, 8), np.array([1.0, 2.0])
+    found = gains_of(table, 2, 2, jump)
+    assert (found.w == table[:, :2]).all() and (found.r == table[:, 2]).all()
+    assert (found.noise == table[:, 3:5]).all() and (found.sample == table[:, 5]).all()
+    assert (found.step == table[:, 6]).all() and (found.first == table[:, 7]).all()
+    assert found.jump is jump
+
+
+def test_magnitudes_are_rounded_up():
+    third = flint.arb(1) / 3
+    for value in (third, -third):
+        for rounded in (upper_number(value), up(value)):
+            assert Fraction(1, 3) < Fraction(rounded) < Fraction(1, 3) * (1 + Fraction(1, 10**14))
+    assert up(flint.fmpq(-1, 2)) >= 0.5
+
+
+# growing bounds
+
+
+def growing(text):
+    states = ("x1", "x2")
+    names = [*states, "norm"]
+    return GrowingBound(parse("", text, names).expr, tuple(map(symbol, states)))
+
+
+def test_a_growing_bound_has_its_value_at_the_largest_sizes():
+    bound = growing("2*x1 + x2**2/3 + norm**3")
+    expected = Fraction(2) + Fraction(9, 3) + Fraction(125)
+    value = bound.largest([1, 3], 5)
+    assert value.contains(flint.fmpq(130)) or value > 130
+    assert Fraction(bound.largest_float([1.0, 3.0], 5.0)) >= expected
+    assert bound.largest_float([1.0, 3.0], 5.0) == pytest.approx(130, rel=1e-14)
+    third = growing("x1/3")
+    assert Fraction(third.largest_float([1.0, 0.0], 0.0)) >= Fraction(1, 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "everywhere"),
+    [("1", True), ("3*norm + x1", True), ("sqrt(x1)", True), ("x1*x2", False), ("norm**2", False)],
+)
+def test_what_grows_no_faster_than_the_sizes_holds_everywhere(text, everywhere):
+    assert growing(text).is_global == everywhere
+
+
+def test_a_growing_bound_without_a_value_is_refused():
+    with pytest.raises(NoCertificate, match="the bound of an uncertain term has"):
+        growing("exp(x1)").largest([flint.arb("1e300"), 0], 0)
+
+
+# starts
+
+
+def test_what_comes_later_must_be_strictly_above_its_image():
+    image = np.array([9.0, 1.0, 2.0, 3.0, 4.0])  # e_1, two states, u, its steps
+    assert is_above(Later((1.1, 2.1), 3.1), image)
+    for states, u in (((1.0, 2.1), 3.1), ((1.1, 2.0), 3.1), ((1.1, 2.1), 3.0), ((1.1, 0.5), 9.0)):
+        assert not is_above(Later(states, u), image)
+
+
+def test_before_the_first_sample_memories_are_what_is_measured():
+    period = exact_period([0, 1], (1, 1), n=2)
+    drive = replace(
+        period.drive,
+        first=flint.arb_mat([[3, 4]]),
+        first_input=flint.arb_mat([[0]]),
+        Ss=flint.arb_mat(1, 1),
+        Sx=flint.arb_mat(1, 2),
+        Sy=flint.arb_mat(1, 2),
+        Ls=flint.arb_mat(1, 1),
+    )
+    assert drive.memories == 1
+    Z, of_noise = first_state(drive, 5)
+    found = np.array([[float(v) for v in row] for row in Z.tolist()])
+    assert (found == [[1, 0], [0, 1], [3, 4], [0, 0], [0, 0]]).all()
+    noise = np.array([[float(v) for v in row] for row in of_noise.tolist()])
+    assert (noise == [[0, 0], [0, 0], [3, 4], [0, 0], [0, 0]]).all()
+
+
+def test_products_of_enclosures_enclose():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(4, 3, 5)), rng.normal(size=(5, 2))
+    ea, eb = 1e-9 * rng.random(a.shape), 1e-9 * rng.random(b.shape)
+    found = _product_with(Enclosed(a, ea), Enclosed(b, eb))
+    for _ in range(20):
+        exact = (a + ea * rng.choice([-1, 1], a.shape)) @ (b + eb * rng.choice([-1, 1], b.shape))
+        assert (np.abs(exact - found.value) <= found.error).all()
+    worst = np.abs(a) @ eb + ea @ np.abs(b) + ea @ eb
+    assert (found.error <= 1.001 * worst).all() and (found.error >= worst).all()
+
+
+def test_polynomials_move_by_their_shift():
+    """Phi(t) of (1, t, t^2, t^3) at zero, and Gamma(s)_j = s^{q-j}/(q-j)!."""
+    q, t = 3, flint.fmpq(1, 2)
+    moved = shift(q, t) * flint.arb_mat([[1], [2], [3], [4]])
+    expected = [
+        sum(Fraction(y) * Fraction(1, 2) ** k / math.factorial(k) for k, y in enumerate(row))
+        for row in ([1, 2, 3, 4], [2, 3, 4], [3, 4], [4])
+    ]
+    assert [float(v) for v in moved.entries()] == pytest.approx([float(v) for v in expected])
+    assert [float(v) for v in gamma(q, t).entries()] == pytest.approx([1 / 48, 1 / 8, 1 / 2, 1])

@@ -1,0 +1,56 @@
+"""The printed monitors, word for word: a change of them is a change of these files."""
+
+from pathlib import Path
+
+import pytest
+import sympy
+from exported import sampled
+from test_monitor import FREE, FULL
+
+from certrack.core.select import Select, clamp, larger, magnitude, smaller
+from certrack.export.c.export import controller_files
+from certrack.export.c.printer import CPrinter
+from certrack.export.c.source import c_code
+from certrack.export.monitor import Flag, Within
+from certrack.export.st.function_block import structured_text
+
+TEXTS = Path(__file__).parent / "data" / "monitors"
+OPTIONS = {"full": FULL, "free": FREE}
+
+
+def printed(name, language):
+    """The monitor of a drive with everything, or with little."""
+    limits, monitor = OPTIONS[name]
+    system = sampled("example1", **limits)
+    if language == "st":
+        return structured_text(system, "drive", monitor=monitor)
+    real = "float" if language == "float.h" else "double"
+    return controller_files(c_code(system, "drive", real=real, monitor=monitor))["drive_monitor.h"]
+
+
+@pytest.mark.parametrize("language", ["h", "float.h", "st"])
+@pytest.mark.parametrize("name", OPTIONS)
+def test_the_text_of_a_monitor(name, language):
+    kept = TEXTS / f"{name}.{language}.txt"
+    assert printed(name, language) == kept.read_text()
+
+
+def test_a_flag_watches_nothing_unless_it_says_so():
+    flag = Flag("name", "meaning")
+    assert flag.premises == () and flag.of_command is False and flag.always is False
+    assert Within(sympy.S.Zero, sympy.S.Zero, sympy.S.One).strict is False
+
+
+def test_selections_in_c_are_the_helpers_with_their_arguments_in_order():
+    """Of two equal numbers, and where one is none, the helper gives what the selection does."""
+    a, b, c = symbols = sympy.symbols("a b c", real=True)
+    printer = CPrinter({name: name.name for name in symbols}, "double", [])
+    assert printer.text(larger(a, b)) == "larger(a, b)"
+    assert printer.text(smaller(a, b)) == "smaller(a, b)"
+    assert printer.text(Select(a, b, b, a)) == "smaller(b, a)"
+    assert printer.text(clamp(b, a, c)) == "clamp(b, a, c)"
+    assert printer.text(magnitude(a)) == "fabs(a)"
+    assert printer.text(Select(a, b, c, a)) == "(a > b) ? c : a"
+    assert printer.text(sympy.sign(a)) == "sign(a)"
+    assert printer.helpers == {"larger", "smaller", "clamp", "sign"}
+    assert printer.calls
