@@ -27,7 +27,7 @@ TABLE = "plant.uncertainty"
 RATE, JUMP, DWELL, FAST, DELTA_RATE = SLOWNESS = ("rate", "jump", "dwell", "fast", "Delta_rate")
 
 #: Keeps what is as fast as it may be below that in spite of rounding.
-ROUNDING = 1e-12
+SLOW_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def slow_size(u: Uncertainty, k: int, fastest: float) -> float | None:
     slowness = slowness_of(u, k)
     if slowness is None:
         return None
-    return min(u.beta[k], slowness.rate / fastest) * (1 - ROUNDING)
+    return min(u.beta[k], slowness.rate / fastest) * (1 - SLOW_ROUNDING)
 
 
 def follows_growth(u: Uncertainty, k: int) -> bool:

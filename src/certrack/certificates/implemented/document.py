@@ -8,7 +8,7 @@ from typing import Any
 
 from certrack.certificates.exact import MAX_TEXT_LENGTH, from_text
 from certrack.certificates.implemented.proof import ImplementedProof
-from certrack.certificates.implemented.slow import Steps
+from certrack.certificates.implemented.slow import StepFunction
 from certrack.certificates.implemented.start_proof import StartProof
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, numbers
 from certrack.core.errors import InputError
@@ -25,7 +25,7 @@ START_KEYS = tuple(entry.name for entry in fields(StartProof))
 #: Delays that a file may state proofs for.
 MAX_DELAY_PROOFS = 64
 
-#: Steps of each z of a proof by rates.
+#: StepFunction of each z of a proof by rates.
 MAX_PROOF_STEPS = 1000
 
 #: And sets of starts for each delay.
@@ -101,7 +101,7 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
     return ImplementedProof(**(entry | lists))
 
 
-def _steps(entries: Any) -> Steps:
+def _steps(entries: Any) -> StepFunction:
     """One z: pairs of a period and a decimal text."""
     pairs = tuple(map(_as_tuple, _as_tuple(entries)))
     if len(pairs) > MAX_PROOF_STEPS:

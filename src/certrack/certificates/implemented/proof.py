@@ -29,10 +29,15 @@ from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
 from certrack.certificates.implemented.ranged import RangedPlant, drive_in
 from certrack.certificates.implemented.regional import in_the_long_run, is_regional, not_reached
-from certrack.certificates.implemented.slow import SlowTerms, Steps, needs_rates, slow_columns
+from certrack.certificates.implemented.slow import (
+    SlowTerms,
+    StepFunction,
+    needs_rates,
+    slow_columns,
+)
 from certrack.certificates.implemented.start import FromStarts
 from certrack.certificates.implemented.start_proof import POLYTOPE, X0, StartProof, StartProver
-from certrack.certificates.implemented.step_search import by_rates
+from certrack.certificates.implemented.step_search import RATES_PART, by_rates
 from certrack.certificates.implemented.timing import TimedBounds, rate_rows
 from certrack.certificates.ranges.cells import Cell
 from certrack.certificates.ranges.proofs import numbers, texts
@@ -53,9 +58,6 @@ MAX_NUMBERS = 20_000_000
 #: Digits of the states' and the input's bounds in a file, and the factor on the bound, so that a
 #: checker with another quadrature confirms it.
 DIGITS, TEXT_MARGIN = 13, flint.fmpq(1_000_001, 1_000_000)
-
-#: What rates of the uncertain terms take off, among the parts of a bound.
-RATES_PART = "uncertain, as they are slow"
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class ImplementedProof:
     starts: tuple[StartProof, ...] = ()
     rates: tuple[str, ...] = ()
     cell: tuple[tuple[str, str], ...] = ()
-    slow: tuple[Steps, ...] = ()
+    slow: tuple[StepFunction, ...] = ()
 
 
 def delays(system: System) -> tuple[Any, ...]:
@@ -154,7 +156,7 @@ def prove_implemented(
         if reason := _not_above(bounds, image, proof):
             raise NoCertificate(reason)
         parts = bounds.parts(X, U)
-        slow: tuple[Steps, ...] = ()
+        slow: tuple[StepFunction, ...] = ()
         smaller = image[0]
         if not cell:
             slow, smaller = by_rates(period, bounds, proof.doublings, _claimed(proof), image[0])

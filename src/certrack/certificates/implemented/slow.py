@@ -47,7 +47,7 @@ from certrack.certificates.implemented.period import (
 )
 
 #: One z: from which period on (0 is the running one), and its value there as a decimal text.
-Steps = tuple[tuple[int, str], ...]
+StepFunction = tuple[tuple[int, str], ...]
 
 #: Numbers in the tables of step responses, at most: some 100 MB.
 MAX_STEP_NUMBERS = 12_000_000
@@ -60,7 +60,7 @@ def slow_columns(drive: Drive) -> list[int]:
     return [j for j, bound in enumerate(drive.uncertain) if bound.slow is not None]
 
 
-def as_function(steps: Steps, periods: int) -> np.ndarray:
+def as_function(steps: StepFunction, periods: int) -> np.ndarray:
     """The values of z in all periods.
 
     Raises
@@ -344,7 +344,7 @@ class SlowTerms:
             raise NoCertificate("plant.uncertainty.dwell is shorter than a period")
         return count
 
-    def bound(self, steps: Sequence[Steps]) -> Any:
+    def bound(self, steps: Sequence[StepFunction]) -> Any:
         """Upper bound of limsup |e_1|, with one z for each column.
 
         Raises

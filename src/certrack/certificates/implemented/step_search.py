@@ -12,19 +12,22 @@ from scipy.optimize import linprog
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.period import Period
-from certrack.certificates.implemented.slow import SlowTerms, Steps, slow_columns
+from certrack.certificates.implemented.slow import SlowTerms, StepFunction, slow_columns
 
-#: Steps of z, at most; digits of each, and by how much of the largest |g| two of them differ.
-MAX_STEPS, STEP_DIGITS, LEAST_STEP = 300, 9, 1e-7
+#: StepFunction of z, at most; digits of each, and by how much of the largest |g| two of them differ.
+MOST_STEPS_OF_Z, STEP_DIGITS, LEAST_STEP = 300, 9, 1e-7
+
+#: What rates of the uncertain terms take off, among the parts of a bound.
+RATES_PART = "uncertain, as they are slow"
 
 #: A z that is written where none gains more than this factor.
-UNUSED: Steps = ((0, "0"),)
-LEAST_GAIN = flint.fmpq(1_000_001, 1_000_000)
+UNUSED: StepFunction = ((0, "0"),)
+WORTH_WRITING = flint.fmpq(1_000_001, 1_000_000)
 
 
 def by_rates(
     period: Period, bounds: OutputBounds, doublings: int, claimed: tuple[list[Any], Any], plain: Any
-) -> tuple[tuple[Steps, ...], Any]:
+) -> tuple[tuple[StepFunction, ...], Any]:
     """A z for each uncertain term with a rate and the bound of |e_1|, if that is smaller.
 
     Parameters
@@ -44,7 +47,7 @@ def by_rates(
         found = terms.bound(steps)
         for i in range(len(steps)):  # where a z gains nothing, none is written
             fewer = (*steps[:i], UNUSED, *steps[i + 1 :])
-            if terms.bound(fewer) <= found * LEAST_GAIN:
+            if terms.bound(fewer) <= found * WORTH_WRITING:
                 steps = fewer
         found = terms.bound(steps)
     except NoCertificate:  # too many numbers, or jumps in every period
@@ -52,7 +55,7 @@ def by_rates(
     return (steps, found) if found < plain else ((), plain)
 
 
-def search_steps(terms: SlowTerms) -> tuple[Steps, ...]:
+def search_steps(terms: SlowTerms) -> tuple[StepFunction, ...]:
     """One z for each column, of the row that is largest without them."""
     responses = terms.responses
     gains = terms.bounds.gains.w[terms.chosen][:, responses.columns]
@@ -61,7 +64,7 @@ def search_steps(terms: SlowTerms) -> tuple[Steps, ...]:
     return tuple(_steps(terms, i, row) for i in range(len(responses.columns)))
 
 
-def _steps(terms: SlowTerms, i: int, row: int) -> Steps:
+def _steps(terms: SlowTerms, i: int, row: int) -> StepFunction:
     responses = terms.responses
     slow = terms.bounds.drive.uncertain[responses.columns[i]].slow
     assert slow is not None
@@ -87,7 +90,7 @@ def _blocks(g: np.ndarray, time: np.ndarray) -> np.ndarray:
     """First periods of blocks in which g varies, and time passes, about equally much."""
     grown = np.cumsum(np.abs(np.diff(g, prepend=g[:1]))) + 1e-300
     measure = grown / grown[-1] + np.cumsum(time) / time.sum()
-    ends = np.searchsorted(measure, np.linspace(0, measure[-1], MAX_STEPS + 1)[1:-1])
+    ends = np.searchsorted(measure, np.linspace(0, measure[-1], MOST_STEPS_OF_Z + 1)[1:-1])
     inside = ends[(ends > 1) & (ends < len(g))]
     return np.unique(np.concatenate([[0], inside]))
 
@@ -133,7 +136,7 @@ def _least(
     return g if found.x is None else found.x[:k]
 
 
-def _few(starts: np.ndarray, z: np.ndarray, largest: float) -> Steps:
+def _few(starts: np.ndarray, z: np.ndarray, largest: float) -> StepFunction:
     """The steps with few digits, equal neighbours as one."""
     steps: list[tuple[int, str]] = []
     for start, value in zip(starts.tolist(), z.tolist(), strict=True):

@@ -14,7 +14,7 @@ from certrack.studies.falsifier.linear.chain import Chain, Kernels
 from certrack.studies.falsifier.linear.pattern import sign_formula
 
 #: Times at which a slow signal may change its slope, at most.
-MAX_NODES = 90
+MAX_SLOW_NODES = 90
 
 #: Keeps a signal below its bounds in spite of rounding.
 WITHIN = 1 - 1e-9
@@ -96,7 +96,7 @@ def _worst(
     middle = (edges[1:] + edges[:-1]) / 2
     measure = np.cumsum(np.abs(weights)) + 1e-300
     measure = measure / measure[-1] + 0.2 * middle / middle[-1]
-    inside = np.interp(np.linspace(0, measure[-1], MAX_NODES)[1:-1], measure, middle)
+    inside = np.interp(np.linspace(0, measure[-1], MAX_SLOW_NODES)[1:-1], measure, middle)
     times = np.unique(np.concatenate([[0.0], inside, edges[-1:]]))
     after = np.clip(np.searchsorted(times, middle), 1, len(times) - 1)
     share = (middle - times[after - 1]) / (times[after] - times[after - 1])
