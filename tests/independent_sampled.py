@@ -582,9 +582,6 @@ class Loop:
             newest = np.array(sizes[::-1][:count])
             newest = np.vstack([newest, np.tile(sizes[0], (count - len(newest), 1))])
             total += others[count - 1] + np.tensordot(of_w[:, :count], newest, 2)
-            if slow:
-                of_e = np.array(owners) == 0
-                total[of_e] -= slow.savings(rows[of_e], p, w, speeds)
             np.maximum.at(largest, owners, total)
         return largest
 

@@ -36,7 +36,7 @@ class Slow:
         return {k: self.rate[k] + self.by_states[k] @ rates for k in self.known}
 
     def savings(self, rows, phase, w, speeds):
-        """What rows of e_1 lose of their bounds: of each w the plain part or that by steps counts."""
+        """What rows of e_1 lose: of each w the plain part or that by steps counts."""
         kernels, spent = self._measures(rows, phase)
         total = np.zeros(len(rows))
         for k in self.known:

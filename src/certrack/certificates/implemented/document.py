@@ -81,7 +81,7 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
         cell = tuple((str(low), str(high)) for low, high in _as_tuple(entry.get("cell", ())))
         if not all(low <= high for low, high in numbers(cell)):
             raise ValueError("an interval is empty")
-        slow = tuple(map(_steps, _as_tuple(entry.get("slow", ()))))
+        slow = tuple(map(_one_z, _as_tuple(entry.get("slow", ()))))
         counts = (*_as_tuple(entry["parts"]), entry["doublings"])
         if len(counts) != 3 or any(type(count) is not int for count in counts):
             raise TypeError("parts must be two integers, doublings one")
@@ -101,7 +101,7 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
     return ImplementedProof(**(entry | lists))
 
 
-def _steps(entries: Any) -> StepFunction:
+def _one_z(entries: Any) -> StepFunction:
     """One z: pairs of a period and a decimal text."""
     pairs = tuple(map(_as_tuple, _as_tuple(entries)))
     if len(pairs) > MAX_PROOF_STEPS:

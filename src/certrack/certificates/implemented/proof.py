@@ -290,9 +290,7 @@ def failed_implemented(
         with flint.ctx.workprec(DRIVE_BITS):
             period = one_period(drive, proof.parts)
             bounds = _bounds(period, proof.doublings)
-            if drive.jitter:
-                if proof.slow:
-                    return "rates are not used together with jitter"
+            if drive.jitter and not proof.slow:
                 return _failed_with_jitter(period, bounds, proof)
             if is_regional(system) and not proof.starts:
                 return "the bound is not for every start, and nothing is said of one"

@@ -58,7 +58,7 @@ class _Rate:
         if term is None or term.zero:
             status = ASSUMED if term is None else PROVEN
             return Premise(name, status, self.stated, remedy="" if term else NOT_SEEN)
-        if _jumps(term.formula):
+        if _has_jumps(term.formula):
             if self.slowness.jump or self.slowness.fast:
                 return Premise(name, ASSUMED, f"{self.stated} (assumed of sign)", remedy=NOT_SEEN)
             what = f"{self.stated}, but truth.omega[{self.k}] has sign in it, and may jump"
@@ -116,7 +116,7 @@ NOT_SEEN = (
 )
 
 
-def _jumps(formula: sympy.Expr) -> bool:
+def _has_jumps(formula: sympy.Expr) -> bool:
     """Whether it may have jumps; a kink has none."""
     return bool(
         formula.has(sympy.sign, sympy.Heaviside, sympy.floor, sympy.ceiling, sympy.Piecewise)

@@ -124,28 +124,30 @@ class StepResponses:
         if count * 2**doublings * max(size, cells * len(columns)) > MAX_STEP_NUMBERS:
             raise NoCertificate("the sampled loop is too large for its step responses")
         increments, error, sizes = _whole_periods(period, rows, doublings, columns)
-        running, off, own = _running_period(period, rows, columns)
+        running, off, bends = _running_period(period, rows, columns)
         every = np.concatenate([running[:, None], increments], axis=1)
         g = np.cumsum(every.reshape(count, -1, len(columns)), axis=1).reshape(every.shape)
         flat = g.reshape(count, -1, len(columns))
         before = np.concatenate([0 * flat[:, :1], flat[:, :-1]], axis=1).reshape(g.shape)
         rounding = 2 * (every[0, :, :, 0].size + 8) * ROUNDOFF * np.abs(every).sum(axis=(1, 2))
         cubic, square = _bends(period, cells, columns)
-        whole = np.array([upper_number(flint.arb(c.length)) for c in reversed(period.cells)])
-        passed = np.array(
+        of_cells = np.array([upper_number(flint.arb(c.length)) for c in reversed(period.cells)])
+        behind = np.array(
             [[float(p < row.phase) for p in range(cells - 1, -1, -1)] for row in rows]
         )
         periods = increments.shape[1] + 1
-        lengths = np.broadcast_to(whole, (count, periods, cells)).copy()
-        lengths[:, 0] *= passed
+        lengths = np.broadcast_to(of_cells, (count, periods, cells)).copy()
+        lengths[:, 0] *= behind
         return cls(
             columns=columns,
             begin=before,
             end=g,
             lengths=lengths,
             error=widened(error + off + rounding, 8),
-            bend=widened(sizes.sum(axis=1) @ cubic + own[0], periods + size + 8),
-            overshoot=widened(np.concatenate([own[1][:, None], sizes @ square], axis=1), size + 8),
+            bend=widened(sizes.sum(axis=1) @ cubic + bends[0], periods + size + 8),
+            overshoot=widened(
+                np.concatenate([bends[1][:, None], sizes @ square], axis=1), size + 8
+            ),
         )
 
     @property
@@ -174,7 +176,7 @@ class StepResponses:
         a, b = (g[..., i] - z[None, :, None] for g in (self.begin, self.end))
         lines = (self.lengths * mean_magnitude(a, b)).sum(axis=(1, 2))
         time = self.lengths.sum(axis=(1, 2))
-        # a difference rounds by its own last digit: counted with the error of g
+        # a difference rounds by its last digit: counted with the error of g
         off = self.error[:, i] + 4 * ROUNDOFF * (np.abs(z).max() + np.abs(self.end[..., i]).max())
         area = widened(lines + self.bend[:, i] + off * time, a[0].size + 16)
         if not windows:
@@ -219,7 +221,7 @@ def _whole_periods(
 def _running_period(
     period: Period, rows: Sequence[Row], columns: list[int]
 ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """The same of the running period, of the cells that the rows have passed; and its bends."""
+    """The same of the running period, of the cells behind the rows; and its bends."""
     cells, count, width = len(period.cells), len(rows), len(columns)
     increments, off = np.zeros((count, cells, width)), np.zeros((count, width))
     bend, overshoot = np.zeros((count, width)), np.zeros((count, width))
@@ -319,12 +321,12 @@ class SlowTerms:
             assert slow is not None
             by_states = zip(slow.by_states, rates, strict=False)
             speeds.append(sum((flint.arb(c) * v for c, v in by_states), flint.arb(slow.rate)))
-        kept = values[chosen]
+        remaining = values[chosen]
         for j in responses.columns:
             kernels = np.array([flint.arb(float(v)) for v in gains.w[chosen, j]], dtype=object)
-            kept = kept - kernels * of_w[j]
+            remaining = remaining - kernels * of_w[j]
         sizes = [of_w[j] for j in responses.columns]
-        return cls(bounds, chosen, responses, sizes, speeds, kept)
+        return cls(bounds, chosen, responses, sizes, speeds, remaining)
 
     def windows(self, i: int) -> int:
         """Periods in a window with one jump at most; 0 without jumps.

@@ -12,7 +12,11 @@ from scipy.optimize import linprog
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.fixed_point import OutputBounds
 from certrack.certificates.implemented.period import Period
-from certrack.certificates.implemented.slow import SlowTerms, StepFunction, slow_columns
+from certrack.certificates.implemented.slow import (
+    SlowTerms,
+    StepFunction,
+    slow_columns,
+)
 
 #: StepFunction of z, at most; digits of each, and by how much of the largest |g| two of them differ.
 MOST_STEPS_OF_Z, STEP_DIGITS, LEAST_STEP = 300, 9, 1e-7
@@ -44,15 +48,15 @@ def by_rates(
     try:
         terms = SlowTerms.of(period, bounds, doublings, *claimed)
         steps = search_steps(terms)
-        found = terms.bound(steps)
+        smaller = terms.bound(steps)
         for i in range(len(steps)):  # where a z gains nothing, none is written
             fewer = (*steps[:i], UNUSED, *steps[i + 1 :])
-            if terms.bound(fewer) <= found * WORTH_WRITING:
+            if terms.bound(fewer) <= smaller * WORTH_WRITING:
                 steps = fewer
-        found = terms.bound(steps)
+        smaller = terms.bound(steps)
     except NoCertificate:  # too many numbers, or jumps in every period
         return (), plain
-    return (steps, found) if found < plain else ((), plain)
+    return (steps, smaller) if smaller < plain else ((), plain)
 
 
 def search_steps(terms: SlowTerms) -> tuple[StepFunction, ...]:
@@ -61,10 +65,10 @@ def search_steps(terms: SlowTerms) -> tuple[StepFunction, ...]:
     gains = terms.bounds.gains.w[terms.chosen][:, responses.columns]
     sizes = np.array([float(size.mid()) for size in terms.sizes])
     row = int(np.argmax([float(v.mid()) for v in terms.values] + gains @ sizes))
-    return tuple(_steps(terms, i, row) for i in range(len(responses.columns)))
+    return tuple(_best_z(terms, i, row) for i in range(len(responses.columns)))
 
 
-def _steps(terms: SlowTerms, i: int, row: int) -> StepFunction:
+def _best_z(terms: SlowTerms, i: int, row: int) -> StepFunction:
     responses = terms.responses
     slow = terms.bounds.drive.uncertain[responses.columns[i]].slow
     assert slow is not None
@@ -126,14 +130,14 @@ def _least(
     )
     free = [(None, None)] * k + [(0, None)] * (len(cost) - k)
     scale = cost.max() or 1.0
-    found = linprog(
+    smaller = linprog(
         cost / scale,
         A_ub=sparse.bmat(blocks, format="csr"),
         b_ub=np.concatenate(limits),
         bounds=free,
         method="highs",
     )
-    return g if found.x is None else found.x[:k]
+    return g if smaller.x is None else smaller.x[:k]
 
 
 def _few(starts: np.ndarray, z: np.ndarray, largest: float) -> StepFunction:

@@ -230,7 +230,7 @@ def run(
         grows with the state.
     """
     shape, beta = signed.disturbance.shape[:2], np.array(chain.uncertainty.beta)
-    given = {j: (values.reshape(shape), sign) for j, (values, sign) in slow.items()}
+    held = {j: (values.reshape(shape), sign) for j, (values, sign) in slow.items()}
     signs, senses = np.sign(signed.disturbance), np.sign(signed.noise)
     z, (inside, sampled) = chain.start @ reference.start, chain.piece_at
     states = np.zeros((chain.periods, len(chain.cells), chain.n))
@@ -245,7 +245,7 @@ def run(
             if chain.acting:
                 sizes = chain.bound(x)
                 w = signs[k, c] * sizes
-                for j, (values, sign) in given.items():
+                for j, (values, sign) in held.items():
                     w[j] = values[k, c] + sign * (sizes[j] - beta[chain.acting[j]])
                 z = z + cell.G @ w
     return Motion(float(chain.row @ z), states)

@@ -104,16 +104,16 @@ def _worst(
     gain += np.bincount(after - 1, (1 - share) * weights, len(times))
     count = len(times)
     moves = sparse.diags([-1.0, 1.0], [0, 1], shape=(count - 1, count))
-    found = linprog(
+    solved = linprog(
         -gain / (np.abs(gain).max() or 1.0),
         A_ub=sparse.vstack([moves, -moves]),
         b_ub=np.tile(rate * np.diff(times), 2),
         bounds=(-size, size),
         method="highs",
     )
-    if found.x is None:
+    if solved.x is None:
         return times, np.full(count, size * np.sign(weights.sum()))
-    return times, _kept(times, found.x, size, rate)
+    return times, _kept(times, solved.x, size, rate)
 
 
 def _kept(times: np.ndarray, values: np.ndarray, size: float, rate: float) -> np.ndarray:
