@@ -171,8 +171,8 @@ class Uncertainty:
                 raise InputError(f"plant.uncertainty.{name}", wanted, list(values))
         if self.bound is not None:
             set_fields(self, bound=self._check_bounds(self.bound))
-        given = {name: getattr(self, name) for name in SLOWNESS}
-        set_fields(self, **read_slowness(type(self), given, n))
+        stated = {name: getattr(self, name) for name in SLOWNESS}
+        set_fields(self, **read_slowness(type(self), stated, n))
         check_slowness(self)
 
     def _check_bounds(self, bounds: Any) -> tuple[Expression | str, ...] | None:

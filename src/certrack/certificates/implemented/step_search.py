@@ -18,7 +18,7 @@ from certrack.certificates.implemented.slow import (
     slow_columns,
 )
 
-#: StepFunction of z, at most; digits of each, and by how much of the largest |g| two of them differ.
+#: Steps of z, at most; digits of each; by how much of the largest |g| two of them differ.
 MOST_STEPS_OF_Z, STEP_DIGITS, LEAST_STEP = 300, 9, 1e-7
 
 #: What rates of the uncertain terms take off, among the parts of a bound.
