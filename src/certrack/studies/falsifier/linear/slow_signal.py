@@ -113,10 +113,10 @@ def _worst(
     )
     if solved.x is None:
         return times, np.full(count, size * np.sign(weights.sum()))
-    return times, _kept(times, solved.x, size, rate)
+    return times, _within(times, solved.x, size, rate)
 
 
-def _kept(times: np.ndarray, values: np.ndarray, size: float, rate: float) -> np.ndarray:
+def _within(times: np.ndarray, values: np.ndarray, size: float, rate: float) -> np.ndarray:
     """The values, made smaller where the program's tolerance left their bounds."""
     steepest = float((np.abs(np.diff(values)) / np.diff(times)).max(initial=0.0))
     largest = float(np.abs(values).max(initial=0.0))
