@@ -23,6 +23,9 @@ def all_levels(loop):
     """(Pi, D) of levels 0 ... q + 1, over whole cells."""
     own = loop.Pi[::GRID]
     ideal, found = where_the_error_is_zero(loop), []
+    if ideal is None:  # the loop's own motion alone
+        D = np.zeros((len(own[0]), loop.q + 1))
+        return [(own, [D] * (len(loop.cells) // GRID))]
     for s in range(loop.q + 2):
         Pi = [np.hstack([a[:, :s], b[:, s:]]) for a, b in zip(own, ideal, strict=True)]
         D = []
@@ -43,14 +46,20 @@ def whole_cell(loop, p):
 
 
 def where_the_error_is_zero(loop):
-    """x = x_d, the memories of its samples after some time, and the inputs that follow."""
+    """x = x_d, the memories of its samples after some time, and the inputs that follow.
+
+    None where a memory never forgets, as that of a disturbance observer whose states are given.
+    """
     n, q, back = loop.n, loop.q, loop._shift(-loop.T)
     of_x, of_s = loop.after[:, :n], loop.after[:, n:]
     count = len(of_x)
     s = np.zeros((count, q + 1))
     if count:
         whole = np.eye(count * (q + 1)) - np.kron(of_s, back.T)
-        s = np.linalg.solve(whole, (of_x @ loop.desired).ravel()).reshape(count, q + 1)
+        try:
+            s = np.linalg.solve(whole, (of_x @ loop.desired).ravel()).reshape(count, q + 1)
+        except np.linalg.LinAlgError:
+            return None
     u = loop.command[:n] @ loop.desired + loop.command[n:] @ (s @ back) + loop.forward[: q + 1]
     inputs = [u @ loop._shift(-i * loop.T) for i in range(len(loop.J) - n - count)]
     Pi = [np.vstack([loop.desired, s, *inputs])]

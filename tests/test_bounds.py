@@ -288,6 +288,31 @@ def test_bounds_of_several_frequencies_are_those_over_all_phases(text):
     assert reached <= found <= 1.01 * reached
 
 
+RATIOS = st.sampled_from(["1", "1", "0.1", "1.1", "2/3", "5/7", "3", "-1", "10/11"])
+
+
+@given(st.lists(RATIOS, min_size=2, max_size=5))
+def test_every_frequency_is_a_multiple_of_the_common_one(frequencies):
+    """Else the phases of a turn are not all that occur, and a bound is too small."""
+    terms = (f"sin({w}*t + cos(t + {i}))" for i, w in enumerate(frequencies))
+    formula = Formula(parse("", "*".join(terms), ["t"]).expr)
+    for base, turns in formula._tables:
+        for arg, (n, offset) in turns.items():
+            assert sympy.expand(n * base * sympy.Symbol("t", real=True) + offset - arg) == 0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sin(t + cos(t) + sin(1.1*t))",  # frequencies 1, 1 and 1.1
+        "sin(sin(t)*cos(3*t)*sin(3*t + sin(t)))",
+        "sin(0.5*t + sin(1.5*t) + sin(3*t + cos(3*t)))",
+    ],
+)
+def test_nested_sines_of_several_frequencies_stay_within_their_bounds(text):
+    check(text, 2)
+
+
 @pytest.mark.parametrize("shift", [-1, 0, 1])
 @pytest.mark.parametrize("function", ["asin(sin(t))", "acos(cos(t)) - pi/2"])
 def test_bounds_of_triangles_cover_both_ends(function, shift):

@@ -172,12 +172,12 @@ def test_reproduce(capfd, tmp_path):
         f"figure-{name}{detail}.{k}"
         for name in "2a 2b 2c 2d 3a 3b 3c 4a 4b 4c".split()
         for detail in ("", "-detail")
-        for k in ("png", "svg")
+        for k in ("pdf", "png", "svg")
     }
     others = {
         f"{name}.{k}"
         for name in ("figure-1", "certificates", "counterexample")
-        for k in ("png", "svg")
+        for k in ("pdf", "png", "svg")
     }
     assert figures == expected | others
     assert all(path.stat().st_size < 300_000 for path in tmp_path.glob("*.png"))
@@ -257,6 +257,7 @@ def test_a_run_that_does_not_finish_is_exit_1_with_the_remedy(capfd, tmp_path):
     assert "Raise c" in err
 
 
+@pytest.mark.slow
 def test_what_was_written_is_said_but_not_to_programs(capfd, tmp_path):
     run, pictures, members = tmp_path / "run.nc", tmp_path / "pictures", tmp_path / "members"
     simulate = ("simulate", "example1", "--out", str(run), "--plot", str(pictures))

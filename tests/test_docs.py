@@ -32,7 +32,7 @@ PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 #: Their commands or programs take long.
 LONG = {
     *("README", "certificates", "deployment", "ensembles", "friction", "mismatch", "new-law"),
-    *("ranges", "sampled", "tuning", "tutorial"),
+    *("ranges", "observers", "python", "sampled", "tuning", "tutorial"),
 }
 PARAMETERS = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.slow] * (page.stem in LONG))

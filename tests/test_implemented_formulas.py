@@ -25,7 +25,7 @@ from certrack.certificates.implemented.gains import (
 )
 from certrack.certificates.implemented.growing import GrowingBound
 from certrack.certificates.implemented.outputs import output_rows
-from certrack.certificates.implemented.period import column, gamma, one_period, shift
+from certrack.certificates.implemented.period import gamma, one_period, shift
 from certrack.certificates.implemented.start import (
     Later,
     _product_with,
@@ -33,6 +33,7 @@ from certrack.certificates.implemented.start import (
     is_above,
     up,
 )
+from certrack.core.ball_matrices import column
 from certrack.core.expressions import parse, symbol
 
 

@@ -368,3 +368,15 @@ def test_a_window_is_opened_by_the_first_toolkit_that_can(monkeypatch):
     monkeypatch.setattr(show_module, "import_module", load)
     assert plotting.show([Figure(), Figure()]) == ""
     assert calls == [1, 2, "shown", "shown", "loop"]
+
+
+def test_dollars_in_a_title_are_no_formula():
+    from certrack.plotting import Appearance
+    from certrack.plotting.shared import set_title
+
+    drawing = Figure()
+    with plotting.style():
+        set_title(drawing, Appearance(title=r"$\bad$").titled("none"))
+    text = drawing._suptitle
+    drawing.canvas.draw()  # a formula that is none would raise
+    assert text._preprocess_math(text.get_text()) == (r"$\bad$", False)

@@ -149,3 +149,9 @@ def test_units_of_time_are_noticed():
     with pytest.raises(InputError, match=r'row 2, cell 1 .*900 times .*time_unit = "ms"'):
         check_time_unit("a.csv", long, 10)
     check_time_unit("a.csv", read_samples("a.csv", b"time [s];y\n0;0\n99;1\n"), 10)
+
+
+@pytest.mark.parametrize("columns", [("1", "1"), ("y", "2"), ("y", "y [mm]")])
+def test_one_column_is_not_time_and_value(columns):
+    with pytest.raises(InputError, match=r"columns\[1\]: must be another column than that of time"):
+        read_samples("a.csv", b"t,y [mm]\n0,1\n1,2\n", columns)

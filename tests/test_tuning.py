@@ -20,11 +20,17 @@ from certrack.certificates.formulation import error_problem
 from certrack.certificates.methods import certify_peak
 from certrack.certificates.semidefinite import SemidefiniteProgram
 from certrack.loops.stability import linear_loop
+from certrack.systems.edit import with_law
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.conflict import conflict
+from certrack.tuning.exceeded import broken_limits
+from certrack.tuning.limits import Limit, Task
+from certrack.tuning.measure import FOUND, SIMULATED, figures_of
 from certrack.tuning.problem import Requirements, TuningProblem
-from certrack.tuning.quantities import NoiseGain, PeakGainError, SemidefiniteError
+from certrack.tuning.quantities import NoiseGain, PeakGainError, Quantity, SemidefiniteError
 from certrack.tuning.registry import tuning_family
 from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, LinearPlant
+from certrack.tuning.search import GainSearch, Price
 from certrack.tuning.stability import StabilityEdge
 
 #: What a gradient may differ from central differences by, over its largest entry.
@@ -112,7 +118,7 @@ def test_gradient_from_the_dual(n, kind):
     """One program gives value and gradient; differences solve a program for each value."""
     system = random_system(3, n, kind)
     point = candidate_of(system)
-    step, share = 1e-3, 0.35
+    step, share = 5e-4, 0.35  # differences err by 1e-4 at 1e-3 (n = 4), by h^2
 
     def problem(v):
         gains = v if kind == "robust" else np.append(v, 0.0)
@@ -331,6 +337,62 @@ class TestRefusals:
         certrack.save(system, tmp_path / "plain.toml")
         err = self.refusal(capfd, str(tmp_path / "plain.toml"), "--peak-input", "40")
         assert "must hold over a box of starts" in err and "--box -1:1" in err
+
+
+def test_only_the_law_is_another():
+    """The heading of the next table, which a parser counts to the law, and remarks beside keys."""
+    system = certrack.load("dual-motor-lean")
+    run = "\n# ---- the run ----\n# 20 s\n\n[simulation]\nx0 = [0, 0, 0, 0] # at rest\n"
+    for rest in (run, "\n# the end", "\n[law.lqr]\nQ = [1]\n# of the next\n\n[ensemble]\n"):
+        text = f"# mine\n[law]\nkind = 'robust'   # by hand\nc = [1, 2] # 1/s\n{rest}"
+        out = with_law(text, system, ["how it was made"])
+        assert out.startswith('# mine\n[law]\n# how it was made\nkind = "robust" # by hand\nc = [')
+        assert "] # 1/s\n" in out
+        assert out.rstrip().endswith(rest.split("Q = [1]")[-1].rstrip())
+        again = with_law(out, system, ["later"])
+        assert again == out.replace("how it was made", "later")
+
+
+def test_figures_that_exceed_their_limits_are_told():
+    """The search knows some corners and the loop without its drive; the figures know more."""
+    system = certrack.load("dual-motor-lean")
+    figures = figures_of(system, None, 0)
+    assert figures.peak_is == SIMULATED
+    named = [type("Named", (), {"name": name})() for name in ("error", "peak input", "noise")]
+    limits = [Limit(quantity, 1e-3) for quantity in named]
+    (said,) = broken_limits(limits, figures)  # a run's peak is not that of a box
+    assert said.startswith("error <= 0.001 is not kept: certified error 0.0012")
+    found = replace(figures, certified=math.inf, peak_is=FOUND)
+    assert [line.split(" is not")[0] for line in broken_limits(limits, found)] == [
+        "error <= 0.001",
+        "peak input <= 0.001",
+    ]
+    assert not broken_limits([Limit(named[0], figures.certified)], figures)
+
+
+def test_what_has_no_certificate_is_no_design():
+    """It keeps every limit, and is neither the best nor the nearest."""
+
+    class Nothing(Quantity):
+        name = "error"
+
+        def value(self, candidate):
+            return math.inf
+
+    system = certrack.load("dual-motor-lean")
+    family = tuning_family(system, "robust", 1)
+    search = GainSearch(system, Task(Nothing(), True, (), lambda candidate: True))
+    search.run(family, family.start)
+    assert search.state.best is None and search.state.nearest is None
+    problem = TuningProblem(system, system, Requirements(), "error")
+    assert "has a certificate" in str(conflict(problem, family, search))
+
+
+def test_the_price_of_a_longer_period():
+    """Of what is made large, a price is what it grows by; of what is made small, what it falls."""
+    price = Price(Limit(NoiseGain(certrack.load("dual-motor-lean")), 2.0), 2.0, 3.0)
+    assert math.isclose(price.gain(0.1, -1.0), 1.1**3 - 1)
+    assert math.isclose(price.gain(0.1, 1.0), 1 - 1.1**-3)
 
 
 def test_the_tuned_file(capfd, tmp_path):

@@ -238,9 +238,8 @@ def certify(
     )
     later = system.long_run
     as_run = system if is_of_starts(system) else later
-    rests_on = everywhere = premises(later)
+    rests_on = everywhere = premises(as_run if implemented.verified else later)
     if implemented.verified:
-        everywhere = premises(as_run)
         rests_on = premises_as_implemented(as_run, implemented_proof)
     if is_only_in_region(rests_on):
         implemented, implemented_proof = from_x0_only(implemented, implemented_proof)

@@ -101,8 +101,8 @@ def certificates_notes(results: Certificates) -> list[str]:
         attained, lines = results.attainable, ["the nominal certificates do not cover plant.ranges"]
         if attained is not None:
             lines.append(
-                f"attainable at the worst corner of the ranges: {rounded_down(attained, 5)} "
-                "(a linear program over references; no proof)"
+                "attainable by the continuous law at the worst corner of the ranges: "
+                f"{rounded_down(attained, 5)} (a linear program over references; no proof)"
             )
     else:
         lines = [

@@ -58,7 +58,7 @@ def reproduce(out: Path, as_json: bool) -> None:
         click.echo(report.to_json(values))
         return
     print_reproduction(results)
-    click.echo(f"{len(results.figures)} figures (PNG and SVG) in {out}")
+    click.echo(f"{len(results.figures)} figures (PDF, PNG and SVG) in {out}")
 
 
 def print_reproduction(results: Reproduction) -> None:

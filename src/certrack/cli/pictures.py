@@ -22,7 +22,7 @@ MAKING = ("plot", "show", "out")
 
 
 def picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--style``, ``--size``, ``--title`` and ``--window``; the verb gets a `look`."""
+    """Add ``--style``, ``--size``, ``--title`` and ``--window``; the verb gets an `appearance`."""
 
     @wraps(command)
     def with_appearance(

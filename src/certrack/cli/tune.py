@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +68,13 @@ def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted
     Example: certrack tune dual-motor-lean --peak-input 39.1 --period 0.087 --out tuned.toml
     """
     from certrack.cli import report, tune_report
+    from certrack.core.files import write_text
     from certrack.systems.edit import with_law
     from certrack.systems.reader import load
     from certrack.tuning.tune import tune as search_gains
 
     system = load(file)
+    source = _text_of(file)  # as it is now: the search may take minutes
     keep_source(file, *filter(None, [out]))
     if plot is not None and wanted["front"] is None:
         raise InputError("--plot", "draws a front, and none is asked for", remedy="Add --front")
@@ -89,10 +92,7 @@ def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted
         figure = plotting.front_figure(result.front, system.title, system.plant.units)
         pictures = plotting.save_figure(figure, plot, "front")
     if out is not None:
-        text = with_law(_text_of(file), result.system, tune_report.remarks(result, file))
-        from certrack.core.files import write_text
-
-        write_text(out, text)
+        write_text(out, with_law(source, result.system, tune_report.remarks(result, file)))
     if as_json:
         click.echo(report.to_json(result.summary()))
     else:
@@ -121,24 +121,23 @@ def _box_of(text: str | None) -> list[tuple[float, float]] | None:
     return pairs
 
 
-class _options_named:
-    """Name the options in refusals of the arguments that they set."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, _kind: Any, problem: BaseException | None, _trace: Any) -> None:
-        if isinstance(problem, InputError):
-            name, mark, index = problem.key.partition("[")
-            if name in OPTIONS:
-                problem.key = f"--{name.replace('_', '-')}{mark}{index}"
-
-
 #: Arguments of certrack.tune that are options of the verb.
 OPTIONS = (
     *("objective", "error", "peak_input", "energy", "period", "delay_margin", "noise"),
     *("feedforward", "box", "starts", "seed", "front"),
 )
+
+
+@contextmanager
+def _options_named() -> Iterator[None]:
+    """Name the options in refusals of the arguments that they set."""
+    try:
+        yield
+    except InputError as problem:
+        name, mark, index = problem.key.partition("[")
+        if name in OPTIONS:
+            problem.key = f"--{name.replace('_', '-')}{mark}{index}"
+        raise
 
 
 def _text_of(file: str) -> str:

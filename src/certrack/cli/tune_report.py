@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from certrack.cli import report
 from certrack.core.rounding import printed_bound
 from certrack.core.version import __version__
+from certrack.tuning.measure import FOUND
 from certrack.tuning.result import tuned_numbers
 
 if TYPE_CHECKING:
@@ -24,11 +25,12 @@ PERIODS_FOR_COMFORT = 3.0
 def tuned_table(result: Tuned, units: Sequence[str] | None) -> Table:
     """Before and after, side by side."""
     output = f" [{units[0]}]" if units and units[0] not in ("", "1") else ""
+    peaks = result.before.peak_is, result.after.peak_is
     entries = [
         (f"certified error{output}", "certified"),
         (f"worst error found{output}", "worst_found"),
         (f"tail error, simulated{output}", "tail_error"),
-        ("peak input, over the box of starts", "peak_input"),
+        (f"peak input, {FOUND if FOUND in peaks else result.after.peak_is}", "peak_input"),
         ("input energy", "energy"),
         ("variation of input", "input_variation"),
         ("gain from noise to input", "noise"),
@@ -65,18 +67,20 @@ def tuned_notes(result: Tuned) -> list[str]:
 
 def price_lines(result: Tuned) -> list[str]:
     """The active limits, each with what a tenth more of it buys."""
-    what = {"error": "error", "peak": "peak input", "energy": "energy", "period": "period"}
+    what = {"error": "error", "peak": "peak input", "energy": "energy", "period": "longer period"}
     name = what[result.objective]
     prices: dict[str, float] = {}
     lines: dict[str, str] = {}
     for active in result.active:  # corners have a limit each: one price
-        prices[active.limit] = 1 - (1 - prices.get(active.limit, 0.0)) * (1 - active.price)
+        sign = -1 if result.objective == "period" else 1
+        remaining = (1 - sign * prices.get(active.limit, 0.0)) * (1 - sign * active.price)
+        prices[active.limit] = sign * (1 - remaining)
         shorter = active.limit in ("period", "delay margin")
         ease = f"10 % {'shorter' if shorter else 'more'} {active.limit}"
         share = 100 * abs(prices[active.limit])
-        verb = "buys" if result.objective != "period" else "buys a longer"
         lines[active.limit] = (
-            f"active: {active.limit} {active.value:.5g}: {ease} {verb} {share:.2g} % {name}"
+            f"active: {active.limit} {active.value:.5g}: {ease} "
+            f"buys {share:.2g} % {name} at the margin"
         )
     return list(lines.values()) or ["no limit is active"]
 
@@ -96,6 +100,7 @@ def warnings(result: Tuned) -> list[str]:
     lines = []
     if result.stopped:
         lines.append("stopped before all starts were searched: this is the best so far")
+    lines += result.broken
     if result.objective == "error" and result.after.certified >= result.before.certified:
         lines.append("the certified error is not better than the file's, within these limits")
     if not math.isfinite(result.after.certified):

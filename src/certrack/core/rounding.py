@@ -1,4 +1,4 @@
-"""Numbers as short texts that are not below them: how a bound is printed."""
+"""Numbers in few digits: bounds as texts that are not below them, and decimals that are near."""
 
 from __future__ import annotations
 
@@ -64,6 +64,15 @@ def _short_text(value: float | str, digits: int, rounding: str) -> str:
     short = Context(prec=digits, rounding=rounding).plus(exact).normalize()
     in_full = not short or -4 <= short.adjusted() < max(digits, 6)
     return f"{short:f}" if in_full else f"{short:e}".replace("e+", "e")
+
+
+def in_digits(value: float, digits: int) -> float:
+    """The float of the nearest decimal with so many digits.
+
+    >>> in_digits(2 / 3, 3)
+    0.667
+    """
+    return float(f"{value:.{digits}g}")
 
 
 def printed_bound(value: float | None, digits: int = 6) -> str:

@@ -26,6 +26,8 @@ from dataclasses import dataclass, field
 
 import sympy
 
+from certrack.laws.signals import dot
+
 
 @dataclass(frozen=True)
 class KnownParameters:
@@ -47,7 +49,7 @@ class KnownParameters:
 
     def input(self, nu: sympy.Expr, phi: Sequence[sympy.Expr]) -> sympy.Expr:
         """u that obeys it."""
-        return (nu - _dot(phi, self.theta)) / self.g_n
+        return (nu - dot(phi, self.theta)) / self.g_n
 
     def rates(
         self, nu: sympy.Expr, phi: Sequence[sympy.Expr], e_n: sympy.Expr, sign_g: sympy.Expr
@@ -90,20 +92,20 @@ class EstimatedParameters:
 
     def input(self, nu: sympy.Expr, phi: Sequence[sympy.Expr]) -> sympy.Expr:
         """u that obeys it."""
-        return self.delta_hat * (nu - _dot(phi, self.theta_hat))
+        return self.delta_hat * (nu - dot(phi, self.theta_hat))
 
     def rates(
         self, nu: sympy.Expr, phi: Sequence[sympy.Expr], e_n: sympy.Expr, sign_g: sympy.Expr
     ) -> tuple[sympy.Expr, ...]:
         """Rates of the own states that obey it."""
-        ubar = nu - _dot(phi, self.theta_hat)
+        ubar = nu - dot(phi, self.theta_hat)
         forgotten = self.leak_gain * (self.delta_hat - self.delta0)
         delta_rate = -self.gain_rate * (sign_g * ubar * e_n + forgotten)
         drive = [
             phi[i] * e_n - self.leak_theta * (self.theta_hat[i] - self.theta0[i])
             for i in range(len(self.theta_hat))
         ]
-        return (delta_rate, *(_dot(row, drive) for row in self.Gamma))
+        return (delta_rate, *(dot(row, drive) for row in self.Gamma))
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,3 @@ class OwnErrors:
 
 #: What a law may state.
 ErrorSystem = KnownParameters | EstimatedParameters | OwnErrors
-
-
-def _dot(a: Sequence[sympy.Expr], b: Sequence[sympy.Expr]) -> sympy.Expr:
-    return sympy.Add(*(left * right for left, right in zip(a, b, strict=True)))

@@ -11,6 +11,7 @@ from scipy.linalg import LinAlgError, solve_continuous_are
 from certrack.core import checks
 from certrack.core.errors import DesignError, InputError
 from certrack.core.keys import set_fields
+from certrack.core.rounding import in_digits
 
 #: Significant digits of what is computed for a law: an exact decimal, the same for floats,
 #: rationals and the file of a certificate.
@@ -91,4 +92,4 @@ def lqr_feedback(weights: LqrWeights, F: np.ndarray, g_n: float) -> np.ndarray:
 
 def as_computed(value: float) -> float:
     """The float whose decimal text has :data:`COMPUTED_DIGITS` digits."""
-    return float(f"{value:.{COMPUTED_DIGITS}g}")
+    return in_digits(value, COMPUTED_DIGITS)

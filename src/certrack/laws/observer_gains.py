@@ -19,6 +19,7 @@ from typing import Any
 import flint
 import sympy
 
+from certrack.core.ball_matrices import beside, identity
 from certrack.core.errors import DesignError, InputError
 from certrack.core.rationals import exact_rational
 from certrack.laws.observer import Observer
@@ -94,7 +95,7 @@ def stationary_gains(
 ) -> flint.arb_mat:
     """L of the module's text, for the states and d."""
     n, size = F.nrows(), F.nrows() + G.ncols()
-    eye = _eye(size)
+    eye = identity(size)
     over = flint.arb_mat(eye)
     for i in range(n):
         for j in range(n):
@@ -107,7 +108,7 @@ def stationary_gains(
         h[i, i] = weight**2
     for _ in range(RICCATI_DOUBLINGS):
         try:
-            through = (eye + g * h).solve(_joined(a, g * a.transpose()))
+            through = (eye + g * h).solve(beside(a, g * a.transpose()))
         except ZeroDivisionError:
             break
         left, right = _split(through, size)
@@ -117,7 +118,7 @@ def stationary_gains(
         a = (a * left).mid()
         change, scale = _largest(h - before), _largest(h)
         if change <= RICCATI_CHANGE * scale:
-            seen = C * h * C.transpose() + _eye(len(measured))
+            seen = C * h * C.transpose() + identity(len(measured))
             try:
                 return h * C.transpose() * seen.inv()
             except ZeroDivisionError:  # weights that differ too much for the precision
@@ -125,14 +126,6 @@ def stationary_gains(
         if not math.isfinite(scale) or scale > LARGEST_SOLUTION:
             break
     return flint.arb_mat(size, len(measured), [flint.arb("nan")] * (size * len(measured)))
-
-
-def _eye(size: int) -> flint.arb_mat:
-    return flint.arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
-
-
-def _joined(a: flint.arb_mat, b: flint.arb_mat) -> flint.arb_mat:
-    return flint.arb_mat([x + y for x, y in zip(a.tolist(), b.tolist(), strict=True)])
 
 
 def _split(table: flint.arb_mat, size: int) -> tuple[flint.arb_mat, flint.arb_mat]:

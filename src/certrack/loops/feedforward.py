@@ -21,6 +21,7 @@ import numpy as np
 from certrack.core.errors import DesignError
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable
+from certrack.core.rounding import in_digits
 from certrack.laws.base import Controller, Law
 from certrack.laws.observer_model import plant_over_a_period
 from certrack.loops.controller_numbers import plain_values
@@ -104,7 +105,7 @@ def sampled_feedforward(
         raise DesignError(
             "law.sampled_feedforward", "finds no steady motion of the loop", remedy="Leave it out"
         )
-    return np.array([float(f"{v:.{COEFFICIENT_DIGITS}g}") for v in F * gain])
+    return np.array([in_digits(v, COEFFICIENT_DIGITS) for v in F * gain])
 
 
 def _tables(

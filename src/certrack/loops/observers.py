@@ -16,7 +16,7 @@ missed: what is not measured begins at rest, as a difference does, and d at zero
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,12 +27,16 @@ from certrack.core.select import Select
 from certrack.laws.base import Law
 from certrack.laws.observer import DOB
 from certrack.laws.observer_model import (
+    ObserverModel,
     known_plant,
     linear_part,
     observer_model,
 )
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
+
+#: A symbol, and the formula that it stands for.
+NamedFormula = tuple[sympy.Symbol, sympy.Expr]
 
 
 @dataclass(frozen=True)
@@ -103,93 +107,145 @@ def estimation(
     first : symbol
         1 at the first sample, then 0.
     """
-    assert law.observer is not None
-    observer = law.observer.bound_to(plant, implementation)
-    model, x = observer_model(plant, law, implementation), plant.symbols
-    names = dict(zip(plant.states, x, strict=True))
-    used: dict[sympy.Symbol, None] = {}
-    number = _naming(used)
-    dob = observer.kind == DOB
-    measured = {state: differences.get(state, state) for state in x}
+    o = _Observed.of(plant, law, implementation)
     still = at_rest(plant, implementation.velocity)
-    predicted = [names[row] for row in observer.rows] if dob else list(x)
-    seen = predicted if dob else [s for s in x if s.name not in implementation.velocity]
-
-    steps: list[tuple[sympy.Symbol, sympy.Expr]] = []
-    for state in predicted:
-        begin = measured[state] if dob else still[state]
-        chosen = Select(first, 0, begin, _predicted(state))
-        steps.append((symbol(f"ctl_expected_{state}"), chosen))
-    misses = [symbol(f"ctl_miss_{state}") for state in seen]
-    for state, miss in zip(seen, misses, strict=True):
-        steps.append((miss, measured[state] - symbol(f"ctl_expected_{state}")))
-    x_hat = dict(measured)
-    if not dob:
-        x_hat = {state: symbol(f"ctl_{state}_hat") for state in x}
-        for i, state in enumerate(x):
-            added = _sum(
-                number(model.correction[i, j], "correct", state, seen[j]) * miss
-                for j, miss in enumerate(misses)
-            )
-            steps.append((x_hat[state], symbol(f"ctl_expected_{state}") + added))
-    below = 0 if dob else plant.n
-    d_hat = [symbol(f"ctl_d_{row}_hat") for row in observer.rows]
-    for k, row in enumerate(observer.rows):
-        added = _sum(
-            number(model.correction[below + k, j], "correct", f"d_{row}", seen[j]) * miss
-            for j, miss in enumerate(misses)
-        )
-        steps.append((d_hat[k], _disturbance(row) + added))
-
+    measured = {state: differences.get(state, state) for state in plant.symbols}
+    x_hat, steps = o.corrected_states(measured, measured if o.is_dob else still, first)
+    d_hat = [symbol(f"ctl_{name}_hat") for name in o.d]
+    for k, name in enumerate(o.d):
+        steps.append((d_hat[k], symbol(f"ctl_{name}") + o.correction(len(o.corrected) + k, name)))
     values = {s: v for s, v in x_hat.items() if v != s}
-    for i, state in enumerate(x):
-        moved = _sum(
-            number(model.P[i, k], "steady", state, f"d_{row}") * d_hat[k]
-            for k, row in enumerate(observer.rows)
-        )
+    for i, state in enumerate(plant.symbols):
+        moved = o.combined(o.model.P[i], o.d, d_hat, "steady", state)
         if moved != 0:
             values[state] = symbol(f"ctl_{state}_less")
             steps.append((values[state], x_hat[state] - moved))
-    compensation = _sum(
-        number(model.U[k], "counter", f"d_{row}") * d_hat[k] for k, row in enumerate(observer.rows)
-    )
+    compensation = o.combined(o.model.U, o.d, d_hat, "counter")
+
     late, count = _commands(implementation.design_delay)
     steps += [(symbol(f"ctl_u_{age}"), past_command(age)) for age in range(1, count + 1)]
     commands = [command, *(symbol(f"ctl_u_{age}") for age in range(1, count + 1))]
-
     remainder = linear_part(plant, known_plant(plant, law)[1])[1].xreplace(x_hat)
     if remainder != 0:
         steps.append((symbol("ctl_remainder"), remainder))
         remainder = symbol("ctl_remainder")
+    old = commands[late + 1] if count > late else sympy.S.Zero
     memories: list[tuple[sympy.Symbol, sympy.Expr, sympy.Expr]] = []
-    for state in predicted:
-        i = x.index(state)
-        after = _sum(
-            number(model.F[i, j], "over", state, x[j]) * x_hat[x[j]] for j in range(plant.n)
-        )
-        after += _sum(
-            number(model.G[i, k], "push", state, f"d_{row}") * d_hat[k]
-            for k, row in enumerate(observer.rows)
-        )
-        after += number(model.new[i], "new", state) * commands[late]
-        if count > late:
-            after += number(model.old[i], "old", state) * commands[late + 1]
-        if remainder != 0:
-            after += number(model.remainder[i], "remainder", state) * remainder
+    for state in o.predicted:
+        after = o.prediction(state, x_hat, d_hat, commands[late], old, remainder)
         memories.append((_predicted(state), after, still[state]))
-    memories += [(_disturbance(row), d_hat[k], sympy.S.Zero) for k, row in enumerate(observer.rows)]
+    memories += [(symbol(f"ctl_{d}"), v, sympy.S.Zero) for d, v in zip(o.d, d_hat, strict=True)]
     memories += [
         (past_command(age), commands[age - 1], INPUT_BEFORE) for age in range(1, count + 1)
     ]
-    return Estimation(tuple(steps), tuple(memories), tuple(used), values, compensation)
+    return Estimation(tuple(steps), tuple(memories), tuple(o.used), values, compensation)
+
+
+@dataclass(frozen=True)
+class _Observed:
+    """An observer's numbers, and the signals that they belong to.
+
+    Attributes
+    ----------
+    x : symbols of the states
+    d : names of what acts on the rows
+    predicted, seen : symbols of the states that are predicted, and that are measured of them
+    used : symbols of numbers, in the order in which they occur
+    """
+
+    model: ObserverModel
+    is_dob: bool
+    x: tuple[sympy.Symbol, ...]
+    d: tuple[str, ...]
+    predicted: tuple[sympy.Symbol, ...]
+    seen: tuple[sympy.Symbol, ...]
+    used: dict[sympy.Symbol, None]
+
+    @classmethod
+    def of(cls, plant: Plant, law: Law, implementation: Implementation) -> _Observed:
+        """The observer of a law."""
+        assert law.observer is not None
+        observer = law.observer.bound_to(plant, implementation)
+        model, x = observer_model(plant, law, implementation), plant.symbols
+        is_dob, unseen = observer.kind == DOB, implementation.velocity
+        predicted = tuple(s for s in x if s.name in observer.rows) if is_dob else tuple(x)
+        seen = predicted if is_dob else tuple(s for s in x if s.name not in unseen)
+        d = tuple(f"d_{row}" for row in observer.rows)
+        return cls(model, is_dob, tuple(x), d, predicted, seen, {})
+
+    @property
+    def corrected(self) -> tuple[sympy.Symbol, ...]:
+        """The states that are estimated by a correction; ``dob`` takes them as they are."""
+        return () if self.is_dob else self.x
+
+    def number(self, value: float, *words: object) -> sympy.Expr:
+        """The symbol of a number by the words of its name; zero for a number that is."""
+        if value == 0:
+            return sympy.S.Zero
+        name = symbol("_".join(("ctl", *map(str, words))))
+        self.used[name] = None
+        return name
+
+    def combined(
+        self,
+        numbers: np.ndarray,
+        names: Sequence[object],
+        values: Sequence[sympy.Expr],
+        *words: object,
+    ) -> sympy.Expr:
+        """The sum of numbers, which are called by words and names, times values."""
+        entries = zip(numbers.tolist(), names, values, strict=True)
+        return sympy.Add(*(self.number(v, *words, name) * value for v, name, value in entries))
+
+    def correction(self, row: int, estimated: object) -> sympy.Expr:
+        """What is added to an estimate for what was missed."""
+        misses = [symbol(f"ctl_miss_{state}") for state in self.seen]
+        return self.combined(self.model.correction[row], self.seen, misses, "correct", estimated)
+
+    def corrected_states(
+        self,
+        measured: Mapping[sympy.Symbol, sympy.Expr],
+        begin: Mapping[sympy.Symbol, sympy.Expr],
+        first: sympy.Symbol,
+    ) -> tuple[dict[sympy.Symbol, sympy.Expr], list[NamedFormula]]:
+        """The states as they are estimated, and the steps up to there."""
+        steps: list[NamedFormula] = []
+        for state in self.predicted:
+            expected = Select(first, 0, begin[state], _predicted(state))
+            steps.append((symbol(f"ctl_expected_{state}"), expected))
+        for state in self.seen:
+            miss = measured[state] - symbol(f"ctl_expected_{state}")
+            steps.append((symbol(f"ctl_miss_{state}"), miss))
+        x_hat = dict(measured)
+        for i, state in enumerate(self.corrected):
+            x_hat[state] = symbol(f"ctl_{state}_hat")
+            added = self.correction(i, state)
+            steps.append((x_hat[state], symbol(f"ctl_expected_{state}") + added))
+        return x_hat, steps
+
+    def prediction(
+        self,
+        state: sympy.Symbol,
+        x_hat: Mapping[sympy.Symbol, sympy.Expr],
+        d_hat: Sequence[sympy.Expr],
+        new: sympy.Expr,
+        old: sympy.Expr,
+        remainder: sympy.Expr,
+    ) -> sympy.Expr:
+        """A state at the next sample; commands and remainders that are zero have no number."""
+        i, model = self.x.index(state), self.model
+        after = self.combined(model.F[i], self.x, [x_hat[s] for s in self.x], "over", state)
+        after += self.combined(model.G[i], self.d, d_hat, "push", state)
+        inputs = {"new": (model.new, new), "old": (model.old, old)}
+        inputs["remainder"] = model.remainder, remainder
+        for word, (numbers, value) in inputs.items():
+            if value != 0:
+                after += self.number(numbers[i], word, state) * value
+        return after
 
 
 def _predicted(state: sympy.Symbol) -> sympy.Symbol:
     return symbol(f"ctl_predicted_{state}")
-
-
-def _disturbance(row: str) -> sympy.Symbol:
-    return symbol(f"ctl_d_{row}")
 
 
 def _commands(delay: float) -> tuple[int, int]:
@@ -198,48 +254,25 @@ def _commands(delay: float) -> tuple[int, int]:
     return late, late + (delay > late)
 
 
-def _sum(terms: Iterable[sympy.Expr]) -> sympy.Expr:
-    return sympy.Add(*terms)
-
-
-#: Gives the symbol of a number by the words of its name, or zero for a number that is.
-Naming = Callable[..., sympy.Expr]
-
-
-def _naming(used: dict[sympy.Symbol, None]) -> Naming:
-    def number(value: float, *words: object) -> sympy.Expr:
-        if value == 0:
-            return sympy.S.Zero
-        name = symbol("_".join(("ctl", *map(str, words))))
-        used[name] = None
-        return name
-
-    return number
-
-
 def observer_values(
     plant: Plant, law: Law, implementation: Implementation
 ) -> dict[sympy.Symbol, float]:
     """Numbers of a law's observer by their symbols; empty if it has none."""
     if law.observer is None:
         return {}
-    observer = law.observer.bound_to(plant, implementation)
-    model, states = observer_model(plant, law, implementation), plant.states
-    d = [f"d_{row}" for row in observer.rows]
-    dob = observer.kind == DOB
-    seen = observer.rows if dob else [s for s in states if s not in implementation.velocity]
-    corrected = d if dob else [*states, *d]
+    o = _Observed.of(plant, law, implementation)
+    model = o.model
     tables = {
-        "over": (model.F, states, states),
-        "push": (model.G, states, d),
-        "correct": (model.correction, corrected, seen),
-        "steady": (model.P, states, d),
+        "over": (model.F, o.x, o.x),
+        "push": (model.G, o.x, o.d),
+        "correct": (model.correction, (*o.corrected, *o.d), o.seen),
+        "steady": (model.P, o.x, o.d),
     }
     rows = {
-        "new": (model.new, states),
-        "old": (model.old, states),
-        "remainder": (model.remainder, states),
-        "counter": (model.U, d),
+        "new": (model.new, o.x),
+        "old": (model.old, o.x),
+        "remainder": (model.remainder, o.x),
+        "counter": (model.U, o.d),
     }
     values = {
         symbol(f"ctl_{word}_{a}_{b}"): float(table[i, j])

@@ -1,4 +1,4 @@
-"""Pictures of runs, ensembles and margins.
+"""Pictures of runs, certificates, ensembles, margins and fronts.
 
 Figures are made without pyplot, so nothing global is touched and no window opens. The functions
 ``plot_...`` draw on any axes, of pyplot's figures too: ``plot_error(ax, {"adaptive": run})``. Their

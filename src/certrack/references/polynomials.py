@@ -9,9 +9,6 @@ import numpy as np
 #: Enough for a cubic interpolant; a profile may have more.
 DEGREE = 3
 
-#: Above degree 3 a derivative is largest where numerical roots say, and larger by less than this.
-HIGHER_ROUNDING = 1 + 1e-11
-
 #: Where control points reach no further beyond a value at an end, the search of the largest ends;
 #: and after so many halvings, or with so many pieces left.
 CLOSE, MOST_HALVINGS, MOST_PIECES = 1 + 1e-10, 60, 20_000

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -125,7 +125,8 @@ class Formula:
     def _tables(self) -> list[tuple[sympy.Expr, dict[sympy.Expr, tuple[int, sympy.Expr]]]]:
         """Per base frequency: argument of a sine -> its multiple and what is added to it."""
         groups: list[tuple[sympy.Expr, dict[sympy.Expr, tuple[sympy.Rational, sympy.Expr]]]] = []
-        for wave in self.expr.atoms(sympy.sin, sympy.cos):
+        waves = self.expr.atoms(sympy.sin, sympy.cos)
+        for wave in sorted(waves, key=sympy.default_sort_key):  # a set has no order of its own
             arg = wave.args[0]
             w = sympy.expand(arg).coeff(TIME, 1)
             offset = sympy.expand(arg - w * TIME)
@@ -140,7 +141,7 @@ class Formula:
                 groups.append((w, {arg: (sympy.S.One, offset)}))
         tables = []
         for first, members in groups[:MAX_PHASES]:
-            common = sympy.gcd_list([ratio for ratio, _ in members.values()])
+            common = _common_divisor([ratio for ratio, _ in members.values()])
             turns = {arg: (int(ratio / common), offset) for arg, (ratio, offset) in members.items()}
             if max(abs(n) for n, _ in turns.values()) <= MAX_TURNS:
                 tables.append((first * common, turns))
@@ -196,6 +197,15 @@ class Formula:
 
 
 ONE_EXACTLY = constant(sympy.S.One)
+
+
+def _common_divisor(ratios: Iterable[sympy.Rational]) -> sympy.Rational:
+    """The largest rational of which all are whole multiples.
+
+    SymPy's ``gcd_list`` is not used: it stops at the first 1, and so overlooks 1/2 in (1, 1, 1/2).
+    """
+    numerators, denominators = zip(*((int(r.p), int(r.q)) for r in ratios), strict=True)
+    return sympy.Rational(math.gcd(*numerators), math.lcm(*denominators))
 
 
 def prove_defined(formula: Formula, *, smooth: bool) -> None:

@@ -18,6 +18,7 @@ from certrack.certificates.methods import certify_semidefinite
 from certrack.certificates.ranges.certify import certify_ranges
 from certrack.certificates.scope import has_ranges
 from certrack.core.errors import InputError
+from certrack.core.rounding import in_digits
 from certrack.systems.system import System
 
 #: Sizes that differ by less than this need no weights.
@@ -78,7 +79,7 @@ def proposed_weights(system: System) -> NormWeights | None:
         return None
     if sizes.max() < SMALLEST_RATIO * sizes.min():
         return None
-    S = tuple(float(f"{sizes[0] / size:.{SIZE_DIGITS}g}") for size in sizes)
+    S = tuple(in_digits(sizes[0] / size, SIZE_DIGITS) for size in sizes)
     return NormWeights(tuple(sizes.tolist()), S)
 
 

@@ -29,19 +29,42 @@ def with_law(text: str, system: System, remarks: Sequence[str] = ()) -> str:
     str
     """
     import tomlkit
+    from tomlkit.items import Table
 
     document = tomlkit.parse(text if text.strip() else to_text(system))
     table = tomlkit.table()
     for remark in remarks:
         table.add(tomlkit.comment(one_line(remark)))
+    parts = [item for key, item in document.body if key is not None and key.key == "law"]
     for key, value in law_entries(system).items():
         table.add(key, value)
-    table.add(tomlkit.nl())
+        for part in parts:
+            beside = part[key].trivia.comment if isinstance(part, Table) and key in part else ""
+            if beside:
+                table[key].comment(beside)
+    for line in [line for part in parts for line in _after_the_keys(part)] or [tomlkit.nl()]:
+        table.add(line)
     document["law"] = table
     if system.settings.estimates is None:
-        simulation: Any = document["simulation"]
+        simulation: Any = document.get("simulation", {})
         simulation.pop("estimates", None)
     return tomlkit.dumps(document)
+
+
+def _after_the_keys(table: Any) -> list[Any]:
+    """Blank lines and comments below the last key: a heading of what follows in the file."""
+    from tomlkit.items import Comment, Table, Whitespace
+
+    lines: list[Any] = []
+    while isinstance(table, Table):
+        body = table.value.body
+        count = len(body)
+        while count and body[count - 1][0] is None:
+            count -= 1
+        trailing = [item for _, item in body[count:]]
+        lines = [item for item in trailing if isinstance(item, Comment | Whitespace)]
+        table = body[count - 1][1] if count and not trailing else None
+    return lines
 
 
 def law_entries(system: System) -> dict[str, Any]:

@@ -124,6 +124,9 @@ def _places(name: str, columns: Sequence[str] | None, heads: Sequence[str]) -> t
             names = f"Its columns: {', '.join(heads)}" if any(heads) else "It has no names"
             raise InputError(f"reference.columns[{i}]", what, wanted, names)
         places.append(matching[0])
+    if places[0] == places[1]:
+        what = "must be another column than that of time"
+        raise InputError("reference.columns[1]", what, columns[1])
     return places[0], places[1]
 
 

@@ -8,6 +8,7 @@ from certrack.core.errors import InputError
 from certrack.tuning.families import Family
 from certrack.tuning.limits import Limit
 from certrack.tuning.problem import TuningProblem
+from certrack.tuning.quantities import NO_VALUE, log_of
 from certrack.tuning.search import GainSearch
 
 
@@ -16,7 +17,8 @@ def conflict(problem: TuningProblem, family: Family, search: GainSearch) -> Inpu
     nearest = search.state.nearest
     limits = problem.task.limits
     if nearest is None:
-        return InputError("tune", "no design has a certificate near the system's own gains")
+        what = "a certificate" if problem.objective is problem.error else problem.objective.name
+        return InputError("tune", f"no design near the system's own gains has {what}")
     exceeded = [limit for limit in limits if limit.excess(nearest) > 0]
     if not exceeded:
         return InputError(
@@ -58,16 +60,12 @@ def _best_achievable(problem: TuningProblem, family: Family, limit: Limit) -> fl
         objective=limit.quantity,
         smallest=not limit.at_least,
         limits=others,
-        accepts=_always,
+        accepts=lambda candidate: log_of(problem.error, candidate) < NO_VALUE,
     )
     search = GainSearch(problem.base, task)
     search.run(family, family.start)
     best = search.state.best
     return None if best is None else limit.quantity.value(best)
-
-
-def _always(_: object) -> bool:
-    return True
 
 
 def _key(limit: Limit) -> str:

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from certrack.core.rounding import in_digits
 from certrack.laws.adaptive import Adaptive
 from certrack.laws.base import Law
 from certrack.systems.system import System
@@ -82,7 +83,7 @@ class PositiveGains(Family):
         return self._with(np.exp(v))
 
     def written(self, v: np.ndarray) -> Law:
-        return self._with(np.array([in_digits(value) for value in np.exp(v)]))
+        return self._with(np.array([in_digits(value, GAIN_DIGITS) for value in np.exp(v)]))
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
         moved = self.start + SPREAD * rng.standard_normal(len(self.start))
@@ -101,11 +102,6 @@ class PositiveGains(Family):
     @abstractmethod
     def _with(self, values: np.ndarray) -> Law:
         """The law with these numbers."""
-
-
-def in_digits(value: float) -> float:
-    """A gain with the digits of a file."""
-    return float(f"{value:.{GAIN_DIGITS}g}")
 
 
 class RobustFamily(PositiveGains):
@@ -144,7 +140,7 @@ class AdaptiveFamily(RobustFamily):
         if plant.input_gain_range is not None:
             low, high = map(float, plant.input_gain_range)
             delta0 = plant.gain_sign / float(np.sqrt(low * high))
-            law = replace(law, delta0=in_digits(delta0))
+            law = replace(law, delta0=in_digits(delta0, GAIN_DIGITS))
         if plant.theta_range is not None:
             middle = tuple((float(a) + float(b)) / 2 for a, b in plant.theta_range)
             law = replace(law, theta0=middle)

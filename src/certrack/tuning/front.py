@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from certrack.core.errors import Cancelled, InputError
 from certrack.core.progress import Progress
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.families import Family
+from certrack.tuning.limits import Limit
 from certrack.tuning.problem import TuningProblem
 from certrack.tuning.result import Front, FrontPoint
 from certrack.tuning.search import GainSearch
@@ -22,19 +24,10 @@ FRONT_POINTS, FRONT_REACH = 9, 4.0
 def sweep(
     problem: TuningProblem, family: Family, best: Candidate, name: str, progress: Progress
 ) -> Front:
-    """The front over the limit of this name, as an option spells it.
-
-    Raises
-    ------
-    InputError
-        If there is no such limit.
-    """
-    wanted = name.replace("-", " ").replace("_", " ")
+    """The front over the limit of this name, as an option spells it."""
     limits = problem.task.limits
-    swept = [limit for limit in limits if limit.name == wanted]
-    if not swept:
-        known = ", ".join(dict.fromkeys(limit.name.replace(" ", "-") for limit in limits))
-        raise InputError("front", f"must be one of the limits in force: {known}", name)
+    swept = limits_named(name, limits)
+    wanted = swept[0].name
     middle = swept[0].value
     if not swept[0].option:  # one that is always in force, and mostly far away
         middle = swept[0].quantity.value(best)
@@ -57,6 +50,22 @@ def sweep(
                 start = best_here.v
     ordered = tuple(FrontPoint(value, points[value]) for value in sorted(points))
     return Front(wanted, problem.objective.name, ordered)
+
+
+def limits_named(name: str, limits: Sequence[Limit]) -> list[Limit]:
+    """The limits of a name as an option spells it: one, or one for each corner of the box.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    wanted = name.replace("-", " ").replace("_", " ")
+    named = [limit for limit in limits if limit.name == wanted]
+    if not named:
+        known = ", ".join(dict.fromkeys(limit.name.replace(" ", "-") for limit in limits))
+        raise InputError("front", f"must be one of the limits in force: {known}", name)
+    return named
 
 
 def _always_kept(_: object) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from certrack.core.rounding import in_digits
 from certrack.laws.backstepping import Gains
 from certrack.laws.base import Law
 from certrack.laws.linear import Linear
@@ -51,8 +52,8 @@ class LinearFamily(Family):
 
     def written(self, v: np.ndarray) -> Law:
         K, r = self._numbers(v)
-        K = np.array([float(f"{value:.{FEEDBACK_DIGITS}g}") for value in K])
-        return self._with(K, None if r is None else float(f"{r:.{FEEDBACK_DIGITS}g}"))
+        K = np.array([in_digits(value, FEEDBACK_DIGITS) for value in K])
+        return self._with(K, None if r is None else in_digits(r, FEEDBACK_DIGITS))
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
         c = self._rates * np.exp(SPREAD * rng.standard_normal(len(self._rates)))

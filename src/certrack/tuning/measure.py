@@ -27,6 +27,13 @@ from certrack.tuning.stability import StabilityEdge
 #: grid of the exact peak, over that of the search.
 FALSIFIED_RUNS, PEAK_MEMBERS, REFINED = 200, 200, 4
 
+#: What a peak input is: computed for all starts, the largest that was found, or of one run.
+COMPUTED, FOUND, SIMULATED = (
+    "over the box of starts",
+    "the largest found from the box of starts",
+    "simulated from the file's start",
+)
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -44,6 +51,8 @@ class Measured:
         Of the file's own run.
     peak_input : float
         Largest |u| from the box of starts, or from the file's start where there is none.
+    peak_is : str
+        :data:`COMPUTED`, :data:`FOUND` or :data:`SIMULATED`.
     noise : float
         ||dK_u/dx||.
     period : float or None
@@ -59,6 +68,7 @@ class Measured:
     input_variation: float
     noise: float
     period: float | None
+    peak_is: str
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
@@ -82,6 +92,7 @@ def figures_of(system: System, box: np.ndarray | None, seed: int) -> Measured:
         input_variation=metrics.input_variation,
         noise=NoiseGain(system).value(candidate),
         period=_exact_edge(system, candidate),
+        peak_is=SIMULATED if box is None else COMPUTED if _plain_plant(system) else FOUND,
     )
 
 
@@ -100,8 +111,7 @@ def box_peak(system: System, box: np.ndarray, seed: int) -> float:
     Otherwise the largest of the corners and of an ensemble of starts in the box, with the
     disturbances of the file.
     """
-    system = system.replace(implementation=None)
-    plant = LinearPlant.of(system)
+    plant, system = _plain_plant(system), system.replace(implementation=None)
     if plant is not None:
         centre, radius = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
         grid = Grid.of(system, REFINED)
@@ -113,6 +123,10 @@ def box_peak(system: System, box: np.ndarray, seed: int) -> float:
     largest = members.statistics.metrics["peak_input"].summary()["max"]
     finite = [peak for peak in (*peaks, largest) if peak is not None]
     return float(max(finite)) if len(finite) == len(peaks) + 1 else math.inf
+
+
+def _plain_plant(system: System) -> LinearPlant | None:
+    return LinearPlant.of(system.replace(implementation=None))
 
 
 def _falsified(system: System, seed: int) -> float | None:

@@ -20,7 +20,8 @@ class ActiveLimit:
     value : float
         Of the limit.
     price : float
-        The part of the objective that is saved where the limit is eased by a tenth.
+        The part of the objective that is gained where the limit is eased by a tenth, at
+        the slope of the optimum: over the whole tenth it is mostly less.
     """
 
     limit: str
@@ -85,6 +86,8 @@ class Tuned:
     notes : tuple of str
     stopped : bool
         Whether the search was interrupted: the best so far.
+    broken : tuple of str
+        Limits that the measured figures exceed, each with the figure.
     """
 
     system: System
@@ -99,6 +102,7 @@ class Tuned:
     front: Front | None = None
     notes: tuple[str, ...] = ()
     stopped: bool = False
+    broken: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         before, after = (rounded_up(m.certified, 4) for m in (self.before, self.after))
@@ -125,6 +129,7 @@ class Tuned:
             "front": front,
             "notes": list(self.notes),
             "stopped": self.stopped,
+            "broken": list(self.broken),
         }
 
 

@@ -13,14 +13,14 @@ from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.families import Family
 from certrack.tuning.limits import Limit, Task
-from certrack.tuning.quantities import log_of, slope_of
+from certrack.tuning.quantities import NO_VALUE, log_of, slope_of
 
 #: Limits are aimed at inside by this much, in logarithms, and kept within the second number: what
 #: rounding the gains to the digits of a file does is smaller.
 AIMED_INSIDE, KEPT_INSIDE = 1e-4, 1e-5
 
 #: Iterations of one start, and the change of the logarithm that ends them.
-MOST_ITERATIONS, ACCURACY = 40, 1e-5
+MOST_ITERATIONS, ACCURACY = 28, 1e-5
 
 #: A limit is active where less than this is left of it, in logarithms.
 ACTIVE = 3e-3
@@ -117,6 +117,8 @@ class GainSearch:
 
     def _consider(self, candidate: Candidate, value: float) -> None:
         state = self.state
+        if value >= NO_VALUE:  # without a certificate, or a run that ends, it is no design
+            return
         excess = max((limit.excess(candidate) for limit in self.task.limits), default=-math.inf)
         if excess < state.excess:
             state.nearest, state.excess = candidate, excess
@@ -154,10 +156,10 @@ class Price:
     value: float
     exponent: float
 
-    def gain(self, share: float) -> float:
-        """The part of the objective that is saved where the limit is eased by this share."""
+    def gain(self, share: float, sign: float = 1.0) -> float:
+        """The part of the objective that is gained where the limit is eased by this share."""
         eased = -math.log1p(-share) if self.limit.at_least else math.log1p(share)
-        return -math.expm1(-self.exponent * eased)
+        return -sign * math.expm1(-sign * self.exponent * eased)
 
 
 def prices(task: Task, candidate: Candidate) -> list[Price]:

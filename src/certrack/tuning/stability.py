@@ -40,15 +40,17 @@ class StabilityEdge(Quantity):
         self, loop: LinearLoop, guess: float, delay: float = 0.0, period: float | None = None
     ) -> None:
         self._loop, self._guess, self._period, self._delay = loop, guess, period, delay
+        self._last: tuple[Candidate, float] | None = None
 
     def value(self, candidate: Candidate) -> float:
-        loop = replace(self._loop, law=candidate.law)
-        return self._edge(loop)
+        if self._last is None or self._last[0] is not candidate:
+            self._last = candidate, self._edge(replace(self._loop, law=candidate.law))
+        return self._last[1]
 
     def first(self, candidate: Candidate) -> float:
         """The same, and no period below it is unstable."""
         loop = replace(self._loop, law=candidate.law)
-        edge = self._edge(loop)
+        edge = self.value(candidate)
         if not math.isfinite(edge):
             return edge
         below = edge / np.geomspace(1.001, DOWN_TO, EDGE_CHECKS)

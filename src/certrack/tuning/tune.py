@@ -19,8 +19,9 @@ from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.conflict import conflict
+from certrack.tuning.exceeded import broken_limits
 from certrack.tuning.families import Family
-from certrack.tuning.front import sweep
+from certrack.tuning.front import limits_named, sweep
 from certrack.tuning.limits import Task
 from certrack.tuning.measure import figures_of
 from certrack.tuning.problem import OBJECTIVES, Requirements, TuningProblem
@@ -134,6 +135,8 @@ def tune(
         problem = TuningProblem(base, system, wanted, objective)
     except NoCertificate as refusal:
         raise InputError("tune", f"there is no certificate to tune: {refusal}") from None
+    if front is not None:
+        limits_named(front, problem.task.limits)  # before hours of search
     count = starts or (LINEAR_STARTS if problem.is_linear else NONLINEAR_STARTS)
     search = _searched(problem, family, count, seed, progress)
     best = search.state.best
@@ -145,7 +148,7 @@ def tune(
         best = _refined(problem, refined, family, best, search)
     tuned = base.replace(law=family.written(best.v))
     active = tuple(
-        ActiveLimit(price.limit.name, price.limit.value, price.gain(EASED))
+        ActiveLimit(price.limit.name, price.limit.value, price.gain(EASED, task.sign))
         for price in prices(task, best)
     )
     programs = problem.error.programs
@@ -153,11 +156,13 @@ def tune(
     if front is not None:
         curve = sweep(problem, family, best, front, progress)
     box_used = problem.box
+    finished = replace(tuned, implementation=system.implementation)
+    after = figures_of(finished, box_used, seed)
     return Tuned(
-        system=replace(tuned, implementation=system.implementation),
+        system=finished,
         objective=objective,
         before=figures_of(system, box_used, seed),
-        after=figures_of(replace(tuned, implementation=system.implementation), box_used, seed),
+        after=after,
         limits=tuple(limit.describe() for limit in task.limits),
         active=active,
         programs=programs,
@@ -166,6 +171,7 @@ def tune(
         front=curve,
         notes=tuple(problem.notes),
         stopped=search.state.stopped,
+        broken=tuple(broken_limits(task.limits, after)),
     )
 
 

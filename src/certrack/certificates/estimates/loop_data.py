@@ -52,24 +52,6 @@ def in_plant_coordinates(problem: ErrorProblem) -> ErrorProblem:
     )
 
 
-def in_error_coordinates(problem: ErrorProblem, A: np.ndarray) -> ErrorProblem:
-    """The problem of plant coordinates in e = A xi: those of a nearby design are well scaled."""
-    Xe = np.linalg.inv(A)
-    return replace(
-        problem,
-        M=A @ problem.M @ Xe,
-        Ua=A @ problem.Ua,
-        Ub=A @ problem.Ub,
-        Uy=A @ problem.Uy,
-        Xe=Xe,
-    )
-
-
-def by_plant_data(gradient: DataGradient, A: np.ndarray) -> DataGradient:
-    """The gradient by M and Uy in plant coordinates, from that in e = A xi."""
-    return DataGradient(A.T @ gradient.M @ np.linalg.inv(A).T, A.T @ gradient.Uy)
-
-
 @dataclass(frozen=True)
 class PlainLoop:
     """The loops of one plant, reference and q, for any gains.

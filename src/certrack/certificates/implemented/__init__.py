@@ -8,8 +8,16 @@ the state, a fixed point of them. Nothing is searched and no solver is used.
 :mod:`drive` states the loop as data, from a system; :mod:`period` makes one period of it in balls;
 :mod:`outputs` the rows by which an output between two samples is seen; :mod:`gains` what the inputs
 of all past periods add to a row; :mod:`fixed_point` the bounds v with v > F(v); :mod:`proof` what
-is saved and checked; :mod:`certify` the certificate of a system; :mod:`premises` what it
-rests on. :mod:`estimate` is the bound in floats.
+is saved and checked, which :mod:`document` writes; :mod:`certify` the certificate of a system;
+:mod:`premises` what it rests on. :mod:`estimate` is the bound in floats, :mod:`margins` the slowest
+and the fastest period with a proof. :mod:`enclosed` are floats with bounds of their errors.
+
+More than that plain loop: :mod:`controller_matrices` takes any linear controller from its formulas,
+with an observer too; :mod:`levels` cancels a part of the reference's derivatives; :mod:`timing` has
+the jitter. Constants with a range are :mod:`channels`, :mod:`ranged` the loop that has them, and
+:mod:`cover` the cells of their ranges. Bounds of w that grow faster than the state are evaluated by
+:mod:`growing` and claimed from a box of starts by :mod:`regional`; :mod:`region` looks at the truth
+only where the states are.
 
 From a start on: :mod:`lags` has the gains of each past period, :mod:`start` the bounds of one
 period after the other and of all that come later, :mod:`start_proof` what is saved of them and

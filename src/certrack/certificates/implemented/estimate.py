@@ -27,8 +27,9 @@ from certrack.certificates.implemented.gains import (
     running_period,
 )
 from certrack.certificates.implemented.outputs import Row, output_rows
-from certrack.certificates.implemented.period import Period, beside, one_period
+from certrack.certificates.implemented.period import Period, one_period
 from certrack.certificates.implemented.proof import cells_of, periods_needed
+from certrack.core.ball_matrices import beside
 from certrack.systems.system import System
 
 #: What may be left of the rows where the sums end, and bits of the period's balls.

@@ -27,16 +27,8 @@ import numpy as np
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
 from certrack.certificates.implemented.outputs import Row
-from certrack.certificates.implemented.period import (
-    Period,
-    above,
-    absolute,
-    beside,
-    column,
-    gamma,
-    identity,
-    padded,
-)
+from certrack.certificates.implemented.period import Period, gamma, padded
+from certrack.core.ball_matrices import above, absolute, beside, column, identity
 
 #: The weights of the tail may be any positive numbers. An entry of chi on which nothing acts has
 #: this part of the largest.

@@ -12,6 +12,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.drive import Drive
 from certrack.certificates.implemented.start import FromStarts
+from certrack.core.rounding import in_digits
 from certrack.systems.system import System
 
 #: Digits of the ends of a region that is not the file's.
@@ -87,5 +88,5 @@ def region_of(
     magnitudes = np.abs(frame().gains.before.value[:, -2:, : drive.n]).max(axis=0)
     least = LEAST_SHARE_OF_STATE * magnitudes.max(axis=1, keepdims=True)
     reach = np.min(room[:, None] / np.maximum(magnitudes, least), axis=0)
-    half = [max(float(f"{v:.{REGION_DIGITS}g}"), abs(x)) for v, x in zip(reach, x0, strict=True)]
+    half = [max(in_digits(v, REGION_DIGITS), abs(x)) for v, x in zip(reach, x0, strict=True)]
     return tuple((repr(-v), repr(v)) for v in half)

@@ -27,7 +27,8 @@ from certrack.certificates.implemented.gains import (
     tail_gains,
 )
 from certrack.certificates.implemented.outputs import Row
-from certrack.certificates.implemented.period import Period, above, identity
+from certrack.certificates.implemented.period import Period
+from certrack.core.ball_matrices import above, identity
 
 #: Numbers in the tables of all lags, at most: some 300 MB.
 MAX_LAG_NUMBERS = 40_000_000

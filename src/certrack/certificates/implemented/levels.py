@@ -34,15 +34,8 @@ from certrack.certificates.implemented.gains import (
     upper_number,
 )
 from certrack.certificates.implemented.outputs import Row
-from certrack.certificates.implemented.period import (
-    Period,
-    above,
-    beside,
-    column,
-    gamma,
-    identity,
-    shift,
-)
+from certrack.certificates.implemented.period import Period, gamma, shift
+from certrack.core.ball_matrices import above, beside, column, identity
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from certrack.certificates.implemented.proof import ImplementedProof, prove_impl
 from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.ranges.proofs import numbers
 from certrack.core.errors import InputError
+from certrack.core.rounding import in_digits
 from certrack.systems.system import System
 
 #: The bound may grow to so much of the file's own.
@@ -85,16 +86,16 @@ def period_margins(
         """The last period that serves, and whether all that were tried did."""
         good, bad = drive.period, 0.0
         for _ in range(times):
-            tried = _few_digits(good * factor)
+            tried = in_digits(good * factor, PERIOD_DIGITS)
             if not serves(tried, [worst]):
                 bad = tried
                 break
             good = tried
         for _ in range(HALVINGS if bad else 0):
-            tried = _few_digits((good * bad) ** 0.5)
+            tried = in_digits((good * bad) ** 0.5, PERIOD_DIGITS)
             good, bad = (tried, bad) if serves(tried, [worst]) else (good, tried)
         while good != drive.period and len(proofs) > 1 and not serves(good, proofs):
-            bad, good = good, _few_digits((good * drive.period) ** 0.5)
+            bad, good = good, in_digits((good * drive.period) ** 0.5, PERIOD_DIGITS)
             if abs(good / drive.period - 1) < 1 / 2**HALVINGS:
                 good = drive.period
         return good, not bad
@@ -107,7 +108,3 @@ def _again(system: System, proof: ImplementedProof, plant: RangedPlant | None) -
     """The proof for the same delay and cell at another period."""
     delay: Any = rational(Fraction(proof.delay))
     return prove_implemented(system, delay, numbers(proof.cell), plant)[0]
-
-
-def _few_digits(period: float) -> float:
-    return float(f"{period:.{PERIOD_DIGITS}g}")

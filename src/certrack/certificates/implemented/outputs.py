@@ -18,7 +18,8 @@ from typing import Any
 import flint
 
 from certrack.certificates.implemented.channels import Channel
-from certrack.certificates.implemented.period import InputCell, Period, absolute
+from certrack.certificates.implemented.period import InputCell, Period
+from certrack.core.ball_matrices import absolute
 
 
 @dataclass(frozen=True)

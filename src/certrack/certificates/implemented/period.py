@@ -22,13 +22,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any
 
 import flint
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.drive import Drive
+from certrack.core.ball_matrices import beside, column, identity
 
 
 @dataclass(frozen=True)
@@ -219,33 +219,6 @@ def shift(q: int, t: Any) -> flint.arb_mat:
 def gamma(q: int, s: Any) -> flint.arb_mat:
     """Gamma(s)_j = s^{q-j}/(q-j)!."""
     return flint.arb_mat([[flint.arb(s ** (q - j) / math.factorial(q - j))] for j in range(q + 1)])
-
-
-def identity(size: int) -> flint.arb_mat:
-    """The identity."""
-    return flint.arb_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
-
-
-def column(matrix: flint.arb_mat, j: int) -> flint.arb_mat:
-    """Column j."""
-    return flint.arb_mat([[matrix[i, j]] for i in range(matrix.nrows())])
-
-
-def beside(*matrices: flint.arb_mat) -> flint.arb_mat:
-    """Matrices side by side."""
-    tables = [matrix.tolist() for matrix in matrices]
-    return flint.arb_mat([list(chain(*rows)) for rows in zip(*tables, strict=True)])
-
-
-def above(*matrices: flint.arb_mat) -> flint.arb_mat:
-    """Matrices one above the other."""
-    return flint.arb_mat([row for matrix in matrices for row in matrix.tolist()])
-
-
-def absolute(matrix: flint.arb_mat) -> flint.arb_mat:
-    """Upper bounds of the entries' magnitudes."""
-    rows, columns = matrix.nrows(), matrix.ncols()
-    return flint.arb_mat(rows, columns, [flint.arb(v.abs_upper()) for v in matrix.entries()])
 
 
 def _place(matrix: flint.arb_mat, part: flint.arb_mat, row: int, column: int) -> None:

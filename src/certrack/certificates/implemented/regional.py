@@ -28,6 +28,7 @@ from certrack.certificates.implemented.fixed_point import (
     OutputBounds,
 )
 from certrack.certificates.implemented.input_limits import is_limited
+from certrack.core.rounding import in_digits
 from certrack.systems.system import System
 
 #: Digits of the scale of the largest box, and the scales between which it is looked for.
@@ -130,7 +131,7 @@ def largest_region(
         shape = [max(abs(entry.low), abs(entry.high)) for entry in drawn]
 
     def box(scale: float) -> tuple[tuple[str, str], ...]:
-        ends = [float(f"{scale * size:.{BOX_DIGITS + 2}g}") for size in shape]
+        ends = [in_digits(scale * size, BOX_DIGITS + 2) for size in shape]
         return tuple((repr(-end), repr(end)) for end in ends)
 
     low, high = 0.0, 1.0

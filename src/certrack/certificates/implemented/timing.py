@@ -45,14 +45,8 @@ from certrack.certificates.implemented.gains import (
     tail_gains,
 )
 from certrack.certificates.implemented.outputs import STATE_DEGREE, Row, state_rows
-from certrack.certificates.implemented.period import (
-    Period,
-    above,
-    absolute,
-    beside,
-    identity,
-    padded,
-)
+from certrack.certificates.implemented.period import Period, padded
+from certrack.core.ball_matrices import above, absolute, beside, identity
 
 
 def rate_rows(period: Period) -> list[Row]:

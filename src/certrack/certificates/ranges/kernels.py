@@ -25,6 +25,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from certrack.certificates.arithmetic import positive_definite, rational
 from certrack.certificates.balls import ball_matrix
 from certrack.certificates.certificate import OUT_OF_RANGE, NoCertificate
+from certrack.core.ball_matrices import identity
 
 #: Cells in a block; the first cells are this part of the fastest time constant; later ones are at
 #: most this part of the time.
@@ -176,12 +177,7 @@ def _doublings(t: float, first: float) -> int:
 def _steps(M: flint.arb_mat, h: Any) -> np.ndarray:
     """e^{M h j}, j = 0 ... CELLS, as floats."""
     one = (M * flint.arb(h)).exp()
-    power, powers = (
-        flint.arb_mat(
-            M.nrows(), M.nrows(), [int(i == j) for i in range(M.nrows()) for j in range(M.nrows())]
-        ),
-        [],
-    )
+    power, powers = identity(M.nrows()), []
     for _ in range(CELLS + 1):
         powers.append(rounded(power))
         power = power * one

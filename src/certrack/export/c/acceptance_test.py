@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from certrack.core.rounding import in_digits
 from certrack.export.c.monitor_checks import monitor_checks
 from certrack.export.c.printer import c_literal, initialiser
 from certrack.export.c.source import CCode
@@ -58,8 +59,8 @@ def _table(code: CCode, vectors: GoldenVectors) -> str:
             initialiser(vectors.Y[:, k], code.real),
             c_literal(float(answers[0]), code.real),
             state(answers[1:]),
-            c_literal(float(f"{scales[0]:.3g}"), code.real),
-            state((float(f"{scale:.3g}") for scale in scales[1:]), 1.0),
+            c_literal(in_digits(scales[0], 3), code.real),
+            state((in_digits(scale, 3) for scale in scales[1:]), 1.0),
         ]
         lines.append("    {" + ",\n     ".join(parts) + "}")
     return ",\n".join(lines)
