@@ -1,6 +1,8 @@
 """Rates, jumps and fast parts of uncertain terms: keys, proofs, premises, attacks."""
 
 import copy
+import json
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -10,10 +12,12 @@ import numpy as np
 import pytest
 
 import certrack
+import certrack.certificates.implemented.drive as drive_module
 from certrack import InputError
 from certrack.certificates import to_document, verify
 from certrack.certificates.document import _digest
 from certrack.certificates.implemented.certify import certify_implemented
+from certrack.certificates.implemented.document import implemented_proofs, record_of
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
 from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.premises import premises_as_implemented
@@ -21,7 +25,6 @@ from certrack.certificates.implemented.proof import (
     RATES_PART,
     _bounds,
     cells_of,
-    failed_implemented,
     periods_needed,
 )
 from certrack.certificates.implemented.slow import SlowTerms, as_function
@@ -176,8 +179,10 @@ def test_any_z_is_a_bound():
 # Saved proofs -----------------------------------------------------------------------------------
 
 
+@cache
 def saved():
-    system = axis(omega="0.3*sin(t)", rate=[0, 0.3], jump=[0, 0.2], dwell=1.0, fast=[0, 0.01])
+    values = {"rate": [0, 3.0], "jump": [0, 0.2], "dwell": 1.0, "fast": [0, 0.01]}
+    system = axis(omega="0.3*sin(10*t)", **values)
     _, proofs = certify_implemented(system)
     return system, proofs, to_document(system, *proofs)
 
@@ -190,43 +195,146 @@ def test_verified_and_by_another_reading():
     assert float(independent_checker.check(document)) == float(proofs[0].bound)
 
 
-def changed(document, **values):
+def less(text, factor=0.9999):
+    return repr(float(text) * factor)
+
+
+def with_z(change):
+    return lambda p: replace(p, slow=(tuple(change(list(p.slow[0]))),))
+
+
+def in_the_middle(z, *steps):
+    half = len(z) // 2
+    return [*z[:half], *steps, *z[half + 1 :]]
+
+
+#: Numbers of the proof that are better than they may be, or prove nothing.
+MUTANTS = {
+    "bound": lambda p: replace(p, bound=less(p.bound)),
+    "step": lambda p: replace(p, step=less(p.step)),
+    "states": lambda p: replace(p, states=tuple(map(less, p.states))),
+    "input": lambda p: replace(p, input=less(p.input)),
+    "z is zero": with_z(lambda z: [(0, "0")]),
+    "z has one value": with_z(lambda z: [(0, "0.0005")]),
+    "z has another sign": with_z(lambda z: [(m, less(v, -1)) for m, v in z]),
+    "z is twice as large": with_z(lambda z: [(m, less(v, 2)) for m, v in z]),
+    "z has one step less": with_z(lambda z: in_the_middle(z)),
+    "z has one larger value": with_z(
+        lambda z: in_the_middle(z, (z[len(z) // 2][0], less(z[len(z) // 2][1], 2)))
+    ),
+    "z does not begin": with_z(lambda z: z[1:]),
+    "z turns back": with_z(lambda z: [z[0], z[2], z[1], *z[3:]]),
+    "z is beyond all periods": with_z(lambda z: [*z, (10**6, "0")]),
+    "z is before the first": with_z(lambda z: [(-1, "0"), *z]),
+    "two z": lambda p: replace(p, slow=p.slow * 2),
+    "no z": lambda p: replace(p, slow=()),
+}
+
+CONSTANTS = """drift = "{}"
+regressor = []
+gain_sign = 1
+input_gain = 1
+
+[plant.constants]
+{}
+[plant.ranges]
+{}"""
+
+#: Systems for which the bound is claimed as well, and is none.
+WORSE = {
+    "a higher rate": ("rate = [0.0, 3.0]", "rate = [0.0, 3.001]"),
+    "an unknown rate": (
+        "rate = [0.0, 3.0]\njump = [0.0, 0.2]\ndwell = 1.0\nfast = [0.0, 0.01]",
+        "rate = [0.0, inf]",
+    ),
+    "a rate of the states": ("dwell = 1.0", "dwell = 1.0\nDelta_rate = [[0, 0], [0, 0.01]]"),
+    "a larger jump": ("jump = [0.0, 0.2]", "jump = [0.0, 0.21]"),
+    "a shorter window": ("dwell = 1.0", "dwell = 0.25"),
+    "a window of less than a period": ("dwell = 1.0", "dwell = 0.004"),
+    "a larger fast part": ("fast = [0.0, 0.01]", "fast = [0.0, 0.011]"),
+    "a larger w": ("beta = [0.0, 1.0]", "beta = [0.0, 1.001]"),
+    "a w that grows": ("gamma = [0.0, 0.0]", "gamma = [0.0, 0.001]"),
+    "a slower estimate": ("bandwidth = 6.0", "bandwidth = 5.99"),
+    "jitter": ("delay = 0.5", "delay = 0.5\njitter = 0.001"),
+    "a range": (
+        CONSTANTS.format("-2*x2", "", ""),
+        CONSTANTS.format("-a*x2", "a = 2", "a = [1, 3]"),
+    ),
+}
+
+
+def rewritten(document, proof=None, text=None):
+    """A file with another proof, or another system: signed, with its own claim and premises."""
     body = copy.deepcopy(document)
-    body["proof"][0] |= values
-    body["claim"] = f"limsup |e_1(t)| <= {body['proof'][0]['bound']}"
+    if proof is not None:
+        body["proof"] = [json.loads(json.dumps(record_of(proof)))]
+    if text is not None:
+        before, after = text
+        assert body["system"].count(before) == 1
+        body["system"] = body["system"].replace(before, after)
+    system, proofs = certrack.loads(body["system"]), implemented_proofs(body["proof"])
+    body["claim"] = f"limsup |e_1(t)| <= {proofs[0].bound}"
+    body["premises"] = [p.record() for p in premises_as_implemented(system, proofs)]
     return body | {"sha256": _digest(body)}
 
 
-@pytest.mark.slow
-def test_mutants_are_refused():
+def refused_by_the_page(document):
+    try:
+        independent_checker.check(document)
+    except (independent_checker.Refused, ValueError):
+        return True
+    return False
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_changed_proofs_are_refused(name):
+    """`verify` refuses each for what its proof says, not for a sum or a premise of the file."""
     _, (proof,), document = saved()
-    less = f"{float(proof.bound) * (1 - 1e-4):.12g}"
-    steps = [list(step) for step in proof.slow[0]]
-    mutants = [
-        changed(document, bound=less),
-        changed(document, slow=[[[0, "0.5"]]]),
-        changed(document, slow=[[*steps[:1], [steps[1][0], "nan"], *steps[2:]]]),
-        changed(document, slow=[steps[1:]]),
-        changed(document, slow=[[*steps, [10**6, "0"]]]),
-        changed(document, slow=[steps, steps]),
-        changed(document, slow=[]),
-    ]
-    for text in ("rate = [0.0, 0.3]", "jump = [0.0, 0.2]", "fast = [0.0, 0.01]"):
-        assert text in document["system"]
-        smaller = text.replace("0.3]", "0.03]").replace("0.2]", "0.0]").replace("0.01]", "0.0]")
-        body = document | {"system": document["system"].replace(text, smaller)}
-        if "jump" in text:
-            body["system"] = body["system"].replace("dwell = 1.0\n", "")
-        mutants.append(body | {"sha256": _digest(body)})
-    for mutant in mutants:
-        refused = 0
-        for check in (lambda d: verify(d).verified, independent_checker.check):
-            try:
-                refused += not check(mutant)
-            except (InputError, independent_checker.Refused, ValueError):
-                refused += 1
-        assert refused, mutant["proof"][0]["slow"]
-    assert failed_implemented(axis(False, rate=[0, 0.3]), proof, flint.fmpq(1, 2))
+    verdict = verify(rewritten(document, MUTANTS[name](proof)))
+    assert not verdict.verified
+    assert re.search("bound|z |periods", verdict.reason), verdict.reason
+
+
+@pytest.mark.parametrize("name", WORSE)
+def test_a_bound_of_less_is_refused(name):
+    _, _, document = saved()
+    verdict = verify(rewritten(document, text=WORSE[name]))
+    assert not verdict.verified
+    assert "premise" not in verdict.reason, verdict.reason
+
+
+@pytest.mark.slow
+def test_what_verify_refuses_the_page_refuses():
+    _, (proof,), document = saved()
+    mutants = {n: rewritten(document, change(proof)) for n, change in MUTANTS.items()}
+    mutants |= {n: rewritten(document, text=text) for n, text in WORSE.items()}
+    assert [name for name, mutant in mutants.items() if not refused_by_the_page(mutant)] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "premise"),
+    [
+        (("rate = [0.0, 3.0]", "rate = [0.0, 2.0]"), "contradicted"),
+        (("jump = [0.0, 0.2]\ndwell = 1.0\nfast = [0.0, 0.01]", ""), "proven"),
+    ],
+)
+def test_a_file_that_says_less_of_w_is_refused(text, premise):
+    """The premises that are written are those of the text, and its truth keeps them."""
+    _, _, document = saved()
+    if premise == "contradicted":
+        text = (text[0] + WORSE["an unknown rate"][0].removeprefix("rate = [0.0, 3.0]"), text[1])
+    signed = document | {"system": document["system"].replace(*text)}
+    verdict = verify(signed | {"sha256": _digest(signed)})
+    assert not verdict.verified
+    assert "premise" in verdict.reason
+    assert verify(rewritten(document, text=text)).verified == (premise == "proven")
+
+
+def test_without_an_estimate_there_is_no_proof_by_rates():
+    _, _, document = saved()
+    dob = '[law.observer]\nkind = "dob"\nbandwidth = 6.0\n'
+    verdict = verify(rewritten(document, text=(dob, "")))
+    assert verdict.reason == "the proof uses rates where there are none"
 
 
 # Premises ---------------------------------------------------------------------------------------
@@ -271,10 +379,17 @@ def over_time(formula, end):
     return t, np.broadcast_to(numpy_callable([TIME], [formula.expr])(t)[0], t.shape)
 
 
+def attack():
+    drive = certrack.falsify(axis(omega="0.1*sin(3*t)", rate=[0, 0.3]), budget=20).drive
+    assert drive.certificate.verified
+    return drive
+
+
+attacked = cache(attack)
+
+
 def test_attacks_keep_to_the_rates_and_stay_below():
-    system = axis(rate=[0, 0.3])
-    found = certrack.falsify(system, budget=30)
-    drive = found.drive
+    drive = attacked()
     assert drive.estimate <= drive.certificate.bound <= 1.3 * drive.estimate
     assert not drive.exceeds
     assert certrack.simulate(drive.system).outcome.name == "finished"
@@ -283,8 +398,17 @@ def test_attacks_keep_to_the_rates_and_stay_below():
     assert np.abs(values).max() <= 1
 
 
-def test_a_rate_too_small_is_caught():
-    """A certificate for a tenth of the rate is below what a signal of the true rate reaches."""
-    believed, _ = proven(rate=(0, 0.1))
-    attack = certrack.falsify(axis(rate=[0, 1.0]), budget=30).drive
-    assert attack.estimate > believed.bound
+def test_a_rate_too_small_is_caught(monkeypatch):
+    """A proof that takes a tenth of the rate has a bound that the falsifier exceeds."""
+    right = attacked()
+    assert not right.exceeds
+    believed = drive_module._slow_bound
+
+    def too_slow(*args):
+        bound = believed(*args)
+        return bound and replace(bound, rate=bound.rate / 10)
+
+    monkeypatch.setattr(drive_module, "_slow_bound", too_slow)
+    wrong = attack()
+    assert wrong.certificate.bound < right.certificate.bound
+    assert wrong.exceeds

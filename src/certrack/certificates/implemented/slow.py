@@ -38,13 +38,8 @@ from certrack.certificates.implemented.gains import (
     upper_number,
 )
 from certrack.certificates.implemented.outputs import Row
-from certrack.certificates.implemented.period import (
-    Period,
-    absolute,
-    beside,
-    identity,
-    padded,
-)
+from certrack.certificates.implemented.period import Period, padded
+from certrack.core.ball_matrices import absolute, beside, column, identity
 
 #: One z: from which period on (0 is the running one), and its value there as a decimal text.
 StepFunction = tuple[tuple[int, str], ...]
@@ -276,7 +271,7 @@ def _bends(period: Period, phase: int, columns: list[int]) -> tuple[np.ndarray, 
 
 
 def _chosen(matrix: flint.arb_mat, columns: list[int]) -> flint.arb_mat:
-    return flint.arb_mat([[matrix[i, j] for j in columns] for i in range(matrix.nrows())])
+    return beside(*(column(matrix, j) for j in columns))
 
 
 @dataclass(frozen=True)
