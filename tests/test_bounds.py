@@ -19,7 +19,6 @@ from certrack.core.lowering import numpy_callable, rows
 from certrack.references import SymbolicReference
 from certrack.references.growth import INFINITE, LINEAR, GrowthEnclosure, Span, Undefined, ball
 from certrack.references.search import Formula, derivative_bound
-from certrack.references.smoothness import smoothness
 from certrack.references.taylor import Evaluation
 
 DENSE = np.linspace(0, 40, 40_001)
@@ -28,7 +27,7 @@ STEP = DENSE[1]
 
 def bounds_of(text, order):
     """Bounds of the derivatives, None where there is none."""
-    proven = smoothness(parse("", text, ["t"]).expr)
+    proven = SymbolicReference(text).smoothness
     return [proven.bound(i) for i in range(int(min(order, proven.order)) + 1)]
 
 
