@@ -26,6 +26,7 @@ from certrack.model.disturbance import Multisine, family_of
 from certrack.model.names import refuse_prefix
 from certrack.model.plant import Plant
 from certrack.model.sampling import MAX_MEMBERS, probabilities
+from certrack.model.slowness import slow_size
 from certrack.model.truth import Truth
 from certrack.references import SoftStart, SymbolicReference
 from certrack.simulation.run import Run
@@ -113,6 +114,7 @@ class Members:
         self._refuse_unscalable()
         refuse_prefix(system.plant, "member_", "an ensemble")
         self.family = family_of(self.population)
+        self._refuse_unsteady()
         numbers = {} if self.family is None else self.family.numbers(self.population)
         self._disturbance_names = tuple(numbers)
         self.columns = self._columns()
@@ -355,14 +357,17 @@ class Members:
         ).bound_to(plant)
 
     def _omega(self, point: dict[str, float], *, written: bool) -> tuple[str, ...]:
-        """w_k = s_k(t) (gamma_k ||x|| + beta_k)."""
+        """w_k = s_k(t) (gamma_k ||x|| + beta_k); s_k(t) times what its speed admits."""
         assert self.family is not None
         plant, u = self.system.plant, self.system.plant.uncertainty
+        fastest = self.population.frequencies[1]
         terms = []
         for k in range(plant.n):
             pattern = self._pattern(k, point, written=written)
             varies = u.acts(k)
+            slow = slow_size(u, k, fastest)
             bound = u.bound_formula(k, plant.states, NORM_OFFSET) if varies else ""
+            bound = bound if slow is None else repr(slow)
             terms.append(f"({pattern})*({bound})" if varies else "0")
         return tuple(terms)
 
@@ -378,6 +383,18 @@ class Members:
         if not u.acts(k):
             return "0"
         return self.family.pattern(number)
+
+    def _refuse_unsteady(self) -> None:
+        """Only of sines is it known how fast they are."""
+        if self.family is None or isinstance(self.family, Multisine):
+            return
+        if self.system.plant.uncertainty.rate is not None:
+            raise InputError(
+                "ensemble.disturbance",
+                "may change faster than plant.uncertainty.rate says",
+                self.family.kind,
+                'Use "multisine" or "file", or remove the rate',
+            )
 
     def _refuse_large_patterns(self) -> None:
         """A registered family that passes 1 at a sample breaks Assumption 1."""
