@@ -1,6 +1,7 @@
 """Steps between two events of a sampled loop, with maps that are known; parts of its controller."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,6 +22,7 @@ from certrack.integrators.sampled.step_control import (
     MAX_INTERVAL_STEPS,
     next_factor,
 )
+from certrack.laws.observer import Observer
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.controller import (
     COMMAND,
@@ -35,7 +37,7 @@ from certrack.loops.controller import (
     sampled_controller,
     starting_state,
 )
-from certrack.loops.observers import INPUT_BEFORE
+from certrack.loops.observers import INPUT_BEFORE, estimation
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import AREA, SQUARE, loop_values, run_totals, sample_loop
 from certrack.model.noise import normal
@@ -519,3 +521,35 @@ def test_sensors_add_noise_clip_it_and_round():
     assert sensed(true, rounded, keys, 3, np.array([0.1, 0.1])) == pytest.approx(
         np.array([[0.25, 2.0], [-2.9, 4.1]])
     )
+
+
+@pytest.mark.parametrize("kind", ["kalman", "eso", "dob"])
+def test_an_observer_is_all_between_measurements_and_law(kind):
+    """What it computes, remembers and needs is the controller's, in its order."""
+    base = certrack.load("dual-motor-observer")
+    law = replace(base.law, observer=Observer(kind=kind, bandwidth=300))
+    system = base.replace(law=law)
+    plant, implementation = system.plant, system.implementation
+    controller = controller_of(system)
+    without = controller_of(base.replace(law=replace(base.law, observer=None)))
+    x = dict(without.values) if kind == "dob" else {}
+    observed = estimation(plant, law, implementation, x, COMMAND, symbol("ctl_first"))
+    n = len(controller.estimates)
+    names = [name for name, _, _ in observed.memories]
+    kept = list(controller.states[n:])
+    begin = kept.index(names[0])
+    assert kept[begin : begin + len(names)] == names and symbol("ctl_first") in kept
+    after = dict(zip(controller.states, controller.update, strict=True))
+    presets = dict(zip(controller.states, controller.presets, strict=True))
+    for name, value, before in observed.memories:
+        assert after[name] == value and presets[name] == before
+    steps = list(controller.steps)
+    begin = steps.index(observed.steps[0])
+    assert steps[begin : begin + len(observed.steps)] == list(observed.steps)
+    assert set(observed.numbers) <= set(controller.parameters)
+    assert dict(controller.values) == x | observed.values
+    assert controller.compensation == observed.compensation
+    asked = dict(steps)[LAW_INPUT]
+    law_of_estimates = system.controller.equations.u.xreplace(dict(controller.values))
+    assert sympy.expand(asked - law_of_estimates - observed.compensation) == 0
+    assert (symbol("ctl_before_" + plant.states[-1]) in kept) == (kind == "dob")
