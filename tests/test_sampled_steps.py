@@ -403,10 +403,23 @@ class Told(Maps):
 
     def control(self, t, measured, states, parameters):
         self.at.append(t)
+        self.seen.append(measured.copy())
         return measured[0] + 100 * (1 + states[0]), states + 1
 
 
-def whole_run(times, *, samples, acts, breaks=(), marks=(), u0=0.25, x=(1.0, 2.0), clock=None):
+def whole_run(
+    times,
+    *,
+    samples,
+    acts,
+    breaks=(),
+    marks=(),
+    u0=0.25,
+    x=(1.0, 2.0),
+    clock=None,
+    seen=None,
+    **drive,
+):
     """A run through events at these times, and what it told."""
     count, K = len(x), len(times)
 
@@ -429,7 +442,7 @@ def whole_run(times, *, samples, acts, breaks=(), marks=(), u0=0.25, x=(1.0, 2.0
         states=np.zeros((1, count)),
         totals=np.zeros((1, count)),
         parameters=np.full((1, count), 10.0),
-        implementation=certrack.Implementation(period=1.0, initial_input=u0),
+        implementation=certrack.Implementation(period=1.0, initial_input=u0, **drive),
         timeline=line,
         outputs=None,
         pieces=lambda t: np.array([1000 + t]),
@@ -438,14 +451,28 @@ def whole_run(times, *, samples, acts, breaks=(), marks=(), u0=0.25, x=(1.0, 2.0
         max_state=1e6,
     )
     maps = Told(count)
-    maps.at = []
+    maps.at, maps.seen = [], []
     run, told = SampledRun(maps, problem), []
     run.run(
         on_sample=lambda t, states: told.append(("sample", t, states[0, 0], run.x[0, 0])),
         on_step=lambda t, x, totals, u: told.append(("step", t, u[0], run.parameters[1, 0])),
         on_mark=lambda mark: told.append(("mark", mark, run.x[0, 0])),
     )
+    if seen is not None:
+        seen += maps.seen
     return run, told, maps.at
+
+
+def test_every_sample_has_its_own_noise_and_sensor_errors():
+    """Of sample k = 0, 1, 2 of the run; the errors are formulas of its time."""
+    for drive in ({"noise": (0.5,)}, {"sensor_error": ("0.25 + t",)}):
+        seen, keys = [], np.arange(2, dtype=np.uint64)
+        times = [0.0, 1.0, 2.0, 3.0]
+        whole_run(times, samples=times[:3], acts=(), u0=0.0, seen=seen, **drive)
+        assert len(seen) == 3
+        for k, measured in enumerate(seen):
+            error = 0.5 * normal(keys, k, 1)[0] if "noise" in drive else 0.25 + times[k]
+            assert measured[0] == pytest.approx(np.array([1.0, 2.0]) + error)
 
 
 def test_events_happen_in_their_order():

@@ -63,7 +63,7 @@ GROUPS = {
     "statistics": Group("studies/ensembles/statistics", "statistics"),
     "c-printers": Group(
         "export/c/export export/c/guard export/c/printer export/c/source core/printing",
-        "printing monitor_text export_c guard words",
+        "printing monitor_text c_text export_c guard words",
         texts=True,
     ),
     "monitor": Group("export/monitor* export/*/monitor*", "monitor_text monitor_probes monitor"),
