@@ -17,6 +17,7 @@ from certrack.integrators.base import ESCAPING, Outcome
 from certrack.integrators.sampled.events import EventTimeline
 from certrack.integrators.sampled.run import SampledProblem, SampledRun, sensed
 from certrack.integrators.sampled.step_control import (
+    END_ROUNDING,
     FIRST_MAX_FACTOR,
     MAX_FACTOR,
     MAX_INTERVAL_STEPS,
@@ -92,6 +93,28 @@ def test_every_member_crosses_by_its_own_steps(longest):
 def test_a_member_does_not_depend_on_its_neighbours():
     alone = [crossed(run_of([longest]))[0] for longest in (0.3, 0.011)]
     assert list(crossed(run_of([0.3, 0.011]))) == alone
+
+
+def test_one_late_member_is_enough_and_a_dead_one_is_none():
+    for longest in ([10.0, 0.3, 10.0], [0.3]):
+        run = run_of(longest)
+        crossed(run)
+        assert run._maps.calls > 2 and run._maps.shortest <= 0.3
+    run = run_of([10.0, 0.3])
+    run.alive[1] = False
+    crossed(run)
+    assert run._maps.calls == 1
+
+
+@pytest.mark.parametrize(("missing", "calls"), [(0.25, 1), (40.0, 2)])
+def test_the_last_step_takes_what_only_rounding_leaves(missing, calls):
+    run, end = run_of([10.0]), 3.0
+    h = np.array([end - 1.0 - missing * END_ROUNDING * end])
+    x, totals = np.zeros((1, 1)), np.zeros((1, 1))
+    ends = []
+    run._substep(np.array([0]), 1.0, end, h, x, totals, lambda t, x, totals, u: ends.append(t))
+    assert run._maps.calls == calls == len(ends) and ends[-1] == end
+    assert x[0, 0] == pytest.approx(2.0)
 
 
 def test_a_member_without_an_error_is_lost_and_the_others_go_on():

@@ -45,15 +45,17 @@ GROUPS = {
     ),
     "ranges": Group(
         "certificates/ranges/*",
-        "range_algebra attainable ranges independent_ranges sectors strength peak",
+        "range_algebra range_parts attainable ranges independent_ranges sectors strength peak",
     ),
     "implemented": Group(
         "certificates/implemented/*",
-        "implemented implemented_formulas implemented_start enclosed range_algebra forged_claims",
+        "implemented implemented_formulas implemented_start enclosed range_algebra forged_claims"
+        " regional jitter proven_box implemented_ranges",
     ),
     "references": Group(
         "references/*",
-        "references growth testing bounds premises simulation time_events units lipschitz",
+        "references growth testing bounds premises simulation time_events units lipschitz"
+        " soft_start samples_file",
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
     "sampled": Group(
