@@ -30,7 +30,7 @@ from certrack.integrators.sampled.solution import (
     RunRecord,
     SampledSolution,
     Slopes,
-    StepRecord,
+    StepTable,
 )
 from certrack.integrators.switching import ModeRecord, sticking_notes
 from certrack.loops.controller import SampledController, starting_state
@@ -154,7 +154,7 @@ class SampledSimulator:
 
     def _record_in_c(
         self, problem: SampledProblem, shared: Array, progress: Progress
-    ) -> StepRecord | None:
+    ) -> StepTable | None:
         """All steps by compiled C; None where that is not worth its while, or cannot do it."""
         if len(problem.timeline.times) < WORTH_COMPILING or not self._in_c:
             return None
@@ -162,7 +162,7 @@ class SampledSimulator:
 
     def _record_by_maps(
         self, problem: SampledProblem, progress: Progress
-    ) -> tuple[StepRecord, Outcome, ModeRecord | None]:
+    ) -> tuple[StepTable, Outcome, ModeRecord | None]:
         """All steps that end within the admitted states, how the run ended, and its modes."""
         estimates, end = len(self.loop.controller.estimates), float(problem.timeline.times[-1])
         record = RunRecord(problem, estimates)

@@ -39,15 +39,15 @@ def measure_steps(solution: SampledSolution, band: float, tail_start: float) -> 
     """
     record = solution.record
     inputs, span = record.inputs, float(record.ends[-1])
-    integrals = record.columns[solution.n :] * INTEGRAL_SCALE
-    energy, square = float(integrals[0, -1]), float(integrals[1, -1])
+    integrals = record.columns[solution.n :]
+    energy, square = (integrals[:2, -1] * INTEGRAL_SCALE).tolist()
     with np.errstate(all="ignore"):
         error = _Error(record.ends, solution.sides)
         return Metrics(
             settling_time=error.last_outside(band) if span > 0 else math.nan,
             tail_error=error.supremum_from(tail_start),
             rms_error=math.sqrt(square / span) if span > 0 else math.nan,
-            integral_abs_error=error.integral_of_magnitude(integrals[2]),
+            integral_abs_error=error.integral_of_magnitude(integrals[2] * INTEGRAL_SCALE),
             integral_squared_error=square,
             peak_input=float(np.abs(inputs).max()),
             input_energy=energy,
@@ -79,8 +79,7 @@ class _Error:
         cut = 2 * steps + 1
         self.step = np.insert(np.repeat(np.arange(count), 2), cut, steps)
         self.s = np.insert(np.tile([0.0, 1.0], count), cut, places)
-        values = np.insert(np.stack([e0, e1], axis=1).ravel(), cut, self._at(steps, places))
-        self.values = values
+        self.values = np.insert(np.stack([e0, e1], axis=1).ravel(), cut, self._at(steps, places))
 
     def _at(self, steps: Array, s: Array, level: float = 0.0) -> Array:
         """e_1 above a level."""
@@ -162,10 +161,9 @@ class _Error:
 
 def _turns(c1: Array, c2: Array, c3: Array) -> tuple[Array, Array]:
     """Steps inside which a cubic has an extreme, and where; two of one step in their order."""
-    middle = np.abs(c2)
-    # the slope at both ends and, where it bends back, in between
-    end = c1 + 2 * c2 + 3 * c3
-    steps = np.flatnonzero((c1 * end <= 0) | ((middle < 3 * np.abs(c3)) & (c2 * c3 < 0)))
+    end = c1 + 2 * c2 + 3 * c3  # the slope
+    bends_back = (c2 * c3 < 0) & (np.abs(c2) < 3 * np.abs(c3))
+    steps = np.flatnonzero((c1 * end <= 0) | bends_back)
     c1, c2, c3 = c1[steps], c2[steps], c3[steps]
     root = -(c2 + np.copysign(np.sqrt(c2 * c2 - 3 * c1 * c3), c2))
     places = np.sort([root / (3 * c3), c1 / root], axis=0)

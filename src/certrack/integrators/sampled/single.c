@@ -36,12 +36,17 @@ typedef struct {
 typedef struct {
   double t, h, allowed;
   const double *s;
+  double c[NODES][COMMON + 1]; /* what depends on time alone, at its nodes */
   double x[STATES], y[TOTALS], sides[SIDES]; /* e_1 at begin and end, e_1' there */
 } Step;
 
 /* A function of its own, for it is called at every node: compiled once, it is compiled sooner. */
 OUTLINE void rates_at(const Run *run, const double *c, const double *x, double *k, double *e) {
   rates(c, x, run->u, run->parameters, k, e);
+}
+
+INLINE void common_at(const Step *step, double t, double *c) {
+  if (COMMON) common(t, step->s, c);
 }
 
 INLINE double squared(double error, double allowed, double a, double b) {
@@ -52,17 +57,17 @@ INLINE double squared(double error, double allowed, double a, double b) {
 /* The step from where the run is; returns its error over the allowed one, that of the integral of
  * e_1 among them: a reference may be faster than the plant. */
 static double try_step(const Run *run, Step *step) {
-  double c[NODES][COMMON + 1], k[NODES][STATES], e[NODES][2], h = step->h;
-  for (int i = 0; i < NODES - 1 && COMMON; i++) common(step->t + h * C[i], step->s, c[i]);
-  memcpy(c[NODES - 1], c[NODES - 2], sizeof c[0]); /* the last two are at the end */
-  rates_at(run, c[0], run->x, k[0], e[0]);
+  double k[NODES][STATES], e[NODES][2], h = step->h;
+  for (int i = 1; i < NODES - 1; i++) common_at(step, step->t + h * C[i], step->c[i]);
+  memcpy(step->c[NODES - 1], step->c[NODES - 2], sizeof step->c[0]); /* both are at the end */
+  rates_at(run, step->c[0], run->x, k[0], e[0]);
   for (int i = 1; i < NODES; i++) {
     for (int j = 0; j < STATES; j++) {
       double sum = 0.0;
       for (int a = 0; a < i; a++) sum += A[i][a] * k[a][j];
       step->x[j] = run->x[j] + h * sum;
     }
-    rates_at(run, c[i], step->x, k[i], e[i]);
+    rates_at(run, step->c[i], step->x, k[i], e[i]);
   }
   double worst = 0.0, missed = 0.0, sums[2] = {0.0, 0.0};
   for (int j = 0; j < STATES; j++) {
@@ -90,7 +95,7 @@ static double next_factor(double error, double largest) {
   return factor < MIN_FACTOR ? MIN_FACTOR : factor > largest ? largest : factor;
 }
 
-static void accept(Run *run, double end, const Step *step) {
+static void accept(Run *run, Step *step, double end) {
   double *place = run->record + run->steps++;
   memcpy(run->x, step->x, sizeof step->x);
   memcpy(run->y, step->y, sizeof step->y);
@@ -99,32 +104,34 @@ static void accept(Run *run, double end, const Step *step) {
   for (int j = 0; j < TOTALS; j++) *(place += run->room) = step->y[j];
   *(place += run->room) = run->u;
   for (int j = 0; j < SIDES; j++) *(place += run->room) = step->sides[j];
+  memcpy(step->c[0], step->c[NODES - 1], sizeof step->c[0]); /* the next one begins there */
+  step->t = end;
 }
 
 /* From one event to the next, in one step or in as many as the errors demand; whether it went. */
-static int cross(Run *run, double begin, double end, const double *s) {
+static int cross(Run *run, Step *step, double end) {
   double share = ERROR_SHARE * run->tolerance, shortest = SHORTEST_STEP * end;
-  Step step = {.t = begin, .h = end - begin, .allowed = share, .s = s};
-  double error = try_step(run, &step);
+  step->h = end - step->t;
+  step->allowed = share;
+  double error = try_step(run, step);
   if (error <= 1.0) {
-    accept(run, end, &step);
+    accept(run, step, end);
     return 1;
   }
-  step.h *= next_factor(error, FIRST_MAX_FACTOR);
+  step->h *= next_factor(error, FIRST_MAX_FACTOR);
   for (int64_t i = 0; i < MAX_INTERVAL_STEPS; i++) {
-    int last = step.t + step.h >= end * (1 - END_ROUNDING);
-    step.h = last ? end - step.t : step.h > shortest ? step.h : shortest;
-    int at_shortest = step.h <= shortest;
-    step.allowed = at_shortest ? run->tolerance : share;
-    error = try_step(run, &step);
+    int last = step->t + step->h >= end * (1 - END_ROUNDING);
+    step->h = last ? end - step->t : step->h > shortest ? step->h : shortest;
+    int at_shortest = step->h <= shortest;
+    step->allowed = at_shortest ? run->tolerance : share;
+    error = try_step(run, step);
     if (error <= 1.0) {
-      step.t = last ? end : step.t + step.h;
-      accept(run, step.t, &step);
-      if (step.t >= end) return 1;
+      accept(run, step, last ? end : step->t + step->h);
+      if (step->t >= end) return 1;
     } else if (at_shortest) {
       return 0;
     }
-    step.h *= next_factor(error, MAX_FACTOR);
+    step->h *= next_factor(error, MAX_FACTOR);
   }
   return 0;
 }
@@ -150,13 +157,20 @@ static void take_sample(Run *run, double t, const double *s) {
 /* Go on to event `until`, or until the record may have no room for the steps to the next one; 0,
  * or -1 where run.py has to do it. */
 int integrate(Run *run, int64_t until) {
+  Step step = {.s = NULL};
   for (; run->event < until && run->room - run->steps > MAX_INTERVAL_STEPS; run->event++) {
     int64_t now = run->event;
+    double t = run->times[now];
     const double *s = run->shared + run->segments[now] * SHARED;
     if (run->kinds[now] & SAMPLE) take_sample(run, run->clock[now], s);
     if (run->kinds[now] & ACT) run->u = run->waiting[run->commands++ % run->depth];
     if (now + 1 == run->events) continue;
-    if (!cross(run, run->times[now], run->times[now + 1], s)) return -1;
+    if (step.s != s || step.t != t) {
+      step.s = s;
+      step.t = t;
+      common_at(&step, t, step.c[0]);
+    }
+    if (!cross(run, &step, run->times[now + 1])) return -1;
     for (int j = 0; j < STATES; j++)
       if (!(fabs(run->x[j]) <= run->max_state)) return -1;
   }

@@ -18,7 +18,7 @@ from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.native import packaged
 from certrack.integrators.sampled.native import sampled_header
 from certrack.integrators.sampled.run import SampledProblem, sensor_noise
-from certrack.integrators.sampled.solution import StepRecord
+from certrack.integrators.sampled.solution import StepTable
 from certrack.integrators.sampled.step_control import MAX_INTERVAL_STEPS
 from certrack.loops.sampled import SampledLoop
 from certrack.model.noise import normal
@@ -88,7 +88,7 @@ class SampledSingle:
 
     def record(
         self, problem: SampledProblem, shared: Array, progress: Progress = silent
-    ) -> StepRecord | None:
+    ) -> StepTable | None:
         """All steps to the end of a problem of one member; None where `run.py` has to do it.
 
         Parameters
@@ -148,7 +148,7 @@ class SampledSingle:
             progress(float(line.times[min(run.event, events - 1)]), end, None)
         estimates[:, -1] = k[: len(estimates)]
         table = table[:, : run.steps + 1]
-        return StepRecord(
+        return StepTable(
             ends=table[0],
             columns=table[1 : 1 + n + len(y)],
             inputs=table[-INPUT_AND_SIDES, 1:],

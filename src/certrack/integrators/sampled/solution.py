@@ -20,7 +20,7 @@ JUST_AFTER = 1 + 1e-12
 
 
 @dataclass(frozen=True)
-class StepRecord:
+class StepTable:
     """The steps of a run, one after the other.
 
     Attributes
@@ -46,7 +46,7 @@ class StepRecord:
     estimates: Array
     sides: Array | None = None
 
-    def with_a_step(self) -> StepRecord:
+    def with_a_step(self) -> StepTable:
         """The same with one step of no length, if there is none."""
         if len(self.ends) > 1:
             return self
@@ -95,9 +95,9 @@ class RunRecord:
         self._ends, self._columns = self._ends[:last], self._columns[:last]
         self._inputs = self._inputs[: last - 1]
 
-    def steps(self, first_input: float) -> StepRecord:
+    def steps(self, first_input: float) -> StepTable:
         """All of it; where there is not one step, with that input."""
-        return StepRecord(
+        return StepTable(
             np.array(self._ends),
             np.array(self._columns).T,
             np.array(self._inputs or [first_input]),
@@ -143,14 +143,14 @@ class SampledSolution:
 
     Attributes
     ----------
-    record : StepRecord
+    record : StepTable
         Of one step at least.
     slopes : Slopes
     n : int
         Number of plant states.
     """
 
-    record: StepRecord
+    record: StepTable
     slopes: Slopes
     n: int
 
@@ -162,6 +162,21 @@ class SampledSolution:
             self.slopes(begins, r.columns[:n, :-1], r.inputs, begins),
             self.slopes(ends, r.columns[:n, 1:], r.inputs, begins),
         )
+
+    @property
+    def inputs(self) -> Array:
+        """The input on each step."""
+        return self.record.inputs
+
+    @property
+    def estimates(self) -> Array:
+        """The estimates that each sample used, and the last ones."""
+        return self.record.estimates
+
+    @property
+    def samples(self) -> Array:
+        """Times of the samples, and the end of the run."""
+        return self.record.samples
 
     @cached_property
     def sides(self) -> Array:
@@ -202,8 +217,8 @@ class SampledSolution:
         (da, _), (db, _) = self._at_ends()
         h = np.diff(times)
         corners = np.stack([r.columns[:, :-1], r.columns[:, 1:], h * da, h * db], axis=-1)
-        rest = 1 - s
-        weights = [rest**2 * (1 + 2 * s), s**2 * (3 - 2 * s), s * rest**2, -(s**2) * rest]
+        left = 1 - s
+        weights = [left**2 * (1 + 2 * s), s**2 * (3 - 2 * s), s * left**2, -(s**2) * left]
         x = (corners @ np.array(weights)).reshape(len(r.columns), -1)
         z = np.repeat(self._estimates_at(times[:-1]), parts + 1, axis=1)
         for at in (0, -1):  # the begin and the end of the run are hit exactly
