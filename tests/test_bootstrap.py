@@ -10,6 +10,7 @@ import independent_checker
 import numpy as np
 import pytest
 import sympy
+from adaptive_plants import random_plant
 
 import certrack
 from certrack.certificates import to_document, verify
@@ -440,3 +441,20 @@ def test_what_has_no_bootstrap_says_why():
     fast, proof = certify_bootstrap(certrack.load("example1"), "fast")
     assert "takes more time" in fast.reason
     assert proof == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_random_plants_keep_their_bound_and_both_checkers_agree(seed):
+    system = random_plant(seed)
+    certificate, stages = certify_bootstrap(system)
+    if not stages:
+        assert "takes more time" in certificate.reason
+        return
+    assert certificate.verified
+    assert certificate.bound >= certrack.simulate(system).metrics.tail_error
+    document = json.loads(json.dumps(to_document(system, *stages)))
+    assert verify(document).verified
+    document["proof"] = document["proof"][:2]
+    bound = independent_checker.check(claimed_again(document))
+    assert float(bound) >= certificate.bound * (1 - 1e-12)
