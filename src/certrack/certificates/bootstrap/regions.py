@@ -25,6 +25,9 @@ from certrack.certificates.exact import Proof, float_down, float_up, from_text, 
 #: and a range is wider than what was enclosed, so that another quadrature of boxes confirms it.
 WIDER, LOOSER = 1e-7, 1e-6
 
+#: And by this part of the numbers that it is a difference of, for another one's roundings.
+ROUNDING_SHARE = 1e-9
+
 #: Digits of the slope k and the middle of phi, which may be any numbers.
 FREE_DIGITS = 8
 
@@ -106,10 +109,14 @@ def next_region(loop: AdaptiveLoop, ranges: Ranges, known: Reached) -> Region:
     slope = tuple(f"{v:.{FREE_DIGITS}g}" for v in ranges.fitted_slope(place, FIT_POINTS))
     k, zero = tuple(map(from_text, slope)), rational(0)
     none = tuple(zero for _ in range(loop.r))
+    through = np.abs(np.hstack([loop.Xe, loop.AB]).astype(float))
+    sizes = [rational_float(v) for v in through @ np.abs(place).max(axis=1)]
 
     def enclosed(combination: Combination, spread: Any = zero) -> TextPair:
         low, high = (rational_float(v) for v in ranges.bounds(combination, place))
-        return _wider(low - spread, high + spread, LOOSER)
+        size = sum((abs(a) * b for a, b in zip(combination.slope, sizes, strict=True)), spread)
+        more = rational(ROUNDING_SHARE) * (size + abs(low) + abs(high))
+        return _wider(low - spread - more, high + spread + more, LOOSER)
 
     regressor = tuple(
         enclosed(_single(loop, i)) if value is None else (value, value)
