@@ -28,6 +28,9 @@ WIDER, LOOSER = 1e-7, 1e-6
 #: And by this part of the numbers that it is a difference of, for another one's roundings.
 ROUNDING_SHARE = 1e-9
 
+#: And where all of them are zero, for what underflows.
+UNDERFLOW_ROOM = 1e-40
+
 #: Digits of the slope k and the middle of phi, which may be any numbers.
 FREE_DIGITS = 8
 
@@ -115,7 +118,7 @@ def next_region(loop: AdaptiveLoop, ranges: Ranges, known: Reached) -> Region:
     def enclosed(combination: Combination, spread: Any = zero) -> TextPair:
         low, high = (rational_float(v) for v in ranges.bounds(combination, place))
         size = sum((abs(a) * b for a, b in zip(combination.slope, sizes, strict=True)), spread)
-        more = rational(ROUNDING_SHARE) * (size + abs(low) + abs(high))
+        more = rational(ROUNDING_SHARE) * (size + abs(low) + abs(high)) + rational(UNDERFLOW_ROOM)
         return _wider(low - spread - more, high + spread + more, LOOSER)
 
     regressor = tuple(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import sympy
 
 from certrack.certificates.balls import ball_rule
+
+#: Increasing functions whose balls of wide arguments are not finite; their ends are.
+INCREASING = (sympy.tanh, sympy.atan, sympy.sinh)
 
 
 class Tape:
@@ -36,6 +40,8 @@ class Tape:
             if not parts:
                 constant = operation()
                 operation = lambda: constant  # noqa: E731
+            if isinstance(expr, INCREASING):
+                operation = partial(_between_ends, operation)
             arguments = tuple(self._place(part) for part in parts)
             self._operations.append((operation, arguments))
             self._places[expr] = self._start + len(self._operations) - 1
@@ -47,3 +53,7 @@ class Tape:
         for operation, arguments in self._operations:
             memory.append(operation(*(memory[i] for i in arguments)))
         return [memory[i] for i in self._results]
+
+
+def _between_ends(increasing: Callable[[Any], Any], inside: Any) -> Any:
+    return increasing(inside.lower()).union(increasing(inside.upper()))
