@@ -17,6 +17,7 @@ import sympy
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
+from certrack.core.once import once
 from certrack.laws.base import Equations
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
 from certrack.laws.integral import INTEGRAL
@@ -35,6 +36,7 @@ INTEGRAL_ACTION = (
 SAME_NUMBERS = 1e-9
 
 
+@once
 def stated_error_system(
     system: System, *, integral: bool = False
 ) -> KnownParameters | EstimatedParameters:
