@@ -31,6 +31,7 @@ from certrack.cli.surroundings import (
     trouble,
 )
 from certrack.cli.tune import tune
+from certrack.core.blas import one_thread_from_now_on
 from certrack.core.errors import CertrackError, one_line
 
 
@@ -67,6 +68,7 @@ for verb in (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the ``certrack`` command."""
+    one_thread_from_now_on()
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         code = _run(arguments)

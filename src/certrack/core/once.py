@@ -8,15 +8,15 @@ from typing import Concatenate, ParamSpec, TypeVar
 
 Subject = TypeVar("Subject")
 Further = ParamSpec("Further")
-Returned = TypeVar("Returned")
+Answer = TypeVar("Answer")
 
 #: Where they are kept, among the attributes of the object.
 RESULTS = "_results"
 
 
 def once(
-    function: Callable[Concatenate[Subject, Further], Returned],
-) -> Callable[Concatenate[Subject, Further], Returned]:
+    function: Callable[Concatenate[Subject, Further], Answer],
+) -> Callable[Concatenate[Subject, Further], Answer]:
     """The function, computed once for each object and each further arguments.
 
     For frozen objects with a ``__dict__`` and results that nobody changes; what raises is computed
@@ -24,14 +24,12 @@ def once(
     """
 
     @wraps(function)
-    def remembered(
-        subject: Subject, /, *further: Further.args, **named: Further.kwargs
-    ) -> Returned:
+    def remembered(subject: Subject, /, *further: Further.args, **named: Further.kwargs) -> Answer:
         results = vars(subject).setdefault(RESULTS, {})
         key = function, further, tuple(sorted(named.items()))
         if key not in results:
             results[key] = function(subject, *further, **named)
-        result: Returned = results[key]
+        result: Answer = results[key]
         return result
 
     return remembered
