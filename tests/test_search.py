@@ -106,7 +106,7 @@ MUTATIONS = {
 @pytest.mark.parametrize("mutation", MUTATIONS)
 def test_a_wrong_float_result_is_not_proven(mutation):
     exact = error_problem(certrack.load("dual-motor-lean"), rational)
-    solution = riccati_optimum(exact.in_floats()).solution(1e-7)
+    solution = riccati_optimum(exact.in_floats()).solution(1e-7, 1e5)
     assert prove(exact, solution, back_off=BACK_OFF[:1]) is not None
     assert prove(exact, MUTATIONS[mutation](solution), back_off=BACK_OFF[:1]) is None
 

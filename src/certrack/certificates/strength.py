@@ -20,7 +20,7 @@ import numpy as np
 
 from certrack.certificates.arithmetic import exact_float, positive_definite, rational
 from certrack.certificates.certificate import Certificate, NoCertificate, within_floats
-from certrack.certificates.exact import BACK_OFF, prove
+from certrack.certificates.exact import prove
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.own_multipliers import own_multipliers
 from certrack.certificates.problem import ErrorProblem
@@ -38,7 +38,10 @@ SLOW_RATE = 1e-3
 PUBLISHED_RATE = 1e-9
 
 #: How far below the largest strength of a program it is tried to be proven, as parts.
-BELOW_THE_LARGEST = (1e-6, 1e-5, 2e-5, 1e-4, 5e-4)
+BELOW_THE_LARGEST = (1e-6, 1e-5, 1e-4, 5e-4)
+
+#: How far the multipliers give way there: of the strength it takes nothing.
+STRENGTH_BACK_OFF = (1e-5, 1e-3)
 
 #: The search for a first scale with a certificate goes this far below the largest possible one.
 SMALLEST_PART = 1e-30
@@ -111,7 +114,7 @@ def _by_one_program(exact: ErrorProblem, low: float, slow: float) -> float | Non
                 if strength <= low:
                     return None
                 scaled = exact.homogeneous(exact_float(strength, rational))
-                if prove(scaled, strongest.solution, back_off=BACK_OFF[:1]) is not None:
+                if prove(scaled, strongest.solution, back_off=STRENGTH_BACK_OFF) is not None:
                     return strength
     except NoCertificate:
         pass

@@ -82,10 +82,10 @@ class RiccatiOptimum:
         """Its decay rate, 1/s."""
         return float(math.exp(self.state.logarithms[-1]) / self.state.scaling.time)
 
-    def solution(self, strictness: float) -> Solution | None:
+    def solution(self, strictness: float, largest_room: float) -> Solution | None:
         """A point of the semidefinite program, inside at this part of the cost; or None."""
         scaling, target = self.state.scaling, self.equation.target
-        X = self.equation.strict_solution(self.state.logarithms, strictness)
+        X = self.equation.strict_solution(self.state.logarithms, strictness, largest_room)
         if X is None:
             return None
         P, unit = np.linalg.inv(X), float(X[target, target])

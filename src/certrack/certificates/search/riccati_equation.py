@@ -32,10 +32,6 @@ ON_THE_AXIS = 1e-9
 #: Logarithms of multipliers are taken within these limits.
 LARGEST_LOGARITHM = 300
 
-#: Most room that is made in the inequality, about as a multiple of alpha X. With 0.1 the tubes of
-#: shipped systems begin 3 % higher, from 1e5 on nothing changes.
-LARGEST_ROOM = 1e5
-
 #: The least that counts as curvature of the logarithm of the bound.
 LEAST_CURVATURE = 1e-3
 
@@ -168,11 +164,14 @@ class RiccatiEquation:
         C = 2 * ((lam @ self._rows[0]).reshape(n, n) + N @ D @ N.T)
         return A, B, C, N, D, UD
 
-    def strict_solution(self, logarithms: np.ndarray, slack: float) -> np.ndarray | None:
+    def strict_solution(
+        self, logarithms: np.ndarray, slack: float, largest_room: float
+    ) -> np.ndarray | None:
         """An X for which the inequality is strict, at the cost of this part of X_tt; or None.
 
         Room is made in the inequality as on the central path of the program, by the inverse of L:
-        where it costs little there is much of it, and P then is no larger than it must be.
+        where it costs little there is much of it, up to about `largest_room` times alpha X, and P
+        then is no larger than it must be.
         """
         values = np.exp(logarithms)
         lam, nu, k = (values[part] for part in self._slices)
@@ -184,7 +183,7 @@ class RiccatiEquation:
         if tight is None:
             return None
         X, L = tight
-        share = slack / (LARGEST_ROOM * len(X)) * float(np.sum(L * X))
+        share = slack / (largest_room * len(X)) * float(np.sum(L * X))
         cost = slack * X[self.target, self.target] / len(X)
         room = cost * np.linalg.inv(L + share * np.linalg.inv(X))
         solved = smallest_solution(A, B + (room + room.T) / 2, C, self.target)

@@ -105,7 +105,8 @@ def _edge_of_existence(problem: ErrorProblem, alpha: float) -> Strongest | None:
             low = middle
         if high < SMALLEST_STRENGTH:
             return None
-    X = solved(low * (1 - EXISTENCE_ACCURACY), EXISTENCE_ACCURACY**2)
+    low *= 1 - EXISTENCE_ACCURACY
+    X = solved(low, EXISTENCE_ACCURACY**2)
     if X is None:
         return None
     entries = [(i, j) for j in range(n) for i in range(j + 1)]
