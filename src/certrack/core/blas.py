@@ -12,8 +12,8 @@ from collections.abc import Callable
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
-Arguments = ParamSpec("Arguments")
-Returned = TypeVar("Returned")
+_LimitedArguments = ParamSpec("_LimitedArguments")
+_LimitedResult = TypeVar("_LimitedResult")
 
 #: What tells a BLAS that is loaded later how many threads to use.
 THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
@@ -25,11 +25,15 @@ def one_thread_from_now_on() -> None:
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
 
 
-def one_blas_thread(function: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+def one_blas_thread(
+    function: Callable[_LimitedArguments, _LimitedResult],
+) -> Callable[_LimitedArguments, _LimitedResult]:
     """The function, which lets the BLAS use one thread while it runs."""
 
     @wraps(function)
-    def limited(*arguments: Arguments.args, **named: Arguments.kwargs) -> Returned:
+    def limited(
+        *arguments: _LimitedArguments.args, **named: _LimitedArguments.kwargs
+    ) -> _LimitedResult:
         from threadpoolctl import threadpool_limits
 
         with threadpool_limits(limits=1, user_api="blas"):

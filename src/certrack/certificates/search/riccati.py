@@ -28,7 +28,7 @@ LOWER, LOWERINGS = 0.2, 9
 COLD_ACCURACY, WARM_ACCURACY = 1e-10, 1e-7
 
 #: A search that ended, at the edge of what exists or after all its steps, further above is none.
-UNFINISHED = 1e-6
+NOT_CONVERGED = 1e-6
 
 #: A warm start that has no X gets a smaller alpha, down to this part of it.
 ALPHA_SHARES = (1.0, 0.7, 0.4, 0.2, 0.05)
@@ -133,7 +133,7 @@ def riccati_optimum(
         lowest = (
             None if start is None else quasi_newton(equation.at, start, WARM_ACCURACY, warm.inverse)
         )
-    if lowest is None or lowest.left > UNFINISHED:
+    if lowest is None or lowest.left > NOT_CONVERGED:
         return None
     assert isinstance(lowest.point, RiccatiPoint)
     state = RiccatiState(scaling, lowest.x, lowest.inverse)
