@@ -8,7 +8,7 @@ goes on, so no step ever crosses a kink.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -190,40 +190,6 @@ def _integer_power(hy: Any, base: Any, exponent: int) -> Any:
     half = _integer_power(hy, base, exponent // 2)
     square = half**2.0  # a special case that heyoka does well
     return square * base if exponent % 2 else square
-
-
-def hoisted(
-    formulas: Sequence[sympy.Expr], common: Set[sympy.Symbol]
-) -> tuple[list[sympy.Expr], dict[sympy.Expr, sympy.Symbol]]:
-    """Replace every largest subexpression of common symbols alone by one symbol.
-
-    Returns
-    -------
-    formulas : list
-    symbols : dict
-        Symbol of each subexpression, in the order of their numbers.
-    """
-    symbols: dict[sympy.Expr, sympy.Symbol] = {}
-
-    def name(expr: sympy.Expr) -> sympy.Expr:
-        number, factor = expr.as_coeff_Mul()
-        if factor not in symbols:
-            symbols[factor] = sympy.Symbol(f"kept_shared_{len(symbols)}", real=True)
-        return number * symbols[factor]
-
-    def walk(expr: sympy.Expr) -> sympy.Expr:
-        free = expr.free_symbols
-        if not free & common:
-            return expr
-        if free <= common:
-            return name(expr)
-        if expr.is_Add or expr.is_Mul:
-            shared = [arg for arg in expr.args if arg.free_symbols and arg.free_symbols <= common]
-            others = [walk(arg) for arg in expr.args if arg not in shared]
-            return expr.func(*others, *([name(expr.func(*shared))] if shared else []))
-        return expr.func(*map(walk, expr.args))
-
-    return list(map(walk, formulas)), symbols
 
 
 def rows(values: Sequence[Any], count: int) -> np.ndarray:

@@ -24,6 +24,8 @@ from certrack.core.compilers import (
     function_of,
     load_library,
 )
+from certrack.core.lowering import NumpyFunction, numpy_callable
+from certrack.core.memo import remembered
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.integrators.many.native_source import system_header
@@ -237,6 +239,13 @@ class NativeResult:
     steps: int
 
 
+@remembered
+def _flow_form(flow: AugmentedFlow, shown: tuple[sympy.Expr, ...]) -> tuple[str, NumpyFunction]:
+    """The generated part of native.c, and the numbers that it wants, from those of the flow."""
+    fewest, numbers = flow.with_fewest_numbers()
+    return system_header(fewest, shown), numpy_callable([flow.numbers], list(numbers))
+
+
 class Native:
     """A compiled :class:`AugmentedFlow`; may be used by several threads at once.
 
@@ -245,6 +254,8 @@ class Native:
     flow : AugmentedFlow
     shown : formulas
         Formulas of the states and of the signals' symbols at the end of a step.
+    numbers : (K,) array
+        Values of the flow's numbers.
 
     Raises
     ------
@@ -252,9 +263,13 @@ class Native:
         If no compiler can do it.
     """
 
-    def __init__(self, flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> None:
+    def __init__(
+        self, flow: AugmentedFlow, shown: Sequence[sympy.Expr], numbers: Sequence[float] = ()
+    ) -> None:
         self._totals = len(flow.integrands) + len(flow.memories)
-        self._library = compiled_library("many/native.c", system_header(flow, shown))
+        header, evaluate = _flow_form(flow, tuple(shown))
+        self._library = compiled_library("many/native.c", header)
+        self._numbers = np.array(evaluate(numbers), dtype=float)
         self._spare_counts: list[np.ndarray] = []
 
     def integrate(
@@ -286,9 +301,10 @@ class Native:
         totals, ends = np.full((self._totals, count), np.nan), np.zeros(count)
         finals, outcomes = np.full((size, count), np.nan), np.zeros(count, dtype=np.uint8)
         inputs = [np.ascontiguousarray(a, dtype=float) for a in (starts, parameters)]
+        numbers = np.broadcast_to(self._numbers, (len(grid.shared), len(self._numbers)))
         inputs += [
             np.ascontiguousarray(a, dtype=float)
-            for a in (grid.edges, grid.shared, grid.times, grid.centre)
+            for a in (grid.edges, np.hstack([grid.shared, numbers]), grid.times, grid.centre)
         ]
         inputs.append(1.0 / np.asarray(grid.unit, dtype=float))
         pointers = [array.ctypes.data for array in inputs]

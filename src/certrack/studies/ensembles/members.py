@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -18,6 +19,7 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, parse, symbol
 from certrack.core.lowering import numpy_callable, rows
+from certrack.core.memo import remembered
 from certrack.core.powers import put_in
 from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
 from certrack.loops.plant import true_constants
@@ -98,6 +100,16 @@ def member(system: System, index: int, *, seed: int = 0) -> System:
     return Members(system, seed).member(index)
 
 
+def members_of(system: System, seed: int) -> Members:
+    """The members of a system for a seed; what does not depend on the seed is made once."""
+    return _of_any_seed(system).with_seed(seed)
+
+
+@remembered
+def _of_any_seed(system: System) -> Members:
+    return Members(system, 0)
+
+
 class Members:
     """All members of a system's population for one seed.
 
@@ -124,6 +136,15 @@ class Members:
         self.base = parameter_values(self.loop, self.template)
         self._moved_at_corners = moved_parameters(system)
         self._refuse_large_patterns()
+
+    def with_seed(self, seed: int) -> Members:
+        """The members for another seed."""
+        if seed == self.seed:
+            return self
+        others = copy(self)
+        others.seed = seed
+        others._refuse_large_patterns()
+        return others
 
     def _refuse_unscalable(self) -> None:
         population, reference = self.population, self.system.reference
