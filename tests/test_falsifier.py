@@ -96,7 +96,7 @@ def test_without_a_compiler_the_grid_scores(monkeypatch):
     def refuse(*_):
         raise MethodUnavailable("no compiler")
 
-    monkeypatch.setattr("certrack.integrators.many.peaks.compiled_library", refuse)
+    monkeypatch.setattr("certrack.integrators.peaks.compiled_library", refuse)
     loop = AdversarialLoop(SYSTEMS["sine, four states"], 10**4)
     assert loop._lanes is None
     assert loop.errors(loop.adversary.plausible_starts()[:2].T).min() > 0

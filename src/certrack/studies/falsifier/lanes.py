@@ -14,8 +14,8 @@ from certrack.core.expressions import TIME
 from certrack.core.kinks import derivative
 from certrack.core.lowering import extract_switches
 from certrack.integrators.base import MethodUnavailable
-from certrack.integrators.many.peaks import PeakFlow, Peaks
 from certrack.integrators.many.taylor_batch import MAX_STEPS
+from certrack.integrators.peaks import PeakFlow, Peaks
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
 
 #: A compiler takes as long as heyoka for so many adversaries: searches of fewer are not worth it.

@@ -83,7 +83,7 @@ class Peaks:
     """
 
     def __init__(self, flow: PeakFlow, tolerance: float, max_state: float, max_steps: int) -> None:
-        self._library = compiled_library("many/peaks.c", _header(flow))
+        self._library = compiled_library("peaks.c", _header(flow))
         self._tolerance, self._max_state, self._max_steps = tolerance, max_state, max_steps
 
     def largest(
