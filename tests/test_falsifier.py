@@ -74,7 +74,7 @@ def test_members_that_lanes_do_not_finish_are_run_otherwise(monkeypatch):
     monkeypatch.setattr("certrack.studies.falsifier.lanes.MAX_STEPS", 350)
     loop, grid = AdversarialLoop(system, 10**4), AdversarialLoop(system)
     points = grid.adversary.plausible_starts().T
-    steps = loop._lanes._peaks
+    steps = loop._lanes._largest
     starts = np.repeat(np.array(loop._template.start)[:, None], points.shape[1], axis=1)
     rows = loop._table(points).values[loop._lanes._rows]
     outcomes = steps.largest(starts, rows, *loop._tail)[1]

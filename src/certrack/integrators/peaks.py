@@ -63,7 +63,7 @@ class _PeakTask(ctypes.Structure):
     ]
 
 
-class Peaks:
+class LargestErrors:
     """A compiled :class:`PeakFlow`.
 
     Parameters

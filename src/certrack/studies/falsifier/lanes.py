@@ -15,11 +15,11 @@ from certrack.core.kinks import derivative
 from certrack.core.lowering import extract_switches
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.taylor_batch import MAX_STEPS
-from certrack.integrators.peaks import PeakFlow, Peaks
+from certrack.integrators.peaks import LargestErrors, PeakFlow
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
 
 #: A compiler takes as long as heyoka for so many adversaries: searches of fewer are not worth it.
-WORTH_COMPILING = 2_000
+MANY_RUNS = 2_000
 
 #: Tolerance of a step: a search compares, and the replay has the usual one.
 STEP_TOLERANCE = 1e-6
@@ -66,7 +66,7 @@ class AdversaryLanes:
         parameters = tuple(name for name in loop.parameters if name in varying)
         self._rows = [loop.parameters.index(name) for name in parameters]
         flow = PeakFlow(states, tuple(rates), parameters, e_1, slope, loop.n)
-        self._peaks = Peaks(flow, STEP_TOLERANCE, max_state, MAX_STEPS)
+        self._largest = LargestErrors(flow, STEP_TOLERANCE, max_state, MAX_STEPS)
 
     def tail_errors(
         self, starts: Array, parameters: Array, begin: float, end: float
@@ -85,4 +85,4 @@ class AdversaryLanes:
         errors : (N,) array
         outcomes : (N,) array of MemberOutcome
         """
-        return self._peaks.largest(starts, parameters[self._rows], begin, end)
+        return self._largest.largest(starts, parameters[self._rows], begin, end)
