@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import certrack
-from certrack.studies.falsifier.lanes import MANY_RUNS
+from certrack.studies.falsifier.lanes import WORTH_LANES
 from certrack.studies.falsifier.loop import AdversarialLoop
 
 #: Adversaries; the lanes must be so many times as fast.
@@ -20,7 +20,7 @@ MEMBERS, LEAST_GAIN = 96, 4
 @pytest.mark.parametrize("name", ["example1", "dual-motor-lean"])
 def test_adversaries(interleaved, report, name):
     system = certrack.load(name)
-    lanes, grid = AdversarialLoop(system, MANY_RUNS), AdversarialLoop(system)
+    lanes, grid = AdversarialLoop(system, WORTH_LANES), AdversarialLoop(system)
     low, high = np.array([(v.low, v.high) for v in grid.adversary.variables]).T
     drawn = np.random.default_rng(0).uniform(low, high, (MEMBERS, len(low))).T
     starts = grid.adversary.plausible_starts()

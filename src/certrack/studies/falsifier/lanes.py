@@ -19,7 +19,7 @@ from certrack.integrators.peaks import LargestErrors, PeakFlow
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
 
 #: A compiler takes as long as heyoka for so many adversaries: searches of fewer are not worth it.
-MANY_RUNS = 2_000
+WORTH_LANES = 2_000
 
 #: Tolerance of a step: a search compares, and the replay has the usual one.
 STEP_TOLERANCE = 1e-6

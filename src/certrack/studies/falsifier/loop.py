@@ -14,7 +14,7 @@ from certrack.laws.leakage import leak_matrix
 from certrack.loops.continuous import close_loop
 from certrack.studies.falsifier.adversary import Adversary
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
-from certrack.studies.falsifier.lanes import MANY_RUNS, AdversaryLanes
+from certrack.studies.falsifier.lanes import WORTH_LANES, AdversaryLanes
 from certrack.studies.falsifier.side_by_side import batch_of
 from certrack.systems.system import System
 
@@ -71,7 +71,7 @@ class AdversarialLoop:
         self._template = self._with(middle, named=True)
         self._loop = close_loop(self._template)
         self._tail = (transient, duration)
-        self._lanes = None if runs < MANY_RUNS else self._compiled(middle)
+        self._lanes = None if runs < WORTH_LANES else self._compiled(middle)
         if self._lanes is None:
             _ = self._integrator  # which refuses a loop that is not smooth
 
