@@ -17,6 +17,7 @@ from certrack.cli import main
 from certrack.core import compilers, library_cache, library_key
 from certrack.core.compilers import c_compilers, load_library, shared_library
 from certrack.core.library_cache import CacheUnusable, clear, location, lookup, state, store
+from certrack.integrators.many import native as native_module
 from certrack.integrators.many.native import vector_compiler
 
 pytestmark = [
@@ -33,6 +34,7 @@ def folder(tmp_path, monkeypatch):
     """An empty cache, on disk and in memory."""
     monkeypatch.setenv("CERTRACK_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(compilers, "_LOADED", {})
+    native_module._knows_flags.cache_clear()  # that is asked of a compiled library, too
     return tmp_path / "cache" / "libraries"
 
 
@@ -457,6 +459,47 @@ def test_other_numbers_compile_nothing(folder, compiled):
     assert after[rms, :2] == pytest.approx(alone, rel=1e-5)
     assert abs(after[rms] / before[rms] - 1).max() > 1e-3
     assert len(compiled) == runs
+
+
+NO_COMPILER = """
+from certrack.core import compilers
+
+def refuse(*_, **__):
+    raise AssertionError("compiled again")
+
+compilers.run_compiler = refuse
+"""
+
+
+@native
+@pytest.mark.slow
+def test_another_process_compiles_nothing(folder):
+    lines = [
+        NO_COMPILER,
+        "import certrack",
+        "found = certrack.ensemble(certrack.load('example1'), 64, method='native', threads=1)",
+        "print(found.per_member()[0].sum().hex())",
+    ]
+    here = certrack.ensemble(certrack.load("example1"), 64, method="native", threads=1)
+    there = subprocess.check_output([sys.executable, "-c", "\n".join(lines)], text=True)
+    assert there.strip() == here.per_member()[0].sum().hex()
+
+
+@native
+@pytest.mark.slow
+def test_workers_of_a_cluster_compile_nothing(folder):
+    """Each has a memory of its own; they share the disk."""
+    from distributed import Client, LocalCluster
+
+    system = certrack.load("example1")
+    here = certrack.ensemble(system, 512, seed=5, method="native", limit=np.inf)
+    settings = {"threads_per_worker": 1, "dashboard_address": None, "host": "127.0.0.1"}
+    with LocalCluster(n_workers=2, **settings) as cluster, Client(cluster) as client:
+        client.run(exec, NO_COMPILER, {})
+        there = certrack.ensemble(
+            system, 512, seed=5, method="native", limit=np.inf, chunk=64, client=client
+        )
+    assert np.array_equal(here.per_member()[0], there.per_member()[0], equal_nan=True)
 
 
 # the command line
