@@ -13,10 +13,19 @@ from typing import Any
 
 import numpy as np
 import sympy
+from sympy.printing.numpy import NumPyPrinter
 
 from certrack.core.expressions import TIME
 from certrack.core.kinks import derivative, without_minmax
 from certrack.core.select import Entry, Extremum, Select, by_selections, numpy_select
+
+#: How formulas are printed as a NumPy function.
+PRINTER_SETTINGS = {
+    "fully_qualified_modules": False,
+    "inline": True,
+    "allow_unknown_functions": True,
+    "user_functions": {"Select": "Select"},
+}
 
 
 class NumpyFunction:
@@ -41,9 +50,10 @@ class NumpyFunction:
     def __call__(self, *values: Any) -> list[Any]:
         function = self._function
         if function is None:  # two threads may both write it: the same code
-            modules = [{"Select": numpy_select}, "numpy"]
             arguments, formulas = _renamed(self._arguments, map(by_selections, self._formulas))
-            function = sympy.lambdify(arguments, formulas, modules, cse=True)
+            printer = NumPyPrinter(PRINTER_SETTINGS)  # takes from NumPy what it prints, not all
+            known = {"Select": numpy_select}
+            function = sympy.lambdify(arguments, formulas, known, printer, cse=True)
             self._function = function
         return function(*values)
 

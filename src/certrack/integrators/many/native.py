@@ -67,8 +67,24 @@ def _compile(path: str, source: str, more: Sequence[str]) -> ctypes.CDLL:
     return load_library({"native.c": source}, VECTOR_FLAGS, libraries=more, compiler=path)
 
 
-def _packaged(name: str) -> str:
-    return files("certrack.integrators").joinpath(*name.split("/")).read_text("utf-8")
+def packaged(name: str, system: str) -> str:
+    """A C file of the integrators, whole, with the generated header of a system.
+
+    Parameters
+    ----------
+    name : str
+        Path below ``integrators``, such as ``many/native.c``.
+    system : str
+        What takes the place of ``system.h``.
+    """
+
+    def text(name: str) -> str:
+        return files("certrack.integrators").joinpath(*name.split("/")).read_text("utf-8")
+
+    source = text(name).replace('#include "system.h"\n', system)
+    for header in ("vector_math.h", "scalar_math.h"):
+        source = source.replace(f'#include "{header}"\n', text(header))
+    return source
 
 
 def compiled_library(name: str, system: str) -> ctypes.CDLL:
@@ -86,9 +102,7 @@ def compiled_library(name: str, system: str) -> ctypes.CDLL:
     MethodUnavailable
         If no compiler can do it.
     """
-    text = _packaged(name)
-    text = text.replace('#include "vector_math.h"\n', _packaged("vector_math.h"))
-    text = text.replace('#include "system.h"\n', system)
+    text = packaged(name, system)
     reason: CompilerError | None = None
     try:
         path = vector_compiler() or find_c_compiler()
