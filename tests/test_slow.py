@@ -350,6 +350,12 @@ def test_without_an_estimate_there_is_no_proof_by_rates():
         ("0.3*sign(sin(t))", {"rate": [0, 0.3]}, "contradicted"),
         ("0.3*sign(x2)", {"rate": [0, 0], "jump": [0, 0.6], "dwell": 1.0}, "assumed"),
         ("0.1*sin(90*t)", {"rate": [0, 0], "fast": [0, 0.1]}, "assumed"),
+        ("0.3*min(sin(t), 0.5)", {"rate": [0, 0.3]}, "proven"),
+        ("0.3*sin(t)/(1 + t**2)", {"rate": [0, 0.4]}, "checked"),
+        ("0.3*atan(tan(t))", {"rate": [0, 0.3]}, "assumed"),
+        ("0.3*abs(sin(t))/sin(t)", {"rate": [0, 0.3]}, "assumed"),
+        ("0.3*tanh(1/t)", {"rate": [0, 1]}, "assumed"),
+        ("0.2*atan2(sin(t), cos(t))", {"rate": [0, 0.2]}, "assumed"),
     ],
 )
 def test_the_truth_against_the_rates(omega, values, status):
