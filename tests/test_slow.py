@@ -10,6 +10,9 @@ import flint
 import independent_checker
 import numpy as np
 import pytest
+from observer_loops import with_estimates
+from slow_attack import with_random_rates, worst_slow_error
+from test_implemented import random_drive
 
 import certrack
 import certrack.certificates.implemented.drive as drive_module
@@ -397,6 +400,36 @@ def test_without_an_estimate_there_is_no_proof_by_rates():
     dob = '[law.observer]\nkind = "dob"\nbandwidth = 6.0\n'
     verdict = verify(rewritten(document, text=(dob, "")))
     assert verdict.reason == "the proof uses rates where there are none"
+
+
+# Attacks on random loops ------------------------------------------------------------------------
+
+
+def attacked_loops(seed, count):
+    """Bound over attack of random loops with estimates, whose rates count."""
+    rng, ratios = np.random.default_rng(seed), []
+    while len(ratios) < count:
+        system, amplitude, frequency = random_drive(rng)
+        system = with_estimates(system, rng)
+        if system is None:
+            continue
+        system = with_random_rates(system, rng)
+        found, _ = certify_implemented(system)
+        if not found.exists or not found.slow:
+            continue
+        ratios.append(found.bound / worst_slow_error(system, amplitude, frequency))
+        assert ratios[-1] >= 1, (seed, system)
+    return ratios
+
+
+def test_no_attack_beats_the_bound_of_random_slow_loops():
+    attacked_loops(1, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_no_attack_beats_the_bound_of_many_random_slow_loops(seed):
+    assert np.median(attacked_loops(100 + seed, 12)) <= 1.25
 
 
 # Premises ---------------------------------------------------------------------------------------
