@@ -427,9 +427,10 @@ def test_no_attack_beats_the_bound_of_random_slow_loops():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
-def test_no_attack_beats_the_bound_of_many_random_slow_loops(seed):
-    assert np.median(attacked_loops(100 + seed, 12)) <= 1.25
+def test_no_attack_beats_the_bound_of_many_random_slow_loops():
+    """Where rates of the states count, sensors' errors loosen it: they count as motion."""
+    ratios = [ratio for seed in range(100, 104) for ratio in attacked_loops(seed, 12)]
+    assert np.median(ratios) <= 1.25
 
 
 # Premises ---------------------------------------------------------------------------------------
