@@ -450,9 +450,9 @@ def test_code(compiled):
 
 @pytest.mark.parametrize("name", later(KINDS, ["dob of two rows", "eso, late", "integral, dob"]))
 def test_structured_text(name):
-    """Its commands agree with the simulation step by step, and its memories nearly so."""
+    """Its commands agree with the simulation step by step; a gain of 4000 rounds an estimate."""
     system = KINDS[name].with_settings(duration=0.3, tail=0.1)
-    worst, _ = compare(system, "drive", within=1e-11)
+    worst, _ = compare(system, "drive", within=1e-10)
     assert worst <= 1e-12
 
 
