@@ -422,6 +422,34 @@ def attacked_loops(seed, count):
     return ratios
 
 
+@pytest.mark.parametrize(
+    ("values", "most", "believed"),
+    [
+        ({"rate": [0, 0.5]}, 1.01, lambda b: replace(b, rate=b.rate * 4 / 5)),
+        ({"rate": [0, 0.1], "fast": [0, 0.2]}, 1.01, lambda b: replace(b, fast=b.fast * 4 / 5)),
+        (
+            {"rate": [0, 0], "jump": [0, 0.5], "dwell": 2.0},
+            1.06,
+            lambda b: replace(b, jump=b.jump * 4 / 5),
+        ),
+        (
+            {"rate": [0, 0], "jump": [0, 0.5], "dwell": 0.3},
+            1.45,
+            lambda b: replace(b, dwell=b.dwell * 4),
+        ),
+    ],
+)
+def test_what_is_slow_alone_nearly_reaches_the_bound(values, most, believed, monkeypatch):
+    """Without reference and sensors; and a proof that believes less is beaten."""
+    system = axis(omega="0", **values).replace(reference=certrack.SymbolicReference("0"))
+    system = on_drive(system, measurement_quantum=None)
+    reached, right = worst_slow_error(system, 0.0, 1.0), drive_module._slow_bound
+    found, _ = certify_implemented(system)
+    assert reached <= found.bound <= most * reached
+    monkeypatch.setattr(drive_module, "_slow_bound", lambda *args: believed(right(*args)))
+    assert certify_implemented(system)[0].bound < reached
+
+
 def test_no_attack_beats_the_bound_of_random_slow_loops():
     attacked_loops(1, 2)
 
