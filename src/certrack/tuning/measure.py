@@ -18,9 +18,11 @@ from certrack.studies.ensembles.ensemble import ensemble
 from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.companion import companion, is_plain
 from certrack.tuning.quantities import NoiseGain
-from certrack.tuning.responses import Grid, LinearPlant
+from certrack.tuning.responses import Grid
 from certrack.tuning.runs import corners
+from certrack.tuning.sampled_responses import input_plant
 from certrack.tuning.stability import StabilityEdge
 
 #: Runs of the falsifier; members of the ensemble that looks for a larger peak than the corners';
@@ -92,8 +94,23 @@ def figures_of(system: System, box: np.ndarray | None, seed: int) -> Measured:
         input_variation=metrics.input_variation,
         noise=NoiseGain(system).value(candidate),
         period=_exact_edge(system, candidate),
-        peak_is=SIMULATED if box is None else COMPUTED if _plain_plant(system) else FOUND,
+        peak_is=SIMULATED if box is None else COMPUTED if input_plant(system) else FOUND,
     )
+
+
+#: Of a design whose measurement was interrupted.
+UNMEASURED = Measured(
+    certified=math.nan,
+    method="",
+    worst_found=None,
+    tail_error=math.nan,
+    peak_input=math.nan,
+    energy=math.nan,
+    input_variation=math.nan,
+    noise=math.nan,
+    period=None,
+    peak_is=SIMULATED,
+)
 
 
 class _Fixed(Candidate):
@@ -111,7 +128,9 @@ def box_peak(system: System, box: np.ndarray, seed: int) -> float:
     Otherwise the largest of the corners and of an ensemble of starts in the box, with the
     disturbances of the file.
     """
-    plant, system = _plain_plant(system), system.replace(implementation=None)
+    plant = input_plant(system)
+    if is_plain(system.law):
+        system = system.replace(implementation=None)
     if plant is not None:
         centre, radius = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
         grid = Grid.of(system, REFINED)
@@ -125,10 +144,6 @@ def box_peak(system: System, box: np.ndarray, seed: int) -> float:
     return float(max(finite)) if len(finite) == len(peaks) + 1 else math.inf
 
 
-def _plain_plant(system: System) -> LinearPlant | None:
-    return LinearPlant.of(system.replace(implementation=None))
-
-
 def _falsified(system: System, seed: int) -> float | None:
     try:
         return falsify(system, budget=FALSIFIED_RUNS, seed=seed).worst_error
@@ -137,9 +152,10 @@ def _falsified(system: System, seed: int) -> float | None:
 
 
 def _exact_edge(system: System, candidate: Candidate) -> float | None:
-    drive = system.implementation or Implementation(1e-3)
-    loop = linear_loop(system.replace(implementation=drive))
-    if loop is None:
+    if system.implementation is None:
+        system = companion(system).replace(implementation=Implementation(1e-3))
+    drive, loop = system.implementation, linear_loop(system)
+    if loop is None or drive is None:
         return None
     guess = 1 / system.controller.coordinates.fastest_pole
     return StabilityEdge(loop, guess, float(drive.run_delay)).first(candidate)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq
 
+from certrack.laws.leakage import longest_euler_period
 from certrack.loops.stability import LinearLoop
 from certrack.tuning.candidate import DIFFERENCE, Candidate
 from certrack.tuning.quantities import Quantity
@@ -100,3 +101,15 @@ class DelayEdge(StabilityEdge):
     """The delay, s, that the loop bears at a period."""
 
     name = "delay margin"
+
+
+class EstimatesPeriod(Quantity):
+    """The period at which a step of forward Euler forgets all of an estimate, s.
+
+    Beyond it the estimates alternate, and at twice the period they diverge.
+    """
+
+    name = "period of the estimates"
+
+    def value(self, candidate: Candidate) -> float:
+        return longest_euler_period(candidate.system.controller) / 2
