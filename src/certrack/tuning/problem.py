@@ -22,6 +22,7 @@ from certrack.tuning.families import AdaptiveFamily, Family
 from certrack.tuning.implemented import DrivePeak, ImplementedError
 from certrack.tuning.limits import Limit, Task
 from certrack.tuning.quantities import (
+    Largest,
     NoiseGain,
     PeakGainError,
     Quantity,
@@ -137,7 +138,7 @@ class TuningProblem:
             return self.error
         if objective == "peak":
             quantities = self._peaks()
-            return quantities[0] if len(quantities) == 1 else _Largest(quantities)
+            return quantities[0] if len(quantities) == 1 else Largest(quantities)
         if objective == "energy":
             return self._energy()
         if self._loop is None:
@@ -271,7 +272,8 @@ class TuningProblem:
                 remedy="See what certrack margin says of the tuned file",
             )
         period = LEAST_PERIOD if self._drive is None else self._drive.period
-        edge = DelayEdge(self._loop, margin, period=period)
+        guess = min(margin, 1 / self.first.design.fastest_pole)
+        edge = DelayEdge(self._loop, guess, period=period)
         return Limit(edge, margin, at_least=True, option="--delay-margin")
 
     def _accepts(self) -> Any:
@@ -295,22 +297,6 @@ class TuningProblem:
         if stable and isinstance(self.error, ImplementedError):
             return self.error.is_verified(candidate)
         return stable
-
-
-class _Largest(Quantity):
-    """The largest of several quantities."""
-
-    name = "peak input"
-
-    def __init__(self, quantities: Sequence[Quantity]) -> None:
-        self._quantities = quantities
-
-    def value(self, candidate: Candidate) -> float:
-        return max(quantity.value(candidate) for quantity in self._quantities)
-
-    def log_gradient(self, candidate: Candidate) -> np.ndarray:
-        worst = max(self._quantities, key=lambda quantity: quantity.value(candidate))
-        return worst.log_gradient(candidate)
 
 
 #: Each counts its evaluations.
