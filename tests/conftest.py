@@ -1,6 +1,9 @@
 """Shared strategies and fixtures."""
 
 import math
+import os
+import shutil
+import tempfile
 
 import numpy as np
 import pytest
@@ -15,6 +18,19 @@ from certrack.model.uncertainty import Uncertainty
 from certrack.references import SymbolicReference
 from certrack.systems.system import Settings, System
 
+
+def pytest_configure(config):
+    """Tests keep compiled libraries in a folder of their own, which all their processes share."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        config.compiled = tempfile.mkdtemp(prefix="certrack-tests-")
+        os.environ["CERTRACK_CACHE"] = config.compiled
+
+
+def pytest_unconfigure(config):
+    if hasattr(config, "compiled"):
+        shutil.rmtree(config.compiled, ignore_errors=True)
+
+
 settings.register_profile(
     "certrack",
     deadline=None,
@@ -22,6 +38,14 @@ settings.register_profile(
     derandomize=True,
     phases=[Phase.explicit, Phase.generate],  # a failing system is small enough to read
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+settings.register_profile(  # other examples in every run: `make hunt`
+    "hunt",
+    parent=settings.get_profile("certrack"),
+    max_examples=300,
+    derandomize=False,
+    phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],
+    print_blob=True,
 )
 settings.load_profile("certrack")
 

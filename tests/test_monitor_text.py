@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import sympy
 from exported import sampled
@@ -9,9 +10,12 @@ from test_monitor import FREE, FULL
 
 from certrack.core.select import Select, clamp, larger, magnitude, smaller
 from certrack.export.c.export import controller_files
+from certrack.export.c.monitor_checks import monitor_checks
 from certrack.export.c.printer import CPrinter
 from certrack.export.c.source import c_code
+from certrack.export.fmu.monitored import monitored_header, monitored_variables
 from certrack.export.monitor import Flag, Within
+from certrack.export.monitor_probes import MonitorProbes
 from certrack.export.st.function_block import structured_text
 
 TEXTS = Path(__file__).parent / "data" / "monitors"
@@ -26,6 +30,42 @@ def printed(name, language):
         return structured_text(system, "drive", monitor=monitor)
     real = "float" if language == "float.h" else "double"
     return controller_files(c_code(system, "drive", real=real, monitor=monitor))["drive_monitor.h"]
+
+
+def two_probes(system, program, monitor, vectors, real):
+    """Samples of short numbers that all differ, in the place of those of the acceptance test."""
+
+    def numbers(rows, first):
+        return first + np.arange(2.0 * rows).reshape(rows, 2) / 4
+
+    expected = np.array([[i % 3, (i + 1) % 3] for i in range(len(monitor.flags))])
+    x, Y, states = (
+        numbers(len(part), first)
+        for part, first in ((program.measured, 100), (program.Y, 200), (program.states, 300))
+    )
+    return MonitorProbes(x, Y, states, np.array([-1.25, 7.5]), expected)
+
+
+def printed_around(name, language, monkeypatch):
+    """The acceptance test of a monitor, and what an FMU has for it."""
+    monkeypatch.setattr("certrack.export.c.monitor_checks.monitor_probes", two_probes)
+    limits, monitor = OPTIONS[name]
+    code = c_code(sampled("example1", **limits), "drive", monitor=monitor)
+    if language == "checks.c":
+        return monitor_checks(code, None)
+    variables = "".join(f"{variable}\n" for variable in monitored_variables(code))
+    return monitored_header(code) + variables
+
+
+@pytest.mark.parametrize("language", ["checks.c", "fmu"])
+@pytest.mark.parametrize("name", OPTIONS)
+def test_the_text_around_a_monitor(name, language, monkeypatch):
+    kept = TEXTS / f"{name}.{language}.txt"
+    assert printed_around(name, language, monkeypatch) == kept.read_text()
+
+
+def test_without_a_monitor_an_fmu_has_no_variable_of_it():
+    assert monitored_variables(c_code(sampled("example1"), "drive")) == []
 
 
 @pytest.mark.parametrize("language", ["h", "float.h", "st"])

@@ -202,3 +202,54 @@ def test_a_bin_of_a_metric_is_a_thousandth_of_it():
     tally.observe(np.array([2.0, 2 + 0.9 / 512, 2 + 1 / 512, 2 + 2.1 / 512]))
     assert tally.counts.tolist() == [2, 1, 1]
     assert tally.values == pytest.approx([2 + 0.5 / 512, 2 + 1.5 / 512, 2 + 2.1 / 512])
+
+
+def test_the_interval_of_no_member_is_exact():
+    """(1 - p)^10 = 0.025 where none of ten is counted; of all ten it is the mirror image."""
+    edge = 1 - 0.025**0.1
+    assert binomial_interval(0, 10) == pytest.approx((0, edge))
+    assert binomial_interval(10, 10) == pytest.approx((1 - edge, 1))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("scale", [1.0, 8.0])
+def test_every_value_of_a_band_is_within_half_a_bin(sign, scale):
+    values = sign * scale * np.append(np.geomspace(1e-7, 1e6, 300), [0.0, 2.0**-18])
+    for v in values:
+        (found,) = bands([v], scale=scale).quantiles((0.5,))[:, 1, 2]
+        assert abs(found - v) <= (abs(v) + scale / 4096) / 128 * (1 + 1e-5)
+
+
+def test_a_band_ends_with_its_last_octave():
+    """y = 1 + 4096 |v| below 2^36; the bin before that is the last finite one."""
+    edge = 2.0**24
+    for v, finite in ((edge * (1 - 2.0**-5), True), (edge * 1.01, False), (1e300, False)):
+        for sign in (1, -1):
+            (found,) = bands([sign * v]).quantiles((0.5,))[:, 1, 2]
+            assert math.isfinite(found) == finite
+            assert finite or found == sign * math.inf
+
+
+def test_the_worst_of_several_merges_are_the_worst_of_all():
+    draw = np.random.default_rng(5)
+    parts = [draw.integers(0, 12, 17).astype(float) for _ in range(4)]
+    whole = statistics(np.concatenate(parts))
+    merged = statistics(parts[2], first=34)
+    for k in (3, 0, 1):
+        merged.merge(statistics(parts[k], first=17 * k))
+    assert merged.worst == whole.worst
+    merged.merge(statistics(parts[0]))  # the same members once more are not two
+    assert merged.worst == whole.worst
+
+
+def test_what_is_packed_are_the_filled_bins_and_plain_numbers():
+    made = statistics([0.5, 2.0, 2.0, np.nan])
+    arrays = made.packed()
+    filled = np.flatnonzero(made.bands.counts.ravel())
+    assert np.cumsum(arrays["bins"].astype(int)).tolist() == filled.tolist()
+    assert arrays["counts"].tolist() == [1, 2, 1] and arrays["totals"].tolist() == [4, 2]
+    assert arrays["outcomes"].tolist() == ["finished"]
+    assert arrays["outcome_counts"].tolist() == [4]
+    assert arrays["tail_error_extremes"].tolist() == [0.5, 2.0, 1.0]
+    assert arrays["tail_error_counts"].tolist() == [1, 2]
+    assert sorted(arrays["worst_members"].tolist()) == [0, 1, 2]  # no number is no member

@@ -20,6 +20,7 @@ from certrack.certificates.centred import centred_problem
 from certrack.certificates.exact import from_text, squared_bound
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.tube import (
+    PIECE_RATIO,
     Tube,
     _allowed,
     _centred_steps,
@@ -128,6 +129,14 @@ def test_the_bounds_on_the_last_coordinate_hold_at_every_time(runs, stages):
             times, limits = e_n_steps(system, inner)
             limit = limits[np.searchsorted(times, run.t, side="right") - 1]
             assert np.all(np.abs(run.e[1]) <= limit)
+
+
+def test_the_bounds_on_the_last_coordinate_fall_in_steps_to_that_of_their_stage(example1, stages):
+    for inner in (stages, (stages[0], stages[2])):
+        _, limits = e_n_steps(example1.with_settings(x0=(8, 0)), inner)
+        fall = limits[:-1] ** 2 / limits[1:] ** 2
+        assert (fall > 1 - 1e-9).all() and (fall < 1 / PIECE_RATIO + 1e-9).all()
+        assert limits[-1] == float(inner[-2].bound) and limits[0] > 10
 
 
 def test_the_centred_energy_starts_below_what_the_first_stage_allows(example1, stages):

@@ -38,21 +38,24 @@ GROUPS = {
     ),
     "certificates": Group(
         "certificates/*",
-        "certificates certificate_formulas published_formulas certificate_data exact_checks"
+        "certificates certificate_formulas certificate_parts published_formulas certificate_data"
+        " size_majorants exact_checks"
         " rounding independent_checker bounds peak tube premises truth strength exact_numbers"
         " false_claims forged_claims",
     ),
     "ranges": Group(
         "certificates/ranges/*",
-        "range_algebra attainable ranges independent_ranges sectors strength peak",
+        "range_algebra range_parts attainable ranges independent_ranges sectors strength peak",
     ),
     "implemented": Group(
         "certificates/implemented/*",
-        "implemented implemented_formulas implemented_start enclosed range_algebra forged_claims",
+        "implemented implemented_formulas implemented_start enclosed range_algebra forged_claims"
+        " regional jitter proven_box implemented_ranges",
     ),
     "references": Group(
         "references/*",
-        "references growth testing bounds premises simulation time_events units lipschitz",
+        "references growth testing bounds premises simulation time_events units lipschitz"
+        " soft_start samples_file",
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
     "sampled": Group(
@@ -62,7 +65,7 @@ GROUPS = {
     "statistics": Group("studies/ensembles/statistics", "statistics"),
     "c-printers": Group(
         "export/c/export export/c/guard export/c/printer export/c/source core/printing",
-        "printing monitor_text export_c guard words",
+        "printing monitor_text c_text export_c guard words",
         texts=True,
     ),
     "monitor": Group("export/monitor* export/*/monitor*", "monitor_text monitor_probes monitor"),

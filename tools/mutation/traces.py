@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 
 import pytest
 
@@ -23,6 +24,9 @@ KEPT = ROOT / "build" / "mutants"
 
 #: Seconds of the processor: no test that takes longer is used, nor are more of them for a mutant.
 LONGEST, BUDGET = 3.0, 12.0
+
+#: Seconds after which a test is stopped that could not be stopped yet.
+LATER = 0.01
 
 
 @dataclass(frozen=True)
@@ -101,8 +105,11 @@ def _measure(file: str, kept: Path) -> None:
     class TooLong(BaseException):
         pass
 
-    def stop(signum: int, frame: object) -> None:
-        raise TooLong
+    def stop(signum: int, frame: FrameType | None) -> None:
+        if frame and "/coverage/" in frame.f_code.co_filename:  # it may hold its lock
+            signal.setitimer(signal.ITIMER_VIRTUAL, LATER)
+        else:
+            raise TooLong
 
     class Failures:
         def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:

@@ -278,8 +278,7 @@ class UncertainTerm:
                 np.array(list(map(float, self.weights)))[:, None] * points.x, axis=0
             )
         if self.growing is not None:
-            grown = GrowthInFloats(self.growing, [s.name for s in self.states])
-            return float(self.tau) * grown.value(points.x, norm)
+            return float(self.tau) * self._grown.value(points.x, norm)
         allowed: np.ndarray = float(self.tau * self.gamma) * norm
         if self.single:
             allowed = allowed + np.array([float(self.tau * v) for v in self.single]) @ abs(points.x)
@@ -323,3 +322,8 @@ class UncertainTerm:
     @cached_property
     def _function(self) -> NumpyFunction:
         return numpy_callable([TIME, self.states], [self.formula])
+
+    @cached_property
+    def _grown(self) -> GrowthInFloats:
+        assert self.growing is not None
+        return GrowthInFloats(self.growing, [s.name for s in self.states])
