@@ -14,7 +14,7 @@ from certrack.loops.stability import linear_loop
 from certrack.systems.edit import with_law
 from certrack.tuning import tune as module
 from certrack.tuning.candidate import Candidate
-from certrack.tuning.companion import companion, is_plain, with_law_of
+from certrack.tuning.companion import companion, is_memoryless, with_law_of
 from certrack.tuning.drive_family import DriveFamily
 from certrack.tuning.exceeded import broken_limits
 from certrack.tuning.limits import Limit
@@ -118,7 +118,9 @@ def test_bandwidths_are_tuned(observer, numbers):
 def test_the_companion_has_what_the_continuous_loop_has():
     system = certrack.load("dual-motor-observer")
     plain = companion(system)
-    assert is_plain(plain.law) and not is_plain(system.law) and plain.implementation is None
+    assert (
+        is_memoryless(plain.law) and not is_memoryless(system.law) and plain.implementation is None
+    )
     example = certrack.load("example1")
     estimating = example.replace(settings=replace(example.settings, estimates=(0.4, 2.0)))
     plant = replace(example.plant, input_gain=2, theta=[2])

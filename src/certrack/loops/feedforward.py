@@ -129,7 +129,7 @@ class _Slopes:
 
 #: Structures whose slopes are kept: searches and margins ask for one of them thousands of times.
 KEPT_STRUCTURES = 16
-_kept: dict[tuple[Any, ...], _Slopes] = {}
+_slopes_of_structures: dict[tuple[Any, ...], _Slopes] = {}
 
 
 def _slopes(
@@ -146,13 +146,13 @@ def _slopes(
         if field.name != "period"
     )
     key = (plant, controller.equations, estimated, of_drive)
-    found = _kept.get(key)
-    if found is None:
-        found = _new_slopes(plant, controller, implementation)
-        if len(_kept) >= KEPT_STRUCTURES:
-            _kept.pop(next(iter(_kept)), None)
-        _kept[key] = found
-    return found
+    compiled = _slopes_of_structures.get(key)
+    if compiled is None:
+        compiled = _new_slopes(plant, controller, implementation)
+        if len(_slopes_of_structures) >= KEPT_STRUCTURES:
+            _slopes_of_structures.pop(next(iter(_slopes_of_structures)), None)
+        _slopes_of_structures[key] = compiled
+    return compiled
 
 
 def _new_slopes(plant: Plant, controller: Controller, implementation: Implementation) -> _Slopes:

@@ -96,9 +96,9 @@ class LinearLoop:
         signals = np.zeros((law.shape[1], size + width))  # measured, memories, reference over xi, Y
         signals[:n, :N], signals[n : n + memories, N : N + memories] = self.C, np.eye(memories)
         signals[n + memories :, size:] = np.eye(width)
-        after, own = law @ signals, np.eye(size + width)
-        inputs = np.vstack([after[:1], own[N + memories : size]])  # u_k, u_{k-1} ... u_{k-d-1}
-        x = own[:N]
+        after, units = law @ signals, np.eye(size + width)
+        inputs = np.vstack([after[:1], units[N + memories : size]])  # u_k, u_{k-1} ... u_{k-d-1}
+        x = units[:N]
         for u, h in ((inputs[d + 1], delay - d), (inputs[d], 1 - delay + d)):
             A, b = self.plant_over(h * period)
             x = A @ x + np.outer(b, u)

@@ -10,7 +10,7 @@ from certrack.model.plant import Plant
 from certrack.systems.system import System
 
 
-def is_plain(law: Law) -> bool:
+def is_memoryless(law: Law) -> bool:
     """Whether nothing of the law belongs to its sampled controller, or is a memory of its own."""
     return law.observer is None and law.integral is None and not law.sampled_feedforward
 

@@ -15,7 +15,7 @@ from certrack.laws.observer import Observer
 from certrack.tuning.families import GAIN_DIGITS, HIGHEST_GAIN, LOWEST_GAIN, SPREAD, Family
 
 #: What a law has besides that of the continuous loop.
-PARTS = ("observer", "integral", "sampled_feedforward")
+DRIVE_PARTS = ("observer", "integral", "sampled_feedforward")
 
 
 class DriveFamily(Family):
@@ -37,17 +37,19 @@ class DriveFamily(Family):
     def __init__(self, family: Family, law: Law, feedforward: int) -> None:
         self.inner, self._observer, self._integral = family, law.observer, law.integral
         self._parts: dict[str, Any] = {
-            name: value for name in PARTS if (value := getattr(law, name)) not in (None, False)
+            name: value
+            for name in DRIVE_PARTS
+            if (value := getattr(law, name)) not in (None, False)
         }
         self._refuse_missing(family.law(family.start))
         if law.sampled_feedforward:
             self._parts["feedforward"] = feedforward
         numbers = [*_numbers_of(law.observer), *([] if law.integral is None else [law.integral])]
-        own = np.log(np.array(numbers, dtype=float))
+        added = np.log(np.array(numbers, dtype=float))
         self._count = len(family.start)
-        self.start = np.append(family.start, own)
-        self.low = np.append(family.low, own + np.log(LOWEST_GAIN))
-        self.high = np.append(family.high, own + np.log(HIGHEST_GAIN))
+        self.start = np.append(family.start, added)
+        self.low = np.append(family.low, added + np.log(LOWEST_GAIN))
+        self.high = np.append(family.high, added + np.log(HIGHEST_GAIN))
 
     @property
     def kind(self) -> str:  # type: ignore[override]
@@ -58,21 +60,21 @@ class DriveFamily(Family):
         return self._joined(self.inner.law(v[: self._count]), np.exp(v[self._count :]))
 
     def written(self, v: np.ndarray) -> Law:
-        own = np.array([in_digits(value, GAIN_DIGITS) for value in np.exp(v[self._count :])])
-        return self._joined(self.inner.written(v[: self._count]), own)
+        added = np.array([in_digits(value, GAIN_DIGITS) for value in np.exp(v[self._count :])])
+        return self._joined(self.inner.written(v[: self._count]), added)
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
-        inner, own = self.inner.random(rng), self.start[self._count :]
-        moved = np.append(inner, own + SPREAD * rng.standard_normal(len(own)))
+        inner, added = self.inner.random(rng), self.start[self._count :]
+        moved = np.append(inner, added + SPREAD * rng.standard_normal(len(added)))
         return np.clip(moved, self.low, self.high)
 
-    def _joined(self, plain: Law, own: np.ndarray) -> Law:
+    def _joined(self, plain: Law, added: np.ndarray) -> Law:
         parts = dict(self._parts)
         if self._observer is not None:
             count = len(_numbers_of(self._observer))
-            parts["observer"], own = _with_numbers(self._observer, own[:count]), own[count:]
+            parts["observer"], added = _with_numbers(self._observer, added[:count]), added[count:]
         if self._integral is not None:
-            parts["integral"] = float(own[0])
+            parts["integral"] = float(added[0])
         return replace(plain, **parts)
 
     def _refuse_missing(self, law: Law) -> None:

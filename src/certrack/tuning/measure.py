@@ -19,7 +19,7 @@ from certrack.studies.ensembles.ensemble import ensemble
 from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
-from certrack.tuning.companion import companion, is_plain
+from certrack.tuning.companion import companion, is_memoryless
 from certrack.tuning.quantities import NoiseGain
 from certrack.tuning.responses import Grid
 from certrack.tuning.runs import corners
@@ -130,7 +130,7 @@ def box_peak(system: System, box: np.ndarray, seed: int) -> float:
     disturbances of the file.
     """
     plant = input_plant(system)
-    if is_plain(system.law):
+    if is_memoryless(system.law):
         system = system.replace(implementation=None)
     if plant is not None:
         centre, radius = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
@@ -148,12 +148,12 @@ def box_peak(system: System, box: np.ndarray, seed: int) -> float:
 def _falsified(system: System, seed: int, as_implemented: bool) -> float | None:
     """Of the loop that is certified: the continuous one, or that of the drive."""
     try:
-        found = falsify(system, budget=FALSIFIED_RUNS, seed=seed)
+        attack = falsify(system, budget=FALSIFIED_RUNS, seed=seed)
     except InputError:
         return None  # a truth with states of its own, or names that the search needs
     if as_implemented:
-        return None if found.drive is None else found.drive.worst_error
-    return found.worst_error
+        return None if attack.drive is None else attack.drive.worst_error
+    return attack.worst_error
 
 
 def _exact_edge(system: System, candidate: Candidate) -> float | None:

@@ -17,7 +17,7 @@ from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
-from certrack.tuning.companion import is_plain
+from certrack.tuning.companion import is_memoryless
 from certrack.tuning.families import AdaptiveFamily, Family
 from certrack.tuning.implemented import DrivePeak, ImplementedError
 from certrack.tuning.limits import Limit, Task
@@ -256,7 +256,7 @@ class TuningProblem:
 
     def _held_loop(self) -> LinearLoop | None:
         drive = self.base.implementation or self._drive or Implementation(LEAST_PERIOD)
-        if self.base.implementation is None and not is_plain(self.system.law):
+        if self.base.implementation is None and not is_memoryless(self.system.law):
             drive = Implementation(drive.period)  # its sensors are those of the observer
         return linear_loop(self.base.replace(implementation=drive))
 

@@ -118,7 +118,7 @@ class Held:
         """Whether it does, from the file's start."""
         settings = candidate.base.settings
         duration, tail = settings.duration, settings.tail_start
-        longest = MOST_SAMPLES * self._implementation.period
+        longest = HELD_SAMPLES * self._implementation.period
         if duration > longest:
             duration, tail = longest, longest / 2
         plain = self._runs.metrics(candidate, settings.x0, duration, tail)
@@ -139,4 +139,4 @@ class Held:
 
 
 #: How much larger the tail error of the held loop may be, and so many samples of it are run.
-WORSE, MOST_SAMPLES = 2.0, 20_000
+WORSE, HELD_SAMPLES = 2.0, 20_000

@@ -23,7 +23,7 @@ from certrack.loops.observers import INPUT_BEFORE
 from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
-from certrack.tuning.companion import is_plain
+from certrack.tuning.companion import is_memoryless
 from certrack.tuning.responses import (
     Grid,
     InputResponse,
@@ -34,7 +34,7 @@ from certrack.tuning.responses import (
 )
 
 #: Samples of a run at most.
-MOST_SAMPLES = 2**17
+LONGEST_RESPONSE = 2**17
 
 
 class SampledPlant:
@@ -58,7 +58,7 @@ class SampledPlant:
         drive, loop = system.implementation, linear_loop(system)
         if drive is None or loop is None or not passes_through_zero(system):
             return None
-        if system.settings.duration / drive.period > MOST_SAMPLES:
+        if system.settings.duration / drive.period > LONGEST_RESPONSE:
             return None
         return cls(loop, system)
 
@@ -95,6 +95,6 @@ class SampledPlant:
 
 def input_plant(system: System) -> LinearPlant | SampledPlant | None:
     """What gives the input of a linear loop: as it runs, if its law has memories of its own."""
-    if system.implementation is None or is_plain(system.law):
+    if system.implementation is None or is_memoryless(system.law):
         return LinearPlant.of(system)
     return SampledPlant.of(system)

@@ -14,7 +14,7 @@ from certrack.laws.base import Law
 from certrack.loops.stability import linear_loop
 from certrack.model.plant import MAX_ORDER
 from certrack.systems.system import System
-from certrack.tuning.companion import companion, is_plain, with_law_of
+from certrack.tuning.companion import companion, is_memoryless, with_law_of
 from certrack.tuning.drive_family import DriveFamily
 from certrack.tuning.families import AdaptiveFamily, Family
 from certrack.tuning.problem import Requirements, TuningProblem
@@ -22,20 +22,20 @@ from certrack.tuning.registry import tuning_family
 
 
 @dataclass(frozen=True)
-class Stage:
+class GainStage:
     """One search.
 
     Attributes
     ----------
     problem : TuningProblem
     family : Family
-    whole : Family
+    complete : Family
         The same laws with all that the system's own has besides.
     """
 
     problem: TuningProblem
     family: Family
-    whole: Family
+    complete: Family
 
     @property
     def is_quick(self) -> bool:
@@ -49,14 +49,14 @@ class Stage:
 
     def written(self, v: np.ndarray) -> Law:
         """The law of a point, as the file states it."""
-        whole = self.whole
-        added = len(whole.start) - len(v)
-        return whole.written(np.append(v, whole.start[-added:]) if added else v)
+        complete = self.complete
+        added = len(complete.start) - len(v)
+        return complete.written(np.append(v, complete.start[-added:]) if added else v)
 
 
 def searches_of(
     system: System, wanted: Requirements, objective: str, kind: str | None, feedforward: int | None
-) -> tuple[Stage, ...]:
+) -> tuple[GainStage, ...]:
     """One or two searches.
 
     The continuous loop is the first, where it has a certificate; the loop as the drive runs it
@@ -69,20 +69,22 @@ def searches_of(
     """
     plain, law = companion(system), system.law
     q, most = plain.law.order(plain.plant), plain.plant.n - 1
-    whole_q = law.order(system.plant)
+    complete_q = law.order(system.plant)
     if feedforward is not None:
-        whole_q = checks.integer(
+        complete_q = checks.integer(
             "feedforward", feedforward, 0, MAX_ORDER - 1 if law.sampled_feedforward else most
         )
         q = min(feedforward, most)
     family = tuning_family(plain, law.kind if kind is None else kind, q)
     plain = with_law_of(plain, family.law(family.start))
-    whole = family if is_plain(law) else DriveFamily(family, law, whole_q)
-    first = whole.law(whole.start)
+    complete = family if is_memoryless(law) else DriveFamily(family, law, complete_q)
+    first = complete.law(complete.start)
     _refuse_uncertified(system, first)
     driven = _driven(system, first)
     try:
-        stages = [Stage(TuningProblem(plain, system, wanted, objective, family), family, whole)]
+        stages = [
+            GainStage(TuningProblem(plain, system, wanted, objective, family), family, complete)
+        ]
     except NoCertificate as refusal:
         if driven is None:
             raise InputError("tune", f"there is no certificate to tune: {refusal}") from None
@@ -91,8 +93,8 @@ def searches_of(
         if stages and objective != "error" and wanted.error is None:
             (error,) = (limit for limit in stages[0].problem.task.limits if limit.name == "error")
             wanted = replace(wanted, error=error.value)
-        problem = TuningProblem(driven, system, wanted, objective, whole)
-        stages.append(Stage(problem, whole, whole))
+        problem = TuningProblem(driven, system, wanted, objective, complete)
+        stages.append(GainStage(problem, complete, complete))
     return tuple(stages)
 
 

@@ -25,7 +25,7 @@ from certrack.tuning.measure import UNMEASURED, Measured, figures_of
 from certrack.tuning.problem import OBJECTIVES, Requirements
 from certrack.tuning.result import ActiveLimit, Front, Tuned
 from certrack.tuning.search import GainSearch, prices, random_starts
-from certrack.tuning.stages import Stage, searches_of
+from certrack.tuning.stages import GainStage, searches_of
 
 #: Starts of a search that is asked for by mistake would take days.
 MAX_STARTS = 10_000
@@ -137,16 +137,16 @@ def tune(
     best = search.state.best
     if best is None:
         raise conflict(first.problem, first.family, search)
-    found, notes = first, list(first.problem.notes)
+    used, notes = first, list(first.problem.notes)
     for stage in searches[1:]:
         if search.state.stopped:
             break
-        refined = _refined(stage, best, search, lambda found: progress(count, count, found))
+        refined = _refined(stage, best, search, lambda value: progress(count, count, value))
         if refined is not None:
-            best, found = refined, stage
+            best, used = refined, stage
         elif not search.state.stopped:
             notes.append("the loop as implemented has no certificate; tuned is the continuous")
-    task = found.problem.task
+    task = used.problem.task
     active = tuple(
         ActiveLimit(price.limit.name, price.limit.value, price.gain(EASED, task.sign))
         for price in prices(task, best)
@@ -154,7 +154,7 @@ def tune(
     programs = first.problem.error.programs
     curve: Front | None = None
     if front is not None:
-        curve = sweep(found.problem, found.family, best, front, progress)
+        curve = sweep(used.problem, used.family, best, front, progress)
     finished = with_law_of(system, last.written(best.v))
     starts_box = first.problem.box
     after = _figures(finished, starts_box, seed, search)
@@ -186,7 +186,7 @@ def _figures(system: System, box: np.ndarray | None, seed: int, search: GainSear
 
 
 def _refined(
-    stage: Stage, best: Candidate, search: GainSearch, report: Callable[[float | None], None]
+    stage: GainStage, best: Candidate, search: GainSearch, report: Callable[[float | None], None]
 ) -> Candidate | None:
     """The best design of the loop as the drive runs it, from that of the continuous one."""
     task = stage.problem.task
@@ -204,7 +204,7 @@ def _refined(
     return refinement.state.best
 
 
-def _searched(stage: Stage, count: int, seed: int, progress: Progress) -> GainSearch:
+def _searched(stage: GainStage, count: int, seed: int, progress: Progress) -> GainSearch:
     """The search, from all starts or until the user ends it."""
     problem, family, done = stage.problem, stage.family, 0
 
