@@ -17,8 +17,9 @@ from certrack.tuning.candidate import Candidate
 from certrack.tuning.companion import companion, is_memoryless, with_law_of
 from certrack.tuning.drive_family import DriveFamily
 from certrack.tuning.exceeded import broken_limits
+from certrack.tuning.families import AdaptiveFamily
 from certrack.tuning.limits import Limit
-from certrack.tuning.measure import UNMEASURED, _Fixed
+from certrack.tuning.measure import UNMEASURED, _Fixed, box_peak
 from certrack.tuning.problem import Requirements
 from certrack.tuning.quantities import Largest, NoiseGain, PeakGainError
 from certrack.tuning.ranged import RangedError
@@ -262,6 +263,23 @@ class TestRefusals:
         """Of a nonlinear loop the corners of the box have a limit each."""
         said = self.refusal(certrack.load("example1"), peak_input=0.5)
         assert said.count("peak input <=") == 1
+
+
+def test_the_gains_of_a_new_file_are_those_of_a_tuned_one():
+    """Rules for the guesses; a third of the error that the earlier gains certified."""
+    system = certrack.loads(certrack.starter())
+    family = AdaptiveFamily(system, system.law.feedforward)
+    assert family.base.delta0 == pytest.approx(system.law.delta0, rel=1e-5)
+    assert family.base.theta0 == system.law.theta0
+    assert certrack.certify(system).best.bound < 0.036
+
+
+@pytest.mark.slow
+def test_a_new_file_is_certified_within_twice_what_a_search_finds():
+    system = certrack.loads(certrack.starter())
+    assert box_peak(system, np.array([[-0.5, 0.5]] * 2), 0) <= 15
+    certified = certrack.certify(system).best.bound
+    assert certified < 2 * certrack.falsify(system, budget=1500).worst_error
 
 
 @pytest.mark.slow
