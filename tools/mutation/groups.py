@@ -49,7 +49,7 @@ GROUPS = {
     ),
     "implemented": Group(
         "certificates/implemented/*",
-        "implemented implemented_formulas implemented_start enclosed range_algebra forged_claims"
+        "implemented implemented_formulas implemented_parts implemented_start enclosed range_algebra forged_claims"
         " regional jitter proven_box implemented_ranges",
     ),
     "references": Group(
