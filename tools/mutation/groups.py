@@ -49,8 +49,8 @@ GROUPS = {
     ),
     "implemented": Group(
         "certificates/implemented/*",
-        "implemented implemented_formulas implemented_parts implemented_start enclosed range_algebra forged_claims"
-        " regional jitter proven_box implemented_ranges",
+        "implemented implemented_formulas implemented_parts implemented_start enclosed"
+        " range_algebra forged_claims regional jitter proven_box implemented_ranges",
     ),
     "references": Group(
         "references/*",
