@@ -26,7 +26,7 @@ from certrack.certificates.centred import remainder_bound
 from certrack.certificates.cover import _Suprema, smallest_cover
 from certrack.certificates.document import FORMAT_1
 from certrack.certificates.domain import Condition
-from certrack.certificates.exact import Proof, failed_condition, prove, squared_bound
+from certrack.certificates.exact import Proof, failed_condition, from_text, prove, squared_bound
 from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.intervals import enclosure
@@ -37,6 +37,7 @@ from certrack.certificates.published import collect
 from certrack.certificates.ranges.cells import halved
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, RangeProver
 from certrack.certificates.sampling import Points, random_points
+from certrack.certificates.scaling import COUPLING, _not_slaved
 from certrack.certificates.semidefinite import Solution, best_solution
 from certrack.certificates.strength import _provable
 from certrack.certificates.tube import Tube
@@ -751,3 +752,22 @@ def test_what_is_no_table_is_no_certificate(body, tmp_path):
     path.write_text(json.dumps(body))
     with pytest.raises(InputError, match="not a certificate"):
         verify(path)
+
+
+def test_texts_of_numbers_have_a_sane_length():
+    assert from_text("1" + "0" * 59) == 10**59 and from_text("-2.50e-3") * 400 == -1
+    assert from_text("1e400") > 10**399 and from_text("1e-400") * 10**400 == 1
+    for text in ("1" + "0" * 60, "1e401", "1E-401", "1/3", "inf", "0x1", "", "1_0", " 1", 3):
+        with pytest.raises(ValueError, match="not a decimal number|Invalid literal"):
+            from_text(text)
+
+
+@pytest.mark.parametrize(
+    ("coupling", "expected"),
+    [(20 * COUPLING, [30, 30]), (0.2 * COUPLING, [3, 30]), (0, [1, 30])],
+)
+def test_a_coordinate_that_follows_another_has_a_size_of_its_own(coupling, expected):
+    """Of the rates 1 and 4: the geometric mean 2 counts."""
+    M = np.array([[-1.0, coupling], [0.0, -4.0]])
+    assert _not_slaved(M, np.array([1.0, 30.0])) == pytest.approx(expected)
+    assert _not_slaved(M.T[::-1, ::-1].T, np.array([30.0, 1.0])) == pytest.approx(expected[::-1])
