@@ -31,7 +31,7 @@ from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.intervals import enclosure
 from certrack.certificates.majorants import _root_of, interval_ends, majorants
-from certrack.certificates.premises_of_truth import DOMAIN, THETA, _rewriting, _same
+from certrack.certificates.premises_of_truth import DOMAIN, GAIN, THETA, _rewriting, _same
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.published import collect
 from certrack.certificates.ranges.cells import halved
@@ -687,6 +687,93 @@ def test_whether_drift_and_regressor_are_defined(drift, regressor, status):
     assert found.status == status
     (theta,) = [p for p in premises(system) if p.name == THETA]
     assert (theta.status, theta.detail) == ("proven", "theta exactly as the law uses it")
+
+
+RANGED = """
+[plant]
+states = ["x1"]
+regressor = ["sin(x1)"]
+gain_sign = 1
+input_gain = {gain}
+theta = [{theta}]
+[plant.constants]
+a = 2
+[plant.ranges]
+{ranges}
+[plant.uncertainty]
+tau = [0]
+gamma = [0]
+beta = [0]
+[truth]
+input_gain = {true_gain}
+theta = [{true_theta}]
+[reference]
+signal = "sin(t)"
+[law]
+kind = "robust"
+c = [7]
+[simulation]
+x0 = [0]
+duration = 1
+"""
+
+#: What is stated, and status, detail, witness and remedy of the premises on g_n and theta.
+KNOWN = [
+    ({}, "proven", "proven", "theta exactly as the law uses it", None, ""),
+    (
+        {"true_gain": "5.5", "true_theta": "3.5"},
+        "contradicted",
+        "contradicted",
+        "the law uses theta = [3], the true one is [3.5]",
+        {"true": [3.5], "assumed": [3.0]},
+        "set plant.theta to [3.5]",
+    ),
+    (
+        {"gain": '"2*a"', "theta": '"a/2"', "true_gain": '"2*a"', "true_theta": '"a/2"'}
+        | {"ranges": "a = [1, 3]"},
+        "proven",
+        "proven",
+        "theta exactly of the constants in their ranges",
+        None,
+        "",
+    ),
+    (
+        {"gain": '"2*a"', "theta": '"a/2"', "true_gain": "4.5", "true_theta": "1.5"}
+        | {"ranges": "a = [1, 3]"},
+        "contradicted",
+        "contradicted",
+        "with the true constants theta is [1], the true one is [1.5]",
+        {"true": [1.5], "assumed": [1.0]},
+        'write truth.theta = ["a/2"]',
+    ),
+    (
+        {
+            "ranges": "input_gain = [4, 6]\ntheta = [[2, 4]]",
+            "true_gain": "5.5",
+            "true_theta": "3.5",
+        },
+        "proven",
+        "proven",
+        "every theta in its range, the true one among them",
+        None,
+        "",
+    ),
+]
+
+
+@pytest.mark.parametrize(("stated", "of_gain", "of_theta", "detail", "witness", "remedy"), KNOWN)
+def test_what_a_law_knows_of_the_truth(stated, of_gain, of_theta, detail, witness, remedy):
+    base = {"gain": "5", "theta": "3", "true_gain": "5", "true_theta": "3", "ranges": ""}
+    system = certrack.loads(RANGED.format(**(base | stated)))
+    found = {p.name: p for p in premises(system)}
+    assert (found[GAIN].status, found[THETA].status) == (of_gain, of_theta)
+    assert found[THETA].detail == detail and found[THETA].witness == witness
+    assert found[THETA].remedy.startswith(remedy) and bool(found[THETA].remedy) == bool(remedy)
+    if of_gain == "contradicted":
+        true, assumed = found[GAIN].witness["true"], found[GAIN].witness["assumed"]
+        assert (true, assumed) in ((5.5, 5.0), (4.5, 4.0))
+        wanted = "write truth.input_gain = " if "ranges" in stated else "set plant.input_gain to"
+        assert found[GAIN].remedy.startswith(wanted)
 
 
 # files of proofs by cells
