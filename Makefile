@@ -2,6 +2,7 @@
 # make test   checks style, types and behaviour; COVERAGE=--cov measures coverage too
 # make slow   runs the slow tail of the tests
 # make fuzz   looks for inputs that break it, for an hour or two; FUZZ="systems --seed 7" for some
+# make hunt   gives the property tests other random examples than every other run had
 # make docs   builds the site, in build/site
 # make bench  measures speed, as ratios within one run
 # make mutants changes the source a little, and sees which changes no test notices
@@ -27,6 +28,10 @@ slow: .venv/tested
 .PHONY: fuzz
 fuzz: .venv/tested
 	cd tests && ../$(BIN)/python -m fuzz $(FUZZ) --keep ../build/fuzz
+
+.PHONY: hunt
+hunt: .venv/tested
+	nice -n 10 $(BIN)/pytest -n 2 -m hypothesis --hypothesis-profile=hunt
 
 .PHONY: docs
 docs: .venv/documented

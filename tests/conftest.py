@@ -23,6 +23,14 @@ settings.register_profile(
     phases=[Phase.explicit, Phase.generate],  # a failing system is small enough to read
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
+settings.register_profile(  # other examples in every run: `make hunt`
+    "hunt",
+    parent=settings.get_profile("certrack"),
+    max_examples=300,
+    derandomize=False,
+    phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],
+    print_blob=True,
+)
 settings.load_profile("certrack")
 
 SHIPPED = (

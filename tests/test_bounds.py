@@ -19,7 +19,6 @@ from certrack.core.lowering import numpy_callable, rows
 from certrack.references import SymbolicReference
 from certrack.references.growth import INFINITE, LINEAR, GrowthEnclosure, Span, Undefined, ball
 from certrack.references.search import Formula, derivative_bound
-from certrack.references.smoothness import smoothness
 from certrack.references.taylor import Evaluation
 
 DENSE = np.linspace(0, 40, 40_001)
@@ -28,7 +27,7 @@ STEP = DENSE[1]
 
 def bounds_of(text, order):
     """Bounds of the derivatives, None where there is none."""
-    proven = smoothness(parse("", text, ["t"]).expr)
+    proven = SymbolicReference(text).smoothness
     return [proven.bound(i) for i in range(int(min(order, proven.order)) + 1)]
 
 
@@ -307,10 +306,21 @@ def test_every_frequency_is_a_multiple_of_the_common_one(frequencies):
         "sin(t + cos(t) + sin(1.1*t))",  # frequencies 1, 1 and 1.1
         "sin(sin(t)*cos(3*t)*sin(3*t + sin(t)))",
         "sin(0.5*t + sin(1.5*t) + sin(3*t + cos(3*t)))",
+        "sin((sin(t) - cos(3*t))*tanh(t))",  # no period, though its sines have one
+        "(sin(t) - cos(3*t))*exp(-t/10)*sin(2*t) + (cos(t) - sin(2*t))*tanh(t)",
     ],
 )
-def test_nested_sines_of_several_frequencies_stay_within_their_bounds(text):
+def test_sines_of_several_frequencies_stay_within_their_bounds(text):
     check(text, 2)
+
+
+def test_what_grows_between_sines_is_not_taken_for_periodic():
+    assert bounds_of("t*sin(2*t)*(sin(t) - cos(3*t))", 0) == [None]
+
+
+@pytest.mark.parametrize("text", ["sin(sin(t)) + min(exp(t), sin(1.5*t))", "max(-exp(t), cos(t))"])
+def test_a_slope_is_not_lost_beside_a_steep_one(text):
+    check(text, 1)
 
 
 @pytest.mark.parametrize("shift", [-1, 0, 1])

@@ -47,7 +47,8 @@ def _slope_of_kink(kink: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
     value, slope = first, derivative(first, by)
     for other in others:
         of_other, side = derivative(other, by), sympy.sign(value - other)
-        slope = (slope + of_other + upper * side * (slope - of_other)) / 2
+        # two products: a difference would lose the smaller slope beside one that is 1e16 of it
+        slope = (1 + upper * side) / 2 * slope + (1 - upper * side) / 2 * of_other
         value = kink.func(value, other, evaluate=False)
     return slope
 

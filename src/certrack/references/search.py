@@ -115,8 +115,8 @@ class Formula:
         base, turns = self._tables[0]
         if not all(offset.is_number for _, offset in turns.values()):
             return math.inf
-        mark = sympy.Symbol("wave")
-        waves = {f(arg): mark for arg in turns for f in (sympy.sin, sympy.cos)}
+        # a symbol for each, else sin(t) - cos(3*t) would be nothing, and what it multiplies with it
+        waves = {f(arg): sympy.Dummy() for arg in turns for f in (sympy.sin, sympy.cos)}
         if self.expr.xreplace(waves).has(TIME):
             return math.inf
         return 2 * math.pi / abs(float(base)) * (1 + 1e-12)
