@@ -417,3 +417,75 @@ def test_a_soft_start_of_a_target_with_corners_has_no_more_derivatives():
         known |= dict(zip(soft.parameter_symbols, soft.parameter_values, strict=True))
         value = float(formula.subs(known | {TIME: time}))
         assert value == pytest.approx(soft.values(np.array([time]), 0)[0, 0], abs=1e-12)
+
+
+# formulas
+
+
+def test_what_is_known_of_a_formula_with_corners():
+    tent = certrack.SymbolicReference("min(t, 4 - t, 1/2)*3")  # slopes 3, 0, -3; corners apart
+    size, apart = tent.jumps(1)
+    assert size == 3.0 and apart == pytest.approx(3.0) and apart < 3.0
+    assert tent.jumps(0) is None and tent.jumps(2) is None and tent.order == 1
+    assert tent.lipschitz_bound(0) == 3.0 and tent.lipschitz_bound(1) is None
+    assert tent.lipschitz_bound(1, between_jumps=True) == 0.0
+    assert tent.lipschitz_bound(2, between_jumps=True) is None
+    smooth = certrack.SymbolicReference("sin(2*t)")
+    assert smooth.jumps(1) is None and smooth.lipschitz_bound(2) == bound_of(smooth, 3)[0]
+    assert smooth.bound_of(3) == (8.0, "exact") and smooth.bounds(1).origin == ("exact",) * 2
+    known = certrack.SymbolicReference("abs(sin(t))*sin(t)", declared=(1, 1, 2))
+    assert known.lipschitz_bound(1) == 2.0  # it is stated, where no kink is located
+    unknown = certrack.SymbolicReference("abs(sin(t))", declared=(1, 1))
+    assert unknown.lipschitz_bound(1, between_jumps=True) is None
+    assert known.bound_of(1) == (1.0, "declared")
+
+
+@pytest.mark.parametrize(
+    ("signal", "options", "key"),
+    [
+        ("sin(t)", {"declared": (0.999,)}, r"bounds\[0\]"),
+        ("sin(2*t)", {"declared": (1, 1.99)}, r"bounds\[1\]"),
+        ("abs(t - 1)*exp(-t)", {"declared": (1, 2, 1.9)}, r"bounds\[2\].*between its jumps"),
+        ("abs(sin(3*t))", {"declared": (1, 3, 8.9)}, r"bounds\[2\]"),
+        ("sin(t) + cos(t)", {"bound": 1.9}, "bound: must bound"),
+        ("sign(t - 1)", {}, "signal: must be continuous"),
+        ("1/(t - 1)", {}, "signal: may jump"),
+    ],
+)
+def test_what_a_formula_contradicts_is_refused(signal, options, key):
+    with pytest.raises(InputError, match="reference." + key):
+        certrack.SymbolicReference(signal, **options)
+
+
+def test_what_a_formula_only_just_keeps_is_accepted():
+    for signal, options in (
+        ("sin(2*t)", {"declared": (1, 2)}),
+        ("abs(t - 1)*exp(-t)", {"declared": (1, 2, 3)}),
+        ("sin(t) + cos(t)", {"bound": 2}),
+        ("abs(t - 50)", {"declared": (1e4, 1, 0)}),
+    ):
+        certrack.SymbolicReference(signal, **options)
+
+
+def test_a_formula_is_evaluated_over_the_run_before_it():
+    late = certrack.SymbolicReference("exp(-t)*exp(t - 1)*0 + 1/(1 + exp(t))")
+    late.check_finite(0, 100.0)
+    overflow = certrack.SymbolicReference("exp(t)/(1 + exp(t))", declared=(1, 1))
+    overflow.check_finite(1, 300.0)
+    with pytest.raises(InputError, match="is not finite in floating point at t = 3"):
+        overflow.check_finite(1, 1000.0)
+
+
+def test_constants_of_a_formula_are_parameters():
+    wave = certrack.SymbolicReference("a*sin(w*t)", constants={"a": "1/3", "w": 2})
+    assert wave.parameter_values == (1 / 3, 2.0)
+    assert [s.name for s in wave.parameter_symbols] == ["ref_a", "ref_w"]
+    y, slope = wave.formulas(1)
+    a, w = wave.parameter_symbols
+    assert sympy.expand(y - a * sympy.sin(w * TIME)) == 0
+    assert sympy.expand(slope - a * w * sympy.cos(w * TIME)) == 0
+    t = np.array([0.0, 0.4])
+    assert wave.values(t, 1) == pytest.approx(np.array([np.sin(2 * t) / 3, 2 * np.cos(2 * t) / 3]))
+    assert wave.bound_of(1)[0] >= Fraction(2, 3) and len(wave.piece_values(1.0)) == 0
+    corner = certrack.SymbolicReference("abs(t)*t")  # from the right at 0
+    assert corner.order == math.inf and corner.values(np.zeros(1), 2)[2] == [2]
