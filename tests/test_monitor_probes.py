@@ -1,5 +1,6 @@
 """The probes of a monitor reach both sides of every limit, and its numbers keep inside it."""
 
+import math
 from fractions import Fraction
 from functools import cached_property
 
@@ -13,7 +14,7 @@ from test_monitor import FREE, FULL
 from certrack import Monitor
 from certrack.core.errors import InputError
 from certrack.export.golden_vectors import MUTATION, golden_vectors
-from certrack.export.monitor import Flag, Within, monitor_program
+from certrack.export.monitor import Flag, Within, monitor_program, rounded_to_type
 from certrack.export.monitor_probes import (
     BEYOND_BOUND,
     DOWN,
@@ -218,3 +219,19 @@ def test_a_box_that_is_empty_is_refused():
             Monitor(box={"x1": ends})
     with pytest.raises(InputError, match="monitor.limit_reference: must be True or False"):
         Monitor(limit_reference=1)
+
+
+@pytest.mark.parametrize(("real", "bits"), [("double", 53), ("float", 24)])
+def test_numbers_of_a_monitor_are_the_next_of_their_type(real, bits):
+    for value in (0.5, -3.0, 0.1, 1 / 3, 2.0**-10, -0.7):
+        exact = Fraction(repr(value))  # what the float stands for
+        step = Fraction(2) ** (math.frexp(value)[1] - bits)
+        high, low = (Fraction(rounded_to_type(value, real, up=up)) for up in (True, False))
+        assert low <= exact <= high and high - low in (0, step)
+        assert (high / step).denominator == (low / step).denominator == 1
+        assert (high == low) == ((exact / step).denominator == 1)
+    with pytest.raises(InputError, match="needs finite bounds"):
+        rounded_to_type(math.inf, real, up=True)
+    if real == "float":
+        with pytest.raises(InputError, match="float cannot hold"):
+            rounded_to_type(1e39, real, up=False)
