@@ -1,6 +1,9 @@
 """Shared strategies and fixtures."""
 
 import math
+import os
+import shutil
+import tempfile
 
 import numpy as np
 import pytest
@@ -14,6 +17,19 @@ from certrack.model.truth import Truth
 from certrack.model.uncertainty import Uncertainty
 from certrack.references import SymbolicReference
 from certrack.systems.system import Settings, System
+
+
+def pytest_configure(config):
+    """Tests keep compiled libraries in a folder of their own, which all their processes share."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        config.compiled = tempfile.mkdtemp(prefix="certrack-tests-")
+        os.environ["CERTRACK_CACHE"] = config.compiled
+
+
+def pytest_unconfigure(config):
+    if hasattr(config, "compiled"):
+        shutil.rmtree(config.compiled, ignore_errors=True)
+
 
 settings.register_profile(
     "certrack",

@@ -770,7 +770,7 @@ SAMPLED = {"delay", "parts", "doublings", "states", "input", "step", "bound", "s
 
 
 def is_sampled(proof):
-    more = {"cell", "rates"}  # with ranges, with jitter
+    more = {"cell", "rates", "slow"}  # with ranges, with jitter, with bounds of rates
     return bool(proof) and all(isinstance(e, dict) and set(e) - more == SAMPLED for e in proof)
 
 
@@ -792,11 +792,28 @@ def check_sampled(document, stated_bounds):
     limited |= {p["name"] for p in document["premises"] if p["name"].endswith(IN_REGION)}
     claim = f"limsup |e_1(t)| <= {bound}" + (" from simulation.x0" if limited else "")
     demand(document["claim"] == claim, "the claim is not the proof's")
-    check_premises(document["premises"], system, table, sampled=True)
+    slow = any("slow" in entry for entry in document["proof"])
+    check_premises(document["premises"], system, table, sampled=True, slow=slow)
     return independent_sampled.check(document["proof"], table, system)
 
 
-def check_premises(premises, system, table, sampled=False):
+def known_rates(u):
+    """The w, from 0, that act and have a rate."""
+    return [
+        k
+        for k, rate in enumerate(u.get("rate", []))
+        if rate not in ("inf", math.inf)
+        and u["tau"][k]
+        and (
+            u["gamma"][k]
+            or u["beta"][k]
+            or any(u["Delta"][k] if "Delta" in u else ())
+            or u.get("bound", [""] * (k + 1))[k] not in ("", 0, "0")
+        )
+    ]
+
+
+def check_premises(premises, system, table, sampled=False, slow=False):
     """Step 11: names, their order, and that none is contradicted."""
     demand(isinstance(premises, list), "the premises are no list")
     names = []
@@ -818,7 +835,9 @@ def check_premises(premises, system, table, sampled=False):
     drive = table.get("implementation", {})
     if sampled:
         expected += ["sampled loop", "sampled reference", "timing and arithmetic"]
-        bounds = table["plant"].get("uncertainty", {}).get("bound")
+        uncertain = table["plant"].get("uncertainty", {})
+        bounds = uncertain.get("bound")
+        expected += [f"rate of w_{k + 1}" for k in (known_rates(uncertain) if slow else ())]
         expected += ["region of states"] if bounds else []
         expected += ["input limits"] if {"saturation", "rate_limit"} & set(drive) else []
     elif "implementation" in table:

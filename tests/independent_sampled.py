@@ -13,8 +13,9 @@ from fractions import Fraction as Q
 
 import independent_checker as checker
 import numpy as np
-from independent_levels import all_levels, bernstein_of_Y, reference_part
+from independent_levels import all_levels, area, bernstein_of_Y, reference_part
 from independent_observers import Observer
+from independent_slow import Slow
 
 #: Steps of each cell in which kernels are summed, and what is left of rows.
 GRID, LEFT = 2, 1e-11
@@ -61,6 +62,9 @@ def check_entry(entry, loop, delay, table, system):
         checker.demand((rates >= 0).all() and not entry["starts"] and step >= 0, "jitter")
         loop.mu = loop.mu + loop.shift * rates
     image = loop.image(X, U, step)
+    if "slow" in entry:
+        slow = Slow(entry, loop, table, system, exponential)
+        image[0] = loop.image(X, U, slow=slow, speeds=slow.speeds(X, U))[0]
     if loop.shift:
         checker.demand((image[loop.n + 3 :] < rates).all(), "a rate is not above")
         checker.demand(image[loop.n + 2] < step, "the step is not above")
@@ -75,13 +79,6 @@ def check_entry(entry, loop, delay, table, system):
     for start in entry["starts"]:
         loop.check_start(start, table, system, (X, U))
     return checker.decimal(entry["bound"])
-
-
-def area(a, b):
-    """Under the magnitude of a line over a unit of time."""
-    size = np.abs(a) + np.abs(b)
-    crossing = (a * b < 0) & (size > 0)
-    return np.where(crossing, (a * a + b * b) / np.where(size > 0, size, 1), size) / 2
 
 
 def exponential(A):
@@ -329,14 +326,15 @@ class Loop:
         for h, _, E in self.cells:
             self.Pi.append(E @ self.Pi[-1] @ self._shift(-h))
 
-    def image(self, X, U, step=0.0):
-        """F: e_1, the states, u, its steps; with jitter the rates of the states."""
+    def image(self, X, U, step=0.0, moving=False, slow=None, speeds=None):
+        """F: e_1, the states, u, its steps; with jitter, or `moving`, the rates of the states."""
         w, levels = self.size(X), all_levels(self)
-        largest = np.zeros(len(self.seen) + 3 + (self.n if self.shift else 0))
+        moving = self.n if self.shift or moving else 0
+        largest = np.zeros(len(self.seen) + 3 + moving)
         for p in range(0, len(self.cells), GRID):
             rows, values, owners, of_Y = [], [], [], []
             growth = exponential(np.abs(self.A) * self.cells[p][0] * GRID)
-            for i in range(self.n if self.shift else 0):
+            for i in range(moving):
                 none = np.zeros(self.q + 1)
                 more, value = self._rows(p, (self.A[i], self.b[i]), none, 2, w, X, U)
                 value = value + abs(self.W[i]) @ w + abs(self.b[i]) * step
@@ -364,6 +362,9 @@ class Loop:
             total = np.concatenate(values) + self._responses(rows, p, w, step)
             parts = [reference_part(self, level, rows, of_Y, p // GRID) for level in levels]
             total += np.min(parts, axis=0) - parts[-1]
+            if slow:
+                of_e = np.array(owners) == 0
+                total[of_e] -= slow.savings(rows[of_e], p, w, speeds)
             np.maximum.at(largest, owners, total)
         return largest
 

@@ -8,6 +8,8 @@ import tomllib
 from collections import defaultdict
 from pathlib import Path
 
+import pytest
+
 import certrack
 
 ROOT = Path(__file__).parents[1]
@@ -246,6 +248,26 @@ def test_import_loads_nothing_heavy():
     command = [sys.executable, "-c", code.replace("HEAVY", repr(heavy))]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "heavy"),
+    [
+        (["--help"], ["numpy", "sympy", "rich", "certrack.systems", "certrack.core.checks"]),
+        (["list"], ["numpy", "sympy", "certrack.systems.reader"]),
+        (["design", "dual-motor-lean"], ["scipy", "heyoka", "xarray", "matplotlib", "numpy.f2py"]),
+    ],
+)
+def test_a_verb_loads_what_it_needs(arguments, heavy):
+    code = (
+        "import sys; from certrack.cli import main\n"
+        "try: main(sys.argv[2:])\n"
+        "except SystemExit: pass\n"
+        "print([name for name in sys.argv[1].split() if name in sys.modules], file=sys.stderr)"
+    )
+    command = [sys.executable, "-c", code, " ".join(heavy), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout and done.stderr.strip() == "[]"
 
 
 def test_no_eval_anywhere():

@@ -38,7 +38,8 @@ from certrack.model.uncertainty import Uncertainty
 from certrack.references import SymbolicReference
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.falsify import falsify
-from certrack.systems.reader import loads, starter
+from certrack.systems.reader import loads
+from certrack.systems.shipped import starter
 from certrack.systems.system import Settings, System
 
 # Computed beside this project, to the digits given; docs/certificates.md has more digits of some.

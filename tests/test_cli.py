@@ -12,7 +12,8 @@ from conftest import SHIPPED
 from rich.console import Console
 
 import certrack
-from certrack.cli import cli, main, report
+from certrack.cli import cli, main, report, run_report
+from certrack.simulation.metrics import METRIC_LABELS
 
 
 def invoke(capfd, *arguments):
@@ -393,15 +394,15 @@ def test_tables_break_neither_numbers_nor_words(monkeypatch, width):
     monkeypatch.setenv("COLUMNS", width)
     numbers = [8.0494e5, 1.2344e-4, 0.012344, 0.0012344, -7.6543e-12]
     heads = ["5%", "median", "95%", "99%", "largest", "none"]
-    rows = [[label, *numbers, 1000] for label in report.METRIC_LABELS.values()]
+    rows = [[label, *numbers, 1000] for label in METRIC_LABELS.values()]
     text = printed(report.table("", ["metric", *heads], rows, digits=4))
     for word in ["8.049e5", "1.234e-4", "0.01234", "0.001234", "-7.654e-12", *heads, "variation"]:
         assert word in text, word
     names = [f"dual-motor-{name}" for name in ("lean", "drive", "strong", "physical", "other")]
-    summary = dict.fromkeys(report.METRIC_LABELS, 8.0494e5)
+    summary = dict.fromkeys(METRIC_LABELS, 8.0494e5)
     summary |= {"outcome": "finished", "integrator": "implicit"}
-    text = printed(report.metrics_table(dict.fromkeys(names, summary)))
-    assert text.count("8.0494e5") == len(report.METRIC_LABELS) * len(names)
+    text = printed(run_report.metrics_table(dict.fromkeys(names, summary)))
+    assert text.count("8.0494e5") == len(METRIC_LABELS) * len(names)
     assert text.count("finished") == text.count("implicit") == len(names)
     for word in ("lean", "drive", "strong", "physical", "other"):
         assert word in text, word

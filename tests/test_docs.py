@@ -24,7 +24,7 @@ from certrack.model.uncertainty import Uncertainty
 from certrack.references.keys import REFERENCE_KINDS
 from certrack.systems.documentation import with_comments, with_section
 from certrack.systems.keys import KEYS, as_dicts
-from certrack.systems.reader import starter
+from certrack.systems.shipped import starter
 from certrack.systems.system import Settings, System
 
 ROOT = Path(__file__).parents[1]

@@ -8,7 +8,7 @@ import pytest
 
 import certrack
 from certrack.cli import main
-from certrack.cli.report import SHOWN_MOVES, moves_table
+from certrack.cli.run_report import SHOWN_MOVES, moves_table
 from certrack.core.errors import InputError
 from certrack.plotting import reference_figure
 from certrack.references import SymbolicReference, scurve, steps, triangle

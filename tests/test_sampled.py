@@ -20,7 +20,7 @@ from certrack.model.noise import keys, normal
 from certrack.studies.ensembles.methods.choice import fastest_adjustable
 from certrack.studies.ensembles.methods.lockstep_sampled import LockstepSampled
 from certrack.studies.ensembles.problem import EnsembleProblem
-from certrack.systems.reader import starter
+from certrack.systems.shipped import starter
 
 EVERYTHING = {
     "period": 0.01,

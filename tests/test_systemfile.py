@@ -25,7 +25,8 @@ from certrack.model.truth import Truth
 from certrack.model.uncertainty import Uncertainty
 from certrack.references import samples, steps, trapezoid, triangle
 from certrack.systems.lines import line_of
-from certrack.systems.reader import loads, starter
+from certrack.systems.reader import loads
+from certrack.systems.shipped import starter
 from certrack.systems.system import Settings, System
 from certrack.systems.writer import to_text
 

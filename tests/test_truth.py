@@ -29,7 +29,7 @@ from certrack.studies.ensembles.engine import OUTCOME_CODES, Engine
 from certrack.studies.ensembles.members import Members
 from certrack.studies.ensembles.plan import METRICS, make_plan
 from certrack.studies.ensembles.statistics import LEVELS
-from certrack.systems.reader import starter
+from certrack.systems.shipped import starter
 
 METHODS = ["alone", "lockstep"] + ["native"] * (vector_compiler() is not None)
 PHYSICAL = certrack.load("dual-motor-physical")

@@ -73,10 +73,10 @@ from .studies.margins import Margins as Margins
 from .studies.margins import margins as margins
 from .systems.design import Design as Design
 from .systems.design import design as design
-from .systems.reader import catalog as catalog
 from .systems.reader import load as load
 from .systems.reader import loads as loads
-from .systems.reader import starter as starter
+from .systems.shipped import catalog as catalog
+from .systems.shipped import starter as starter
 from .systems.system import Settings as Settings
 from .systems.system import System as System
 from .systems.writer import save as save

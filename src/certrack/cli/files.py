@@ -18,7 +18,7 @@ def list_systems(as_json: bool) -> None:
     Example: certrack list
     """
     from certrack.cli import report
-    from certrack.systems.reader import catalog
+    from certrack.systems.shipped import catalog
 
     systems = catalog()
     if as_json:
@@ -46,7 +46,7 @@ def new(name: Path, shipped: str | None, as_json: bool) -> None:
     from certrack.cli import report
     from certrack.core.errors import InputError
     from certrack.core.files import write_text
-    from certrack.systems.reader import catalog, starter
+    from certrack.systems.shipped import catalog, starter
 
     if not name.name:
         raise click.UsageError("NAME must be a file name", click.get_current_context())

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from certrack.cli import report
+from certrack.cli.run_report import limit_text
 from certrack.core.rounding import printed_bound, rounded_down, rounded_up
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def _margin_text(value: float | None, margin: Margin, limit: float, sign: str) -
 def margin_notes(margins: Margins) -> list[str]:
     """What the margins refer to, in words."""
     lines = [
-        f"admitted tail error: {report.limit_text(margins.error, margins.origin)}; "
+        f"admitted tail error: {limit_text(margins.error, margins.origin)}; "
         f"{margins.members} members tried at every value, not proven",
         f"bounded: tail error up to {margins.bounded_error:.5g}, the largest |y_d| (or ten times "
         "the admitted one, where y_d is smaller than it)",
@@ -94,7 +95,7 @@ def drift_notes(drift: Drift) -> list[str]:
     proven = "each proven" if drift.verified else "not verified, for the file breaks a premise,"
     lines = [
         f"admitted limsup |e_1| of the continuous loop: "
-        f"{report.limit_text(drift.error, drift.origin)}; each constant by itself, the others as "
+        f"{limit_text(drift.error, drift.origin)}; each constant by itself, the others as "
         f"in the file; {proven} as printed",
         *(
             f"  {entry.name}: a little more: {entry.reason}"

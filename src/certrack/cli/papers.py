@@ -63,10 +63,10 @@ def reproduce(out: Path, as_json: bool) -> None:
 
 def print_reproduction(results: Reproduction) -> None:
     """Metrics, bounds, claims and observations as tables."""
-    from certrack.cli import report
+    from certrack.cli import report, run_report
 
     console = report.console()
-    console.print(report.metrics_table({n: run.summary() for n, run in results.runs.items()}))
+    console.print(run_report.metrics_table({n: run.summary() for n, run in results.runs.items()}))
     kinds = next(iter(results.bounds.values()))
     bounds = [[kind, *(entry[kind] for entry in results.bounds.values())] for kind in kinds]
     columns = ["limsup |e_1|", *results.bounds]

@@ -18,7 +18,6 @@ from certrack.cli.base import (
 )
 from certrack.cli.pictures import picture_options
 from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
-from certrack.core import checks
 from certrack.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -132,6 +131,8 @@ def _two_states(names: str | None, known: Sequence[str]) -> tuple[str, str] | No
     """The names of --states."""
     if names is None:
         return None
+    from certrack.core import checks
+
     parts = [name.strip() for name in names.split(",")]
     if len(parts) != 2 or parts[0] == parts[1]:
         raise InputError("--states", "must be two different states", names, "Write x1,x2")

@@ -11,19 +11,13 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
-from rich.console import Console, Group
+from rich.console import Console
 from rich.table import Table
-
-from certrack.core.rounding import printed_bound
-from certrack.simulation.metrics import METRIC_LABELS
-from certrack.simulation.moves import MOVE_LABELS
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
     from certrack.core.progress import Progress
-    from certrack.studies.ensembles.ensemble import Ensemble
 
 
 def to_json(values: Any) -> str:
@@ -33,14 +27,12 @@ def to_json(values: Any) -> str:
 
 def _json_ready(value: Any) -> Any:
     """The value with arrays as lists and numbers that JSON does not have as None."""
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "tolist"):  # an array or a number of NumPy
         return _json_ready(value.tolist())
     if isinstance(value, Mapping):
         return {str(name): _json_ready(entry) for name, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [_json_ready(entry) for entry in value]
-    if isinstance(value, np.generic):
-        return _json_ready(value.item())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
@@ -176,124 +168,5 @@ def rate_progress(what: str) -> Iterator[Progress]:
         yield advance
 
 
-#: Letters that the labels of the metrics and the numbers of one run need in a table.
-LABEL_WIDTH, RUN_WIDTH = 20, 15
-
-
-def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Group:
-    """Metrics of one or several runs, one column each, below each other where there are many."""
-    names = list(summaries)
-    count = max(1, (console().width - LABEL_WIDTH) // RUN_WIDTH)
-    groups = (names[i : i + count] for i in range(0, len(names), count))
-    return Group(*(_metrics_table({name: summaries[name] for name in group}) for group in groups))
-
-
-def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
-    rows = [
-        [label, *(summary[key] for summary in summaries.values())]
-        for key, label in METRIC_LABELS.items()
-    ]
-    rows.append(["outcome", *(summary["outcome"] for summary in summaries.values())])
-    rows.append(["integrator", *(summary["integrator"] for summary in summaries.values())])
-    return table("", ["metric", *summaries], rows)
-
-
-#: More moves than this are counted in a table, not shown.
-SHOWN_MOVES = 12
-
-
-def moves_table(moves: Sequence[Mapping[str, Any]]) -> Table:
-    """Metrics of each move, a row each; of many the first, and the largest of all."""
-    rows = [[move[key] for key in MOVE_LABELS] for move in moves[:SHOWN_MOVES]]
-    if len(moves) > SHOWN_MOVES:
-        last = [
-            max((m[key] for m in moves if m[key] is not None), default=None) for key in MOVE_LABELS
-        ]
-        rows.append([f"largest of {len(moves)}", "", "", "", *last[4:]])
-    return table("moves", list(MOVE_LABELS.values()), rows, digits=4)
-
-
-def ensemble_table(ensemble: Ensemble) -> Table:
-    """Quantiles of every metric."""
-    rows = []
-    for key, label in METRIC_LABELS.items():
-        entries = ensemble.statistics.metrics[key].summary()
-        shown = [entries[name] for name in ("5%", "50%", "95%", "99%", "max")]
-        rows.append([label, *shown, entries["missing"]])
-    return table("", ["metric", "5%", "median", "95%", "99%", "largest", "none"], rows, digits=4)
-
-
-def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
-    """Outcomes, violations and the worst member in words."""
-    outcomes = ", ".join(f"{n} {name}" for name, n in sorted(ensemble.statistics.outcomes.items()))
-    lines = [f"outcomes: {outcomes}", *_replaced_omega(ensemble)]
-    unsettled = ensemble.statistics.metrics["settling_time"].missing
-    if unsettled:
-        lines.append(f"{unsettled} of {ensemble.members} members are never settled within the band")
-    violations = ensemble.violations()
-    if violations is None:
-        lines.append(f"no limit: {ensemble.limit_origin}")
-    else:
-        inside = violations.get("started_inside")
-        text = (
-            f"tail error beyond {limit_text(violations['limit'], violations['origin'])}: "
-            f"{violations['count']} of {ensemble.members if inside is None else inside} members"
-        )
-        if inside is not None:
-            text += (
-                f" that start where no limit of the input is met, and {violations['others']} of "
-                f"{ensemble.members - inside} others"
-            )
-        if violations["interval"] is not None:
-            low, high = violations["interval"]
-            text += f", probability within [{low:.3g}, {high:.3g}] (95 %, Clopper-Pearson)"
-        lines.append(text)
-    value, index = ensemble.statistics.worst[0]
-    lines += [
-        f"worst member {index}: tail error {value:.5g}; to replay it:",
-        f"  certrack simulate {file} --member {index} --seed {ensemble.seed}",
-    ]
-    return [*lines, *_corner_lines(ensemble, file)]
-
-
-def _corner_lines(ensemble: Ensemble, file: str) -> list[str]:
-    """What the corners of the ranges gave."""
-    from certrack.studies.ensembles.corners import MAX_RANGES, ranges_of
-
-    corners = ensemble.corners
-    if corners is None:
-        too_many = len(ranges_of(ensemble.system)) > MAX_RANGES
-        return [f"corners of plant.ranges: not run, of more than {MAX_RANGES}"] if too_many else []
-    worst = corners.worst
-    values = ", ".join(f"{name} = {v:.5g}" for name, v in corners.constants[worst].items())
-    beyond = "" if corners.beyond is None else f", {corners.beyond} beyond the limit"
-    counts = f"{corners.lost} of {len(corners.errors)} lost{beyond}"
-    error = f"tail error {corners.errors[worst]:.5g}" if corners.lost == 0 else "lost"
-    return [
-        f"corners of plant.ranges, apart from the members: worst {worst} ({values}): {error}; "
-        f"{counts}; to replay it:",
-        f"  certrack simulate {file} --corner {worst} --seed {ensemble.seed}",
-    ]
-
-
-def _replaced_omega(ensemble: Ensemble) -> list[str]:
-    """Say where the members have other disturbances than the file's."""
-    disturbance = ensemble.system.varied.disturbance
-    omega = ensemble.system.truth.omega or ()
-    if disturbance == "file" or not any(w.expr != 0 for w in omega):
-        return []
-    return [
-        f"disturbances: random admissible ones ({disturbance}) in the place of truth.omega; "
-        'ensemble.disturbance = "file" keeps it'
-    ]
-
-
 #: Digits of a bound in tables and sentences.
 BOUND_TEXT_DIGITS = 5
-
-
-def limit_text(limit: float, origin: str) -> str:
-    """A limit of the tail error and its origin; a certified bound is rounded up."""
-    certified = "certifi" in origin
-    number = printed_bound(limit, BOUND_TEXT_DIGITS) if certified else f"{limit:.5g}"
-    return f"{number} ({origin})"

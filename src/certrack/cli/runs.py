@@ -85,7 +85,7 @@ def simulate(
     \b
     Example: certrack simulate example1 --plot pictures --out run.nc
     """
-    from certrack.cli import report
+    from certrack.cli import report, run_report
     from certrack.simulation.simulator import Simulator
     from certrack.systems.reader import load
 
@@ -130,9 +130,9 @@ def simulate(
         click.echo(report.to_json(summary | controller))
     else:
         click.echo(system.title or file)
-        report.console().print(report.metrics_table({Path(file).stem: summary}))
+        report.console().print(run_report.metrics_table({Path(file).stem: summary}))
         if summary["moves"]:
-            report.console().print(report.moves_table(summary["moves"]))
+            report.console().print(run_report.moves_table(summary["moves"]))
         if with_c:
             click.echo(
                 f"controller: the exported C, compiled by {Path(find_c_compiler()).name}; "
@@ -168,7 +168,7 @@ def compare(
     \b
     Example: certrack compare example1 example1-classic
     """
-    from certrack.cli import report
+    from certrack.cli import report, run_report
     from certrack.simulation.simulator import simulate as run_system
     from certrack.systems.reader import load
 
@@ -184,7 +184,7 @@ def compare(
     if as_json:
         click.echo(report.to_json(summaries))
     else:
-        report.console().print(report.metrics_table(summaries))
+        report.console().print(run_report.metrics_table(summaries))
     tell_written(as_json, *pictures)
     diagnose(*runs.values())
 
@@ -258,7 +258,7 @@ def ensemble(
     """
     from contextlib import nullcontext
 
-    from certrack.cli import report
+    from certrack.cli import report, run_report
     from certrack.studies.ensembles import workers
     from certrack.studies.ensembles.all_lost import AllMembersLost
     from certrack.studies.ensembles.ensemble import ensemble as run_ensemble
@@ -301,8 +301,8 @@ def ensemble(
         click.echo(report.to_json(summary))
     else:
         click.echo(f"{system.title or file}: {result.members} members, seed {seed}")
-        report.console().print(report.ensemble_table(result))
-        report.print_lines(report.ensemble_notes(result, file))
+        report.console().print(run_report.ensemble_table(result))
+        report.print_lines(run_report.ensemble_notes(result, file))
     tell_written(as_json, *written)
 
 

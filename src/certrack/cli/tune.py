@@ -141,7 +141,7 @@ def _options_named() -> Iterator[None]:
 
 
 def _text_of(file: str) -> str:
-    from certrack.systems.reader import starter
+    from certrack.systems.shipped import starter
 
     path = Path(file)
     return path.read_text("utf-8-sig") if path.exists() else starter(file)

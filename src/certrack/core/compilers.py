@@ -1,24 +1,26 @@
 """The C compiler of this machine: where it is, and one way to run it.
 
 Compiled ensembles, the exported controller in the simulated loop and FMUs all need one. They
-differ in their flags only; the same problem has the same message everywhere.
+differ in their flags only; the same problem has the same message everywhere. Nothing is compiled
+twice: what was built is kept in memory and, by ``library_cache.py``, on disk.
 """
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import os
 import shutil
-import signal
 import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from certrack.core import library_cache
 from certrack.core.errors import CertrackError, one_line, shorten
+from certrack.core.library_key import library_key
+from certrack.core.processes import run_command
 
 #: Programs that are looked for, in this order, after the one that the variable CC names. gcc comes
 #: first: its code for the vectors of an ensemble is the fastest.
@@ -32,6 +34,9 @@ MAX_REASON = 200
 
 #: The file that is built, within a folder of its own.
 LIBRARY = "library.so"
+
+#: What this process has loaded, by key. It stays loaded anyway, however it is asked for.
+_LOADED: dict[str, ctypes.CDLL] = {}
 
 
 class CompilerError(CertrackError):
@@ -95,7 +100,7 @@ def run_compiler(
     path = find_c_compiler() if compiler is None else compiler
     target = folder / LIBRARY
     try:
-        code, message = _run_command([path, *arguments, "-o", LIBRARY], folder, timeout)
+        code, message = run_command([path, *arguments, "-o", LIBRARY], folder, timeout)
     except OSError as problem:
         raise CompilerError(
             f"the C compiler {path} cannot be run ({problem.strerror}): install gcc or clang"
@@ -135,9 +140,9 @@ def shared_library(
     CompilerError
         As :func:`load_library`: CC may name a compiler for another machine.
     """
-    with _temporary_library(sources, flags, libraries, compiler, timeout) as file:
-        _load(file)
-        return file.read_bytes()
+    key = _key(sources, flags, libraries, compiler)
+    data = None if key is None else library_cache.lookup(key)
+    return _build(key, sources, flags, libraries, compiler, timeout)[0] if data is None else data
 
 
 def load_library(
@@ -150,6 +155,9 @@ def load_library(
 ) -> ctypes.CDLL:
     """The shared library that is compiled from sources, in memory.
 
+    All who load the same sources get the same one: its functions must not keep anything between
+    calls.
+
     Parameters
     ----------
     sources, flags, libraries, compiler, timeout
@@ -160,8 +168,14 @@ def load_library(
     CompilerError
         As :func:`run_compiler`; also where the library does not run on this machine.
     """
-    with _temporary_library(sources, flags, libraries, compiler, timeout) as file:
-        return _load(file)
+    key = _key(sources, flags, libraries, compiler)
+    if key is None:
+        return _build(key, sources, flags, libraries, compiler, timeout)[1]
+    if key not in _LOADED:
+        _LOADED[key] = (
+            _load_stored(key) or _build(key, sources, flags, libraries, compiler, timeout)[1]
+        )
+    return _LOADED[key]
 
 
 def function_of(library: ctypes.CDLL, name: str) -> Any:
@@ -178,6 +192,50 @@ def function_of(library: ctypes.CDLL, name: str) -> Any:
         raise CompilerError(f"what the C compiler built has no function {name}") from None
 
 
+def _key(
+    sources: Mapping[str, str], flags: Sequence[str], libraries: Sequence[str], compiler: str | None
+) -> str | None:
+    """Under which a library is kept; None if none is."""
+    if library_cache.is_off():
+        return None
+    return library_key(sources, flags, libraries, compiler or find_c_compiler())
+
+
+def _load_stored(key: str) -> ctypes.CDLL | None:
+    """The library of a key from the disk: a copy of the bytes that were checked is loaded."""
+    data = library_cache.lookup(key)
+    if data is None:
+        return None
+    with _temporary_folder() as folder:
+        file = folder / LIBRARY
+        _write_file(file, data)
+        try:
+            return _load(file)
+        except CompilerError:
+            return None  # what it needs is gone: compiled anew
+
+
+def _build(
+    key: str | None,
+    sources: Mapping[str, str],
+    flags: Sequence[str],
+    libraries: Sequence[str],
+    compiler: str | None,
+    timeout: float,
+) -> tuple[bytes, ctypes.CDLL]:
+    """The library, compiled and loaded; it is kept if it has a key."""
+    with _temporary_folder() as folder:
+        for name, text in sources.items():
+            _write_file(folder / name, text.encode())
+        units = [name for name in sources if name.endswith(".c")]
+        arguments = [*flags, *units, *libraries]
+        file = run_compiler(arguments, folder, compiler=compiler, timeout=timeout)
+        library, data = _load(file), file.read_bytes()
+    if key is not None:
+        library_cache.store(key, data)
+    return data, library
+
+
 def _load(file: Path) -> ctypes.CDLL:
     try:
         return ctypes.CDLL(str(file))  # stays loaded when the file is gone
@@ -188,62 +246,30 @@ def _load(file: Path) -> ctypes.CDLL:
 
 
 @contextmanager
-def _temporary_library(
-    sources: Mapping[str, str],
-    flags: Sequence[str],
-    libraries: Sequence[str],
-    compiler: str | None,
-    timeout: float,
-) -> Iterator[Path]:
-    """The library as a file, for a while."""
-    with ExitStack() as stack:
-        try:
-            temporary = tempfile.TemporaryDirectory(
-                prefix="certrack-",
-                ignore_cleanup_errors=True,  # Windows keeps the file of a loaded library
-            )
-            folder = Path(stack.enter_context(temporary))
-            for file, text in sources.items():
-                (folder / file).write_text(text, "utf-8")
-        except OSError as problem:
-            raise CompilerError(
-                f"no temporary files can be written for the C compiler ({problem.strerror})"
-            ) from None
-        units = [file for file in sources if file.endswith(".c")]
-        arguments = [*flags, *units, *libraries]
-        yield run_compiler(arguments, folder, compiler=compiler, timeout=timeout)
-
-
-def _run_command(command: Sequence[str], folder: Path, timeout: float) -> tuple[int, str]:
-    """Exit code and standard error of a command, which starts a group of processes of its own.
-
-    A compiler starts others, which would go on if it alone were ended.
-    """
-    process = subprocess.Popen(
-        command,
-        cwd=folder,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
+def _temporary_folder() -> Iterator[Path]:
+    """A folder that only this user may enter, for a while."""
     try:
-        _, message = process.communicate(timeout=timeout)
-    except BaseException:  # also where the user interrupts
-        _kill_group(process)
-        raise
-    return process.returncode, message.decode(errors="replace")
+        folder = tempfile.TemporaryDirectory(
+            prefix="certrack-",
+            ignore_cleanup_errors=True,  # Windows keeps the file of a loaded library
+        )
+    except OSError as problem:
+        raise _nowhere_to_write(problem) from None
+    with folder as path:
+        yield Path(path)
 
 
-def _kill_group(process: subprocess.Popen[bytes]) -> None:
-    """End a process and all that it started."""
-    if hasattr(os, "killpg"):
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, signal.SIGKILL)
-    process.kill()
-    process.wait()
-    if process.stderr is not None:
-        process.stderr.close()  # not read to its end: what survives may hold it open
+def _write_file(file: Path, data: bytes) -> None:
+    try:
+        file.write_bytes(data)
+    except OSError as problem:
+        raise _nowhere_to_write(problem) from None
+
+
+def _nowhere_to_write(problem: OSError) -> CompilerError:
+    return CompilerError(
+        f"no temporary files can be written for the C compiler ({problem.strerror})"
+    )
 
 
 def _reason(code: int, message: str) -> str:

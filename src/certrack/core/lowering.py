@@ -8,15 +8,24 @@ goes on, so no step ever crosses a kink.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import sympy
+from sympy.printing.numpy import NumPyPrinter
 
 from certrack.core.expressions import TIME
 from certrack.core.kinks import derivative, without_minmax
 from certrack.core.select import Entry, Extremum, Select, by_selections, numpy_select
+
+#: How formulas are printed as a NumPy function.
+PRINTER_SETTINGS = {
+    "fully_qualified_modules": False,
+    "inline": True,
+    "allow_unknown_functions": True,
+    "user_functions": {"Select": "Select"},
+}
 
 
 class NumpyFunction:
@@ -41,9 +50,10 @@ class NumpyFunction:
     def __call__(self, *values: Any) -> list[Any]:
         function = self._function
         if function is None:  # two threads may both write it: the same code
-            modules = [{"Select": numpy_select}, "numpy"]
             arguments, formulas = _renamed(self._arguments, map(by_selections, self._formulas))
-            function = sympy.lambdify(arguments, formulas, modules, cse=True)
+            printer = NumPyPrinter(PRINTER_SETTINGS)  # takes from NumPy what it prints, not all
+            known = {"Select": numpy_select}
+            function = sympy.lambdify(arguments, formulas, known, printer, cse=True)
             self._function = function
         return function(*values)
 
@@ -190,40 +200,6 @@ def _integer_power(hy: Any, base: Any, exponent: int) -> Any:
     half = _integer_power(hy, base, exponent // 2)
     square = half**2.0  # a special case that heyoka does well
     return square * base if exponent % 2 else square
-
-
-def hoisted(
-    formulas: Sequence[sympy.Expr], common: Set[sympy.Symbol]
-) -> tuple[list[sympy.Expr], dict[sympy.Expr, sympy.Symbol]]:
-    """Replace every largest subexpression of common symbols alone by one symbol.
-
-    Returns
-    -------
-    formulas : list
-    symbols : dict
-        Symbol of each subexpression, in the order of their numbers.
-    """
-    symbols: dict[sympy.Expr, sympy.Symbol] = {}
-
-    def name(expr: sympy.Expr) -> sympy.Expr:
-        number, factor = expr.as_coeff_Mul()
-        if factor not in symbols:
-            symbols[factor] = sympy.Symbol(f"kept_shared_{len(symbols)}", real=True)
-        return number * symbols[factor]
-
-    def walk(expr: sympy.Expr) -> sympy.Expr:
-        free = expr.free_symbols
-        if not free & common:
-            return expr
-        if free <= common:
-            return name(expr)
-        if expr.is_Add or expr.is_Mul:
-            shared = [arg for arg in expr.args if arg.free_symbols and arg.free_symbols <= common]
-            others = [walk(arg) for arg in expr.args if arg not in shared]
-            return expr.func(*others, *([name(expr.func(*shared))] if shared else []))
-        return expr.func(*map(walk, expr.args))
-
-    return list(map(walk, formulas)), symbols
 
 
 def rows(values: Sequence[Any], count: int) -> np.ndarray:

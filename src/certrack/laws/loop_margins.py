@@ -15,8 +15,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigvals
-from scipy.optimize import brentq
 
 #: Frequencies looked at: from this part of the slowest rate of the loop to this multiple of the
 #: fastest, so many of them to a decade, and those near crossings. Between two of them a crossing is
@@ -25,6 +23,9 @@ SLOWEST_PART, FASTEST_MULTIPLE, POINTS_PER_DECADE = 1e-3, 1e3, 20
 
 #: A rate below this part of the fastest is none: a pole at 0.
 NO_RATE = 1e-9
+
+#: Where a pencil is inverted, over the fastest rate: any number that is no root of an equation.
+PENCIL_SHIFT = 0.7310585786
 
 #: A larger |L| is a pole of the open loop, where the sign of a part changes without a zero.
 POLE = 1e9
@@ -89,7 +90,8 @@ def _frequencies(A: np.ndarray, b: np.ndarray, k: np.ndarray) -> np.ndarray:
     mirrored[:-1, -1], mirrored[-1, :-1] = np.tile(b, 2), np.tile(k, 2)
     poles = np.concatenate([np.linalg.eigvals(A), np.linalg.eigvals(A - np.outer(b, k))])
     with np.errstate(all="ignore"):
-        zeros = eigvals(mirrored, np.diag([*np.ones(2 * n), 0.0]))
+        shift = PENCIL_SHIFT * np.abs(poles).max()
+        zeros = _pencil_values(mirrored, np.diag([*np.ones(2 * n), 0.0]), shift)
         rates = np.concatenate([np.abs(poles), *map(_heights, (poles, zeros[np.isfinite(zeros)]))])
         rates = np.append(rates, _heights(np.linalg.eigvals(hamiltonian)))
     fastest = np.abs(poles).max()
@@ -99,6 +101,16 @@ def _frequencies(A: np.ndarray, b: np.ndarray, k: np.ndarray) -> np.ndarray:
     rates = rates[(rates > low) & (rates < high)]
     omegas = np.union1d(np.geomspace(low, high, count), rates)
     return np.union1d(omegas, np.sqrt(omegas[:-1] * omegas[1:]))
+
+
+def _pencil_values(M: np.ndarray, N: np.ndarray, shift: float) -> np.ndarray:
+    """The s with det(M - s N) = 0, those at infinity as very large or no numbers.
+
+    They are the eigenvalues of one matrix, inverted, from a shift that is none of them; SciPy's
+    pencils take longer to import than a design to compute.
+    """
+    values = np.linalg.eigvals(np.linalg.solve(M - shift * N, N))
+    return shift + 1 / values.astype(complex)
 
 
 def _heights(values: np.ndarray) -> np.ndarray:
@@ -122,5 +134,8 @@ def _where_zero(
     """L where a part of it passes zero, not a pole, between two frequencies."""
     crossings, above = [], np.array([part(value) >= 0 for value in values])
     for i in np.flatnonzero(above[:-1] != above[1:]):
-        crossings.append(L(brentq(lambda omega: part(L(omega)), omegas[i], omegas[i + 1])))
+        low, high = float(omegas[i]), float(omegas[i + 1])
+        while low < (middle := low + (high - low) / 2) < high:  # down to neighbouring floats
+            low, high = (middle, high) if (part(L(middle)) >= 0) == above[i] else (low, middle)
+        crossings.append(L(high))
     return [value for value in crossings if abs(value) < POLE]

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_continuous_are
 
 from certrack.core import checks
 from certrack.core.errors import DesignError, InputError
@@ -74,6 +73,8 @@ def lqr_feedback(weights: LqrWeights, F: np.ndarray, g_n: float) -> np.ndarray:
     DesignError
         If the Riccati equation has no stabilising solution in floats.
     """
+    from scipy.linalg import solve_continuous_are
+
     n = F.shape[1]
     A, b = np.vstack([F, np.zeros(n)]), np.eye(n)[:, -1:]
     cost = np.diag(weights.diagonal(n))
@@ -81,7 +82,7 @@ def lqr_feedback(weights: LqrWeights, F: np.ndarray, g_n: float) -> np.ndarray:
     try:
         with np.errstate(all="ignore"):  # weights that differ too much: the result is checked
             X = solve_continuous_are(A, b, cost, input_weight)
-    except (LinAlgError, ValueError) as problem:
+    except (np.linalg.LinAlgError, ValueError) as problem:
         raise DesignError(
             "law.lqr",
             f"the Riccati equation has no stabilising solution ({problem})",

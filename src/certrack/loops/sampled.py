@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import sympy
@@ -74,25 +75,37 @@ class SampledLoop:
     pieces: tuple[sympy.Symbol, ...]
     totals: Totals
 
+    @property
+    def formulas(self) -> tuple[sympy.Expr, ...]:
+        """All formulas in which parameters may occur."""
+        plant, steps = self.plant, [formula for _, formula in self.controller.steps]
+        totals = [formula for _, formula in self.totals]
+        of_time = (self.e_1, self.slope)
+        return (*plant.rates, *plant.outputs, *steps, *self.controller.update, *of_time, *totals)
+
     def with_numbers(self, known: Mapping[sympy.Symbol, sympy.Expr]) -> SampledLoop:
         """The loop with numbers put in for parameters, which it then no longer has."""
-        plant, c = self.plant, self.controller
+        changed = self.with_formulas([formula.xreplace(known) for formula in self.formulas])
+        left = tuple(name for name in self.parameters if name not in known)
+        return replace(changed, parameters=left)
 
-        def substitute(formulas: Sequence[sympy.Expr]) -> tuple[sympy.Expr, ...]:
-            return tuple(formula.xreplace(known) for formula in formulas)
+    def with_formulas(self, formulas: Sequence[sympy.Expr]) -> SampledLoop:
+        """The loop with others in the place of :attr:`formulas`, in their order."""
+        plant, c, following = self.plant, self.controller, iter(formulas)
+
+        def as_many(old: Sequence[sympy.Expr]) -> tuple[sympy.Expr, ...]:
+            return tuple(islice(following, len(old)))
+
+        def named(pairs: Totals) -> Totals:
+            return tuple((name, next(following)) for name, _ in pairs)
 
         return replace(
             self,
-            plant=replace(plant, rates=substitute(plant.rates), outputs=substitute(plant.outputs)),
-            controller=replace(
-                c,
-                steps=tuple((name, formula.xreplace(known)) for name, formula in c.steps),
-                update=substitute(c.update),
-            ),
-            e_1=self.e_1.xreplace(known),
-            slope=self.slope.xreplace(known),
-            parameters=tuple(name for name in self.parameters if name not in known),
-            totals=tuple((name, formula.xreplace(known)) for name, formula in self.totals),
+            plant=replace(plant, rates=as_many(plant.rates), outputs=as_many(plant.outputs)),
+            controller=replace(c, steps=named(c.steps), update=as_many(c.update)),
+            e_1=next(following),
+            slope=next(following),
+            totals=named(self.totals),
         )
 
 

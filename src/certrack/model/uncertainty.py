@@ -20,6 +20,13 @@ from certrack.model.growth import (
     is_global,
     smooth_size,
 )
+from certrack.model.slowness import (
+    SLOWNESS,
+    Slowness,
+    check_slowness,
+    read_slowness,
+    slowness_of,
+)
 
 
 @dataclass(frozen=True)
@@ -43,6 +50,15 @@ class Uncertainty:
         Where one is not empty it bounds |w_k|, in the place of gamma_k, beta_k and the row of
         Delta, which must be zero there. The name of a state stands for its magnitude, ``norm`` for
         ||S_k x||; it is proven to grow with all of them when a plant is made.
+    rate : n numbers >= 0 or inf, 1/s, optional
+        How fast the slow part of w_k may change between its jumps; see
+        :mod:`certrack.model.slowness`. inf where nothing is known.
+    jump, fast : n numbers >= 0, optional
+        How far it may jump, and what is not slow in w_k.
+    dwell : float, s, optional
+        Least time between two jumps of one w_k.
+    Delta_rate : n rows of n numbers >= 0, optional
+        How much it may change with each state.
 
     Raises
     ------
@@ -98,6 +114,48 @@ class Uncertainty:
         shape="one per state",
         otherwise="none",
     )
+    rate: tuple[float, ...] | None = keyed(
+        "numbers",
+        None,
+        help="how fast the slow part of w_k may change between its jumps",
+        shape="one number per state",
+        unit="1/s",
+        least=0,
+        infinite=True,
+        otherwise="not known",
+    )
+    jump: tuple[float, ...] | None = keyed(
+        "numbers",
+        None,
+        help="how far the slow part of w_k may jump",
+        shape="one number per state",
+        least=0,
+        otherwise="no jumps",
+    )
+    dwell: float | None = keyed(
+        "number",
+        None,
+        help="least time between two jumps of one w_k",
+        unit="s",
+        above=0,
+        otherwise="no jumps",
+    )
+    fast: tuple[float, ...] | None = keyed(
+        "numbers",
+        None,
+        help="the part of beta that may change at any speed",
+        shape="one number per state",
+        least=0,
+        otherwise="none",
+    )
+    Delta_rate: tuple[tuple[float, ...], ...] | None = keyed(
+        "rows",
+        None,
+        help="how much the slow part of w_k may change with each state: sum_j Delta_rate_kj |dx_j|",
+        shape="n rows of n numbers",
+        least=0,
+        otherwise="none",
+    )
 
     def __post_init__(self) -> None:
         for name in ("tau", "gamma", "beta"):
@@ -113,6 +171,9 @@ class Uncertainty:
                 raise InputError(f"plant.uncertainty.{name}", wanted, list(values))
         if self.bound is not None:
             set_fields(self, bound=self._check_bounds(self.bound))
+        stated = {name: getattr(self, name) for name in SLOWNESS}
+        set_fields(self, **read_slowness(type(self), stated, n))
+        check_slowness(self)
 
     def _check_bounds(self, bounds: Any) -> tuple[Expression | str, ...] | None:
         """The formulas, of which only the plant knows the names; None if all are empty."""
@@ -155,7 +216,12 @@ class Uncertainty:
                 BOUND_KEY, table["bound"], n, f"{keys['bound'].shape} (n = {n})"
             )
             values["bound"] = growing_bounds(entries, states, constants)
+        values |= read_slowness(cls, {name: table.get(name) for name in SLOWNESS}, n, constants)
         return cls(**values)
+
+    def slowness(self, k: int) -> Slowness | None:
+        """How fast w_k may change; None if nothing is known of that."""
+        return slowness_of(self, k)
 
     def formula(self, k: int) -> Expression | None:
         """The formula that bounds w_k, if it has one."""

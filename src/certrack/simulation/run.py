@@ -16,6 +16,7 @@ from certrack.core.files import read_netcdf, write_netcdf
 from certrack.core.notebook import ShownInNotebooks
 from certrack.core.version import version
 from certrack.integrators.base import Outcome, Trajectory, subdivide
+from certrack.integrators.sampled.solution import SampledSolution
 from certrack.integrators.single.taylor import TaylorSeries
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.plant import measured
@@ -23,6 +24,7 @@ from certrack.references.rests import moves_of
 from certrack.simulation.messages import outcome_message
 from certrack.simulation.metrics import Metrics, measure, settling_band
 from certrack.simulation.moves import MoveMetrics, measure_moves
+from certrack.simulation.step_metrics import measure_steps
 from certrack.systems.reader import loads
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
@@ -72,7 +74,7 @@ class Run(ShownInNotebooks):
     @cached_property
     def _states(self) -> np.ndarray:
         dense = self.trajectory.interpolate
-        if isinstance(dense, TaylorSeries) and len(self.trajectory.times) > 1:
+        if isinstance(dense, (TaylorSeries, SampledSolution)) and len(self.trajectory.times) > 1:
             return dense.subdivided(self.trajectory.times, self.trajectory.parts)
         return dense(self.t)
 
@@ -104,7 +106,10 @@ class Run(ShownInNotebooks):
     @cached_property
     def metrics(self) -> Metrics:
         """What the run is judged by."""
-        settings = self.system.settings
+        settings, dense = self.system.settings, self.trajectory.interpolate
+        band = settling_band(settings, self.system.reference)
+        if isinstance(dense, SampledSolution):
+            return measure_steps(dense, band, settings.tail_start)
         integrals = self._states[-len(INTEGRALS) :] * INTEGRAL_SCALE
         error = self.x[0] - self.y_d
         return measure(
@@ -112,7 +117,7 @@ class Run(ShownInNotebooks):
             error,
             self.u,
             integrals,
-            settling_band(settings, self.system.reference),
+            band,
             settings.tail_start,
             per_step=self.trajectory.parts + 1,
             dense=self._signals,
@@ -124,6 +129,8 @@ class Run(ShownInNotebooks):
         """What every move from rest to rest is judged by; empty for a reference without rests."""
         system = self.system
         known = moves_of(system.reference, self.trajectory.end)
+        if not known:
+            return ()
         per_step = self.trajectory.parts + 1 if self.smooth_steps else None
         return measure_moves(known, self.t, self.x[0], self.y_d, system.settings.band, per_step)
 

@@ -1,9 +1,15 @@
-"""One run of the sampled loop: the compiled maps, the run, and its solution between the steps."""
+"""One run of the sampled loop: its compiled forms, the run, and its solution between the steps.
+
+A run of many events is C (:mod:`certrack.integrators.sampled.single`), if it can be: the compiler,
+which is asked once, takes as long as a few thousand events otherwise do. Everything else goes from
+event to event by compiled maps (:mod:`certrack.integrators.sampled.run`). Which of both it is
+depends on the problem alone, never on what was run before; they agree to rounding.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,20 +17,26 @@ from certrack.core.arrays import Array
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.heyoka import has_heyoka
-from certrack.core.lowering import NumpyFunction, numpy_callable, rows
+from certrack.core.lowering import numpy_callable, rows
 from certrack.core.progress import Progress, silent
-from certrack.integrators.base import Outcome, Trajectory, parts_of
+from certrack.integrators.base import MethodUnavailable, Outcome, Trajectory, parts_of
 from certrack.integrators.sampled.events import event_timeline
 from certrack.integrators.sampled.maps import HeyokaMaps, SampledMaps
 from certrack.integrators.sampled.run import SampledProblem, SampledRun
 from certrack.integrators.sampled.scalar_maps import ScalarMaps
+from certrack.integrators.sampled.single import WORTH_COMPILING, SampledSingle
 from certrack.integrators.sampled.sliding import with_modes
+from certrack.integrators.sampled.solution import (
+    RunRecord,
+    SampledSolution,
+    Slopes,
+    StepTable,
+)
 from certrack.integrators.switching import ModeRecord, sticking_notes
-from certrack.loops.continuous import INTEGRAL_SCALE
 from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop, loop_values, sample_loop
-from certrack.loops.schedule import Schedule, make_schedule
+from certrack.loops.schedule import make_schedule
 from certrack.loops.time_switches import TimeSwitches, switched_sampled_loop
 from certrack.model.noise import keys
 from certrack.simulation.implementation_notes import implementation_notes
@@ -33,9 +45,6 @@ from certrack.systems.system import System
 
 #: Samples after which the progress is reported: often enough to be seen, too rarely to cost time.
 SAMPLES_PER_REPORT = 500
-
-#: Takes a time at a break to the piece that begins there, whatever its rounding.
-JUST_AFTER = 1 + 1e-12
 
 
 class SampledSimulator:
@@ -79,12 +88,27 @@ class SampledSimulator:
                 integrator,
                 "Use auto or scipy",
             )
-        by_numpy = integrator == "scipy" or not has_heyoka()
-        maps: SampledMaps = ScalarMaps(loop) if by_numpy else HeyokaMaps(loop, vector=False)
-        self.maps = maps if around is None else around(maps, loop)
+        self._compiled, self._around = loop, around
+        self._by_numpy = integrator == "scipy" or not has_heyoka()
+        self._in_c = integrator != "scipy" and around is None and self.surfaces is None
         self.outputs = outputs_of(self.loop)
         names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
-        self._rates = numpy_callable(names, [*loop.plant.rates, loop.e_1])
+        self._rates = numpy_callable(names, [*loop.plant.rates, loop.e_1, loop.slope])
+
+    @cached_property
+    def maps(self) -> SampledMaps:
+        """Of the loop with its switches of time."""
+        loop = self._compiled
+        maps: SampledMaps = ScalarMaps(loop) if self._by_numpy else HeyokaMaps(loop, vector=False)
+        return maps if self._around is None else self._around(maps, loop)
+
+    @cached_property
+    def _single(self) -> SampledSingle | None:
+        """The loop in C; None where there is no compiler."""
+        try:
+            return SampledSingle(self._compiled)
+        except MethodUnavailable:
+            return None
 
     def run(self, system: System, progress: Progress = silent) -> Run:
         """Simulate `system`; `progress` gets the time reached."""
@@ -111,63 +135,51 @@ class SampledSimulator:
             max_state=settings.max_state,
             surfaces=self.surfaces,
         )
-        record = RunRecord(problem.x, problem.totals, len(system.controller.states))
-
-        def sampled(t: float, states: Array) -> None:
-            record.add_sample(t, states)
-            if len(record.samples) % SAMPLES_PER_REPORT == 0:
-                progress(t, settings.duration, None)
-
         progress(0.0, settings.duration, None)
-        run = SampledRun(self.maps, problem)
-        run.run(on_sample=sampled, on_step=record.add_step)
-        record.add_sample(float(line.times[-1]), run.states)
+        shared = np.array([schedule.piece_values(t) for t in (0.0, *breaks)])
+        record = self._record_in_c(problem, shared, progress)
+        outcome, modes = Outcome.finished, None
+        if record is None:
+            record, outcome, modes = self._record_by_maps(problem, progress)
         progress(settings.duration, settings.duration, None)
-        outcome: Outcome = run.outcomes[0]
-        if outcome is not Outcome.finished:
-            record.drop_from(settings.max_state)
-        times = np.array(record.ends)
-        modes = None
-        if run.crossing is not None:
-            modes = run.crossing.modes()
         slopes = Slopes(self._rates, schedule, parameters[:, 0], modes)
-        solution = record.solution(slopes, run.u[0])
-        parts = parts_of(len(solution.ends) - 1)
-        trajectory = Trajectory(times, solution, outcome, "sampled", parts, modes)
+        solution = SampledSolution(record.with_a_step(), slopes, len(problem.x))
+        parts = parts_of(max(1, len(record.inputs)))
+        trajectory = Trajectory(record.ends, solution, outcome, "sampled", parts, modes)
         notes = [*schedule.notes]
         if modes is not None:
             notes += sticking_notes(modes, trajectory.end)
         notes += implementation_notes(system)
         return Run(system, trajectory, solution.input_at, tuple(notes))
 
+    def _record_in_c(
+        self, problem: SampledProblem, shared: Array, progress: Progress
+    ) -> StepTable | None:
+        """All steps by compiled C; None where that is not worth its while, or cannot do it."""
+        if len(problem.timeline.times) < WORTH_COMPILING or not self._in_c:
+            return None
+        return None if self._single is None else self._single.record(problem, shared, progress)
 
-@dataclass(frozen=True)
-class Slopes:
-    """Rates of the plant's states and of the integrals, for steps that begin at `begins`.
+    def _record_by_maps(
+        self, problem: SampledProblem, progress: Progress
+    ) -> tuple[StepTable, Outcome, ModeRecord | None]:
+        """All steps that end within the admitted states, how the run ended, and its modes."""
+        estimates, end = len(self.loop.controller.estimates), float(problem.timeline.times[-1])
+        record = RunRecord(problem, estimates)
 
-    Attributes
-    ----------
-    rates : NumpyFunction
-        Those of the states, and e_1.
-    schedule : Schedule
-    parameters : (P,) array
-    modes : ModeRecord, optional
-        Of the run; the last of the rates' parameters.
-    """
+        def sampled(t: float, states: Array) -> None:
+            record.add_sample(t, states)
+            if record.samples % SAMPLES_PER_REPORT == 0:
+                progress(t, end, None)
 
-    rates: NumpyFunction
-    schedule: Schedule
-    parameters: Array
-    modes: ModeRecord | None = None
-
-    def __call__(self, t: Array, x: Array, u: Array, begins: Array) -> Array:
-        pieces = [*self.schedule.pieces_at(begins * JUST_AFTER)]
-        if self.modes is not None:
-            pieces += [*self.modes.at(begins)]
-        with np.errstate(all="ignore"):
-            rates = rows(self.rates(t, x, u, [*self.parameters, *pieces]), len(t))
-        e = rates[-1]
-        return np.vstack([rates[:-1], np.array([u**2, e**2, e]) / INTEGRAL_SCALE])
+        run = SampledRun(self.maps, problem)
+        run.run(on_sample=sampled, on_step=record.add_step)
+        record.add_sample(end, run.states)
+        outcome: Outcome = run.outcomes[0]
+        if outcome is not Outcome.finished:
+            record.drop_from(problem.max_state)
+        modes = None if run.crossing is None else run.crossing.modes()
+        return record.steps(float(run.u[0])), outcome, modes
 
 
 def outputs_of(loop: SampledLoop) -> Callable[[Array, Array], Array] | None:
@@ -178,115 +190,3 @@ def outputs_of(loop: SampledLoop) -> Callable[[Array, Array], Array] | None:
         [loop.plant.states, [*loop.parameters, *loop.pieces]], loop.plant.outputs
     )
     return lambda x, p: rows(evaluate(x, p), x.shape[1])
-
-
-class RunRecord:
-    """What one sampled run leaves, step after step and sample after sample.
-
-    Parameters
-    ----------
-    x, totals : (n, 1) and (3, 1) arrays
-        Plant states and integrals at the start.
-    estimates : int
-        Number of estimates; they come first among the controller's states.
-    """
-
-    def __init__(self, x: Array, totals: Array, estimates: int) -> None:
-        self.ends = [0.0]
-        self.samples: list[float] = []
-        self._order, self._count = len(x), estimates
-        self._columns = [np.vstack([x, totals])[:, 0]]
-        self._inputs: list[float] = []
-        self._estimates: list[Array] = []
-
-    def add_step(self, t: float, x: Array, totals: Array, u: Array) -> None:
-        """A step that ends at t, with the input that acted on it."""
-        self.ends.append(t)
-        self._columns.append(np.concatenate([x[:, 0], totals[:, 0]]))
-        self._inputs.append(u[0])
-
-    def add_sample(self, t: float, states: Array) -> None:
-        """The controller's states that the sample at t used."""
-        self.samples.append(t)
-        self._estimates.append(states[: self._count, 0])
-
-    def drop_from(self, max_state: float) -> None:
-        """Forget all steps from the first one on that ends beyond the largest state."""
-        largest = np.abs(np.array(self._columns)[:, : self._order]).max(axis=1)
-        last = int(np.argmax(np.append(~(largest <= max_state), True)))
-        self.ends, self._columns = self.ends[:last], self._columns[:last]
-        self._inputs = self._inputs[: last - 1]
-
-    def solution(
-        self, slopes: Callable[[Array, Array, Array, Array], Array], first_input: float
-    ) -> SampledSolution:
-        """Dense output; where there is not one step, of a step of no length with that input."""
-        ends, columns, inputs = self.ends, self._columns, self._inputs
-        if len(ends) == 1:
-            ends, columns, inputs = ends * 2, columns * 2, [first_input]
-        return SampledSolution(
-            np.array(ends),
-            np.array(columns).T,
-            np.array(inputs),
-            np.array(self.samples),
-            np.array(self._estimates).reshape(len(self.samples), self._count).T,
-            slopes,
-            self._order,
-        )
-
-
-@dataclass(frozen=True)
-class SampledSolution:
-    """Dense output of a sampled run: cubic Hermite polynomials between the steps' ends.
-
-    Attributes
-    ----------
-    ends : (K+1,) array, s
-    columns : (n+3, K+1) array
-        Plant states and integrals at `ends`.
-    inputs : (K,) array
-        The input on each step.
-    samples : (M+1,) array, s
-        Times of the samples, and the end of the run.
-    estimates : (r, M+1) array
-        The estimates that each sample used, and the last ones.
-    slopes : callable
-        Rates of the columns at times, states, inputs, and begins of the steps.
-    n : int
-        Number of plant states.
-    """
-
-    ends: Array
-    columns: Array
-    inputs: Array
-    samples: Array
-    estimates: Array
-    slopes: Callable[[Array, Array, Array, Array], Array]
-    n: int
-
-    def _step_at(self, t: Array) -> Array:
-        """Number of the step that t lies in."""
-        return np.searchsorted(self.ends[1:-1], t, side="right")
-
-    def input(self, t: Array) -> Array:
-        """The input that acts at the times t."""
-        return self.inputs[self._step_at(np.asarray(t, dtype=float))]
-
-    def input_at(self, t: Array, _states: Array) -> Array:
-        """The same, called as the input of any run is."""
-        return self.input(t)
-
-    def __call__(self, t: Array) -> Array:
-        """Plant states, estimates and integrals at the times t."""
-        t = np.asarray(t, dtype=float)
-        k = self._step_at(t)
-        begin, h = self.ends[k], np.diff(self.ends)[k]
-        s = (t - begin) / np.where(h > 0, h, 1.0)
-        a, b, u = self.columns[:, k], self.columns[:, k + 1], self.inputs[k]
-        da = h * self.slopes(begin, a[: self.n], u, begin)
-        db = h * self.slopes(begin + h, b[: self.n], u, begin)
-        rise = b - a
-        x = a + s * (da + s * (3 * rise - 2 * da - db + s * (da + db - 2 * rise)))
-        sample = np.searchsorted(self.samples, t, side="right") - 1
-        z = self.estimates[:, np.clip(sample, 0, None)]
-        return np.vstack([x[: self.n], z, x[self.n :]])

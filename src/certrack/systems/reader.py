@@ -8,9 +8,7 @@ reads like the loaded one.
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +24,7 @@ from certrack.model.truth import Truth, constants_of_truth
 from certrack.systems.keys import OBSERVER, TABLES, law_keys
 from certrack.systems.lines import line_of
 from certrack.systems.reference_reader import read_reference
+from certrack.systems.shipped import catalog, shipped_text
 from certrack.systems.system import Settings, System
 from certrack.systems.tables import read_bytes, read_values, refuse_keys_of_another
 from certrack.systems.toml import parse_toml
@@ -54,54 +53,6 @@ OWN_LAW = (
     "A law of your own: certrack.laws.register makes it known in one Python process; the command "
     "line knows those of installed packages that declare an entry point of the group certrack.laws"
 )
-
-
-def catalog() -> dict[str, str]:
-    """Names and titles of the shipped systems.
-
-    Returns
-    -------
-    dict
-        Title by name.
-
-    Examples
-    --------
-    >>> import certrack
-    >>> certrack.catalog()["example1-classic"]
-    'Second-order benchmark (Actuators 14:367, Example 1), classic law'
-    """
-    folder = files("certrack.systems") / "catalog"
-    names = sorted(
-        entry.name.removesuffix(".toml")
-        for entry in folder.iterdir()
-        if entry.name.endswith(".toml")
-    )
-    return {
-        name: tomllib.loads((folder / f"{name}.toml").read_text("utf-8"))["title"] for name in names
-    }
-
-
-def starter(shipped: str | None = None) -> str:
-    """Text of a commented system file to begin with: the general one, or a shipped system's.
-
-    Parameters
-    ----------
-    shipped : str, optional
-        Name of a shipped system.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> import certrack
-    >>> certrack.loads(certrack.starter()).law.kind
-    'adaptive'
-    """
-    if shipped is not None:
-        return _shipped_text(shipped)
-    return (files("certrack.systems") / "starter.toml").read_text("utf-8")
 
 
 def load(source: str | os.PathLike[str]) -> System:
@@ -134,7 +85,7 @@ def load(source: str | os.PathLike[str]) -> System:
         if path.suffix == "" and (
             not path.exists() or (path.is_dir() and str(source) in catalog())
         ):
-            return loads(_shipped_text(str(source)), f"{source}.toml")
+            return loads(shipped_text(str(source)), f"{source}.toml")
         data = read_bytes(path)
     except OSError as problem:
         raise InputError(str(source), f"cannot be read ({problem.strerror or problem})") from None
@@ -143,17 +94,6 @@ def load(source: str | os.PathLike[str]) -> System:
     except ValueError as problem:  # a NUL byte in the name
         raise InputError(str(source), f"is not a file name ({problem})") from None
     return loads(data, str(source), path.parent)
-
-
-def _shipped_text(name: str) -> str:
-    names = catalog()
-    if name not in names:
-        raise InputError(
-            name,
-            "is neither a file nor a shipped system",
-            remedy="Shipped: " + ", ".join(names),
-        )
-    return (files("certrack.systems") / "catalog" / f"{name}.toml").read_text("utf-8")
 
 
 def loads(text: str | bytes, name: str = "<text>", folder: Path | None = None) -> System:

@@ -8,6 +8,7 @@ from typing import Any
 
 from certrack.certificates.exact import MAX_TEXT_LENGTH, from_text
 from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.implemented.slow import StepFunction
 from certrack.certificates.implemented.start_proof import StartProof
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, numbers
 from certrack.core.errors import InputError
@@ -15,14 +16,17 @@ from certrack.core.errors import InputError
 #: Keys of the proof for one delay.
 PROOF_KEYS = tuple(entry.name for entry in fields(ImplementedProof))
 
-#: Those that a file without ranges, or without jitter, need not have.
-OPTIONAL_KEYS = {"cell", "rates"}
+#: Those that a file without ranges, without jitter, or without rates need not have.
+OPTIONAL_KEYS = {"cell", "rates", "slow"}
 
 #: Keys of what is proven of a set of starts.
 START_KEYS = tuple(entry.name for entry in fields(StartProof))
 
 #: Delays that a file may state proofs for.
 MAX_DELAY_PROOFS = 64
+
+#: StepFunction of each z of a proof by rates.
+MAX_PROOF_STEPS = 1000
 
 #: And sets of starts for each delay.
 MAX_START_PROOFS = 2
@@ -39,7 +43,7 @@ def is_implemented(body: Any) -> bool:
 
 
 def record_of(stage: Any) -> dict[str, Any]:
-    """The numbers of a stage of any proof; of a sampled loop no empty cell and rates."""
+    """The numbers of a stage of any proof; of a sampled loop no empty cell, rates and slow."""
     record = asdict(stage)
     if isinstance(stage, ImplementedProof):
         for name in OPTIONAL_KEYS:
@@ -77,6 +81,7 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
         cell = tuple((str(low), str(high)) for low, high in _as_tuple(entry.get("cell", ())))
         if not all(low <= high for low, high in numbers(cell)):
             raise ValueError("an interval is empty")
+        slow = tuple(map(_one_z, _as_tuple(entry.get("slow", ()))))
         counts = (*_as_tuple(entry["parts"]), entry["doublings"])
         if len(counts) != 3 or any(type(count) is not int for count in counts):
             raise TypeError("parts must be two integers, doublings one")
@@ -91,8 +96,21 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
         "rates": tuple(entry.get("rates", ())),
         "starts": tuple(map(_start_proof, starts)),
         "cell": cell,
+        "slow": slow,
     }
     return ImplementedProof(**(entry | lists))
+
+
+def _one_z(entries: Any) -> StepFunction:
+    """One z: pairs of a period and a decimal text."""
+    pairs = tuple(map(_as_tuple, _as_tuple(entries)))
+    if len(pairs) > MAX_PROOF_STEPS:
+        raise ValueError(f"slow has at most {MAX_PROOF_STEPS} steps each")
+    for pair in pairs:
+        if len(pair) != 2 or type(pair[0]) is not int:
+            raise TypeError("a step is a period and a text")
+        from_text(pair[1])
+    return pairs
 
 
 def _start_proof(entry: Any) -> StartProof:

@@ -30,12 +30,31 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.laws.error_system import KnownParameters
 from certrack.laws.integral import INTEGRAL
+from certrack.laws.observer import KALMAN
 from certrack.loops.feedforward import sampled_feedforward
 from certrack.model.implementation import Implementation
 from certrack.model.linear_drift import linear_parts, total_drift
-from certrack.model.plant import Plant
 from certrack.references.base import bound_of, jumps, lipschitz_bound
 from certrack.systems.system import System
+
+
+@dataclass(frozen=True)
+class SlowBound:
+    """w = s + f, |f| <= fast, |s'| <= rate + by_states |x'| between jumps of at most `jump`.
+
+    Attributes
+    ----------
+    rate, jump, fast : rationals
+    by_states : n rationals
+    dwell : rational or None
+        Least time between two jumps, s; None where there are none.
+    """
+
+    rate: Any
+    by_states: tuple[Any, ...]
+    jump: Any
+    dwell: Any | None
+    fast: Any
 
 
 @dataclass(frozen=True)
@@ -51,6 +70,8 @@ class UncertainBound:
         n, and of the channels.
     growing : GrowingBound or None
         In the place of gamma, Delta and beta, which are zero then.
+    slow : SlowBound or None
+        How fast w may change, where the controller makes something of it.
     """
 
     gamma: Any
@@ -58,6 +79,7 @@ class UncertainBound:
     weights: tuple[Any, ...]
     Delta: tuple[Any, ...]
     growing: GrowingBound | None = None
+    slow: SlowBound | None = None
 
 
 @dataclass(frozen=True)
@@ -249,7 +271,7 @@ def _drive(
         W=ball_matrix([[rational(u.tau[k]) if i == k else 0 for k in acting] for i in range(n)]),
         T=T,
         delay=rational(implementation.run_delay) if delay is None else delay,
-        uncertain=tuple(_uncertain_bound(plant, k) for k in acting),
+        uncertain=tuple(_uncertain_bound(system, k) for k in acting),
         mu=mu,
         eta=upper_rational_of(implementation.input_quantum) / 2,
         Y=_reference_bounds(system, c.q),
@@ -261,8 +283,29 @@ def _drive(
     )
 
 
-def _uncertain_bound(plant: Plant, k: int) -> UncertainBound:
-    u, formula = plant.uncertainty, plant.uncertainty.formula(k)
+def estimates_disturbances(system: System) -> bool:
+    """Whether the controller estimates what acts: else nothing is gained from how fast that is."""
+    observer = system.law.observer
+    estimated = observer is not None and observer.kind != KALMAN
+    return estimated or system.law.integral is not None
+
+
+def _slow_bound(system: System, k: int) -> SlowBound | None:
+    slowness = system.plant.uncertainty.slowness(k)
+    if slowness is None or not estimates_disturbances(system):
+        return None
+    return SlowBound(
+        rational(slowness.rate),
+        tuple(map(rational, slowness.by_states)),
+        rational(slowness.jump),
+        rational(slowness.dwell) if slowness.jump else None,
+        rational(slowness.fast),
+    )
+
+
+def _uncertain_bound(system: System, k: int) -> UncertainBound:
+    plant, u = system.plant, system.plant.uncertainty
+    formula = u.formula(k)
     Delta = (0.0,) * plant.n if u.Delta is None else u.Delta[k]
     return UncertainBound(
         rational(u.gamma[k]),
@@ -270,6 +313,7 @@ def _uncertain_bound(plant: Plant, k: int) -> UncertainBound:
         tuple(map(rational, u.norm_weights(k))),
         tuple(map(rational, Delta)),
         None if formula is None else GrowingBound(formula.expr, plant.symbols),
+        _slow_bound(system, k),
     )
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import flint
@@ -63,6 +63,7 @@ class PeakGains:
     step: np.ndarray
     first: np.ndarray
     jump: np.ndarray
+    old: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,8 @@ def output_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGai
     if drive.jumps is not None:
         each_jump = largest_of_each(samples[:count], drive.periods_between_jumps)
         jump = widened(each_jump + tail[:, at], 2**doublings)
-    return gains_of(total, drive.W.ncols(), drive.n, jump)
+    gains = gains_of(total, drive.W.ncols(), drive.n, jump)
+    return replace(gains, old=tail[:, : drive.W.ncols()])
 
 
 def running_period(period: Period, rows: Sequence[Row]) -> tuple[np.ndarray, flint.arb_mat]:

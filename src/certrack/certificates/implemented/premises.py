@@ -10,6 +10,7 @@ from certrack.certificates.exact import float_up
 from certrack.certificates.implemented.drive import nominal_drive
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.proof import ImplementedProof
+from certrack.certificates.implemented.rate_premise import rate_premises
 from certrack.certificates.implemented.region import (
     in_region,
     region_of_runs,
@@ -69,6 +70,7 @@ def premises_as_implemented(
             else "keep a margin for jitter and for 32-bit rounding",
         ),
     ]
+    added += rate_premises(system, proofs)
     if is_regional(system):
         added += _region(system, proofs)
     if is_limited(system):

@@ -29,8 +29,15 @@ from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import Period, one_period
 from certrack.certificates.implemented.ranged import RangedPlant, drive_in
 from certrack.certificates.implemented.regional import in_the_long_run, is_regional, not_reached
+from certrack.certificates.implemented.slow import (
+    SlowTerms,
+    StepFunction,
+    needs_rates,
+    slow_columns,
+)
 from certrack.certificates.implemented.start import FromStarts
 from certrack.certificates.implemented.start_proof import POLYTOPE, X0, StartProof, StartProver
+from certrack.certificates.implemented.step_search import RATES_PART, by_rates
 from certrack.certificates.implemented.timing import TimedBounds, rate_rows
 from certrack.certificates.ranges.cells import Cell
 from certrack.certificates.ranges.proofs import numbers, texts
@@ -80,6 +87,8 @@ class ImplementedProof:
     cell : pairs of texts
         Ends of each range, for constants in this cell; empty where nothing has a range. The
         channels' bounds stand behind the states' then.
+    slow : one z for each uncertain term with a rate
+        Where rates make the bound smaller: see :mod:`certrack.certificates.implemented.slow`.
     """
 
     delay: str
@@ -92,6 +101,7 @@ class ImplementedProof:
     starts: tuple[StartProof, ...] = ()
     rates: tuple[str, ...] = ()
     cell: tuple[tuple[str, str], ...] = ()
+    slow: tuple[StepFunction, ...] = ()
 
 
 def delays(system: System) -> tuple[Any, ...]:
@@ -145,9 +155,15 @@ def prove_implemented(
         image = _image(bounds, proof)
         if reason := _not_above(bounds, image, proof):
             raise NoCertificate(reason)
-        bound, step = (_text_above(image[i]) for i in (0, -1))
         parts = bounds.parts(X, U)
-    return replace(proof, bound=bound, step=step), parts
+        slow: tuple[StepFunction, ...] = ()
+        smaller = image[0]
+        if not cell:
+            slow, smaller = by_rates(period, bounds, proof.doublings, _claimed(proof), image[0])
+        if slow:
+            parts |= {RATES_PART: float(smaller) - float(image[0])}
+        bound, step = (_text_above(value) for value in (smaller, image[-1]))
+    return replace(proof, bound=bound, step=step, slow=slow), parts
 
 
 def refuse_in_cells(system: System, cell: Sequence[Any]) -> None:
@@ -199,8 +215,8 @@ def _prove_with_jitter(
 
 
 def _timed_image(timed: TimedBounds, proof: ImplementedProof) -> list[Any]:
-    X, U, step = [from_text(v) for v in proof.states], from_text(proof.input), proof.step
-    return timed.image(X, U, from_text(step), [from_text(v) for v in proof.rates])
+    rates = [from_text(v) for v in proof.rates]
+    return timed.image(*_claimed(proof), from_text(proof.step), rates)
 
 
 def _not_above_timed(image: Sequence[Any], proof: ImplementedProof) -> str:
@@ -274,11 +290,17 @@ def failed_implemented(
         with flint.ctx.workprec(DRIVE_BITS):
             period = one_period(drive, proof.parts)
             bounds = _bounds(period, proof.doublings)
-            if drive.jitter:
+            if drive.jitter and not proof.slow:
                 return _failed_with_jitter(period, bounds, proof)
             if is_regional(system) and not proof.starts:
                 return "the bound is not for every start, and nothing is said of one"
-            return _not_proven(bounds, _image(bounds, proof), proof)
+            image = _image(bounds, proof)
+            if proof.slow:
+                if proof.cell or not slow_columns(drive):
+                    return "the proof uses rates where there are none"
+                terms = SlowTerms.of(period, bounds, proof.doublings, *_claimed(proof))
+                image[0] = terms.bound(proof.slow)
+            return _not_proven(bounds, image, proof)
     except NoCertificate as refusal:
         return str(refusal)
 
@@ -344,7 +366,8 @@ def work_of(period: Period) -> float:
 
 
 def _bounds(period: Period, doublings: int) -> OutputBounds:
-    rows = output_rows(period) + (rate_rows(period) if period.drive.jitter else [])
+    moving = period.drive.jitter or needs_rates(period.drive)
+    rows = output_rows(period) + (rate_rows(period) if moving else [])
     size, width = period.size, (len(period.cells) + 1) * (period.W.ncols() + 1) + period.size
     block = 2 ** (doublings // 2 + 1)
     if (len(rows) + size) * block * max(width, size) > MAX_NUMBERS:
@@ -356,7 +379,12 @@ def _bounds(period: Period, doublings: int) -> OutputBounds:
 
 
 def _image(bounds: OutputBounds, proof: ImplementedProof) -> list[Any]:
-    return bounds.image([from_text(v) for v in proof.states], from_text(proof.input))
+    return bounds.image(*_claimed(proof))
+
+
+def _claimed(proof: ImplementedProof) -> tuple[list[Any], Any]:
+    """X and U."""
+    return [from_text(v) for v in proof.states], from_text(proof.input)
 
 
 def _not_proven(bounds: OutputBounds, image: Sequence[Any], proof: ImplementedProof) -> str:

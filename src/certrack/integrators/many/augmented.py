@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -9,7 +10,7 @@ import numpy as np
 import sympy
 
 from certrack.core.expressions import TIME
-from certrack.core.lowering import hoisted
+from certrack.core.hoisting import Hoisted, hoisted, hoisted_numbers
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,8 @@ class AugmentedFlow:
     shared : symbols that are the same for all members besides time (the reference's piece)
     held : numbers of the states that may stick at zero
         Their modes, sides and then what is stuck, are the last of the parameters.
+    numbers : symbols
+        Stand for numbers that all members share at all times; compiled code serves all values.
     surfaces : formulas
         Of all of them what stands for the sign, then the drifts, then the effects
         (:mod:`certrack.loops.switching`).
@@ -55,6 +58,7 @@ class AugmentedFlow:
     shared: tuple[sympy.Symbol, ...] = ()
     held: tuple[int, ...] = ()
     surfaces: tuple[sympy.Expr, ...] = ()
+    numbers: tuple[sympy.Symbol, ...] = ()
 
     @property
     def rows(self) -> dict[str, slice]:
@@ -71,8 +75,20 @@ class AugmentedFlow:
         begins = [0, *ends[:-1]]
         return {name: slice(a, b) for name, a, b in zip(sizes, begins, ends, strict=True)}
 
-    def without_time(self) -> tuple[AugmentedFlow, dict[sympy.Expr, sympy.Symbol]]:
+    def without_time(self) -> tuple[AugmentedFlow, Hoisted]:
         """The flow with every largest subexpression that all members share as one symbol."""
+        common, known = {TIME, *self.shared}, set(self.numbers)
+        return self._with(lambda formulas: hoisted(formulas, common, known))
+
+    def with_fewest_numbers(self) -> tuple[AugmentedFlow, Hoisted]:
+        """The flow with every largest subexpression of numbers alone as one number."""
+        flow, symbols = self._with(lambda formulas: hoisted_numbers(formulas, set(self.numbers)))
+        return replace(flow, numbers=tuple(symbols.values())), symbols
+
+    def _with(
+        self, hoist: Callable[[list[sympy.Expr]], tuple[list[sympy.Expr], Hoisted]]
+    ) -> tuple[AugmentedFlow, Hoisted]:
+        """All formulas as a function of them leaves them, and the symbols it puts in."""
         kinds = (
             self.rates,
             self.integrands,
@@ -80,10 +96,8 @@ class AugmentedFlow:
             self.surfaces,
             [f for _, f in self.memories],
         )
-        hoisted_formulas, symbols = hoisted(
-            [f for kind in kinds for f in kind], {TIME, *self.shared}
-        )
-        formulas = iter(hoisted_formulas)
+        changed, symbols = hoist([f for kind in kinds for f in kind])
+        formulas = iter(changed)
         rates, integrands, signals, surfaces, updates = (
             tuple(islice(formulas, len(kind))) for kind in kinds
         )

@@ -14,14 +14,15 @@
  * larger than this where steps vanish is escaping), how a member ended (FINISHED ESCAPED RUN_ALONE),
  * and
  *   common(t, s, c)              what depends on time t and the segment's numbers s alone
- *   rates(c, x, p, k, q)         k = x', q = integrands
- *   signals(c, x, p, k, y)       what the memories look at
- *   memories(t, h, c, p, y, y_end, m)   update over an interval of length h that begins at t
+ *   rates(s, c, x, p, k, q)      k = x', q = integrands
+ *   signals(s, c, x, p, k, y)    what the memories look at
+ *   memories(t, h, s, c, p, y, y_end, m)   update over an interval of length h that begins at t
  *   shown(x, y, v)               what is counted at every time of the grid
- *   surfaces(c, x, p, s, d, e)   of the SURFACES states HELD that may stick: what stands for their
- *                                sign, and their rates d + e s (integrators/switching.py)
+ *   surfaces(s, c, x, p, f, d, e)   of the SURFACES states HELD that may stick: what stands for their
+ *                                sign, f, and their rates d + e s (integrators/switching.py)
  * with p the parameters of a member, the last of which are its modes: on which side of each surface
- * it is, and whether it is stuck there.
+ * it is, and whether it is stuck there. The last of the segment's numbers s are those that all
+ * members share at all times, such as gains: another value compiles nothing.
  */
 #include "vector_math.h"
 #include "system.h"
@@ -103,6 +104,7 @@ typedef struct {
   double t, node; /* begin of the step; last node at which the memories were updated */
   int64_t row, steps; /* next time of the grid; steps tried */
   int64_t first; /* its first member */
+  const double *s; /* the segment's numbers */
   int64_t events; /* since `rush` */
   double rush;
   Block block[BLOCKS];
@@ -179,7 +181,7 @@ OUTLINE double try_step(const Group *g, double tolerance, Step *s) {
   for (int i = 1; i < STAGES; i++)
     EACH_BLOCK(b) {
       stage(&g->block[b], h, i, s->k[b], x);
-      rates(c[i], x, g->block[b].p, s->k[b][i], r);
+      rates(g->s, c[i], x, g->block[b].p, s->k[b][i], r);
       for (int j = 0; j < INTEGRALS && B[i] != 0.0; j++) s->q[b][j] += B[i] * r[j];
     }
   EACH_BLOCK(b) {
@@ -188,7 +190,7 @@ OUTLINE double try_step(const Group *g, double tolerance, Step *s) {
     error = choose(error == error, error, SPLAT(INFINITY));
     worst = v_max(worst, choose(block->alive, error, SPLAT(0.0)));
     for (int j = 0; j < INTEGRALS; j++) s->q[b][j] *= h;
-    rates(c[STAGES], s->ends[b], block->p, s->k[b][STAGES], s->r[b]);
+    rates(g->s, c[STAGES], s->ends[b], block->p, s->k[b][STAGES], s->r[b]);
   }
   double largest = 0.0;
   for (int l = 0; l < LANES; l++) largest = worst[l] > largest ? worst[l] : largest;
@@ -219,8 +221,8 @@ INLINE void update(Group *g, const Task *task, int b, double now, const double *
                    const V *slopes, int shows) {
   Block *block = &g->block[b];
   V y[SIGNALS], v[SHOWN];
-  signals(c, x, block->p, slopes, y);
-  memories(g->node, now - g->node, c, block->p, block->y, y, block->m);
+  signals(g->s, c, x, block->p, slopes, y);
+  memories(g->node, now - g->node, g->s, c, block->p, block->y, y, block->m);
   for (int j = 0; j < SIGNALS; j++) block->y[j] = y[j];
   if (!shows) return;
   shown(x, y, v);
@@ -262,12 +264,12 @@ OUTLINE void update_at_edge(Group *g, const Task *task, const double *c, int end
 }
 
 /* What is negative where the mode of a lane holds no more. */
-INLINE void distances(const double *c, const V *x, const V *p, V *w) {
-  V s[SURFACES + 1], d[SURFACES + 1], e[SURFACES + 1], size = SPLAT(1.0);
-  surfaces(c, x, p, s, d, e);
+INLINE void distances(const double *s, const double *c, const V *x, const V *p, V *w) {
+  V f[SURFACES + 1], d[SURFACES + 1], e[SURFACES + 1], size = SPLAT(1.0);
+  surfaces(s, c, x, p, f, d, e);
   for (int j = 0; j < WATCHED; j++) size = v_max(size, 1.0 + v_abs(x[j]));
   for (int k = 0; k < SURFACES; k++)
-    w[k] = choose(p[STUCK_AT + k] > SPLAT(0.0), 1.0 + ON_SURFACE - v_abs(s[k]),
+    w[k] = choose(p[STUCK_AT + k] > SPLAT(0.0), 1.0 + ON_SURFACE - v_abs(f[k]),
                   p[SIDES_AT + k] * x[HELD[k]] + ON_SURFACE * size);
 }
 
@@ -283,7 +285,7 @@ OUTLINE double least_distance(const Group *g, const Step *s, double theta, const
     for (int i = 0; i <= STAGES; i++)
       if (DENSE[1][i] != 0.0)
         for (int j = 0; j < STATES; j++) x[j] += value[i] * s->k[b][i][j];
-    distances(c, x, g->block[b].p, w);
+    distances(shared, c, x, g->block[b].p, w);
     for (int k = 0; k < SURFACES; k++)
       for (int l = 0; l < LANES; l++)
         if (g->block[b].alive[l] && w[k][l] < least) least = w[k][l];
@@ -317,7 +319,7 @@ static double first_event(const Group *g, const Step *s, const double *shared) {
 OUTLINE void settle(Group *g, const double *c, int start) {
   EACH_BLOCK(b) {
     Block *block = &g->block[b];
-    V *p = block->p, s[SURFACES + 1], d[SURFACES + 1], e[SURFACES + 1], size = SPLAT(1.0);
+    V *p = block->p, sign_of[SURFACES + 1], d[SURFACES + 1], e[SURFACES + 1], size = SPLAT(1.0);
     I on[SURFACES + 1];
     for (int j = 0; j < WATCHED; j++) size = v_max(size, 1.0 + v_abs(block->x[j]));
     for (int k = 0; k < SURFACES; k++) {
@@ -327,7 +329,7 @@ OUTLINE void settle(Group *g, const double *c, int start) {
       *side = choose(on[k], *side, v_sign(*f));
       *f = choose(on[k], SPLAT(0.0), *f);
     }
-    surfaces(c, block->x, p, s, d, e);
+    surfaces(g->s, c, block->x, p, sign_of, d, e);
     for (int k = 0; k < SURFACES; k++) {
       V up = d[k] + e[k], down = d[k] - e[k], zero = SPLAT(0.0), *side = &p[SIDES_AT + k];
       I holds = on[k] & (up <= zero) & (down >= zero) & (e[k] < zero);
@@ -337,7 +339,7 @@ OUTLINE void settle(Group *g, const double *c, int start) {
       *side = choose(on[k] & ~holds, away, *side);
       p[STUCK_AT + k] = choose(holds, SPLAT(1.0), zero);
     }
-    rates(c, block->x, p, block->k, block->r);
+    rates(g->s, c, block->x, p, block->k, block->r);
   }
 }
 
@@ -444,17 +446,18 @@ static void integrate_group(const Task *task, Group *g, Step *s) {
   double h = 0.0;
   for (int64_t segment = 0; segment < task->segments; segment++) {
     const double *shared = task->shared + segment * SHARED, stop = task->edges[segment + 1];
+    g->s = shared;
     common_at(g->t, shared, s->c[0]);
     EACH_BLOCK(b) {
       Block *block = &g->block[b];
-      rates(s->c[0], block->x, block->p, block->k, block->r);
-      if (!segment && !SURFACES) signals(s->c[0], block->x, block->p, block->k, block->y);
+      rates(shared, s->c[0], block->x, block->p, block->k, block->r);
+      if (!segment && !SURFACES) signals(shared, s->c[0], block->x, block->p, block->k, block->y);
     }
     if (SURFACES) settle(g, s->c[0], !segment);
     if (SURFACES && !segment)
       EACH_BLOCK(b) {
         Block *block = &g->block[b];
-        signals(s->c[0], block->x, block->p, block->k, block->y);
+        signals(shared, s->c[0], block->x, block->p, block->k, block->y);
       }
     if (!segment) h = first_step(g, task->tolerance);
     update_at_edge(g, task, s->c[0], 1);

@@ -24,6 +24,8 @@ from certrack.core.compilers import (
     function_of,
     load_library,
 )
+from certrack.core.lowering import NumpyFunction, numpy_callable
+from certrack.core.memo import remembered
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.integrators.many.native_source import system_header
@@ -65,8 +67,24 @@ def _compile(path: str, source: str, more: Sequence[str]) -> ctypes.CDLL:
     return load_library({"native.c": source}, VECTOR_FLAGS, libraries=more, compiler=path)
 
 
-def _packaged(name: str) -> str:
-    return files("certrack.integrators").joinpath(*name.split("/")).read_text("utf-8")
+def packaged(name: str, system: str) -> str:
+    """A C file of the integrators, whole, with the generated header of a system.
+
+    Parameters
+    ----------
+    name : str
+        Path below ``integrators``, such as ``many/native.c``.
+    system : str
+        What takes the place of ``system.h``.
+    """
+
+    def text(name: str) -> str:
+        return files("certrack.integrators").joinpath(*name.split("/")).read_text("utf-8")
+
+    source = text(name).replace('#include "system.h"\n', system)
+    for header in ("vector_math.h", "scalar_math.h"):
+        source = source.replace(f'#include "{header}"\n', text(header))
+    return source
 
 
 def compiled_library(name: str, system: str) -> ctypes.CDLL:
@@ -84,9 +102,7 @@ def compiled_library(name: str, system: str) -> ctypes.CDLL:
     MethodUnavailable
         If no compiler can do it.
     """
-    text = _packaged(name)
-    text = text.replace('#include "vector_math.h"\n', _packaged("vector_math.h"))
-    text = text.replace('#include "system.h"\n', system)
+    text = packaged(name, system)
     reason: CompilerError | None = None
     try:
         path = vector_compiler() or find_c_compiler()
@@ -223,6 +239,13 @@ class NativeResult:
     steps: int
 
 
+@remembered
+def _flow_form(flow: AugmentedFlow, shown: tuple[sympy.Expr, ...]) -> tuple[str, NumpyFunction]:
+    """The generated part of native.c, and the numbers that it wants, from those of the flow."""
+    fewest, numbers = flow.with_fewest_numbers()
+    return system_header(fewest, shown), numpy_callable([flow.numbers], list(numbers))
+
+
 class Native:
     """A compiled :class:`AugmentedFlow`; may be used by several threads at once.
 
@@ -231,6 +254,8 @@ class Native:
     flow : AugmentedFlow
     shown : formulas
         Formulas of the states and of the signals' symbols at the end of a step.
+    numbers : (K,) array
+        Values of the flow's numbers.
 
     Raises
     ------
@@ -238,9 +263,13 @@ class Native:
         If no compiler can do it.
     """
 
-    def __init__(self, flow: AugmentedFlow, shown: Sequence[sympy.Expr]) -> None:
+    def __init__(
+        self, flow: AugmentedFlow, shown: Sequence[sympy.Expr], numbers: Sequence[float] = ()
+    ) -> None:
         self._totals = len(flow.integrands) + len(flow.memories)
-        self._library = compiled_library("many/native.c", system_header(flow, shown))
+        header, evaluate = _flow_form(flow, tuple(shown))
+        self._library = compiled_library("many/native.c", header)
+        self._numbers = np.array(evaluate(numbers), dtype=float)
         self._spare_counts: list[np.ndarray] = []
 
     def integrate(
@@ -272,9 +301,10 @@ class Native:
         totals, ends = np.full((self._totals, count), np.nan), np.zeros(count)
         finals, outcomes = np.full((size, count), np.nan), np.zeros(count, dtype=np.uint8)
         inputs = [np.ascontiguousarray(a, dtype=float) for a in (starts, parameters)]
+        numbers = np.broadcast_to(self._numbers, (len(grid.shared), len(self._numbers)))
         inputs += [
             np.ascontiguousarray(a, dtype=float)
-            for a in (grid.edges, grid.shared, grid.times, grid.centre)
+            for a in (grid.edges, np.hstack([grid.shared, numbers]), grid.times, grid.centre)
         ]
         inputs.append(1.0 / np.asarray(grid.unit, dtype=float))
         pointers = [array.ctypes.data for array in inputs]

@@ -86,7 +86,7 @@ def event_timeline(
     columns = [samples, actions, np.asarray(breaks), np.asarray(marks), np.array([0.0, duration])]
     times = np.concatenate(columns)
     kind = np.repeat(np.arange(len(columns)), [len(column) for column in columns])
-    order = np.lexsort((kind, times))
+    order = np.argsort(times, kind="stable")  # of equal times in the order of their kinds
     gaps = np.diff(times[order], prepend=-np.inf)
     event = np.empty(len(times), dtype=int)
     close = max(EVENT_GAP * min(period, duration), EVENT_ROUNDING * duration)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,9 @@ import sympy
 
 from certrack.core.arrays import Array
 from certrack.core.expressions import TIME
-from certrack.core.lowering import hoisted
+from certrack.core.hoisting import hoisted, hoisted_numbers
+from certrack.core.lowering import NumpyFunction, numpy_callable
+from certrack.core.memo import remembered
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
 from certrack.integrators.many.native import compiled_library
@@ -101,6 +103,8 @@ class SampledNative:
         With numbers for what does not vary.
     shown : formulas
         Formulas of time, states, parameters and input; kept at the times of interest.
+    numbers : mapping
+        Values of further parameters, which all members share: other values compile nothing.
 
     Raises
     ------
@@ -108,10 +112,18 @@ class SampledNative:
         If there is no compiler that can do it.
     """
 
-    def __init__(self, loop: SampledLoop, shown: Sequence[sympy.Expr]) -> None:
+    def __init__(
+        self,
+        loop: SampledLoop,
+        shown: Sequence[sympy.Expr],
+        numbers: Mapping[sympy.Symbol, float] | None = None,
+    ) -> None:
         self._shown, self._totals = len(shown), len(loop.totals)
         self._sensors = len(loop.controller.measured)
-        self._library = compiled_library("sampled/native.c", sampled_header(loop, shown))
+        names, values = tuple(numbers or ()), list((numbers or {}).values())
+        header, evaluate = _loop_form(loop, tuple(shown), names)
+        self._library = compiled_library("sampled/native.c", header)
+        self._numbers = np.array(evaluate(values), dtype=float)
 
     def integrate(self, problem: SampledProblem, shared: Array) -> SampledResult:
         """Integrate to the end; releases the interpreter lock.
@@ -138,7 +150,11 @@ class SampledNative:
         ]
         errors = implementation.sensor_errors(line.times[line.samples])
         errors = None if errors is None else np.ascontiguousarray(errors.T)
-        starts = (problem.x, problem.states, problem.totals, problem.parameters)
+        numbers = self._numbers
+        of_members = np.repeat(numbers[:, None], count, axis=1)
+        parameters = np.vstack([problem.parameters.reshape(-1, count), of_members])
+        starts = (problem.x, problem.states, problem.totals, parameters)
+        shared = np.hstack([shared, np.broadcast_to(numbers, (len(shared), len(numbers)))])
         arrays = [
             *(np.ascontiguousarray(a, dtype=float) for a in starts),
             np.ascontiguousarray(problem.keys),
@@ -170,35 +186,53 @@ class SampledNative:
         return SampledResult(values, totals, ends, outcomes)
 
 
-def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
-    """The generated part of native.c, as :class:`SampledNative` has its parameters."""
+@remembered
+def _loop_form(
+    loop: SampledLoop, shown: tuple[sympy.Expr, ...], names: tuple[sympy.Symbol, ...]
+) -> tuple[str, NumpyFunction]:
+    """The generated part of native.c, and the numbers that it wants, from those of the caller."""
+    changed, numbers = hoisted_numbers([*loop.formulas, *shown], set(names))
+    fewest = loop.with_formulas(changed[: len(loop.formulas)])
+    header = sampled_header(fewest, changed[len(loop.formulas) :], tuple(numbers.values()))
+    return header, numpy_callable([names], list(numbers))
+
+
+def sampled_header(
+    loop: SampledLoop, shown: Sequence[sympy.Expr], numbers: Sequence[sympy.Symbol] = ()
+) -> str:
+    """The generated part of native.c, as :class:`SampledNative` has its parameters.
+
+    Numbers come after the parameters of a member, and again after those of a segment: there they
+    are scalars, for what depends on time alone.
+    """
     plant, controller = loop.plant, loop.controller
     parameters, shared = loop.parameters, loop.pieces
     command, update = resolved(controller)
-    common = {TIME, *shared}
+    common, known = {TIME, *shared}, set(numbers)
     n, law_rows = len(plant.rates), len(update)
-    moving, moving_common = hoisted([*plant.rates, loop.e_1, loop.slope, *shown], common)
-    law, law_common = hoisted([*update, command], common)
+    moving, moving_common = hoisted([*plant.rates, loop.e_1, loop.slope, *shown], common, known)
+    law, law_common = hoisted([*update, command], common, known)
     names: dict[sympy.Symbol, str] = {TIME: "t", STEP_BEGIN: "t", STEP_LENGTH: "h", INPUT: "u"}
     names |= {SQUARE: "sums[0]", AREA: "sums[1]"}
     for letter, symbols in (
         ("c", [*moving_common.values()]),
         ("c", [*law_common.values()]),
-        ("p", parameters),
+        ("p", (*parameters, *numbers)),
         ("s", shared),
         ("x", plant.states),
         ("e", SIDES),
         ("y", [name for name, _ in loop.totals]),
     ):
         names |= {symbol: f"{letter}[{i}]" for i, symbol in enumerate(symbols)}
+    in_time = names | {symbol: f"s[{len(shared) + i}]" for i, symbol in enumerate(numbers)}
     sensed = names | {symbol: f"m[{i}]" for i, symbol in enumerate(controller.measured)}
     sensed |= {symbol: f"k[{i}]" for i, symbol in enumerate(controller.states)}
     sizes = {
         "STATES": n,
         "CONTROLLER": len(controller.states),
         "MEASURED": len(controller.measured),
-        "PARAMETERS": len(parameters),
-        "SHARED": len(shared),
+        "PARAMETERS": len(parameters) + len(numbers),
+        "SHARED": len(shared) + len(numbers),
         "COMMON": len(moving_common),
         "LAW_COMMON": len(law_common),
         "TOTALS": len(loop.totals),
@@ -228,8 +262,8 @@ def sampled_header(loop: SampledLoop, shown: Sequence[sympy.Expr]) -> str:
             c_table("B", PAIR.B),
             c_table("C", np.append(PAIR.C, 1.0)),
             c_table("E", PAIR.errors[0]),
-            function("common", of_time, ("out", list(moving_common))),
-            function("law_common", of_time, ("out", list(law_common))),
+            function("common", of_time, ("out", list(moving_common)), known=in_time),
+            function("law_common", of_time, ("out", list(law_common)), known=in_time),
             function(
                 "rates",
                 "const V *c, const V *x, V u, const V *p, V *k, V *e_out",

@@ -276,17 +276,37 @@ def sensed(
     error : (n,) array, optional
         The errors that the implementation states for this sample.
     """
-    measured, noise = true, None if error is None else error[:, None]
-    if implementation.noise is not None:
-        normal_noise = np.array(implementation.noise)[:, None] * normal(keys, sample, len(true))
-        noise = normal_noise if noise is None else normal_noise + noise
-    if noise is not None:
-        if implementation.noise_bound is not None:
-            bound = np.array(implementation.noise_bound)[:, None]
-            noise = np.clip(noise, -bound, bound)
-        measured = measured + noise
+    noise = sensor_noise(
+        implementation,
+        lambda: normal(keys, sample, len(true)),
+        None if error is None else error[:, None],
+    )
+    measured = true if noise is None else true + noise
     if implementation.measurement_quantum is not None:
         quantum = np.array(implementation.measurement_quantum)[:, None]
         with np.errstate(all="ignore"):
             measured = np.where(quantum, np.rint(measured / quantum) * quantum, measured)
     return measured
+
+
+def sensor_noise(
+    implementation: Implementation, draw: Callable[[], Array], errors: Array | None
+) -> Array | None:
+    """What is added to measured values, a row for each; None for nothing.
+
+    Parameters
+    ----------
+    implementation : Implementation
+    draw : callable
+        Gives standard normal numbers; called where there is noise.
+    errors : array, optional
+        Those that the implementation states.
+    """
+    noise = errors
+    if implementation.noise is not None:
+        normal_noise = np.array(implementation.noise)[:, None] * draw()
+        noise = normal_noise if noise is None else normal_noise + noise
+    if noise is not None and implementation.noise_bound is not None:
+        bound = np.array(implementation.noise_bound)[:, None]
+        noise = np.clip(noise, -bound, bound)
+    return noise

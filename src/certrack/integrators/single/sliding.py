@@ -20,7 +20,7 @@ from certrack.integrators.base import ESCAPING, Outcome, Problem, Trajectory
 from certrack.integrators.event_location import EVENT_TIME_ROUNDING, first_event
 from certrack.integrators.single.scipy import MAX_EVALUATIONS, SolverFactory, SteppedOutput
 from certrack.integrators.single.switches import Switches
-from certrack.integrators.single.taylor import StepRecord, TaylorSeries, safe_step
+from certrack.integrators.single.taylor import SampledSteps, TaylorSeries, safe_step
 from certrack.integrators.switching import ModeRecord, Rush, SlidingRefused, Surfaces
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
 from certrack.loops.switching import Switching
@@ -196,7 +196,7 @@ class _TaylorStepper:
         self._fresh = True
 
     def begin(self, problem: Problem) -> None:
-        self._steps = StepRecord(self._ta.tc.shape)
+        self._steps = SampledSteps(self._ta.tc.shape)
         self._max_steps, self._start = problem.max_steps, problem.start
         self._all[self._count :] = 1.0
 

@@ -110,12 +110,12 @@ class TaylorIntegrator:
                 return replace(trajectory, outcome=Outcome.kink_missed)
         return trajectory
 
-    def _attempt(self, problem: Problem, *, careful: bool) -> tuple[Trajectory, StepRecord]:
+    def _attempt(self, problem: Problem, *, careful: bool) -> tuple[Trajectory, SampledSteps]:
         """Integrate from the start; with `careful`, shorten steps that are too long."""
         ta, switches = self._integrator, self._switches
         ta.state[:] = problem.start
         ta.pars[: self._piece.start] = problem.parameters[self._used]
-        steps = StepRecord(ta.tc.shape)
+        steps = SampledSteps(ta.tc.shape)
         end, outcome = 0.0, Outcome.finished
         if switches is not None:
             switches.begin()
@@ -130,7 +130,7 @@ class TaylorIntegrator:
         return _trajectory(steps, end, outcome, problem), steps
 
     def _segment(
-        self, begin: float, stop: float, problem: Problem, steps: StepRecord, careful: bool
+        self, begin: float, stop: float, problem: Problem, steps: SampledSteps, careful: bool
     ) -> tuple[float, Outcome]:
         """Step from `begin` to `stop`, recording the Taylor coefficients of every step."""
         ta, switches = self._integrator, self._switches
@@ -198,7 +198,7 @@ def _orders(count: int) -> range:
     return range(max(2, count - 1 - ORDERS_BEFORE), count - 1)
 
 
-def _excess(steps: StepRecord, moving: int, lengths: np.ndarray) -> float:
+def _excess(steps: SampledSteps, moving: int, lengths: np.ndarray) -> float:
     """Largest |c_j| h^j / (max(1, |x|) exp(-2 j)) over all steps."""
     table = steps.table[: len(lengths), :moving]
     orders = _orders(table.shape[2])
@@ -222,7 +222,7 @@ def safe_step(coefficients: np.ndarray, length: float) -> float:
     return float(limits.min())
 
 
-class StepRecord:
+class SampledSteps:
     """Growing record of steps: begin and Taylor coefficients."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
@@ -238,7 +238,7 @@ class StepRecord:
         return self.starts, self.table
 
 
-def _trajectory(steps: StepRecord, end: float, outcome: Outcome, problem: Problem) -> Trajectory:
+def _trajectory(steps: SampledSteps, end: float, outcome: Outcome, problem: Problem) -> Trajectory:
     """Cut the record where a plant state first passes the limit."""
     count = steps.count
     starts, table = steps.starts[:count], steps.table[:count]

@@ -25,7 +25,7 @@ from certrack.studies.ensembles.corners import Corners
 from certrack.studies.ensembles.engine import Engine, fastest
 from certrack.studies.ensembles.error_limit import limit_and_starts, started_inside
 from certrack.studies.ensembles.member_table import KEPT_MEMBERS
-from certrack.studies.ensembles.members import Members
+from certrack.studies.ensembles.members import Members, members_of
 from certrack.studies.ensembles.plan import METHODS, METRICS, Plan, band_times, make_plan
 from certrack.studies.ensembles.statistics import LEVELS, Statistics, binomial_interval
 from certrack.systems.system import System, require_system
@@ -96,7 +96,7 @@ class Ensemble(ShownInNotebooks):
 
     @cached_property
     def _members(self) -> Members:
-        return Members(self.system, self.seed)
+        return members_of(self.system, self.seed)
 
     @property
     def members(self) -> int:

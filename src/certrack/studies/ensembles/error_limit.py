@@ -20,6 +20,7 @@ from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.formulas import untrue_formulas
 from certrack.certificates.scope import has_ranges
 from certrack.core import checks
+from certrack.core.memo import remembered
 from certrack.model.distribution import Distribution
 from certrack.model.disturbance import Multisine
 from certrack.model.population import Population
@@ -58,6 +59,13 @@ def limit_and_starts(
         return checks.real("limit", limit, above=0), "given", None
     if population.limit is not None:
         return population.limit, "file", None
+    return _certified(system)
+
+
+@remembered
+def _certified(system: System) -> tuple[float | None, str, ImplementedCertificate | None]:
+    """The limit by the certificate, its origin and the starts that it is proven for."""
+    population = system.varied
     reason = uncovered(system, population)
     if reason is not None:
         return None, f"no certificate covers the population: {reason}", None

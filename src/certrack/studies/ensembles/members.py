@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -18,7 +19,7 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, parse, symbol
 from certrack.core.lowering import numpy_callable, rows
-from certrack.core.powers import put_in
+from certrack.core.memo import remembered
 from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
 from certrack.loops.plant import true_constants
 from certrack.model.distribution import Distribution
@@ -26,6 +27,7 @@ from certrack.model.disturbance import Multisine, family_of
 from certrack.model.names import refuse_prefix
 from certrack.model.plant import Plant
 from certrack.model.sampling import MAX_MEMBERS, probabilities
+from certrack.model.slowness import slow_size
 from certrack.model.truth import Truth
 from certrack.references import SoftStart, SymbolicReference
 from certrack.simulation.run import Run
@@ -38,6 +40,7 @@ from certrack.studies.ensembles.corners import (
     moved_parameters,
     ranges_of,
 )
+from certrack.studies.ensembles.following import following_parameters
 from certrack.studies.ensembles.scaled_reference import scaled_reference
 from certrack.systems.system import System, output_derivatives, require_system
 
@@ -98,6 +101,16 @@ def member(system: System, index: int, *, seed: int = 0) -> System:
     return Members(system, seed).member(index)
 
 
+def members_of(system: System, seed: int) -> Members:
+    """The members of a system for a seed; what does not depend on the seed is made once."""
+    return _of_any_seed(system).with_seed(seed)
+
+
+@remembered
+def _of_any_seed(system: System) -> Members:
+    return Members(system, 0)
+
+
 class Members:
     """All members of a system's population for one seed.
 
@@ -113,6 +126,7 @@ class Members:
         self._refuse_unscalable()
         refuse_prefix(system.plant, "member_", "an ensemble")
         self.family = family_of(self.population)
+        self._refuse_unsteady()
         numbers = {} if self.family is None else self.family.numbers(self.population)
         self._disturbance_names = tuple(numbers)
         self.columns = self._columns()
@@ -124,6 +138,15 @@ class Members:
         self.base = parameter_values(self.loop, self.template)
         self._moved_at_corners = moved_parameters(system)
         self._refuse_large_patterns()
+
+    def with_seed(self, seed: int) -> Members:
+        """The members for another seed."""
+        if seed == self.seed:
+            return self
+        others = copy(self)
+        others.seed = seed
+        others._refuse_large_patterns()
+        return others
 
     def _refuse_unscalable(self) -> None:
         population, reference = self.population, self.system.reference
@@ -286,30 +309,7 @@ class Members:
 
     @cached_property
     def _following(self) -> tuple[list[str], Callable[..., list[Any]], dict[str, float]]:
-        """Parameters that follow from varying constants, their formulas, and all constants."""
-        plant, truth = self.system.plant, self.system.truth
-        varying, values = self._constants_drawn, true_constants(self.system)
-        texts: dict[str, str] = {}
-        if truth.input_gain is not None:
-            texts |= {f"true_g_{i}": entry.text for i, entry in enumerate(plant.chain)}
-            for k, (i, j) in enumerate(self.loop.plant.couplings):
-                assert plant.linear is not None
-                texts[f"true_b_{k}"] = plant.linear[i][j].text
-            texts[f"true_g_{plant.n - 1}"] = truth.input_gain.text
-            texts |= {f"true_theta_{i}": entry.text for i, entry in enumerate(truth.theta)}
-        derived: dict[sympy.Symbol, sympy.Expr] = {}  # constants that are formulas of others
-        for i, (name, entry) in enumerate(plant.constants):
-            if name not in {**varying, **dict(truth.constants)}:
-                derived[symbol(name)] = put_in(parse(name, entry.text, list(values)).expr, derived)
-                texts[f"true_constants_{i}"] = name
-        formulas = {
-            name: put_in(parse(name, text, list(values)).expr, derived)
-            for name, text in texts.items()
-        }
-        free = {symbol(name) for name in varying}
-        moving = {name: f for name, f in formulas.items() if f.free_symbols & free}
-        evaluate = numpy_callable([symbol(name) for name in values], list(moving.values()))
-        return list(moving), evaluate, values
+        return following_parameters(self.system, self.loop, self._constants_drawn)
 
     def _system(self, point: dict[str, float], *, written: bool) -> System:
         """One member; its disturbance and reference numbers written out, or as constants."""
@@ -355,14 +355,17 @@ class Members:
         ).bound_to(plant)
 
     def _omega(self, point: dict[str, float], *, written: bool) -> tuple[str, ...]:
-        """w_k = s_k(t) (gamma_k ||x|| + beta_k)."""
+        """w_k = s_k(t) (gamma_k ||x|| + beta_k); s_k(t) times what its speed admits."""
         assert self.family is not None
         plant, u = self.system.plant, self.system.plant.uncertainty
+        fastest = self.population.frequencies[1]
         terms = []
         for k in range(plant.n):
             pattern = self._pattern(k, point, written=written)
             varies = u.acts(k)
+            slow = slow_size(u, k, fastest)
             bound = u.bound_formula(k, plant.states, NORM_OFFSET) if varies else ""
+            bound = bound if slow is None else repr(slow)
             terms.append(f"({pattern})*({bound})" if varies else "0")
         return tuple(terms)
 
@@ -378,6 +381,18 @@ class Members:
         if not u.acts(k):
             return "0"
         return self.family.pattern(number)
+
+    def _refuse_unsteady(self) -> None:
+        """Only of sines is it known how fast they are."""
+        if self.family is None or isinstance(self.family, Multisine):
+            return
+        if self.system.plant.uncertainty.rate is not None:
+            raise InputError(
+                "ensemble.disturbance",
+                "may change faster than plant.uncertainty.rate says",
+                self.family.kind,
+                'Use "multisine" or "file", or remove the rate',
+            )
 
     def _refuse_large_patterns(self) -> None:
         """A registered family that passes 1 at a sample breaks Assumption 1."""

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from certrack.core.memo import remembered
 from certrack.loops.plant import measured
 from certrack.model.distribution import Distribution
 from certrack.simulation.metrics import Metrics
@@ -24,7 +25,7 @@ METHODS = ("native", "lockstep", "alone")
 
 #: Raised by every change after which a member has other numbers or is counted otherwise. Folders of
 #: finished chunks record it, so that none is filled by two revisions.
-REVISION = 3
+REVISION = 4
 
 Range = tuple[int, int]
 
@@ -89,6 +90,12 @@ def make_plan(
     per_member: bool = False,
 ) -> Plan:
     """A plan around the nominal run, the one of the system itself."""
+    return Plan(system, seed, tolerance, limit, *_centre_and_scale(system), method, per_member)
+
+
+@remembered
+def _centre_and_scale(system: System) -> tuple[np.ndarray, np.ndarray]:
+    """Signals of the nominal run on the time grid, and their magnitudes, powers of two."""
     run = simulate(system)
     centre = signals_of(run, band_times(system))
     centre[0] = 0.0  # the error has a natural zero
@@ -101,7 +108,9 @@ def make_plan(
     largest[~(largest > 0)] = 1.0
     scale = np.exp2(np.rint(np.log2(largest)))
     centre = np.nan_to_num(centre)
-    return Plan(system, seed, tolerance, limit, centre, scale, method, per_member)
+    for values in (centre, scale):
+        values.setflags(write=False)  # they are handed out again
+    return centre, scale
 
 
 def _extreme_points(entries: tuple[Distribution, ...]) -> np.ndarray:

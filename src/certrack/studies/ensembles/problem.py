@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from certrack.integrators.base import MethodUnavailable
 from certrack.loops.schedule import make_schedule
 from certrack.loops.time_switches import TimeSwitches
 from certrack.simulation.metrics import settling_band
-from certrack.studies.ensembles.members import AMPLITUDE, Members
+from certrack.studies.ensembles.members import AMPLITUDE, members_of
 from certrack.studies.ensembles.metric_formulas import SETTLING_BAND
 from certrack.studies.ensembles.plan import METRICS, band_times
 from certrack.systems.system import System
@@ -61,7 +62,7 @@ class EnsembleProblem:
 
     def __init__(self, system: System, seed: int, tolerance: float) -> None:
         self.system, self.tolerance = system, tolerance
-        self.members = Members(system, seed)
+        self.members = members_of(system, seed)
         self.times = band_times(system)
         self._settling_band = settling_band(system.settings, system.reference)
 
@@ -70,11 +71,13 @@ class EnsembleProblem:
         """Time at which a run ends, s."""
         return self.system.settings.duration
 
-    def segments(self, switches: TimeSwitches) -> Segments:
-        """Segments of a loop with its switches of time, whose numbers are all put in."""
+    def segments(
+        self, switches: TimeSwitches, numbers: Mapping[sympy.Symbol, float] | None = None
+    ) -> Segments:
+        """Segments of a loop with its switches of time; numbers that are not put in have values."""
         settings = self.system.settings
         schedule = make_schedule(
-            self.system.reference, switches, {}, settings.duration, self.tolerance
+            self.system.reference, switches, numbers or {}, settings.duration, self.tolerance
         )
         breaks = schedule.breaks(0.0, settings.duration)
         breaks = breaks[np.abs(breaks - settings.tail_start) > schedule.blur]

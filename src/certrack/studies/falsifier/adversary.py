@@ -4,7 +4,8 @@ Each part knows its numbers, and writes them into a system or into the parameter
 loop. Whatever the numbers, the assumptions hold:
 
 * disturbances w_k = tanh(m_k sin(omega_k t + phase_k) + v_k . x) (gamma_k ||x|| + beta_k): nearly
-  bang-bang patterns with searched frequency, phase, hardness and state feedback;
+  bang-bang patterns with searched frequency, phase, hardness and state feedback; sines within their
+  rate where that is bounded;
 * references of searched amplitude, frequency, phase and shape within Y_0 ... Y_{q+1};
 * g_n and theta within the ranges of the file.
 """
@@ -254,6 +255,51 @@ class DisturbancePattern(AdversaryPart):
 
 
 @dataclass(frozen=True)
+class SlowSine(AdversaryPart):
+    """w_k of one state whose rate is bounded: a sine within both bounds.
+
+    Attributes
+    ----------
+    k : int
+        Number of the state, from 0.
+    size, rate : float
+    fastest : float, rad/s
+    """
+
+    k: int
+    size: float
+    rate: float
+    fastest: float
+
+    @property
+    def variables(self) -> tuple[SearchVariable, ...]:
+        return (
+            SearchVariable(f"{ADVERSARY_PREFIX}w{self.k}", MIN_FREQUENCY, self.fastest),
+            SearchVariable(f"{ADVERSARY_PREFIX}p{self.k}", 0.0, 2 * math.pi),
+        )
+
+    def plausible(self, frequency: float, phase: float) -> tuple[float, ...]:
+        return (frequency, phase)
+
+    def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
+        numbers = {
+            variable.name: value for variable, value in zip(self.variables, values, strict=True)
+        }
+        if named:
+            draft.constants |= numbers
+        w, p = (name if named else f"({value!r})" for name, value in numbers.items())
+        size, rate = BELOW_ONE * self.size, BELOW_ONE * self.rate
+        # rate/(w + rate/size) is at most the size, and times w at most the rate
+        draft.omega[self.k] = f"{rate!r}*{size!r}/({size!r}*{w} + {rate!r})*sin({w}*t + {p})"
+        if not size * rate:
+            draft.omega[self.k] = f"{size!r}*sin({p})"
+
+    def write_parameters(self, values: np.ndarray, table: ParameterTable) -> None:
+        for variable, row in zip(self.variables, values, strict=True):
+            table.set_constant(variable.name, row)
+
+
+@dataclass(frozen=True)
 class TrueGain(AdversaryPart):
     """g_n within the range of the file; n is the plant's order."""
 
@@ -319,11 +365,13 @@ class Adversary:
         fastest = max(LEAST_FASTEST, min(MAX_FREQUENCY, coordinates.fastest_pole))
         bounds = reference_bounds(system, coordinates.q + 1)
         bound = partial(u.bound_formula, states=plant.states, offset=ADVERSARY_NORM_OFFSET)
-        others: list[AdversaryPart] = [
-            DisturbancePattern(k, plant.states, bound(k), fastest)
-            for k in range(plant.n)
-            if u.tau[k] > 0 and u.acts(k)
-        ]
+        others: list[AdversaryPart] = []
+        for k in range(plant.n):
+            slowness = u.slowness(k)
+            if u.tau[k] > 0 and u.acts(k) and slowness is not None:
+                others.append(SlowSine(k, u.beta[k], slowness.rate, fastest))
+            elif u.tau[k] > 0 and u.acts(k):
+                others.append(DisturbancePattern(k, plant.states, bound(k), fastest))
         if plant.input_gain_range and len(set(plant.input_gain_range)) > 1:
             others.append(TrueGain(plant.n, *plant.input_gain_range))
         for i, box in enumerate(plant.theta_range or ()):

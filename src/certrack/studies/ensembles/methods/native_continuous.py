@@ -42,11 +42,14 @@ class NativeContinuous(Method):
     def __init__(self, problem: EnsembleProblem, threads: int) -> None:
         self._problem, self._threads = problem, threads
         self._modes = modes_of(problem.members.loop, side_by_side=True)
-        self._flow, switches = build_flow(problem.members, problem.varying)
+        members = problem.members
+        self._flow, switches = build_flow(members, problem.varying, any_numbers=True)
         problem.refuse_own_times(switches)
-        self._segments = problem.segments(switches)
-        signals = shown_signals(self._flow, problem.members.loop)
-        self._native = Native(self._flow, signals)
+        values = dict(zip(members.loop.parameters, members.base.tolist(), strict=False))
+        self._segments = problem.segments(switches, values)
+        signals = shown_signals(self._flow, members.loop)
+        numbers = [values[name] for name in self._flow.numbers]
+        self._native = Native(self._flow, signals, numbers)
         self._native.reserve(threads, counts_shape(len(signals), len(problem.times)))
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:

@@ -32,11 +32,13 @@ class NativeSampled(SampledMethod):
         If no compiler can do it.
     """
 
+    any_numbers = True
+
     def __init__(self, problem: EnsembleProblem, threads: int, *, adjustable: bool) -> None:
         super().__init__(problem, threads, adjustable=adjustable)
         if self.surfaces is not None:
             raise MethodUnavailable("sign() of a state makes the plant slide: not in compiled C")
-        self._native = SampledNative(self.loop, self.shown)
+        self._native = SampledNative(self.loop, self.shown, self.numbers)
 
     def compute(self, begin: int, end: int, bands: Bands) -> MemberResults:
         firsts = range(begin - begin % PART_MEMBERS, end, PART_MEMBERS)

@@ -23,6 +23,7 @@ from certrack.loops.time_switches import switched_sampled_loop
 from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.sampled import outputs_of
+from certrack.studies.ensembles.build_flow import open_numbers
 from certrack.studies.ensembles.methods.base import MemberResults, Method
 from certrack.studies.ensembles.metric_formulas import (
     IN_TAIL,
@@ -83,18 +84,26 @@ class SampledMethod(Method):
         self._controller = sampled_controller(plant, controller, self._implementation)
         free = {*problem.varying, *(self._controller.numbers if adjustable else ())}
         general = sample_loop(system, sampled_totals())
-        base = zip(general.parameters, loop_values(general, system).tolist(), strict=True)
-        fixed = {name: sympy.Float(value) for name, value in base if name not in free}
-        loop, switches = switched_sampled_loop(general.with_numbers(fixed), (), problem.varying)
+        values = loop_values(general, system).tolist()
+        base = dict(zip(general.parameters, values, strict=True))
+        names = open_numbers(base, free, general.formulas) if self.any_numbers else ()
+        self.numbers = {name: base[name] for name in names}
+        fixed = {s: sympy.Float(v) for s, v in base.items() if s not in free and s not in names}
+        loop = general.with_numbers(fixed)
+        loop, switches = switched_sampled_loop(loop, names, problem.varying)
         if not adjustable:
             problem.refuse_own_times(switches)
-        self.segments = problem.segments(switches)
+        self.segments = problem.segments(switches, base)
+        of_members = (s for s in loop.parameters if s not in self.numbers)
         pieces = (IN_TAIL, *loop.pieces)
-        loop = replace(loop, parameters=(*loop.parameters, SETTLING_BAND), pieces=pieces)
+        loop = replace(loop, parameters=(*of_members, SETTLING_BAND), pieces=pieces)
         self.loop, self.surfaces = with_modes(loop)
         self.shown = (loop.e_1, *loop.plant.outputs, INPUT)
         self._timeline = self._timeline_under(self._implementation)
         self._outputs = outputs_of(self.loop)
+
+    #: Whether numbers that all members share stay symbols in the formulas, as :attr:`numbers`.
+    any_numbers = False
 
     #: Whether the maps want whole vector registers of members.
     whole_registers = True

@@ -6,12 +6,14 @@ Along the last motion it is linear; its worst inputs give the next motion. The b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from certrack.certificates.worst_profile import WorstProfile, worst_profile
 from certrack.studies.falsifier.linear.chain import Chain, Kernels, Motion, kernels, run
+from certrack.studies.falsifier.linear.slow_signal import SlowSignal, slow_signals
 
 #: Turns at most, and the relative gain below which there is no other.
 TURNS, LEAST_GAIN = 4, 1e-4
@@ -32,12 +34,15 @@ class WorstInputs:
     kernels : Kernels
         Disturbances and errors of sensors have their signs.
     reference : WorstProfile
+    slow : mapping of int to SlowSignal
+        Disturbances whose speed is bounded, by number of the input.
     """
 
     chain: Chain
     error: float
     kernels: Kernels
     reference: WorstProfile
+    slow: Mapping[int, SlowSignal] = field(default_factory=dict)
 
 
 def worst_inputs(chain: Chain, turns: int = TURNS) -> WorstInputs | None:
@@ -50,11 +55,12 @@ def worst_inputs(chain: Chain, turns: int = TURNS) -> WorstInputs | None:
         if reference is None:
             break
         reference = _within_jumps(reference, chain.largest_jump)
-        motion = run(chain, signed, reference)
+        slow = slow_signals(chain, signed)
+        motion = run(chain, signed, reference, {j: (w.held(), w.growth) for j, w in slow.items()})
         error = abs(motion.error)
         if best is not None and not error > best.error * (1 + LEAST_GAIN):
             break
-        best = WorstInputs(chain, error, signed, reference)
+        best = WorstInputs(chain, error, signed, reference, slow)
         if not any(chain.uncertainty.grows(k) for k in chain.acting):
             break
     return best

@@ -170,7 +170,11 @@ def _omega(system: System, worst: WorstInputs, sense: int, size: float) -> tuple
         math.log2(PATTERN_NORM_OFFSET * size or PATTERN_NORM_OFFSET)
     )  # its square is exact
     for j, k in enumerate(chain.acting):
-        weights = (worst.kernels.disturbance[:, :, j].ravel() * lengths).astype(float)
         bound = u.bound_formula(k, system.plant.states, offset)
+        if (slow := worst.slow.get(j)) is not None:
+            grown = f" + {slow.growth * sense * WITHIN_BOUND!r}*({bound} - {u.beta[k]!r})"
+            omega[k] = slow.formula(sense) + (grown if slow.growth else "")
+            continue
+        weights = (worst.kernels.disturbance[:, :, j].ravel() * lengths).astype(float)
         omega[k] = f"{sense * WITHIN_BOUND!r}*{sign_formula(weights, edges)}*({bound})"
     return tuple(omega)

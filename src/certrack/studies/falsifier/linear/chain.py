@@ -14,8 +14,10 @@ linear along the run that was computed last, and goes back with the row.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -149,6 +151,8 @@ class Chain:
             *by_size, by_norm = grown.slopes(at, size)
             unit = S[j] * scaled[..., j, :] / np.maximum(size, LEAST_NORM)[..., None]
             rows[..., j, :] = np.moveaxis(by_size * np.sign(at), 0, -1) + by_norm[..., None] * unit
+        slow = [self.uncertainty.slowness(k) is not None for k in self.acting]
+        rows[..., slow, :] = 0.0  # what changes slowly is a function of time here
         return rows
 
 
@@ -208,8 +212,25 @@ def kernels(chain: Chain, motion: Motion | None = None) -> Kernels:
     return Kernels(disturbance, noise, reference)
 
 
-def run(chain: Chain, signed: Kernels, reference: WorstProfile) -> Motion:
-    """The chain under inputs of the kernels' signs and a reference."""
+def run(
+    chain: Chain,
+    signed: Kernels,
+    reference: WorstProfile,
+    slow: Mapping[int, tuple[np.ndarray, int]] = MappingProxyType({}),
+) -> Motion:
+    """The chain under inputs of the kernels' signs and a reference.
+
+    Parameters
+    ----------
+    chain : Chain
+    signed : Kernels
+    reference : WorstProfile
+    slow : mapping of int to pairs
+        Inputs that have values of their own in the cells, one after the other, and a sign of what
+        grows with the state.
+    """
+    shape, beta = signed.disturbance.shape[:2], np.array(chain.uncertainty.beta)
+    held = {j: (values.reshape(shape), sign) for j, (values, sign) in slow.items()}
     signs, senses = np.sign(signed.disturbance), np.sign(signed.noise)
     z, (inside, sampled) = chain.start @ reference.start, chain.piece_at
     states = np.zeros((chain.periods, len(chain.cells), chain.n))
@@ -222,5 +243,9 @@ def run(chain: Chain, signed: Kernels, reference: WorstProfile) -> Motion:
             x = states[k, c] = z[: chain.n]
             z = cell.E @ z + cell.by_reference * top + cell.offset
             if chain.acting:
-                z = z + cell.G @ (signs[k, c] * chain.bound(x))
+                sizes = chain.bound(x)
+                w = signs[k, c] * sizes
+                for j, (values, sign) in held.items():
+                    w[j] = values[k, c] + sign * (sizes[j] - beta[chain.acting[j]])
+                z = z + cell.G @ w
     return Motion(float(chain.row @ z), states)

@@ -1,0 +1,102 @@
+"""Bounds of rates in the implemented loop of docs/certificate-file.md, from that page and numpy."""
+
+import math
+
+import independent_checker as checker
+import numpy as np
+from independent_levels import area
+
+
+class Slow:
+    """What the file says of the speed of its uncertain terms, and a z for each."""
+
+    def __init__(self, entry, loop, table, system, exponential):
+        self.loop, self.entry, self.exponential = loop, entry, exponential
+        u, law = table["plant"]["uncertainty"], table["law"]
+        estimated = law.get("observer", {}).get("kind") in ("eso", "dob")
+        checker.demand(estimated or "integral" in law, "nothing estimates what acts")
+        checker.demand("cell" not in entry and not loop.shift, "rates with ranges or jitter")
+        self.known = checker.known_rates(u)
+        checker.demand(len(entry["slow"]) == len(self.known), "other terms have rates")
+        zero = [0] * loop.n
+        number = lambda name, k: float(system.numbers(u.get(name, zero))[k])  # noqa: E731
+        self.rate = {k: float(checker.number(u["rate"][k], system.constants)) for k in self.known}
+        self.jump = {k: number("jump", k) for k in self.known}
+        self.fast = {k: number("fast", k) for k in self.known}
+        checker.demand(all(self.fast[k] <= loop.beta[k] for k in self.known), "fast is too large")
+        self.dwell = float(checker.number(u.get("dwell", 0), system.constants))
+        Delta = u.get("Delta_rate", [zero] * loop.n)
+        self.by_states = {k: np.array(system.numbers(Delta[k]), float) for k in self.known}
+
+    def speeds(self, X, U):
+        """Bounds of |s_k'|."""
+        if not any(row.any() for row in self.by_states.values()):
+            return self.rate
+        rates = self.loop.image(X, U, moving=True)[self.loop.n + 3 :]
+        return {k: self.rate[k] + self.by_states[k] @ rates for k in self.known}
+
+    def savings(self, rows, phase, w, speeds):
+        """What rows of e_1 lose: of each w the plain part or that by steps counts."""
+        kernels, spent = self._measures(rows, phase)
+        total = np.zeros(len(rows))
+        for k in self.known:
+            tv, area, jumps = spent[k]
+            slow = (w[k] - self.fast[k]) * tv + speeds[k] * area + self.jump[k] * jumps
+            slow = slow + self.fast[k] * kernels[:, k]
+            total += np.maximum(kernels[:, k] * w[k] - slow, 0)
+        return total
+
+    def _measures(self, rows, phase):
+        """int |k| of all terms; TV(z), int |g - z| and the windows' sums of those with rates."""
+        loop, W = self.loop, self.loop.W
+        kernels = np.zeros((len(rows), W.shape[1]))
+        g = np.zeros((len(rows), W.shape[1]))
+        z = {k: {int(m): float(v) for m, v in s} for k, s in self._z()}
+        value = {k: z[k][0] for k in self.known}
+        tv = {k: abs(value[k]) for k in self.known}
+        spent, jumps, most = ({k: np.zeros(len(rows)) for k in self.known} for _ in range(3))
+        windows = math.floor(self.dwell / loop.T) if self.dwell else 0
+        checker.demand(windows or not any(self.jump.values()), "jumps in every period")
+        halves = {}
+        until, start = 2 ** self.entry["doublings"], np.abs(rows).max()
+        for m in range(10**6):
+            for k in self.known:
+                if m in z[k] and m:
+                    tv[k] += abs(z[k][m] - value[k])
+                    value[k] = z[k][m]
+            for p in range(phase - 1, -1, -1):
+                h, _, E = loop.cells[p]
+                before = rows @ E
+                a, b = rows[:, : loop.n] @ W, before[:, : loop.n] @ W
+                half = halves.setdefault(h, self.exponential(loop.A * h / 2)) @ W
+                middle = rows[:, : loop.n] @ half
+                kernels += h * (area(a, middle) + area(middle, b)) / 2
+                if m <= until:
+                    after = g + h * (a + 4 * middle + b) / 6
+                    for k in self.known:
+                        gap, old = g[:, k] - value[k], after[:, k] - value[k]
+                        spent[k] += h * area(gap, old)
+                        most[k] = np.maximum(most[k], np.maximum(abs(gap), abs(old)))
+                    g = after
+                rows = before
+            if m == until:
+                for k in self.known:
+                    tv[k] = tv[k] + abs(g[:, k] - value[k]) - kernels[:, k]
+            if windows and m <= until and ((m + 1) % windows == 0 or m == until):
+                for k in self.known:
+                    jumps[k], most[k] = jumps[k] + most[k], 0 * most[k]
+            rows = rows @ loop.J
+            phase = len(loop.cells)
+            if m >= until and np.abs(rows).max() < 1e-11 * start:
+                break
+        for k in self.known:
+            tv[k] = tv[k] + kernels[:, k]
+        return kernels, {k: (tv[k], spent[k], jumps[k]) for k in self.known}
+
+    def _z(self):
+        for k, steps in zip(self.known, self.entry["slow"], strict=True):
+            first = [m for m, _ in steps]
+            checker.demand(all(type(m) is int for m in first), "a period is no integer")
+            checker.demand(first[:1] == [0] and first == sorted(set(first)), "z is out of order")
+            checker.demand(first[-1] <= 2 ** self.entry["doublings"], "z ends too late")
+            yield k, [(m, checker.decimal(v)) for m, v in steps]
