@@ -16,6 +16,7 @@ from typing import Any
 
 import click
 
+from certrack.cli.cache import cache
 from certrack.cli.checks import check
 from certrack.cli.exports import export
 from certrack.cli.files import design, list_systems, new
@@ -61,6 +62,7 @@ for verb in (
     falsify,
     reproduce,
     export,
+    cache,
 ):
     cli.add_command(verb)
 
