@@ -10,7 +10,9 @@ import certrack
 from certrack.certificates import certify_semidefinite
 from certrack.certificates.arithmetic import decimal
 from certrack.certificates.formulation import error_problem
-from certrack.certificates.semidefinite import SemidefiniteProgram
+from certrack.certificates.search.decay_rate import best_by_slope
+from certrack.certificates.search.riccati import riccati_optimum
+from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
 
 
 def tenth_order(n=10):
@@ -73,3 +75,43 @@ def test_modelling_layer_against_the_solver(interleaved, report):
         f"one solve: Clarabel directly {1e3 * best['Clarabel']:.2f} ms, "
         f"through cvxpy {1e3 * best['cvxpy']:.2f} ms: {ratio:.1f}x"
     )
+
+
+@pytest.mark.parametrize("n", [2, 4, 8, 12])
+def test_riccati_equation_against_the_grid_of_programs(n, interleaved, report):
+    problem = error_problem(tenth_order(n), decimal)
+    state = riccati_optimum(problem).state
+    best = interleaved(
+        {
+            "grid": lambda: best_solution(SemidefiniteProgram(problem)),
+            "cold": lambda: riccati_optimum(problem),
+            "warm": lambda: riccati_optimum(problem, state),
+        },
+        rounds=5,
+    )
+    report(
+        f"bound of n = {n}: grid of programs {1e3 * best['grid']:.1f} ms, Riccati equation cold "
+        f"{1e3 * best['cold']:.2f} ms ({best['grid'] / best['cold']:.0f}x), warm "
+        f"{1e3 * best['warm']:.2f} ms ({best['grid'] / best['warm']:.0f}x) (goals: 6 and 2 ms)"
+    )
+    assert best["cold"] < best["grid"]
+
+
+def test_slope_of_the_optimum_against_the_grid(interleaved, report):
+    program = SemidefiniteProgram(error_problem(certrack.load("example1"), decimal))
+    best = interleaved(
+        {"grid": lambda: best_solution(program), "slope": lambda: best_by_slope(program)}, rounds=5
+    )
+    report(f"alpha of example1: {best['grid'] / best['slope']:.1f}x as fast by its slope")
+    assert best["slope"] < best["grid"]
+
+
+@pytest.mark.parametrize("n", [2, 4, 8, 12, "example1"])
+def test_fast_effort(n, report):
+    def system():
+        return certrack.load(n) if isinstance(n, str) else tenth_order(n)
+
+    certrack.certify(system(), effort="fast")
+    fresh, begin = system(), time.process_time()
+    certrack.certify(fresh, effort="fast")
+    report(f'certify(effort="fast"), {n}: {1e3 * (time.process_time() - begin):.0f} ms')

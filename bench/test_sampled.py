@@ -1,9 +1,12 @@
 """Speed of sampled loops: `make bench`.
 
 1000 members of example1 over 20 s at 1 kHz, with all metrics and bands, against a loop that calls
-SciPy's solve_ivp between the samples, as one would write it by hand.
+SciPy's solve_ivp between the samples, as one would write it by hand. One run with its trajectory
+and metrics, against a member of these, eight of which share a vector register, and against the same
+run by the maps that are called from Python at every event.
 """
 
+import dataclasses
 import time
 
 import numpy as np
@@ -11,6 +14,8 @@ from peers import rates
 from scipy.integrate import solve_ivp
 
 import certrack
+from certrack.simulation import sampled
+from certrack.simulation.sampled import SampledSimulator
 from certrack.studies.ensembles.engine import Engine
 from certrack.studies.ensembles.plan import make_plan
 from certrack.studies.ensembles.workers import cores
@@ -20,6 +25,9 @@ SAMPLES = round(DURATION / PERIOD)
 
 #: Nanoseconds per member and sample; times faster than SciPy.
 WANTED = (60, 500)
+
+#: A single run may take so many times as long as a member; the maps take so many times as long.
+MOST_MEMBERS, LEAST_GAIN = 24, 30
 
 
 def uniform(low, high):
@@ -49,14 +57,49 @@ def by_scipy(samples, tolerance=1e-6):
     return (time.perf_counter() - begin) / samples
 
 
-def test_sampled_members(report):
+def sampled_example():
     population = certrack.Population(
         x0=(uniform(-1, 1), uniform(-2, 2)),
         input_gain=uniform(1.5, 2.5),
         theta=(uniform(1.5, 2.5),),
     )
     implementation = certrack.Implementation(period=PERIOD)
-    system = certrack.load("example1").replace(population=population, implementation=implementation)
+    return certrack.load("example1").replace(population=population, implementation=implementation)
+
+
+def test_one_run_against_a_member(interleaved, report, monkeypatch):
+    """All in one thread, processor time; the member at its usual, looser tolerance."""
+    system, members = sampled_example(), 256
+    engine = Engine(make_plan(system, 0, 1e-6, None, "native"), 1)
+    simulator = SampledSimulator(system)
+
+    def by_maps():
+        monkeypatch.setattr(sampled, "WORTH_COMPILING", 10**9)
+        run = simulator.run(system)
+        monkeypatch.undo()
+        return run.metrics
+
+    def anew(run):
+        return dataclasses.replace(run)  # which remembers nothing
+
+    run = simulator.run(system)
+    candidates = {
+        "a member of 256, in C": lambda: engine.compute(0, members),
+        "one run": lambda: simulator.run(system),
+        "one run and its metrics": lambda: simulator.run(system).metrics,
+        "states and input at all samples of it": lambda: anew(run).u,
+        "one run and its metrics, by the maps": by_maps,
+    }
+    best = interleaved(candidates, clock=time.process_time)
+    best["a member of 256, in C"] /= members
+    member = best["a member of 256, in C"]
+    report(*(f"{name:38s}{1e3 * s:9.3f} ms{s / member:9.1f}" for name, s in best.items()))
+    assert best["one run and its metrics"] < MOST_MEMBERS * member
+    assert best["one run and its metrics, by the maps"] > LEAST_GAIN * best["one run"]
+
+
+def test_sampled_members(report):
+    system = sampled_example()
     lines = []
     best = {}
     for method in ("native", "lockstep"):

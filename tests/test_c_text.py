@@ -205,7 +205,10 @@ def test_helpers_are_printed_in_their_type():
 # files
 
 
-def test_an_export_has_its_files_and_no_others(tmp_path):
+def test_an_export_has_its_files_and_no_others(tmp_path, monkeypatch):
+    module = "certrack.export.c.export."
+    monkeypatch.setattr(module + "golden_vectors", lambda system, program, real: real)
+    monkeypatch.setattr(module + "acceptance_test", lambda code, vectors: f"tests {vectors}")
     assert list(controller_files(CASES["everything"]())) == ["drive.h", "drive.c", "drive_guard.h"]
     system, folder = sampled("example1", saturation=(-5, 5)), tmp_path / "new"
     written = export_c(system, folder, "drive", monitor=certrack.Monitor())
@@ -213,6 +216,7 @@ def test_an_export_has_its_files_and_no_others(tmp_path):
         *("drive.h", "drive.c", "drive_guard.h", "drive_monitor.h", "drive_test.c", "README.md")
     ]
     assert written.name == "drive" and written.notes == c_code(system).notes
+    assert (folder / "drive_test.c").read_text() == "tests double"
     assert README_KIND in (folder / "README.md").read_text()
     write_all(folder, {"drive.h": "another"})  # over one of its kind
     assert (folder / "drive.h").read_text() == "another"

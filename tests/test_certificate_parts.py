@@ -25,18 +25,19 @@ from certrack.certificates.balls import ball_precision, enclosing_ball
 from certrack.certificates.centred import remainder_bound
 from certrack.certificates.cover import _Suprema, smallest_cover
 from certrack.certificates.document import FORMAT_1
-from certrack.certificates.domain import Condition
-from certrack.certificates.exact import Proof, failed_condition, prove, squared_bound
-from certrack.certificates.formulation import error_coordinates, error_problem
+from certrack.certificates.domain import Condition, conditions
+from certrack.certificates.exact import Proof, failed_condition, from_text, prove, squared_bound
+from certrack.certificates.formulation import error_coordinates, error_problem, uncertain_inputs
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.intervals import enclosure
 from certrack.certificates.majorants import _root_of, interval_ends, majorants
-from certrack.certificates.premises_of_truth import DOMAIN, THETA, _rewriting, _same
+from certrack.certificates.premises_of_truth import DOMAIN, GAIN, THETA, _rewriting, _same
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.published import collect
 from certrack.certificates.ranges.cells import halved
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, RangeProver
 from certrack.certificates.sampling import Points, random_points
+from certrack.certificates.scaling import COUPLING, _not_slaved
 from certrack.certificates.semidefinite import Solution, best_solution
 from certrack.certificates.strength import _provable
 from certrack.certificates.tube import Tube
@@ -688,6 +689,166 @@ def test_whether_drift_and_regressor_are_defined(drift, regressor, status):
     assert (theta.status, theta.detail) == ("proven", "theta exactly as the law uses it")
 
 
+RANGED = """
+[plant]
+states = ["x1"]
+regressor = ["sin(x1)"]
+gain_sign = 1
+input_gain = {gain}
+theta = [{theta}]
+[plant.constants]
+a = 2
+[plant.ranges]
+{ranges}
+[plant.uncertainty]
+tau = [0]
+gamma = [0]
+beta = [0]
+[truth]
+input_gain = {true_gain}
+theta = [{true_theta}]
+[reference]
+signal = "sin(t)"
+[law]
+kind = "robust"
+c = [7]
+[simulation]
+x0 = [0]
+duration = 1
+"""
+
+#: What is stated, and status, detail, witness and remedy of the premises on g_n and theta.
+KNOWN = [
+    ({}, "proven", "proven", "theta exactly as the law uses it", None, ""),
+    (
+        {"true_gain": "5.5", "true_theta": "3.5"},
+        "contradicted",
+        "contradicted",
+        "the law uses theta = [3], the true one is [3.5]",
+        {"true": [3.5], "assumed": [3.0]},
+        "set plant.theta to [3.5]",
+    ),
+    (
+        {"gain": '"2*a"', "theta": '"a/2"', "true_gain": '"2*a"', "true_theta": '"a/2"'}
+        | {"ranges": "a = [1, 3]"},
+        "proven",
+        "proven",
+        "theta exactly of the constants in their ranges",
+        None,
+        "",
+    ),
+    (
+        {"gain": '"2*a"', "theta": '"a/2"', "true_gain": "4.5", "true_theta": "1.5"}
+        | {"ranges": "a = [1, 3]"},
+        "contradicted",
+        "contradicted",
+        "with the true constants theta is [1], the true one is [1.5]",
+        {"true": [1.5], "assumed": [1.0]},
+        'write truth.theta = ["a/2"]',
+    ),
+    (
+        {
+            "ranges": "input_gain = [4, 6]\ntheta = [[2, 4]]",
+            "true_gain": "5.5",
+            "true_theta": "3.5",
+        },
+        "proven",
+        "proven",
+        "every theta in its range, the true one among them",
+        None,
+        "",
+    ),
+]
+
+
+@pytest.mark.parametrize(("stated", "of_gain", "of_theta", "detail", "witness", "remedy"), KNOWN)
+def test_what_a_law_knows_of_the_truth(stated, of_gain, of_theta, detail, witness, remedy):
+    base = {"gain": "5", "theta": "3", "true_gain": "5", "true_theta": "3", "ranges": ""}
+    system = certrack.loads(RANGED.format(**(base | stated)))
+    found = {p.name: p for p in premises(system)}
+    assert (found[GAIN].status, found[THETA].status) == (of_gain, of_theta)
+    assert found[THETA].detail == detail and found[THETA].witness == witness
+    assert found[THETA].remedy.startswith(remedy) and bool(found[THETA].remedy) == bool(remedy)
+    if of_gain == "contradicted":
+        true, assumed = found[GAIN].witness["true"], found[GAIN].witness["assumed"]
+        assert (true, assumed) in ((5.5, 5.0), (4.5, 4.0))
+        wanted = "write truth.input_gain = " if "ranges" in stated else "set plant.input_gain to"
+        assert found[GAIN].remedy.startswith(wanted)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("log(x1 + 1)", [("x1 + 1", "positive")]),
+        (
+            "asin(x1)*acos(2*x2)",
+            [("1 - abs(x1)", "not negative"), ("1 - 2*abs(x2)", "not negative")],
+        ),
+        ("tan(x1)", [("cos(x1)", "not zero")]),
+        ("x1**(-2) + x2**3", [("x1", "not zero")]),
+        ("sqrt(x1)", [("x1", "not negative")]),
+        ("x1**(-0.5)", [("x1", "positive")]),
+        ("x1**1.5", [("x1", "not negative")]),
+        ("log(sqrt(x1))", [("x1", "not negative"), ("sqrt(x1)", "positive")]),
+        ("log(2)*sqrt(3)/7 + sin(x1) + atan(x2)", []),
+        ("log(x1) + 2*log(x1)", [("x1", "positive")]),
+    ],
+)
+def test_what_must_hold_for_a_formula_to_have_a_value(text, expected):
+    found = conditions(parse("", text, ["x1", "x2"]).expr)
+    known = [(parse("", inside, ["x1", "x2"]).expr, must_be) for inside, must_be in expected]
+    assert sorted((str(c.inside), c.must_be) for c in found) == sorted(
+        (str(inside), must_be) for inside, must_be in known
+    )
+    if len(found) == 2 and "log(sqrt" in text:
+        assert [c.must_be for c in found] == ["not negative", "positive"]  # the innermost first
+
+
+def test_a_condition_fails_where_its_part_is_beyond_its_limit():
+    points = Points(np.zeros(3), np.array([[-2.0, 0.0, 3.0]]))
+    x = [symbol("x1")]
+    for must_be, at_zero, below in (
+        ("positive", True, True),
+        ("not negative", False, True),
+        ("not zero", True, False),
+    ):
+        only_zero = Points(np.zeros(1), np.zeros((1, 1)))
+        condition = Condition(x[0], x[0], must_be)
+        assert (condition.failure(x, only_zero) is not None) == at_zero
+        negative = Points(np.zeros(1), np.array([[-2.0]]))
+        assert (condition.failure(x, negative) is not None) == below
+        assert condition.failure(x, Points(np.zeros(1), np.array([[3.0]]))) is None
+        assert condition.failure(x, points) is not None
+
+
+def test_uncertain_terms_are_split_into_their_inputs():
+    """Columns tau_k A_k times gamma_k, each Delta_kj, beta_k; zeros are left out."""
+    u = certrack.Uncertainty(
+        tau=["2", "0", "3"],
+        gamma=["1/2", "1", "0"],
+        beta=["0", "1", "1/5"],
+        Delta=[["0", "1/3", "0"], ["1", "1", "1"], ["1/7", "0", "0"]],
+        S=[[1, 2, 3], [1, 1, 1], [1, 1, 1]],
+    )
+    A = q(["1", "0", "0"], ["4", "5", "0"], ["6", "7", "8"])
+    found = uncertain_inputs(u, A, rational)
+    assert found.states == ((0, 0, 2), (2,))
+    assert [list(column) for column in found.a] == [
+        [rational(v) for v in column]
+        for column in (("1", "4", "6"), ("2/3", "8/3", "4"), ("0", "0", "24/7"))
+    ]
+    assert [list(column) for column in found.b] == [[0, 0, rational("24/5")]]
+    (weights, none), (first, _), (second, _) = found.selections
+    assert (weights == np.diag([1, 2, 3])).all() and none is None
+    assert first.tolist() == [[0, 1, 0]] and second.tolist() == [[1, 0, 0]]
+    plain = certrack.Uncertainty(tau=[1, 1, 1], gamma=[1, 0, 2], beta=[0, 0, 0])
+    found = uncertain_inputs(plain, A.astype(float), decimal)
+    assert found.selections == () and found.states == ((0, 2), ()) and found.b == ()
+    weighted = certrack.Uncertainty(tau=[1, 1, 1], gamma=[1, 0, 2], beta=[0, 0, 0], S=[2, 1, 1])
+    found = uncertain_inputs(weighted, A.astype(float), decimal)
+    assert [np.diag(S).tolist() for S, _ in found.selections] == [[2, 1, 1]] * 2
+
+
 # files of proofs by cells
 
 
@@ -751,3 +912,22 @@ def test_what_is_no_table_is_no_certificate(body, tmp_path):
     path.write_text(json.dumps(body))
     with pytest.raises(InputError, match="not a certificate"):
         verify(path)
+
+
+def test_texts_of_numbers_have_a_sane_length():
+    assert from_text("1" + "0" * 59) == 10**59 and from_text("-2.50e-3") * 400 == -1
+    assert from_text("1e400") > 10**399 and from_text("1e-400") * 10**400 == 1
+    for text in ("1" + "0" * 60, "1e401", "1E-401", "1/3", "inf", "0x1", "", "1_0", " 1", 3):
+        with pytest.raises(ValueError, match="not a decimal number|Invalid literal"):
+            from_text(text)
+
+
+@pytest.mark.parametrize(
+    ("coupling", "expected"),
+    [(20 * COUPLING, [30, 30]), (0.2 * COUPLING, [3, 30]), (0, [1, 30])],
+)
+def test_a_coordinate_that_follows_another_has_a_size_of_its_own(coupling, expected):
+    """Of the rates 1 and 4: the geometric mean 2 counts."""
+    M = np.array([[-1.0, coupling], [0.0, -4.0]])
+    assert _not_slaved(M, np.array([1.0, 30.0])) == pytest.approx(expected)
+    assert _not_slaved(M.T[::-1, ::-1].T, np.array([30.0, 1.0])) == pytest.approx(expected[::-1])

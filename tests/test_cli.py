@@ -325,6 +325,7 @@ def test_bad_calls_are_exit_2_and_one_line(capfd, arguments, message):
     [
         *("list", "new", "design", "simulate", "compare", "ensemble", "margin", "certify"),
         *("check", "verify", "falsify", "reproduce", "export c", "export st", "export fmu"),
+        "cache",
     ],
 )
 def test_help_has_an_example_that_is_right(capfd, verb):

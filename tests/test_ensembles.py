@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from hypothesis.extra.numpy import arrays
 import certrack
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
+from certrack.integrators.many import native
 from certrack.integrators.many.native import vector_compiler
 from certrack.model.distribution import Distribution
 from certrack.model.implementation import Implementation
@@ -176,6 +178,27 @@ def test_threads_and_chunks_do_not_matter(name, method):
             **parts.summary(),
             "microseconds_per_member": 0,
         }
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(vector_compiler() is None, reason="needs a C compiler")
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="flags of x86-64")
+@pytest.mark.parametrize("name", ["multisine", "triangle"])
+def test_older_processors_agree_within_the_tolerance(name, monkeypatch):
+    """Not bit for bit: without AVX-512 reciprocals are exact, without FMA products are rounded.
+
+    On the way the error may be twice the tolerance (:data:`native.ESTIMATE_EXCESS`), of both.
+    """
+    system, tolerance = VARIANTS[name], 1e-6
+    settings = {"method": "native", "tolerance": tolerance, "threads": 1, "limit": np.inf}
+    expected, given = certrack.ensemble(system, 256, **settings).per_member(), native.VECTOR_FLAGS
+    for processor in ("x86-64-v3", "x86-64-v2"):
+        flags = [f"-march={processor}" if flag == "-march=native" else flag for flag in given]
+        monkeypatch.setattr(native, "VECTOR_FLAGS", flags)
+        metrics, outcomes = certrack.ensemble(system, 256, **settings).per_member()
+        np.testing.assert_array_equal(outcomes, expected[1])
+        scale = 1 + np.nanmax(np.abs(expected[0]), axis=1)[:, None]
+        np.testing.assert_allclose(metrics / scale, expected[0] / scale, atol=4 * tolerance, rtol=0)
 
 
 @pytest.mark.parametrize("method", METHODS)

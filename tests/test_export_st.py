@@ -139,7 +139,7 @@ def is_if(node):
     return node.type == "if_statement"
 
 
-def compare(system, name="example1"):
+def compare(system, name="example1", within=1e-13):
     """Run the block along a run of the system; the largest difference, relative."""
     text = structured_text(system, name)
     block, ours = FunctionBlock(text), PythonController(system)
@@ -149,7 +149,7 @@ def compare(system, name="example1"):
         u = ours.step(x, Y)
         worst = max(worst, abs(block.call(*x, *Y) - u) / (1 + abs(u)))
         states = [block.values[state] for state in block.sections.get("VAR", [])]
-        assert states == pytest.approx(ours.state.tolist(), rel=1e-13, abs=1e-13)
+        assert states == pytest.approx(ours.state.tolist(), rel=within, abs=within)
     return worst, block
 
 

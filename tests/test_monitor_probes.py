@@ -1,17 +1,20 @@
 """The probes of a monitor reach both sides of every limit, and its numbers keep inside it."""
 
+import math
 from fractions import Fraction
+from functools import cached_property
 
 import mpmath
 import numpy as np
 import pytest
+import sympy
 from exported import sampled
 from test_monitor import FREE, FULL
 
 from certrack import Monitor
 from certrack.core.errors import InputError
-from certrack.export.golden_vectors import golden_vectors
-from certrack.export.monitor import monitor_program
+from certrack.export.golden_vectors import MUTATION, golden_vectors
+from certrack.export.monitor import Flag, Within, monitor_program, rounded_to_type
 from certrack.export.monitor_probes import (
     BEYOND_BOUND,
     DOWN,
@@ -42,6 +45,10 @@ class Case:
 
     def samples(self, *inputs):
         return _Samples(self.system, self.program, self.monitor, *inputs)
+
+    @cached_property
+    def limited(self):
+        return list(_limited_references(self.program, self.monitor, self.golden, self.samples))
 
 
 @pytest.fixture(scope="module", params=["full", "free", "small"])
@@ -96,11 +103,82 @@ def test_commands_before_lie_far_on_both_sides(case):
 
 
 def test_limited_references_go_beyond_their_bounds(case):
-    found = list(_limited_references(case.program, case.monitor, case.golden, case.samples))
+    found = case.limited
     assert len(found) == (2 * len(case.program.Y) if case.monitor.limit_reference else 0)
     for k, (_, Y, _) in enumerate(found):
         bound = case.monitor.reference_bounds[k // 2]
         assert Y[k // 2, 0] == pytest.approx((-1, 1)[k % 2] * BEYOND_BOUND * bound)
+
+
+def test_a_limited_reference_is_tried_where_its_bound_counts_most(case):
+    """Where y_d^(i) 0.3 % below its bound changes most what the law asks for within its limits."""
+    found = case.limited
+    limits = [
+        (float(p.low), float(p.high))
+        for flag in case.monitor.flags
+        for p in flag.premises
+        if flag.name == "saturated"
+    ]
+    for n, (x, _, states) in [*enumerate(found)][1:3]:
+        i, bound = n // 2, (-1, 1)[n % 2] * case.monitor.reference_bounds[n // 2]
+        asked = []
+        for part in (1.0, 1.0 - MUTATION):
+            Y = case.golden.Y.copy()
+            Y[i] = part * bound
+            asked.append(case.samples(case.golden.x, Y, case.golden.states).asked)
+        effect = np.abs(asked[0] - asked[1])
+        for low, high in limits:
+            effect[(asked[0] <= low) | (asked[0] >= high)] = 0.0
+        k = int(np.argmax(effect))
+        assert effect[k] > 0 and (x[:, 0] == case.golden.x[:, k]).all()
+        names = [str(s) for s in case.program.states]
+        if "ctl_u_last" in names:
+            assert states[names.index("ctl_u_last"), 0] == asked[0][k]
+
+
+class Numbers:
+    """Samples whose values, limits and asked inputs are these."""
+
+    def __init__(self, value, asked=None):
+        self.value = np.array(value)
+        self.asked = self.value if asked is None else np.array(asked)
+
+    def values(self, premise):
+        each = np.ones(len(self.value))
+        return [self.value, float(premise.low) * each, float(premise.high) * each]
+
+
+def between(low, high, value="a + b", **options):
+    return Within(sympy.sympify(value), sympy.Float(low), sympy.Float(high), **options)
+
+
+def test_what_lies_near_a_limit_is_left_to_rounding():
+    value = [-1 - 1e-2, -1 - 1e-13, -1 + 1e-13, -1 + 1e-2, 1, 3 - 1e-2, 3, 3 + 1e-2, -3]
+    flag = Flag("f", "", (between(-1, 3),))
+    expected = [UP, 2, 2, DOWN, DOWN, DOWN, 2, UP, UP]
+    assert _expected(flag, [flag], Numbers(value), "double").tolist() == expected
+    plain = Flag("f", "", (between(-1, 3, "a"),))  # it is not computed
+    exact = [UP, UP, DOWN, DOWN, DOWN, DOWN, DOWN, UP, UP]
+    assert _expected(plain, [plain], Numbers(value), "double").tolist() == exact
+    strict = Flag("f", "", (between(-1, 3, "a", strict=True),))
+    exact[6] = UP
+    assert _expected(strict, [strict], Numbers(value), "double").tolist() == exact
+    both = Flag("f", "", (between(-1, 3, "a"), between(0, 2, "b")))
+    found = _expected(both, [both], Numbers([0.0, 1.0, 2.5, -0.5, 4.0]), "double")
+    assert found.tolist() == [DOWN, DOWN, UP, UP, UP]
+
+
+def test_a_flag_of_the_command_is_left_to_rounding_near_the_limits_of_others():
+    """u may be what the law asks for, or any other limit that it is moved to."""
+    command = Flag("saturated", "", (between(-1, 3, "u", strict=True),), of_command=True)
+    same = Flag("rate", "", (between(-5, 3, "u"),), of_command=True)
+    apart = Flag("rate", "", (between(-5, 2, "u"),), of_command=True)
+    value, asked = [0.0, 3.0, 3.0], [0.0, 4.0, 3.0 + 1e-13]
+    alone = _expected(command, [command], Numbers(value, asked), "double")
+    assert alone.tolist() == [DOWN, UP, 2]
+    assert _expected(command, [command, same], Numbers(value, asked), "double").tolist() == [2] * 3
+    found = _expected(command, [command, apart], Numbers(value, asked), "double")
+    assert found.tolist() == [DOWN, UP, 2]
 
 
 def test_every_flag_is_expected_up_and_down(case):
@@ -141,3 +219,19 @@ def test_a_box_that_is_empty_is_refused():
             Monitor(box={"x1": ends})
     with pytest.raises(InputError, match="monitor.limit_reference: must be True or False"):
         Monitor(limit_reference=1)
+
+
+@pytest.mark.parametrize(("real", "bits"), [("double", 53), ("float", 24)])
+def test_numbers_of_a_monitor_are_the_next_of_their_type(real, bits):
+    for value in (0.5, -3.0, 0.1, 1 / 3, 2.0**-10, -0.7):
+        exact = Fraction(repr(value))  # what the float stands for
+        step = Fraction(2) ** (math.frexp(value)[1] - bits)
+        high, low = (Fraction(rounded_to_type(value, real, up=up)) for up in (True, False))
+        assert low <= exact <= high and high - low in (0, step)
+        assert (high / step).denominator == (low / step).denominator == 1
+        assert (high == low) == ((exact / step).denominator == 1)
+    with pytest.raises(InputError, match="needs finite bounds"):
+        rounded_to_type(math.inf, real, up=True)
+    if real == "float":
+        with pytest.raises(InputError, match="float cannot hold"):
+            rounded_to_type(1e39, real, up=False)

@@ -106,6 +106,19 @@ def test_one_late_member_is_enough_and_a_dead_one_is_none():
     assert run._maps.calls == 1
 
 
+@pytest.mark.parametrize(("error", "calls"), [(0.99, 1), (1.01, None), (1.5, None)])
+def test_a_step_is_taken_whose_error_is_allowed(error, calls):
+    """Not one of a hundredth more: then several shorter ones."""
+    longest, seen = error ** (-1 / 9), [1.0]
+    run = run_of([longest])
+    crossed(run, on_step=lambda t, x, totals, u: seen.append(t))
+    assert run._maps.calls == calls or (calls is None and run._maps.calls > 2)
+    assert (np.diff(seen) <= longest).all() and seen[-1] == 2.0
+    run = run_of([longest])
+    run._substep(np.array([0]), 1.0, 2.0, np.array([1.0]), np.zeros((1, 1)), np.zeros((1, 1)), None)
+    assert run._maps.calls == calls or (calls is None and run._maps.calls > 2)
+
+
 @pytest.mark.parametrize(("missing", "calls"), [(0.25, 1), (40.0, 2)])
 def test_the_last_step_takes_what_only_rounding_leaves(missing, calls):
     run, end = run_of([10.0]), 3.0

@@ -139,6 +139,18 @@ def test_the_bounds_on_the_last_coordinate_fall_in_steps_to_that_of_their_stage(
         assert limits[-1] == float(inner[-2].bound) and limits[0] > 10
 
 
+def test_each_piece_has_the_floor_of_its_bound_on_the_last_coordinate(example1, stages):
+    """2 Delta/alpha, to which e_n adds by the square of its bound."""
+    system, last = example1.with_settings(x0=(8, 0)), stages[-1]
+    times, limits = e_n_steps(system, stages)
+    pieces = tube_of(system, stages).pieces
+    assert [time for time, _, _ in pieces] == list(times)
+    parts = limits**2 / float(stages[-2].bound) ** 2
+    rest = sum(map(float, (*last.nu, *last.k[:-1])))
+    floors = 2 * (rest + float(last.k[-1]) * parts) / float(last.alpha)
+    assert [floor for _, _, floor in pieces] == pytest.approx(floors, rel=1e-9)
+
+
 def test_the_centred_energy_starts_below_what_the_first_stage_allows(example1, stages):
     """2 V_2 <= allowed(2 V_1) for random errors and estimates."""
     problem = error_problem(example1, rational)

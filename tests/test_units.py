@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 
 import certrack
 from certrack.certificates import certify_semidefinite
+from certrack.certificates.arithmetic import decimal
 from certrack.certificates.cascade import certify_cascade
+from certrack.certificates.formulation import error_problem
 from certrack.certificates.strength import critical_semidefinite
 from certrack.laws import Robust
 from certrack.model.plant import Plant
@@ -47,7 +49,8 @@ def in_units(system, time, size):
         rates["theta"] = times([float(v.expr) for v in plant.theta], time * size)
     gains = {"c": times(law.c, time)}
     gains |= {"k": tuple(times(row, 1 / time) for row in law.k)} if law.k else {}
-    gains |= {"p": times(law.p, 1 / time)} if law.p else {}
+    damped = 1 + 2 * law.order(plant)  # kappa is (d e_m/d y_d^(q))^2/(4 p)
+    gains |= {"p": times(law.p, 1 / time**damped)} if law.p else {}
     if law.kind == "adaptive":
         gains |= {
             "gain_rate": law.gain_rate / (time * size**2),
@@ -71,6 +74,15 @@ def in_units(system, time, size):
 
 def bound_of(system):
     return certify_semidefinite(system)[0].bound
+
+
+def test_the_error_matrix_of_a_damped_law_of_order_one_is_that_in_other_units():
+    """Finite p, and 0 < q < n - 1: the damping of y_d^(q+1) has powers of the unit of time."""
+    plant = Plant(states=["x1", "x2", "x3", "x4"], chain=[1.5, -2, 1], input_gain=2)
+    law = Robust(c=[2, 1, 1.5, 1], k=[[1] * 2 * m for m in range(1, 5)], p=[4, 3, 2], feedforward=1)
+    system = System(plant, law, SymbolicReference("sin(t)"), Truth(2), Settings([0] * 4, 1))
+    M = error_problem(in_units(system, 1.0, 1.0), decimal).M
+    assert pytest.approx(3.7 * M) == error_problem(in_units(system, 3.7, 25.4), decimal).M
 
 
 @settings(max_examples=12, suppress_health_check=list(HealthCheck))

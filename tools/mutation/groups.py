@@ -49,13 +49,13 @@ GROUPS = {
     ),
     "implemented": Group(
         "certificates/implemented/*",
-        "implemented implemented_formulas implemented_start enclosed range_algebra forged_claims"
-        " regional jitter proven_box implemented_ranges",
+        "implemented implemented_formulas implemented_parts implemented_start enclosed"
+        " range_algebra forged_claims regional jitter proven_box implemented_ranges",
     ),
     "references": Group(
         "references/*",
-        "references growth testing bounds premises simulation time_events units lipschitz"
-        " soft_start samples_file",
+        "references reference_parts growth testing bounds premises simulation time_events units"
+        " lipschitz soft_start samples_file",
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
     "sampled": Group(

@@ -19,20 +19,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from certrack.certificates.arithmetic import rational
-from certrack.certificates.centred import centred_problem
+from certrack.certificates.centred import CentredProblems, centred_problem
 from certrack.certificates.certificate import Certificate, NoCertificate, missing, within_floats
-from certrack.certificates.exact import Proof, failed_condition, from_text, prove, proven
+from certrack.certificates.exact import Proof, failed_condition, from_text, proven
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.semidefinite import (
-    NO_BOUND,
-    SemidefiniteProgram,
-    Solution,
-    best_solution,
-)
+from certrack.certificates.search.best_proof import best_proof
+from certrack.certificates.search.shift import best_shifts
 from certrack.systems.system import System
 
 
@@ -66,52 +61,20 @@ def check_cascade(system: System, problem: ErrorProblem, stages: Sequence[Proof]
     return reason or failed_condition(head_problem(problem, from_text(inner[-1].bound)), head)
 
 
-#: Values of kappa that are tried, of either sign. They are close enough for the refinement below to
-#: reach whatever lies between two of them; with (0.01, 0.1) Example 1 gets 0.0824, not 0.0786.
-SHIFTS = (0.01, 0.03, 0.1)
-
-#: The best of them is refined between these multiples of itself, roughly up to its neighbours.
-REFINED_BETWEEN = (1 / 3, 2.5)
-
-#: Programs solved to refine it: sections of the interval down to 2 per cent, where the bound is
-#: flat.
-REFINEMENTS = 8
-
 #: kappa is written with this many digits, for it is part of the proof.
 SHIFT_DIGITS = 6
-
-#: Best solutions that are tried for a proof; where two of them fail, others will.
-PROOF_ATTEMPTS = 2
 
 
 def _centred_stage(system: System, exact: ErrorProblem, reached: Proof) -> Proof | None:
     """A proven bound on e_n, smaller than `reached`, with V centred elsewhere; or None."""
     target = exact.n - 1
-    solutions: dict[str, Solution] = {}
-
-    def bound(kappa: float) -> float:
-        text = f"{kappa:.{SHIFT_DIGITS}g}"
-        centred = centred_problem(system, exact, reached, from_text(text))
-        solution = best_solution(SemidefiniteProgram(centred.in_floats(), target))
-        if solution is None:
-            return NO_BOUND
-        solutions[text] = solution
-        return solution.bound
-
     try:
-        grid = sorted([-s for s in SHIFTS] + list(SHIFTS))
-        values = [bound(kappa) for kappa in grid]
-        if min(values) == NO_BOUND:
-            return None
-        best = grid[int(np.argmin(values))]
-        ends = sorted(best * factor for factor in REFINED_BETWEEN)
-        minimize_scalar(bound, bounds=ends, method="bounded", options={"maxiter": REFINEMENTS})
+        centred = CentredProblems.of(system, exact, reached)
     except NoCertificate:
         return None
-    ranked = sorted(solutions, key=lambda text: solutions[text].bound)
-    for text in ranked[:PROOF_ATTEMPTS]:
-        centred = centred_problem(system, exact, reached, from_text(text))
-        proof = prove(centred, solutions[text], target)
+    for kappa, alpha in best_shifts(centred.in_floats(), float(from_text(reached.alpha)), target):
+        text = f"{kappa:.{SHIFT_DIGITS}g}"
+        proof = best_proof(centred.at(from_text(text)), target, near=alpha).proof
         if proof is not None and from_text(proof.bound) < from_text(reached.bound):
             return replace(proof, shift=text)
     return None
@@ -134,8 +97,7 @@ def head_problem(problem: ErrorProblem, limit: Any) -> ErrorProblem:
 
 def _prove_stage(exact: ErrorProblem, target: int) -> Proof:
     """A proven bound on limsup |e_target| (from 0) of the problem."""
-    solution = best_solution(SemidefiniteProgram(exact.in_floats(), target))
-    proof = None if solution is None else prove(exact, solution, target)
+    proof = best_proof(exact, target).proof
     if proof is None:
         raise NoCertificate("no cascade found; lower tau, raise c, or use fewer damping terms")
     return proof

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,104 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
 from certrack.core.powers import put_in
 from certrack.systems.system import System
+
+
+@dataclass(frozen=True)
+class CentredProblems:
+    """The problem with V centred by any kappa, on the set that a proof reaches.
+
+    Attributes
+    ----------
+    problem : ErrorProblem
+        Not centred.
+    row : array
+        Of M, for each kappa.
+    columns : array
+        Of Uy in the last row, for each kappa: of y_d ... y_d^(q+1).
+    residual : array
+        The last column of Uy, without kappa.
+    Xy : array
+        All columns of the reference.
+    remainder : number
+        Bound on zeta, for each kappa.
+    """
+
+    problem: ErrorProblem
+    row: np.ndarray
+    columns: np.ndarray
+    residual: np.ndarray
+    Xy: np.ndarray
+    remainder: Any
+
+    @classmethod
+    def of(cls, system: System, problem: ErrorProblem, reached: Proof) -> CentredProblems:
+        """Those of `system`.
+
+        Parameters
+        ----------
+        system : System
+        problem : ErrorProblem
+            Of `system`, in exact rationals, with the adaptive law.
+        reached : Proof
+            A proven bound on e_n, so that e^T P e <= bound^2 in the long run.
+
+        Raises
+        ------
+        NoCertificate
+            If drift and regressor have no interval bound on that set.
+        """
+        coordinates = error_coordinates(system, rational)
+        q, zero = coordinates.q, rational(0)
+        AB, Y = reference_part(system, problem)
+        Xy = np.zeros((problem.n, q + 2), dtype=object) + zero
+        Xy[:, : q + 1] = AB * np.array(Y[: q + 1], dtype=object)
+        through_x = np.append(coordinates.nu_x @ AB, zero)
+        return cls(
+            problem,
+            coordinates.nu_x @ problem.Xe,
+            (through_x + coordinates.nu_Y) * np.array(Y, dtype=object),
+            coordinates.R * Y[-1],
+            Xy,
+            remainder_bound(system, problem)(reached),
+        )
+
+    def at(self, kappa: Any) -> ErrorProblem:
+        """The problem whose V is centred by `kappa`, in the arithmetic of this one."""
+        problem, law = self.problem, self.problem.adaptation
+        assert law is not None
+        M = problem.M.copy()
+        M[-1] = M[-1] - kappa * self.row
+        Uy = 0 * self.Xy
+        Uy[-1] = -kappa * self.columns
+        Uy[:, -1] = Uy[:, -1] - self.residual
+        by_states = problem.counts[0] > 0
+        acting = [
+            i
+            for i in range(Uy.shape[1])
+            if any(Uy[:, i] != 0) or (by_states and any(self.Xy[:, i] != 0))
+        ]
+        zeta = 0 * self.Xy[:, :1]
+        zeta[-1, 0] = abs(kappa) * self.remainder
+        return replace(
+            problem,
+            M=M,
+            Ub=np.hstack([problem.Ub, zeta]) if zeta[-1, 0] != 0 else problem.Ub,
+            Uy=Uy[:, acting],
+            Xy=self.Xy[:, acting],
+            derivatives=tuple(acting),
+            adaptation=replace(law, shift=kappa),
+        )
+
+    def in_floats(self) -> CentredProblems:
+        """The same in floating point."""
+        return CentredProblems(
+            self.problem.in_floats(),
+            self.row.astype(float),
+            self.columns.astype(float),
+            self.residual.astype(float),
+            self.Xy.astype(float),
+            float(self.remainder),
+        )
 
 
 def centred_problem(
@@ -54,34 +153,7 @@ def centred_problem(
     NoCertificate
         If drift and regressor have no interval bound on that set.
     """
-    law = problem.adaptation
-    assert law is not None
-    coordinates = error_coordinates(system, rational)
-    n, q = problem.n, coordinates.q
-    AB, Y = reference_part(system, problem)
-    M = problem.M.copy()
-    M[-1] = M[-1] - kappa * (coordinates.nu_x @ problem.Xe)
-    Uy, Xy = np.zeros((2, n, q + 2), dtype=object) + 0 * kappa
-    for i in range(q + 2):
-        through_x = coordinates.nu_x @ AB[:, i] if i <= q else 0 * kappa
-        Uy[-1, i] = -kappa * (through_x + coordinates.nu_Y[i]) * Y[i]
-        if i <= q:
-            Xy[:, i] = AB[:, i] * Y[i]
-    Uy[:, -1] = Uy[:, -1] - coordinates.R * Y[-1]
-    acting = [
-        i for i in range(q + 2) if any(Uy[:, i] != 0) or (problem.counts[0] and any(Xy[:, i] != 0))
-    ]
-    zeta = np.zeros((n, 1), dtype=object) + 0 * kappa
-    zeta[-1, 0] = abs(kappa) * remainder_bound(system, problem)(reached)
-    return replace(
-        problem,
-        M=M,
-        Ub=np.hstack([problem.Ub, zeta]) if zeta[-1, 0] != 0 else problem.Ub,
-        Uy=Uy[:, acting],
-        Xy=Xy[:, acting],
-        derivatives=tuple(acting),
-        adaptation=replace(law, shift=kappa),
-    )
+    return CentredProblems.of(system, problem, reached).at(kappa)
 
 
 def reference_part(system: System, problem: ErrorProblem) -> tuple[np.ndarray, list[Any]]:
@@ -107,20 +179,29 @@ def remainder_bound(system: System, problem: ErrorProblem) -> Callable[[Proof], 
     drift = put_in(plant.drift.expr, exact)
     regressor = [put_in(phi.expr, exact) for phi in plant.regressor]
 
+    offsets = [
+        sum((abs(AB[j, i]) * Y[i] for i in range(AB.shape[1])), rational(0)) for j in range(plant.n)
+    ]
+
+    @cache
+    def spreads(rows: tuple[tuple[str, ...], ...]) -> tuple[list[Any], list[Any]]:
+        """What the square of the bound is multiplied with, for each x_j and each theta_i."""
+        P = np.array([[from_text(v) for v in row] for row in rows], dtype=object)
+        states = np.diagonal(problem.Xe @ solve(P, problem.Xe.T))
+        return list(states), [law.Gamma[i, i] / P[-1, -1] for i in range(len(regressor))]
+
     def bound(reached: Proof) -> Any:
-        P = np.array([[from_text(v) for v in row] for row in reached.P], dtype=object)
         B2 = from_text(reached.bound) ** 2
-        spread = problem.Xe @ solve(P, problem.Xe.T)
+        states, errors = spreads(reached.P)
         box = {}
-        for j, state in enumerate(plant.symbols):
+        for state, spread, offset in zip(plant.symbols, states, offsets, strict=True):
             # |x_j| <= max over the ellipsoid of |(A^-1 e)_j|, plus |(A^-1 B)_j| Y; a smaller box
             # would leave out states that are reached, and the bound would be wrong
-            radius = from_text(root_up(B2 * spread[j, j]))
-            radius += sum((abs(AB[j, i]) * Y[i] for i in range(AB.shape[1])), 0 * B2)
+            radius = from_text(root_up(B2 * spread)) + offset
             box[state] = _enclose(-radius, radius)
         total = _magnitude(drift, box)
-        for i, phi in enumerate(regressor):
-            error = from_text(root_up(B2 * law.Gamma[i, i] / P[-1, -1]))
+        for phi, spread in zip(regressor, errors, strict=True):
+            error = from_text(root_up(B2 * spread))
             total = total + _magnitude(phi, box) * error
         return total
 

@@ -23,9 +23,9 @@ from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.semidefinite import Solution
 from certrack.systems.system import System
 
-#: Decimals kept of the solver's floats. Fewer than 9 loosen the bounds of the shipped systems; more
-#: than 13 only make the rationals longer, for the solver is accurate to about 1e-9.
-PROOF_DIGITS = 13
+#: Decimals kept of the solver's floats, nearly all of them. Fewer than 9 loosen the bounds of the
+#: shipped systems; with 13, P of order 12, which is ill-conditioned, is only proven 4e-6 above.
+PROOF_DIGITS = 16
 
 #: How far a solution gives way, relatively, until the exact check confirms it. The first loosens a
 #: bound by less than 1e-6; where the last fails, the solution is not worth having.
@@ -83,7 +83,12 @@ class SharedNumbers(Protocol):
         """Largest Delta."""
 
 
-def prove(problem: ErrorProblem, solution: Solution, target: int = 0) -> Proof | None:
+def prove(
+    problem: ErrorProblem,
+    solution: Solution,
+    target: int = 0,
+    back_off: Sequence[float] = BACK_OFF,
+) -> Proof | None:
     """Round `solution` so that exact arithmetic confirms it; None if that does not succeed.
 
     Parameters
@@ -94,9 +99,11 @@ def prove(problem: ErrorProblem, solution: Solution, target: int = 0) -> Proof |
         What the solver returned.
     target : int
         Which e_i is bounded (from 0).
+    back_off : floats
+        How far it may give way.
     """
     parts = [(solution.lam, solution.nu, solution.k)]
-    proofs = prove_together([problem], solution, parts, [solution.lam_unit], target)
+    proofs = prove_together([problem], solution, parts, [solution.lam_unit], target, back_off)
     return None if proofs is None else proofs[0]
 
 
@@ -106,6 +113,7 @@ def prove_together(
     multipliers: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
     lam_units: Sequence[np.ndarray],
     target: int = 0,
+    back_off: Sequence[float] = BACK_OFF,
 ) -> tuple[Proof, ...] | None:
     """Round P, alpha and each problem's multipliers; None if exact arithmetic does not confirm.
 
@@ -118,13 +126,15 @@ def prove_together(
     lam_units : what a lam of 1 in the program is, for each problem
     target : int
         Which e_i is bounded (from 0).
+    back_off : floats
+        How far the solution may give way.
 
     Returns
     -------
     one Proof per problem
         They share P, alpha and the bound, the largest of all.
     """
-    for slack in BACK_OFF:
+    for slack in back_off:
         scale, extra = 1 + slack, slack * solution.delta
         P = scale * (solution.P + solution.P.T) / 2
         texts = tuple(tuple(decimal_text(v) for v in row) for row in P)

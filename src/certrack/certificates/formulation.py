@@ -18,6 +18,7 @@ from certrack.certificates.arithmetic import ToNumber, exact_float, rational, so
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.scope import refuse, refuse_formulas
 from certrack.certificates.stated import stated_error_system
+from certrack.core.once import once
 from certrack.laws.backstepping import ErrorCoordinates, carry_out
 from certrack.laws.balanced import balanced, balancing_weights
 from certrack.laws.error_system import KnownParameters
@@ -29,6 +30,7 @@ from certrack.references.base import bound_of
 from certrack.systems.system import System
 
 
+@once
 def error_problem(system: System, number: ToNumber) -> ErrorProblem:
     """The error system of `system`, its inputs scaled to their bounds.
 
@@ -61,7 +63,7 @@ def error_problem(system: System, number: ToNumber) -> ErrorProblem:
         bound,
         adaptation_of(system, number),
         number,
-    )
+    ).read_only()
 
 
 def problem_of_design(
@@ -164,6 +166,7 @@ def uncertain_inputs(u: Uncertainty, A: np.ndarray, number: ToNumber) -> Uncerta
     )
 
 
+@once
 def error_coordinates(system: System, number: ToNumber) -> ErrorCoordinates:
     """The error coordinates of the design, in the arithmetic of `number`."""
     plant, dtype = system.plant, _dtype(number)

@@ -27,7 +27,7 @@ from certrack.certificates.ranges.certify import (
 )
 from certrack.certificates.ranges.proofs import CellProof, RangeProver
 from certrack.certificates.scope import has_ranges
-from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
+from certrack.certificates.search.best_proof import ProofSearch, best_proof
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
@@ -263,14 +263,13 @@ def certify_semidefinite(
     try:
         with within_floats():
             exact = error_problem(system, rational)
-            program = SemidefiniteProgram(exact.in_floats())
-            solution = best_solution(program) if near is None else best_solution(program, near)
-            proof = None if solution is None else prove(exact, solution)
+            search = best_proof(exact, near=near)
+            proof = search.proof
             if proof is None:
                 damped = own_solution(system, exact)
                 proof = None if damped is None else prove(exact, damped)
             if proof is None:
-                raise NoCertificate(_why_none(program, solution))
+                raise NoCertificate(_why_none(search))
     except NoCertificate as problem:
         return missing("semidefinite", str(problem)), None
     return proven("semidefinite", system, proof), proof
@@ -280,14 +279,15 @@ def certify_semidefinite(
 SLOWEST_LEAKAGE = 1e-9
 
 
-def _why_none(program: SemidefiniteProgram, solution: Solution | None) -> str:
+def _why_none(search: ProofSearch) -> str:
     """Why there is no proof, and the remedy."""
-    if program.fastest < SLOWEST_LEAKAGE * program.slowest_pole:
+    program = search.program
+    if program is not None and program.fastest < SLOWEST_LEAKAGE * program.slowest_pole:
         return (
             "the estimates forget too slowly for a bound to be found: raise gain_rate leak_gain, "
             "or the smallest eigenvalue of Gamma, which may be nearly singular, times leak_theta"
         )
-    if solution is None:
+    if search.solution is None:
         return (
             "no certificate found: the uncertainty is too strong for this design; "
             "lower tau, raise c, or use fewer damping terms"

@@ -61,6 +61,12 @@ class ErrorProblem:
         """Numbers of a-, b- and reference inputs."""
         return self.Ua.shape[1], self.Ub.shape[1], self.Uy.shape[1]
 
+    def read_only(self) -> ErrorProblem:
+        """The problem, whose arrays nobody can change any more: it may be used again."""
+        for matrix in (self.M, self.Ua, self.Ub, self.Uy, self.Xe, self.Xy):
+            matrix.flags.writeable = False
+        return self
+
     def inequality(
         self, P: np.ndarray, lam: np.ndarray, nu: np.ndarray, k: np.ndarray, alpha: Any
     ) -> np.ndarray:

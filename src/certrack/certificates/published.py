@@ -52,6 +52,7 @@ from certrack.certificates.certificate import (
 )
 from certrack.certificates.exact import float_down, float_up, from_text, root_up
 from certrack.certificates.formulation import error_coordinates, error_problem
+from certrack.core.once import once
 from certrack.laws.backstepping import ErrorCoordinates
 from certrack.laws.linear import Linear
 from certrack.references.base import total_bound
@@ -178,6 +179,7 @@ def critical_strength(system: System) -> float:
         return 0.0
 
 
+@once
 def collect(system: System, number: ToNumber = decimal, *, critical: bool = False) -> Terms:
     """The terms of the formulas, in the arithmetic of `number`.
 

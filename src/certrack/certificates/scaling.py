@@ -19,6 +19,9 @@ SCALING_FLOOR = 1e-6
 #: a step reaches sizes that differ by 1e3.
 SCALING_STEPS, SCALED_ENOUGH = 20, 1.5
 
+#: Where they change among each other by less, they are those of every further step.
+SCALED = 1 + 1e-9
+
 #: A scaled input below this is none for the solver, whose accuracy is 1e-8.
 NEGLIGIBLE = 1e-14
 
@@ -170,9 +173,10 @@ def _size_under(problem: ErrorProblem, inputs: np.ndarray) -> np.ndarray:
         gramian = _gramian_diagonal(rates, drive + SCALING_FLOOR * weight * np.eye(problem.n))
         if not (np.isfinite(gramian).all() and gramian.min() > 0):
             break
-        change = np.sqrt(gramian)
+        change, before = np.sqrt(gramian), size
         size = _not_slaved(problem.M, size * change)
-        if change.max() < SCALED_ENOUGH * change.min():
+        moved = size / before
+        if change.max() < SCALED_ENOUGH * change.min() or moved.max() < SCALED * moved.min():
             break
     return size
 

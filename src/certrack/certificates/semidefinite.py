@@ -16,6 +16,7 @@ modelling layer (cvxpy with a parameter) takes half as long again and 0.7 s to i
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol, TypeVar
@@ -38,6 +39,9 @@ ALPHA_ACCURACY = 2e-3
 
 #: A warm search looks at this far in log alpha to either side, to this width.
 NEARBY, NEARBY_ACCURACY = 0.7, 2e-2
+
+#: Half the relative step of alpha in the derivative of what the leakage costs.
+ALPHA_STEP = 1e-5
 
 #: What a search sees where there is no certificate: it cannot calculate with infinity.
 NO_BOUND = 1e30
@@ -200,6 +204,42 @@ class SemidefiniteProgram:
         cost /= cost.max() or 1.0  # the weight of the leakage can be any power of ten
         return self._call(cost, self._base + self.scaling.rate(alpha) * self._slope)
 
+    def by_log_alpha(self, point: ProgramPoint, alpha: float) -> float:
+        """Derivative of log bound^2 by log alpha at a point of this alpha, by its dual.
+
+        With dDelta = z . dG x + dc . x; it holds where the dual is unique.
+        """
+        value = float(point.cost @ point.x)
+        if not value > 0:
+            return 0.0
+        change = float(self.scaling.rate(alpha) * (point.z @ (self._slope @ point.x)))
+        leak = self.problem.leakage(alpha)
+        if leak:
+            up, down = (self.problem.leakage(alpha * (1 + h)) for h in (ALPHA_STEP, -ALPHA_STEP))
+            if up is None:
+                return math.inf
+            last = len(self.entries) - 1
+            by_leak = float(point.x[last] * point.cost[last] / leak)
+            change += by_leak * float(up - down) / (2 * ALPHA_STEP)
+        return change / value - 1
+
+    def lagrangian(self, point: ProgramPoint, alpha: float) -> Callable[[ErrorProblem], float]:
+        """z . G x + c . x at a point, as another problem has it, but for what does not change.
+
+        Its derivatives by numbers of the problem are those of the optimum.
+        """
+        P, (lam, nu, k) = self.parts(point.x)
+        Z = point.z[: self._size * (self._size + 1) // 2]
+        rate, last = self.scaling.rate(alpha), len(self.entries) - 1
+        leak_unit = float(point.x[last] * point.cost[last] / (self.problem.leakage(alpha) or 1.0))
+
+        def at(other: ErrorProblem) -> float:
+            Q = self.scaling.applied(other).inequality(P, lam, nu, k, rate)
+            leak = other.leakage(alpha)
+            return math.inf if leak is None else float(Z @ svec(Q) + leak * leak_unit)
+
+        return at
+
     def cost(self, leak: Any) -> np.ndarray:
         """What each variable costs."""
         cost = np.zeros(self._base.shape[1])
@@ -214,20 +254,8 @@ class SemidefiniteProgram:
 
     def _call(self, cost: np.ndarray, matrix: np.ndarray) -> ProgramPoint | None:
         """Clarabel's minimiser of cost . x with right - matrix x in the cones, or None."""
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.max_iter = MAX_ITERATIONS
-        solver = clarabel.DefaultSolver(
-            sparse.csc_matrix((len(cost), len(cost))),
-            cost,
-            sparse.csc_matrix(matrix),
-            self._right,
-            self._cones,
-            settings,
-        )
-        result = solver.solve()
-        usable = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
-        if result.status not in usable:
+        result = _clarabel(cost, matrix, self._right, self._cones)
+        if result is None:
             return None
         return ProgramPoint(np.array(result.x), np.array(result.z), cost)
 
@@ -248,6 +276,36 @@ class SemidefiniteProgram:
         if self.problem.adaptation is not None:
             delta += float(P[-1, -1] * leak)
         return Solution(alpha, P, lam, nu, k, delta, lam_unit)
+
+
+def minimiser(
+    cost: np.ndarray, matrix: np.ndarray, right: np.ndarray, size: int
+) -> np.ndarray | None:
+    """The x of least cost . x with right - matrix x, as a vector, positive semidefinite; or None.
+
+    Parameters
+    ----------
+    cost, matrix, right : arrays
+    size : int
+        Of the semidefinite matrix.
+    """
+    result = _clarabel(cost, matrix, right, [clarabel.PSDTriangleConeT(size)])
+    return None if result is None else np.array(result.x)
+
+
+def _clarabel(
+    cost: np.ndarray, matrix: np.ndarray, right: np.ndarray, cones: list[Any]
+) -> Any | None:
+    """What Clarabel returns, if it is usable."""
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_iter = MAX_ITERATIONS
+    quadratic = sparse.csc_matrix((len(cost), len(cost)))
+    columns = sparse.csc_matrix(matrix)
+    solver = clarabel.DefaultSolver(quadratic, cost, columns, right, cones, settings)
+    result = solver.solve()
+    usable = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
+    return result if result.status in usable else None
 
 
 def fastest_rate(problem: ErrorProblem) -> float:

@@ -17,6 +17,7 @@ import sympy
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
+from certrack.core.once import once
 from certrack.laws.base import Equations
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
 from certrack.laws.integral import INTEGRAL
@@ -53,9 +54,14 @@ def stated_error_system(
     NoCertificate
         If the law states none, or does not obey what it states.
     """
-    law, plant = system.law, system.plant
-    if law.integral is not None and not integral:
+    if system.law.integral is not None and not integral:
         raise NoCertificate(INTEGRAL_ACTION)
+    return _compared_with_its_equations(system)
+
+
+@once
+def _compared_with_its_equations(system: System) -> KnownParameters | EstimatedParameters:
+    law, plant = system.law, system.plant
     signals = _bare_signals(system)
     stated = law.error_system(signals)
     if law.no_certificate or stated is None or isinstance(stated, OwnErrors):

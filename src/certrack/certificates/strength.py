@@ -25,7 +25,8 @@ from certrack.certificates.formulation import error_problem
 from certrack.certificates.own_multipliers import own_multipliers
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.published import critical_strength
-from certrack.certificates.semidefinite import SemidefiniteProgram
+from certrack.certificates.search.strength_program import largest_strength
+from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate
 from certrack.systems.system import System
 
 #: Whether any certificate exists is asked at this part of the fastest alpha: a smaller alpha asks
@@ -35,6 +36,12 @@ SLOW_RATE = 1e-3
 #: Part of min c that is asked of mu1 as alpha/2 at the published strength, which is rounded down
 #: by more than that.
 PUBLISHED_RATE = 1e-9
+
+#: How far below the largest strength of a program it is tried to be proven, as parts.
+BELOW_THE_LARGEST = (1e-6, 1e-5, 1e-4, 5e-4)
+
+#: How far the multipliers give way there: of the strength it takes nothing.
+STRENGTH_BACK_OFF = (1e-5, 1e-3)
 
 #: The search for a first scale with a certificate goes this far below the largest possible one.
 SMALLEST_PART = 1e-30
@@ -72,6 +79,9 @@ def critical_semidefinite(
     low = published if _holds_as_published(system, exact, published) else 0.0
     low = max(low, 1.0) if holds else low
     high = _limit(exact)
+    strong = _by_one_program(exact, max(low, SMALLEST_PART * high), slow)
+    if strong is not None:
+        return strong
     trial = high
     while not low and trial > SMALLEST_PART * high:
         trial /= 10
@@ -83,6 +93,32 @@ def critical_semidefinite(
         else:
             high = middle
     return low
+
+
+def _by_one_program(exact: ErrorProblem, low: float, slow: float) -> float | None:
+    """The strength of :func:`largest_strength`, a little lower, exactly verified; None if not.
+
+    `low` where that is known to hold and not exceeded.
+    """
+    try:
+        with within_floats():
+            unit = exact.homogeneous(rational(1)).in_floats()
+            fastest = fastest_rate(unit)
+            if not fastest > 0:
+                return None
+            strongest = largest_strength(unit, min(SLOW_RATE * fastest, slow))
+            if strongest is None:
+                return None
+            for part in BELOW_THE_LARGEST:
+                strength = strongest.strength * (1 - part)
+                if strength <= low:
+                    return None
+                scaled = exact.homogeneous(exact_float(strength, rational))
+                if prove(scaled, strongest.solution, back_off=STRENGTH_BACK_OFF) is not None:
+                    return strength
+    except NoCertificate:
+        pass
+    return None
 
 
 def _limit(exact: ErrorProblem) -> float:

@@ -16,6 +16,7 @@ from typing import Any
 
 import click
 
+from certrack.cli.cache import cache
 from certrack.cli.checks import check
 from certrack.cli.exports import export
 from certrack.cli.files import design, list_systems, new
@@ -31,6 +32,7 @@ from certrack.cli.surroundings import (
     trouble,
 )
 from certrack.cli.tune import tune
+from certrack.core.blas import one_thread_from_now_on
 from certrack.core.errors import CertrackError, one_line
 
 
@@ -61,12 +63,14 @@ for verb in (
     falsify,
     reproduce,
     export,
+    cache,
 ):
     cli.add_command(verb)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the ``certrack`` command."""
+    one_thread_from_now_on()
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         code = _run(arguments)

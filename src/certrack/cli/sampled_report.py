@@ -12,6 +12,7 @@ from certrack.certificates.implemented.certify import (
     NO_LIMITS,
     ImplementedCertificate,
 )
+from certrack.certificates.implemented.step_search import RATES_PART
 from certrack.core.rounding import rounded_down, rounded_up
 
 
@@ -37,6 +38,8 @@ def implemented_summary(sampled: ImplementedCertificate) -> dict[str, Any]:
         "parts": dict(sampled.parts),
         "cells": sampled.cells,
         "margins": None if sampled.margins is None else asdict(sampled.margins),
+        "slow": list(sampled.slow),
+        "rates_unused": sampled.rates_unused,
     }
 
 
@@ -75,9 +78,21 @@ def implemented_notes(sampled: ImplementedCertificate, digits: int) -> list[str]
     return [
         ship,
         f"as implemented, in the long run: |u| <= {peak}, {_listed(states)}",
+        *_rate_notes(sampled, digits),
         *_margin_notes(sampled, digits),
         *_start_notes(sampled, digits),
     ]
+
+
+def _rate_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:
+    """Which uncertain terms are slow, and what that takes off the bound."""
+    if sampled.rates_unused:
+        return [f"plant.uncertainty.rate takes nothing off the bound: {sampled.rates_unused}"]
+    if not sampled.slow:
+        return []
+    terms = f"{', '.join(sampled.slow)} {'is' if len(sampled.slow) == 1 else 'are'}"
+    plain = rounded_up(sampled.bound - sampled.parts[RATES_PART], digits)
+    return [f"as implemented, {terms} slow and estimated: without the rates |e_1| <= {plain}"]
 
 
 def _margin_notes(sampled: ImplementedCertificate, digits: int) -> list[str]:

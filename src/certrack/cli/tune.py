@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -75,7 +76,8 @@ def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted
 
     system = load(file)
     source = _text_of(file)  # as it is now: the search may take minutes
-    keep_source(file, *filter(None, [out]))
+    if out is not None:
+        _require_room(out, file, source)
     if plot is not None and wanted["front"] is None:
         raise InputError("--plot", "draws a front, and none is asked for", remedy="Add --front")
     wanted["box"] = _box_of(wanted["box"])
@@ -85,23 +87,39 @@ def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted
         report.progress("Tuning, starts", "best") as bar,
     ):
         result = search_gains(system, progress=bar, **wanted)
-    pictures: list[Path] = []
-    if plot is not None and result.front is not None:
-        from certrack import plotting
-
-        figure = plotting.front_figure(result.front, system.title, system.plant.units)
-        pictures = plotting.save_figure(figure, plot, "front")
-    if out is not None:
-        write_text(out, with_law(source, result.system, tune_report.remarks(result, file)))
     if as_json:
         click.echo(report.to_json(result.summary()))
     else:
         click.echo(system.title or file)
         report.console().print(tune_report.tuned_table(result, system.plant.units))
         report.print_lines(tune_report.tuned_notes(result))
+    if out is not None:
+        write_text(out, with_law(source, result.system, tune_report.remarks(result, file)))
+    pictures: list[Path] = []
+    if plot is not None and result.front is not None:
+        from certrack import plotting
+
+        figure = plotting.front_figure(result.front, system.title, system.plant.units)
+        pictures = plotting.save_figure(figure, plot, "front")
     tell_written(as_json, *pictures, *filter(None, [out]))
     for warning in tune_report.warnings(result):
         click.echo(f"certrack: note: {warning}", err=True)
+
+
+def _require_room(out: Path, file: str, source: str) -> None:
+    """Refuse what could not be written, or not be read again, before the search."""
+    from certrack.core.files import require_place
+
+    keep_source(file, out)
+    require_place(out)
+    samples = tomllib.loads(source).get("reference", {}).get("file")
+    if samples is not None and not (out.parent / samples).exists():
+        raise InputError(
+            "--out",
+            f"{out} would not find the samples of reference.file, which lie beside it",
+            samples,
+            f"Choose a name in {Path(file).parent}",
+        )
 
 
 def _box_of(text: str | None) -> list[tuple[float, float]] | None:

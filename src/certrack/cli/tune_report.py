@@ -99,7 +99,7 @@ def warnings(result: Tuned) -> list[str]:
     """What should worry: an interruption, a bound that is no better, a tight period."""
     lines = []
     if result.stopped:
-        lines.append("stopped before all starts were searched: this is the best so far")
+        lines.append("stopped before all was searched and measured: this is the best so far")
     lines += result.broken
     if result.objective == "error" and result.after.certified >= result.before.certified:
         lines.append("the certified error is not better than the file's, within these limits")

@@ -59,6 +59,22 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
         raise _refusal(path, problem) from None
 
 
+def require_place(path: Path) -> None:
+    """Refuse, before something long is computed, what could not be written in the end.
+
+    Raises
+    ------
+    InputError
+        If no file can take this name now.
+    """
+    try:
+        _require_replaceable(path)
+        with _temporary_file(path.parent):
+            pass
+    except OSError as problem:
+        raise _refusal(path, problem) from None
+
+
 def write_whole(path: Path, data: bytes | memoryview) -> None:
     """Write a file whole or not at all, for callers that have an error message of their own.
 

@@ -185,8 +185,9 @@ def clear() -> CacheState:
                         os.unlink(name, dir_fd=folder)
     except FileNotFoundError:
         pass
-    except OSError as problem:
-        raise CacheUnusable(f"{before.place}: {problem.strerror or problem}") from None
+    except (OSError, CacheUnusable) as problem:
+        reason = getattr(problem, "strerror", None) or problem
+        raise CacheUnusable(f"{before.place}: {reason}") from None
     return before
 
 

@@ -15,6 +15,9 @@ last one, of y_d^(q+1), is the law's.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -58,8 +61,9 @@ def sampled_feedforward(
     DesignError
         If the law or the plant is not linear, or the loop does not follow a constant.
     """
-    linear = linear_controller(plant, controller, implementation, controller.equations.u + ADDED)
-    Lx, Ls, LY, Sx, Ss, SY, b_s = _tables(linear, plant, law, implementation)
+    slopes = _slopes(plant, controller, law, implementation)
+    linear = slopes.linear
+    Lx, Ls, LY, Sx, Ss, SY, b_s = _tables(slopes, plant, law, implementation)
     n, memories = plant.n, len(linear.states)
     late = math.floor(implementation.design_delay)
     over, new, old, gain = plant_over_a_period(plant, law, implementation)
@@ -108,24 +112,73 @@ def sampled_feedforward(
     return np.array([in_digits(v, COEFFICIENT_DIGITS) for v in F * gain])
 
 
-def _tables(
-    linear: LinearController, plant: Plant, law: Law, implementation: Implementation
-) -> tuple[np.ndarray, ...]:
-    """Slopes of the command and of the memories, those by what is added of the memories only."""
-    controller = linear.controller
-    columns = (*controller.measured, *linear.states, *controller.Y, ADDED)
-    slopes = linear.slopes(columns)
-    known = set(controller.parameters)
+@dataclass(frozen=True)
+class _Slopes:
+    """What depends on the structure of a loop, and not on its numbers.
+
+    Attributes
+    ----------
+    linear : LinearController
+    values : callable
+        Of the controller's parameters: the slopes, row by row.
+    """
+
+    linear: LinearController
+    values: Callable[..., list[Any]]
+
+
+#: Structures whose slopes are kept: searches and margins ask for one of them thousands of times.
+KEPT_STRUCTURES = 16
+_slopes_of_structures: dict[tuple[Any, ...], _Slopes] = {}
+
+
+def _slopes(
+    plant: Plant, controller: Controller, law: Law, implementation: Implementation
+) -> _Slopes:
+    """The slopes as functions, compiled once for all numbers of a structure."""
+    observer = law.observer
+    estimated = (
+        None if observer is None else (observer.kind, observer.rows, observer.bandwidth is None)
+    )
+    of_drive = tuple(
+        getattr(implementation, field.name)
+        for field in fields(implementation)
+        if field.name != "period"
+    )
+    key = (plant, controller.equations, estimated, of_drive)
+    compiled = _slopes_of_structures.get(key)
+    if compiled is None:
+        compiled = _new_slopes(plant, controller, implementation)
+        if len(_slopes_of_structures) >= KEPT_STRUCTURES:
+            _slopes_of_structures.pop(next(iter(_slopes_of_structures)), None)
+        _slopes_of_structures[key] = compiled
+    return compiled
+
+
+def _new_slopes(plant: Plant, controller: Controller, implementation: Implementation) -> _Slopes:
+    linear = linear_controller(plant, controller, implementation, controller.equations.u + ADDED)
+    sampled = linear.controller
+    slopes = linear.slopes((*sampled.measured, *linear.states, *sampled.Y, ADDED))
+    known = set(sampled.parameters)
     if any(entry.free_symbols - known for row in slopes for entry in row):
         raise DesignError(
             "law.sampled_feedforward",
             "needs a loop that is linear: a robust law and a linear drift",
             remedy="Leave it out",
         )
-    values = plain_values(controller, plant, law, implementation)
-    flat = numpy_callable(controller.parameters, [v for row in slopes for v in row])(*values)
-    table = np.array([np.asarray(v, float) for v in flat]).reshape(len(slopes), len(columns))
+    flat = [entry for row in slopes for entry in row]
+    return _Slopes(linear, numpy_callable(sampled.parameters, flat))
+
+
+def _tables(
+    slopes: _Slopes, plant: Plant, law: Law, implementation: Implementation
+) -> tuple[np.ndarray, ...]:
+    """Slopes of the command and of the memories, those by what is added of the memories only."""
+    linear = slopes.linear
+    controller, rows = linear.controller, len(linear.formulas)
+    flat = slopes.values(*plain_values(controller, plant, law, implementation))
+    table = np.array([np.asarray(v, float) for v in flat]).reshape(rows, -1)
     n, m = len(controller.measured), len(linear.states)
     of_u, of_s = table[:1], table[1:]
-    parts = [part for rows in (of_u, of_s) for part in np.split(rows[:, :-1], [n, n + m], axis=1)]
+    parts = [part for of in (of_u, of_s) for part in np.split(of[:, :-1], [n, n + m], axis=1)]
     return (*parts, of_s[:, -1])

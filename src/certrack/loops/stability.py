@@ -71,7 +71,11 @@ class LinearLoop:
     law: Law
 
     def period_map(self, period: float, delay: float) -> np.ndarray:
-        """M of the module's text.
+        """M of the module's text; see :meth:`period_maps`."""
+        return self.period_maps(period, delay)[0]
+
+    def period_maps(self, period: float, delay: float) -> tuple[np.ndarray, np.ndarray]:
+        """M of the module's text, and what the reference adds.
 
         Parameters
         ----------
@@ -80,24 +84,26 @@ class LinearLoop:
 
         Returns
         -------
-        (N + s + d + 1, N + s + d + 1) array
+        M : (N + s + d + 1, N + s + d + 1) array
             d is the whole part of the delay, s the number of the controller's memories.
+        G : (N + s + d + 1, q + 2) array
+            Over y_d ... y_d^(q+1) at the sample.
         """
         law = self.law_matrix(period)
         N, n, memories = len(self.b), len(self.C), len(law) - 1
-        law = law[:, : n + memories]
         d = math.floor(delay)
-        size = N + memories + d + 1
-        signals = np.zeros((n + memories, size))  # measured states and memories over xi
-        signals[:n, :N], signals[n:, N : N + memories] = self.C, np.eye(memories)
-        after = law @ signals
-        inputs = np.vstack([after[:1], np.eye(size)[N + memories :]])  # u_k, u_{k-1} ... u_{k-d-1}
-        x = np.eye(size)[:N]
+        size, width = N + memories + d + 1, law.shape[1] - n - memories
+        signals = np.zeros((law.shape[1], size + width))  # measured, memories, reference over xi, Y
+        signals[:n, :N], signals[n : n + memories, N : N + memories] = self.C, np.eye(memories)
+        signals[n + memories :, size:] = np.eye(width)
+        after, units = law @ signals, np.eye(size + width)
+        inputs = np.vstack([after[:1], units[N + memories : size]])  # u_k, u_{k-1} ... u_{k-d-1}
+        x = units[:N]
         for u, h in ((inputs[d + 1], delay - d), (inputs[d], 1 - delay + d)):
             A, b = self.plant_over(h * period)
             x = A @ x + np.outer(b, u)
-        M: np.ndarray = np.vstack([x, after[1:], inputs[: d + 1]])
-        return M
+        maps = np.vstack([x, after[1:], inputs[: d + 1]])
+        return maps[:, :size], maps[:, size:]
 
     def radius(self, period: float, delay: float) -> float:
         """Spectral radius of the period map; the loop is stable where it is below 1.

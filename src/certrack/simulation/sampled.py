@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from certrack.core.heyoka import has_heyoka
 from certrack.core.lowering import numpy_callable, rows
 from certrack.core.progress import Progress, silent
 from certrack.integrators.base import MethodUnavailable, Outcome, Trajectory, parts_of
-from certrack.integrators.sampled.events import event_timeline
+from certrack.integrators.sampled.events import EventTimeline, event_timeline
 from certrack.integrators.sampled.maps import HeyokaMaps, SampledMaps
 from certrack.integrators.sampled.run import SampledProblem, SampledRun
 from certrack.integrators.sampled.scalar_maps import ScalarMaps
@@ -38,6 +39,7 @@ from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop, loop_values, sample_loop
 from certrack.loops.schedule import make_schedule
 from certrack.loops.time_switches import TimeSwitches, switched_sampled_loop
+from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.implementation_notes import implementation_notes
 from certrack.simulation.run import Run
@@ -92,6 +94,7 @@ class SampledSimulator:
         self._by_numpy = integrator == "scipy" or not has_heyoka()
         self._in_c = integrator != "scipy" and around is None and self.surfaces is None
         self.outputs = outputs_of(self.loop)
+        self._last_events: tuple[Any, EventTimeline | None] = (None, None)
         names = [TIME, loop.plant.states, INPUT, [*loop.parameters, *loop.pieces]]
         self._rates = numpy_callable(names, [*loop.plant.rates, loop.e_1, loop.slope])
 
@@ -120,7 +123,7 @@ class SampledSimulator:
             system.reference, self._switches, numbers, settings.duration, settings.tolerance
         )
         breaks = schedule.breaks(0.0, settings.duration)
-        line = event_timeline(implementation, settings.duration, breaks, np.empty(0))
+        line = self._events(implementation, settings.duration, breaks)
         problem = SampledProblem(
             x=np.array(settings.x0)[:, None],
             states=starting_state(self.loop.controller, system.estimates, implementation)[:, None],
@@ -151,6 +154,17 @@ class SampledSimulator:
             notes += sticking_notes(modes, trajectory.end)
         notes += implementation_notes(system)
         return Run(system, trajectory, solution.input_at, tuple(notes))
+
+    def _events(
+        self, implementation: Implementation, duration: float, breaks: Array
+    ) -> EventTimeline:
+        """The events of a run; the last ones are remembered, for they rarely change."""
+        key = (implementation, duration, breaks.tobytes())
+        known, line = self._last_events
+        if line is None or known != key:
+            line = event_timeline(implementation, duration, breaks, np.empty(0))
+            self._last_events = (key, line)
+        return line
 
     def _record_in_c(
         self, problem: SampledProblem, shared: Array, progress: Progress

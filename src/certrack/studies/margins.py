@@ -19,6 +19,7 @@ import numpy as np
 
 from certrack.certificates.scope import has_ranges
 from certrack.core import checks
+from certrack.core.blas import one_blas_thread
 from certrack.core.errors import InputError
 from certrack.core.notebook import ShownInNotebooks
 from certrack.core.progress import Progress, silent
@@ -165,6 +166,7 @@ class Margins(ShownInNotebooks):
         return f"Margins(error {self.error:.5g} on {self.members} members: {figures})"
 
 
+@one_blas_thread
 def margins(
     system: System,
     *,

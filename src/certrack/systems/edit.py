@@ -29,7 +29,6 @@ def with_law(text: str, system: System, remarks: Sequence[str] = ()) -> str:
     str
     """
     import tomlkit
-    from tomlkit.items import Table
 
     document = tomlkit.parse(text if text.strip() else to_text(system))
     table = tomlkit.table()
@@ -38,10 +37,8 @@ def with_law(text: str, system: System, remarks: Sequence[str] = ()) -> str:
     parts = [item for key, item in document.body if key is not None and key.key == "law"]
     for key, value in law_entries(system).items():
         table.add(key, value)
-        for part in parts:
-            beside = part[key].trivia.comment if isinstance(part, Table) and key in part else ""
-            if beside:
-                table[key].comment(beside)
+    for part in parts:
+        _keep_comments(table, part)
     for line in [line for part in parts for line in _after_the_keys(part)] or [tomlkit.nl()]:
         table.add(line)
     document["law"] = table
@@ -49,6 +46,22 @@ def with_law(text: str, system: System, remarks: Sequence[str] = ()) -> str:
         simulation: Any = document.get("simulation", {})
         simulation.pop("estimates", None)
     return tomlkit.dumps(document)
+
+
+def _keep_comments(table: Any, earlier: Any) -> None:
+    """Comments beside keys that stay, in tables within the table, too."""
+    from tomlkit.items import Table
+
+    if not (isinstance(table, Table) and isinstance(earlier, Table)):
+        return
+    for key in [key for key in table if key in earlier]:
+        item: Any
+        before: Any
+        item, before = (entry.value.item(key) for entry in (table, earlier))
+        if isinstance(item, Table):
+            _keep_comments(item, before)
+        elif not isinstance(before, Table) and before.trivia.comment:
+            item.comment(before.trivia.comment)
 
 
 def _after_the_keys(table: Any) -> list[Any]:

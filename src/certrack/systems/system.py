@@ -13,6 +13,7 @@ from certrack.core import checks
 from certrack.core.errors import InputError, shorten
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.notebook import ShownInNotebooks
+from certrack.core.once import without_results
 from certrack.laws.base import Controller, Law
 from certrack.laws.leakage import longest_euler_period
 from certrack.laws.observer_model import observer_model
@@ -221,6 +222,9 @@ class System(ShownInNotebooks):
             )
         require_order(self.reference, order, f"this design (law.feedforward = {order - 1})")
         check_reference(self.reference, order, self.settings.duration)
+
+    def __getstate__(self) -> dict[str, object]:
+        return without_results(vars(self))
 
     @cached_property
     def long_run(self) -> System:

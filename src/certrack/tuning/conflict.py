@@ -8,7 +8,7 @@ from certrack.core.errors import InputError
 from certrack.tuning.families import Family
 from certrack.tuning.limits import Limit
 from certrack.tuning.problem import TuningProblem
-from certrack.tuning.quantities import NO_VALUE, log_of
+from certrack.tuning.quantities import NO_VALUE, Largest, log_of
 from certrack.tuning.search import GainSearch
 
 
@@ -43,7 +43,7 @@ def conflict(problem: TuningProblem, family: Family, search: GainSearch) -> Inpu
             remedy="Ease two of these limits",
         )
     limit, value = best
-    others = [entry.describe() for entry in limits if entry.quantity is not limit.quantity]
+    others = [entry.describe() for entry in limits if entry.name != limit.name]
     return InputError(
         _key(limit),
         f"{limit.describe()} conflicts with {', '.join(dict.fromkeys(others))}: with these the "
@@ -55,9 +55,11 @@ def conflict(problem: TuningProblem, family: Family, search: GainSearch) -> Inpu
 def _best_achievable(problem: TuningProblem, family: Family, limit: Limit) -> float | None:
     """The best of a limited quantity within the other limits; None if these conflict, too."""
     others = tuple(entry for entry in problem.task.limits if entry.name != limit.name)
+    named = [entry.quantity for entry in problem.task.limits if entry.name == limit.name]
+    quantity = named[0] if len(named) == 1 else Largest(named)  # corners of a box have one each
     task = replace(
         problem.task,
-        objective=limit.quantity,
+        objective=quantity,
         smallest=not limit.at_least,
         limits=others,
         accepts=lambda candidate: log_of(problem.error, candidate) < NO_VALUE,
@@ -65,7 +67,7 @@ def _best_achievable(problem: TuningProblem, family: Family, limit: Limit) -> fl
     search = GainSearch(problem.base, task)
     search.run(family, family.start)
     best = search.state.best
-    return None if best is None else limit.quantity.value(best)
+    return None if best is None else quantity.value(best)
 
 
 def _key(limit: Limit) -> str:

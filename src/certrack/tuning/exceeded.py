@@ -22,7 +22,7 @@ def broken_limits(limits: Sequence[Limit], figures: Measured) -> list[str]:
     said = {}
     for limit in limits:
         value = measured.get(limit.name)
-        if value is not None and not value <= limit.value:
+        if value is not None and not math.isnan(value) and not value <= limit.value:
             number = rounded_up(value, 5) if math.isfinite(value) else "none"
             what = "certified error" if limit.name == "error" else limit.name
             said[limit.name] = (

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from certrack.certificates.certify import certify
+from certrack.certificates.implemented.certify import KIND
 from certrack.core.errors import InputError
 from certrack.loops.stability import linear_loop
 from certrack.model.distribution import Distribution
@@ -18,9 +19,11 @@ from certrack.studies.ensembles.ensemble import ensemble
 from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.companion import companion, is_memoryless
 from certrack.tuning.quantities import NoiseGain
-from certrack.tuning.responses import Grid, LinearPlant
+from certrack.tuning.responses import Grid
 from certrack.tuning.runs import corners
+from certrack.tuning.sampled_responses import input_plant
 from certrack.tuning.stability import StabilityEdge
 
 #: Runs of the falsifier; members of the ensemble that looks for a larger peak than the corners';
@@ -46,7 +49,7 @@ class Measured:
     method : str
         Of that certificate.
     worst_found : float or None
-        The worst |e_1| that the falsifier found.
+        The worst |e_1| that the falsifier found, of the loop that is certified.
     tail_error, energy, input_variation : float
         Of the file's own run.
     peak_input : float
@@ -85,15 +88,30 @@ def figures_of(system: System, box: np.ndarray | None, seed: int) -> Measured:
     return Measured(
         certified=best.bound if best.verified else math.inf,
         method=best.kind if best.verified else "",
-        worst_found=_falsified(system, seed),
+        worst_found=_falsified(system, seed, best.kind == KIND),
         tail_error=metrics.tail_error,
         peak_input=metrics.peak_input if box is None else box_peak(system, box, seed),
         energy=metrics.input_energy,
         input_variation=metrics.input_variation,
         noise=NoiseGain(system).value(candidate),
         period=_exact_edge(system, candidate),
-        peak_is=SIMULATED if box is None else COMPUTED if _plain_plant(system) else FOUND,
+        peak_is=SIMULATED if box is None else COMPUTED if input_plant(system) else FOUND,
     )
+
+
+#: Of a design whose measurement was interrupted.
+UNMEASURED = Measured(
+    certified=math.nan,
+    method="",
+    worst_found=None,
+    tail_error=math.nan,
+    peak_input=math.nan,
+    energy=math.nan,
+    input_variation=math.nan,
+    noise=math.nan,
+    period=None,
+    peak_is=SIMULATED,
+)
 
 
 class _Fixed(Candidate):
@@ -111,7 +129,9 @@ def box_peak(system: System, box: np.ndarray, seed: int) -> float:
     Otherwise the largest of the corners and of an ensemble of starts in the box, with the
     disturbances of the file.
     """
-    plant, system = _plain_plant(system), system.replace(implementation=None)
+    plant = input_plant(system)
+    if is_memoryless(system.law):
+        system = system.replace(implementation=None)
     if plant is not None:
         centre, radius = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
         grid = Grid.of(system, REFINED)
@@ -125,21 +145,22 @@ def box_peak(system: System, box: np.ndarray, seed: int) -> float:
     return float(max(finite)) if len(finite) == len(peaks) + 1 else math.inf
 
 
-def _plain_plant(system: System) -> LinearPlant | None:
-    return LinearPlant.of(system.replace(implementation=None))
-
-
-def _falsified(system: System, seed: int) -> float | None:
+def _falsified(system: System, seed: int, as_implemented: bool) -> float | None:
+    """Of the loop that is certified: the continuous one, or that of the drive."""
     try:
-        return falsify(system, budget=FALSIFIED_RUNS, seed=seed).worst_error
+        attack = falsify(system, budget=FALSIFIED_RUNS, seed=seed)
     except InputError:
         return None  # a truth with states of its own, or names that the search needs
+    if as_implemented:
+        return None if attack.drive is None else attack.drive.worst_error
+    return attack.worst_error
 
 
 def _exact_edge(system: System, candidate: Candidate) -> float | None:
-    drive = system.implementation or Implementation(1e-3)
-    loop = linear_loop(system.replace(implementation=drive))
-    if loop is None:
+    if system.implementation is None:
+        system = companion(system).replace(implementation=Implementation(1e-3))
+    drive, loop = system.implementation, linear_loop(system)
+    if loop is None or drive is None:
         return None
     guess = 1 / system.controller.coordinates.fastest_pole
     return StabilityEdge(loop, guess, float(drive.run_delay)).first(candidate)

@@ -10,23 +10,27 @@ from typing import Any
 import numpy as np
 
 from certrack.certificates.certify import certify
+from certrack.certificates.scope import has_ranges
 from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
-from certrack.tuning.families import AdaptiveFamily
+from certrack.tuning.companion import is_memoryless
+from certrack.tuning.families import AdaptiveFamily, Family
 from certrack.tuning.implemented import DrivePeak, ImplementedError
 from certrack.tuning.limits import Limit, Task
 from certrack.tuning.quantities import (
+    Largest,
     NoiseGain,
     PeakGainError,
     Quantity,
     SemidefiniteError,
 )
+from certrack.tuning.ranged import RangedError
 from certrack.tuning.registry import tuning_family
-from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, LinearPlant, StartPeak
+from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, StartPeak
 from certrack.tuning.runs import (
     MOST_CORNERS,
     TRANSIENT_PART,
@@ -36,7 +40,8 @@ from certrack.tuning.runs import (
     RunEnergy,
     corners,
 )
-from certrack.tuning.stability import DelayEdge, StabilityEdge
+from certrack.tuning.sampled_responses import input_plant
+from certrack.tuning.stability import DelayEdge, EstimatesPeriod, StabilityEdge
 
 OBJECTIVES = ("error", "peak", "energy", "period")
 
@@ -76,11 +81,14 @@ class TuningProblem:
     Parameters
     ----------
     base : System
-        Continuous, with the first law of the family.
+        With the first law of the family; with an implementation, where the error is that of the
+        loop as implemented.
     system : System
         As the user has it.
     wanted : Requirements
     objective : one of :data:`OBJECTIVES`
+    family : Family, optional
+        That of the base's law if left out.
 
     Attributes
     ----------
@@ -91,12 +99,21 @@ class TuningProblem:
         What the user should know.
     """
 
-    def __init__(self, base: System, system: System, wanted: Requirements, objective: str) -> None:
+    def __init__(
+        self,
+        base: System,
+        system: System,
+        wanted: Requirements,
+        objective: str,
+        family: Family | None = None,
+    ) -> None:
         self.base, self.system, self.wanted = base, system, wanted
+        law = base.law
+        self._family = family or tuning_family(base, law.kind, law.order(base.plant))
         self.notes: list[str] = []
         self.box = _box(system, wanted.box)
         self.error = _error_quantity(base)
-        self._linear = LinearPlant.of(base)
+        self._linear = input_plant(base)
         self._drive = system.implementation
         self._loop = self._held_loop()
         self._runs: CompiledRuns | None = None
@@ -121,7 +138,7 @@ class TuningProblem:
             return self.error
         if objective == "peak":
             quantities = self._peaks()
-            return quantities[0] if len(quantities) == 1 else _Largest(quantities)
+            return quantities[0] if len(quantities) == 1 else Largest(quantities)
         if objective == "energy":
             return self._energy()
         if self._loop is None:
@@ -143,8 +160,10 @@ class TuningProblem:
         limits += self._saturation()
         if wanted.energy is not None:
             limits.append(Limit(self._energy(), wanted.energy, option="--energy"))
+        option = "" if wanted.period is None else "--period"
+        if isinstance(self.error, SemidefiniteError) and self._held.update == "euler":
+            limits.append(Limit(EstimatesPeriod(), self.held_period, True, option))
         if self._loop is not None and objective != "period":
-            option = "" if wanted.period is None else "--period"
             limits.append(Limit(self._edge(self._loop), self.held_period, True, option))
         if wanted.delay_margin is not None:
             limits.append(self._delay_limit(wanted.delay_margin))
@@ -152,25 +171,6 @@ class TuningProblem:
         most = NOISE_FACTOR * start if wanted.noise is None else wanted.noise
         limits.append(Limit(self.noise, most, option="" if wanted.noise is None else "--noise"))
         return limits
-
-    @property
-    def refined(self) -> Task | None:
-        """The task with the error of the loop as the drive runs it, where that is the objective."""
-        if self._drive is None or self.objective is not self.error or self._loop is None:
-            return None
-        error = ImplementedError(self._drive)
-        limits = tuple(
-            replace(limit, quantity=DrivePeak(limit.quantity, error), value=self._least_limit)
-            if isinstance(limit.quantity, StartPeak)
-            else limit
-            for limit in self.task.limits
-        )
-        accepts = self.task.accepts
-
-        def accepted(candidate: Candidate) -> bool:
-            return accepts(candidate) and error.is_verified(candidate)
-
-        return replace(self.task, objective=error, limits=limits, accepts=accepted)
 
     @property
     def _least_limit(self) -> float:
@@ -186,8 +186,13 @@ class TuningProblem:
     @property
     def first(self) -> Candidate:
         """The start's design: that of the base."""
-        family = tuning_family(self.base, self.base.law.kind, self.base.law.order(self.base.plant))
-        return Candidate(family, self.base, family.start)
+        return Candidate(self._family, self.base, self._family.start)
+
+    @property
+    def _held(self) -> Implementation:
+        """How a nonlinear loop is held in a simulation."""
+        update = "euler" if self._drive is None else self._drive.update
+        return Implementation(self.held_period, update=update)
 
     @property
     def held_period(self) -> float:
@@ -234,6 +239,8 @@ class TuningProblem:
             return []
         x0 = np.array(self.base.settings.x0)
         quantity = StartPeak(self._linear, Grid.of(self.base), np.stack([x0, x0], axis=1))
+        if isinstance(self.error, ImplementedError):
+            return [Limit(DrivePeak(quantity, self.error), self._least_limit)]
         return [Limit(quantity, SATURATION_SHARE * self._least_limit)]
 
     def _energy(self) -> Quantity:
@@ -248,7 +255,9 @@ class TuningProblem:
         return self._runs
 
     def _held_loop(self) -> LinearLoop | None:
-        drive = self._drive or Implementation(LEAST_PERIOD)
+        drive = self.base.implementation or self._drive or Implementation(LEAST_PERIOD)
+        if self.base.implementation is None and not is_memoryless(self.system.law):
+            drive = Implementation(drive.period)  # its sensors are those of the observer
         return linear_loop(self.base.replace(implementation=drive))
 
     def _edge(self, loop: LinearLoop) -> StabilityEdge:
@@ -263,41 +272,43 @@ class TuningProblem:
                 remedy="See what certrack margin says of the tuned file",
             )
         period = LEAST_PERIOD if self._drive is None else self._drive.period
-        edge = DelayEdge(self._loop, margin, period=period)
+        guess = min(margin, 1 / self.first.design.fastest_pole)
+        edge = DelayEdge(self._loop, guess, period=period)
         return Limit(edge, margin, at_least=True, option="--delay-margin")
 
     def _accepts(self) -> Any:
         """The last word: no shorter period is unstable; a nonlinear loop works when held."""
         if self._loop is not None:
-            edge = self._edge(self._loop)
-            if isinstance(self.objective, StabilityEdge):
-                return lambda candidate: math.isfinite(edge.first(candidate))
-            return lambda candidate: edge.first(candidate) >= self.held_period
-        held = Held(self.base, self.held_period)
+            return self._stable
+        held = Held(self.base, self._held)
         self.notes.append(
             f"held at {self.held_period:.4g} s in a simulation: a nonlinear loop has no exact edge"
         )
         return held.holds
 
-
-class _Largest(Quantity):
-    """The largest of several quantities."""
-
-    name = "peak input"
-
-    def __init__(self, quantities: Sequence[Quantity]) -> None:
-        self._quantities = quantities
-
-    def value(self, candidate: Candidate) -> float:
-        return max(quantity.value(candidate) for quantity in self._quantities)
-
-    def log_gradient(self, candidate: Candidate) -> np.ndarray:
-        worst = max(self._quantities, key=lambda quantity: quantity.value(candidate))
-        return worst.log_gradient(candidate)
+    def _stable(self, candidate: Candidate) -> bool:
+        """Whether no shorter period is unstable; of a loop as implemented, with a proof."""
+        assert self._loop is not None
+        edge = self._edge(self._loop).first(candidate)
+        if isinstance(self.objective, StabilityEdge):
+            stable = math.isfinite(edge)
+        else:
+            stable = edge >= self.held_period
+        if stable and isinstance(self.error, ImplementedError):
+            return self.error.is_verified(candidate)
+        return stable
 
 
-def _error_quantity(base: System) -> PeakGainError | SemidefiniteError:
-    return SemidefiniteError(base) if base.law.kind == AdaptiveFamily.kind else PeakGainError(base)
+#: Each counts its evaluations.
+ErrorQuantity = ImplementedError | PeakGainError | RangedError | SemidefiniteError
+
+
+def _error_quantity(base: System) -> ErrorQuantity:
+    if base.implementation is not None:
+        return ImplementedError(base.implementation)
+    if base.law.kind == AdaptiveFamily.kind:
+        return SemidefiniteError(base.replace(plant=replace(base.plant, constant_ranges=())))
+    return RangedError(base) if has_ranges(base) else PeakGainError(base)
 
 
 def _box(system: System, stated: Sequence[tuple[float, float]] | None) -> np.ndarray | None:

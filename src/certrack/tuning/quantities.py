@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -186,3 +187,22 @@ class NoiseGain(Quantity):
     def value(self, candidate: Candidate) -> float:
         feedback = candidate.design.nu_x - self._slopes
         return float(np.linalg.norm(feedback)) / self._gain
+
+
+class Largest(Quantity):
+    """The largest of several quantities of one name."""
+
+    def __init__(self, quantities: Sequence[Quantity]) -> None:
+        self._quantities = quantities
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Of each."""
+        return self._quantities[0].name
+
+    def value(self, candidate: Candidate) -> float:
+        return max(quantity.value(candidate) for quantity in self._quantities)
+
+    def log_gradient(self, candidate: Candidate) -> np.ndarray:
+        worst = max(self._quantities, key=lambda quantity: quantity.value(candidate))
+        return worst.log_gradient(candidate)

@@ -11,6 +11,7 @@ with u_0 from the box's centre. w = 0, and the reference is the file's.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import expm
@@ -85,6 +86,15 @@ class InputResponse:
         )
 
 
+class InputPlant(Protocol):
+    """Whose input is linear in the start."""
+
+    def response(
+        self, candidate: Candidate, grid: Grid, centre: np.ndarray, radius: np.ndarray
+    ) -> InputResponse:
+        """The input from a box of starts."""
+
+
 class LinearPlant:
     """A plant and law that are linear, for any gains; makes responses and edges of stability."""
 
@@ -96,7 +106,7 @@ class LinearPlant:
         """None where the loop is not linear, the law has memories, or a constant force acts."""
         plain = system.replace(implementation=Implementation(PLAIN_PERIOD))
         loop = linear_loop(plain)
-        if loop is None or loop.controller.states or not _passes_through_zero(system):
+        if loop is None or loop.controller.states or not passes_through_zero(system):
             return None
         return cls(loop)
 
@@ -115,7 +125,7 @@ class LinearPlant:
             f = kY @ signals
             E, first, second = _ramp_step(M, loop.b, h)
             forced = np.outer(first, f[:-1]) + np.outer(second, f[1:])
-            xs, rows = _states(E, x, forced), _rows(E, k @ power, f.shape[-1])
+            xs, rows = states_along(E, x, forced), power_rows(E, k @ power, f.shape[-1])
             inputs.append(k @ xs + f)
             spreads.append(np.abs(rows) @ radius)
             x, power = xs[:, -1], np.linalg.matrix_power(E, f.shape[-1] - 1) @ power
@@ -126,7 +136,7 @@ class LinearPlant:
 PLAIN_PERIOD = 1e-3
 
 
-def _passes_through_zero(system: System) -> bool:
+def passes_through_zero(system: System) -> bool:
     """Whether nothing acts on the plant at rest in the origin."""
     plant = system.plant
     at_rest = dict.fromkeys(plant.symbols, 0)
@@ -144,7 +154,7 @@ def _ramp_step(M: np.ndarray, b: np.ndarray, h: float) -> tuple[np.ndarray, np.n
     return step[:n, :n], area - ramp, ramp
 
 
-def _states(E: np.ndarray, x: np.ndarray, forced: np.ndarray) -> np.ndarray:
+def states_along(E: np.ndarray, x: np.ndarray, forced: np.ndarray) -> np.ndarray:
     """x_0 ... x_N of x_{k+1} = E x_k + forced_k, by doubling."""
     total = np.concatenate([x[:, None], forced], axis=1)
     shift, power = 1, E
@@ -154,7 +164,7 @@ def _states(E: np.ndarray, x: np.ndarray, forced: np.ndarray) -> np.ndarray:
     return total
 
 
-def _rows(E: np.ndarray, row: np.ndarray, count: int) -> np.ndarray:
+def power_rows(E: np.ndarray, row: np.ndarray, count: int) -> np.ndarray:
     """Row E^k for k = 0 ... count - 1."""
     rows, power = row[None, :], E
     while len(rows) < count:
@@ -168,7 +178,7 @@ class BoxPeak(Quantity):
 
     name = "peak input"
 
-    def __init__(self, plant: LinearPlant, grid: Grid, box: np.ndarray) -> None:
+    def __init__(self, plant: InputPlant, grid: Grid, box: np.ndarray) -> None:
         self._plant, self._grid = plant, grid
         self._centre, self._radius = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
 
@@ -188,7 +198,7 @@ class LinearEnergy(Quantity):
 
     name = "energy"
 
-    def __init__(self, plant: LinearPlant, grid: Grid, x0: np.ndarray) -> None:
+    def __init__(self, plant: InputPlant, grid: Grid, x0: np.ndarray) -> None:
         self._plant, self._grid, self._x0 = plant, grid, x0
 
     def value(self, candidate: Candidate) -> float:

@@ -146,8 +146,13 @@ def tuned_numbers(system: System) -> dict[str, Any]:
         "Gamma",
         "delta0",
         "theta0",
+        "integral",
     )
-    values = {name: getattr(system.law, name, None) for name in names}
+    law = system.law
+    values = {name: getattr(law, name, None) for name in names}
+    if law.observer is not None:
+        of_observer = ("weights", "bandwidth")
+        values |= {f"observer.{name}": getattr(law.observer, name) for name in of_observer}
     return {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in values.items()

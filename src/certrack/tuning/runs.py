@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.laws.base import Law
 from certrack.model.implementation import Implementation
@@ -108,25 +109,34 @@ class Held:
     loop. There is no exact edge for a nonlinear loop.
     """
 
-    def __init__(self, system: System, period: float) -> None:
-        self.period = period
-        self._system = system.replace(implementation=Implementation(period))
+    def __init__(self, system: System, implementation: Implementation) -> None:
+        self._base, self._implementation = system, implementation
         self._runs = CompiledRuns(system)
         self._simulator: Simulator | None = None
 
     def holds(self, candidate: Candidate) -> bool:
         """Whether it does, from the file's start."""
         settings = candidate.base.settings
-        tail = settings.tail_start
-        plain = self._runs.metrics(candidate, settings.x0, settings.duration, tail)
+        duration, tail = settings.duration, settings.tail_start
+        longest = HELD_SAMPLES * self._implementation.period
+        if duration > longest:
+            duration, tail = longest, longest / 2
+        plain = self._runs.metrics(candidate, settings.x0, duration, tail)
         if plain is None:
             return False
+        settings = replace(settings, duration=duration, tail=tail)
+        try:
+            held = self._base.replace(
+                law=candidate.law, settings=settings, implementation=self._implementation
+            )
+        except InputError:
+            return False  # its estimates forget too fast for this period
         if self._simulator is None:
-            self._simulator = Simulator(self._system)
-        run = self._simulator.run(self._system.replace(law=candidate.law))
+            self._simulator = Simulator(held)
+        run = self._simulator.run(held)
         finished = run.outcome is Outcome.finished
         return finished and run.metrics.tail_error <= WORSE * plain.tail_error
 
 
-#: How much larger the tail error of the held loop may be.
-WORSE = 2.0
+#: How much larger the tail error of the held loop may be, and so many samples of it are run.
+WORSE, HELD_SAMPLES = 2.0, 20_000

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq
 
+from certrack.laws.leakage import longest_euler_period
 from certrack.loops.stability import LinearLoop
 from certrack.tuning.candidate import DIFFERENCE, Candidate
 from certrack.tuning.quantities import Quantity
@@ -15,6 +16,9 @@ from certrack.tuning.quantities import Quantity
 #: Ratio by which the edge is bracketed, its relative accuracy, and the longest period looked at
 #: over the first guess.
 BRACKET, EDGE_ACCURACY, FARTHEST = 1.3, 1e-9, 1e6
+
+#: Delays are looked at up to so many periods: each is one more state.
+MOST_PERIODS = 500
 
 #: Periods below the edge at which the loop must be stable, too: down to the edge over the last.
 EDGE_CHECKS, DOWN_TO = 40, 100.0
@@ -40,6 +44,7 @@ class StabilityEdge(Quantity):
         self, loop: LinearLoop, guess: float, delay: float = 0.0, period: float | None = None
     ) -> None:
         self._loop, self._guess, self._period, self._delay = loop, guess, period, delay
+        self._farthest = FARTHEST * guess if period is None else MOST_PERIODS * period
         self._last: tuple[Candidate, float] | None = None
 
     def value(self, candidate: Candidate) -> float:
@@ -79,7 +84,7 @@ class StabilityEdge(Quantity):
         if self._log_radius(loop, self._guess) < 0:
             while self._log_radius(loop, high) < 0:
                 low, high = high, high * BRACKET
-                if high > FARTHEST * self._guess:
+                if high > self._farthest:
                     return math.inf
         else:
             while self._log_radius(loop, low) >= 0:
@@ -100,3 +105,15 @@ class DelayEdge(StabilityEdge):
     """The delay, s, that the loop bears at a period."""
 
     name = "delay margin"
+
+
+class EstimatesPeriod(Quantity):
+    """The period at which a step of forward Euler forgets all of an estimate, s.
+
+    Beyond it the estimates alternate, and at twice the period they diverge.
+    """
+
+    name = "period of the estimates"
+
+    def value(self, candidate: Candidate) -> float:
+        return longest_euler_period(candidate.system.controller) / 2

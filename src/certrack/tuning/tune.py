@@ -8,26 +8,24 @@ is certified in full at the end: the search's own numbers are floats and prove n
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Sequence
 
-from certrack.certificates.certificate import NoCertificate
+import numpy as np
+
 from certrack.core import checks
-from certrack.core.errors import Cancelled, InputError
+from certrack.core.errors import Cancelled
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System, require_system
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.companion import with_law_of
 from certrack.tuning.conflict import conflict
 from certrack.tuning.exceeded import broken_limits
-from certrack.tuning.families import Family
 from certrack.tuning.front import limits_named, sweep
-from certrack.tuning.limits import Task
-from certrack.tuning.measure import figures_of
-from certrack.tuning.problem import OBJECTIVES, Requirements, TuningProblem
-from certrack.tuning.registry import tuning_family
+from certrack.tuning.measure import UNMEASURED, Measured, figures_of
+from certrack.tuning.problem import OBJECTIVES, Requirements
 from certrack.tuning.result import ActiveLimit, Front, Tuned
 from certrack.tuning.search import GainSearch, prices, random_starts
+from certrack.tuning.stages import GainStage, searches_of
 
 #: Starts of a search that is asked for by mistake would take days.
 MAX_STARTS = 10_000
@@ -130,38 +128,41 @@ def tune(
         noise=noise,
         box=box,
     )
-    family, base = _family(system, law, feedforward)
-    try:
-        problem = TuningProblem(base, system, wanted, objective)
-    except NoCertificate as refusal:
-        raise InputError("tune", f"there is no certificate to tune: {refusal}") from None
+    searches = searches_of(system, wanted, objective, law, feedforward)
+    first, last = searches[0], searches[-1]
     if front is not None:
-        limits_named(front, problem.task.limits)  # before hours of search
-    count = starts or (LINEAR_STARTS if problem.is_linear else NONLINEAR_STARTS)
-    search = _searched(problem, family, count, seed, progress)
+        limits_named(front, last.problem.task.limits)  # before hours of search
+    count = starts or (LINEAR_STARTS if first.is_quick else NONLINEAR_STARTS)
+    search = _searched(first, count, seed, progress)
     best = search.state.best
     if best is None:
-        raise conflict(problem, family, search)
-    refined = problem.refined
-    task = refined or problem.task
-    if refined is not None:
-        best = _refined(problem, refined, family, best, search)
-    tuned = base.replace(law=family.written(best.v))
+        raise conflict(first.problem, first.family, search)
+    used, notes = first, list(first.problem.notes)
+    for stage in searches[1:]:
+        if search.state.stopped:
+            break
+        refined = _refined(stage, best, search, lambda value: progress(count, count, value))
+        if refined is not None:
+            best, used = refined, stage
+        elif not search.state.stopped:
+            notes.append("the loop as implemented has no certificate; tuned is the continuous")
+    task = used.problem.task
     active = tuple(
         ActiveLimit(price.limit.name, price.limit.value, price.gain(EASED, task.sign))
         for price in prices(task, best)
     )
-    programs = problem.error.programs
+    programs = first.problem.error.programs
     curve: Front | None = None
     if front is not None:
-        curve = sweep(problem, family, best, front, progress)
-    box_used = problem.box
-    finished = replace(tuned, implementation=system.implementation)
-    after = figures_of(finished, box_used, seed)
+        curve = sweep(used.problem, used.family, best, front, progress)
+    finished = with_law_of(system, last.written(best.v))
+    starts_box = first.problem.box
+    after = _figures(finished, starts_box, seed, search)
+    before = _figures(system, starts_box, seed, search)
     return Tuned(
         system=finished,
         objective=objective,
-        before=figures_of(system, box_used, seed),
+        before=before,
         after=after,
         limits=tuple(limit.describe() for limit in task.limits),
         active=active,
@@ -169,48 +170,46 @@ def tune(
         programs_per_start=tuple(search.state.programs_per_start),
         seed=seed,
         front=curve,
-        notes=tuple(problem.notes),
+        notes=tuple(notes),
         stopped=search.state.stopped,
         broken=tuple(broken_limits(task.limits, after)),
     )
 
 
-def _family(system: System, law: str | None, feedforward: int | None) -> tuple[Family, System]:
-    """The family, and the continuous system with its first law."""
-    q = system.law.order(system.plant) if feedforward is None else feedforward
-    q = checks.integer("feedforward", q, 0, system.plant.n - 1)
-    kind = system.law.kind if law is None else law
-    family = tuning_family(system, kind, q)
-    changes: dict[str, Any] = {"law": family.law(family.start), "implementation": None}
-    if family.kind != system.law.kind:
-        changes["settings"] = replace(system.settings, estimates=None)
-    return family, system.replace(**changes)
+def _figures(system: System, box: np.ndarray | None, seed: int, search: GainSearch) -> Measured:
+    """The figures of a system; none where the user ends that, who then has the design at least."""
+    try:
+        return figures_of(system, box, seed)
+    except (KeyboardInterrupt, Cancelled):
+        search.state.stopped = True
+        return UNMEASURED
 
 
 def _refined(
-    problem: TuningProblem, task: Task, family: Family, best: Candidate, search: GainSearch
-) -> Candidate:
+    stage: GainStage, best: Candidate, search: GainSearch, report: Callable[[float | None], None]
+) -> Candidate | None:
     """The best design of the loop as the drive runs it, from that of the continuous one."""
-    refinement = GainSearch(problem.base, task, iterations=REFINING_ITERATIONS)
+    task = stage.problem.task
+    refinement = GainSearch(
+        stage.problem.base,
+        task,
+        lambda state: report(_objective_of(state.score, task.sign)),
+        REFINING_ITERATIONS,
+    )
     try:
-        refinement.run(family, family.start)
-        refinement.run(family, best.v)
+        refinement.run(stage.family, stage.family.start)
+        refinement.run(stage.family, stage.beside(best.v))
     except (KeyboardInterrupt, Cancelled):
         search.state.stopped = True
-    if refinement.state.best is None:
-        problem.notes.append("the loop as implemented has no certificate; tuned is the continuous")
-        return best
     return refinement.state.best
 
 
-def _searched(
-    problem: TuningProblem, family: Family, count: int, seed: int, progress: Progress
-) -> GainSearch:
+def _searched(stage: GainStage, count: int, seed: int, progress: Progress) -> GainSearch:
     """The search, from all starts or until the user ends it."""
-    done = 0
+    problem, family, done = stage.problem, stage.family, 0
 
     def best_of(score: float) -> float | None:
-        return math.exp(problem.task.sign * score) if math.isfinite(score) else None
+        return _objective_of(score, problem.task.sign)
 
     search = GainSearch(
         problem.base, problem.task, lambda state: progress(done, count, best_of(state.score))
@@ -228,3 +227,8 @@ def _searched(
             raise
         search.state.stopped = True
     return search
+
+
+def _objective_of(score: float, sign: float) -> float | None:
+    """The objective of a search's score; None where nothing is found yet."""
+    return math.exp(sign * score) if math.isfinite(score) else None

@@ -23,10 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate, svec
-
-#: Half the relative step of alpha's difference; the problem's part in alpha is linear.
-ALPHA_STEP = 1e-5
+from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate
 
 
 @dataclass(frozen=True)
@@ -81,36 +78,13 @@ def semidefinite_estimate(
     solution = program.solution(point, alpha)
     if not solution.bound > 0:
         return None
-    scaled_P, (lam, nu, k) = program.parts(point.x)
-    size = problem.n + sum(problem.counts)
-    Z = point.z[: size * (size + 1) // 2]
     value = float(point.cost @ point.x)
-    leak_unit = point.cost[len(program.entries) - 1] / _positive(problem.leakage(alpha))
-
-    def lagrangian(other: ErrorProblem, rate: float) -> float:
-        """z . G x + c . x as the problem and alpha have it, but for what does not change."""
-        Q = program.scaling.applied(other).inequality(
-            scaled_P, lam, nu, k, program.scaling.rate(rate)
-        )
-        total = float(Z @ svec(Q))
-        if other.adaptation is not None:
-            leak = other.leakage(rate)
-            if leak is None:
-                return math.inf
-            total += float(point.x[len(program.entries) - 1] * leak * leak_unit)
-        return total
-
-    up, down = alpha * (1 + ALPHA_STEP), alpha * (1 - ALPHA_STEP)
-    by_alpha = (lagrangian(problem, up) - lagrangian(problem, down)) / (2 * ALPHA_STEP)
-    by_log_share = by_alpha / (2 * value) - 0.5
+    lagrangian = program.lagrangian(point, alpha)
+    by_log_share = program.by_log_alpha(point, alpha) / 2
     slopes = []
     for above, below in changed:
-        direct = (lagrangian(above, alpha) - lagrangian(below, alpha)) / (2 * step)
+        direct = (lagrangian(above) - lagrangian(below)) / (2 * step)
         rates = math.log(fastest_rate(above) / fastest_rate(below)) / (2 * step)
         slopes.append(direct / (2 * value) + by_log_share * rates)
     gradient = np.nan_to_num(np.array(slopes))
     return SemidefiniteEstimate(solution.bound, gradient, float(np.nan_to_num(by_log_share)))
-
-
-def _positive(leak: float | None) -> float:
-    return leak if leak else 1.0

@@ -13,13 +13,14 @@ from certrack.certificates.cascade import head_problem
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.estimates.loop_data import in_plant_coordinates
 from certrack.certificates.estimates.peak_gains import peak_estimate
-from certrack.certificates.estimates.riccati import RiccatiState, riccati_estimate
+from certrack.certificates.estimates.riccati import riccati_estimate
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.implemented.estimate import estimate_implemented
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.ranges.proofs import RangeProver
 from certrack.certificates.ranges.vertices import VertexProgram
 from certrack.certificates.scope import has_ranges
+from certrack.certificates.search.riccati import RiccatiState
 from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, best_solution
 from certrack.core.errors import InputError
 from certrack.systems.system import System, require_system

@@ -35,6 +35,7 @@ from certrack.certificates.implemented.proof import (
     refuse_in_cells,
 )
 from certrack.certificates.implemented.ranged import RangedPlant
+from certrack.certificates.implemented.rates_used import rated_terms, rates_unused
 from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
 from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.implemented.start_proof import X0
@@ -80,6 +81,10 @@ class ImplementedCertificate(Certificate):
         nothing has a range.
     margins : PeriodMargins or None
         The slowest and the fastest period that is proven too, if that was asked for.
+    slow : tuple of str
+        The uncertain terms, such as ``"w_2"``, whose rates make the bound smaller.
+    rates_unused : str
+        Why rates that the file states do not.
     """
 
     peak_input: float = math.inf
@@ -92,6 +97,8 @@ class ImplementedCertificate(Certificate):
     parts: Mapping[str, float] = field(default_factory=dict)
     cells: int = 0
     margins: PeriodMargins | None = None
+    slow: tuple[str, ...] = ()
+    rates_unused: str = ""
 
     def admits(self, x0: Sequence[float] | np.ndarray) -> np.ndarray | bool:
         """Whether the bound is proven for runs from these starts.
@@ -196,6 +203,8 @@ def certify_implemented(
         parts=proven[worst][1],
         cells=sum(bool(proof.cell) for proof in proofs),
         margins=periods,
+        slow=rated_terms(system) if proofs[worst].slow else (),
+        rates_unused=rates_unused(system, proofs[worst]),
     ), evidence.proofs if verified else ()
 
 

@@ -64,6 +64,9 @@ class _Rate:
             what = f"{self.stated}, but truth.omega[{self.k}] has sign in it, and may jump"
             remedy = f"state jump[{self.k}] and dwell, or write it with tanh or abs"
             return Premise(name, CONTRADICTED, what, {}, remedy)
+        if not _is_continuous(term.formula):
+            how = "truth.omega has a quotient, tan or atan2 in it: assumed not to jump there"
+            return Premise(name, ASSUMED, f"{self.stated} ({how})", remedy=NOT_SEEN)
         slopes = self._slopes(term)
         if all(slope.proven for _, slope, _ in slopes):
             return Premise(name, PROVEN, f"{self.stated}, for all t and x")
@@ -120,6 +123,16 @@ def _has_jumps(formula: sympy.Expr) -> bool:
     """Whether it may have jumps; a kink has none."""
     return bool(
         formula.has(sympy.sign, sympy.Heaviside, sympy.floor, sympy.ceiling, sympy.Piecewise)
+    )
+
+
+def _is_continuous(formula: sympy.Expr) -> bool:
+    """Whether a formula without :func:`_has_jumps` has surely no jump, as atan(1/t) has one."""
+    if formula.has(sympy.tan, sympy.atan2):
+        return False
+    return all(
+        power.exp.is_nonnegative or power.base.is_zero is False
+        for power in formula.atoms(sympy.Pow)
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from certrack.core.arrays import Array
 from certrack.core.compilers import CompilerError, function_of, load_library
+from certrack.core.memo import remembered
 from certrack.core.progress import Progress, silent
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.native import packaged
@@ -62,6 +63,12 @@ class _Run(ctypes.Structure):
     ]
 
 
+@remembered
+def _source(loop: SampledLoop) -> str:
+    """The whole program."""
+    return packaged("sampled/single.c", sampled_header(loop, ()))
+
+
 class SampledSingle:
     """A compiled :class:`SampledLoop` for one member; may be used by several threads at once.
 
@@ -78,11 +85,9 @@ class SampledSingle:
 
     def __init__(self, loop: SampledLoop) -> None:
         self._sensors, self._estimates = len(loop.controller.measured), loop.controller.estimates
-        text = packaged("sampled/single.c", sampled_header(loop, ()))
         try:
-            self._integrate = function_of(
-                load_library({"single.c": text}, SCALAR_FLAGS), "integrate"
-            )
+            library = load_library({"single.c": _source(loop)}, SCALAR_FLAGS)
+            self._integrate = function_of(library, "integrate")
         except CompilerError as problem:
             raise MethodUnavailable(str(problem)) from None
 

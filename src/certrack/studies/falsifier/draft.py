@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import sympy
 
 from certrack.loops.continuous import ClosedLoop, parameter_values
 from certrack.model.truth import Truth
@@ -69,16 +70,24 @@ class ParameterTable:
         The system of this loop.
     count : int
         Members.
+
+    Attributes
+    ----------
+    written : set of symbols
+        The parameters that were set.
     """
 
     def __init__(self, loop: ClosedLoop, system: System, count: int) -> None:
         self.values = np.repeat(parameter_values(loop, system)[:, None], count, axis=1)
+        self._loop, self.written = loop, set[sympy.Symbol]()
         self._row = {symbol.name: i for i, symbol in enumerate(loop.parameters)}
         self._constants = list(system.plant.constant_values)
 
     def set(self, name: str, values: np.ndarray) -> None:
         """Give a parameter of the loop its values (N,)."""
-        self.values[self._row[name]] = values
+        row = self._row[name]
+        self.written.add(self._loop.parameters[row])
+        self.values[row] = values
 
     def set_constant(self, name: str, values: np.ndarray) -> None:
         """Give a constant of the plant its values, the designer's and the true one."""

@@ -258,7 +258,7 @@ def _search(
     """The search; None for a plant or law with a sign or a kink, where there is a linear case."""
     Adversary.against(system)  # refuses names of the user
     try:
-        return Search(AdversarialLoop(system), budget, progress)
+        return Search(AdversarialLoop(system, budget), budget, progress)
     except InputError:
         if linear is None:
             raise

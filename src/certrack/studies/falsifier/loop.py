@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
+from certrack.integrators.base import MemberOutcome, MethodUnavailable
+from certrack.integrators.many.numpy_batch import NumpyBatch
+from certrack.integrators.many.taylor_batch import TaylorBatch
 from certrack.laws.leakage import leak_matrix
 from certrack.loops.continuous import close_loop
 from certrack.studies.falsifier.adversary import Adversary
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
+from certrack.studies.falsifier.lanes import WORTH_LANES, AdversaryLanes
 from certrack.studies.falsifier.side_by_side import batch_of
 from certrack.systems.system import System
 
@@ -43,13 +48,15 @@ class AdversarialLoop:
     ----------
     system : System
         Without an implementation.
+    runs : int
+        How many are expected.
 
     Attributes
     ----------
     adversary : Adversary
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, runs: int = 1) -> None:
         self.adversary = Adversary.against(system)
         slowest = slowest_time_constant(system)
         transient = min(MAX_TRANSIENT, TRANSIENT_TIME_CONSTANTS * slowest)
@@ -63,7 +70,29 @@ class AdversarialLoop:
         middle = np.array([v.middle for v in self.adversary.variables])
         self._template = self._with(middle, named=True)
         self._loop = close_loop(self._template)
-        self._integrator = batch_of(self._loop, HUNT_TOLERANCE)
+        self._tail = (transient, duration)
+        self._lanes = None if runs < WORTH_LANES else self._compiled(middle)
+        if self._lanes is None:
+            _ = self._integrator  # which refuses a loop that is not smooth
+
+    @cached_property
+    def _integrator(self) -> TaylorBatch | NumpyBatch:
+        return batch_of(self._loop, HUNT_TOLERANCE)
+
+    def _compiled(self, point: np.ndarray) -> AdversaryLanes | None:
+        """The loop in C; None where that cannot be."""
+        table, max_state = self._table(point[:, None]), self._settings.max_state
+        try:
+            return AdversaryLanes(self._loop, table.values[:, 0], table.written, max_state)
+        except MethodUnavailable:
+            return None
+
+    def _table(self, points: np.ndarray) -> ParameterTable:
+        """The parameters of every point."""
+        table = ParameterTable(self._loop, self._template, points.shape[1])
+        for part, where in self.adversary.slices():
+            part.write_parameters(points[where], table)
+        return table
 
     def case(self, point: np.ndarray) -> System:
         """The system against the adversary with these numbers, written out."""
@@ -77,11 +106,21 @@ class AdversarialLoop:
 
     def errors(self, points: np.ndarray) -> np.ndarray:
         """Largest |e_1| after the transient of every member; points (G, N)."""
+        parameters = self._table(points).values
         count = points.shape[1]
-        table = ParameterTable(self._loop, self._template, count)
-        for part, where in self.adversary.slices():
-            part.write_parameters(points[where], table)
-        shape = self.adversary.reference
+        if self._lanes is None:
+            return self._errors_on_grid(points, parameters)
+        starts = np.repeat(np.array(self._template.start)[:, None], count, axis=1)
+        worst, outcomes = self._lanes.tail_errors(starts, parameters, *self._tail)
+        worst[outcomes == MemberOutcome.escaped] = ESCAPE_SCORE
+        alone = np.flatnonzero(outcomes == MemberOutcome.run_alone)
+        if alone.size:
+            worst[alone] = self._errors_on_grid(points[:, alone], parameters[:, alone])
+        return worst
+
+    def _errors_on_grid(self, points: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """The same by an integrator that needs no compiler, at :data:`TAIL_POINTS` times."""
+        count, shape = points.shape[1], self.adversary.reference
         waves = shape.waves(points[: len(shape.variables)])
         start = np.array([*self._template.start, 0.0, 0.0, 0.0])  # the integrals begin at zero
         worst = np.zeros(count)
@@ -93,7 +132,7 @@ class AdversarialLoop:
             worst[members] = np.where(escaped, ESCAPE_SCORE, seen)
 
         starts = np.repeat(start[:, None], count, axis=1)
-        self._integrator.over_time(starts, table.values, self._times, observe)
+        self._integrator.over_time(starts, parameters, self._times, observe)
         return worst
 
 

@@ -1,0 +1,40 @@
+"""Results that are kept with an object that never changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Concatenate, ParamSpec, TypeVar
+
+Subject = TypeVar("Subject")
+Further = ParamSpec("Further")
+Answer = TypeVar("Answer")
+
+#: Where they are kept, among the attributes of the object.
+RESULTS = "_results"
+
+
+def once(
+    function: Callable[Concatenate[Subject, Further], Answer],
+) -> Callable[Concatenate[Subject, Further], Answer]:
+    """The function, computed once for each object and each further arguments.
+
+    For frozen objects with a ``__dict__`` and results that nobody changes; what raises is computed
+    anew. Two threads may both compute the same.
+    """
+
+    @wraps(function)
+    def remembered(subject: Subject, /, *further: Further.args, **named: Further.kwargs) -> Answer:
+        results = vars(subject).setdefault(RESULTS, {})
+        key = function, further, tuple(sorted(named.items()))
+        if key not in results:
+            results[key] = function(subject, *further, **named)
+        result: Answer = results[key]
+        return result
+
+    return remembered
+
+
+def without_results(state: dict[str, object]) -> dict[str, object]:
+    """The attributes of an object that are pickled and copied."""
+    return {name: value for name, value in state.items() if name != RESULTS}

@@ -1,0 +1,62 @@
+"""What is remembered, and for whom."""
+
+import numpy as np
+import pytest
+
+import certrack
+from certrack.core.memo import MAX_REMEMBERED, remembered
+from certrack.studies.ensembles.members import Members, members_of
+
+
+def test_equal_arguments_are_computed_once_and_old_ones_forgotten():
+    calls = []
+
+    @remembered
+    def pair(x, *, more=0):
+        """A pair."""
+        calls.append(x)
+        if x == 13:
+            raise ValueError("unlucky")
+        return (x, more)
+
+    assert [pair(1), pair(1), pair(1, more=1)] == [(1, 0), (1, 0), (1, 1)]
+    assert calls == [1, 1]
+    assert pair.__doc__ == "A pair."
+    assert [pair([1]), pair([1])] == [([1], 0)] * 2  # no hash: computed every time
+    assert len(calls) == 4
+    for _ in range(2):
+        with pytest.raises(ValueError, match="unlucky"):
+            pair(13)
+    assert len(calls) == 6
+    for x in range(100, 100 + MAX_REMEMBERED):
+        pair(x)
+    pair(1)
+    assert calls[-1] == 1
+
+
+def test_members_of_another_seed_are_those_of_new_members():
+    system = certrack.load("example1")
+    for seed in (3, 0, 4):
+        found, expected = members_of(system, seed), Members(system, seed)
+        assert found.seed == seed
+        assert found.member(2) == expected.member(2)
+        for name, values in expected.draws(0, 8).items():
+            assert np.array_equal(found.draws(0, 8)[name], values)
+    assert members_of(system, 3).loop is members_of(certrack.load("example1"), 5).loop
+    assert members_of(system, 3).member(2) != members_of(system, 4).member(2)
+
+
+def test_the_second_ensemble_of_a_system_proves_and_simulates_nothing(monkeypatch):
+    system = certrack.load("example1").replace(title="a system of this test")
+    first = certrack.ensemble(system, 8, method="lockstep")
+
+    def refuse(*_, **__):
+        raise AssertionError("computed again")
+
+    monkeypatch.setattr("certrack.studies.ensembles.error_limit.best_sound_bound", refuse)
+    monkeypatch.setattr("certrack.studies.ensembles.plan.simulate", refuse)
+    again = certrack.ensemble(system, 8, seed=1, method="lockstep")
+    assert again.limit == first.limit
+    assert again.statistics.worst != first.statistics.worst
+    with pytest.raises(AssertionError, match="computed again"):
+        certrack.ensemble(system.replace(title="another"), 8, method="lockstep")
