@@ -413,6 +413,56 @@ def test_ranges_hold_at_random_points_and_are_near_to_them(proven):
     assert all(sizes <= reach <= 1.01 * sizes for reach in largest_reach(loop, place))
 
 
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "atan2(x1, x2 - 9)",  # its cut is inside, and its slopes are bounded there
+        "x2*atan2(x1 + 0.1, -4 - x1)",
+        "sign(x1 + 0.02)",
+        "abs(abs(x1) - 0.2)*x2",
+        "max(x1, x2)*min(x1, 0.1)",
+    ],
+)
+def test_ranges_hold_where_a_formula_jumps_or_has_a_kink(formula):
+    text = RANGED.replace('"-0.3*x2 + 0.2*x1**2"', f'"{formula}"')
+    system = certrack.loads(text)
+    loop, formulas = adaptive_loop(system), formulas_of(system)
+    ranges, one, zero = Ranges(formulas, loop), rational(1), rational(0)
+    box = np.array([[-0.3, 0.31], [-0.4, 0.41], [-0.2, 0.2], [-0.2, 0.2]])
+    drift = Combination((one, zero, zero), (zero, zero), zero)
+    low, high = ranges.bounds(drift, box)
+    points = np.random.default_rng(0).uniform(*box.T, (20_000, 4))
+    x = points @ np.hstack([loop.Xe, loop.AB]).astype(float).T
+    values = sympy.lambdify([formulas.states], formulas.drift)(x.T)
+    assert low <= values.min()
+    assert values.max() <= high
+    narrow = 0.9 * (values.max() - values.min()) / 2
+    middle = (values.max() + values.min()) / 2
+    assert not ranges.within(drift, box, middle - narrow, middle + narrow)
+
+
+FORGED = {
+    "no pair": (("region", "remainder"), lambda v: [*v, "1"]),
+    "one end": (("region", "row"), lambda v: v[:1]),
+    "inputs beyond floats": (("functions", 0, "inputs", 0), lambda _: "1e390"),
+    "G beyond floats": (("functions", 0, "G", 0, 0), lambda _: "1e390"),
+    "row beyond floats": (("region", "row"), lambda v: [v[0], "1e390"]),
+    "box beyond floats": (("region", "box", 0), lambda v: [v[0], "1e390"]),
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_forged_numbers_are_refused_in_one_line(document, name):
+    mutant = copy.deepcopy(document)
+    keys, change = FORGED[name]
+    of_stage(*keys, change=change)(mutant["proof"])
+    mutant["sha256"] = _digest(mutant)
+    try:
+        assert not verify(mutant).verified
+    except certrack.InputError as problem:
+        assert "proof" in str(problem)
+
+
 def test_definiteness_is_that_of_exact_factorisation():
     rng = np.random.default_rng(2)
     for _ in range(30):

@@ -9,7 +9,7 @@ from certrack.certificates.bootstrap.loop import adaptive_loop, formulas_of
 from certrack.certificates.bootstrap.proof import BootstrapStage, failed_part
 from certrack.certificates.bootstrap.ranges import Ranges
 from certrack.certificates.bootstrap.regions import after, failed_region, first_box, rows_of
-from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.problem import ErrorProblem
 from certrack.systems.system import System
@@ -24,6 +24,13 @@ def check_bootstrap(
     reason = failed_condition(problem, first, problem.n - 1)
     if reason:
         return reason
+    with within_floats():
+        return _failed_stage(system, problem, first, stages)
+
+
+def _failed_stage(
+    system: System, problem: ErrorProblem, first: Proof, stages: Sequence[BootstrapStage]
+) -> str:
     loop = adaptive_loop(system, problem)
     ranges = Ranges(formulas_of(system), loop)
     known = first_box(loop, first)

@@ -49,7 +49,7 @@ def _stage_of(entry: Any) -> BootstrapStage:
     region = entry["region"]
     _keys(region, Region)
     pairs = {"box", "regressor"}
-    single = {"row", "drift", "rest"}
+    single = {"row", "drift", "remainder"}
     parts = {
         name: _many(region[name], _pair)
         if name in pairs

@@ -188,7 +188,7 @@ def proven_definite(matrix: np.ndarray) -> bool:
     try:
         factor = np.linalg.cholesky(matrix.astype(float))
         inverse = solve_triangular(factor, np.eye(len(matrix)), lower=True)
-    except (np.linalg.LinAlgError, ValueError):
+    except (np.linalg.LinAlgError, ValueError, OverflowError):
         return False
     if not np.isfinite(inverse).all():
         return False

@@ -26,6 +26,7 @@ from certrack.certificates.bootstrap.loop import AdaptiveLoop, Formulas
 from certrack.certificates.bootstrap.tape import Tape
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import from_text
+from certrack.core.kinks import JUMPING
 
 #: The search stops when the bound exceeds a value by this part of the range, or at so many parts.
 ENOUGH, MOST_PARTS = 0.02, 400
@@ -102,10 +103,11 @@ class Ranges:
             total = sum((w * values[i] for i, w in weights), flint.arb(chosen.constant))
             return total - sum((k * v for k, v in zip(slope, x, strict=True)), ZERO_BALL)
 
-        centre = value_at(at)
-        low, high = _float_ends(value_at(box))
+        centre, whole = value_at(at), value_at(box)
+        low, high = _float_ends(whole)
         share = np.abs(self._through).sum(axis=0) * width
-        if centre.is_finite() and all(self._slopes[i] is not None for i, _ in weights):
+        bounded = centre.is_finite() and whole.is_finite()  # no pole inside, so it is continuous
+        if bounded and all(self._slopes[i] is not None for i, _ in weights):
             gradient = [-k for k in slope]
             for i, w in weights:
                 tape = self._slopes[i]
@@ -204,7 +206,7 @@ def _decimal_of(formula: sympy.Expr) -> str | None:
 
 def _slopes(formula: sympy.Expr, states: Sequence[sympy.Symbol]) -> Tape | None:
     """The gradient of a formula without jumps, if all of it has rules."""
-    if formula.has(sympy.sign):
+    if formula.has(*JUMPING):
         return None
     try:
         return Tape([formula.diff(state) for state in states], states)
