@@ -103,10 +103,10 @@ class Ranges:
             total = sum((w * values[i] for i, w in weights), flint.arb(chosen.constant))
             return total - sum((k * v for k, v in zip(slope, x, strict=True)), ZERO_BALL)
 
-        centre, whole = value_at(at), value_at(box)
-        low, high = _float_ends(whole)
+        centre, on_part = value_at(at), value_at(box)
+        low, high = _float_ends(on_part)
         share = np.abs(self._through).sum(axis=0) * width
-        bounded = centre.is_finite() and whole.is_finite()  # no pole inside, so it is continuous
+        bounded = centre.is_finite() and on_part.is_finite()  # no pole inside, so it is continuous
         if bounded and all(self._slopes[i] is not None for i, _ in weights):
             gradient = [-k for k in slope]
             for i, w in weights:
