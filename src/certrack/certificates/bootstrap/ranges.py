@@ -5,7 +5,8 @@ large. On a part of the box of (e, Y), with its middle m and its half widths w,
 
     f in f(x(m)) +- sum_i |(grad f(x-box of the part) (Xe | AB))_i| w_i
 
-by the mean value theorem, in ball arithmetic, or the value of f on the x-box. The part whose bound
+by the mean value theorem, in ball arithmetic, unless f may jump there (sign, atan2, a pole inside),
+or the value of f on the x-box. The part whose bound
 is the largest is halved until the largest is near to a value that f takes.
 """
 
