@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -108,7 +107,7 @@ def fastest(plan: Plan, threads: int) -> Engine:
 
 
 @lru_cache(maxsize=4)
-def _engine_of(plan: Plan, _registered: tuple[Hashable, ...]) -> Engine:
+def _engine_of(plan: Plan, _registered: tuple[object, ...]) -> Engine:
     """The compiled plan of a worker process."""
     return Engine(plan)
 
