@@ -82,7 +82,7 @@ def _best_z(terms: SlowTerms, i: int, row: int) -> StepFunction:
     medians = np.array([np.median(part) for part in np.split(g, starts[1:])])
     weights = np.add.reduceat(time, starts)
     size = float(terms.sizes[i].mid()) - float(slow.fast)
-    windows = terms.windows(i)
+    windows = terms.apart(i)
     owner = starts // windows if windows else None
     z = _least(
         medians, weights, last, (size, float(terms.speeds[i].mid()), float(slow.jump)), owner
@@ -106,7 +106,10 @@ def _least(
     prices: tuple[float, float, float],
     owner: np.ndarray | None,
 ) -> np.ndarray:
-    """z with the least size TV(z) + rate sum weights |g - z| + jump sum of the windows' largest."""
+    """z with the least size TV(z) + rate sum weights |g - z| + jump sum of the windows' largest.
+
+    Of what is a window apart, one at most lies in each: that sum is about what :mod:`apart` bounds.
+    """
     size, rate, jump = prices
     k = len(g)
     windows = 0 if owner is None else int(owner[-1]) + 1

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
+from certrack.core.memo import remembered
 from certrack.integrators.base import MethodUnavailable, Outcome
 from certrack.simulation.run import Run
 from certrack.studies.ensembles.methods.choice import create_method
@@ -106,14 +106,14 @@ def fastest(plan: Plan, threads: int) -> Engine:
     raise AssertionError("members can always be run alone")
 
 
-@lru_cache(maxsize=4)
-def _engine_of(plan: Plan) -> Engine:
+@remembered
+def _engine_of(plan: Plan, _registered: tuple[object, ...]) -> Engine:
     """The compiled plan of a worker process."""
     return Engine(plan)
 
 
 def compute_chunk(plan: Plan, begin: int, end: int) -> tuple[dict[str, np.ndarray], float]:
     """What a worker process runs: packed statistics, and the seconds without compilation."""
-    engine = _engine_of(plan)
+    engine = _engine_of(plan, plan.registered)
     clock = time.perf_counter()
     return engine.compute(begin, end).packed(), time.perf_counter() - clock

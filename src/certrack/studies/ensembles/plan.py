@@ -10,6 +10,7 @@ import numpy as np
 from certrack.core.memo import remembered
 from certrack.loops.plant import measured
 from certrack.model.distribution import Distribution
+from certrack.model.disturbance import family_of
 from certrack.simulation.metrics import Metrics
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
@@ -66,6 +67,12 @@ class Plan:
         text = f"{to_text(self.system)} {self.seed} {self.tolerance!r} {self.limit!r} {self.method}"
         text += f" {self.per_member}"
         return text.encode() + self.centre.tobytes() + self.scale.tobytes()
+
+    @property
+    def registered(self) -> tuple[object, ...]:
+        """What the names of law, reference and disturbances stand for: they can be taken anew."""
+        system = self.system
+        return type(system.law), system.reference, type(family_of(system.varied))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Plan) and self.key == other.key
