@@ -14,11 +14,13 @@ from conftest import SHIPPED
 
 import certrack
 from certrack.cli import cli
+from certrack.reports import guarantee as guarantee_module
 from certrack.reports import pages
 from certrack.reports.certificates import certificates_table
 from certrack.reports.dossier import dossier_of
 from certrack.reports.findings import OPTIONAL, findings
 from certrack.reports.formula_pictures import broken, formula_svgs
+from certrack.reports.guarantee import guarantee
 from certrack.reports.pages import to_html, to_latex, to_markdown
 
 CASES = Path(__file__).parent / "data" / "cases"
@@ -82,6 +84,13 @@ def test_numbers_are_those_of_the_command_line(found, page, monkeypatch):
     assert bounds <= set(cells)
 
 
+def test_the_budget_of_the_error_adds_up(found):
+    (budget,) = [t for t in guarantee(found).tables if t.columns == ("cause", "adds", "of it")]
+    total = sum(float(row[1]) for row in budget.rows)
+    assert total == pytest.approx(found.certificates.implemented.bound, rel=5e-3)
+    assert [row[0] for row in budget.rows[:2]] == ["reference", "sensors"]
+
+
 def test_what_it_carries_can_be_checked(found, tmp_path):
     carried = {
         file.name: file for section in dossier_of(found).sections for file in section.attachments
@@ -103,10 +112,8 @@ def test_attachments_are_in_the_page(page):
 
 
 def test_a_long_certificate_is_named_by_its_digest(found, monkeypatch):
-    from certrack.reports import guarantee
-
-    monkeypatch.setattr(guarantee, "LONGEST_ATTACHMENT", 10)
-    (file,) = guarantee.guarantee(found).attachments
+    monkeypatch.setattr(guarantee_module, "LONGEST_ATTACHMENT", 10)
+    (file,) = guarantee(found).attachments
     assert file.content == "" and len(file.sha256) == 64
     assert "too long to be carried" in to_html(dossier_of(found))
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 
 from certrack.certificates.document import to_document
-from certrack.core.rounding import printed_bound
+from certrack.core.rounding import printed_bound, rounded_up
 from certrack.plotting.shared import as_svg
 from certrack.plotting.starts import starts_figure
 from certrack.plotting.tubes import tube_figure
@@ -19,6 +19,9 @@ from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
 
 #: A certificate that is longer, in characters, is named by its digest only.
 LONGEST_ATTACHMENT = 700_000
+
+#: A cause that adds less than this part of the bound is not listed.
+LEAST_SHARE = 0.001
 
 
 def summary(found: Findings) -> list[str]:
@@ -86,17 +89,21 @@ def guarantee(found: Findings) -> Section:
 
 def _shares(found: Findings) -> Table | None:
     """What each cause adds to the bound, the largest first."""
-    estimate = found.estimate
-    if estimate is None or not estimate.shares or estimate.method != found.certificates.best.kind:
-        return None
-    total = sum(estimate.shares.values())
+    best, estimate = found.certificates.best, found.estimate
+    title = "where the bound comes from: what to improve next"
+    if best is found.certificates.implemented:
+        shares = found.certificates.implemented.parts
+    elif estimate is not None and estimate.method == best.kind:
+        shares, title = estimate.shares, f"{title} (as far as floats tell)"
+    else:
+        shares = {}
+    total = sum(shares.values())
     rows = [
-        [cause, part, f"{100 * part / total:.0f} %"]
-        for cause, part in sorted(estimate.shares.items(), key=lambda entry: -entry[1])
-        if part > 0
+        [cause, rounded_up(part, 3), f"{100 * part / total:.0f} %"]
+        for cause, part in sorted(shares.items(), key=lambda entry: -entry[1])
+        if part >= LEAST_SHARE * total
     ]
-    title = "where the bound comes from, as far as floats tell: what to improve next"
-    return table(title, ["cause", "adds", "of it"], rows, digits=3)
+    return table(title, ["cause", "adds", "of it"], rows, digits=3) if rows else None
 
 
 def _certificate(found: Findings) -> Attachment | None:
