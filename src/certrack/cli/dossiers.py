@@ -59,7 +59,7 @@ def report(
     without: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Write all about a design into one page for a reviewer or a customer.
+    """Write one page about a design, for a reviewer or a customer.
 
     Plant and premises, the law as formulas, all certificates and how to check them, where the bound
     comes from, the response, the worst case found, an ensemble, margins, the drive, and the system
