@@ -21,6 +21,8 @@ from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of
 from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import _bounds, cells_of
+from certrack.studies.falsifier.adversary import reference_bounds
+from certrack.studies.falsifier.linear.search import NothingTried, continuous_case, sampled_case
 
 NOISE, SLOPE = 5e-3, 0.3
 
@@ -229,3 +231,21 @@ def test_a_split_that_believes_too_little_is_seen(monkeypatch):
 def test_the_file_is_text():
     system = noisy_axis(fast=[0, 0.01])
     assert certrack.loads(certrack.to_text(system)) == system
+
+
+# Attacks of falsify on an integral ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate", [None, [0, 0.3]])
+def test_an_integral_is_attacked_as_sampled(rate):
+    """The run of the case reaches what the linear loop says, below the certificate."""
+    system = axis(False, omega="0.1*sin(3*t)", rate=rate)
+    system = system.replace(law=replace(system.law, integral=4.0))
+    system = on_drive(system, measurement_quantum=None)
+    bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
+    case = sampled_case(system, bounds)
+    bound = certify_implemented(system)[0].bound
+    assert 0.9 * bound < case.estimate < bound
+    assert case.error == pytest.approx(case.estimate, rel=0.02)
+    with pytest.raises(NothingTried, match=r"law.integral is attacked as sampled only"):
+        continuous_case(system.replace(implementation=None), bounds)
