@@ -84,16 +84,17 @@ class Slow:
         return total
 
     def _measures(self, rows, phase):
-        """int |k| of all terms; TV(z), int |g - z| and the windows' sums of those with rates."""
+        """int |k| of all terms; TV(z), int |g - z| and the jumps' sums of those with rates."""
         loop, W = self.loop, self.loop.W
         kernels = np.zeros((len(rows), W.shape[1]))
         g = np.zeros((len(rows), W.shape[1]))
         z = {k: {int(m): float(v) for m, v in s} for k, s in self._z()}
         value = {k: z[k][0] for k in self.known}
         tv = {k: abs(value[k]) for k in self.known}
-        spent, jumps, most = ({k: np.zeros(len(rows)) for k in self.known} for _ in range(3))
-        windows = math.floor(self.dwell / loop.T) if self.dwell else 0
-        checker.demand(windows or not any(self.jump.values()), "jumps in every period")
+        spent = {k: np.zeros(len(rows)) for k in self.known}
+        apart = math.floor(self.dwell / loop.T) if self.dwell else 0
+        checker.demand(apart or not any(self.jump.values()), "jumps in every period")
+        jumps = {k: [np.zeros(len(rows))] * (apart + 1) for k in self.known}  # up to each period
         halves = {}
         until, start = 2 ** self.entry["doublings"], np.abs(rows).max()
         for m in range(10**6):
@@ -101,6 +102,7 @@ class Slow:
                 if m in z[k] and m:
                     tv[k] += abs(z[k][m] - value[k])
                     value[k] = z[k][m]
+            most = {k: np.zeros(len(rows)) for k in self.known}
             for p in range(phase - 1, -1, -1):
                 h, _, E = loop.cells[p]
                 before = rows @ E
@@ -119,16 +121,16 @@ class Slow:
             if m == until:
                 for k in self.known:
                     tv[k] = tv[k] + abs(g[:, k] - value[k]) - kernels[:, k]
-            if windows and m <= until and ((m + 1) % windows == 0 or m == until):
+            if apart and m <= until:
                 for k in self.known:
-                    jumps[k], most[k] = jumps[k] + most[k], 0 * most[k]
+                    jumps[k].append(np.maximum(jumps[k][-1], most[k] + jumps[k][-apart]))
             rows = rows @ loop.J
             phase = len(loop.cells)
             if m >= until and np.abs(rows).max() < 1e-11 * start:
                 break
         for k in self.known:
             tv[k] = tv[k] + kernels[:, k]
-        return kernels, {k: (tv[k], spent[k], jumps[k]) for k in self.known}
+        return kernels, {k: (tv[k], spent[k], jumps[k][-1]) for k in self.known}
 
     def _z(self):
         for k, steps in zip(self.known, self.entry["slow"], strict=True):

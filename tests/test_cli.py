@@ -14,6 +14,7 @@ from rich.console import Console
 import certrack
 from certrack.cli import cli, main, report, run_report
 from certrack.simulation.metrics import METRIC_LABELS
+from certrack.simulation.moves import MOVE_LABELS
 
 
 def invoke(capfd, *arguments):
@@ -406,5 +407,10 @@ def test_tables_break_neither_numbers_nor_words(monkeypatch, width):
     assert text.count("8.0494e5") == len(METRIC_LABELS) * len(names)
     assert text.count("finished") == text.count("implicit") == len(names)
     for word in ("lean", "drive", "strong", "physical", "other"):
+        assert word in text, word
+    assert max(map(len, text.splitlines())) <= int(width)
+    move = dict.fromkeys(MOVE_LABELS, 8.0883e-4) | {"begin": 0.801, "arrival": 1.402}
+    text = printed(run_report.moves_table([move | {"origin": 1.571, "target": 3.142}]))
+    for word in ("begins", "arrives", "following", "overshoot", "settled", "8.088e-4"):
         assert word in text, word
     assert max(map(len, text.splitlines())) <= int(width)

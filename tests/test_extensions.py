@@ -300,6 +300,22 @@ def test_registration_refuses_what_it_cannot_hold():
         references.register("mine")(lambda size: None)
 
 
+def test_registration_refuses_what_equality_leaves_out():
+    @dataclass(frozen=True)
+    class Table:
+        data: list = dataclasses.field(compare=False)
+
+    @dataclass(frozen=True, kw_only=True)
+    class Tabled(laws.Classic):
+        kind = "tabled"
+        data: list = dataclasses.field(default=(), compare=False)
+
+    with pytest.raises(InputError, match="reference: of equal ones data may differ"):
+        references.register("table")(Table)
+    with pytest.raises(InputError, match="law: of equal ones data may differ"):
+        laws.register(Tabled)
+
+
 def test_a_law_that_is_not_registered_runs_but_is_not_saved(tmp_path):
     system = law_of(lambda s: 0)
     assert certrack.simulate(system, duration=1).outcome.name == "finished"

@@ -1,9 +1,13 @@
 """What formulas have in common, taken out of them."""
 
+import math
+
 import pytest
 import sympy
 
 from certrack.core.hoisting import hoisted, hoisted_numbers
+from certrack.core.lowering import numpy_callable
+from certrack.integrators.many.native import numbers_of
 
 a, b, c, s, t, x, y = sympy.symbols("a b c s t x y", real=True)
 
@@ -44,3 +48,10 @@ def test_known_symbols_stay_where_nothing_depends_on_the_common_ones():
     assert list(symbols) == [a * sympy.sin(b * t), a + t]
     wave, sum_ = symbols.values()
     assert changed == [a * x, wave * x, sum_ + x, a]
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_that_overflow_are_infinite_as_in_compiled_code():
+    _, symbols = hoisted_numbers([a**2 * x, x / (a - b), x * sympy.exp(b)], {a, b})
+    values = numbers_of(numpy_callable([[a, b]], list(symbols)), [1e200, 1e200])
+    assert values.tolist() == [math.inf] * 3

@@ -78,6 +78,14 @@ def test_shifts_are_within_the_jitter_and_have_a_seed(pattern):
     assert (timing_shifts(drive, 500) == shifts).all()
     other = timing_shifts(replace(drive, seed=1), 500)
     assert (pattern == "random") == bool((other != shifts).any())
+
+
+@pytest.mark.parametrize("pattern", JITTER_PATTERNS)
+def test_no_sample_is_lost_where_two_may_meet(pattern):
+    drive = Implementation(period=0.01, delay=1.3, jitter=0.5, jitter_pattern=pattern)
+    line = event_timeline(drive, 1.003, np.empty(0), np.empty(0))
+    assert line.samples.sum() >= 100
+    assert line.acts.sum() >= 98
     assert not timing_shifts(replace(drive, jitter=0.0), 5).any()
 
 

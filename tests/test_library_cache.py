@@ -351,8 +351,9 @@ def test_everything_that_matters_is_in_the_key(monkeypatch, tmp_path):
     machine = library_key.machine()
     monkeypatch.setattr(library_key, "machine", lambda: (*machine, "avx1024"))
     keys.append(key())
-    monkeypatch.setenv("CPATH", "/opt/include")
-    keys.append(key())
+    for name in ("CPATH", "LD_RUN_PATH", "CCC_OVERRIDE_OPTIONS", "NIX_CFLAGS_COMPILE"):
+        monkeypatch.setenv(name, "/opt/include")
+        keys.append(key())
     assert len(set(keys)) == len(keys)
     assert all(len(entry) == 64 for entry in keys)
 

@@ -5,7 +5,10 @@ import pytest
 
 import certrack
 from certrack.core.memo import MAX_REMEMBERED, remembered
+from certrack.model.disturbance import DisturbanceFamily, register_disturbance
+from certrack.studies.ensembles.engine import Engine, compute_chunk
 from certrack.studies.ensembles.members import Members, members_of
+from certrack.studies.ensembles.plan import make_plan
 
 
 def test_equal_arguments_are_computed_once_and_old_ones_forgotten():
@@ -60,3 +63,33 @@ def test_the_second_ensemble_of_a_system_proves_and_simulates_nothing(monkeypatc
     assert again.statistics.worst != first.statistics.worst
     with pytest.raises(AssertionError, match="computed again"):
         certrack.ensemble(system.replace(title="another"), 8, method="lockstep")
+
+
+def test_a_family_that_is_registered_anew_is_the_one_that_is_drawn():
+    """Its name in the system stays the same, so systems are equal; chunks of workers, too."""
+
+    def register(pattern):
+        class Family(DisturbanceFamily):
+            kind = "taken_anew"
+
+            def numbers(self, population):
+                return {"rate": certrack.Distribution("uniform", (0.1, 1.0))}
+
+            def pattern(self, number):
+                return pattern(number("rate"))
+
+        register_disturbance(Family)
+
+    register(lambda rate: f"exp(-{rate}*t)")
+    population = certrack.Population(disturbance="taken_anew")
+    system = certrack.load("example1").replace(population=population).with_settings(duration=1)
+    plan = make_plan(system, 0, 1e-6, None, "alone")
+    first = members_of(system, 0).member(0)
+    chunk, _ = compute_chunk(plan, 0, 2)
+    register(lambda rate: f"-exp(-{rate}*t)")
+    assert members_of(system, 0).member(0) == Members(system, 0).member(0) != first
+    other, _ = compute_chunk(plan, 0, 2)
+    wanted = Engine(plan).compute(0, 2).packed()
+    for name, values in wanted.items():
+        assert np.array_equal(other[name], values)
+    assert any(not np.array_equal(chunk[name], values) for name, values in wanted.items())

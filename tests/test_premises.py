@@ -429,6 +429,37 @@ def test_check_says_how_far_to_widen_gamma(capfd, tmp_path):
     assert not certrack.check(system.replace(plant=plant)).contradicted
 
 
+def test_bounds_of_single_states_are_proven_and_not_one_beyond():
+    uncertainty = replace(
+        LEAN.plant.uncertainty,
+        gamma=(0,) * 4,
+        beta=(0, 0.5, 0, 0),
+        Delta=((0,) * 4, (0, 0, 0, 0.25), (0,) * 4, (0,) * 4),
+    )
+
+    def status(text):
+        omega = ["0", text, "0", "0"]
+        truth = replace(LEAN.truth, omega=tuple(omega))
+        system = LEAN.replace(plant=replace(LEAN.plant, uncertainty=uncertainty), truth=truth)
+        return next(p.status for p in certrack.check(system).premises if p.name == "w_2")
+
+    for text in ("x4/4", "-0.25*abs(x4)", "sin(t)*x4/4 + cos(x1)/2", "x4/8 - sin(x4)/8"):
+        assert status(text) == "proven", text
+    for text in ("0.251*x4", "x3/4", "x4/4 + 0.51*cos(t)", "x4/4 + 0.001*x1"):
+        assert status(text) == "contradicted", text
+
+
+def test_check_says_what_makes_poles_far_faster_than_the_gains():
+    chain = tuple(1000 * float(g) for g in (1, 12, 1))
+    stiff = LEAN.replace(plant=replace(LEAN.plant, chain=(1, chain[1], 1)))
+
+    def remedy(system):
+        return next(f.remedy for f in certrack.check(system).findings if f.name == "poles")
+
+    assert "law.coupling = 0.5" in remedy(stiff)
+    assert remedy(LEAN) == remedy(stiff.replace(law=replace(stiff.law, coupling=0.5))) == ""
+
+
 def test_check_knows_the_period():
     drive = certrack.load("dual-motor-drive")
 

@@ -164,6 +164,15 @@ def test_what_c_does_not_do_is_left_to_the_maps(monkeypatch):
     assert not sliding._in_c
 
 
+def test_a_run_that_ends_before_its_first_sample(monkeypatch):
+    noise = {"noise": (0.01, 0.02), "noise_bound": (0.02, 0.03), "sensor_error": ("0.01", "0")}
+    system = implemented("example1", 0.5, period=2.0, offset=1.0, **noise)
+    c, maps = records(system, monkeypatch)
+    assert c.samples.tolist() == maps.samples.tolist() == [0.5]
+    assert_same(c.columns[:, -1:], maps.columns[:, -1:])
+    assert_same(c.estimates, maps.estimates)
+
+
 def test_short_runs_and_machines_without_a_compiler_take_the_maps(monkeypatch):
     def refuse(*_, **__):
         raise CompilerError("no compiler")

@@ -235,10 +235,10 @@ def test_jumps_as_often_as_they_hurt():
     """Below a period, and below what the estimate takes, nothing is left of the rates."""
     bounds = [
         proven(rate=(0, 0.3), jump=(0, 0.2), dwell=dwell)[0].bound
-        for dwell in (0.004, 0.02, 0.1, 1.0, 10.0)
+        for dwell in (0.004, 0.01, 0.02, 0.1, 1.0, 10.0)
     ]
     assert bounds[0] == bounds[1] == proven()[0].bound
-    assert bounds[1] > bounds[2] > bounds[3] > bounds[4]
+    assert bounds[1] > bounds[2] > bounds[3] > bounds[4] > bounds[5]
 
 
 # Saved proofs -----------------------------------------------------------------------------------

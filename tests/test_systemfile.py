@@ -93,7 +93,11 @@ BAD = {
     "g is true": (edited("chain = [1]", "chain = [true]"), "plant.chain[0]: must be a formula"),
     "linear shape": (
         edited("linear = [[0]]", "linear = [[0, 1]]"),
-        "plant.linear[0]: must be a list of 1",
+        "plant.linear[0]: must be a list of 1: b_i1 ... b_ii; got [0, 1]. The factor of x_{i+1}",
+    ),
+    "number without a digit": (
+        edited("J = 0.5", "J = .5"),
+        "is not TOML: Invalid value (at line 19, column 5): 'J = .5 # inertia'. A number begins",
     ),
     "drift name": (edited('"-d/J*x2"', '"x3"'), "plant.drift: unknown name 'x3'"),
     "drift attack": (

@@ -184,7 +184,9 @@ class UncertainTerm:
         """Whether the bound holds for all t >= 0 and x, by exact arithmetic."""
         if self.growing is not None:
             return self.proven_within(None)
-        return self.proven_with(self.gamma, self.beta)
+        if self.proven_with(self.gamma, self.beta):
+            return True
+        return any(self.single) and self.proven_within(None)
 
     def proven_within(self, region: Sequence[Fraction] | None) -> bool:
         """The same for all states with |x_i| <= region_i; for all if there is none."""

@@ -46,13 +46,17 @@ def table(
     title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 5
 ) -> Table:
     """A table of text and numbers; neither a number nor a word of a usual length is broken."""
-    result = Table(title=title or None, title_justify="left", title_style="bold")
     cells = [[_cell(value, digits) for value in row] for row in rows]
     room = console().width - 3 * len(columns) - 1
     heads = list(columns)
     if sum(max(map(len, column)) for column in zip(heads, *cells, strict=True)) > room:
         heads = [_broken(head, entries) for head, *entries in zip(heads, *cells, strict=True)]
     min_widths = [_longest_word(column) for column in zip(heads, *cells, strict=True)]
+    padding = 1 if sum(min_widths) <= room else 0  # rather no blanks than a broken word
+    room += 2 * (1 - padding) * len(columns)
+    result = Table(
+        title=title or None, title_justify="left", title_style="bold", padding=(0, padding)
+    )
     for head, width in zip(heads, min_widths, strict=True):
         result.add_column(
             head, overflow="fold", min_width=width if sum(min_widths) <= room else None

@@ -282,6 +282,22 @@ def keys_of(owner: Any) -> dict[str, Key]:
     return {entry.name: entry.metadata["key"] for entry in fields(owner) if "key" in entry.metadata}
 
 
+def require_compared(where: str, owner: Any) -> None:
+    """Refuse a dataclass of a user's whose equality leaves out what its instances are made of.
+
+    Results are remembered, and compiled code is shared, for what is equal.
+
+    Raises
+    ------
+    InputError
+    """
+    left_out = [entry.name for entry in fields(owner) if entry.init and not entry.compare]
+    if left_out:
+        message = f"of equal ones {', '.join(left_out)} may differ: what is computed is shared"
+        remedy = "Leave compare=False out, and make it a number, a text or a tuple of them"
+        raise InputError(where, message, owner.__name__, remedy)
+
+
 def set_fields(instance: object, **values: Any) -> None:
     """Set fields of a frozen dataclass while it is being built."""
     for name, value in values.items():

@@ -18,10 +18,11 @@ from certrack.core.processes import run_command
 #: Raised by every change of what is kept under a key.
 LAYOUT = 1
 
-#: Variables that change what a compiler finds.
+#: Variables that change what a compiler finds, or the flags that it is given.
 VARIABLES = (
     *("CPATH", "C_INCLUDE_PATH", "LIBRARY_PATH", "COMPILER_PATH", "GCC_EXEC_PREFIX"),
-    *("SDKROOT", "MACOSX_DEPLOYMENT_TARGET"),
+    *("SDKROOT", "MACOSX_DEPLOYMENT_TARGET", "LD_RUN_PATH"),
+    *("CCC_OVERRIDE_OPTIONS", "NIX_CFLAGS_COMPILE", "NIX_LDFLAGS"),
 )
 
 #: Lines of /proc/cpuinfo that say what a processor can do; others change from start to start.

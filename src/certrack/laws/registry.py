@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import check_name
-from certrack.core.keys import keys_of
+from certrack.core.keys import keys_of, require_compared
 from certrack.laws.adaptive import Adaptive
 from certrack.laws.base import Law
 from certrack.laws.classic import Classic
@@ -60,6 +60,7 @@ def register_law(law: _L) -> _L:
     if not is_dataclass(law) or "__dataclass_params__" not in vars(law) or not parameters.frozen:
         remedy = "Write @register above @dataclass(frozen=True, kw_only=True)"
         raise InputError("law", "must be a frozen dataclass", law.__name__, remedy)
+    require_compared("law", law)
     inherited, declared = keys_of(Law), keys_of(law)
     for name, key in inherited.items():
         if name not in declared or declared[name].kind != key.kind:

@@ -15,7 +15,14 @@ ROW_REMEDY = (
     "b_ij: take x_i' itself as the next state, or put the difference from a constant into w_i"
 )
 
-#: The same for g_n.
+#: What to do where a row has entries beyond the diagonal.
+BEYOND_REMEDY = (
+    "The factor of x_{i+1} stands in plant.chain. A state beyond it does not fit the chain: take "
+    "one that stays small in its place, such as the twist of a shaft and its rate, and bound its "
+    "term by plant.uncertainty.Delta (see the tutorial, 'A shaft with damping')"
+)
+
+#: The same as ROW_REMEDY, for g_n.
 GAIN_REMEDY = (
     "The last row must be x_n' = h(x) + g_n u + phi(x)^T theta + tau_n w_n, affine in u with a "
     "constant g_n: take the whole term with the input as a new input v, with input_gain = 1 or "
@@ -34,6 +41,16 @@ def refuse_states(key: str, value: Any, states: Sequence[str], remedy: str) -> N
             raise InputError(
                 key, f"unknown name {name!r}: a state, where a constant is needed", text, remedy
             )
+
+
+def coupling_row(key: str, row: Any, length: int) -> list[Any]:
+    """The entries b_i1 ... b_ii of a row of couplings; more of them say what the plant has not."""
+    what = "b_i1 ... b_ii"
+    if isinstance(row, (list, tuple)) and len(row) > length:
+        raise InputError(
+            key, f"must be a list of {length}: {what}", checks.as_written(row), BEYOND_REMEDY
+        )
+    return checks.sequence(key, row, length, what)
 
 
 def refuse_varying_gain(key: str, value: Any, states: Sequence[str]) -> None:

@@ -17,6 +17,10 @@ MAX_JITTER = 0.5
 RANDOM, ALTERNATING, ALL_LATE = "random", "alternating", "late"
 JITTER_PATTERNS = (RANDOM, ALTERNATING, ALL_LATE)
 
+#: By this part of them the shifts of a run stay below half a period: two samples of the same time
+#: would be one event, and so one sample.
+APART = 1e-7
+
 #: Apart from the seeds of the noise.
 _STREAM = 0x6A69747465
 
@@ -29,7 +33,7 @@ def timing_shifts(implementation: Implementation, count: int) -> np.ndarray:
     (2, count) array
         None larger than the jitter.
     """
-    size = implementation.jitter
+    size = min(implementation.jitter, MAX_JITTER * (1 - APART))
     if not size:
         return np.zeros((2, count))
     if implementation.jitter_pattern == ALL_LATE:

@@ -21,6 +21,7 @@ from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.model.coefficients import (
     ROW_REMEDY,
     check_gain,
+    coupling_row,
     refuse_states,
     refuse_varying_gain,
 )
@@ -243,10 +244,7 @@ class Plant:
             n - 1,
             f"rows b_i1 ... b_ii, i = 1 ... n-1 (n = {n}, the number of states)",
         )
-        lengths = [
-            checks.sequence(f"{key}[{i}]", row, i + 1, "b_i1 ... b_ii")
-            for i, row in enumerate(rows)
-        ]
+        lengths = [coupling_row(f"{key}[{i}]", row, i + 1) for i, row in enumerate(rows)]
         for i, row in enumerate(lengths):
             for j, value in enumerate(row):
                 refuse_states(f"{key}[{i}][{j}]", value, states, ROW_REMEDY)

@@ -38,9 +38,10 @@ class Reference(Protocol):
     :class:`~certrack.references.symbolic.SymbolicReference`; both keep these duties already. Any
     other kind is a class that inherits this one, for the parts that may be left out, and must:
 
-    1. be a frozen dataclass: equal references may share a compiled loop, and a run must not change
-       them. Its fields are declared by :func:`certrack.references.key`, and
-       :func:`certrack.references.register` gives it the word by which system files name it;
+    1. be a frozen dataclass whose equality leaves no field out: equal references share compiled
+       loops and results, and a run must not change them. Its fields are declared by
+       :func:`certrack.references.key`, and :func:`certrack.references.register` gives it the word
+       by which system files name it;
     2. be continuous, and say in `order` how many derivatives exist piecewise and are bounded;
        derivatives below `order` must be continuous. A law with feed-forward order q is refused
        unless ``order >= q + 1``, and asks for derivatives 0 ... q + 1 only;

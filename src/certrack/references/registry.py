@@ -13,7 +13,7 @@ import numpy as np
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, check_name
-from certrack.core.keys import Key, keys_of
+from certrack.core.keys import Key, keys_of, require_compared
 from certrack.core.lowering import numpy_callable, rows
 from certrack.core.supported import check_symbols, normal_form
 from certrack.references.base import Reference
@@ -84,6 +84,7 @@ def register_reference(kind: str, **keys: Key) -> Callable[[_Maker], _Maker]:
         if not is_dataclass(maker) or parameters is None or not parameters.frozen:
             remedy = "Write @register(...) above @dataclass(frozen=True)"
             raise InputError("reference", "must be a frozen dataclass", maker.__name__, remedy)
+        require_compared("reference", maker)
         described = {**keys_of(maker), **keys}
         _require_keys((f.name for f in fields(maker) if f.init and f.default is MISSING), described)
         _registered_references[kind] = ReferenceKind(maker, described)  # type: ignore[arg-type]

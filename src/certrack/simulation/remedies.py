@@ -20,14 +20,25 @@ def slower_law(system: System) -> str:
     law = system.law
     if isinstance(law, Linear):
         return "lower law.K" if law.lqr is None else "raise law.lqr.input"
-    fastest, gains = system.controller.coordinates.fastest_pole, law.c
-    damped = not law.gains().is_lean
-    if fastest > FAR_FROM_GAINS * max(gains):
-        if damped:
+    return poles_near_gains(system) or "lower law.c"
+
+
+def poles_near_gains(system: System) -> str:
+    """What to change where the fastest pole is far from all gains c; empty where it is near.
+
+    Parameters
+    ----------
+    system : System
+    """
+    law = system.law
+    if isinstance(law, Linear):
+        return ""
+    if system.controller.coordinates.fastest_pole > FAR_FROM_GAINS * max(law.c):
+        if not law.gains().is_lean:
             return "leave law.k and law.p out, which make the poles fast, or lower law.c"
         if law.coupling is None:
             return "set law.coupling = 0.5: what makes the poles fast is plant.chain, not law.c"
-    return "lower law.c"
+    return ""
 
 
 def shorter_period(system: System) -> str:

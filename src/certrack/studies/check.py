@@ -24,7 +24,12 @@ from certrack.simulation.implementation_notes import (
     SMALL_POLE_PERIOD,
     longest_speed_period,
 )
-from certrack.simulation.remedies import shorter_period, slower_law, takes_differences
+from certrack.simulation.remedies import (
+    poles_near_gains,
+    shorter_period,
+    slower_law,
+    takes_differences,
+)
 from certrack.studies.norm_weights import proposed_weights
 from certrack.studies.units import misfits
 from certrack.systems.system import System, require_system
@@ -146,7 +151,7 @@ def _findings(system: System) -> Iterator[Finding]:
     if implementation is None:
         fastest = system.controller.coordinates.fastest_pole
         detail = f"fastest {fastest:.4g} rad/s; no [implementation], so no period to compare"
-        yield Finding("poles", NOTE, detail)
+        yield Finding("poles", NOTE, detail, poles_near_gains(system))
     else:
         yield _pole_period(system, implementation)
         yield from _sampled_stability(system, implementation)

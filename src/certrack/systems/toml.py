@@ -36,6 +36,9 @@ _QUOTED = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 
+#: Characters of a line that a message quotes.
+MAX_QUOTED = 60
+
 #: What ends a key or a number; a run of other characters is looked at from its beginning only.
 _ENDS = r",=\[\]{}\n"
 _DOTTED = re.compile(rf"(?<![^{_ENDS}])(?:[^{_ENDS}.]*+\.){{{MAX_PARTS}}}")
@@ -57,7 +60,10 @@ def parse_toml(text: str) -> dict[str, Any]:
         return tomllib.loads(text, parse_float=decimal_float)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
         place = re.search(r"at line (\d+)", str(problem))
-        raise _refusal(f"is not TOML: {problem}", int(place[1]) if place else None) from None
+        if place is None:
+            raise _refusal(f"is not TOML: {problem}", None) from None
+        line = int(place[1])
+        raise _refusal(f"is not TOML: {problem}: {_quoted(text, line)}", line) from None
     except RecursionError:
         raise _refusal("is not TOML: nested too deeply", None) from None
 
@@ -92,6 +98,16 @@ def _check_extent(text: str) -> None:
 
 def _at(text: str, position: int, what: str) -> InputError:
     return _refusal(f"is not TOML of a system: {what}", text.count("\n", 0, position) + 1)
+
+
+def _quoted(text: str, line: int) -> str:
+    """A line of the text for a message, and what is often wrong with it."""
+    lines = text.splitlines()
+    written = " ".join(lines[line - 1].split()) if line <= len(lines) else ""
+    shown = written if len(written) <= MAX_QUOTED else f"{written[:MAX_QUOTED]}..."
+    return (
+        f"{shown!r}. A number begins with a digit (0.5, not .5); formulas and texts are in quotes"
+    )
 
 
 def _refusal(what: str, line: int | None) -> InputError:

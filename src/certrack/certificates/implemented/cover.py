@@ -131,8 +131,9 @@ def _no_bound_for(plant: RangedPlant, cell: Cell, count: int, reason: str) -> st
     if plant.varies:
         return f"no bound for constants that vary in all of plant.ranges ({ends}): {reason}"
     return (
-        f"no bound for {ends}, the worst of {count} cells of plant.ranges, and there may not be "
-        f"more: {reason}; narrow plant.ranges, or --effort high"
+        f"no bound for {ends}, the worst of {count} {'cell' if count == 1 else 'cells'} of "
+        f"plant.ranges, and there may not be more: {reason}; narrow plant.ranges, or take a higher "
+        "--effort"
     )
 
 

@@ -1,14 +1,18 @@
 """What is gained where w changes slowly: the response to a step in the place of the kernel.
 
 Let k be the kernel of a row for one w, over the age a of what acts, and g(a) = int_0^a k the row's
-response to a step. For w = s + f, |s| <= s0, |s'| <= rho but for jumps of at most J, of which there
-is one at most in any window shorter than `dwell`, and for every z that is constant in each period,
+response to a step. For w = s + f, |s| <= s0, |s'| <= rho but for jumps of at most J, any two of
+which are at least `dwell` apart, and for every z that is constant in each period,
 
-    |int k s| <= s0 TV(z) + rho int |g - z| da + J sum of sup |g - z| over windows.
+    |int k s| <= s0 TV(z) + rho int |g - z| da + J times the largest sum of |g - z| at such times.
 
 For k = z' + (g - z)' as measures where z(0-) = 0 and z is g beyond some age: the first part meets
 |s| <= s0, the second one by parts the changes of s. TV(z) counts the jumps of z, the last one to g,
 and int |k| beyond. z = g is the plain peak gain, z = 0 uses the rate alone. f counts by |k|.
+That |s| <= s0 = (bound of w) - (that of f) is no premise: of any s and f with |s + f| within the
+bound of w, s may be cut off at s0, which makes no change of it faster, and the rest stays within
+the bound of f. And a steep change of s counts as a jump where all of it is at most J and it is over
+at least `dwell` before the next one begins: of it, too, only the largest |g - z| counts.
 
 In a cell |g - z| has the integral of the line between the ends and h^3/12 sup|g''| more at most,
 and is at most h^2/8 sup|g''| above its ends; g'' = k' is at most |lambda| e^{|A|h} |A W|.
@@ -28,6 +32,7 @@ import flint
 import numpy as np
 
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented.apart import largest_apart
 from certrack.certificates.implemented.drive import Drive
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
 from certrack.certificates.implemented.fixed_point import OutputBounds, uncertain_size
@@ -41,7 +46,7 @@ from certrack.certificates.implemented.gains import (
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import Period, padded
 from certrack.certificates.implemented.superposition import (
-    Apart,
+    TwoParts,
     speed_of,
     speeds_of_states,
     split_from,
@@ -73,7 +78,10 @@ def as_function(steps: StepFunction, periods: int) -> np.ndarray:
     first = [start for start, _ in steps]
     if first[:1] != [0] or any(a >= b for a, b in zip(first, [*first[1:], periods], strict=True)):
         raise NoCertificate("the steps of z are not in the order of their periods, from 0 on")
-    return np.repeat([float(value) for _, value in steps], np.diff([*first, periods]))
+    values = [float(value) for _, value in steps]
+    if not np.isfinite(values).all():
+        raise NoCertificate("a step of z leaves the range of floating point")
+    return np.repeat(values, np.diff([*first, periods]))
 
 
 def needs_rates(drive: Drive) -> bool:
@@ -158,9 +166,9 @@ class StepResponses:
         return self.end.shape[1]
 
     def measures(
-        self, i: int, z: np.ndarray, old: np.ndarray, windows: int
+        self, i: int, z: np.ndarray, old: np.ndarray, apart: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """TV(z), int |g - z| and the sums over windows, of all rows; rounded up.
+        """TV(z), int |g - z| and the sum for jumps, of all rows; rounded up.
 
         Parameters
         ----------
@@ -169,8 +177,8 @@ class StepResponses:
         z : (periods,) array
         old : (rows,) array
             int |k| beyond the periods.
-        windows : int
-            Periods in a window; 0 where there are no jumps.
+        apart : int
+            Whole periods between two jumps; 0 where there are no jumps.
         """
         steps = np.abs(np.diff(z)).sum() + abs(z[0])
         last = np.abs(self.end[:, -1, -1, i] - z[-1]) + self.error[:, i]
@@ -181,13 +189,12 @@ class StepResponses:
         # a difference rounds by its last digit: counted with the error of g
         off = self.error[:, i] + 4 * ROUNDOFF * (np.abs(z).max() + np.abs(self.end[..., i]).max())
         area = widened(lines + self.bend[:, i] + off * time, a[0].size + 16)
-        if not windows:
+        if not apart:
             return variation, area, np.zeros(len(area))
         largest = np.maximum(np.abs(a), np.abs(b)).max(axis=2) + self.overshoot[..., i]
         largest = largest + off[:, None]
-        starts = np.arange(0, self.periods, windows)
-        sums = np.maximum.reduceat(largest, starts, axis=1).sum(axis=1)
-        return variation, area, widened(sums, len(starts) + 8)
+        sums = largest_apart(largest, apart)
+        return variation, area, widened(sums, self.periods // apart + 10)
 
 
 def _whole_periods(
@@ -295,7 +302,7 @@ class SlowTerms:
         Bounds of w and of the slow part's rate.
     values : (rows,) array of balls
         The bounds of the rows without what these columns add by their kernels.
-    apart : mapping of columns of W to Apart
+    parts : mapping of columns of W to TwoParts
         Other bounds of w in two parts, where they are known.
     """
 
@@ -305,7 +312,7 @@ class SlowTerms:
     sizes: list[Any]
     speeds: list[Any]
     values: np.ndarray
-    apart: Mapping[int, Apart]
+    parts: Mapping[int, TwoParts]
 
     @classmethod
     def of(
@@ -336,11 +343,11 @@ class SlowTerms:
             kernels = np.array([flint.arb(float(v)) for v in gains.w[chosen, j]], dtype=object)
             remaining = remaining - kernels * of_w[j]
         sizes = [of_w[j] for j in responses.columns]
-        apart = split_from(bounds, X, split) if split else {}
-        return cls(bounds, chosen, responses, sizes, speeds, remaining, apart)
+        parts = split_from(bounds, X, split) if split else {}
+        return cls(bounds, chosen, responses, sizes, speeds, remaining, parts)
 
-    def windows(self, i: int) -> int:
-        """Periods in a window with one jump at most; 0 without jumps.
+    def apart(self, i: int) -> int:
+        """Whole periods between two jumps at least; 0 without jumps.
 
         Raises
         ------
@@ -373,14 +380,14 @@ class SlowTerms:
             z = as_function(steps[i], self.responses.periods)
             slow = self.bounds.drive.uncertain[j].slow
             assert slow is not None
-            measured = self.responses.measures(i, z, gains.old[self.chosen, j], self.windows(i))
+            measured = self.responses.measures(i, z, gains.old[self.chosen, j], self.apart(i))
             added = []
             for row, tv, area, jumps in zip(self.chosen, *measured, strict=True):
                 kernel = flint.arb(float(gains.w[row, j]))
                 by_steps = (self.sizes[i] - slow.fast) * float(tv) + self.speeds[i] * float(area)
                 by_steps = by_steps + flint.arb(slow.jump) * float(jumps) + slow.fast * kernel
                 ways = [by_steps, self.sizes[i] * kernel]
-                if (parts := self.apart.get(j)) is not None:
+                if (parts := self.parts.get(j)) is not None:
                     of_slow = parts.size * float(tv) + parts.speed * float(area)
                     ways.append(of_slow + parts.rest * kernel)
                 added.append(min(flint.arb(way.upper()) for way in ways))

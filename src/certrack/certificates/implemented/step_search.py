@@ -65,7 +65,7 @@ def by_rates(
             fewer = (*steps[:i], UNUSED, *steps[i + 1 :])
             if terms.bound(fewer) <= smaller * WORTH_WRITING:
                 steps = fewer
-        smaller, whole = terms.bound(steps), replace(terms, apart={})
+        smaller, whole = terms.bound(steps), replace(terms, parts={})
         if split and whole.bound(steps) <= smaller * WORTH_WRITING:
             split, smaller = (), whole.bound(steps)
     except NoCertificate:  # too many numbers, or jumps in every period
@@ -81,7 +81,7 @@ def search_steps(terms: SlowTerms) -> tuple[StepFunction, ...]:
     row = int(np.argmax([float(v.mid()) for v in terms.values] + gains @ sizes))
     steps = tuple(_best_z(terms, i, row, _prices(terms, i)) for i in range(len(sizes)))
     for i, j in enumerate(responses.columns):
-        if (parts := terms.apart.get(j)) is not None:
+        if (parts := terms.parts.get(j)) is not None:
             prices = (float(parts.size.mid()), float(parts.speed.mid()), 0.0)
             other = (*steps[:i], _best_z(terms, i, row, prices), *steps[i + 1 :])
             steps = min(steps, other, key=lambda z: float(terms.bound(z)))
@@ -107,7 +107,7 @@ def _best_z(terms: SlowTerms, i: int, row: int, prices: tuple[float, float, floa
     starts = _blocks(g, time)
     medians = np.array([np.median(part) for part in np.split(g, starts[1:])])
     weights = np.add.reduceat(time, starts)
-    windows = terms.windows(i)
+    windows = terms.apart(i)
     owner = starts // windows if windows else None
     z = _least(medians, weights, last, prices, owner)
     return _few(starts, z, float(np.abs(g).max()))
@@ -129,7 +129,10 @@ def _least(
     prices: tuple[float, float, float],
     owner: np.ndarray | None,
 ) -> np.ndarray:
-    """z with the least size TV(z) + rate sum weights |g - z| + jump sum of the windows' largest."""
+    """z with the least size TV(z) + rate sum weights |g - z| + jump sum of the windows' largest.
+
+    Of what is a window apart, one at most lies in each: that sum is about what :mod:`apart` bounds.
+    """
     size, rate, jump = prices
     k = len(g)
     windows = 0 if owner is None else int(owner[-1]) + 1

@@ -56,7 +56,7 @@ Vector = list[Any]
 
 
 @dataclass(frozen=True)
-class Apart:
+class TwoParts:
     """w in two parts: |slow| <= size, |slow'| <= speed, |the other| <= rest."""
 
     size: Any
@@ -152,14 +152,14 @@ class SplitLoop:
         values = self.bounds.values(constant, sizes, v[:-1], v[-1])
         return self.bounds.largest(values, range(1, self.bounds.drive.n + 2))
 
-    def parts(self, slow: Vector, fast: Vector) -> dict[int, Apart]:
+    def parts(self, slow: Vector, fast: Vector) -> dict[int, TwoParts]:
         """Each w that is split, in its two parts."""
         drive, of_slow = self.bounds.drive, self.of_slow(slow)
         values = self.bounds.values(self.others, of_slow, slow[:-1], slow[-1])
         rates = speeds_of_states(self.bounds, values, of_slow)
         rest = self.of_fast(slow, fast)
         return {
-            j: Apart(of_slow[j], speed_of(bound, rates), rest[j])
+            j: TwoParts(of_slow[j], speed_of(bound, rates), rest[j])
             for j, bound in enumerate(drive.uncertain)
             if is_split(bound)
         }
@@ -173,7 +173,7 @@ def _may_split(bounds: OutputBounds) -> bool:
 
 def split_from(
     bounds: OutputBounds, X: Sequence[Any], texts: Sequence[Sequence[str]]
-) -> dict[int, Apart]:
+) -> dict[int, TwoParts]:
     """Each w that is split, in its two parts, from the bounds of both in a file.
 
     Raises

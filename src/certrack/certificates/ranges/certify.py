@@ -169,7 +169,8 @@ def _certificates(
         "cells": bounds.cells,
     }
     reasons = {
-        "vertices": "no quadratic function was found for the whole box; narrow plant.ranges",
+        "vertices": "no quadratic function was found for the whole box; other gains may have one "
+        "(certrack tune), or narrow plant.ranges",
         "peak": "the gain through the ranges is not below 1 on the whole box",
         "cells": "constants_vary = true: cells are for constants that stand still"
         if varies

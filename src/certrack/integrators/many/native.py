@@ -246,6 +246,12 @@ def _flow_form(flow: AugmentedFlow, shown: tuple[sympy.Expr, ...]) -> tuple[str,
     return system_header(fewest, shown), numpy_callable([flow.numbers], list(numbers))
 
 
+def numbers_of(evaluate: NumpyFunction, values: Sequence[float]) -> np.ndarray:
+    """The numbers that a compiled flow wants; one that overflows is infinite, as in the lanes."""
+    with np.errstate(all="ignore"):
+        return np.array(evaluate(np.array(values, dtype=float)), dtype=float)
+
+
 class Native:
     """A compiled :class:`AugmentedFlow`; may be used by several threads at once.
 
@@ -269,7 +275,7 @@ class Native:
         self._totals = len(flow.integrands) + len(flow.memories)
         header, evaluate = _flow_form(flow, tuple(shown))
         self._library = compiled_library("many/native.c", header)
-        self._numbers = np.array(evaluate(numbers), dtype=float)
+        self._numbers = numbers_of(evaluate, numbers)
         self._spare_counts: list[np.ndarray] = []
 
     def integrate(

@@ -17,7 +17,7 @@ from certrack.core.lowering import NumpyFunction, numpy_callable
 from certrack.core.memo import remembered
 from certrack.core.select import STEP_BEGIN, STEP_LENGTH
 from certrack.integrators.base import ESCAPING
-from certrack.integrators.many.native import compiled_library
+from certrack.integrators.many.native import compiled_library, numbers_of
 from certrack.integrators.many.native_source import (
     OUTCOME_NAMES,
     c_enum,
@@ -123,7 +123,7 @@ class SampledNative:
         names, values = tuple(numbers or ()), list((numbers or {}).values())
         header, evaluate = _loop_form(loop, tuple(shown), names)
         self._library = compiled_library("sampled/native.c", header)
-        self._numbers = np.array(evaluate(values), dtype=float)
+        self._numbers = numbers_of(evaluate, values)
 
     def integrate(self, problem: SampledProblem, shared: Array) -> SampledResult:
         """Integrate to the end; releases the interpreter lock.

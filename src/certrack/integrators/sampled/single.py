@@ -112,7 +112,7 @@ class SampledSingle:
         depth = int(implementation.run_delay + 2 * implementation.jitter) + 2
         errors = sensor_noise(
             implementation,
-            lambda: normal(problem.keys, 0, samples * self._sensors).reshape(samples, -1).T,
+            lambda: normal(problem.keys, 0, samples * self._sensors).reshape(-1, self._sensors).T,
             implementation.sensor_errors(line.times[line.samples]),
         )
         estimates = np.empty((len(self._estimates), samples + 1))

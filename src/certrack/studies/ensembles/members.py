@@ -103,11 +103,12 @@ def member(system: System, index: int, *, seed: int = 0) -> System:
 
 def members_of(system: System, seed: int) -> Members:
     """The members of a system for a seed; what does not depend on the seed is made once."""
-    return _of_any_seed(system).with_seed(seed)
+    return _of_any_seed(system, type(family_of(system.varied))).with_seed(seed)
 
 
 @remembered
-def _of_any_seed(system: System) -> Members:
+def _of_any_seed(system: System, _family: type) -> Members:
+    """Those of the seed 0; the system names its family, which may be registered anew."""
     return Members(system, 0)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -10,6 +11,7 @@ import numpy as np
 from certrack.core.memo import remembered
 from certrack.loops.plant import measured
 from certrack.model.distribution import Distribution
+from certrack.model.disturbance import family_of
 from certrack.simulation.metrics import Metrics
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
@@ -66,6 +68,12 @@ class Plan:
         text = f"{to_text(self.system)} {self.seed} {self.tolerance!r} {self.limit!r} {self.method}"
         text += f" {self.per_member}"
         return text.encode() + self.centre.tobytes() + self.scale.tobytes()
+
+    @property
+    def registered(self) -> tuple[Hashable, ...]:
+        """What the names of law, reference and disturbances stand for: they can be taken anew."""
+        system = self.system
+        return type(system.law), system.reference, type(family_of(system.varied))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Plan) and self.key == other.key
