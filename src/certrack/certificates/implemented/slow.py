@@ -386,11 +386,11 @@ class SlowTerms:
                 kernel = flint.arb(float(gains.w[row, j]))
                 by_steps = (self.sizes[i] - slow.fast) * float(tv) + self.speeds[i] * float(area)
                 by_steps = by_steps + flint.arb(slow.jump) * float(jumps) + slow.fast * kernel
-                ways = [by_steps, self.sizes[i] * kernel]
+                bounds_of_part = [by_steps, self.sizes[i] * kernel]
                 if (parts := self.parts.get(j)) is not None:
                     of_slow = parts.size * float(tv) + parts.speed * float(area)
-                    ways.append(of_slow + parts.rest * kernel)
-                added.append(min(flint.arb(way.upper()) for way in ways))
+                    bounds_of_part.append(of_slow + parts.remainder * kernel)
+                added.append(min(flint.arb(bound.upper()) for bound in bounds_of_part))
             total = total + np.array(added, dtype=object)
         if not all(value.is_finite() for value in total):
             raise NoCertificate("a gain of the sampled loop leaves the range of floating point")

@@ -65,9 +65,9 @@ def by_rates(
             fewer = (*steps[:i], UNUSED, *steps[i + 1 :])
             if terms.bound(fewer) <= smaller * WORTH_WRITING:
                 steps = fewer
-        smaller, whole = terms.bound(steps), replace(terms, parts={})
-        if split and whole.bound(steps) <= smaller * WORTH_WRITING:
-            split, smaller = (), whole.bound(steps)
+        smaller, unsplit = terms.bound(steps), replace(terms, parts={})
+        if split and unsplit.bound(steps) <= smaller * WORTH_WRITING:
+            split, smaller = (), unsplit.bound(steps)
     except NoCertificate:  # too many numbers, or jumps in every period
         return None
     return ByRates(steps, split, smaller) if smaller < plain else None

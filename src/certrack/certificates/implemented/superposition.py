@@ -52,16 +52,16 @@ MOST_STEPS_DOWN, WORTH_A_STEP = 40, 1e-4
 SPLIT_DIGITS = 13
 
 #: Bounds of the states, and of the input behind them.
-Vector = list[Any]
+PartBounds = list[Any]
 
 
 @dataclass(frozen=True)
 class TwoParts:
-    """w in two parts: |slow| <= size, |slow'| <= speed, |the other| <= rest."""
+    """w in two parts: |slow| <= size, |slow'| <= speed, |the other| <= remainder."""
 
     size: Any
     speed: Any
-    rest: Any
+    remainder: Any
 
 
 def is_split(bound: UncertainBound) -> bool:
@@ -115,7 +115,7 @@ class SplitLoop:
         sensors = np.vectorize(flint.arb, otypes=[object])(each) @ errors
         return cls(bounds, list(X), sensors, bounds.constant - sensors)
 
-    def of_slow(self, v: Vector) -> list[Any]:
+    def of_slow(self, v: PartBounds) -> list[Any]:
         """Bounds of what acts on x_s of each w, where |x_s| and |u_s| are within v."""
         sizes = []
         for bound in self.bounds.drive.uncertain:
@@ -124,7 +124,7 @@ class SplitLoop:
             sizes.append(flint.arb(0) if slow is None else uncertain_size(bound, at) - slow.fast)
         return sizes
 
-    def of_fast(self, slow: Vector, v: Vector) -> list[Any]:
+    def of_fast(self, slow: PartBounds, v: PartBounds) -> list[Any]:
         """Bounds of what acts on x_f of each w, where the parts are within `slow` and v."""
         sizes = []
         for bound, of_slow in zip(self.bounds.drive.uncertain, self.of_slow(slow), strict=True):
@@ -140,26 +140,26 @@ class SplitLoop:
             sizes.append(size)
         return sizes
 
-    def slow_image(self, v: Vector) -> Vector:
+    def slow_image(self, v: PartBounds) -> PartBounds:
         """F_s."""
         return self._image(self.others, self.of_slow(v), v)
 
-    def fast_image(self, slow: Vector, v: Vector) -> Vector:
+    def fast_image(self, slow: PartBounds, v: PartBounds) -> PartBounds:
         """F_f."""
         return self._image(self.sensors, self.of_fast(slow, v), v)
 
-    def _image(self, constant: np.ndarray, sizes: Sequence[Any], v: Vector) -> Vector:
+    def _image(self, constant: np.ndarray, sizes: Sequence[Any], v: PartBounds) -> PartBounds:
         values = self.bounds.values(constant, sizes, v[:-1], v[-1])
         return self.bounds.largest(values, range(1, self.bounds.drive.n + 2))
 
-    def parts(self, slow: Vector, fast: Vector) -> dict[int, TwoParts]:
+    def parts(self, slow: PartBounds, fast: PartBounds) -> dict[int, TwoParts]:
         """Each w that is split, in its two parts."""
         drive, of_slow = self.bounds.drive, self.of_slow(slow)
         values = self.bounds.values(self.others, of_slow, slow[:-1], slow[-1])
         rates = speeds_of_states(self.bounds, values, of_slow)
-        rest = self.of_fast(slow, fast)
+        of_fast = self.of_fast(slow, fast)
         return {
-            j: TwoParts(of_slow[j], speed_of(bound, rates), rest[j])
+            j: TwoParts(of_slow[j], speed_of(bound, rates), of_fast[j])
             for j, bound in enumerate(drive.uncertain)
             if is_split(bound)
         }
@@ -200,14 +200,14 @@ def search_split(bounds: OutputBounds, X: Sequence[Any], U: Any) -> tuple[tuple[
     """Bounds of both parts for :func:`split_from`, down from those of the whole; or none."""
     if not _may_split(bounds):
         return ()
-    loop, whole = SplitLoop.of(bounds, X), [flint.arb(v) for v in (*X, U)]
-    slow = _down(loop.slow_image, whole)
-    both = [a + b for a, b in zip(whole, slow, strict=True)]
+    loop, unsplit = SplitLoop.of(bounds, X), [flint.arb(v) for v in (*X, U)]
+    slow = _down(loop.slow_image, unsplit)
+    both = [a + b for a, b in zip(unsplit, slow, strict=True)]
     fast = _down(lambda v: loop.fast_image(slow, v), both)
     return tuple(tuple(f"{float(v):.{SPLIT_DIGITS}g}" for v in part) for part in (slow, fast))
 
 
-def _down(image: Any, v: Vector) -> Vector:
+def _down(image: Any, v: PartBounds) -> PartBounds:
     """F(v), F(F(v)) ... with a margin each: v stays above F(v) as long as it falls."""
     for _ in range(MOST_STEPS_DOWN):
         widened = (float(value) * (1 + FIXED_POINT_MARGIN) + SMALLEST_BOUND for value in image(v))
