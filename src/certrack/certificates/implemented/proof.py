@@ -160,11 +160,12 @@ def prove_implemented(
         if reason := _not_above(bounds, image, proof):
             raise NoCertificate(reason)
         parts = bounds.parts(X, U)
-        rated = None if cell else by_rates(period, bounds, doublings, _claimed(proof), image[0])
-        if rated is not None:
+        if not cell:
+            rated = by_rates(period, bounds, doublings, _claimed(proof), image[0])
+            proof = replace(proof, slow=rated.slow, split=rated.split)
+        if proof.slow:
             parts |= {RATES_PART: float(rated.bound) - float(image[0])}
             image[0] = rated.bound
-            proof = replace(proof, slow=rated.slow, split=rated.split)
         bound, step = (_text_above(value) for value in (image[0], image[-1]))
     return replace(proof, bound=bound, step=step), parts
 

@@ -42,8 +42,8 @@ class ByRates:
 
 def by_rates(
     period: Period, bounds: OutputBounds, doublings: int, claimed: tuple[list[Any], Any], plain: Any
-) -> ByRates | None:
-    """What rates make of the bound of |e_1|; None if that is not smaller.
+) -> ByRates:
+    """What rates make of the bound of |e_1|; without a z where that is not smaller.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def by_rates(
         Its bound of |e_1|.
     """
     if not slow_columns(period.drive):
-        return None
+        return ByRates((), (), plain)
     try:
         split = search_split(bounds, *claimed)
         terms = SlowTerms.of(period, bounds, doublings, *claimed, split)
@@ -69,8 +69,8 @@ def by_rates(
         if split and unsplit.bound(steps) <= smaller * WORTH_WRITING:
             split, smaller = (), unsplit.bound(steps)
     except NoCertificate:  # too many numbers, or jumps in every period
-        return None
-    return ByRates(steps, split, smaller) if smaller < plain else None
+        return ByRates((), (), plain)
+    return ByRates(steps, split, smaller) if smaller < plain else ByRates((), (), plain)
 
 
 def search_steps(terms: SlowTerms) -> tuple[StepFunction, ...]:
