@@ -16,6 +16,7 @@ from certrack import plotting
 from certrack.certificates.certificate import Certificate
 from certrack.certificates.tube import Tube
 from certrack.core.errors import InputError
+from certrack.plotting.limits import draw_input_limits
 from certrack.plotting.names import math_name
 from certrack.plotting.units import prefix
 from certrack.plotting.windows import split_time
@@ -380,3 +381,16 @@ def test_dollars_in_a_title_are_no_formula():
     text = drawing._suptitle
     drawing.canvas.draw()  # a formula that is none would raise
     assert text._preprocess_math(text.get_text()) == (r"$\bad$", False)
+
+
+def test_far_limits_of_the_input_have_their_unit():
+    drive = certrack.load("dual-motor-drive")
+    run = certrack.simulate(drive.replace(settings=replace(drive.settings, duration=0.1, tail=0)))
+    for units, label in (
+        (("rad", "rad/s", "rad", "rad/s", "N m"), "saturation -15 to 15 N m"),
+        (None, "saturation -15 to 15"),
+    ):
+        system = run.system.replace(plant=replace(run.system.plant, units=units))
+        ax = Figure().add_subplot()
+        draw_input_limits(ax, {"run": replace(run, system=system)}, None, 0.1)
+        assert ax.get_legend_handles_labels()[1] == [label]

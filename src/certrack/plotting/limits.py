@@ -84,7 +84,9 @@ def draw_input_limits(
                 held.append(limit)
         if implementation.saturation is not None and not held:
             low, high = implementation.saturation
-            ax.plot([], [], " ", label=label_once(ax, f"saturation {low:g} to {high:g}"))
+            units = run.system.plant.units  # the axis may be in thousandths of it
+            unit = "" if units is None or units[-1] == "1" else f" {units[-1]}"
+            ax.plot([], [], " ", label=label_once(ax, f"saturation {low:g} to {high:g}{unit}"))
         if implementation.rate_limit is not None:
             _draw_rate(ax, implementation.rate_limit, run.t, run.u, window)
     return tuple(held)

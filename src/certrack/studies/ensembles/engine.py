@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
+from certrack.core.memo import remembered
 from certrack.integrators.base import MethodUnavailable, Outcome
 from certrack.simulation.run import Run
 from certrack.studies.ensembles.methods.choice import create_method
@@ -107,8 +106,8 @@ def fastest(plan: Plan, threads: int) -> Engine:
     raise AssertionError("members can always be run alone")
 
 
-@lru_cache(maxsize=4)
-def _engine_of(plan: Plan, _registered: tuple[Hashable, ...]) -> Engine:
+@remembered
+def _engine_of(plan: Plan, _registered: tuple[object, ...]) -> Engine:
     """The compiled plan of a worker process."""
     return Engine(plan)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -70,7 +69,7 @@ class Plan:
         return text.encode() + self.centre.tobytes() + self.scale.tobytes()
 
     @property
-    def registered(self) -> tuple[Hashable, ...]:
+    def registered(self) -> tuple[object, ...]:
         """What the names of law, reference and disturbances stand for: they can be taken anew."""
         system = self.system
         return type(system.law), system.reference, type(family_of(system.varied))
