@@ -146,7 +146,7 @@ class SemidefiniteProgram:
 
     def _free_entries(self, n: int) -> list[tuple[int, int]]:
         """Entries (i <= j) of P that may be nonzero."""
-        entries = [(i, j) for j in range(n) for i in range(j + 1)]
+        entries = upper_entries(n)
         if self.problem.adaptation is None:
             return entries
         return [(i, j) for i, j in entries if j < n - 1 or i == j]
@@ -379,6 +379,11 @@ def best_solution(program: Program[_Found], near: float | None = None) -> _Found
     accuracy = {"xatol": ALPHA_ACCURACY}
     minimize_scalar(bound, bounds=(low, high), method="bounded", options=accuracy)
     return min(solutions.values(), key=lambda solution: solution.bound)
+
+
+def upper_entries(n: int) -> list[tuple[int, int]]:
+    """The entries (i, j), i <= j, of a symmetric matrix, column by column."""
+    return [(i, j) for j in range(n) for i in range(j + 1)]
 
 
 def svec(matrix: np.ndarray) -> np.ndarray:

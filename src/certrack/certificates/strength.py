@@ -96,9 +96,9 @@ def critical_semidefinite(
 
 
 def _by_one_program(exact: ErrorProblem, low: float, slow: float) -> float | None:
-    """The strength of :func:`largest_strength`, a little lower, exactly verified; None if not.
+    """The strength of :func:`largest_strength`, a little lower, exactly verified.
 
-    `low` where that is known to hold and not exceeded.
+    None where that is not above `low`, or is not confirmed.
     """
     try:
         with within_floats():

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import reduce
 
 import sympy
 
+from certrack.core.expressions import TIME
 from certrack.core.powers import without_fine_roots
 
 _OfTwo = Callable[[sympy.Expr, sympy.Expr], sympy.Expr]
@@ -35,6 +36,20 @@ def derivative(expr: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:
     for kink, name in kinks.items():
         slope += sympy.diff(frozen, name) * _slope_of_kink(kink, by)
     return without_fine_roots(slope.xreplace({name: kink for kink, name in kinks.items()}))
+
+
+def along(formula: sympy.Expr, rates: Mapping[sympy.Symbol, sympy.Expr]) -> sympy.Expr:
+    """Time derivative of a formula of states and time, by the chain rule.
+
+    Parameters
+    ----------
+    formula : formula
+    rates : mapping
+        Rate of each state.
+    """
+    rate_of = {**rates, TIME: sympy.S.One}
+    present = [name for name in rate_of if name in formula.free_symbols]
+    return sympy.Add(*(derivative(formula, name) * rate_of[name] for name in present))
 
 
 def _slope_of_kink(kink: sympy.Expr, by: sympy.Symbol) -> sympy.Expr:

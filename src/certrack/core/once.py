@@ -24,7 +24,7 @@ def once(
     """
 
     @wraps(function)
-    def remembered(subject: Subject, /, *further: Further.args, **named: Further.kwargs) -> Answer:
+    def recall(subject: Subject, /, *further: Further.args, **named: Further.kwargs) -> Answer:
         results = vars(subject).setdefault(RESULTS, {})
         key = function, further, tuple(sorted(named.items()))
         if key not in results:
@@ -32,7 +32,7 @@ def once(
         result: Answer = results[key]
         return result
 
-    return remembered
+    return recall
 
 
 def without_results(state: dict[str, object]) -> dict[str, object]:

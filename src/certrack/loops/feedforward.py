@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,9 @@ import numpy as np
 from certrack.core.errors import DesignError
 from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable
+from certrack.core.memo import remembered
 from certrack.core.rounding import in_digits
-from certrack.laws.base import Controller, Law
+from certrack.laws.base import Controller, Equations, Law
 from certrack.laws.observer_model import plant_over_a_period
 from certrack.loops.controller_numbers import plain_values
 from certrack.loops.linear_controller import LinearController, linear_controller
@@ -61,7 +62,7 @@ def sampled_feedforward(
     DesignError
         If the law or the plant is not linear, or the loop does not follow a constant.
     """
-    slopes = _slopes(plant, controller, law, implementation)
+    slopes = _slopes(_structure(plant, controller, law, implementation))
     linear = slopes.linear
     Lx, Ls, LY, Sx, Ss, SY, b_s = _tables(slopes, plant, law, implementation)
     n, memories = plant.n, len(linear.states)
@@ -127,36 +128,49 @@ class _Slopes:
     values: Callable[..., list[Any]]
 
 
-#: Structures whose slopes are kept: searches and margins ask for one of them thousands of times.
-KEPT_STRUCTURES = 16
-_slopes_of_structures: dict[tuple[Any, ...], _Slopes] = {}
+@dataclass(frozen=True)
+class _Structure:
+    """A loop; those are equal that differ in numbers alone.
+
+    Attributes
+    ----------
+    plant : Plant
+    equations : Equations
+    estimated, of_drive : what else decides the formulas of observer and implementation
+    controller, implementation
+        One that has this structure.
+    """
+
+    plant: Plant
+    equations: Equations
+    estimated: tuple[Any, ...] | None
+    of_drive: tuple[Any, ...]
+    controller: Controller = field(compare=False)
+    implementation: Implementation = field(compare=False)
 
 
-def _slopes(
+def _structure(
     plant: Plant, controller: Controller, law: Law, implementation: Implementation
-) -> _Slopes:
-    """The slopes as functions, compiled once for all numbers of a structure."""
+) -> _Structure:
     observer = law.observer
     estimated = (
         None if observer is None else (observer.kind, observer.rows, observer.bandwidth is None)
     )
     of_drive = tuple(
-        getattr(implementation, field.name)
-        for field in fields(implementation)
-        if field.name != "period"
+        getattr(implementation, entry.name)
+        for entry in fields(implementation)
+        if entry.name != "period"
     )
-    key = (plant, controller.equations, estimated, of_drive)
-    compiled = _slopes_of_structures.get(key)
-    if compiled is None:
-        compiled = _new_slopes(plant, controller, implementation)
-        if len(_slopes_of_structures) >= KEPT_STRUCTURES:
-            _slopes_of_structures.pop(next(iter(_slopes_of_structures)), None)
-        _slopes_of_structures[key] = compiled
-    return compiled
+    equations = controller.equations
+    return _Structure(plant, equations, estimated, of_drive, controller, implementation)
 
 
-def _new_slopes(plant: Plant, controller: Controller, implementation: Implementation) -> _Slopes:
-    linear = linear_controller(plant, controller, implementation, controller.equations.u + ADDED)
+@remembered
+def _slopes(loop: _Structure) -> _Slopes:
+    """The slopes as functions, compiled once: searches and margins ask for them all the time."""
+    linear = linear_controller(
+        loop.plant, loop.controller, loop.implementation, loop.equations.u + ADDED
+    )
     sampled = linear.controller
     slopes = linear.slopes((*sampled.measured, *linear.states, *sampled.Y, ADDED))
     known = set(sampled.parameters)

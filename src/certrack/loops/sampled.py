@@ -14,8 +14,8 @@ import numpy as np
 import sympy
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import TIME, symbol
-from certrack.core.kinks import derivative
+from certrack.core.expressions import symbol
+from certrack.core.kinks import along
 from certrack.core.select import STEP_LENGTH
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.controller import (
@@ -143,9 +143,7 @@ def sample_loop(
         update=tuple(formula.xreplace(Y) for formula in controller.update),
     )
     e_1 = plant.outputs[0] - reference.formulas(0)[0]
-    rates = dict(zip(plant.states, plant.rates, strict=True)) | {TIME: sympy.Integer(1)}
-    present = [name for name in rates if name in e_1.free_symbols]
-    slope = sympy.Add(*(derivative(e_1, name) * rates[name] for name in present))
+    slope = along(e_1, dict(zip(plant.states, plant.rates, strict=True)))
     reference_parameters = tuple(reference.parameter_symbols)
     parameters = (*plant.parameters, *controller.parameters, *reference_parameters)
     return SampledLoop(

@@ -25,7 +25,7 @@ START_KEYS = tuple(entry.name for entry in fields(StartProof))
 #: Delays that a file may state proofs for.
 MAX_DELAY_PROOFS = 64
 
-#: StepFunction of each z of a proof by rates.
+#: Steps that each z of a proof by rates may have.
 MAX_PROOF_STEPS = 1000
 
 #: And sets of starts for each delay.

@@ -50,7 +50,8 @@ class Lowest:
     Attributes
     ----------
     x : array
-    point : Point
+    point : Derivatives
+        There.
     inverse : array
         About the inverse Hessian.
     left : float

@@ -15,7 +15,7 @@ from certrack.certificates.search.riccati_equation import (
     RiccatiPoint,
     smallest_solution,
 )
-from certrack.certificates.semidefinite import Solution, fastest_rate
+from certrack.certificates.semidefinite import Solution, fastest_rate, upper_entries
 
 #: Decay rates that a cold start tries, over the fastest.
 COLD_SHARES = (0.35, 0.1, 0.03, 0.005)
@@ -89,8 +89,7 @@ class RiccatiOptimum:
         if X is None:
             return None
         P, unit = np.linalg.inv(X), float(X[target, target])
-        n = self.problem.n
-        entries = [(i, j) for j in range(n) for i in range(j + 1)]
+        entries = upper_entries(self.problem.n)
         scaled_P = np.array([P[i, j] + P[j, i] for i, j in entries]) * (unit / 2)
         multipliers = np.exp(self.state.logarithms[:-1]) * unit
         lam, nu, k = scaling.unscaled_multipliers(self.problem, multipliers, target)

@@ -19,7 +19,13 @@ import numpy as np
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.scaling import Scaling
 from certrack.certificates.search.riccati_equation import smallest_solution
-from certrack.certificates.semidefinite import SemidefiniteProgram, Solution, minimiser, svec
+from certrack.certificates.semidefinite import (
+    SemidefiniteProgram,
+    Solution,
+    minimiser,
+    svec,
+    upper_entries,
+)
 
 #: By how much more than needed P exceeds e_1 e_1^T.
 ABOVE_THE_FLOOR = 1.01
@@ -93,10 +99,7 @@ def _edge_of_existence(problem: ErrorProblem, alpha: float) -> Strongest | None:
         exists = smallest_solution(A, more, C)
         return None if exists is None else exists[0]
 
-    low, high = (
-        0.0,
-        _guess(scaled) * (1 + EXISTENCE_ACCURACY),
-    )  # of the gain at rest
+    low, high = 0.0, _guess(scaled) * (1 + EXISTENCE_ACCURACY)
     while high - low > EXISTENCE_ACCURACY * high:
         middle = math.sqrt(low * high) if low else high / 2
         if solved(middle, EXISTENCE_ACCURACY**2) is None:
@@ -109,7 +112,7 @@ def _edge_of_existence(problem: ErrorProblem, alpha: float) -> Strongest | None:
     X = solved(low, EXISTENCE_ACCURACY**2)
     if X is None:
         return None
-    entries = [(i, j) for j in range(n) for i in range(j + 1)]
+    entries = upper_entries(n)
     P = np.linalg.inv(X)
     floor = float(X[0, 0]) * ABOVE_THE_FLOOR
     lam, nu, k = scaling.unscaled_multipliers(problem, np.array([floor]), 0)

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping
 
 import sympy
 
-from certrack.core.expressions import TIME, symbol
-from certrack.core.kinks import derivative
+from certrack.core.expressions import symbol
+from certrack.core.kinks import along
 from certrack.core.memo import remembered
 from certrack.integrators.many.augmented import AugmentedFlow
 from certrack.loops.continuous import INTEGRALS, ClosedLoop
@@ -86,11 +86,11 @@ def _flow_with(
         rates, (u,) = list(switched.rates), switched.resolved([u])
     rates = rates[: len(states)]
     slopes = tuple(symbol(f"kept_rate_of_{state.name}") for state in states)
-    rate_of = dict(zip(states, slopes, strict=True)) | {TIME: sympy.Integer(1)}
+    rate_of = dict(zip(states, slopes, strict=True))
     signals = tuple(
         f
         for formula in (e, u)
-        for f in (formula, _along(formula, rate_of))  # and its rate
+        for f in (formula, along(formula, rate_of))  # and its rate
     )
     names = (*METRIC_SIGNALS, *(f"x{i}" for i in range(len(outputs))))
     sides = tuple((symbol(f"kept_{name}_begin"), symbol(f"kept_{name}_end")) for name in names)
@@ -118,12 +118,6 @@ def _flow_with(
         else (*switched.values, *switched.drifts, *switched.effects),
     )
     return flow, switches
-
-
-def _along(formula: sympy.Expr, rate_of: dict[sympy.Symbol, sympy.Expr]) -> sympy.Expr:
-    """Time derivative of a formula of state and time, by the chain rule."""
-    present = [name for name in rate_of if name in formula.free_symbols]
-    return sympy.Add(*(derivative(formula, name) * rate_of[name] for name in present))
 
 
 def shown_signals(flow: AugmentedFlow, loop: ClosedLoop) -> tuple[sympy.Symbol, ...]:

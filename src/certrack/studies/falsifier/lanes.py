@@ -10,8 +10,7 @@ from collections.abc import Collection
 import sympy
 
 from certrack.core.arrays import Array
-from certrack.core.expressions import TIME
-from certrack.core.kinks import derivative
+from certrack.core.kinks import along
 from certrack.core.lowering import extract_switches
 from certrack.integrators.base import MethodUnavailable
 from certrack.integrators.many.taylor_batch import MAX_STEPS
@@ -60,9 +59,7 @@ class AdversaryLanes:
             if name not in varying
         }
         *rates, e_1 = (f.xreplace(fixed) for f in (*loop.rates[: len(states)], loop.e_1))
-        rate_of = dict(zip(states, rates, strict=True)) | {TIME: sympy.Integer(1)}
-        present = [name for name in rate_of if name in e_1.free_symbols]
-        slope = sympy.Add(*(derivative(e_1, name) * rate_of[name] for name in present))
+        slope = along(e_1, dict(zip(states, rates, strict=True)))
         parameters = tuple(name for name in loop.parameters if name in varying)
         self._rows = [loop.parameters.index(name) for name in parameters]
         flow = PeakFlow(states, tuple(rates), parameters, e_1, slope, loop.n)
