@@ -216,6 +216,45 @@ def test_what_verify_refuses_of_a_split_the_page_refuses():
     assert [name for name, mutant in mutants.items() if not refused_by_the_page(mutant)] == []
 
 
+#: Beside a split w_2: terms whose rate is not known, slow ones, ones that jump, and another split.
+BESIDE = {
+    "unknown": {"rate": [math.inf, 0.1], "fast": [0, 0.01], "Delta_rate": [[0, 0], [0, SLOPE]]},
+    "slow": {"rate": [0.05, 0.1], "fast": [0.01, 0.01], "Delta_rate": [[0, 0], [0, SLOPE]]},
+    "jumps": {
+        "rate": [0.05, 0.1],
+        "Delta_rate": [[0.1, 0.1], [0, SLOPE]],
+        "jump": [0.05, 0],
+        "dwell": 1.0,
+        "fast": [0.01, 0],
+    },
+    "split": {"rate": [0.05, 0.1], "fast": [0, 0.01], "Delta_rate": [[0.2, 0.1], [0, SLOPE]]},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BESIDE)
+def test_the_page_agrees_on_terms_of_every_kind_beside_each_other(name):
+    import independent_checker
+
+    common = {"tau": [1, 1], "beta": [0.05, 0.2], "gamma": [0.02, 0.05]}
+    system = noisy_axis(**(common | BESIDE[name]))
+    _, (proof,) = certify_implemented(system)
+    assert proof.split
+    document = to_document(system, proof)
+    assert verify(document).verified
+    assert float(independent_checker.check(document)) == float(proof.bound)
+    for k, i in ((0, 0), (0, 2), (1, 1)):
+        changed = rewritten(document, part(k, entry(i, 0.999))(proof))
+        assert not verify(changed).verified and refused_by_the_page(changed), (k, i)
+
+
+def test_what_is_below_its_bound_is_said_of_the_fast_part():
+    system, _, (proof,), _ = saved()
+    (premise,) = (p for p in premises_as_implemented(system, [proof]) if "rate" in p.name)
+    end = "and a part of at most 0.01 of any speed, without which w_2 stays so much below its bound"
+    assert end in premise.detail
+
+
 def test_a_split_that_believes_too_little_is_seen(monkeypatch):
     """Without what w does to x_f the bounds of x_f are below what it reaches."""
     believed = superposition.SplitLoop.of_fast

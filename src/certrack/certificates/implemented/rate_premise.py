@@ -55,7 +55,10 @@ class _Rate:
         text = f"w_{self.k + 1} {what}changes by at most {most}"
         if s.jump:
             text += f", but for jumps of at most {s.jump:g}, at least {s.dwell:g} s apart"
-        return text + (f", and a part of at most {s.fast:g} of any speed" if s.fast else "")
+        if not s.fast:
+            return text
+        less = f", without which w_{self.k + 1} stays so much below its bound" * self.of_states
+        return f"{text}, and a part of at most {s.fast:g} of any speed{less}"
 
     def premise(self, term: UncertainTerm | None, points: Points) -> Premise:
         """The premise; no term where the truth has states of its own."""
