@@ -6,8 +6,8 @@
 and s_k jumps by at most jump_k, with at least `dwell` between two of its jumps. So w_k stays within
 its bound, and what does not know of rates is right as it was. Where s_k follows states, and does
 not jump, it may be taken for a function s_k(t, x) of which all this holds at any t and x, and not
-along the motion alone: a hysteresis belongs to the fast part. A w_k that is slow as a whole has such
-parts: shrunk by fast_k towards zero it is as slow, and below its bound by fast_k.
+along the motion alone: a hysteresis belongs to the fast part. A w_k that is slow as a whole has
+such parts: shrunk by fast_k towards zero it is as slow, and below its bound by fast_k.
 """
 
 from __future__ import annotations
