@@ -51,6 +51,7 @@ settings.load_profile("certrack")
 
 SHIPPED = (
     "axis",
+    "axis-load",
     "dual-motor",
     "dual-motor-drag",
     "dual-motor-drive",
@@ -69,8 +70,8 @@ SHIPPED = (
 
 
 NOT_LONG = (
-    *("axis", "dual-motor-drag", "dual-motor-drive", "dual-motor-linear", "dual-motor-observer"),
-    *("point-to-point", "theorem1-counterexample"),
+    *("axis", "axis-load", "dual-motor-drag", "dual-motor-drive", "dual-motor-linear"),
+    *("dual-motor-observer", "point-to-point", "theorem1-counterexample"),
 )
 
 #: Those whose controller is not sampled and whose runs last 20 s; test_papers.py has another, and
