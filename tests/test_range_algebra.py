@@ -18,7 +18,9 @@ from certrack.certificates.ranges.boxes import names
 from certrack.certificates.ranges.cells import MAX_CORNERS, corners_of, divided, halved
 from certrack.certificates.ranges.coefficients import Coefficients, _factors
 from certrack.certificates.ranges.edges import LARGEST_SCALE, largest_scale
+from certrack.certificates.ranges.estimates import estimated_peak_gains
 from certrack.certificates.ranges.formulas import untrue_formulas
+from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import error_form, ranged_loop
 from certrack.certificates.ranges.peak import UNBOUNDED, _bound, peak_bound
 from certrack.certificates.ranges.rational import RationalVector
@@ -161,6 +163,18 @@ def test_the_worst_cells_are_cut_as_long_as_it_pays():
     assert len(divided(box, lambda cell: float("inf"), 5, 0.01, reports.append)) == 5
 
 
+@pytest.mark.parametrize("part", [0.02, 0.49])
+def test_a_cut_counts_with_the_one_beside_it(part):
+    """Of the two halves of a box each must be cut before the bound falls."""
+
+    def width(cell):
+        return cell[0][1] - cell[0][0]
+
+    cells = divided(((0.0, 1.0),), width, 16, part, lambda _: None)
+    assert set(map(width, cells)) == {1 / 16}
+    assert len(divided(((0.0, 1.0),), width, 16, 0.51, lambda _: None)) == 3
+
+
 @pytest.mark.parametrize("function", list(SECTORS))
 @pytest.mark.parametrize("scale", [1, 3, sympy.Rational(1, 2)])
 def test_sectors_are_as_narrow_as_the_function_allows(function, scale):
@@ -275,6 +289,24 @@ c = [7]
 x0 = [0]
 duration = 1
 """
+
+
+def test_a_centre_without_inverse_is_not_stable():
+    """e' = -(a + 4.5) e + ...: zero in the middle of the range of a."""
+    text = re.sub("input_gain = .4.*|theta = .\\[.*", "", FIRST_ORDER)
+    system = certrack.loads(text.replace("a = [2, 3]", "a = [-12, 3]"))
+    loop = ranged_loop(system)
+    for gains_of in (peak_gains, estimated_peak_gains):
+        with pytest.raises(NoCertificate, match="not stable"):
+            peak_bound(loop, Coefficients(loop), loop.box, gains_of)
+
+
+@pytest.mark.parametrize("M", [[[0]], [["-1/3", "1/3"], ["1/7", "-1/7"]], [["-4/3", "2"], [2, -3]]])
+def test_what_has_no_inverse_has_no_peak_gain(M):
+    matrix = np.array([[exact(v) for v in row] for row in M], dtype=object)
+    one = 0 * matrix + np.eye(len(M), dtype=int)
+    with pytest.raises(NoCertificate, match="not stable"):
+        peak_gains(matrix, one, one)
 
 
 @pytest.mark.parametrize("size", [1, 5])
