@@ -30,14 +30,25 @@ from certrack.certificates.exact import Proof, failed_condition, from_text, prov
 from certrack.certificates.formulation import error_coordinates, error_problem, uncertain_inputs
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.intervals import enclosure
-from certrack.certificates.majorants import _root_of, interval_ends, majorants
+from certrack.certificates.majorants import (
+    MAX_KEPT,
+    _below,
+    _best,
+    _plus,
+    _root_of,
+    _times,
+    interval_ends,
+    majorants,
+    root_above,
+)
+from certrack.certificates.methods import METHOD_STEPS, every_certificate, smallest
 from certrack.certificates.premises_of_truth import DOMAIN, GAIN, THETA, _rewriting, _same
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.published import collect
 from certrack.certificates.ranges.cells import halved
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, RangeProver
 from certrack.certificates.sampling import Points, random_points
-from certrack.certificates.scaling import COUPLING, _not_slaved
+from certrack.certificates.scaling import COUPLING, _gramian_diagonal, _not_slaved, _size_under
 from certrack.certificates.semidefinite import Solution, best_solution
 from certrack.certificates.strength import _provable
 from certrack.certificates.tube import Tube
@@ -522,6 +533,27 @@ def test_the_majorant_of_a_formula(text, expected):
             assert abs(formula(t, *x)) <= limit * (1 + 1e-12) + 1e-12
 
 
+def test_sums_and_products_of_majorants():
+    a, b = (Fraction(2), Fraction(3)), (Fraction(5), Fraction(0), Fraction(7))
+    assert _plus(a, b) == _plus(b, a) == (7, 3, 7)
+    assert _times(a, b) == _times(b, a) == (10, 15, 14, 21)
+    assert root_above(Fraction(9, 16)) == Fraction(3, 4) and root_above(Fraction(0)) == 0
+    for square in (Fraction(2), Fraction(9, 2), Fraction(1, 3)):
+        assert 0 < root_above(square) ** 2 - square < Fraction(1, 2**90)
+
+
+def test_majorants_that_another_one_beats_are_left_out():
+    one, two, three = Fraction(1), Fraction(2), Fraction(3)
+    assert _below((one, two), (one, two)) and _below((one,), (one, two))
+    assert not _below((one, two), (one,)) and not _below((one, two), (two, one))
+    assert _below((one, two), (two, two)) and not _below((two, two), (one, two))
+    low, steep = (one, three), (two, one)
+    assert _best([(two, three), low, steep, (one, three, one)]) == [steep, low]
+    assert _best([(one, Fraction(0), Fraction(0)), (two,)]) == [(one,)]
+    many = [(Fraction(i), Fraction(99 - i)) for i in range(2 * MAX_KEPT)]
+    assert len(_best(many)) == MAX_KEPT
+
+
 # terms of the truth and what would cover them
 
 
@@ -638,6 +670,51 @@ def test_a_cover_is_rounded_up_and_raised_a_little(value, least, expected):
     assert search.smallest(value, Fraction(0), None) == right
 
 
+def test_a_supremum_is_looked_for_between_the_samples_and_not_far_from_them():
+    line = Points(np.zeros(2), np.array([[1.0, 2.0], [0.0, 0.0]]))
+    search = _Suprema(Needs(1.0), line)
+
+    def hill(points):
+        """1 near x = (1.3, 0), and much more where nothing is looked at."""
+        value = np.exp(-((points.x[0] - 1.3) ** 2) - points.x[1] ** 2)
+        return np.where((points.norm > 20.0) | (points.norm < 1e-6), 100.0, value)
+
+    assert search._supremum(hill) == pytest.approx(1.0, abs=1e-6)
+    beyond = Points(line.t, 30 * line.x)
+    assert search._supremum(hill, line) == pytest.approx(1.0, abs=1e-6)
+    assert math.isinf(search._supremum(hill, beyond))
+    assert math.isinf(search._supremum(lambda points: points.x[0] * math.inf))
+
+
+@dataclass(frozen=True)
+class Sized(Needs):
+    """A term of this size."""
+
+    tau: Fraction = Fraction(2)
+    form: object = None
+
+    def size(self, points):
+        return self.form(points.norm)
+
+
+def test_what_is_needed_beside_the_gamma_or_beta_of_a_file():
+    points = random_points(2, 20.0, 0)
+
+    def search(form):
+        return _Suprema(Sized(1.0, form=form), points)
+
+    affine = search(lambda r: 6 * r + 2)  # tau is 2: 3 ||x|| + 1
+    assert affine.gamma_needed(1.0) == pytest.approx(3.0, rel=1e-6)
+    assert affine.beta_needed(3.0) == pytest.approx(1.0, rel=1e-3)
+    assert affine.far_growth() == pytest.approx(3.0, rel=1e-3)
+    assert math.isinf(affine.gamma_needed(0.5)) and math.isinf(affine.beta_needed(2.9))
+    assert affine.gamma_needed(0.0) == math.inf
+    square = search(lambda r: r**2)
+    assert math.isinf(square.far_growth()) and math.isinf(square.gamma_needed(1.0))
+    assert search(lambda r: 4 * np.minimum(r, 1.0)).gamma_needed(0.0) == pytest.approx(2.0)
+    assert search(lambda r: r * math.nan).beta_needed(1.0) == 0
+
+
 # premises
 
 
@@ -652,6 +729,7 @@ def test_whether_two_formulas_are_the_same():
     assert same("sin(x1)**2 + cos(x1)**2", "1 + 1e-12*x2") is False
     assert same("sqrt(x1**2)", "x1") is False
     assert same("x1", "x2") is False
+    assert _same(sympy.zoo, sympy.oo, ()) is None  # of no value there is nothing to compare
 
 
 @pytest.mark.parametrize(
@@ -931,3 +1009,45 @@ def test_a_coordinate_that_follows_another_has_a_size_of_its_own(coupling, expec
     M = np.array([[-1.0, coupling], [0.0, -4.0]])
     assert _not_slaved(M, np.array([1.0, 30.0])) == pytest.approx(expected)
     assert _not_slaved(M.T[::-1, ::-1].T, np.array([30.0, 1.0])) == pytest.approx(expected[::-1])
+
+
+@pytest.mark.parametrize(
+    ("rates", "inputs"), [((1, 4), (1, 1e6)), ((2, 2), (3, 3)), ((0.1, 10), (1, 7))]
+)
+def test_coordinates_that_are_apart_have_the_size_that_noise_gives_them(rates, inputs):
+    """X = b^2/(2 r) solves -2 r X + b^2 = 0."""
+    problem = SimpleNamespace(n=2, M=-np.diag(np.array(rates, dtype=float)))
+    expected = np.array(inputs) / np.sqrt(2 * np.array(rates))
+    found = _size_under(problem, np.diag(np.array(inputs, dtype=float)))
+    assert found == pytest.approx(expected, rel=1e-4)
+    both = _size_under(problem, np.array([inputs], dtype=float).T)
+    assert both == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_loop_that_is_not_stable_has_no_sizes():
+    for M in (np.diag([0.0, -1.0]), np.diag([1e-9, -1.0])):
+        assert (_size_under(SimpleNamespace(n=2, M=M), np.array([[1.0], [5.0]])) == 1).all()
+    with np.errstate(all="ignore"), pytest.raises(OverflowError):
+        _size_under(SimpleNamespace(n=1, M=-np.eye(1)), np.array([[1e200]]))
+
+
+def test_the_solution_of_a_lyapunov_equation_of_two_states():
+    found = _gramian_diagonal(np.array([[-1.0, 2.0], [0.0, -3.0]]), np.eye(2))
+    assert found == pytest.approx([2 / 3, 1 / 6])
+
+
+# what is told of the progress
+
+
+def test_every_method_is_announced_before_it_begins():
+    told = []
+    found = every_certificate(certrack.load("dual-motor-lean"), "fast", lambda *a: told.append(a))
+    assert told == [(step, METHOD_STEPS, None) for step in range(METHOD_STEPS)]
+    assert smallest(found.certificates.values()).bound == min(
+        entry.bound for entry in found.certificates.values() if entry.verified
+    )
+    told.clear()
+    certrack.certify(
+        certrack.load("dual-motor-lean"), effort="fast", progress=lambda *a: told.append(a)
+    )
+    assert told == [(step, METHOD_STEPS + 1, None) for step in range(METHOD_STEPS + 2)]
