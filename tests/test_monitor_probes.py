@@ -79,6 +79,8 @@ def test_conditions_are_of_what_the_controller_reads_keeps_and_answers(case):
     for name, numbers in expected.items():
         value, low, high = golden.values(Within(name, sympy.Float(0.1) * name, sympy.Float(0.3)))
         assert (value == numbers).all() and (low == 0.1 * numbers).all() and (high == 0.3).all()
+    if not any(flag.of_command for flag in case.monitor.flags):  # nothing limits what is asked for
+        assert (golden.asked == golden.answers[0]).all()
     parameters = controller_program(case.system, parameters=True)
     samples = _Samples(case.system, parameters, case.monitor, golden.x, golden.Y, golden.states)
     for name in parameters.parameters:
@@ -222,7 +224,10 @@ def test_a_flag_of_the_command_is_left_to_rounding_near_the_limits_of_others():
     value, asked = [0.0, 3.0, 3.0], [0.0, 4.0, 3.0 + 1e-13]
     alone = _expected(command, [command], Numbers(value, asked), "double")
     assert alone.tolist() == [DOWN, UP, 2]
-    assert _expected(command, [command, same], Numbers(value, asked), "double").tolist() == [2] * 3
+    lower = Flag("rate", "", (between(-1, 7, "u"),), of_command=True)
+    for other in (same, lower):
+        found = _expected(command, [command, other], Numbers(value, asked), "double")
+        assert found.tolist() == [2] * 3
     found = _expected(command, [command, apart], Numbers(value, asked), "double")
     assert found.tolist() == [DOWN, UP, 2]
 
