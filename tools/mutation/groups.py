@@ -44,7 +44,8 @@ GROUPS = {
     ),
     "ranges": Group(
         "certificates/ranges/*",
-        "range_algebra range_parts kernel_parts attainable ranges independent_ranges sectors strength peak",
+        "range_algebra range_parts kernel_parts attainable ranges independent_ranges sectors"
+        " strength peak",
     ),
     "implemented": Group(
         "certificates/implemented/*",
