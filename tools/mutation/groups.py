@@ -45,12 +45,13 @@ GROUPS = {
     "ranges": Group(
         "certificates/ranges/*",
         "range_algebra range_parts kernel_parts attainable ranges independent_ranges sectors"
-        " strength peak",
+        " strength peak estimates range_tubes",
     ),
     "implemented": Group(
         "certificates/implemented/*",
         "implemented implemented_formulas implemented_parts implemented_start enclosed"
-        " range_algebra forged_claims regional jitter proven_box implemented_ranges",
+        " range_algebra forged_claims regional jitter proven_box implemented_ranges slow"
+        " slow_signals",
     ),
     "references": Group(
         "references/*",
