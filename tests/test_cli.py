@@ -230,7 +230,7 @@ def test_falsify(capfd, tmp_path):
     assert 1 <= found["ratio"] < 1.2
     replayed = result(capfd, "simulate", str(path))
     assert replayed["tail_error"] == pytest.approx(found["worst_error"], rel=1e-12)
-    kinds = ["published", "corrected", "rate", "semidefinite", "cascade", "peak"]
+    kinds = ["published", "corrected", "rate", "semidefinite", "cascade", "bootstrap", "peak"]
     assert list(found["certificates"]) == kinds
     assert not any(entry["exceeded"] for entry in found["certificates"].values())
     assert found["against"]["method"] == "peak"

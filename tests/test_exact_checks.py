@@ -9,7 +9,7 @@ import pytest
 
 from certrack.certificates import document
 from certrack.certificates.arithmetic import positive_definite, rational, solve
-from certrack.certificates.document import DOCUMENT_KEYS, FORMAT
+from certrack.certificates.layout import DOCUMENT_KEYS, FORMAT
 from certrack.certificates.exact import (
     MAX_EXPONENT,
     MAX_TEXT_LENGTH,
