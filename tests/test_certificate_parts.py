@@ -451,6 +451,30 @@ def test_a_ball_holds_the_value_to_many_digits(text, value):
         assert float(ball.rad()) < 1e-300
 
 
+@pytest.mark.parametrize(
+    ("middle", "radius", "exponent", "low", "high"),
+    [
+        (0, 2, 2, 0, 4),
+        (0, 2, 3, -8, 8),
+        (1, 2, 2, 0, 9),
+        (1, 2, 3, -27, 27),
+        (-1, 2, 4, 0, 81),
+        (3, 1, 2, 4, 16),
+        (-3, 1, 3, -64, -8),
+        (2, 1, -1, 1 / 3, 1),
+    ],
+)
+def test_a_power_of_a_ball_that_may_hold_zero(middle, radius, exponent, low, high):
+    """Of an even one nothing is below zero; where zero is not inside, more may be enclosed."""
+    with ball_precision():
+        inside = flint.arb(middle, radius)
+        found = enclosing_ball(symbol("x1") ** exponent, {symbol("x1"): inside})
+        least, most = float(found.lower()), float(found.upper())
+    assert least <= low + 1e-12 and most >= high - 1e-12
+    if inside.contains(0):
+        assert (least, most) == pytest.approx((low, high), abs=1e-6)
+
+
 def test_no_ball_without_a_finite_value():
     for text in ("1/(x - 2)", "log(x - 3)", "sqrt(1 - x)"):
         with ball_precision(), pytest.raises(ValueError, match="no finite value"):
