@@ -51,7 +51,7 @@ GROUPS = {
         "certificates/implemented/*",
         "implemented implemented_formulas implemented_parts implemented_start enclosed"
         " range_algebra forged_claims regional jitter proven_box implemented_ranges slow"
-        " slow_signals",
+        " slow_signals slow_parts",
     ),
     "references": Group(
         "references/*",
