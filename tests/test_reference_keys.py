@@ -1,0 +1,74 @@
+"""What a system file may say of a reference: limits, defaults and what is required, key by key."""
+
+import pytest
+
+from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS, TRANSIENT
+
+#: Of every kind: above which number, from which on, default and whether it is required.
+EVERYWHERE = {
+    "bound": (0, None, None, False),
+    "offset": (None, None, 0.0, False),
+    "repeat": (None, None, False, False),
+    "dwell": (None, 0, 0.0, False),
+    "positions": (None, None, None, True),
+    "amplitude": (None, None, None, True),
+    "period": (0, None, None, True),
+    "rise": (0, None, None, True),
+    "times": (None, None, None, True),
+    "levels": (None, None, None, True),
+    "slope": (0, None, None, True),
+    "highest": (None, None, None, True),
+    "frequencies": (0, None, None, True),
+    "amplitudes": (None, None, None, True),
+    "phases": (None, None, None, False),
+    "smoothness": (None, 0, 0, False),
+    "coefficients": (None, None, None, True),
+    "values": (None, None, None, True),
+    "interpolation": (None, None, "monotone", False),
+    "time_unit": (None, None, "s", False),
+    "file": (None, None, None, False),
+    "columns": (None, None, None, False),
+    "value_unit": (None, None, None, False),
+    "signal": (None, None, None, True),
+    "bounds": (None, 0, None, False),
+    "transient": (None, 1e-6, None, False),
+}
+
+LIMITS = ("speed", "acceleration", "jerk", "snap")
+FROM_REST = ("moves", "velocity", "scurve", "polynomial")
+
+
+def expected(kind, name):
+    if name in LIMITS:
+        return 0, None, None, kind in ("velocity", "scurve")
+    if name == "start":
+        if kind == "profile":
+            return None, None, None, True
+        return None, (0 if kind in FROM_REST else None), 0.0, False
+    if name == "degree":
+        return None, None, (5 if kind == "polynomial" else None), False
+    if name == "duration":
+        return 0, None, None, kind == "chirp"
+    return EVERYWHERE[name]
+
+
+KINDS = {kind: of.keys for kind, of in REFERENCE_KINDS.items()} | {"formula": FORMULA_KEYS}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_keys_of_a_kind(kind):
+    for name, key in KINDS[kind].items():
+        found = key.above, key.least, key.default, key.required
+        assert found == expected(kind, name), (kind, name)
+        assert type(key.default) is type(expected(kind, name)[2])
+        assert key.nonzero == (name == "amplitude") and not key.infinite
+        assert key.most == (3 if name == "smoothness" else None)
+        assert key.otherwise or key.required or key.default is not None
+
+
+def test_choices_of_keys():
+    degrees = [keys["degree"].choices for keys in KINDS.values() if "degree" in keys]
+    assert degrees == [(3, 5, 7, 9)] * 2
+    assert KINDS["samples"]["interpolation"].choices == ("monotone", "cubic", "spline")
+    assert set(KINDS["samples"]["time_unit"].choices) == {"s", "ms", "us", "min"}
+    assert (TRANSIENT.least, TRANSIENT.required) == (1e-6, False)
