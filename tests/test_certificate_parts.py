@@ -42,9 +42,10 @@ from certrack.certificates.majorants import (
     root_above,
 )
 from certrack.certificates.methods import METHOD_STEPS, every_certificate, smallest
+from certrack.certificates.own_multipliers import own_multipliers, own_solution
 from certrack.certificates.premises_of_truth import DOMAIN, GAIN, THETA, _rewriting, _same
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.published import collect
+from certrack.certificates.published import best_eps, collect, residual_damping
 from certrack.certificates.ranges.cells import halved
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, RangeProver
 from certrack.certificates.sampling import Points, random_points
@@ -653,6 +654,19 @@ def test_a_bound_that_is_a_formula_covers_its_term_or_does_not():
         assert (found.gamma, found.beta, found.proven) == expected and found.both is None
 
 
+def test_a_point_that_breaks_a_bound_is_moved_to_where_it_breaks_it_most():
+    """3 exp(-(x1 - 1)^2 - x2^2) against 1e-4: nearly at the top, a little towards the origin."""
+    hill = term("exp(-(x1 - 1)**2 - x2**2)", gamma=0, beta="1e-4", tau=1)
+    start = Points(np.array([3.0]), np.array([[1.6], [0.5]]))
+    found = hill._polished(start)
+
+    def gain(x1, x2):
+        return 3 * np.exp(-((x1 - 1) ** 2) - x2**2) / (1 + np.hypot(x1, x2))
+
+    grid = gain(*np.meshgrid(np.linspace(0, 2, 401), np.linspace(-1, 1, 401))).max()
+    assert gain(*found.x[:, 0]) >= 0.999 * grid and found.t[0] >= 0
+
+
 def test_terms_that_nothing_covers():
     points = random_points(2, 20.0, 0)
     assert smallest_cover(term("x1", tau=0), points).gamma is None
@@ -1031,7 +1045,8 @@ def test_texts_of_numbers_have_a_sane_length():
 def test_a_coordinate_that_follows_another_has_a_size_of_its_own(coupling, expected):
     """Of the rates 1 and 4: the geometric mean 2 counts."""
     M = np.array([[-1.0, coupling], [0.0, -4.0]])
-    assert _not_slaved(M, np.array([1.0, 30.0])) == pytest.approx(expected)
+    for unit in (1e-4, 1.0, 1e4):  # of the rates
+        assert _not_slaved(unit * M, np.array([1.0, 30.0])) == pytest.approx(expected)
     assert _not_slaved(M.T[::-1, ::-1].T, np.array([30.0, 1.0])) == pytest.approx(expected[::-1])
 
 
@@ -1075,3 +1090,30 @@ def test_every_method_is_announced_before_it_begins():
         certrack.load("dual-motor-lean"), effort="fast", progress=lambda *a: told.append(a)
     )
     assert told == [(step, METHOD_STEPS + 1, None) for step in range(METHOD_STEPS + 2)]
+
+
+def test_what_is_no_system_is_refused():
+    for ask in (certrack.certify, lambda none: certrack.certificates.tube(none, ())):
+        with pytest.raises(InputError, match="system"):
+            ask("example1")
+
+
+@pytest.mark.parametrize("name", ["example1", "dual-motor"])
+def test_the_designs_own_multipliers(name):
+    """k_i = (1 + 1/eps) G a_i sum a, and what damps the last derivative besides."""
+    system = certrack.load(name)
+    exact = error_problem(system, rational)
+    found, terms = own_solution(system, exact), collect(system)
+    eps = best_eps(terms)
+    a = np.linalg.norm(exact.in_floats().Xy, axis=0)
+    k = (1 + 1 / eps) * terms.G * a * a.sum()
+    last = system.reference.bounds(exact.derivatives[-1]).values[-1]
+    k[-1] += residual_damping(system) * last**2
+    assert found.k == pytest.approx(k, rel=1e-12)
+    gamma, beta = (own_multipliers(system, exact, part) for part in ("gamma", "beta"))
+    assert found.lam == pytest.approx([float(v) for v in gamma])
+    assert found.nu == pytest.approx([float(v) for v in beta])
+    assert found.alpha == terms.alpha(eps) and (np.eye(exact.n) == found.P).all()
+    leak = exact.in_floats().leakage(found.alpha)
+    assert found.delta == pytest.approx(found.k.sum() + found.nu.sum() + leak)
+    assert 2 * found.delta / found.alpha <= (1 + 1e-9) * 2 * terms.dbar(eps) / found.alpha
