@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 import certrack
-from certrack.certificates import methods
+from certrack.certificates import cascade, methods
 from certrack.certificates.certificate import Certificate, missing
-from certrack.certificates.exact import Proof
+from certrack.certificates.exact import Proof, from_text
 from certrack.certificates.methods import RANGE_KINDS, Methods, _why_none, certify_peak, smallest
 from certrack.certificates.premise import Premise
 
@@ -207,3 +207,72 @@ def test_what_every_method_is_asked(monkeypatch, effort, alpha, expected):
     assert asked == [(effort, *expected)] and told == [(2, certify_module.STEPS, 0.5)]
     with pytest.raises(certrack.InputError, match="effort"):
         certrack.certify(certrack.load("dual-motor-lean"), "slow")
+
+
+# the cascade
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What is asked of the conditions of stages, whose bounds are their names."""
+    asked = []
+
+    def failed(problem, proof, target=0):
+        asked.append((problem, proof.bound, target))
+        return "fails" if proof.bound == "9" else ""
+
+    monkeypatch.setattr(cascade, "failed_condition", failed)
+    monkeypatch.setattr(cascade, "centred_problem", lambda *a: ("centred", a[2].bound, a[3]))
+    monkeypatch.setattr(cascade, "head_problem", lambda problem, limit: ("head", limit))
+    return asked
+
+
+def staged(bound, shift="0"):
+    return SimpleNamespace(bound=bound, shift=shift)
+
+
+def test_every_stage_of_a_cascade_is_checked_with_the_one_before(asked):
+    problem = SimpleNamespace(n=3, adaptation=1)
+    one, two, three = staged("1"), staged("2", "0.5"), staged("3")
+    assert cascade.check_cascade(None, problem, [one, three]) == ""
+    assert asked == [(problem, "1", 2), (("head", from_text("1")), "3", 0)]
+    asked.clear()
+    assert cascade.check_cascade(None, problem, [one, two, three]) == ""
+    shifted = ("centred", "1", from_text("0.5"))
+    assert asked == [(problem, "1", 2), (shifted, "2", 2), (("head", from_text("2")), "3", 0)]
+    bad = staged("9")
+    for stages in ([bad, three], [one, bad], [bad, two, three], [one, bad, three], [one, two, bad]):
+        assert cascade.check_cascade(None, problem, stages) == "fails"
+
+
+@pytest.mark.parametrize(("n", "adaptation"), [(1, 1), (2, None), (1, None)])
+def test_a_cascade_needs_estimates_and_two_states(asked, n, adaptation, monkeypatch):
+    problem = SimpleNamespace(n=n, adaptation=adaptation)
+    assert "at least two states" in cascade.check_cascade(None, problem, [staged("1")] * 2)
+    monkeypatch.setattr(cascade, "error_problem", lambda *_: problem)
+    found, stages = cascade.certify_cascade(None)
+    assert "adaptive law of order 2" in found.reason and stages is None and asked == []
+    assert cascade.check_cascade(None, SimpleNamespace(n=2, adaptation=1), [staged("1")] * 2) == ""
+
+
+@pytest.mark.parametrize(
+    ("bound", "taken"), [("1.9", True), ("2", False), ("2.1", False), (None, False)]
+)
+def test_a_centred_stage_counts_where_it_is_smaller(monkeypatch, bound, taken):
+    proof = None if bound is None else Proof("1", (("1",),), (), (), (), bound)
+    at, tried = [], []
+
+    def best(problem, target, near):
+        tried.append((problem, target, near))
+        return SimpleNamespace(proof=proof)
+
+    shifts = [(0.1234567, 3.0), (0.5, 4.0)]
+    floats = SimpleNamespace(in_floats=lambda: "floats", at=lambda kappa: at.append(kappa) or kappa)
+    monkeypatch.setattr(cascade, "CentredProblems", SimpleNamespace(of=lambda *_: floats))
+    monkeypatch.setattr(cascade, "best_shifts", lambda *a: shifts if a[1:] == (0.25, 2) else [])
+    monkeypatch.setattr(cascade, "best_proof", best)
+    reached = SimpleNamespace(bound="2", alpha="0.25")
+    found = cascade._centred_stage(None, SimpleNamespace(n=3), reached)
+    assert tried[0] == (from_text("0.123457"), 2, 3.0)
+    assert (found is not None) == taken and len(tried) == (1 if taken else 2)
+    assert found is None or found == replace(proof, shift="0.123457")

@@ -40,7 +40,8 @@ GROUPS = {
         "certificates/*",
         "certificates certificate_formulas certificate_parts published_formulas certificate_data"
         " certify_parts size_majorants exact_checks rounding independent_checker bounds peak tube"
-        " tube_parts error_problem premises truth strength exact_numbers false_claims forged_claims",
+        " tube_parts error_problem premises truth strength exact_numbers false_claims"
+        " forged_claims",
     ),
     "ranges": Group(
         "certificates/ranges/*",
