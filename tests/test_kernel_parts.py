@@ -2,6 +2,7 @@
 
 import math
 from fractions import Fraction
+from types import SimpleNamespace
 
 import flint
 import numpy as np
@@ -29,6 +30,7 @@ from certrack.certificates.ranges.kernels import (
     proven_decay,
     rounded,
 )
+from certrack.certificates.ranges.peak import _responses
 
 
 def exact(rows):
@@ -159,3 +161,42 @@ def test_a_loop_that_is_too_stiff_is_given_up(monkeypatch):
     monkeypatch.setattr(kernels, "MAX_BLOCKS", 3)
     with pytest.raises(NoCertificate, match="too stiff"):
         peak_gains(exact([["-0.001", 0], [0, -100]]), exact([[1, 1]]), exact([[1], [1]]))
+
+
+@pytest.mark.parametrize(("later", "level"), [(0.25, 0), (1.0, 1)])
+def test_what_the_reference_adds_is_the_smaller_of_its_levels(later, level):
+    """e' = -7 e + 3 y + y' + 2, z = e + y/2 + 1/4, |y| <= 10 and |y'| <= 20."""
+    form = SimpleNamespace(M=exact([[-7]]), W=exact([[3, 1]]), offset=exact([[2]])[0])
+    outputs = SimpleNamespace(C=exact([[1]]), D=exact([["0.5", 0]]), offset=exact([["0.25"]])[0])
+    seen = []
+
+    def gains_of(M, C, B):
+        seen.append(B.astype(float).tolist())
+        return np.array([[0.1, 0.2, 0.3, later]])
+
+    bounds = [rational(Fraction(10)), rational(Fraction(20))]
+    found, gains, levels = _responses(
+        form, outputs, bounds.__getitem__, [exact([[5]])[0]], gains_of
+    )
+    (shown,) = seen  # the column, 3, 1 - 3/7 behind the motion at rest, and 1
+    assert shown == [pytest.approx([5, 3, 4 / 7, 1])]
+    at_rest = Fraction(2, 7) + Fraction(1, 4)
+    still = [Fraction(5), (Fraction(3, 7) + Fraction(1, 2)) * 10]
+    moving = [0.2 * 10 + later * 20, 0.3 * 20]
+    totals = [float(a + at_rest) + b for a, b in zip(still, moving, strict=True)]
+    assert levels == [level] == [int(np.argmin(totals))] and gains.tolist() == [[0.1]]
+    assert found[0] == pytest.approx(min(totals), rel=1e-11) and found[0] > min(totals)
+    _, _, none = _responses(
+        form, outputs, lambda j: rational(0), [], lambda M, C, B: 0 * gains_of(M, C, B)[:, 1:]
+    )
+    assert none == [0]
+
+
+def test_what_the_reference_adds_is_rounded_up():
+    form = SimpleNamespace(M=exact([[-7]]), W=exact([[3, 1]]), offset=exact([[2]])[0])
+    outputs = SimpleNamespace(C=exact([[1]]), D=exact([[0, 0]]), offset=exact([["0.25"]])[0])
+    bound, *_ = _responses(
+        form, outputs, lambda j: rational(0), [], lambda M, C, B: np.zeros((1, 3))
+    )
+    assert Fraction(bound[0]) > Fraction(2, 7) + Fraction(1, 4)
+    assert bound[0] == pytest.approx(2 / 7 + 0.25, rel=1e-11)

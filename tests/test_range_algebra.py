@@ -1,6 +1,7 @@
 """The algebra below the proofs for ranges: rational functions, cells, edges, sectors, periods."""
 
 import itertools
+import math
 import re
 from fractions import Fraction
 from types import SimpleNamespace
@@ -22,8 +23,15 @@ from certrack.certificates.ranges.estimates import estimated_peak_gains
 from certrack.certificates.ranges.formulas import untrue_formulas
 from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import error_form, ranged_loop
-from certrack.certificates.ranges.peak import UNBOUNDED, _bound, peak_bound
-from certrack.certificates.ranges.rational import RationalVector
+from certrack.certificates.ranges.peak import (
+    FIXED_POINT_ROUNDING,
+    LEAST,
+    UNBOUNDED,
+    WIDENED,
+    _bound,
+    peak_bound,
+)
+from certrack.certificates.ranges.rational import RationalVector, _bernstein
 from certrack.certificates.ranges.sectors import SECTORS, sector_of
 from certrack.certificates.ranges.strength import stable_at_corners
 
@@ -208,6 +216,34 @@ def test_the_bound_of_a_fixed_point_is_above_it_and_close():
         with pytest.raises(NoCertificate, match="not below 1"):
             _bound(lambda v, gain=gain: np.minimum(1.0 + gain * v, UNBOUNDED), 2)
     assert _bound(lambda v: 0 * v, 2) >= 0
+
+
+def test_a_fixed_point_must_be_above_its_image_not_at_it():
+    def at_it(v):
+        """1 until that stands still; then what is as large as v with its rounding."""
+        if v.max() <= 1:
+            return np.ones(2)
+        below = v / (1 + FIXED_POINT_ROUNDING)
+        steps = np.array([below, np.nextafter(below, 0), np.nextafter(below, 9)])
+        return steps[np.argmin(np.abs(steps * (1 + FIXED_POINT_ROUNDING) - v), axis=0), [0, 1]]
+
+    top = np.full(2, 1 + WIDENED) + LEAST
+    assert (at_it(top) * (1 + FIXED_POINT_ROUNDING) == top).all()
+    with pytest.raises(NoCertificate, match="not below 1"):
+        _bound(at_it, 2)
+    assert _bound(lambda v: np.ones(2), 2) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 4])
+@pytest.mark.parametrize(("low", "high"), [("1", "3"), ("-2", "0.5"), ("0", "1")])
+def test_bernstein_coefficients_give_the_powers(degree, low, high):
+    low, high = exact(low), exact(high)
+    change = _bernstein(degree, low, high)
+    for t in map(exact, ("0", "0.25", "0.7", "1")):
+        basis = [math.comb(degree, i) * t**i * (1 - t) ** (degree - i) for i in range(degree + 1)]
+        for power in range(degree + 1):
+            value = sum(b * c for b, c in zip(basis, change[:, power], strict=True))
+            assert value == (low + (high - low) * t) ** power
 
 
 def test_a_matrix_is_the_product_of_its_factors():
