@@ -45,8 +45,8 @@ GROUPS = {
     ),
     "ranges": Group(
         "certificates/ranges/*",
-        "range_algebra range_parts kernel_parts attainable ranges independent_ranges sectors"
-        " strength peak estimates range_tubes",
+        "range_algebra range_parts kernel_parts prover_parts attainable ranges independent_ranges"
+        " sectors strength peak estimates range_tubes",
     ),
     "implemented": Group(
         "certificates/implemented/*",

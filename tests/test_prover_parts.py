@@ -1,0 +1,151 @@
+"""The prover of cells, with parts that are made up: what is asked, in what order, what fails."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import pytest
+import sympy
+from test_range_algebra import exact
+
+from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.ranges import proofs
+from certrack.certificates.ranges.proofs import CellProof, RangeProver, check_cells
+
+P = sympy.Symbol("p")
+
+
+@dataclass(frozen=True)
+class Law:
+    """What an adaptation knows of the ranges."""
+
+    gains: tuple = ("its own",)
+    theta_box: tuple = ("its own",)
+
+
+def prover(law=None, gain=None, theta=None):
+    made = object.__new__(RangeProver)
+    object.__setattr__(made, "_adaptation", law)
+    object.__setattr__(made, "loop", SimpleNamespace(estimated=(gain, theta), symbols=(P,)))
+    return made
+
+
+def cell(low, high):
+    return ((exact(low), exact(high)),)
+
+
+def test_the_leakage_knows_gain_and_theta_of_a_cell():
+    """At its ends; where they are one number, once."""
+    assert prover()._leakage(cell(1, 2)) is None
+    law = prover(Law(), 3 * P)._leakage(cell(1, 2))
+    assert sorted(law.gains) == [exact(3), exact(6)] and law.theta_box == ("its own",)
+    assert sorted(prover(Law(), -P)._leakage(cell(1, 2)).gains) == [exact(1), exact(2)]
+    assert prover(Law(), P)._leakage(cell(2, 2)).gains == (exact(2),)
+    law = prover(Law(), None, (P, 5 - P))._leakage(cell(1, 2))
+    assert law.gains == ("its own",)
+    assert law.theta_box == ((exact(1), exact(2)), (exact(3), exact(4)))
+    assert prover(Law(), None, ())._leakage(cell(1, 2)) == Law()
+    for low, high in ((-1, 2), (0, 2), (-2, 0)):
+        with pytest.raises(NoCertificate, match="may vanish"):
+            prover(Law(), P)._leakage(cell(low, high))
+
+
+class Known:
+    """A prover whose cells are a row of numbers, with the slope of a term behind each."""
+
+    def __init__(self, by_peak_gains=True, moving=0, reason=""):
+        self.box = cell(0, 4) + (cell(-1, 1) if moving else ())
+        self.loop = SimpleNamespace(moving=moving)
+        self.by_peak_gains, self.reason, self.checked = by_peak_gains, reason, []
+
+    def check(self, proof):
+        self.checked.append(proof.cell)
+        return self.reason
+
+
+def of(*ends, bound="1", slope=None):
+    extra = () if slope is None else (slope,)
+    return [CellProof(((a, b), *extra), bound) for a, b in ends]
+
+
+def checked(monkeypatch, known, entries, bound="1", vary=False):
+    asked = []
+    monkeypatch.setattr(proofs, "prover_of", lambda system, n: asked.append(n) or known)
+    system = SimpleNamespace(
+        plant=SimpleNamespace(uncertainty=SimpleNamespace(constants_vary=vary))
+    )
+    reason = check_cells(system, entries, bound)
+    assert not asked or asked == [max((len(entry.cell) for entry in entries), default=0)]
+    return reason
+
+
+HALVES = (("0", "2"), ("2", "4"))
+
+
+def test_cells_are_proven_one_by_one(monkeypatch):
+    known = Known()
+    assert checked(monkeypatch, known, of(*HALVES)) == ""
+    assert known.checked == [((("0", "2")),), ((("2", "4")),)]
+    assert checked(monkeypatch, Known(reason="fails"), of(*HALVES)) == "fails"
+    assert "smaller than that of a cell" in checked(monkeypatch, Known(), of(*HALVES), "0.999")
+    assert checked(monkeypatch, Known(), of(*HALVES), "1.001") == ""
+    assert "cover" in checked(monkeypatch, Known(), of(("0", "2")))
+    assert "cover" in checked(monkeypatch, Known(), [])
+    assert "one interval" in checked(monkeypatch, Known(), of(*HALVES, slope=("0", "1")))
+    monkeypatch.setattr(proofs, "MAX_PROOF_CELLS", 1)
+    assert "more than 1" in checked(monkeypatch, Known(), of(*HALVES))
+    assert checked(monkeypatch, Known(), of(("0", "4"))) == ""
+
+
+def test_what_varies_in_time_is_in_one_cell(monkeypatch):
+    whole = of(("0", "4"))
+    assert checked(monkeypatch, Known(), whole, vary=True) == ""
+    assert "need one cell" in checked(monkeypatch, Known(), of(*HALVES), vary=True)
+    assert "adaptive law" in checked(monkeypatch, Known(False), whole, vary=True)
+    assert checked(monkeypatch, Known(False), whole) == ""
+
+
+def test_no_cell_cuts_the_slope_of_a_term(monkeypatch):
+    known = Known(moving=1)
+    assert checked(monkeypatch, known, of(*HALVES, slope=("-1", "1"))) == ""
+    cut = [*of(("0", "4"), slope=("-1", "0")), *of(("0", "4"), slope=("0", "1"))]
+    assert "cuts the slope" in checked(monkeypatch, Known(moving=1), cut)
+
+
+@pytest.mark.parametrize("by_peak_gains", [True, False])
+@pytest.mark.parametrize("solution", [None, "found"])
+def test_whether_a_cell_holds_or_promises_to(monkeypatch, by_peak_gains, solution):
+    """By peak gains, or else by a quadratic function; a promise rests on floats alone."""
+    steps = {"peak": None, "problems": ["p"], "proven": ("stage",)}
+
+    class Prover(RangeProver):
+        def __init__(self):
+            object.__setattr__(self, "loop", "loop")
+
+        by_peak_gains = property(lambda self: by_peak_gains_now)
+        coefficients = "coefficients"
+
+        def peak(self, cell):
+            return steps["peak"]
+
+        def problems(self, cell):
+            if steps["problems"] is None:
+                raise NoCertificate("none")
+            return steps["problems"]
+
+    by_peak_gains_now = by_peak_gains
+    made = Prover()
+
+    def bound(*_):
+        if steps["peak"] is None:
+            raise NoCertificate("none")
+
+    monkeypatch.setattr(proofs, "peak_bound", bound)
+    monkeypatch.setattr(proofs, "_slow_solution", lambda problems: solution)
+    monkeypatch.setattr(proofs, "prove_vertices", lambda problems, found: steps["proven"])
+    assert made.holds("cell") == made.promises("cell") == (solution is not None)
+    steps["proven"] = None
+    assert not made.holds("cell") and made.promises("cell") == (solution is not None)
+    steps["problems"] = None
+    assert not made.holds("cell") and not made.promises("cell")
+    steps["peak"] = "proof"
+    assert made.holds("cell") == made.promises("cell") == by_peak_gains
