@@ -8,15 +8,20 @@ from types import SimpleNamespace
 import flint
 import numpy as np
 import pytest
+from scipy.linalg import expm
+from test_slow_signals import loop
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented import rates_used
+from certrack.certificates.implemented.drive import DRIVE_BITS
 from certrack.certificates.implemented.fixed_point import (
     FIXED_POINT_MARGIN,
     SMALLEST_BOUND,
     OutputBounds,
     uncertain_size,
 )
+from certrack.certificates.implemented.gains import output_gains
+from certrack.certificates.implemented.lags import lag_gains
 from certrack.certificates.implemented.polytope import Polytope, _cut, common, half_spaces
 from certrack.certificates.implemented.rates_used import rates_unused
 from certrack.certificates.implemented.region import (
@@ -33,6 +38,7 @@ from certrack.certificates.implemented.regional import (
     largest_region,
     not_reached,
 )
+from certrack.certificates.implemented.timing import TimedBounds, _in_cell_pulse
 from certrack.certificates.sampling import Points
 from certrack.core.errors import InputError
 
@@ -150,6 +156,88 @@ def test_the_parts_of_a_bound():
     bounds.drive.jumps = None
     less = bounds.parts([1.0, 2.0], 100.0)["sampling of the reference"]
     assert less == pytest.approx(sampling - 0.021)
+
+
+def timed(**more):
+    """With steps of the input and rates of the states: seven outputs, a row each."""
+    drive = SimpleNamespace(n=2, sized=2, uncertain=(bound_of_w(),))
+    bounds = SimpleNamespace(
+        outputs=np.arange(7),
+        constant=balls([1, 2, 3, 4, 5, 6, 7]),
+        x=balls([[0.1 * i, 0.01] for i in range(7)]),
+        u=balls([0.01 * i for i in range(7)]),
+        w=balls([[0.01]] * 7),
+        drive=drive,
+    )
+    numbers = {
+        "by_step": balls([0.05 * i for i in range(7)]),
+        "by_rate": balls([[0.01, 0.02 * i] for i in range(7)]),
+        "direct": balls([[0.001 * i] for i in range(7)]),
+    }
+    return TimedBounds(bounds, **(numbers | more))
+
+
+def test_the_image_with_jitter_has_steps_and_rates():
+    bounds, i = timed(), np.arange(7.0)
+    found = bounds.image([q(1), q(2)], q(10), q(20), [q(30), q(40)])
+    size = 0.5 * (9 + 64) ** 0.5 + 0.75
+    expected = 1 + i + 0.1 * i + 0.02 + 0.1 * i + (0.01 + 0.001 * i) * size
+    expected += 0.05 * i * 20 + 0.3 + 0.8 * i
+    assert [float(v) for v in found] == pytest.approx(expected) and bounds.count == 7
+    v = bounds.search()
+    image = bounds.image(v[:2], v[2], v[3], v[4:])
+    assert all(float(a) < b for a, b in zip(image[1:], v, strict=True))
+    assert [float(a) for a in image[1:]] == pytest.approx(v, rel=3 * FIXED_POINT_MARGIN)
+    with pytest.raises(NoCertificate, match="jitter is too large"):
+        timed(by_step=balls([1] * 7)).search()
+    with pytest.raises(NoCertificate, match="range of floating point"):
+        bounds.image([flint.arb("nan"), q(2)], q(10), q(20), [q(30), q(40)])
+
+
+def test_what_a_pulse_does_within_a_cell():
+    """|e^{A s} b| <= e^{|A| h} |b|, and the same of its rate."""
+    A, b = flint.arb_mat([[-1, 2], [0, -3]]), flint.arb_mat([[1], [-4]])
+    period = SimpleNamespace(drive=SimpleNamespace(A=A, b=b, n=2))
+    still, moving = _in_cell_pulse(period, flint.fmpq(1, 2))
+    growth = expm(np.array([[1.0, 2.0], [0.0, 3.0]]) / 2)
+    assert [float(v) for v in still] == pytest.approx(growth @ [1.0, 4.0])
+    assert [float(v) for v in moving] == pytest.approx(growth @ [9.0, 12.0])
+
+
+# gains of each lag
+
+
+def test_gains_by_lag_are_those_of_all_the_past():
+    period, bounds, doublings, *_ = loop()
+    rows = list(bounds.rows)[:2]
+    with flint.ctx.workprec(DRIVE_BITS):
+        found = lag_gains(period, rows, 9)
+        M = np.array([[float(v.mid()) for v in row] for row in period.map.tolist()])
+        assert found.lags.shape[:2] == (512, 2) and found.before.value.shape == (
+            512,
+            2,
+            period.size,
+        )
+        for row, before in zip(rows, found.before.value.swapaxes(0, 1), strict=True):
+            first = flint.arb_mat([list(row.row)]) * period.since_jump(row.phase)[-1]
+            at = np.array([float(v.mid()) for v in (first * period.jump).entries()])
+            scale = np.abs(at).max()
+            for lag in (0, 1, 7, 511):
+                expected = at @ np.linalg.matrix_power(M, lag)
+                assert before[lag] == pytest.approx(expected, rel=1e-6, abs=1e-9 * scale)
+        for lag in (0, 1, 7, 511):
+            power = np.abs(np.linalg.matrix_power(M, lag))
+            assert found.powers[lag] == pytest.approx(power, rel=1e-6, abs=1e-9)
+            assert (found.powers[lag] >= power * (1 - 1e-9)).all()
+        last = np.abs(np.linalg.matrix_power(M, 512))
+        assert found.last == pytest.approx(last, rel=1e-6, abs=1e-9)
+        whole = output_gains(period, rows, doublings)
+    added = found.running + found.lags.sum(axis=0) + found.tail
+    nw, n = period.drive.W.ncols(), period.drive.n
+    assert (added[:, :nw] >= whole.w * (1 - 1e-6)).all()
+    assert added[:, :nw] == pytest.approx(whole.w, rel=0.3)
+    noise = added[:, nw + 1 : nw + 1 + n]
+    assert (noise >= whole.noise * (1 - 1e-6)).all()
 
 
 # bounds that lead down from a region
