@@ -34,7 +34,7 @@ GROUPS = {
     "laws": Group(
         "laws/adaptive laws/balanced laws/base laws/classic laws/error_system laws/leakage"
         " laws/numbers laws/registry laws/robust laws/signals",
-        "laws law_formulas testing backstepping exact_numbers lyapunov extensions",
+        "laws law_formulas law_keys testing backstepping exact_numbers lyapunov extensions",
     ),
     "certificates": Group(
         "certificates/*",
