@@ -1,15 +1,20 @@
 """The prover of cells, with parts that are made up: what is asked, in what order, what fails."""
 
+import math
 from dataclasses import dataclass
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import sympy
 from test_range_algebra import exact
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.ranges import proofs
+from certrack.certificates.ranges.costs import ConstantCost
+from certrack.certificates.ranges.peak import UNBOUNDED, _bound
 from certrack.certificates.ranges.proofs import CellProof, RangeProver, check_cells
+from certrack.certificates.ranges.strength import all_hold
 
 P = sympy.Symbol("p")
 
@@ -149,3 +154,34 @@ def test_whether_a_cell_holds_or_promises_to(monkeypatch, by_peak_gains, solutio
     assert not made.holds("cell") and not made.promises("cell")
     steps["peak"] = "proof"
     assert made.holds("cell") == made.promises("cell") == by_peak_gains
+
+
+def test_all_boxes_hold_or_none():
+    assert all_hold(SimpleNamespace(holds=lambda box: True), ["a", "b"])
+    assert not all_hold(SimpleNamespace(holds=lambda box: box == "a"), ["a", "b"])
+
+    def refused(box):
+        raise NoCertificate("none")
+
+    assert not all_hold(SimpleNamespace(holds=refused), ["a"])
+
+
+def test_what_a_constant_costs_is_the_difference_of_two_bounds():
+    found = ConstantCost("m", 1.0, 2.0, 3.0, known=0.25, bound=1.0)
+    assert found.cost == 0.75 and found.record()["range"] == [1.0, 3.0]
+    none = ConstantCost("m", 1.0, 2.0, 3.0, known=0.25, bound=math.inf)
+    assert math.isnan(none.cost)
+    assert found.record() == {
+        "name": "m",
+        "range": [1.0, 3.0],
+        "nominal": 2.0,
+        "bound_if_known": 0.25,
+        "cost": 0.75,
+        "verified": True,
+    }
+
+
+def test_a_gain_too_large_for_floats_is_no_bound():
+    with pytest.raises(NoCertificate, match="not below 1"):
+        _bound(lambda v: np.minimum(1 + 10 * v, UNBOUNDED), 2)
+    assert _bound(lambda v: np.array([UNBOUNDED / 10, 0.0]), 2) == pytest.approx(UNBOUNDED / 10)
