@@ -7,13 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import sympy
-from test_range_algebra import exact
+from test_range_algebra import FIRST_ORDER, exact
 
+import certrack
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.ranges import proofs
+from certrack.certificates.ranges import certify, proofs
+from certrack.certificates.ranges.certify import _certificate, _certificates
 from certrack.certificates.ranges.costs import ConstantCost
 from certrack.certificates.ranges.peak import UNBOUNDED, _bound
 from certrack.certificates.ranges.proofs import CellProof, RangeProver, check_cells
+from certrack.certificates.ranges.search import RangeBounds
 from certrack.certificates.ranges.strength import all_hold
 
 P = sympy.Symbol("p")
@@ -185,3 +188,70 @@ def test_a_gain_too_large_for_floats_is_no_bound():
     with pytest.raises(NoCertificate, match="not below 1"):
         _bound(lambda v: np.minimum(1 + 10 * v, UNBOUNDED), 2)
     assert _bound(lambda v: np.array([UNBOUNDED / 10, 0.0]), 2) == pytest.approx(UNBOUNDED / 10)
+
+
+def stages(*alphas, bound="0.5"):
+    """A cell by a quadratic function of each rate, or by peak gains where there is none."""
+    points = [(SimpleNamespace(alpha=alpha),) * 2 if alpha else () for alpha in alphas]
+    return tuple(CellProof((), bound, entry) for entry in points)
+
+
+def test_a_certificate_of_cells_has_their_largest_bound_and_lowest_rate():
+    """Delta is what makes the bound: bound^2 = 2 Delta/alpha."""
+    system = certrack.loads(FIRST_ORDER)
+    proofs = (*stages("4", bound="0.25"), *stages("3", bound="0.5"))
+    found = _certificate("cells", system, proofs)
+    assert (found.kind, found.bound, found.alpha, found.verified) == ("cells", 0.5, 3.0, True)
+    assert found.delta == 0.375 and found.assumptions
+    mixed = _certificate("cells", system, stages("4", None))
+    assert math.isnan(mixed.alpha) and math.isnan(mixed.delta) and mixed.bound == 0.5
+
+
+def test_the_best_of_the_ranges_is_saved():
+    system = certrack.loads(FIRST_ORDER)
+    one, two = (CellProof((), bound) for bound in ("0.5", "0.25"))
+    bounds = RangeBounds(one, two, (one, one))
+    found = _certificates(system, bounds, 0.1, False, "default")
+    assert found.best.kind == "peak" and found.proof == (two,) and found.vertex_proof is one
+    cells = _certificates(system, RangeBounds(one, None, (two, two)), None, False, "default")
+    assert cells.best.kind == "cells" and cells.proof == (two, two)
+    assert "not below 1" in cells.peak.reason
+    same = _certificates(system, RangeBounds(one, one, (one,)), None, False, "default")
+    assert same.best.kind == "cells"
+    for varies, effort, reason in (
+        (True, "default", "stand still"),
+        (False, "fast", "take more time"),
+        (False, "high", "no cells found"),
+    ):
+        none = _certificates(system, RangeBounds(None, None, ()), None, varies, effort)
+        assert reason in none.cells.reason and none.proof == () and none.vertex_proof is None
+        assert "no quadratic function" in none.vertices.reason
+
+
+def test_what_is_attained_is_the_worst_of_all_corners(monkeypatch):
+    asked, errors = [], iter([0.25, 0.75, 0.5, 0.125])
+
+    def attained(loop, corner, Y):
+        asked.append((corner, Y))
+        error = next(errors)
+        return None if error is None else SimpleNamespace(error=error)
+
+    monkeypatch.setattr(certify, "attained_at", attained)
+    reference = SimpleNamespace(bounds=lambda order: SimpleNamespace(values=("Y", order)))
+    loop = SimpleNamespace(
+        brackets=(),
+        moving=0,
+        system=SimpleNamespace(reference=reference),
+        coordinates=SimpleNamespace(q=2),
+    )
+    prover = SimpleNamespace(loop=loop, by_peak_gains=True, box=((1, 2), (3, 4)))
+    assert certify.attainable_error(prover) == 0.75
+    assert [corner for corner, _ in asked] == [(1, 3), (1, 4), (2, 3), (2, 4)]
+    assert asked[0][1] == ("Y", 3)
+    errors = iter([0.25, None])
+    assert certify.attainable_error(prover) is None
+    for changed in ({"brackets": (1,)}, {"moving": 1}):
+        other = SimpleNamespace(**{**vars(loop), **changed})
+        nothing = SimpleNamespace(loop=other, by_peak_gains=True, box=prover.box)
+        assert certify.attainable_error(nothing) is None
+    assert certify.attainable_error(SimpleNamespace(loop=loop, by_peak_gains=False)) is None

@@ -49,16 +49,18 @@ class Trace:
         runners -= {None}
         users = {name for names in lines.values() for name in names} - {None}
         others = self._everyone
-        if anew:  # whoever uses the module, and then all others
+        if anew:  # whoever uses the module, and all others: what it says may be read anywhere
             runners = users
         else:
             files = {_file(name) for name in runners}
             others = {name for name in others if _file(name) in files}
+
+        def rank(name: str) -> tuple[int | bool | float | str, ...]:
+            near = name not in runners, name not in users
+            return (self._order(name)[0] if anew else 0, *near, self.seconds[name], name)
+
         chosen, total = [], 0.0
-        for name in sorted(
-            runners | others,
-            key=lambda name: (name not in runners, name not in users, self.seconds[name], name),
-        ):
+        for name in sorted(runners | others, key=rank):
             total += self.seconds[name]
             if total > BUDGET:
                 break
