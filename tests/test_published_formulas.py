@@ -10,6 +10,7 @@ import pytest
 from test_certificate_formulas import exact
 
 import certrack
+from certrack.certificates import published
 from certrack.certificates.arithmetic import decimal, positive_definite, rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_problem
@@ -186,6 +187,13 @@ def test_the_critical_strength_is_rounded_down(name):
     c_min = min(rational(c) for c in system.law.gains().c)
     found = rational(critical_strength(system)) ** 2 * (Xe**2).sum() * G / c_min
     assert 1 - Fraction(1, 10**8) < Fraction(str(found)) < 1
+
+
+@pytest.mark.parametrize("sizes", [(math.inf, 0.0), (0.0, math.inf), (math.nan, 0.0)])
+def test_one_number_beyond_floats_is_too_many(monkeypatch, sizes):
+    monkeypatch.setattr(published, "uncertainty_terms", lambda system, number: sizes)
+    with pytest.raises(NoCertificate, match="range of floating point"):
+        published.collect(certrack.load("example1"))
 
 
 def test_numbers_lose_their_last_bits_alone():
