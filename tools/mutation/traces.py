@@ -26,6 +26,9 @@ KEPT = ROOT / "build" / "mutants"
 #: Seconds of the processor: no test that takes longer is used, nor are more of them for a mutant.
 LONGEST, BUDGET = 3.0, 12.0
 
+#: Tests of less are tried of all files, where something is changed that runs on import.
+QUICK = 0.01
+
 #: Seconds after which a test is stopped that could not be stopped yet.
 LATER = 0.01
 
@@ -55,9 +58,9 @@ class Trace:
             files = {_file(name) for name in runners}
             others = {name for name in others if _file(name) in files}
 
-        def rank(name: str) -> tuple[int | bool | float | str, ...]:
+        def rank(name: str) -> tuple[bool | float | str, ...]:
             near = name not in runners, name not in users
-            return (self._order(name)[0] if anew else 0, *near, self.seconds[name], name)
+            return (anew and self.seconds[name] > QUICK, *near, self.seconds[name], name)
 
         chosen, total = [], 0.0
         for name in sorted(runners | others, key=rank):
