@@ -753,6 +753,45 @@ def test_what_is_needed_beside_the_gamma_or_beta_of_a_file():
     assert search(lambda r: r * math.nan).beta_needed(1.0) == 0
 
 
+@dataclass(frozen=True)
+class Judged(Sized):
+    """A term of which pairs are proven or not, and none is broken by samples."""
+
+    proven_pairs: object = None
+    name: str = "w_1"
+    zero: bool = False
+    growing: object = None
+
+    def violation_of_domain(self, points):
+        return None
+
+    def exceeded(self, points):
+        return None
+
+    def proven_with(self, gamma, beta):
+        return self.proven_pairs(gamma, beta)
+
+
+def test_a_cover_is_proven_if_all_that_is_stated_is():
+    points = random_points(2, 20.0, 0)
+
+    def cover(form, pairs, **numbers):
+        return smallest_cover(Judged(1.0, form=form, proven_pairs=pairs, **numbers), points)
+
+    def bent(r):
+        return 4 * np.minimum(r, 1.0)  # tau is 2: gamma = 2, or beta = 2
+
+    found = cover(bent, lambda gamma, beta: True)
+    assert (found.gamma, found.beta, found.both, found.proven) == (2.0, 2.0, None, True)
+    assert not cover(bent, lambda gamma, beta: beta > 0).proven
+    assert not cover(bent, lambda gamma, beta: gamma > 0).proven
+    affine = cover(lambda r: 6 * r + 2, lambda gamma, beta: gamma > 3)
+    assert affine.gamma is affine.beta is None and affine.proven
+    assert affine.both == (3.1, 1.0)
+    square = cover(lambda r: r**2, lambda gamma, beta: True)
+    assert square.gamma is square.beta is square.both is None and not square.proven
+
+
 # premises
 
 
