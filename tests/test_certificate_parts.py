@@ -37,6 +37,7 @@ from certrack.certificates.majorants import (
     _plus,
     _root_of,
     _times,
+    covers,
     interval_ends,
     majorants,
     root_above,
@@ -565,6 +566,18 @@ def test_sums_and_products_of_majorants():
     assert root_above(Fraction(9, 16)) == Fraction(3, 4) and root_above(Fraction(0)) == 0
     for square in (Fraction(2), Fraction(9, 2), Fraction(1, 3)):
         assert 0 < root_above(square) ** 2 - square < Fraction(1, 2**90)
+
+
+def test_what_a_majorant_must_keep_to_cover():
+    """strength (b + a s) <= beta + gamma s, and nothing of a higher degree."""
+    one, two = Fraction(1), Fraction(2)
+    low = (one, two)
+    assert covers([low], two, one) and covers([(two,), low], two, one)
+    assert not covers([low], Fraction(199, 100), one) and not covers([low], two, Fraction(99, 100))
+    assert covers([low], 2 * two, 2 * one, two) and not covers([low], two, 2 * one, two)
+    assert not covers([low], 2 * two, one, two) and not covers([], two, one)
+    assert not covers([(one, two, Fraction(1, 10**9))], two, one)
+    assert covers([(one, two, Fraction(0))], two, one) and covers([(one,)], Fraction(0), one)
 
 
 def test_majorants_that_another_one_beats_are_left_out():
