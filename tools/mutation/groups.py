@@ -39,9 +39,9 @@ GROUPS = {
     "certificates": Group(
         "certificates/*",
         "certificates certificate_formulas certificate_parts published_formulas certificate_data"
-        " certify_parts size_majorants exact_checks rounding independent_checker bounds peak tube"
-        " tube_parts error_problem premises truth strength exact_numbers false_claims"
-        " forged_claims",
+        " certify_parts certificate_layout size_majorants exact_checks rounding bounds peak tube"
+        " independent_checker tube_parts error_problem premises truth strength exact_numbers"
+        " false_claims forged_claims",
     ),
     "ranges": Group(
         "certificates/ranges/*",
