@@ -11,7 +11,7 @@ from test_range_algebra import FIRST_ORDER, exact
 
 import certrack
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.ranges import certify, proofs
+from certrack.certificates.ranges import certify, proofs, tube
 from certrack.certificates.ranges.certify import _certificate, _certificates
 from certrack.certificates.ranges.costs import ConstantCost
 from certrack.certificates.ranges.peak import UNBOUNDED, _bound
@@ -255,3 +255,24 @@ def test_what_is_attained_is_the_worst_of_all_corners(monkeypatch):
         nothing = SimpleNamespace(loop=other, by_peak_gains=True, box=prover.box)
         assert certify.attainable_error(nothing) is None
     assert certify.attainable_error(SimpleNamespace(loop=loop, by_peak_gains=False)) is None
+
+
+@pytest.mark.parametrize("verified", [True, False])
+def test_the_tube_of_a_box_is_the_widest_of_its_points(monkeypatch, verified):
+    values = iter([(4.0, 1.0, 0.5), (9.0, 0.25, 0.5), (1.0, 2.0, 0.5)])
+    asked = []
+
+    def single(system, problem, stage, starts):
+        asked.append((problem, stage, starts))
+        return next(values)
+
+    made = SimpleNamespace(problems=lambda cell: asked.append(cell) or ["a", "b", "c"])
+    monkeypatch.setattr(tube, "prover_of", lambda system, count: made if count == 1 else None)
+    monkeypatch.setattr(tube, "starts_of", lambda system, box: (("starts", box), verified))
+    monkeypatch.setattr(tube, "single_stage", single)
+    proof = CellProof((("1", "2"),), "1", ("x", "y", "z"))
+    found = tube.range_tube("system", proof, "box")
+    assert (found.start, found.floor, found.alpha) == (9.0, 2.0, 0.5)
+    assert found.verified == verified and asked[0] == cell(1, 2)
+    starts = ("starts", "box")
+    assert asked[1:] == [("a", "x", starts), ("b", "y", starts), ("c", "z", starts)]
