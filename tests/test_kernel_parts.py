@@ -87,7 +87,10 @@ def test_products_and_what_their_roundings_are_below():
     assert found[:, 0, 0].tolist() == [4.0, 12.0]
     sizes, largest = np.array([4.0, 1 * 6.5 + 2 * 3.25]), 2.0 * np.array([2.0]) * 3.0
     expected = (4 * 2 + 20) * UNIT * sizes + 16 * SMALL * largest + UNDERFLOW
-    assert error[:, 0, 0] == pytest.approx(expected, rel=1e-12)
+    assert error[:, 0, 0] == pytest.approx(expected, rel=1e-12, abs=0)
+    apart = np.array([[[0.0, 0.0], [0.0, 3.0]]])  # what is zero in it was rounded, too
+    zero, tiny = _values(np.array([[2.0, 0.0]]), apart, np.array([[0.0], [5.0]]))
+    assert zero.item() == 0 and tiny.item() == pytest.approx(16 * SMALL * 30, rel=1e-12, abs=0)
     nothing, floor = _values(0 * rows, steps, columns)
     assert (nothing == 0).all() and (floor == UNDERFLOW).all()
 
