@@ -14,6 +14,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.ranges import kernels
 from certrack.certificates.ranges.kernels import (
     CELLS,
+    FIRST_CELL,
     LATER_CELLS,
     LEAST_STATE_SIZE,
     PRECISION,
@@ -203,3 +204,28 @@ def test_what_the_reference_adds_is_rounded_up():
     )
     assert Fraction(bound[0]) > Fraction(2, 7) + Fraction(1, 4)
     assert bound[0] == pytest.approx(2 / 7 + 0.25, rel=1e-11)
+
+
+@pytest.mark.parametrize("rate", [1.0, 3.0])
+def test_what_a_block_of_cells_is_told(monkeypatch, rate):
+    """k = 2 e^{-rate t}: k'' = rate^2 k at the ends, and rate^3 2 e^{-rate t} h/2 more inside."""
+    told = []
+
+    def block(h, k, error, areas, curvature):
+        told.append((h, k[:, 0, 0], areas[:, 0, 0], curvature[:, 0, 0]))
+        assert (error > 0).all() and (error < 1e-14).all()
+        return areas.sum(axis=0)
+
+    monkeypatch.setattr(kernels, "_block", block)
+    total = peak_gains(exact([[-rate]]), exact([[2]]), exact([[1]])).item()
+    assert 2 / rate <= total <= 2 / rate * (1 + 1e-8)
+    t = 0.0
+    for h, k, areas, curvature in told:
+        assert h == FIRST_CELL / rate * 2 ** _doublings(t, FIRST_CELL / rate)
+        ends = 2 * np.exp(-rate * (t + h * np.arange(CELLS + 1)))
+        assert k == pytest.approx(ends, rel=1e-12, abs=0)
+        assert areas == pytest.approx(-np.diff(ends) / rate, rel=1e-9, abs=1e-13 * ends[0])
+        bend = rate**2 * ends[:-1] + h / 2 * rate**3 * ends[0]
+        assert curvature == pytest.approx(bend, rel=1e-9, abs=0)
+        t += h * CELLS
+    assert len(told) > 1 and 2 * math.exp(-rate * t) / rate < 1e-8
