@@ -54,6 +54,7 @@ class Trace:
         others = self._everyone
         if anew:  # whoever uses the module, and all others: what it says may be read anywhere
             runners = users
+            others = others | {name for name, used in self.seconds.items() if used < QUICK}
         else:
             files = {_file(name) for name in runners}
             others = {name for name in others if _file(name) in files}
