@@ -1,8 +1,12 @@
 """What a system file may say of a reference: limits, defaults and what is required, key by key."""
 
+from inspect import Parameter, signature
+
 import pytest
 
+import certrack
 from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS, TRANSIENT
+from certrack.references.piecewise import PiecewiseReference
 
 #: Of every kind: above which number, from which on, default and whether it is required.
 EVERYWHERE = {
@@ -72,3 +76,25 @@ def test_choices_of_keys():
     assert KINDS["samples"]["interpolation"].choices == ("monotone", "cubic", "spline")
     assert set(KINDS["samples"]["time_unit"].choices) == {"s", "ms", "us", "min"}
     assert (TRANSIENT.least, TRANSIENT.required) == (1e-6, False)
+
+
+@pytest.mark.parametrize("kind", REFERENCE_KINDS)
+def test_what_a_file_leaves_out_is_what_the_function_leaves_out(kind):
+    """But for what only a file has, such as a file of samples."""
+    parameters = signature(REFERENCE_KINDS[kind].make).parameters
+    keys = REFERENCE_KINDS[kind].keys
+    assert {name for name, key in keys.items() if key.required} <= set(parameters)
+    for name, key in keys.items():
+        if name in parameters:
+            default = parameters[name].default
+            assert default is Parameter.empty if key.required else default == key.default, name
+
+
+@pytest.mark.parametrize(("columns", "taken"), [(3, False), (4, True), (53, True), (54, False)])
+def test_pieces_are_of_degree_3_to_52(columns, taken):
+    rows = ((0.0,) * columns,) * 2
+    if taken:
+        assert len(PiecewiseReference((0.0, 1.0, 2.0), rows, 2).coefficients[0]) == columns
+        return
+    with pytest.raises(certrack.InputError, match=r"reference\.coefficients"):
+        PiecewiseReference((0.0, 1.0, 2.0), rows, 2)
