@@ -94,8 +94,8 @@ def bound_ranges(
         return RangeBounds(vertices, peak)
     many = 4 if effort == "high" else 1
     search = _Cells(prover, box, vertices, peak, enough, progress)
-    found = search.by_peak_gains(MOST_CELLS * many) if prover.by_peak_gains else ()
-    return RangeBounds(vertices, peak, found or search.by_vertices(MOST_VERTEX_CELLS * many))
+    proofs = search.by_peak_gains(MOST_CELLS * many) if prover.by_peak_gains else ()
+    return RangeBounds(vertices, peak, proofs or search.by_vertices(MOST_VERTEX_CELLS * many))
 
 
 def largest(proofs: tuple[CellProof, ...]) -> float:
