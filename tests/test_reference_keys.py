@@ -98,3 +98,14 @@ def test_pieces_are_of_degree_3_to_52(columns, taken):
         return
     with pytest.raises(certrack.InputError, match=r"reference\.coefficients"):
         PiecewiseReference((0.0, 1.0, 2.0), rows, 2)
+
+
+@pytest.mark.parametrize("bound", [0, -0.5, float("inf")])
+def test_a_declared_bound_is_a_positive_number(bound):
+    still = {"knots": (0.0, 1.0), "coefficients": ((0.0,) * 4,), "smoothness": 2}
+    with pytest.raises(certrack.InputError, match=r"reference\.bound"):
+        PiecewiseReference(**still, bound=bound)
+    assert PiecewiseReference(**still, bound=1e-9).bound == 1e-9
+    for repeated in (0, -1.0):
+        with pytest.raises(certrack.InputError, match=r"reference\.period"):
+            PiecewiseReference(**still, period=repeated)
