@@ -23,6 +23,7 @@ from certrack.certificates.arithmetic import decimal, rational
 from certrack.certificates.assumption_1 import UncertainTerm
 from certrack.certificates.balls import ball_precision, enclosing_ball
 from certrack.certificates.centred import remainder_bound
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.cover import _Suprema, smallest_cover
 from certrack.certificates.document import FORMAT_1
 from certrack.certificates.domain import Condition, conditions
@@ -1015,6 +1016,8 @@ def test_uncertain_terms_are_split_into_their_inputs():
     weighted = certrack.Uncertainty(tau=[1, 1, 1], gamma=[1, 0, 2], beta=[0, 0, 0], S=[2, 1, 1])
     found = uncertain_inputs(weighted, A.astype(float), decimal)
     assert [np.diag(S).tolist() for S, _ in found.selections] == [[2, 1, 1]] * 2
+    with pytest.raises(NoCertificate, match="plant.uncertainty.bound"):
+        uncertain_inputs(SimpleNamespace(bound=("x1**2", None, None)), A, rational)
 
 
 # files of proofs by cells
