@@ -56,8 +56,8 @@ GROUPS = {
     ),
     "references": Group(
         "references/*",
-        "references reference_parts reference_keys growth testing bounds premises simulation"
-        " time_events units lipschitz soft_start samples_file",
+        "references reference_parts reference_keys reference_members growth testing bounds"
+        " premises simulation time_events units lipschitz soft_start samples_file",
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
     "sampled": Group(

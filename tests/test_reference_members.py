@@ -1,0 +1,92 @@
+"""What the members of a reference must give: one that is right, and each of them wrong."""
+
+import math
+
+import numpy as np
+import pytest
+import sympy
+
+from certrack.core.errors import InputError
+from certrack.core.expressions import TIME
+from certrack.references import registry
+from certrack.references.registry import _check_values
+
+A, PIECE = sympy.Symbol("ref_a", real=True), sympy.Symbol("piece_b", real=True)
+
+
+class Line:
+    """y_d = a t + b with b = 3 from t = 1 on, as formulas and values."""
+
+    parameter_symbols, parameter_values = (A,), (2.0,)
+    piece_symbols = (PIECE,)
+
+    def __init__(self, **changed):
+        for name, value in changed.items():
+            setattr(self, name, value)
+
+    def formulas(self, order):
+        return (A * TIME + PIECE, A, sympy.S.Zero)[: order + 1]
+
+    def breaks(self, start, end):
+        return np.array([1.0])
+
+    def piece_values(self, t):
+        return np.array([3.0 if t >= 1 else 0.0])
+
+    def values(self, t, order):
+        t = np.asarray(t)
+        return np.array([2 * t + np.where(t >= 1, 3.0, 0.0), 0 * t + 2.0, 0 * t])[: order + 1]
+
+
+@pytest.fixture(autouse=True)
+def known(monkeypatch):
+    monkeypatch.setattr(registry, "kind_of", lambda reference: "line")
+
+
+def test_a_reference_whose_members_agree():
+    for order in (0, 1, 2):
+        _check_values(Line(), order, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"parameter_values": (2.0, 1.0)}, "parameter_values must have the count 1"),
+        ({"parameter_values": ()}, "parameter_values must have the count 1"),
+        ({"formulas": lambda order: (A * TIME + PIECE,)}, "formulas must have the count 2"),
+        ({"formulas": lambda order: (A * TIME + PIECE, A, A)}, "formulas must have the count 2"),
+        ({"piece_values": lambda t: np.array([0.0, 3.0])}, "piece_values must have the count 1"),
+        ({"values": lambda t, order: np.zeros((1, len(t)))}, "values must have the shape"),
+        ({"values": lambda t, order: np.zeros((2, len(t) + 1))}, "values must have the shape"),
+        ({"parameter_symbols": (sympy.Symbol("a"),)}, "symbols must begin with"),
+        ({"formulas": lambda order: (A * TIME, A + sympy.Symbol("other"))}, "other"),
+        ({"breaks": lambda start, end: [1.0, 1.0]}, "must increase strictly"),
+        ({"breaks": lambda start, end: [2.0, 1.0]}, "must increase strictly"),
+        ({"breaks": lambda start, end: [0.0, 1.0]}, "must increase strictly"),
+        ({"breaks": lambda start, end: [1.0, 4.0]}, "must increase strictly"),
+        ({"breaks": lambda start, end: [-1.0]}, "must increase strictly"),
+    ],
+)
+def test_each_member_that_is_wrong_is_named(changed, message):
+    with pytest.raises(InputError, match=message):
+        _check_values(Line(**changed), 1, 4.0)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize("off", [1e-3, -1e-3, math.nan, math.inf])
+def test_values_and_formulas_agree_in_every_derivative(order, off):
+    line = Line()
+
+    def values(t, count):
+        table = line.values(t, count)
+        table[order] = table[order] + off
+        return table
+
+    with np.errstate(all="ignore"), pytest.raises(InputError, match=rf"y_d\^\({order}\) differ"):
+        _check_values(Line(values=values), 1, 4.0)
+
+
+def test_a_class_that_is_not_registered_is_refused(monkeypatch):
+    monkeypatch.setattr(registry, "kind_of", lambda reference: None)
+    with pytest.raises(InputError, match="not registered"):
+        _check_values(Line(), 1, 4.0)
