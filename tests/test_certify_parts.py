@@ -6,13 +6,15 @@ from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import pytest
+from test_range_algebra import FIRST_ORDER
 
 import certrack
-from certrack.certificates import cascade, methods
+from certrack.certificates import cascade, methods, strength
 from certrack.certificates.certificate import Certificate, missing
 from certrack.certificates.exact import Proof, from_text
 from certrack.certificates.methods import RANGE_KINDS, Methods, _why_none, certify_peak, smallest
 from certrack.certificates.premise import Premise
+from certrack.certificates.scope import has_ranges
 
 certify_module = importlib.import_module("certrack.certificates.certify")
 
@@ -276,3 +278,48 @@ def test_a_centred_stage_counts_where_it_is_smaller(monkeypatch, bound, taken):
     assert tried[0] == (from_text("0.123457"), 2, 3.0)
     assert (found is not None) == taken and len(tried) == (1 if taken else 2)
     assert found is None or found == replace(proof, shift="0.123457")
+
+
+# the critical strength
+
+
+@pytest.mark.parametrize("edge", [0.0, 1e-3, 3.7, 99.0])
+@pytest.mark.parametrize("published", [0.0, 2.0])
+def test_the_edge_of_what_is_provable_is_bisected(monkeypatch, edge, published):
+    asked = []
+
+    def provable(exact, strength, slow):
+        asked.append((strength, slow))
+        return strength <= edge
+
+    problem = SimpleNamespace(counts=(1, 0, 0))
+    monkeypatch.setattr(strength, "error_problem", lambda *_: problem)
+    monkeypatch.setattr(strength, "critical_strength", lambda _: published)
+    monkeypatch.setattr(strength, "_holds_as_published", lambda *_: 0 < published <= edge)
+    monkeypatch.setattr(strength, "_limit", lambda _: 100.0)
+    monkeypatch.setattr(strength, "_by_one_program", lambda *_: None)
+    monkeypatch.setattr(strength, "_provable", provable)
+    found = strength.critical_semidefinite(None, accuracy=1e-4)
+    assert edge / (1 + 1.01e-4) <= found <= edge
+    assert {slow for _, slow in asked} == {math.inf}
+    certified = Certificate("semidefinite", 1.0, alpha=0.5, verified=True)
+    asked.clear()
+    proven = strength.critical_semidefinite(None, certified, accuracy=1e-4)
+    assert proven == pytest.approx(max(found, 1.0), rel=1e-3)
+    assert {slow for _, slow in asked} == {0.25}
+    problem.counts = (0, 1, 1)
+    assert strength.critical_semidefinite(None) == math.inf
+    monkeypatch.setattr(strength, "_by_one_program", lambda exact, low, slow: ("strong", low))
+    problem.counts = (1, 0, 0)
+    least = max(published if 0 < published <= edge else 0.0, strength.SMALLEST_PART * 100)
+    assert strength.critical_semidefinite(None) == ("strong", least)
+
+
+def test_ranges_of_what_a_law_with_integral_action_knows_count():
+    """The robust law takes g_n for known; that it integrates, too, makes no difference."""
+    system = certrack.loads(FIRST_ORDER)
+    plain = certrack.loads(FIRST_ORDER.replace("a = [2, 3]\n", ""))
+    assert has_ranges(system) and has_ranges(plain)
+    law = replace(plain.law, integral=1.0)
+    assert has_ranges(plain.replace(law=law))
+    assert not has_ranges(certrack.load("dual-motor-lean"))

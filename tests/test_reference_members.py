@@ -1,6 +1,7 @@
 """What the members of a reference must give: one that is right, and each of them wrong."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
-from certrack.references import registry
+from certrack.references import registry, soft_start
 from certrack.references.registry import _check_values
 
 A, PIECE = sympy.Symbol("ref_a", real=True), sympy.Symbol("piece_b", real=True)
@@ -90,3 +91,24 @@ def test_a_class_that_is_not_registered_is_refused(monkeypatch):
     monkeypatch.setattr(registry, "kind_of", lambda reference: None)
     with pytest.raises(InputError, match="not registered"):
         _check_values(Line(), 1, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("breaks", "apart"), [([], 3.0), ([2.5], 1.5), ([1.0], 3.0), ([0.25, 9.0], 0.75)]
+)
+def test_jumps_of_a_soft_start_are_as_near_as_those_of_its_target(monkeypatch, breaks, apart):
+    """Where the transient ends, at t = 1, too; a break that is there is the same one."""
+    asked = []
+    target = SimpleNamespace(breaks=lambda *span: asked.append(span) or breaks)
+    start = SimpleNamespace(
+        order=2, start=(1.0,), target=target, transient=1.0, _transient=lambda order: 0.25
+    )
+    monkeypatch.setattr(soft_start, "jumps", lambda reference, order: (0.5, 3.0))
+    size, spacing = soft_start.SoftStart.jumps(start, 2)
+    assert 0.75 <= size < 0.75 * (1 + 1e-9) and asked == [(0.0, 5.0)]
+    assert apart * (1 - 2e-9) < spacing < apart
+    assert soft_start.SoftStart.jumps(start, 1) is None
+    monkeypatch.setattr(soft_start, "jumps", lambda reference, order: None)
+    assert soft_start.SoftStart.jumps(start, 2) == (0.25, math.inf)
+    start.start = ()
+    assert soft_start.SoftStart.jumps(start, 2) is None
