@@ -38,7 +38,7 @@ from certrack.certificates.implemented.regional import (
     largest_region,
     not_reached,
 )
-from certrack.certificates.implemented.timing import TimedBounds, _in_cell_pulse
+from certrack.certificates.implemented.timing import TimedBounds, _crosses, _in_cell_pulse
 from certrack.certificates.sampling import Points
 from certrack.core.errors import InputError
 
@@ -202,6 +202,25 @@ def test_what_a_pulse_does_within_a_cell():
     growth = expm(np.array([[1.0, 2.0], [0.0, 3.0]]) / 2)
     assert [float(v) for v in still] == pytest.approx(growth @ [1.0, 4.0])
     assert [float(v) for v in moving] == pytest.approx(growth @ [9.0, 12.0])
+
+
+@pytest.mark.parametrize(
+    ("delay", "jitter", "crosses"),
+    [
+        (0, "0.1", True),
+        ("0.05", "0.1", True),
+        ("0.1", "0.1", False),
+        ("0.5", "0.1", False),
+        ("0.9", "0.1", False),
+        ("0.95", "0.1", True),
+        ("2.05", "0.1", True),
+        ("2.5", "0.1", False),
+        ("0.5", "0.51", True),
+        (0, 0, False),
+    ],
+)
+def test_a_window_of_an_input_may_reach_into_another_period(delay, jitter, crosses):
+    assert _crosses(SimpleNamespace(delay=q(delay), jitter=q(jitter))) == crosses
 
 
 # gains of each lag
