@@ -52,7 +52,7 @@ GROUPS = {
         "certificates/implemented/*",
         "implemented implemented_formulas implemented_parts implemented_start enclosed"
         " range_algebra forged_claims regional jitter proven_box implemented_ranges slow"
-        " slow_signals slow_parts fixed_point_parts implemented_conditions",
+        " slow_signals slow_parts fixed_point_parts implemented_conditions start_parts",
     ),
     "references": Group(
         "references/*",
