@@ -8,9 +8,10 @@ import pytest
 import sympy
 
 from certrack.core.errors import InputError
-from certrack.core.expressions import TIME
-from certrack.references import registry, soft_start
+from certrack.core.expressions import TIME, parse
+from certrack.references import registry, samples, soft_start
 from certrack.references.registry import _check_values
+from certrack.references.search import Formula
 
 A, PIECE = sympy.Symbol("ref_a", real=True), sympy.Symbol("piece_b", real=True)
 
@@ -112,3 +113,29 @@ def test_jumps_of_a_soft_start_are_as_near_as_those_of_its_target(monkeypatch, b
     assert soft_start.SoftStart.jumps(start, 2) == (0.25, math.inf)
     start.start = ()
     assert soft_start.SoftStart.jumps(start, 2) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "period"),
+    [
+        ("sin(t) + cos(2*t)", 2 * math.pi),
+        ("sin(3*t)*cos(2*t)", 2 * math.pi),
+        ("sin(4*t + 1)", math.pi / 2),
+        ("sin(t) + sin(sqrt(2)*t)", math.inf),
+        ("t*sin(t)", math.inf),
+        ("exp(-t)", math.inf),
+        ("1/(2 + sin(t/3))", 6 * math.pi),
+    ],
+)
+def test_a_bound_is_looked_for_within_one_period(text, period):
+    formula = Formula(parse("", text, ["t"]).expr)
+    assert formula.end == pytest.approx(period, rel=1e-9) and formula.end >= period
+
+
+@pytest.mark.parametrize("interpolation", ["cubic", "spline", "monotone"])
+def test_samples_that_are_too_close_are_refused(interpolation):
+    """Two of them are enough."""
+    times = (0.0, 1e-200, 1.0, 2.0, 3.0, 4.0, 5.0)
+    values = (0.0, 1.0, 0.0, 1.0, 0.5, 0.25, 0.0)
+    with np.errstate(all="ignore"), pytest.raises(InputError):
+        samples(times, values, interpolation=interpolation)
