@@ -5,8 +5,10 @@ from inspect import Parameter, signature
 import pytest
 
 import certrack
+from certrack.references import samples
 from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS, TRANSIENT
 from certrack.references.piecewise import PiecewiseReference
+from certrack.references.samples import TIME_UNITS
 
 #: Of every kind: above which number, from which on, default and whether it is required.
 EVERYWHERE = {
@@ -109,3 +111,9 @@ def test_a_declared_bound_is_a_positive_number(bound):
     for repeated in (0, -1.0):
         with pytest.raises(certrack.InputError, match=r"reference\.period"):
             PiecewiseReference(**still, period=repeated)
+
+
+def test_units_of_the_times_of_samples():
+    assert TIME_UNITS == {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
+    for unit, seconds in TIME_UNITS.items():
+        assert samples((0, 1, 2), (0, 1, 0), time_unit=unit).knots == (0, seconds, 2 * seconds)

@@ -12,6 +12,7 @@ from certrack.core.expressions import TIME, parse
 from certrack.references import registry, samples, soft_start
 from certrack.references.registry import _check_values
 from certrack.references.search import Formula
+from certrack.references.smoothness import Stretch
 
 A, PIECE = sympy.Symbol("ref_a", real=True), sympy.Symbol("piece_b", real=True)
 
@@ -139,3 +140,11 @@ def test_samples_that_are_too_close_are_refused(interpolation):
     values = (0.0, 1.0, 0.0, 1.0, 0.5, 0.25, 0.0)
     with np.errstate(all="ignore"), pytest.raises(InputError):
         samples(times, values, interpolation=interpolation)
+
+
+@pytest.mark.parametrize(("begin", "end"), [("0", "oo"), ("1/3", "2/3"), ("sqrt(2)", "oo")])
+def test_the_times_of_a_stretch_are_rounded_outward(begin, end):
+    exact = sympy.sympify(begin), sympy.sympify(end)
+    found = Stretch(*exact, parse("", "exp(-t)", ["t"]).expr).bounded()
+    assert sympy.Rational(found.begin) <= exact[0] and found.begin == pytest.approx(float(exact[0]))
+    assert found.end == pytest.approx(float(exact[1])) and bool(exact[1] <= found.end)
