@@ -18,6 +18,8 @@ from certrack.certificates.ranges.peak import UNBOUNDED, _bound
 from certrack.certificates.ranges.proofs import CellProof, RangeProver, check_cells
 from certrack.certificates.ranges.search import RangeBounds
 from certrack.certificates.ranges.strength import all_hold
+from certrack.certificates.ranges.vertices import VertexSolution
+from certrack.certificates.semidefinite import Solution
 
 P = sympy.Symbol("p")
 
@@ -276,3 +278,14 @@ def test_the_tube_of_a_box_is_the_widest_of_its_points(monkeypatch, verified):
     assert found.verified == verified and asked[0] == cell(1, 2)
     starts = ("starts", "box")
     assert asked[1:] == [("a", "x", starts), ("b", "y", starts), ("c", "z", starts)]
+
+
+@pytest.mark.parametrize(
+    ("delta", "alpha", "bound"), [(4.0, 2.0, 2.0), (1.5, 3.0, 1.0), (-1, 2, 0)]
+)
+def test_the_bound_of_what_a_solver_found(delta, alpha, bound):
+    """bound^2 = 2 Delta/alpha; what is below zero by its roundings is zero."""
+    none = np.zeros(0)
+    vertices = VertexSolution(alpha, np.eye(1), (), (), delta)
+    one = Solution(alpha, np.eye(1), none, none, none, delta, none)
+    assert vertices.bound == one.bound == bound
