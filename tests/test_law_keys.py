@@ -6,6 +6,7 @@ import pytest
 
 import certrack
 from certrack.core.keys import keys_of
+from certrack.laws.balanced import balancing_weights
 from certrack.laws.numbers import _listed
 from certrack.laws.registry import LAWS
 
@@ -88,3 +89,17 @@ def test_a_gain_just_inside_its_limit_is_taken():
 def test_what_a_message_shows_of_a_metric_is_a_list():
     assert _listed(((1, 2), [3, (4,)])) == [[1, 2], [3, [4]]]
     assert _listed(1.5) == 1.5 and _listed(()) == []
+
+
+def test_an_observer_is_an_observer():
+    for wrong in ("kalman", {"kind": "eso"}, 1):
+        with pytest.raises(certrack.InputError, match=r"law\.observer: must be an Observer"):
+            certrack.Robust(c=(5, 5), observer=wrong)
+    assert certrack.Robust(c=(5, 5)).observer is None
+
+
+@pytest.mark.parametrize("g", [(0.0,), (1e-200, 1e-200), (1e200, 1e200), (INF,)])
+def test_weights_that_leave_the_floats_are_refused(g):
+    with pytest.raises(certrack.DesignError, match="range of floating point"):
+        balancing_weights(g, (1.0,) * (len(g) + 1), 0.5)
+    assert balancing_weights((4.0,), (1.0, 4.0), 0.5) == [1, 4]
