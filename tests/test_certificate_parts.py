@@ -539,6 +539,8 @@ def test_the_root_of_an_irrational_majorant_is_rounded_up():
         ("x1*sin(t) + x2*cos(t)", (0, 2)),
         ("x1**2/sqrt(1 + x1**2)", None),
         ("sin(x1)*7", (0, 7)),
+        ("1/sqrt(x1**2 + 1/4)", None),
+        ("(x1**2 + 1/4)**(-3/2)", None),
         ("3*sin(t) + 4*cos(t)", (5,)),
     ],
 )

@@ -167,3 +167,12 @@ def test_pieces_of_a_chain_are_followed_one_after_the_other():
     assert chain.settling_time(3.0) == close(math.log(12 / 5) / 0.5)
     assert chain.settling_time(math.sqrt(1.5)) == close(5 + math.log(3 / 0.5) / 0.5)
     assert math.isinf(chain.settling_time(1.0))
+
+
+def test_a_level_that_only_roundings_keep_from_the_floor_is_never_reached():
+    tube = Tube(16.0, 4.0, 0.5)
+    assert math.isinf(tube.settling_time(2.0 * (1 + 2e-13)))
+    assert tube.settling_time(2.0 * (1 + 2e-12)) > 40
+    late = Tube(16.0, 4.0, 0.5, pieces=((0.0, 16.0, 4.0), (100.0, 4.5, 4.0)))
+    assert math.isinf(late.settling_time(2.0 * (1 + 2e-13)))
+    assert late.settling_time(2.2) < 100
