@@ -155,6 +155,7 @@ def test_limited_references_go_beyond_their_bounds(case):
     assert len(found) == (2 * len(case.program.Y) if case.monitor.limit_reference else 0)
     for k, (_, Y, _) in enumerate(found):
         bound = case.monitor.reference_bounds[k // 2]
+        assert abs(Y[k // 2, 0]) > bound
         assert Y[k // 2, 0] == pytest.approx((-1, 1)[k % 2] * BEYOND_BOUND * bound)
 
 
