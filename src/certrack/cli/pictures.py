@@ -115,7 +115,7 @@ def certified_runs(systems: Mapping[str, System]) -> dict[str, Certificates]:
 
     certificates = {}
     for name, system in systems.items():
-        with report.progress("Certifying") as advance:
+        with report.progress("Certifying, steps", "bound") as advance:
             certificates[name] = certify(system, "fast", advance)
     return certificates
 

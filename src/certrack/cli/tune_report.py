@@ -53,7 +53,7 @@ def tuned_notes(result: Tuned) -> list[str]:
     gains = tuned_numbers(result.system)
     lines = [f"law: {law.kind}, feedforward = {law.feedforward}"]
     lines += [f"  {name} = {_numbers(value)}" for name, value in gains.items()]
-    lines.append(f"limits: {', '.join(dict.fromkeys(result.limits)) or 'none'}")
+    lines.append(f"limits: {', '.join(result.limits) or 'none'}")
     lines += price_lines(result)
     per_start = ", ".join(map(str, result.programs_per_start))
     lines.append(
@@ -69,20 +69,16 @@ def price_lines(result: Tuned) -> list[str]:
     """The active limits, each with what a tenth more of it buys."""
     what = {"error": "error", "peak": "peak input", "energy": "energy", "period": "longer period"}
     name = what[result.objective]
-    prices: dict[str, float] = {}
-    lines: dict[str, str] = {}
-    for active in result.active:  # corners have a limit each: one price
-        sign = -1 if result.objective == "period" else 1
-        remaining = (1 - sign * prices.get(active.limit, 0.0)) * (1 - sign * active.price)
-        prices[active.limit] = sign * (1 - remaining)
+    lines = []
+    for active in result.active:
         shorter = active.limit in ("period", "delay margin")
         ease = f"10 % {'shorter' if shorter else 'more'} {active.limit}"
-        share = 100 * abs(prices[active.limit])
-        lines[active.limit] = (
+        share = 100 * abs(active.price)
+        lines.append(
             f"active: {active.limit} {active.value:.5g}: {ease} "
             f"buys {share:.2g} % {name} at the margin"
         )
-    return list(lines.values()) or ["no limit is active"]
+    return lines or ["no limit is active"]
 
 
 def _front_lines(result: Tuned) -> list[str]:
@@ -118,7 +114,7 @@ def remarks(result: Tuned, file: str) -> list[str]:
     certified = printed_bound(result.after.certified, 5)
     return [
         f"tuned by certrack {__version__} from {file}: {result.objective} optimised within",
-        *(f"  {limit}" for limit in dict.fromkeys(result.limits)),
+        *(f"  {limit}" for limit in result.limits),
         f"seed {result.seed}, {result.programs} programs; limsup |e_1| certified {certified} "
         f"({printed_bound(result.before.certified, 5)} before)",
         *price_lines(result),
