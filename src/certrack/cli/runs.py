@@ -130,9 +130,10 @@ def simulate(
         click.echo(report.to_json(summary | controller))
     else:
         click.echo(system.title or file)
-        report.console().print(run_report.metrics_table({Path(file).stem: summary}))
+        units = system.plant.units
+        report.console().print(run_report.metrics_table({Path(file).stem: summary}, units))
         if summary["moves"]:
-            report.console().print(run_report.moves_table(summary["moves"]))
+            report.console().print(run_report.moves_table(summary["moves"], units))
         if with_c:
             click.echo(
                 f"controller: the exported C, compiled by {Path(find_c_compiler()).name}; "
@@ -184,7 +185,8 @@ def compare(
     if as_json:
         click.echo(report.to_json(summaries))
     else:
-        report.console().print(run_report.metrics_table(summaries))
+        units = run_report.shared_units(system.plant.units for system in systems.values())
+        report.console().print(run_report.metrics_table(summaries, units))
     tell_written(as_json, *pictures)
     diagnose(*runs.values())
 

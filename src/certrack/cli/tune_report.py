@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from certrack.cli import report
 from certrack.core.rounding import printed_bound
 from certrack.core.version import __version__
+from certrack.simulation.labels import labelled, metric_labels, unit_of_input, unit_of_output
 from certrack.tuning.measure import FOUND
 from certrack.tuning.result import tuned_numbers
 
@@ -24,16 +25,17 @@ PERIODS_FOR_COMFORT = 3.0
 
 def tuned_table(result: Tuned, units: Sequence[str] | None) -> Table:
     """Before and after, side by side."""
-    output = f" [{units[0]}]" if units and units[0] not in ("", "1") else ""
+    y, u, labels = unit_of_output(units), unit_of_input(units), metric_labels(units)
     peaks = result.before.peak_is, result.after.peak_is
+    peak_is = FOUND if FOUND in peaks else result.after.peak_is
     entries = [
-        (f"certified error{output}", "certified"),
-        (f"worst error found{output}", "worst_found"),
-        (f"tail error, simulated{output}", "tail_error"),
-        (f"peak input, {FOUND if FOUND in peaks else result.after.peak_is}", "peak_input"),
-        ("input energy", "energy"),
-        ("variation of input", "input_variation"),
-        ("gain from noise to input", "noise"),
+        (labelled("certified error", y), "certified"),
+        (labelled("worst error found", y), "worst_found"),
+        (labelled("tail error, simulated", y), "tail_error"),
+        (labelled(f"peak input, {peak_is}", u), "peak_input"),
+        (labels["input_energy"], "energy"),
+        (labels["input_variation"], "input_variation"),
+        (labelled("gain from noise to input", f"{u} per unit of the states" if u else ""), "noise"),
         ("longest stable period [s]", "period"),
     ]
     rows = [
