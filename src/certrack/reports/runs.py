@@ -1,35 +1,17 @@
-"""What the command line prints of runs and ensembles."""
+"""What is said of runs and ensembles."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Group
-from rich.table import Table
-
-from certrack.cli.report import BOUND_TEXT_DIGITS, console, table
 from certrack.core.rounding import printed_bound
+from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
 from certrack.simulation.labels import metric_labels, move_labels, unit_of_output, with_unit
 from certrack.simulation.moves import MOVE_LABELS
 
 if TYPE_CHECKING:
     from certrack.studies.ensembles.ensemble import Ensemble
-
-#: Letters that the labels of the metrics and the numbers of one run need in a table.
-LABEL_WIDTH, RUN_WIDTH = 28, 15
-
-
-def metrics_table(
-    summaries: Mapping[str, Mapping[str, Any]], units: Sequence[str] | None = None
-) -> Group:
-    """Metrics of one or several runs, one column each, below each other where there are many."""
-    labels = metric_labels(units)
-    names = list(summaries)
-    count = max(1, (console().width - LABEL_WIDTH) // RUN_WIDTH)
-    groups = (names[i : i + count] for i in range(0, len(names), count))
-    tables = (_metrics_table({name: summaries[name] for name in group}, labels) for group in groups)
-    return Group(*tables)
 
 
 def shared_units(units: Iterable[Sequence[str] | None]) -> Sequence[str] | None:
@@ -38,7 +20,11 @@ def shared_units(units: Iterable[Sequence[str] | None]) -> Sequence[str] | None:
     return first if all(other == first for other in others) else None
 
 
-def _metrics_table(summaries: Mapping[str, Mapping[str, Any]], labels: Mapping[str, str]) -> Table:
+def metrics_table(
+    summaries: Mapping[str, Mapping[str, Any]], units: Sequence[str] | None = None
+) -> Table:
+    """Metrics of one or several runs, a column each."""
+    labels = metric_labels(units)
     rows = [
         [label, *(summary[key] for summary in summaries.values())] for key, label in labels.items()
     ]
