@@ -220,14 +220,15 @@ class TestProgressLines:
 def test_an_interruption_while_the_command_line_is_loaded_is_one_line():
     program = (
         "import builtins, os, signal\n"
-        "from certrack.__main__ import main\n"
+        "from certrack.__main__ import launch\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "load = builtins.__import__\n"
         "def interrupted(name, *args, **kwargs):\n"
         "    if name == 'certrack.cli':\n"
         "        os.kill(os.getpid(), signal.SIGINT)\n"
         "    return load(name, *args, **kwargs)\n"
         "builtins.__import__ = interrupted\n"
-        "main()\n"
+        "launch()\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=120)
     assert (done.returncode, done.stdout) == (130, b"")

@@ -6,7 +6,7 @@ import sys
 from types import FrameType
 
 
-def main() -> None:
+def launch() -> None:
     """Load the command line and run it."""
     is_usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if is_usual:  # a shell may have told it to ignore interruptions
@@ -25,4 +25,4 @@ def _interrupted(_signal: int, _frame: FrameType | None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    launch()

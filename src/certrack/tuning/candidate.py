@@ -13,7 +13,7 @@ from certrack.laws.base import Law
 from certrack.systems.system import System
 from certrack.tuning.families import Family
 
-T = TypeVar("T")
+Computed = TypeVar("Computed")
 
 #: Step of the differences of problem data and of cheap quantities, in logarithms of gains.
 DIFFERENCE = 1e-5
@@ -35,11 +35,11 @@ class Candidate:
         self.family, self.base, self.v = family, base, np.array(v, dtype=float)
         self._known: dict[Any, Any] = {}
 
-    def once(self, key: Any, compute: Callable[[], T]) -> T:
+    def once(self, key: Any, compute: Callable[[], Computed]) -> Computed:
         """What `compute` gives, which is asked for a key once."""
         if key not in self._known:
             self._known[key] = compute()
-        known: T = self._known[key]
+        known: Computed = self._known[key]
         return known
 
     @cached_property

@@ -18,8 +18,8 @@ def certified(system: System) -> Certificate:
     too sharp for one proof of the whole box. The loop as implemented, of which the cells take
     minutes, is tried for the whole box only.
     """
-    found = certify(system, "fast")
-    if not has_ranges(system) or found.best.kind == KIND or found.contradicted:
-        return found.best
+    result = certify(system, "fast")
+    if not has_ranges(system) or result.best.kind == KIND or result.contradicted:
+        return result.best
     ranges = certify_ranges(system.long_run)
-    return smallest((ranges.best, found.best)) or found.best
+    return smallest((ranges.best, result.best)) or result.best

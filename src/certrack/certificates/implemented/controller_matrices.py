@@ -48,7 +48,7 @@ def controller_matrices(
     known = set(values)
 
     def slopes(rows: Sequence[sympy.Expr], by: Sequence[sympy.Symbol]) -> flint.arb_mat:
-        entries, names = _slopes(tuple(rows), tuple(by))
+        entries, names = _derivatives(tuple(rows), tuple(by))
         if names - known:
             raise NoCertificate("only loops that are linear are covered as implemented")
         balls = [enclosing_ball(entry, values) for entry in entries]
@@ -67,7 +67,7 @@ def controller_matrices(
 
 
 @remembered
-def _slopes(
+def _derivatives(
     rows: tuple[sympy.Expr, ...], by: tuple[sympy.Symbol, ...]
 ) -> tuple[tuple[sympy.Expr, ...], frozenset[sympy.Basic]]:
     """Derivatives of every row by every symbol, and what is left in them.
