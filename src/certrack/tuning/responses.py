@@ -82,11 +82,11 @@ class InputResponse:
         The largest of them has a kink where one becomes larger than another; each of them is
         mostly smooth.
         """
-        found = []
+        parts = []
         for u, spread in zip(self.u, self.spread, strict=True):
             for values in (spread + u, spread - u):
-                found += [values[:1], values[1:]] if u is self.u[0] else [values]
-        return [float(values.max()) for values in found if values.size]
+                parts += [values[:1], values[1:]] if u is self.u[0] else [values]
+        return [float(values.max()) for values in parts if values.size]
 
     @property
     def energy(self) -> float:
