@@ -21,10 +21,10 @@ from certrack.systems.writer import to_text
 def one_run(found: Findings) -> Section:
     """The response from the file's own start."""
     run = found.run
-    summary = run.summary()
-    tables = [metrics_table({"run": summary})]
+    summary, units = run.summary(), found.system.plant.units
+    tables = [metrics_table({"run": summary}, units)]
     if summary["moves"]:
-        tables.append(moves_table(summary["moves"]))
+        tables.append(moves_table(summary["moves"], units))
     drawing = overview({"": run}, "", certified={"": found.certificates})
     return Section(
         key="response",
