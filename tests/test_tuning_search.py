@@ -22,7 +22,7 @@ from certrack.certificates.ranges.certify import range_prover
 from certrack.certificates.semidefinite import SemidefiniteProgram
 from certrack.cli import console, progress_lines
 from certrack.cli.surroundings import TERMINATED_CODE, kept_at_termination
-from certrack.core.errors import Terminated
+from certrack.core.progress import Terminated
 from certrack.reports.runs import metrics_table, shared_units
 from certrack.simulation.metrics import METRIC_LABELS
 from certrack.tuning import tune as module

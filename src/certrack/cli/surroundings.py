@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import IO
 
-from certrack.core.errors import Terminated
+from certrack.core.progress import Terminated
 
 #: Exit code of a process that the signal has ended, as shells count it.
 TERMINATED_CODE = 128 + signal.SIGTERM

@@ -25,10 +25,6 @@ class Cancelled(CertrackError):
     """The user stopped a long call by its `progress`."""
 
 
-class Terminated(KeyboardInterrupt):
-    """The process is asked to end at once: what a search found is kept, and nothing measured."""
-
-
 class InputError(CertrackError, ValueError):
     """An argument or a system-file key does not meet its requirement.
 

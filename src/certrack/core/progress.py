@@ -34,6 +34,10 @@ def silent(done: float, total: float | None, best: float | None, /) -> None:
     """Report nothing."""
 
 
+class Terminated(KeyboardInterrupt):
+    """The process is asked to end at once: what a search found is kept, and nothing measured."""
+
+
 class Cancellable:
     """A `progress` by which another thread stops the call.
 

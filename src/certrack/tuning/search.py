@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import minimize, nnls
 
-from certrack.core.errors import Terminated
+from certrack.core.progress import Terminated
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.families import Family

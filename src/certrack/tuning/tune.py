@@ -96,7 +96,7 @@ def tune(
     progress : callable
         Gets the starts done, their number and the best objective so far. KeyboardInterrupt, and
         :class:`~certrack.core.errors.Cancelled`, end the search and keep the best; so does
-        :class:`~certrack.core.errors.Terminated`, after which nothing is measured either.
+        :class:`~certrack.core.progress.Terminated`, after which nothing is measured either.
 
     Returns
     -------
