@@ -22,7 +22,7 @@ from certrack.certificates.ranges.certify import range_prover
 from certrack.certificates.semidefinite import SemidefiniteProgram
 from certrack.cli import console, progress_lines
 from certrack.cli.surroundings import TERMINATED_CODE, kept_at_termination
-from certrack.core.progress import Terminated
+from certrack.core.progress import AT_ONCE
 from certrack.reports.runs import metrics_table, shared_units
 from certrack.simulation.metrics import METRIC_LABELS
 from certrack.tuning import tune as module
@@ -161,7 +161,7 @@ def test_an_ended_search_writes_at_once(monkeypatch):
 
     def end(done, total, best):
         if best is not None:
-            raise Terminated
+            raise KeyboardInterrupt(AT_ONCE)
 
     monkeypatch.setattr(module, "figures_of", measured)
     system = certrack.load("dual-motor-lean")
@@ -190,7 +190,7 @@ class TestTermination:
 
     def test_before_anything_is_found(self):
         with pytest.raises(SystemExit) as ended, kept_at_termination():
-            raise Terminated
+            raise KeyboardInterrupt(AT_ONCE)
         assert ended.value.code == TERMINATED_CODE
 
     def test_without_a_signal_nothing_ends(self):

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import IO
 
-from certrack.core.progress import Terminated
+from certrack.core.progress import AT_ONCE
 
 #: Exit code of a process that the signal has ended, as shells count it.
 TERMINATED_CODE = 128 + signal.SIGTERM
@@ -46,7 +46,7 @@ def ended_by_exception() -> Iterator[None]:
 
 @contextmanager
 def kept_at_termination() -> Iterator[None]:
-    """SIGTERM raises :class:`Terminated`, so that a search keeps its best; the code tells of it."""
+    """SIGTERM raises KeyboardInterrupt, so that a search keeps its best; the code tells of it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -55,12 +55,14 @@ def kept_at_termination() -> Iterator[None]:
     def keep(_signal: int, _frame: FrameType | None) -> None:
         nonlocal came
         came = True
-        raise Terminated
+        raise KeyboardInterrupt(AT_ONCE)
 
     before = signal.signal(signal.SIGTERM, keep)
     try:
         yield
-    except Terminated:
+    except KeyboardInterrupt as interruption:
+        if AT_ONCE not in interruption.args:
+            raise
         raise SystemExit(TERMINATED_CODE) from None
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -12,6 +12,10 @@ from typing import Protocol
 
 from certrack.core.errors import Cancelled
 
+#: Argument of a KeyboardInterrupt where the process is to end at once: what a search has is kept,
+#: and nothing is measured any more.
+AT_ONCE = "at once"
+
 
 class Progress(Protocol):
     """What is called while a long call works."""
@@ -32,10 +36,6 @@ class Progress(Protocol):
 
 def silent(done: float, total: float | None, best: float | None, /) -> None:
     """Report nothing."""
-
-
-class Terminated(KeyboardInterrupt):
-    """The process is asked to end at once: what a search found is kept, and nothing measured."""
 
 
 class Cancellable:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import minimize, nnls
 
-from certrack.core.progress import Terminated
+from certrack.core.progress import AT_ONCE
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.families import Family
@@ -56,7 +56,7 @@ class SearchState:
     def ended_by(self, signal: BaseException) -> None:
         """Note that the user ended it, and in which way."""
         self.stopped = True
-        self.hurried = self.hurried or isinstance(signal, Terminated)
+        self.hurried = self.hurried or AT_ONCE in signal.args
 
 
 class GainSearch:

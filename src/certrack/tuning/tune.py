@@ -95,8 +95,8 @@ def tune(
         Name of a limit to sweep: ``period``, ``peak-input``, ``energy``, ``noise`` or ``error``.
     progress : callable
         Gets the starts done, their number and the best objective so far. KeyboardInterrupt, and
-        :class:`~certrack.core.errors.Cancelled`, end the search and keep the best; so does
-        :class:`~certrack.core.progress.Terminated`, after which nothing is measured either.
+        :class:`~certrack.core.errors.Cancelled`, end the search and keep the best; with the
+        argument :data:`~certrack.core.progress.AT_ONCE` nothing is measured either.
 
     Returns
     -------
