@@ -14,6 +14,7 @@ import click
 from rich.console import Console
 from rich.table import Table as RichTable
 
+from certrack.cli.progress_lines import progress_lines
 from certrack.reports.tables import Table
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def print_table(content: Table, *, ruled: bool = False) -> None:
 
 
 #: Letters that the first column and one of the others need in a table of many columns.
-LABEL_WIDTH, COLUMN_WIDTH = 20, 15
+LABEL_WIDTH, COLUMN_WIDTH = 28, 15
 
 
 def print_wide_table(content: Table) -> None:
@@ -120,7 +121,7 @@ def console(*, error: bool = False) -> Console:
 
 @contextmanager
 def _bar(*fields: str) -> Iterator[Bar]:
-    """Progress bar on standard error with further columns; silent where nobody watches."""
+    """Progress bar on standard error with further columns."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -129,27 +130,38 @@ def _bar(*fields: str) -> Iterator[Bar]:
     )
     from rich.progress import Progress as Bar
 
-    log = console(error=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Bar(
         *columns,
         *map(TextColumn, fields),
         TimeRemainingColumn(),
-        console=log,
+        console=console(error=True),
         transient=True,
-        disable=not log.is_terminal,
     ) as bar:
         yield bar
 
 
 @contextmanager
-def progress(what: str, extreme: str = "worst") -> Iterator[Progress]:
-    """Progress bar; yields the `progress` of a long call that looks for an extreme."""
+def progress(what: str, extreme: str = "worst", then: str = "") -> Iterator[Progress]:
+    """Progress bar, or lines where there is no terminal; yields the `progress` of a long call.
+
+    Parameters
+    ----------
+    what, extreme : str
+        What is counted, and what the extreme is called that is looked for.
+    then : str
+        What goes on when all is counted.
+    """
+    if not console(error=True).is_terminal:
+        with progress_lines(what, extreme, then) as advance:
+            yield advance
+        return
     with _bar() as bar:
         task = bar.add_task(what, total=None)
 
         def advance(done: float, total: float | None, best: float | None, /) -> None:
             shown = what if best is None else f"{what}, {extreme} {best:.4g}"
+            shown += f", {then}" if then and total is not None and done >= total else ""
             done = done if total is None else min(done, total)
             bar.update(task, completed=done, total=total, description=shown)
 
@@ -159,6 +171,10 @@ def progress(what: str, extreme: str = "worst") -> Iterator[Progress]:
 @contextmanager
 def rate_progress(what: str) -> Iterator[Progress]:
     """Progress bar with rate and time left; yields the `progress` of a long call."""
+    if not console(error=True).is_terminal:
+        with progress_lines(what, "worst") as advance_line:
+            yield advance_line
+        return
     with _bar("{task.fields[rate]}") as bar:
         task = bar.add_task(what, total=None, rate="")
         start: tuple[float, float] | None = None

@@ -81,7 +81,7 @@ def certify(
     system = load(file)
     axes = _two_states(states, system.plant.states)
     keep_source(file, *filter(None, [out]))
-    with console.progress("Certifying") as advance:
+    with console.progress("Certifying, steps", "bound") as advance:
         result = certificates.certify(system, effort, advance)
     if out is not None and result.stages:
         certificates.save_certificate(system, result.stages, out)

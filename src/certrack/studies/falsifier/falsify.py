@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from certrack.certificates import Certificate
+from certrack.certificates.certify import EFFORTS
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.regional import is_regional
@@ -156,6 +157,7 @@ def falsify(
     *,
     budget: int = 6000,
     seed: int = 0,
+    effort: str = "default",
     progress: Progress = silent,
 ) -> Falsification:
     """Search the worst admissible case of `system`; its own run is always a candidate.
@@ -169,6 +171,8 @@ def falsify(
         Number of runs.
     seed : int
         Seed of the population.
+    effort : {"fast", "default", "high"}
+        Of the certificates that the worst case is held against, as of :func:`certrack.certify`.
     progress : callable
         Gets the runs so far, the budget and the worst error so far.
 
@@ -192,6 +196,7 @@ def falsify(
     require_system(system)
     checks.integer("budget", budget, 1, MAX_BUDGET)
     checks.integer("seed", seed, 0, 2**63 - 1)
+    checks.choice("effort", effort, EFFORTS)
     if system.truth.states:
         raise InputError(
             "truth.states",
@@ -200,13 +205,13 @@ def falsify(
         )
     progress(0, budget, None)
     system = system.long_run  # a soft start has vanished where the worst error is sought
-    methods = every_certificate(system)
+    methods = every_certificate(system, effort)
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
     left_out: dict[str, str] = {}
     drive = linear = None
     if system.implementation is not None:
         try:
-            drive = _of_drive(system, bounds)
+            drive = _of_drive(system, bounds, effort)
         except NothingTried as refusal:
             left_out["drive"] = str(refusal)
     system = system.replace(implementation=None)
@@ -275,10 +280,10 @@ def _worst_member(system: System, linear: LinearCase | None) -> System:
     return system.replace(truth=truth)
 
 
-def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification:
+def _of_drive(system: System, bounds: tuple[float, ...], effort: str) -> DriveFalsification:
     """The worst case of the loop as it is implemented, and its certificate."""
     case = sampled_case(system, bounds)
-    implemented, proofs = certify_implemented(system)
+    implemented, proofs = certify_implemented(system, effort=effort)
     certificate: Certificate = implemented
     broken = contradicted(premises_as_implemented(system, proofs) if proofs else premises(system))
     if broken and certificate.exists:
