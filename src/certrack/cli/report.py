@@ -11,11 +11,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress as Bar
+    from rich.table import Table
 
     from certrack.core.progress import Progress
 
@@ -46,6 +46,8 @@ def table(
     title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 5
 ) -> Table:
     """A table of text and numbers; neither a number nor a word of a usual length is broken."""
+    from rich.table import Table
+
     cells = [[_cell(value, digits) for value in row] for row in rows]
     room = console().width - 3 * len(columns) - 1
     heads = list(columns)
@@ -113,6 +115,8 @@ def print_lines(lines: Iterable[str]) -> None:
 
 def console(*, error: bool = False) -> Console:
     """Console on standard output or standard error."""
+    from rich.console import Console
+
     return Console(stderr=error, highlight=False, markup=False)
 
 
