@@ -316,7 +316,7 @@ def test_largest_magnitudes_hold_what_underflows():
     assert largest_magnitudes(a * b * c, box, 1)[0] >= 1e-100
     assert largest_magnitudes(sympy.exp(-x) * c, {x: (huge, huge), c: (huge, huge)}, 1)[0] > 0
     sizes = 10.0 ** np.arange(-6, 3)
-    pair = {name: (-sizes, 2 * sizes) for name in (x, y)}
+    pair = dict.fromkeys((x, y), (-sizes, 2 * sizes))
     formula = sympy.log(1 + x**2) * sympy.sin(x * y) - sympy.sqrt(1 + y**2) / 7
     found = largest_magnitudes(formula, pair, len(sizes))
     draws = np.random.default_rng(3).uniform(-1, 2, (2, 1000))[..., None] * sizes

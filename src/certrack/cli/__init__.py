@@ -36,7 +36,6 @@ from certrack.cli.tune import tune
 from certrack.core.blas import one_thread_from_now_on
 from certrack.core.errors import CertrackError, one_line
 
-
 #: New objects, after which Python looks for circles of dead ones: seldom, since most of what a verb
 #: loads lives as long as the process.
 NEW_OBJECTS = 50_000

@@ -63,7 +63,6 @@ def _replaced(
     with_coefficients: bool = False,
 ) -> list[sympy.Expr]:
     """The formulas with names for the largest subexpressions of the symbols inside."""
-
     free_of: dict[sympy.Basic, Set[sympy.Basic]] = {}
 
     def free_symbols(expr: sympy.Basic) -> Set[sympy.Basic]:
