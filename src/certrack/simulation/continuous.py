@@ -74,7 +74,9 @@ class ContinuousSimulator:
         self.loop: ClosedLoop = close_loop(system)
         self._switched, self._switches = switched_loop(self.loop)
         self._idle: dict[tuple[str, float], list[Integrator]] = {}
-        self._has_kinks = any(may_branch(rate, UNSEEN_KINKS) for rate in self._switched.rates)
+        rates = self._switched.rates
+        self._has_kinks = any(may_branch(rate, UNSEEN_KINKS) for rate in rates)
+        self._branches = any(may_branch(rate, BRANCHING_FUNCTIONS) for rate in rates)
         self._parameters = parameter_values(self.loop, system)
         loop = self._switched
         arguments, u = [TIME, loop.states, loop.parameters], loop.u
@@ -145,7 +147,7 @@ class ContinuousSimulator:
             return "implicit", [
                 f"The design is stiff (fastest error pole {fastest:.3g} /s): implicit method used."
             ]
-        if any(may_branch(rate, BRANCHING_FUNCTIONS) for rate in self._switched.rates):
+        if self._branches:
             return "scipy", [
                 "asin, acos, atan2, tan may have branch points unseen by Taylor steps: SciPy."
             ]
