@@ -41,9 +41,9 @@ from certrack.certificates.scaling import COUPLING, _not_slaved
 from certrack.certificates.semidefinite import Solution, best_solution
 from certrack.certificates.strength import _provable
 from certrack.certificates.tube import Tube
-from certrack.core.enclosures import largest_magnitudes
 from certrack.core.errors import InputError
 from certrack.core.expressions import parse, symbol
+from certrack.core.magnitudes import largest_magnitudes
 from certrack.laws.recursion import recursion
 
 # the conditions of a proof, on a loop of two states whose inequality is solved by hand

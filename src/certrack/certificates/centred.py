@@ -28,9 +28,10 @@ from certrack.certificates.exact import Proof, float_up, from_text, root_up
 from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.intervals import enclosure
 from certrack.certificates.problem import ErrorProblem
-from certrack.core.enclosures import WIDENING, largest_magnitudes
+from certrack.core.enclosures import WIDENING
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
+from certrack.core.magnitudes import largest_magnitudes
 from certrack.core.powers import put_in
 from certrack.systems.system import System
 

@@ -24,5 +24,5 @@ def may_branch(formula: sympy.Expr, functions: tuple[type[sympy.Expr], ...]) -> 
 def _stays_away(part: sympy.Expr) -> bool:
     if not isinstance(part, (sympy.asin, sympy.acos)):
         return False
-    number, rest = part.args[0].as_coeff_Mul()
-    return isinstance(rest, _WITHIN_ONE) and bool(abs(number) < 1)
+    number, wave = part.args[0].as_coeff_Mul()
+    return isinstance(wave, _WITHIN_ONE) and bool(abs(number) < 1)

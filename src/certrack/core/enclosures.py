@@ -26,7 +26,7 @@ from certrack.core.expressions import TIME
 WIDENING = 2.0**-50
 
 #: What the underflow of a product or a power loses, at most.
-UNDERFLOW = 2.0**-1070
+LOST_BY_UNDERFLOW = 2.0**-1070
 
 #: Values of symbols: the same on all intervals, or one on each, or a pair of bounds.
 Known = Mapping[sympy.Symbol, Any]
@@ -120,28 +120,6 @@ def enclose(
         )
 
 
-def largest_magnitudes(formula: sympy.Expr, box: Known, count: int) -> Array:
-    """Upper bounds of |formula| on many boxes.
-
-    Parameters
-    ----------
-    formula : sympy.Expr
-        Without t.
-    box : mapping
-        Bounds of every symbol: two arrays (count,).
-    count : int
-        Boxes.
-
-    Returns
-    -------
-    (count,) array
-        Infinite where nothing is known.
-    """
-    never = np.zeros(count)
-    found = enclose(formula, never, never, box, 1)
-    return np.maximum(np.abs(found.low[0]), np.abs(found.high[0]))
-
-
 def _of_bounds(low: Array, order: int, high: Array | None = None) -> IntervalArray:
     """A function whose value alone is known, as a constant."""
     high = low if high is None else high
@@ -184,7 +162,7 @@ def _times(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[Array, Array
 
 def _multiply(a: IntervalArray, b: IntervalArray) -> IntervalArray:
     low, high = _times((a.low[0], a.high[0]), (b.low[0], b.high[0]))
-    lost = UNDERFLOW * ((a.sizes[0] > 0) & (b.sizes[0] > 0))
+    lost = LOST_BY_UNDERFLOW * ((a.sizes[0] > 0) & (b.sizes[0] > 0))
     low, high = low - lost, high + lost
     one = _times((a.low[1], a.high[1]), (b.low[0], b.high[0]))
     two = _times((a.low[0], a.high[0]), (b.low[1], b.high[1]))
@@ -223,7 +201,7 @@ def _monotone(function: Callable[[Array], Array], x: IntervalArray) -> tuple[Arr
 
 def _exp(x: IntervalArray) -> IntervalArray:
     low, high = _monotone(np.exp, x)
-    high = high + UNDERFLOW
+    high = high + LOST_BY_UNDERFLOW
     value = _of_bounds(low, x.order, high)
     for k in range(1, x.order + 1):
         terms = np.array([j * x.sizes[j] * value.sizes[k - j] for j in range(1, k + 1)])
