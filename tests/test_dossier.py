@@ -18,9 +18,9 @@ from certrack.reports import guarantee as guarantee_module
 from certrack.reports import pages
 from certrack.reports.certificates import certificates_table
 from certrack.reports.dossier import dossier_of
-from certrack.reports.findings import OPTIONAL, findings
+from certrack.reports.evidence import OPTIONAL, evidence_of
 from certrack.reports.formula_pictures import broken, formula_svgs
-from certrack.reports.guarantee import guarantee
+from certrack.reports.guarantee import guarantee_section
 from certrack.reports.pages import to_html, to_latex, to_markdown
 
 CASES = Path(__file__).parent / "data" / "cases"
@@ -54,7 +54,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def found():
-    return findings(
+    return evidence_of(
         certrack.load("dual-motor-drive"), "drive.toml", effort="fast", without=OPTIONAL
     )
 
@@ -85,7 +85,9 @@ def test_numbers_are_those_of_the_command_line(found, page, monkeypatch):
 
 
 def test_the_budget_of_the_error_adds_up(found):
-    (budget,) = [t for t in guarantee(found).tables if t.columns == ("cause", "adds", "of it")]
+    (budget,) = [
+        t for t in guarantee_section(found).tables if t.columns == ("cause", "adds", "of it")
+    ]
     total = sum(float(row[1]) for row in budget.rows)
     assert total == pytest.approx(found.certificates.implemented.bound, rel=5e-3)
     assert [row[0] for row in budget.rows[:2]] == ["reference", "sensors"]
@@ -113,13 +115,13 @@ def test_attachments_are_in_the_page(page):
 
 def test_a_long_certificate_is_named_by_its_digest(found, monkeypatch):
     monkeypatch.setattr(guarantee_module, "LONGEST_ATTACHMENT", 10)
-    (file,) = guarantee(found).attachments
+    (file,) = guarantee_section(found).attachments
     assert file.content == "" and len(file.sha256) == 64
     assert "too long to be carried" in to_html(dossier_of(found))
 
 
 def test_two_are_the_same_bytes(found, page):
-    again = findings(found.system, "drive.toml", effort="fast", without=OPTIONAL)
+    again = evidence_of(found.system, "drive.toml", effort="fast", without=OPTIONAL)
     assert to_html(dossier_of(again)) == page
 
 
@@ -183,7 +185,7 @@ def test_a_contradicted_premise_is_at_the_top(tmp_path):
     ],
 )
 def test_what_cannot_be_written_is_refused_at_once(tmp_path, monkeypatch, name, message):
-    monkeypatch.setattr("certrack.reports.dossier.findings", None)  # nothing may be computed
+    monkeypatch.setattr("certrack.reports.dossier.evidence_of", None)  # nothing may be computed
     with pytest.raises(certrack.InputError, match=re.escape(message)):
         CliRunner().invoke(
             cli,

@@ -79,7 +79,7 @@ def report(
     keep_source(file, out)
     note_engine()
     with console.progress("Reporting, parts") as advance:
-        made = dossier(
+        result = dossier(
             system,
             file,
             effort=effort,
@@ -89,12 +89,12 @@ def report(
             without=without,
             progress=advance,
         )
-    save_dossier(made, out)
+    save_dossier(result, out)
     if as_json:
-        click.echo(console.to_json({"file": str(out), "summary": made.summary}))
+        click.echo(console.to_json({"file": str(out), "summary": result.summary}))
     else:
-        click.echo(f"{made.title}")
-        console.print_lines(made.summary)
+        click.echo(f"{result.title}")
+        console.print_lines(result.summary)
     tell_written(as_json, out)
-    if not made.sound:
+    if not result.sound:
         raise click.exceptions.Exit(1)

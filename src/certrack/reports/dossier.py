@@ -6,12 +6,18 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from certrack.core.progress import Progress, silent
-from certrack.reports.findings import Findings, findings
-from certrack.reports.guarantee import guarantee, premises, summary
-from certrack.reports.identity import identity
-from certrack.reports.of_runs import drive, falsification, many_runs, one_run, tried_margins
-from certrack.reports.of_system import law, plant
+from certrack.reports.evidence import DesignEvidence, evidence_of
+from certrack.reports.file_section import file_section
+from certrack.reports.guarantee import guarantee_section, premises_section, summary
+from certrack.reports.run_sections import (
+    drive_section,
+    ensemble_section,
+    falsification_section,
+    margins_section,
+    response_section,
+)
 from certrack.reports.sections import Section
+from certrack.reports.system_sections import law_section, plant_section
 from certrack.systems.system import System, require_system
 
 
@@ -39,9 +45,9 @@ class Dossier:
 
 
 #: The sections, in their order; what is None for a design has none.
-SECTIONS = (
-    *(plant, law, premises, guarantee, one_run),
-    *(falsification, many_runs, tried_margins, drive, identity),
+IN_ORDER = (
+    *(plant_section, law_section, premises_section, guarantee_section, response_section),
+    *(falsification_section, ensemble_section, margins_section, drive_section, file_section),
 )
 
 
@@ -91,12 +97,12 @@ def dossier(
     --------
     >>> import certrack
     >>> system = certrack.load("dual-motor-lean")
-    >>> made = certrack.dossier(system, without=["falsification", "ensemble", "margins"])
-    >>> made.summary[0]
+    >>> result = certrack.dossier(system, without=["falsification", "ensemble", "margins"])
+    >>> result.summary[0]
     'limsup |e_1| <= 0.0012874, verified exactly (peak)'
     """
     require_system(system)
-    found = findings(
+    evidence = evidence_of(
         system,
         file,
         effort=effort,
@@ -106,16 +112,16 @@ def dossier(
         without=without,
         progress=progress,
     )
-    return dossier_of(found)
+    return dossier_of(evidence)
 
 
-def dossier_of(found: Findings) -> Dossier:
+def dossier_of(evidence: DesignEvidence) -> Dossier:
     """The dossier of what was found."""
-    made = (section(found) for section in SECTIONS)
+    sections = (section(evidence) for section in IN_ORDER)
     return Dossier(
-        title=found.system.title or found.file,
-        summary=tuple(summary(found)),
-        sections=tuple(section for section in made if section is not None),
-        verified=found.certificates.verified,
-        sound=not found.certificates.contradicted,
+        title=evidence.system.title or evidence.file,
+        summary=tuple(summary(evidence)),
+        sections=tuple(section for section in sections if section is not None),
+        verified=evidence.certificates.verified,
+        sound=not evidence.certificates.contradicted,
     )

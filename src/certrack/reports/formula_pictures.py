@@ -11,10 +11,10 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.mathtext import MathTextParser
 
 #: Size of the letters, in points.
-LETTER_SIZE = 12.0
+FORMULA_SIZE = 12.0
 
 #: Points of an inch.
-POINTS = 72
+POINTS_PER_INCH = 72
 
 #: A line is broken before a sign where it would get wider, in points: that of a printed page.
 WIDEST_LINE = 460.0
@@ -63,8 +63,10 @@ def _terms(latex: str) -> list[str]:
 def _extent(line: str) -> tuple[float, float, float]:
     """Width, height and depth of a line, in points."""
     with matplotlib.rc_context(OUTLINES):
-        letters = FontProperties(size=LETTER_SIZE)
-        width, height, depth, *_ = MathTextParser("path").parse(f"${line}$", POINTS, letters)
+        letters = FontProperties(size=FORMULA_SIZE)
+        width, height, depth, *_ = MathTextParser("path").parse(
+            f"${line}$", POINTS_PER_INCH, letters
+        )
     return width, height, depth
 
 
@@ -72,7 +74,7 @@ def _svg(line: str) -> str:
     width, height, depth = _extent(line)
     buffer = io.BytesIO()
     with matplotlib.rc_context(OUTLINES):
-        drawing = Figure((width / POINTS, height / POINTS))
-        drawing.text(0, depth / height, f"${line}$", size=LETTER_SIZE)
+        drawing = Figure((width / POINTS_PER_INCH, height / POINTS_PER_INCH))
+        drawing.text(0, depth / height, f"${line}$", size=FORMULA_SIZE)
         drawing.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     return buffer.getvalue().decode()

@@ -11,7 +11,7 @@ from certrack.plotting.shared import as_svg
 from certrack.plotting.starts import starts_figure
 from certrack.plotting.tubes import tube_figure
 from certrack.reports.certificates import certificates_notes, certificates_table
-from certrack.reports.findings import Findings
+from certrack.reports.evidence import DesignEvidence
 from certrack.reports.premises import premise_rows
 from certrack.reports.ranges import costs_table, strength_line
 from certrack.reports.sections import Attachment, Picture, Section
@@ -21,28 +21,28 @@ from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
 LONGEST_ATTACHMENT = 700_000
 
 #: A cause that adds less than this part of the bound is not listed.
-LEAST_SHARE = 0.001
+LEAST_LISTED = 0.001
 
 
-def summary(found: Findings) -> list[str]:
+def summary(evidence: DesignEvidence) -> list[str]:
     """The guarantee, and what was found beside it, in a few sentences."""
-    results = found.certificates
-    lines = [_guaranteed(found)]
+    results = evidence.certificates
+    lines = [_guaranteed(evidence)]
     broken = [premise.name for premise in results.contradicted]
     if broken:
         lines.append(f"premises contradicted by the file's own truth: {', '.join(broken)}")
-    lines.append(f"tail error of the simulated run: {found.run.metrics.tail_error:.5g}")
-    if found.falsification is not None:
-        worst = found.falsification.worst_error
+    lines.append(f"tail error of the simulated run: {evidence.run.metrics.tail_error:.5g}")
+    if evidence.falsification is not None:
+        worst = evidence.falsification.worst_error
         lines.append(f"worst admissible case found, of the continuous law: {worst:.5g}")
-    if found.ensemble is not None:
-        error, _ = found.ensemble.statistics.worst[0]
-        lines.append(f"largest tail error of {found.ensemble.members} members: {error:.5g}")
+    if evidence.ensemble is not None:
+        error, _ = evidence.ensemble.statistics.worst[0]
+        lines.append(f"largest tail error of {evidence.ensemble.members} members: {error:.5g}")
     return lines
 
 
-def _guaranteed(found: Findings) -> str:
-    results = found.certificates
+def _guaranteed(evidence: DesignEvidence) -> str:
+    results = evidence.certificates
     best = results.best
     if results.contradicted:
         return "nothing is verified for this file: its own truth contradicts a premise"
@@ -54,9 +54,9 @@ def _guaranteed(found: Findings) -> str:
     return f"limsup |e_1| <= {bound}, {checked} ({best.kind}{loop})"
 
 
-def premises(found: Findings) -> Section:
+def premises_section(evidence: DesignEvidence) -> Section:
     """Every premise with its status."""
-    rows = premise_rows(found.certificates.premises)
+    rows = premise_rows(evidence.certificates.premises)
     return Section(
         key="premises",
         title="Premises",
@@ -68,31 +68,31 @@ def premises(found: Findings) -> Section:
     )
 
 
-def guarantee(found: Findings) -> Section:
+def guarantee_section(evidence: DesignEvidence) -> Section:
     """All certificates, the budget of the error, and how to check the best."""
-    results = found.certificates
+    results = evidence.certificates
     tables = [certificates_table(results)]
     if results.constants:
         tables.append(costs_table(results))
-    if (shares := _shares(found)) is not None:
+    if (shares := _shares(evidence)) is not None:
         tables.append(shares)
-    certificate = _certificate(found)
+    certificate = _certificate(evidence)
     return Section(
         key="guarantee",
         title="Guarantee",
-        lines=(*certificates_notes(results), *strength_line(results), *_how_to_check(found)),
+        lines=(*certificates_notes(results), *strength_line(results), *_how_to_check(evidence)),
         tables=tuple(tables),
-        pictures=tuple(_pictures(found)),
+        pictures=tuple(_pictures(evidence)),
         attachments=() if certificate is None else (certificate,),
     )
 
 
-def _shares(found: Findings) -> Table | None:
+def _shares(evidence: DesignEvidence) -> Table | None:
     """What each cause adds to the bound, the largest first."""
-    best, estimate = found.certificates.best, found.estimate
+    best, estimate = evidence.certificates.best, evidence.estimate
     title = "where the bound comes from: what to improve next"
-    if best is found.certificates.implemented:
-        shares = found.certificates.implemented.parts
+    if best is evidence.certificates.implemented:
+        shares = evidence.certificates.implemented.parts
     elif estimate is not None and estimate.method == best.kind:
         shares, title = estimate.shares, f"{title} (as far as floats tell)"
     else:
@@ -101,36 +101,36 @@ def _shares(found: Findings) -> Table | None:
     rows = [
         [cause, rounded_up(part, 3), f"{100 * part / total:.0f} %"]
         for cause, part in sorted(shares.items(), key=lambda entry: -entry[1])
-        if part >= LEAST_SHARE * total
+        if part >= LEAST_LISTED * total
     ]
     return table(title, ["cause", "adds", "of it"], rows, digits=3) if rows else None
 
 
-def _certificate(found: Findings) -> Attachment | None:
-    stages = found.certificates.stages
+def _certificate(evidence: DesignEvidence) -> Attachment | None:
+    stages = evidence.certificates.stages
     if not stages:
         return None
-    text = json.dumps(to_document(found.system, *stages), indent=1) + "\n"
+    text = json.dumps(to_document(evidence.system, *stages), indent=1) + "\n"
     digest = hashlib.sha256(text.encode()).hexdigest()
     content = text if len(text) <= LONGEST_ATTACHMENT else ""
     return Attachment("certificate.json", "application/json", content, digest)
 
 
-def _how_to_check(found: Findings) -> list[str]:
-    if not found.certificates.stages:
+def _how_to_check(evidence: DesignEvidence) -> list[str]:
+    if not evidence.certificates.stages:
         return []
     return [
-        f"To check it without a solver: certrack certify {found.file} --out certificate.json, then "
-        "certrack verify certificate.json. The format is described well enough that anyone can "
-        "write another checker."
+        f"To check it without a solver: certrack certify {evidence.file} --out certificate.json, "
+        "then certrack verify certificate.json. The format is described, so that anyone can write "
+        "another checker."
     ]
 
 
-def _pictures(found: Findings) -> list[Picture]:
-    results, system = found.certificates, found.system
+def _pictures(evidence: DesignEvidence) -> list[Picture]:
+    results, system = evidence.certificates, evidence.system
     pictures = []
     if results.tube is not None:
-        drawing = tube_figure(found.run, results.tube, "", results.best)
+        drawing = tube_figure(evidence.run, results.tube, "", results.best)
         pictures.append(Picture("tube", "Tracking error in the certified tube", as_svg(drawing)))
     if results.implemented.polytope is not None and system.plant.n > 1:
         drawing = starts_figure(results.implemented, None, "", system.plant.units)

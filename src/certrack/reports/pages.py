@@ -68,8 +68,8 @@ def save_dossier(dossier: Dossier, path: str | os.PathLike[str]) -> None:
     --------
     >>> import certrack
     >>> system = certrack.load("dual-motor-lean")
-    >>> made = certrack.dossier(system, without=["falsification", "ensemble", "margins"])
-    >>> certrack.save_dossier(made, "report.md")
+    >>> dossier = certrack.dossier(system, without=["falsification", "ensemble", "margins"])
+    >>> certrack.save_dossier(dossier, "report.md")
     """
     require_writable(path)
     ending = Path(path).suffix.lower()
@@ -158,19 +158,19 @@ def _environment() -> jinja2.Environment:
         import jinja2
     except ImportError:
         raise MissingExtra("Jinja2", "report", "a dossier as a page") from None
-    made = jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("certrack.reports"),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    made.filters |= {
+    environment.filters |= {
         "data_url": _data_url,
         "formula": _formula_urls,
         "numbers": _columns_of_numbers,
     }
-    return made
+    return environment
 
 
 def _data_url(content: str, kind: str) -> str:

@@ -25,7 +25,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Formula:
+class ShownFormula:
     """A formula.
 
     Attributes
@@ -68,7 +68,7 @@ class Section:
     title : str
     lines : texts
         A paragraph each.
-    formulas : sequence of Formula
+    formulas : sequence of ShownFormula
     tables : sequence of Table
     pictures : sequence of Picture
     attachments : sequence of Attachment
@@ -79,7 +79,7 @@ class Section:
     key: str
     title: str
     lines: tuple[str, ...] = ()
-    formulas: tuple[Formula, ...] = ()
+    formulas: tuple[ShownFormula, ...] = ()
     tables: tuple[Table, ...] = ()
     pictures: tuple[Picture, ...] = ()
     attachments: tuple[Attachment, ...] = ()

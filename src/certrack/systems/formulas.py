@@ -56,7 +56,7 @@ def _plant_sides(system: System, show: Callable[[sympy.Expr], str]) -> Sides:
     sides = []
     for i, (g, row) in enumerate(zip(plant.chain, plant.linear, strict=True)):
         rate = g.expr * x[i + 1] + dot([b.expr for b in row], x[: i + 1]) + tau[i] * w[i]
-        sides.append((_dotted(show, x[i]), show(_short(rate))))
+        sides.append((_dotted(show, x[i]), show(_with_few_digits(rate))))
     known = plant.theta
     theta = (
         [symbol(f"theta_{k + 1}") for k in range(plant.r)]
@@ -65,11 +65,11 @@ def _plant_sides(system: System, show: Callable[[sympy.Expr], str]) -> Sides:
     )
     gain = symbol(f"g_{plant.n}") if plant.input_gain is None else plant.input_gain.expr
     rate = plant.drift.expr + dot([f.expr for f in plant.regressor], theta) + tau[-1] * w[-1]
-    sides.append((_dotted(show, x[-1]), show(_short(rate + gain * symbol("u")))))
+    sides.append((_dotted(show, x[-1]), show(_with_few_digits(rate + gain * symbol("u")))))
     return sides
 
 
-def _short(expr: sympy.Expr) -> sympy.Expr:
+def _with_few_digits(expr: sympy.Expr) -> sympy.Expr:
     """Numbers, and constants by their values, with the digits that are printed."""
     rationals = {r for r in expr.atoms(sympy.Rational) if not r.is_Integer}
     return _rounded(expr.xreplace({r: sympy.Float(r, PRINTED_DIGITS) for r in rationals}))

@@ -9,8 +9,8 @@ from certrack.plotting.ensembles import ensemble_figures
 from certrack.plotting.margins import drift_figure, margin_figure
 from certrack.plotting.overviews import overview
 from certrack.plotting.shared import as_svg
+from certrack.reports.evidence import DesignEvidence
 from certrack.reports.falsification import drive_lines, falsification_summary, falsification_table
-from certrack.reports.findings import Findings
 from certrack.reports.margins import drift_notes, drift_table, margin_notes, margin_table
 from certrack.reports.runs import ensemble_notes, ensemble_table, metrics_table, moves_table
 from certrack.reports.sections import Picture, Section
@@ -18,19 +18,19 @@ from certrack.reports.tables import table
 from certrack.systems.writer import to_text
 
 
-def one_run(found: Findings) -> Section:
+def response_section(evidence: DesignEvidence) -> Section:
     """The response from the file's own start."""
-    run = found.run
+    run = evidence.run
     summary = run.summary()
     tables = [metrics_table({"run": summary})]
     if summary["moves"]:
         tables.append(moves_table(summary["moves"]))
-    drawing = overview({"": run}, "", certified={"": found.certificates})
+    drawing = overview({"": run}, "", certified={"": evidence.certificates})
     return Section(
         key="response",
         title="Response",
         lines=(
-            f"Simulated for {found.system.settings.duration:g} s with the truth that the file "
+            f"Simulated for {evidence.system.settings.duration:g} s with the truth that the file "
             "states; this proves nothing.",
             *run.notes,
         ),
@@ -39,12 +39,12 @@ def one_run(found: Findings) -> Section:
     )
 
 
-def falsification(found: Findings) -> Section | None:
+def falsification_section(evidence: DesignEvidence) -> Section | None:
     """The worst admissible case that was found."""
     key, title = "falsification", "Worst case found"
-    if found.falsification is None:
-        return _refused(found, key, title)
-    values = falsification_summary(found.falsification)
+    if evidence.falsification is None:
+        return _refused(evidence, key, title)
+    values = falsification_summary(evidence.falsification)
     lines = [
         f"worst |e_1| found in {values['runs']} runs of the continuous law: "
         f"{values['worst_error']:.6g}; certified: {printed_bound(values['certified'])}"
@@ -54,36 +54,36 @@ def falsification(found: Findings) -> Section | None:
     if values["drive"] is not None:
         lines += drive_lines(values["drive"])
     lines += [f"not tried: {what}: {why}" for what, why in values["left_out"].items()]
-    lines.append(f"To repeat it: certrack falsify {found.file} --out worst.toml")
+    lines.append(f"To repeat it: certrack falsify {evidence.file} --out worst.toml")
     return Section(key, title, tuple(lines), tables=(falsification_table(values["certificates"]),))
 
 
-def many_runs(found: Findings) -> Section | None:
+def ensemble_section(evidence: DesignEvidence) -> Section | None:
     """Quantiles over the file's population, and fan charts."""
     key, title = "ensemble", "Ensemble"
-    if found.ensemble is None:
-        return _refused(found, key, title)
+    if evidence.ensemble is None:
+        return _refused(evidence, key, title)
     pictures = [
         Picture(f"ensemble-{name}", f"Ensemble: {name.replace('-', ' ')}", as_svg(drawing))
-        for name, drawing in ensemble_figures(found.ensemble).items()
+        for name, drawing in ensemble_figures(evidence.ensemble).items()
     ]
-    head = f"{found.ensemble.members} members, seed {found.ensemble.seed}"
+    head = f"{evidence.ensemble.members} members, seed {evidence.ensemble.seed}"
     return Section(
         key=key,
         title=title,
-        lines=(head, *(line.strip() for line in ensemble_notes(found.ensemble, found.file))),
-        tables=(ensemble_table(found.ensemble),),
+        lines=(head, *(line.strip() for line in ensemble_notes(evidence.ensemble, evidence.file))),
+        tables=(ensemble_table(evidence.ensemble),),
         pictures=tuple(pictures),
     )
 
 
-def tried_margins(found: Findings) -> Section | None:
+def margins_section(evidence: DesignEvidence) -> Section | None:
     """How far period, delay, saturation and constants may go."""
     key, title = "margins", "Margins of the implementation"
-    margins = found.margins
+    margins = evidence.margins
     if margins is None:
-        return _refused(found, key, title)
-    units = found.system.plant.units
+        return _refused(evidence, key, title)
+    units = evidence.system.plant.units
     tables, lines = [margin_table(margins, units)], margin_notes(margins)
     pictures = [
         Picture(
@@ -99,27 +99,27 @@ def tried_margins(found: Findings) -> Section | None:
     return Section(key, title, tuple(lines), tables=tuple(tables), pictures=tuple(pictures))
 
 
-def drive(found: Findings) -> Section | None:
+def drive_section(evidence: DesignEvidence) -> Section | None:
     """The drive, and the size of the controller in C."""
-    if found.system.implementation is None:
+    if evidence.system.implementation is None:
         return None
-    entries = tomllib.loads(to_text(found.system))["implementation"]
+    entries = tomllib.loads(to_text(evidence.system))["implementation"]
     rows = [[key, value] for key, value in entries.items()]
     lines = []
-    if found.code is not None:
-        states = len(found.code.members)
-        size = len(found.code.header) + len(found.code.source)
+    if evidence.code is not None:
+        states = len(evidence.code.members)
+        size = len(evidence.code.header) + len(evidence.code.source)
         lines.append(
             f"The controller in C: {size} characters of C90 in one header and one source, "
             f"{states} real numbers of state, no memory taken while it runs."
         )
-        lines.append(f"To write it with its acceptance test: certrack export c {found.file}")
+        lines.append(f"To write it with its acceptance test: certrack export c {evidence.file}")
     return Section(
         "drive", "Drive", tuple(lines), tables=(table("implementation", ["key", "value"], rows),)
     )
 
 
-def _refused(found: Findings, key: str, title: str) -> Section | None:
+def _refused(evidence: DesignEvidence, key: str, title: str) -> Section | None:
     """A section that says why there is nothing; None where it was left out."""
-    reason = found.refusals.get(key)
+    reason = evidence.refusals.get(key)
     return None if reason is None else Section(key, title, (f"not computed: {reason}",))

@@ -7,7 +7,7 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 
 from certrack.core.version import __version__
-from certrack.reports.findings import Findings
+from certrack.reports.evidence import DesignEvidence
 from certrack.reports.sections import Attachment, Section
 from certrack.reports.tables import table
 from certrack.systems.writer import to_text
@@ -16,9 +16,9 @@ from certrack.systems.writer import to_text
 PACKAGES = ("numpy", "scipy", "sympy", "python-flint", "heyoka", "mpmath", "matplotlib")
 
 
-def identity(found: Findings) -> Section:
+def file_section(evidence: DesignEvidence) -> Section:
     """The system file as it was read, and what computed the dossier."""
-    text = to_text(found.system)
+    text = to_text(evidence.system)
     digest = hashlib.sha256(text.encode()).hexdigest()
     rows = [["certrack", __version__], ["Python", platform.python_version()]]
     rows += [[name, _installed(name)] for name in PACKAGES]

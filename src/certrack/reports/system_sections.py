@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from certrack.reports.findings import Findings
-from certrack.reports.sections import Formula, Section
+from certrack.reports.evidence import DesignEvidence
+from certrack.reports.sections import Section, ShownFormula
 from certrack.reports.tables import Table, short_number, table
 from certrack.systems.formulas import plant_as_latex, plant_as_text
 from certrack.systems.system import System
 
 
-def plant(found: Findings) -> Section:
+def plant_section(evidence: DesignEvidence) -> Section:
     """The plant's equations, and what is uncertain in them."""
-    system = found.system
-    formulas = map(Formula, plant_as_latex(system), plant_as_text(system))
+    system = evidence.system
+    formulas = map(ShownFormula, plant_as_latex(system), plant_as_text(system))
     tables = [_states(system), _uncertain_terms(system), _constants(system)]
     return Section(
         key="plant",
@@ -71,9 +71,9 @@ def _interval(ends: tuple[Any, Any] | None) -> str:
     return "-" if ends is None else f"[{ends[0]}, {ends[1]}]"
 
 
-def law(found: Findings) -> Section:
+def law_section(evidence: DesignEvidence) -> Section:
     """The control law as formulas, and its gains."""
-    design = found.system.design()
+    design = evidence.system.design()
     latex = [
         line.strip().removesuffix(r"\\").replace("&=", "=")
         for line in design.latex.splitlines()[1:-1]
@@ -83,9 +83,9 @@ def law(found: Findings) -> Section:
         key="law",
         title="Law",
         lines=(
-            f"Kind {found.system.law.kind}, with feed-forward of the derivatives of y_d up to "
+            f"Kind {evidence.system.law.kind}, with feed-forward of the derivatives of y_d up to "
             f"order {design.coordinates.q}.",
         ),
-        formulas=tuple(map(Formula, latex, design.formulas)),
+        formulas=tuple(map(ShownFormula, latex, design.formulas)),
         code="\n".join(ends).strip(),
     )

@@ -18,17 +18,17 @@ from certrack.studies.falsifier.falsify import Falsification, falsify
 from certrack.studies.margins import Margins, margins
 from certrack.systems.system import System
 
-Result = TypeVar("Result")
+Computed = TypeVar("Computed")
 
 #: Parts that may be left out, since they take time.
 OPTIONAL = ("falsification", "ensemble", "margins")
 
 #: Most members, and runs of the falsifier, that are taken.
-MOST = 10**9
+MAX_RUNS = 10**9
 
 
 @dataclass(frozen=True)
-class Findings:
+class DesignEvidence:
     """What was found of a design.
 
     Attributes
@@ -62,7 +62,7 @@ class Findings:
     refusals: Mapping[str, str]
 
 
-def findings(
+def evidence_of(
     system: System,
     file: str = "FILE.toml",
     *,
@@ -72,15 +72,15 @@ def findings(
     seed: int = 0,
     without: Collection[str] = (),
     progress: Progress = silent,
-) -> Findings:
+) -> DesignEvidence:
     """Compute all parts, in the order of the dossier; parameters as of :func:`dossier`."""
     for name in without:
         checks.choice("without", name, OPTIONAL)
-    checks.integer("members", members, 1, MOST)
+    checks.integer("members", members, 1, MAX_RUNS)
     refusals: dict[str, str] = {}
     done = 0.0
 
-    def part(name: str, compute: Callable[[], Result], needed: bool = True) -> Result | None:
+    def part(name: str, compute: Callable[[], Computed], needed: bool = True) -> Computed | None:
         """What was computed; None where it is left out or refused, which is noted."""
         nonlocal done
         progress(done, 7, None)
@@ -96,7 +96,7 @@ def findings(
     progress(done, 7, None)
     certificates = certify(system, effort)
     run = simulate(system)
-    made = Findings(
+    evidence = DesignEvidence(
         system=system,
         file=file,
         certificates=certificates,
@@ -109,4 +109,4 @@ def findings(
         refusals=refusals,
     )
     progress(7, 7, None)
-    return made
+    return evidence
