@@ -11,16 +11,15 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.table import Table as RichTable
 
 from certrack.cli.progress_lines import progress_lines
-from certrack.reports.tables import Table
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress as Bar
 
     from certrack.core.progress import Progress
+    from certrack.reports.tables import Table
 
 
 def to_json(values: Any) -> str:
@@ -50,6 +49,8 @@ def print_table(content: Table, *, ruled: bool = False) -> None:
 
     `ruled`: with lines between its rows.
     """
+    from rich.table import Table as RichTable
+
     heads = list(content.columns)
     room = console().width - 3 * len(heads) - 1
     columns = list(zip(heads, *content.rows, strict=True))
@@ -81,6 +82,8 @@ LABEL_WIDTH, COLUMN_WIDTH = 28, 15
 
 def print_wide_table(content: Table) -> None:
     """Print a table of a column for each of many things, in parts below each other."""
+    from certrack.reports.tables import Table
+
     count = max(1, (console().width - LABEL_WIDTH) // COLUMN_WIDTH)
     for i in range(1, len(content.columns), count):
         part = slice(i, i + count)
@@ -116,6 +119,8 @@ def print_lines(lines: Iterable[str]) -> None:
 
 def console(*, error: bool = False) -> Console:
     """Console on standard output or standard error."""
+    from rich.console import Console
+
     return Console(stderr=error, highlight=False, markup=False)
 
 

@@ -80,7 +80,9 @@ def evidence_of(
     refusals: dict[str, str] = {}
     done = 0.0
 
-    def part(name: str, compute: Callable[[], PartResult], needed: bool = True) -> PartResult | None:
+    def part(
+        name: str, compute: Callable[[], PartResult], needed: bool = True
+    ) -> PartResult | None:
         """What was computed; None where it is left out or refused, which is noted."""
         nonlocal done
         progress(done, 7, None)
