@@ -1,0 +1,227 @@
+"""A closed loop whose disturbances and reference are controls, held in short steps.
+
+    w_k = s_k bound_k(x), |s_k| <= 1       y_d^(m) held on pieces, m = q + 1
+
+The states are those of plant and controller, then y_d ... y_d^(m-1); parameters are g_n and the
+theta_i with ranges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import sympy
+
+from certrack.core.arrays import Array
+from certrack.core.expressions import symbol
+from certrack.integrators.controlled import ControlledFlow, ControlledRuns
+from certrack.loops.continuous import close_loop, driven_loop, parameter_values
+from certrack.studies.falsifier.adversary import ADVERSARY_PREFIX
+from certrack.studies.falsifier.draft import SystemDraft
+from certrack.studies.falsifier.loop import slowest_time_constant
+from certrack.systems.system import System
+
+#: Length of the run, in time constants of the slowest mode: e^-10 is left of the start.
+RUN_TIME_CONSTANTS = 10.0
+
+#: A step over the fastest time constant of the error, and steps at most.
+STEP_PART, MOST_STEPS = 0.15, 4000
+
+#: Pieces of the reference: each lasts so much of the time from it to the end, but some steps.
+PIECE_PART, LEAST_PIECE = 0.06, 2
+
+#: ||x|| in a disturbance is sqrt(x.x + offset^2) - offset.
+NORM_OFFSET = 2.0**-14
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What N members are given.
+
+    Attributes
+    ----------
+    shares : (K, C, N) array
+        s_k of every step, within -1 and 1.
+    begin : (m, N) array
+        y_d ... y_d^(m-1) at the beginning.
+    pieces : (pieces, N) array
+        y_d^(m).
+    truths : (P, N) array
+        g_n and theta, where they have ranges.
+    """
+
+    shares: Array
+    begin: Array
+    pieces: Array
+    truths: Array
+
+    @property
+    def count(self) -> int:
+        """Members."""
+        return self.begin.shape[1]
+
+    def parts(self) -> tuple[Array, Array, Array, Array]:
+        """All of them."""
+        return self.shares, self.begin, self.pieces, self.truths
+
+    def towards(self, others: Inputs, part: Array) -> Inputs:
+        """A part (N,) of the way to others: admissible if both are."""
+        pairs = zip(self.parts(), others.parts(), strict=True)
+        return Inputs(*(a + part * (b - a) for a, b in pairs))
+
+    def where(self, mask: Array, others: Inputs) -> Inputs:
+        """These where the mask (N,) is true, and others elsewhere."""
+        pairs = zip(self.parts(), others.parts(), strict=True)
+        return Inputs(*(np.where(mask, a, b) for a, b in pairs))
+
+    def member(self, i: int) -> Inputs:
+        """One alone."""
+        return Inputs(*(a[..., i : i + 1] for a in self.parts()))
+
+
+class ControlledLoop:
+    """A system whose disturbances, reference and true parameters are controls.
+
+    Parameters
+    ----------
+    system : System
+        Without an implementation.
+    bounds : Y_0 ... Y_m
+
+    Attributes
+    ----------
+    acting : numbers of the states whose w_k acts
+    ranges : (P, 2) array
+        Of the parameters.
+    widths : (K,) array, s
+        Of the steps.
+    piece_steps : (pieces,) array of int
+        How many steps each piece of the reference lasts.
+    """
+
+    def __init__(self, system: System, bounds: tuple[float, ...]) -> None:
+        self.system, self.bounds = system, np.array(bounds)
+        plant, u = system.plant, system.plant.uncertainty
+        self.acting = tuple(k for k in range(plant.n) if u.tau[k] > 0 and u.acts(k))
+        self.held = tuple(u.slowness(k) is not None for k in self.acting)
+        names, boxes = [], []
+        if plant.input_gain_range and len(set(plant.input_gain_range)) > 1:
+            names.append(f"true_g_{plant.n - 1}")
+            boxes.append(plant.input_gain_range)
+        for i, (low, high) in enumerate(plant.theta_range or ()):
+            if low < high:
+                names.append(f"true_theta_{i}")
+                boxes.append((low, high))
+        self.truth_names = tuple(names)
+        self.ranges = np.array(boxes, dtype=float).reshape(len(boxes), 2)
+        self.widths = np.full(*self._steps())
+        self.piece_steps = _pieces(len(self.widths))
+
+    def _steps(self) -> tuple[int, float]:
+        poles = self.system.controller.coordinates.poles
+        horizon = RUN_TIME_CONSTANTS * slowest_time_constant(self.system)
+        step = STEP_PART / float(np.abs(poles).max())
+        count = min(MOST_STEPS, int(np.ceil(horizon / step)))
+        return count, step
+
+    @property
+    def horizon(self) -> float:
+        """Length of a run, s."""
+        return float(self.widths.sum())
+
+    @property
+    def piece_widths(self) -> Array:
+        """Of the pieces of the reference, s."""
+        return np.add.reduceat(self.widths, np.cumsum(self.piece_steps) - self.piece_steps)
+
+    def share_bound(self, k: int) -> str:
+        """The bound of w_k, of which s_k is the share, as a formula."""
+        u = self.system.plant.uncertainty
+        if u.slowness(k) is not None:
+            return repr(u.beta[k])
+        return u.bound_formula(k, self.system.plant.states, NORM_OFFSET)
+
+    @cached_property
+    def runs(self) -> ControlledRuns:
+        """The loop, compiled."""
+        m, draft = len(self.bounds) - 1, SystemDraft(self.system)
+        for k in self.acting:
+            name = f"{ADVERSARY_PREFIX}s{k}"
+            draft.constants[name] = 0.0
+            draft.omega[k] = f"{name}*({self.share_bound(k)})"
+        template = draft.finish(self.system.settings)
+        loop = close_loop(template)
+        Y = tuple(sympy.Symbol(f"reference_{i}", real=True) for i in range(m + 1))
+        known = len(template.controller.signals.Y)
+        _, _, rates = driven_loop(template, loop.plant, Y[:known])
+        constants = list(template.plant.constant_values)
+        shares = [
+            symbol(f"true_constants_{constants.index(f'{ADVERSARY_PREFIX}s{k}')}")
+            for k in self.acting
+        ]
+        free = [symbol(name) for name in self.truth_names]
+        fixed = {
+            name: sympy.Float(float(value))
+            for name, value in zip(loop.parameters, parameter_values(loop, template), strict=False)
+            if name not in (*shares, *free)
+        }
+        formulas = (*(rate.xreplace(fixed) for rate in rates), *Y[1:])
+        states = (*loop.states[: len(rates)], *Y[:m])
+        return ControlledRuns(ControlledFlow(states, (*shares, Y[m]), tuple(free), formulas))
+
+    @property
+    def output(self) -> Array:
+        """e_1 as a row of weights of the states."""
+        m, size = len(self.bounds) - 1, len(self.system.start)
+        row = np.zeros(size + m)
+        row[0], row[size] = 1.0, -1.0
+        return row
+
+    def given(self, inputs: Inputs) -> tuple[Array, Array, Array, Array]:
+        """Widths, starts, controls and parameters of the members.
+
+        They begin where the error of the nominal law is zero, with the law's own estimates.
+        """
+        c, size = self.system.controller.coordinates, len(self.system.start)
+        m, n = len(self.bounds) - 1, c.n
+        starts = np.zeros((size + m, inputs.count))
+        starts[:size] = np.array(self.system.start)[:, None]
+        starts[:n] = np.linalg.solve(c.A, c.B[:, : min(m, c.B.shape[1])] @ inputs.begin[: c.B.shape[1]])
+        starts[size:] = inputs.begin
+        steep = np.repeat(inputs.pieces, self.piece_steps, axis=0)
+        controls = np.concatenate([inputs.shares, steep[:, None]], axis=1)
+        return self.widths, starts, controls, inputs.truths
+
+    def errors(self, inputs: Inputs) -> Array:
+        """e_1 at the end, of every member."""
+        states = self.runs.run(*self.given(inputs))
+        with np.errstate(all="ignore"):
+            ends: Array = self.output @ states[-1]
+        return ends
+
+    def slopes(self, inputs: Inputs) -> tuple[Array, Inputs]:
+        """e_1 at the end, and its slopes by the inputs."""
+        given = self.given(inputs)
+        states, back = self.runs.run_back(*given, self.output)
+        c, size = self.system.controller.coordinates, len(self.system.start)
+        m = len(self.bounds) - 1
+        rest = np.linalg.solve(c.A, c.B[:, : min(m, c.B.shape[1])])
+        begin = back.start[size:].copy()
+        begin[: rest.shape[1]] += rest.T @ back.start[: c.n]
+        first = np.cumsum(self.piece_steps) - self.piece_steps
+        steep = np.add.reduceat(back.controls[:, -1], first, axis=0)
+        with np.errstate(all="ignore"):
+            ends: Array = self.output @ states[-1]
+        return ends, Inputs(back.controls[:, :-1], begin, steep, back.parameters)
+
+
+def _pieces(steps: int) -> Array:
+    """How many steps the pieces of the reference last, the earliest first."""
+    counts, left, done = list[int](), steps, 0
+    while left:
+        count = min(left, max(LEAST_PIECE, int(PIECE_PART * done)))
+        counts.append(count)
+        left, done = left - count, done + count
+    return np.array(counts[::-1])
