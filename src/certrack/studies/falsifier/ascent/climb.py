@@ -1,10 +1,16 @@
 """Inputs of a controlled loop made worse, turn by turn.
 
-The adjoint gives the slopes of e_1 at the end. What is admissible is convex: shares within 1, a
-reference within its bounds, constants in their ranges. So each turn goes a part of the way to the
-inputs that the slopes like best, which are signs, a linear program, and corners (the method of
-Frank and Wolfe); the part is halved where the error did not grow, and doubled where it did. Of a
-linear loop the first turn goes all the way to the worst there is.
+The adjoint gives the slopes of e_1 at the end. Two kinds of step take turns, and neither leaves what
+is admissible:
+
+* shares and constants go along their slopes, and stop at the ends of their ranges: a long step is a
+  pattern of signs, and corners;
+* the reference goes a part of the way to the one that the slopes like best, a linear program: those
+  on the way are within its bounds too (the method of Frank and Wolfe).
+
+A step that makes nothing worse is taken back, and the next one is shorter; else it is longer. Of a
+linear loop the first two steps go all the way to the worst there is. Members that stay behind are
+given up, half of them at a time.
 """
 
 from __future__ import annotations
@@ -15,16 +21,117 @@ import numpy as np
 
 from certrack.certificates.worst_profile import worst_profile
 from certrack.core.arrays import Array
-from certrack.studies.falsifier.ascent.loop import ControlledLoop, Inputs
+from certrack.studies.falsifier.ascent.loop import STOPPING_PIECES, ControlledLoop, Inputs
 
-#: Pieces by which a reference can come to rest after the end.
-STOPPING_PIECES = 24
+#: The first step of shares, over the slopes' root mean square; shortest and longest step.
+FIRST_STEP, SHORTEST, LONGEST = 100.0, 1e-3, 1e6
 
-#: The way is given up where a part of it as small as this makes nothing worse.
+#: By what a step that was good is longer, and one that was not is shorter.
+LONGER, SHORTER = 3.0, 0.3
+
+#: The smallest part of the way to the best reference that is tried.
 LEAST_PART = 1e-3
 
-#: A member rests when a turn gains less than this part of its error.
-LEAST_GAIN = 1e-5
+#: A step is good if it gains more than this part of the error.
+LEAST_GAIN = 1e-6
+
+
+class Climb:
+    """Members on their way up.
+
+    Parameters
+    ----------
+    loop : ControlledLoop
+    inputs : Inputs
+        To begin with.
+    senses : (N,) array
+        1 or -1: which side of the error is to grow.
+
+    Attributes
+    ----------
+    errors : (N,) array
+        e_1 times the sense.
+    runs : int
+        Runs spent, there and back.
+    """
+
+    def __init__(self, loop: ControlledLoop, inputs: Inputs, senses: Array) -> None:
+        self.loop, self.inputs, self.senses, self.runs = loop, inputs, senses, 0
+        self.errors, self.slopes = self._at(inputs)
+        self._step = np.full(inputs.count, FIRST_STEP)
+        self._part = np.ones(inputs.count)
+        self._goals: Inputs | None = None
+        self._old = np.ones(inputs.count, dtype=bool)
+
+    def _at(self, inputs: Inputs) -> tuple[Array, Inputs]:
+        """Errors, those of runs that escaped the least of all, and their slopes."""
+        self.runs += inputs.count
+        errors, slopes = self.loop.slopes(inputs)
+        errors = np.where(np.isfinite(errors), self.senses * errors, -np.inf)
+        return errors, Inputs(*(np.nan_to_num(self.senses * part) for part in slopes.parts()))
+
+    def leap(self) -> None:
+        """All the way to the best of everything at once, where that is better."""
+        best = self._along(LONGEST)
+        self._try(self._to_reference(best, np.ones_like(self._part)))
+
+    def turn(self) -> None:
+        """A step of shares and constants, and one of the reference."""
+        good = self._try(self._along(self._step))
+        self._step = np.clip(self._step * np.where(good, LONGER, SHORTER), SHORTEST, LONGEST)
+        good = self._try(self._to_reference(self.inputs, self._part))
+        part = np.where(good, np.minimum(1.0, 2 * self._part), self._part / 2)
+        self._part = np.maximum(LEAST_PART, part)
+
+    def _try(self, inputs: Inputs) -> Array:
+        """Take what is better."""
+        errors, slopes = self._at(inputs)
+        good = errors > self.errors + LEAST_GAIN * np.abs(self.errors)
+        self.errors = np.where(good, errors, self.errors)
+        self.inputs = inputs.where(good, self.inputs)
+        self.slopes = slopes.where(good, self.slopes)
+        self._old |= good
+        return good
+
+    def _along(self, step: Array | float) -> Inputs:
+        """Shares and constants along their slopes."""
+        now, slopes = self.inputs, self.slopes
+        rise = slopes.shares.copy()
+        for j, held in enumerate(self.loop.held):
+            if held:
+                rise[:, j] = rise[:, j].mean(axis=0)
+        size = np.sqrt((rise**2).mean(axis=(0, 1), keepdims=True)) + 1e-300 if rise.size else 1.0
+        shares = np.clip(now.shares + step * rise / size, -1, 1)
+        low, high = self.loop.ranges[:, :1], self.loop.ranges[:, 1:]
+        across = (high - low) * slopes.truths
+        size = np.sqrt((across**2).mean(axis=0, keepdims=True)) + 1e-300 if across.size else 1.0
+        truths = np.clip(now.truths + step * (high - low) * across / size, low, high)
+        return Inputs(shares, now.begin, now.pieces, truths)
+
+    def _to_reference(self, now: Inputs, part: Array) -> Inputs:
+        """The inputs with their reference on its way to the best one."""
+        if self._goals is None:
+            self._goals = self.inputs
+        begin, pieces = self._goals.begin.copy(), self._goals.pieces.copy()
+        for i in np.flatnonzero(self._old):
+            slopes, widths = self.slopes, self.loop.piece_widths
+            gains = np.concatenate([slopes.begin[:, i], slopes.pieces[: len(widths), i]])
+            program = worst_profile(gains, self.loop.bounds, widths, STOPPING_PIECES)
+            if program is not None:
+                begin[:, i] = program.start
+                pieces[:, i] = program.pieces
+        self._old[:] = False
+        self._goals = Inputs(now.shares, begin, pieces, now.truths)
+        return now.towards(self._goals, part)
+
+    def keep(self, members: Array) -> None:
+        """Go on with these members only."""
+        self.inputs, self.slopes = self.inputs.some(members), self.slopes.some(members)
+        self._goals = None if self._goals is None else self._goals.some(members)
+        self.senses, self.errors = self.senses[members], self.errors[members]
+        self._step, self._part, self._old = (
+            v[members] for v in (self._step, self._part, self._old)
+        )
 
 
 def climb(
@@ -32,60 +139,26 @@ def climb(
     inputs: Inputs,
     senses: Array,
     turns: int,
-    tell: Callable[[Array], None] = lambda _: None,
-) -> tuple[Inputs, Array]:
-    """The inputs after some turns, and e_1 times the sense of each member.
+    tell: Callable[[Climb], None] = lambda _: None,
+) -> Climb:
+    """Members after so many turns in which the worse half was given up, again and again, to two.
 
     Parameters
     ----------
-    loop : ControlledLoop
-    inputs : Inputs
-        To begin with; what is admissible stays so.
-    senses : (N,) array
-        1 or -1: which side of the error is to grow.
+    loop, inputs, senses
+        As in :class:`Climb`.
     turns : int
+        For each number of members.
     tell : callable
-        Gets the errors after each turn.
+        Called after each turn.
     """
-    errors, slopes = loop.slopes(inputs)
-    errors = _comparable(senses * errors)
-    part = np.ones(inputs.count)
-    goals = _best(loop, slopes, senses, inputs, np.ones(inputs.count, dtype=bool))
-    for _ in range(turns):
-        tried = inputs.towards(goals, part)
-        found, there = loop.slopes(tried)
-        found = _comparable(senses * found)
-        better = found > errors + LEAST_GAIN * np.abs(errors)
-        inputs = tried.where(better, inputs)
-        errors = np.where(better, found, errors)
-        part = np.where(better, np.minimum(1.0, 2 * part), part / 2)
-        part = np.where(part < LEAST_PART, 0.0, part)
-        tell(errors)
-        if not part.any():
-            break
-        moved = better & (part > 0)
-        goals = _best(loop, there, senses, goals, moved)
-    return inputs, errors
-
-
-def _comparable(errors: Array) -> Array:
-    """Errors of runs that escaped are the least: they have no slopes."""
-    return np.where(np.isfinite(errors), errors, -np.inf)
-
-
-def _best(loop: ControlledLoop, slopes: Inputs, senses: Array, before: Inputs, wanted: Array) -> Inputs:
-    """The admissible inputs that slopes like best, of the members wanted."""
-    shares = np.sign(senses * slopes.shares)
-    for j, held in enumerate(loop.held):
-        if held:
-            shares[:, j] = np.sign(senses * slopes.shares[:, j].sum(axis=0))
-    middle, radius = loop.ranges.mean(axis=1), np.diff(loop.ranges, axis=1)[:, 0] / 2
-    truths = middle[:, None] + radius[:, None] * np.sign(senses * slopes.truths)
-    begin, pieces = before.begin.copy(), before.pieces.copy()
-    for i in np.flatnonzero(wanted):
-        gains = np.concatenate([slopes.begin[:, i], slopes.pieces[:, i]])
-        program = worst_profile(senses[i] * gains, loop.bounds, loop.piece_widths, STOPPING_PIECES)
-        if program is not None:
-            begin[:, i] = program.start
-            pieces[:, i] = program.pieces[: len(pieces)]
-    return Inputs(shares, begin, pieces, truths).where(wanted, before)
+    members = Climb(loop, inputs, senses)
+    members.leap()
+    while True:
+        for _ in range(turns):
+            members.turn()
+            tell(members)
+        count = len(members.errors)
+        if count <= 2:
+            return members
+        members.keep(np.sort(np.argsort(-members.errors, kind="stable")[: (count + 1) // 2]))

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import sympy
 
+from certrack.certificates.worst_profile import stopping_widths
 from certrack.core.arrays import Array
 from certrack.core.expressions import symbol
 from certrack.integrators.controlled import ControlledFlow, ControlledRuns
@@ -26,11 +27,14 @@ from certrack.systems.system import System
 #: Length of the run, in time constants of the slowest mode: e^-10 is left of the start.
 RUN_TIME_CONSTANTS = 10.0
 
-#: A step over the fastest time constant of the error, and steps at most.
+#: A step over the fastest time constant of the nominal error, and steps at most.
 STEP_PART, MOST_STEPS = 0.15, 4000
 
 #: Pieces of the reference: each lasts so much of the time from it to the end, but some steps.
-PIECE_PART, LEAST_PIECE = 0.06, 2
+PIECE_PART, LEAST_PIECE = 0.07, 2
+
+#: Pieces by which a reference comes to rest after the end.
+STOPPING_PIECES = 24
 
 #: ||x|| in a disturbance is sqrt(x.x + offset^2) - offset.
 NORM_OFFSET = 2.0**-14
@@ -46,8 +50,8 @@ class Inputs:
         s_k of every step, within -1 and 1.
     begin : (m, N) array
         y_d ... y_d^(m-1) at the beginning.
-    pieces : (pieces, N) array
-        y_d^(m).
+    pieces : (pieces + STOPPING_PIECES, N) array
+        y_d^(m); with the last ones the reference comes to rest after the end.
     truths : (P, N) array
         g_n and theta, where they have ranges.
     """
@@ -76,9 +80,9 @@ class Inputs:
         pairs = zip(self.parts(), others.parts(), strict=True)
         return Inputs(*(np.where(mask, a, b) for a, b in pairs))
 
-    def member(self, i: int) -> Inputs:
-        """One alone."""
-        return Inputs(*(a[..., i : i + 1] for a in self.parts()))
+    def some(self, members: Array) -> Inputs:
+        """Those with these numbers."""
+        return Inputs(*(a[..., members] for a in self.parts()))
 
 
 class ControlledLoop:
@@ -89,6 +93,8 @@ class ControlledLoop:
     system : System
         Without an implementation.
     bounds : Y_0 ... Y_m
+    finer : int
+        So many times as many steps as usual.
 
     Attributes
     ----------
@@ -101,7 +107,7 @@ class ControlledLoop:
         How many steps each piece of the reference lasts.
     """
 
-    def __init__(self, system: System, bounds: tuple[float, ...]) -> None:
+    def __init__(self, system: System, bounds: tuple[float, ...], finer: int = 1) -> None:
         self.system, self.bounds = system, np.array(bounds)
         plant, u = system.plant, system.plant.uncertainty
         self.acting = tuple(k for k in range(plant.n) if u.tau[k] > 0 and u.acts(k))
@@ -116,8 +122,9 @@ class ControlledLoop:
                 boxes.append((low, high))
         self.truth_names = tuple(names)
         self.ranges = np.array(boxes, dtype=float).reshape(len(boxes), 2)
-        self.widths = np.full(*self._steps())
-        self.piece_steps = _pieces(len(self.widths))
+        count, step = self._steps()
+        self.widths = np.full(finer * count, step / finer)
+        self.piece_steps = finer * _pieces(count)
 
     def _steps(self) -> tuple[int, float]:
         poles = self.system.controller.coordinates.poles
@@ -133,8 +140,13 @@ class ControlledLoop:
 
     @property
     def piece_widths(self) -> Array:
-        """Of the pieces of the reference, s."""
+        """Of the pieces of the reference up to the end, s."""
         return np.add.reduceat(self.widths, np.cumsum(self.piece_steps) - self.piece_steps)
+
+    @property
+    def stopping_widths(self) -> Array:
+        """Of the pieces after the end, s."""
+        return stopping_widths(self.bounds, STOPPING_PIECES)
 
     def share_bound(self, k: int) -> str:
         """The bound of w_k, of which s_k is the share, as a formula."""
@@ -171,6 +183,13 @@ class ControlledLoop:
         states = (*loop.states[: len(rates)], *Y[:m])
         return ControlledRuns(ControlledFlow(states, (*shares, Y[m]), tuple(free), formulas))
 
+    @cached_property
+    def resting(self) -> Array:
+        """x where the error of the nominal law is zero, from y_d ... y_d^(m-1)."""
+        c = self.system.controller.coordinates
+        x: Array = np.linalg.solve(c.A, c.B)
+        return x
+
     @property
     def output(self) -> Array:
         """e_1 as a row of weights of the states."""
@@ -184,13 +203,12 @@ class ControlledLoop:
 
         They begin where the error of the nominal law is zero, with the law's own estimates.
         """
-        c, size = self.system.controller.coordinates, len(self.system.start)
-        m, n = len(self.bounds) - 1, c.n
-        starts = np.zeros((size + m, inputs.count))
+        n, size = self.system.plant.n, len(self.system.start)
+        starts = np.zeros((size + len(inputs.begin), inputs.count))
         starts[:size] = np.array(self.system.start)[:, None]
-        starts[:n] = np.linalg.solve(c.A, c.B[:, : min(m, c.B.shape[1])] @ inputs.begin[: c.B.shape[1]])
+        starts[:n] = self.resting @ inputs.begin
         starts[size:] = inputs.begin
-        steep = np.repeat(inputs.pieces, self.piece_steps, axis=0)
+        steep = np.repeat(inputs.pieces[: len(self.piece_steps)], self.piece_steps, axis=0)
         controls = np.concatenate([inputs.shares, steep[:, None]], axis=1)
         return self.widths, starts, controls, inputs.truths
 
@@ -205,13 +223,11 @@ class ControlledLoop:
         """e_1 at the end, and its slopes by the inputs."""
         given = self.given(inputs)
         states, back = self.runs.run_back(*given, self.output)
-        c, size = self.system.controller.coordinates, len(self.system.start)
-        m = len(self.bounds) - 1
-        rest = np.linalg.solve(c.A, c.B[:, : min(m, c.B.shape[1])])
-        begin = back.start[size:].copy()
-        begin[: rest.shape[1]] += rest.T @ back.start[: c.n]
+        n, size = self.system.plant.n, len(self.system.start)
+        begin = back.start[size:] + self.resting.T @ back.start[:n]
         first = np.cumsum(self.piece_steps) - self.piece_steps
         steep = np.add.reduceat(back.controls[:, -1], first, axis=0)
+        steep = np.concatenate([steep, np.zeros((STOPPING_PIECES, inputs.count))])
         with np.errstate(all="ignore"):
             ends: Array = self.output @ states[-1]
         return ends, Inputs(back.controls[:, :-1], begin, steep, back.parameters)
