@@ -53,7 +53,10 @@ def printed(rows: list[dict]) -> str:
     """The table, worst ratio first, and its median."""
     for row in rows:
         row["ratio"] = row["certified"] / row["found"] if row["certified"] else float("inf")
-    lines = ["| plant | n | r | q | ranges | certified | by | found | ratio |", "|--:|--:|--:|--:|---|--:|---|--:|--:|"]
+    lines = [
+        "| plant | n | r | q | ranges | certified | by | found | ratio |",
+        "|--:|--:|--:|--:|---|--:|---|--:|--:|",
+    ]
     for row in sorted(rows, key=lambda row: -row["ratio"]):
         certified = f"{row['certified']:.5f}" if row["certified"] else "-"
         lines.append(
@@ -61,7 +64,9 @@ def printed(rows: list[dict]) -> str:
             f"{certified} | {row['by'] or '-'} | {row['found']:.5f} | {row['ratio']:.2f} |"
         )
     ratios = [row["ratio"] for row in rows]
-    lines.append(f"\nmedian {statistics.median(ratios):.3f}, least {min(ratios):.3f}, largest {max(ratios):.3f}")
+    lines.append(
+        f"\nmedian {statistics.median(ratios):.3f}, least {min(ratios):.3f}, largest {max(ratios):.3f}"
+    )
     return "\n".join(lines)
 
 

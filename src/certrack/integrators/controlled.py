@@ -48,7 +48,9 @@ class ControlledFlow:
     def pullback(self) -> list[sympy.Expr]:
         """Derivatives of the weighted sum of the rates, by states, controls and parameters."""
         return [
-            sympy.Add(*(g * derivative(f, by) for g, f in zip(self.costates, self.rates, strict=True)))
+            sympy.Add(
+                *(g * derivative(f, by) for g, f in zip(self.costates, self.rates, strict=True))
+            )
             for by in (*self.states, *self.controls, *self.parameters)
         ]
 

@@ -34,7 +34,12 @@ def waves(loop: ControlledLoop, count: int, rng: np.random.Generator) -> Inputs:
     corners = rng.integers(0, 2, (P, count))
     truths = np.take_along_axis(loop.ranges, corners, axis=1) if P else np.zeros((0, count))
     pieces = np.zeros((len(loop.piece_steps) + STOPPING_PIECES, count))
-    return Inputs(np.broadcast_to(shares, (steps, C, count)), np.zeros((len(loop.bounds) - 1, count)), pieces, truths)
+    return Inputs(
+        np.broadcast_to(shares, (steps, C, count)),
+        np.zeros((len(loop.bounds) - 1, count)),
+        pieces,
+        truths,
+    )
 
 
 def of_run(loop: ControlledLoop, case: System, run: Run) -> tuple[Inputs, float]:
@@ -91,7 +96,10 @@ def _stopping(loop: ControlledLoop, begin: Array, pieces: Array) -> Array:
     times = np.concatenate([[0.0], np.cumsum(loop.piece_widths)])
     end = derivatives_between(times.tolist(), begin.tolist(), pieces.tolist())[-1]
     count = len(widths)
-    columns = [derivatives_between([0.0, *np.cumsum(widths)], [0.0] * m, row) for row in np.eye(count).tolist()]
+    columns = [
+        derivatives_between([0.0, *np.cumsum(widths)], [0.0] * m, row)
+        for row in np.eye(count).tolist()
+    ]
     still = derivatives_between([0.0, *np.cumsum(widths)], list(end), [0.0] * count)
     G, offset = np.array(columns)[:, 1:].transpose(1, 2, 0), np.array(still)[1:]
     sizes = np.maximum(loop.bounds, 1e-300)
@@ -114,4 +122,9 @@ def _stopping(loop: ControlledLoop, begin: Array, pieces: Array) -> Array:
 
 def joined(members: Sequence[Inputs]) -> Inputs:
     """All members of all of them."""
-    return Inputs(*(np.concatenate(parts, axis=-1) for parts in zip(*(m.parts() for m in members), strict=True)))
+    return Inputs(
+        *(
+            np.concatenate(parts, axis=-1)
+            for parts in zip(*(m.parts() for m in members), strict=True)
+        )
+    )
