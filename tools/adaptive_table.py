@@ -4,9 +4,9 @@
     python tools/adaptive_table.py --seeds 3 17        two of them
     python tools/adaptive_table.py --rows FILE         rows as they come; those there are kept
 
-The plants are those of tests/adaptive_plants.py: orders 1 to 4, up to three unknown parameters, ranges,
-full Gamma, any feed-forward. `found` is that of `certrack falsify` with its default budget. A ratio
-below 1 would be an error of certrack.
+The plants are those of tests/adaptive_plants.py: orders 1 to 4, up to three unknown parameters,
+ranges, full Gamma, any feed-forward. `found` is that of `certrack falsify` with its default budget.
+A ratio below 1 would be an error of certrack.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ import statistics
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from adaptive_plants import random_plant
+from adaptive_plants import random_plant  # type: ignore[import-not-found]
 
 from certrack.studies.falsifier.falsify import falsify
 
@@ -28,7 +29,7 @@ from certrack.studies.falsifier.falsify import falsify
 COUNT = 40
 
 
-def row_of(seed: int) -> dict:
+def row_of(seed: int) -> dict[str, Any]:
     """Numbers of one plant."""
     begin, system = time.process_time(), random_plant(seed)
     found = falsify(system)
@@ -49,24 +50,24 @@ def row_of(seed: int) -> dict:
     }
 
 
-def printed(rows: list[dict]) -> str:
+def printed(rows: list[dict[str, Any]]) -> str:
     """The table, worst ratio first, and its median."""
     for row in rows:
         row["ratio"] = row["certified"] / row["found"] if row["certified"] else float("inf")
-    lines = [
-        "| plant | n | r | q | ranges | certified | by | found | ratio |",
-        "|--:|--:|--:|--:|---|--:|---|--:|--:|",
-    ]
+    names = ("seed", "n", "r", "q", "ranges", "certified", "by", "found", "ratio")
+    lines = ["| " + " | ".join(names) + " |", "|--:|--:|--:|--:|---|--:|---|--:|--:|"]
     for row in sorted(rows, key=lambda row: -row["ratio"]):
-        certified = f"{row['certified']:.5f}" if row["certified"] else "-"
-        lines.append(
-            f"| {row['seed']} | {row['n']} | {row['r']} | {row['q']} | {'yes' if row['ranges'] else ''} | "
-            f"{certified} | {row['by'] or '-'} | {row['found']:.5f} | {row['ratio']:.2f} |"
-        )
-    ratios = [row["ratio"] for row in rows]
-    lines.append(
-        f"\nmedian {statistics.median(ratios):.3f}, least {min(ratios):.3f}, largest {max(ratios):.3f}"
-    )
+        shown = row | {
+            "ranges": "yes" if row["ranges"] else "",
+            "certified": f"{row['certified']:.5f}" if row["certified"] else "-",
+            "by": row["by"] or "-",
+            "found": f"{row['found']:.5f}",
+            "ratio": f"{row['ratio']:.2f}",
+        }
+        lines.append("| " + " | ".join(str(shown[name]) for name in names) + " |")
+    ratios = sorted(row["ratio"] for row in rows)
+    middle = statistics.median(ratios)
+    lines += ["", f"median {middle:.3f}, least {ratios[0]:.3f}, largest {ratios[-1]:.3f}"]
     return "\n".join(lines)
 
 

@@ -13,8 +13,8 @@ typedef struct {
   int64_t steps;
   const double *widths; /* steps */
   const double *starts, *controls, *parameters; /* S, steps x C and P rows of LANES */
-  const double *costate; /* S rows: the slopes of the output by the states at the end */
   double *states; /* (steps + 1) x S rows */
+  const double *costate; /* S rows: the slopes of the output by the states at the end; or NULL */
   double *by_start, *by_controls, *by_parameters; /* slopes, of the shapes of the inputs */
 } Task;
 
@@ -77,6 +77,6 @@ int integrate(const Task *task) {
   V p[PARAMETERS + 1];
   load(task->parameters, p, PARAMETERS);
   forward(task, p);
-  if (task->by_start) backward(task, p);
+  if (task->costate) backward(task, p);
   return 0;
 }

@@ -121,28 +121,23 @@ class ControlledRuns:
             lanes = filled[first : first + LANES]
             given = starts[:, lanes], controls[:, :, lanes], parameters[:, lanes]
             parts.append(self._lanes(widths, *given, output))
-        joined = [
-            None if part[0] is None else np.concatenate(part, axis=-1)[..., :count]
-            for part in zip(*parts, strict=True)
-        ]
-        states = joined[0]
-        assert states is not None
-        return states, None if output is None else Slopes(*joined[1:])  # type: ignore[arg-type]
+        joined = [np.concatenate(part, axis=-1)[..., :count] for part in zip(*parts, strict=True)]
+        return joined[0], None if output is None else Slopes(*joined[1:])
 
     def _lanes(
         self, widths: Array, starts: Array, controls: Array, parameters: Array, output: Array | None
-    ) -> tuple[Array | None, ...]:
+    ) -> tuple[Array, ...]:
         flow, steps = self._flow, len(widths)
         inputs = [
             np.ascontiguousarray(a, dtype=float) for a in (widths, starts, controls, parameters)
         ]
         states = np.empty((steps + 1, len(flow.states), LANES))
-        costate, slopes = None, [None, None, None]
+        slopes, back = list[Array](), list[Array]()
         if output is not None:
-            costate = np.repeat(np.asarray(output, dtype=float)[:, None], LANES, axis=1)
             slopes = [np.empty(a.shape) for a in inputs[1:]]
-        arrays = [*inputs, costate, states, *slopes]
-        task = _Task(steps, *(None if a is None else a.ctypes.data for a in arrays))
+            back = [np.repeat(np.asarray(output, dtype=float)[:, None], LANES, axis=1)]
+        places = [a.ctypes.data for a in (*inputs, states, *back, *slopes)]
+        task = _Task(steps, *places)  # the rest is NULL
         assert self._library is not None
         self._library.integrate(ctypes.byref(task))
         return states, *slopes
@@ -156,7 +151,7 @@ class _Task(ctypes.Structure):
         *(
             (name, ctypes.c_void_p)
             for name in (
-                *("widths", "starts", "controls", "parameters", "costate", "states"),
+                *("widths", "starts", "controls", "parameters", "states", "costate"),
                 *("by_start", "by_controls", "by_parameters"),
             )
         ),
@@ -234,7 +229,7 @@ class _NumpyRuns:
             for n in range(len(widths) - 1, -1, -1):
                 h, c = float(widths[n]), controls[n]
                 places, _ = self._stages(h, states[n], c, p)
-                total, back = costate, 0.0
+                total, back = costate, np.zeros_like(costate)
                 for i, (weight, part) in enumerate(
                     ((h / 6, 0.0), (h / 3, h), (h / 3, 0.5 * h), (h / 6, 0.5 * h))
                 ):

@@ -1,7 +1,7 @@
 """Inputs of a controlled loop made worse, turn by turn.
 
-The adjoint gives the slopes of e_1 at the end. Two kinds of step take turns, and neither leaves what
-is admissible:
+The adjoint gives the slopes of e_1 at the end. Two kinds of step take turns, and neither leaves
+what is admissible:
 
 * shares and constants go along their slopes, and stop at the ends of their ranges: a long step is a
   pattern of signs, and corners;

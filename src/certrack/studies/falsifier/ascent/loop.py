@@ -70,6 +70,14 @@ class Inputs:
         """All of them."""
         return self.shares, self.begin, self.pieces, self.truths
 
+    def finer(self, times: int) -> Inputs:
+        """The same for a loop with so many times as many steps."""
+        return Inputs(np.repeat(self.shares, times, axis=0), self.begin, self.pieces, self.truths)
+
+    def coarser(self, times: int) -> Inputs:
+        """The other way."""
+        return Inputs(self.shares[::times], self.begin, self.pieces, self.truths)
+
     def towards(self, others: Inputs, part: Array) -> Inputs:
         """A part (N,) of the way to others: admissible if both are."""
         pairs = zip(self.parts(), others.parts(), strict=True)

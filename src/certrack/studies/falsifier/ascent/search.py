@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from certrack.core.arrays import Array
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.ascent.case import MEANS, SIGNS, written
 from certrack.studies.falsifier.ascent.climb import Climb, climb
-from certrack.studies.falsifier.ascent.loop import ControlledLoop
+from certrack.studies.falsifier.ascent.loop import ControlledLoop, Inputs
 from certrack.studies.falsifier.ascent.seeds import joined, of_run, waves
 from certrack.studies.falsifier.linear.search import LinearCase, NothingTried, tail_error
 from certrack.systems.system import System
@@ -22,9 +23,12 @@ from certrack.systems.system import System
 #: each turn.
 MEMBERS, MOST_TURNS, RUNS_PER_TURN = 16, 16, 300
 
-#: Where a run has less than this part of the error that the steps promise, they are made finer, at
-#: most so many times.
-HONEST, MOST_FINER = 0.97, 2
+#: Twice as many steps must not change the errors to begin with by more than this part of the
+#: largest; nor may the run of what was found have less than the rest of what the steps promise.
+STEP_ERROR = 0.03
+
+#: Steps are so many times as many as usual at most.
+MOST_FINER = 8
 
 #: A member that ends within this part of the best one is written and run, too.
 NEAR_BEST = 0.02
@@ -75,42 +79,57 @@ def ascend(
     """
     if not np.isfinite(bounds).all() or min(bounds) <= 0:
         raise NothingTried("a derivative of the reference has no bound, or stands still")
-    spent, finer, best = 0, 1, None
-    while True:
-        loop = ControlledLoop(system, bounds, finer)
-        top = _climbed(loop, found, budget, seed, progress)
-        spent += top.runs
-        cases = list(_cases(loop, top))
-        best = max([*cases, *([best] if best else [])], key=lambda entry: entry.error, default=None)
-        honest = any(entry.error >= HONEST * entry.estimate for entry in cases)
-        if honest or finer == MOST_FINER:
-            break
-        finer *= 2
-    if best is None:
-        raise NothingTried("the case found cannot be written as a system")
-    return Ascent(best, spent)
-
-
-def _climbed(
-    loop: ControlledLoop,
-    found: Sequence[tuple[System, Run]],
-    budget: int,
-    seed: int,
-    progress: Progress,
-) -> Climb:
-    """The last members."""
-    rng = np.random.default_rng(seed)
-    seeds = [of_run(loop, *pair) for pair in found]
-    others = max(4, MEMBERS - len(seeds))
-    members = joined([*(inputs for inputs, _ in seeds), waves(loop, others, rng)])
-    senses = [sense for _, sense in seeds] + [1.0 if i % 2 else -1.0 for i in range(others)]
+    finer, members, senses = _begun(system, bounds, found, np.random.default_rng(seed))
+    loop = ControlledLoop(system, bounds, finer)
     turns = min(MOST_TURNS, max(1, budget // RUNS_PER_TURN))
 
     def tell(c: Climb) -> None:
         progress(budget, budget, max(0.0, float(c.errors.max())))
 
     with np.errstate(all="ignore"):
-        return climb(loop, members, np.array(senses), turns, tell)
+        top = climb(loop, members, senses, turns, tell)
+        spent, cases = top.runs, list(_cases(loop, top))
+        while finer < MOST_FINER and not any(map(_is_honest, cases)):
+            finer *= 2
+            loop = ControlledLoop(system, bounds, finer)
+            some = np.arange(min(MEMBERS // 2, len(senses)))  # not those that lived of wrong steps
+            members, senses = members.finer(2).some(some), senses[some]
+            top = climb(loop, members, senses, turns, tell)
+            spent, cases = spent + top.runs, [*cases, *_cases(loop, top)]
+    if not cases:
+        raise NothingTried("the case found cannot be written as a system")
+    return Ascent(max(cases, key=lambda entry: entry.error), spent)
+
+
+def _is_honest(case: LinearCase) -> bool:
+    """Whether the run of a case has the error that the steps promise."""
+    return case.error >= (1 - STEP_ERROR) * case.estimate
+
+
+def _begun(
+    system: System,
+    bounds: tuple[float, ...],
+    found: Sequence[tuple[System, Run]],
+    rng: np.random.Generator,
+) -> tuple[int, Inputs, Array]:
+    """How fine the steps must be, the members to begin with, and which side each is to make worse.
+
+    The members are those of runs, and waves.
+    """
+    loop = ControlledLoop(system, bounds)
+    seeds = [of_run(loop, *pair) for pair in found]
+    others = max(4, MEMBERS - len(seeds))
+    members = joined([*(inputs for inputs, _ in seeds), waves(loop, others, rng)])
+    senses = [sense for _, sense in seeds] + [1.0 if i % 2 else -1.0 for i in range(others)]
+    finer, ends = 1, loop.errors(members)
+    while finer < MOST_FINER:
+        members = members.finer(2)
+        closer = ControlledLoop(system, bounds, 2 * finer).errors(members)
+        off, size = np.abs(closer - ends).max(), np.abs(closer).max()
+        if off <= STEP_ERROR * size:  # not so where one is no number
+            return finer, members.coarser(2), np.array(senses)
+        finer, ends = 2 * finer, closer
+    return finer, members, np.array(senses)
 
 
 def _cases(loop: ControlledLoop, top: Climb) -> Iterator[LinearCase]:

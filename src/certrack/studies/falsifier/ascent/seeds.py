@@ -1,10 +1,11 @@
-"""Inputs to begin an ascent with: constant ones, waves, and those of runs that were found before."""
+"""Inputs to begin an ascent with: constant ones, waves, and those of runs found before."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+import sympy
 from scipy.optimize import linprog
 
 from certrack.core.arrays import Array
@@ -53,11 +54,9 @@ def of_run(loop: ControlledLoop, case: System, run: Run) -> tuple[Inputs, float]
     shares = np.zeros((len(middle), len(loop.acting), 1))
     names = ["t", *loop.system.plant.states]
     symbols = [TIME, *loop.system.plant.symbols]
-    constants = {s: v for s, v in zip(map(str, ()), (), strict=True)}
-    del constants
     for j, k in enumerate(loop.acting):
         bound = parse("", loop.share_bound(k), names).expr
-        omega = case.truth.omega[k].expr
+        omega = sympy.S.Zero if case.truth.omega is None else case.truth.omega[k].expr
         formulas = numpy_callable(symbols, [omega, bound])
         with np.errstate(all="ignore"):
             w, most = rows(formulas(middle, *x), len(middle))
