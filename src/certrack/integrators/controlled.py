@@ -55,7 +55,7 @@ class ControlledFlow:
         ]
 
 
-class Slopes(NamedTuple):
+class InputSlopes(NamedTuple):
     """Derivatives of an output at the end.
 
     Attributes
@@ -100,7 +100,7 @@ class ControlledRuns:
 
     def run_back(
         self, widths: Array, starts: Array, controls: Array, parameters: Array, output: Array
-    ) -> tuple[Array, Slopes]:
+    ) -> tuple[Array, InputSlopes]:
         """The states, and the slopes of ``output`` (S,) times the states at the end."""
         states, slopes = self._integrate(widths, starts, controls, parameters, output)
         assert slopes is not None
@@ -108,7 +108,7 @@ class ControlledRuns:
 
     def _integrate(
         self, widths: Array, starts: Array, controls: Array, parameters: Array, output: Array | None
-    ) -> tuple[Array, Slopes | None]:
+    ) -> tuple[Array, InputSlopes | None]:
         if self._library is None:
             runs = _NumpyRuns(self._flow)
             states = runs.forward(widths, starts, controls, parameters)
@@ -121,8 +121,8 @@ class ControlledRuns:
             lanes = filled[first : first + LANES]
             given = starts[:, lanes], controls[:, :, lanes], parameters[:, lanes]
             parts.append(self._lanes(widths, *given, output))
-        joined = [np.concatenate(part, axis=-1)[..., :count] for part in zip(*parts, strict=True)]
-        return joined[0], None if output is None else Slopes(*joined[1:])
+        whole = [np.concatenate(part, axis=-1)[..., :count] for part in zip(*parts, strict=True)]
+        return whole[0], None if output is None else InputSlopes(*whole[1:])
 
     def _lanes(
         self, widths: Array, starts: Array, controls: Array, parameters: Array, output: Array | None
@@ -220,7 +220,7 @@ class _NumpyRuns:
 
     def backward(
         self, widths: Array, states: Array, controls: Array, p: Array, output: Array
-    ) -> Slopes:
+    ) -> InputSlopes:
         count = states.shape[2]
         costate = np.repeat(np.asarray(output, dtype=float)[:, None], count, axis=1)
         by_controls, by_parameters = np.zeros(controls.shape), np.zeros(p.shape)
@@ -240,4 +240,4 @@ class _NumpyRuns:
                     by_controls[n] += of_c
                     by_parameters += of_p
                 costate = total
-        return Slopes(costate, by_controls, by_parameters)
+        return InputSlopes(costate, by_controls, by_parameters)

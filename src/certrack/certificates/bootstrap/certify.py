@@ -63,7 +63,7 @@ def certify_bootstrap(
 def _why_no_smaller(n: int) -> str:
     """What to do where the stages say nothing new of e_1."""
     if n == 1:  # the first proof is of e_1
-        return "bounds e_1 no tighter than semidefinite already does: nothing is missing, take that one"
+        return "no tighter here than semidefinite, which bounds e_1 already: take that one"
     return (
         "its stages do not bound e_1 on both sides: take another certificate, or lower tau, "
         "raise c or the leaks, narrow the ranges"

@@ -10,7 +10,7 @@ import numpy as np
 from certrack.certificates.worst_profile import WorstProfile
 from certrack.core.arrays import Array
 from certrack.model.truth import Truth
-from certrack.studies.falsifier.ascent.loop import ControlledLoop, Inputs
+from certrack.studies.falsifier.ascent.loop import AdversaryInputs, ControlledLoop
 from certrack.studies.falsifier.linear.case import END_PART, WITHIN_BOUND, admissible_profile
 from certrack.studies.falsifier.linear.pattern import MAX_CHANGES, sign_formula
 from certrack.systems.system import System
@@ -19,14 +19,16 @@ from certrack.systems.system import System
 SIGNS, MEANS = "signs", "means"
 
 
-def written(loop: ControlledLoop, inputs: Inputs, slopes: Inputs, form: str) -> System:
+def written(
+    loop: ControlledLoop, inputs: AdversaryInputs, slopes: AdversaryInputs, form: str
+) -> System:
     """The system under the inputs of one member.
 
     Parameters
     ----------
     loop : ControlledLoop
-    inputs : Inputs
-    slopes : Inputs
+    inputs : AdversaryInputs
+    slopes : AdversaryInputs
         Of |e_1| by them: what matters less is left out first.
     form : {"signs", "means"}
     """

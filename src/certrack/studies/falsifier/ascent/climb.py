@@ -1,4 +1,4 @@
-"""Inputs of a controlled loop made worse, turn by turn.
+"""AdversaryInputs of a controlled loop made worse, turn by turn.
 
 The adjoint gives the slopes of e_1 at the end. Two kinds of step take turns, and neither leaves
 what is admissible:
@@ -21,19 +21,19 @@ import numpy as np
 
 from certrack.certificates.worst_profile import worst_profile
 from certrack.core.arrays import Array
-from certrack.studies.falsifier.ascent.loop import STOPPING_PIECES, ControlledLoop, Inputs
+from certrack.studies.falsifier.ascent.loop import RESTING_PIECES, AdversaryInputs, ControlledLoop
 
 #: The first step of shares, over the slopes' root mean square; shortest and longest step.
-FIRST_STEP, SHORTEST, LONGEST = 100.0, 1e-3, 1e6
+BEGINNING_STEP, SHORTEST_STEP, FULL_STEP = 100.0, 1e-3, 1e6
 
 #: By what a step that was good is longer, and one that was not is shorter.
-LONGER, SHORTER = 3.0, 0.3
+BETTER_FACTOR, WORSE_FACTOR = 3.0, 0.3
 
 #: The smallest part of the way to the best reference that is tried.
-LEAST_PART = 1e-3
+LEAST_WAY = 1e-3
 
 #: A step is good if it gains more than this part of the error.
-LEAST_GAIN = 1e-6
+WORTH_A_STEP = 1e-6
 
 
 class Climb:
@@ -42,7 +42,7 @@ class Climb:
     Parameters
     ----------
     loop : ControlledLoop
-    inputs : Inputs
+    inputs : AdversaryInputs
         To begin with.
     senses : (N,) array
         1 or -1: which side of the error is to grow.
@@ -55,45 +55,49 @@ class Climb:
         Runs spent, there and back.
     """
 
-    def __init__(self, loop: ControlledLoop, inputs: Inputs, senses: Array) -> None:
+    def __init__(self, loop: ControlledLoop, inputs: AdversaryInputs, senses: Array) -> None:
         self.loop, self.inputs, self.senses, self.runs = loop, inputs, senses, 0
         self.errors, self.slopes = self._at(inputs)
-        self._step = np.full(inputs.count, FIRST_STEP)
+        self._step = np.full(inputs.count, BEGINNING_STEP)
         self._part = np.ones(inputs.count)
-        self._goals: Inputs | None = None
+        self._goals: AdversaryInputs | None = None
         self._old = np.ones(inputs.count, dtype=bool)
 
-    def _at(self, inputs: Inputs) -> tuple[Array, Inputs]:
+    def _at(self, inputs: AdversaryInputs) -> tuple[Array, AdversaryInputs]:
         """Errors, those of runs that escaped the least of all, and their slopes."""
         self.runs += inputs.count
         errors, slopes = self.loop.slopes(inputs)
         errors = np.where(np.isfinite(errors), self.senses * errors, -np.inf)
-        return errors, Inputs(*(np.nan_to_num(self.senses * part) for part in slopes.parts()))
+        return errors, AdversaryInputs(
+            *(np.nan_to_num(self.senses * part) for part in slopes.parts())
+        )
 
     def leap(self) -> None:
         """All the way to the best of everything at once, where that is better."""
-        best = self._along(LONGEST)
+        best = self._along(FULL_STEP)
         self._try(self._to_reference(best, np.ones_like(self._part)))
 
     def turn(self) -> None:
         """A step of shares and constants, and one of the reference."""
         good = self._try(self._along(self._step))
-        self._step = np.clip(self._step * np.where(good, LONGER, SHORTER), SHORTEST, LONGEST)
+        self._step = np.clip(
+            self._step * np.where(good, BETTER_FACTOR, WORSE_FACTOR), SHORTEST_STEP, FULL_STEP
+        )
         good = self._try(self._to_reference(self.inputs, self._part))
         part = np.where(good, np.minimum(1.0, 2 * self._part), self._part / 2)
-        self._part = np.maximum(LEAST_PART, part)
+        self._part = np.maximum(LEAST_WAY, part)
 
-    def _try(self, inputs: Inputs) -> Array:
+    def _try(self, inputs: AdversaryInputs) -> Array:
         """Take what is better."""
         errors, slopes = self._at(inputs)
-        good = errors > self.errors + LEAST_GAIN * np.abs(self.errors)
+        good = errors > self.errors + WORTH_A_STEP * np.abs(self.errors)
         self.errors = np.where(good, errors, self.errors)
         self.inputs = inputs.where(good, self.inputs)
         self.slopes = slopes.where(good, self.slopes)
         self._old |= good
         return good
 
-    def _along(self, step: Array | float) -> Inputs:
+    def _along(self, step: Array | float) -> AdversaryInputs:
         """Shares and constants along their slopes."""
         now, slopes = self.inputs, self.slopes
         rise = slopes.shares.copy()
@@ -106,9 +110,9 @@ class Climb:
         across = (high - low) * slopes.truths
         size = np.sqrt((across**2).mean(axis=0, keepdims=True)) + 1e-300 if across.size else 1.0
         truths = np.clip(now.truths + step * (high - low) * across / size, low, high)
-        return Inputs(shares, now.begin, now.pieces, truths)
+        return AdversaryInputs(shares, now.begin, now.pieces, truths)
 
-    def _to_reference(self, now: Inputs, part: Array) -> Inputs:
+    def _to_reference(self, now: AdversaryInputs, part: Array) -> AdversaryInputs:
         """The inputs with their reference on its way to the best one."""
         if self._goals is None:
             self._goals = self.inputs
@@ -116,12 +120,12 @@ class Climb:
         for i in np.flatnonzero(self._old):
             slopes, widths = self.slopes, self.loop.piece_widths
             gains = np.concatenate([slopes.begin[:, i], slopes.pieces[: len(widths), i]])
-            program = worst_profile(gains, self.loop.bounds, widths, STOPPING_PIECES)
+            program = worst_profile(gains, self.loop.bounds, widths, RESTING_PIECES)
             if program is not None:
                 begin[:, i] = program.start
                 pieces[:, i] = program.pieces
         self._old[:] = False
-        self._goals = Inputs(now.shares, begin, pieces, now.truths)
+        self._goals = AdversaryInputs(now.shares, begin, pieces, now.truths)
         return now.towards(self._goals, part)
 
     def keep(self, members: Array) -> None:
@@ -136,7 +140,7 @@ class Climb:
 
 def climb(
     loop: ControlledLoop,
-    inputs: Inputs,
+    inputs: AdversaryInputs,
     senses: Array,
     turns: int,
     tell: Callable[[Climb], None] = lambda _: None,

@@ -25,23 +25,23 @@ from certrack.studies.falsifier.loop import slowest_time_constant
 from certrack.systems.system import System
 
 #: Length of the run, in time constants of the slowest mode: e^-10 is left of the start.
-RUN_TIME_CONSTANTS = 10.0
+ASCENT_TIME_CONSTANTS = 10.0
 
 #: A step over the fastest time constant of the nominal error, and steps at most.
-STEP_PART, MOST_STEPS = 0.15, 4000
+CONTROL_STEP_PART, MOST_CONTROL_STEPS = 0.15, 4000
 
 #: Pieces of the reference: each lasts so much of the time from it to the end, but some steps.
 PIECE_PART, LEAST_PIECE = 0.07, 2
 
 #: Pieces by which a reference comes to rest after the end.
-STOPPING_PIECES = 24
+RESTING_PIECES = 24
 
 #: ||x|| in a disturbance is sqrt(x.x + offset^2) - offset.
-NORM_OFFSET = 2.0**-14
+SHARE_NORM_OFFSET = 2.0**-14
 
 
 @dataclass(frozen=True)
-class Inputs:
+class AdversaryInputs:
     """What N members are given.
 
     Attributes
@@ -50,7 +50,7 @@ class Inputs:
         s_k of every step, within -1 and 1.
     begin : (m, N) array
         y_d ... y_d^(m-1) at the beginning.
-    pieces : (pieces + STOPPING_PIECES, N) array
+    pieces : (pieces + RESTING_PIECES, N) array
         y_d^(m); with the last ones the reference comes to rest after the end.
     truths : (P, N) array
         g_n and theta, where they have ranges.
@@ -70,27 +70,29 @@ class Inputs:
         """All of them."""
         return self.shares, self.begin, self.pieces, self.truths
 
-    def finer(self, times: int) -> Inputs:
+    def finer(self, times: int) -> AdversaryInputs:
         """The same for a loop with so many times as many steps."""
-        return Inputs(np.repeat(self.shares, times, axis=0), self.begin, self.pieces, self.truths)
+        return AdversaryInputs(
+            np.repeat(self.shares, times, axis=0), self.begin, self.pieces, self.truths
+        )
 
-    def coarser(self, times: int) -> Inputs:
+    def coarser(self, times: int) -> AdversaryInputs:
         """The other way."""
-        return Inputs(self.shares[::times], self.begin, self.pieces, self.truths)
+        return AdversaryInputs(self.shares[::times], self.begin, self.pieces, self.truths)
 
-    def towards(self, others: Inputs, part: Array) -> Inputs:
+    def towards(self, others: AdversaryInputs, part: Array) -> AdversaryInputs:
         """A part (N,) of the way to others: admissible if both are."""
         pairs = zip(self.parts(), others.parts(), strict=True)
-        return Inputs(*(a + part * (b - a) for a, b in pairs))
+        return AdversaryInputs(*(a + part * (b - a) for a, b in pairs))
 
-    def where(self, mask: Array, others: Inputs) -> Inputs:
+    def where(self, mask: Array, others: AdversaryInputs) -> AdversaryInputs:
         """These where the mask (N,) is true, and others elsewhere."""
         pairs = zip(self.parts(), others.parts(), strict=True)
-        return Inputs(*(np.where(mask, a, b) for a, b in pairs))
+        return AdversaryInputs(*(np.where(mask, a, b) for a, b in pairs))
 
-    def some(self, members: Array) -> Inputs:
+    def some(self, members: Array) -> AdversaryInputs:
         """Those with these numbers."""
-        return Inputs(*(a[..., members] for a in self.parts()))
+        return AdversaryInputs(*(a[..., members] for a in self.parts()))
 
 
 class ControlledLoop:
@@ -136,9 +138,9 @@ class ControlledLoop:
 
     def _steps(self) -> tuple[int, float]:
         poles = self.system.controller.coordinates.poles
-        horizon = RUN_TIME_CONSTANTS * slowest_time_constant(self.system)
-        step = STEP_PART / float(np.abs(poles).max())
-        count = min(MOST_STEPS, int(np.ceil(horizon / step)))
+        horizon = ASCENT_TIME_CONSTANTS * slowest_time_constant(self.system)
+        step = CONTROL_STEP_PART / float(np.abs(poles).max())
+        count = min(MOST_CONTROL_STEPS, int(np.ceil(horizon / step)))
         return count, step
 
     @property
@@ -154,14 +156,14 @@ class ControlledLoop:
     @property
     def stopping_widths(self) -> Array:
         """Of the pieces after the end, s."""
-        return stopping_widths(self.bounds, STOPPING_PIECES)
+        return stopping_widths(self.bounds, RESTING_PIECES)
 
     def share_bound(self, k: int) -> str:
         """The bound of w_k, of which s_k is the share, as a formula."""
         u = self.system.plant.uncertainty
         if u.slowness(k) is not None:
             return repr(u.beta[k])
-        return u.bound_formula(k, self.system.plant.states, NORM_OFFSET)
+        return u.bound_formula(k, self.system.plant.states, SHARE_NORM_OFFSET)
 
     @cached_property
     def runs(self) -> ControlledRuns:
@@ -206,7 +208,7 @@ class ControlledLoop:
         row[0], row[size] = 1.0, -1.0
         return row
 
-    def given(self, inputs: Inputs) -> tuple[Array, Array, Array, Array]:
+    def given(self, inputs: AdversaryInputs) -> tuple[Array, Array, Array, Array]:
         """Widths, starts, controls and parameters of the members.
 
         They begin where the error of the nominal law is zero, with the law's own estimates.
@@ -220,14 +222,14 @@ class ControlledLoop:
         controls = np.concatenate([inputs.shares, steep[:, None]], axis=1)
         return self.widths, starts, controls, inputs.truths
 
-    def errors(self, inputs: Inputs) -> Array:
+    def errors(self, inputs: AdversaryInputs) -> Array:
         """e_1 at the end, of every member."""
         states = self.runs.run(*self.given(inputs))
         with np.errstate(all="ignore"):
             ends: Array = self.output @ states[-1]
         return ends
 
-    def slopes(self, inputs: Inputs) -> tuple[Array, Inputs]:
+    def slopes(self, inputs: AdversaryInputs) -> tuple[Array, AdversaryInputs]:
         """e_1 at the end, and its slopes by the inputs."""
         given = self.given(inputs)
         states, back = self.runs.run_back(*given, self.output)
@@ -235,10 +237,10 @@ class ControlledLoop:
         begin = back.start[size:] + self.resting.T @ back.start[:n]
         first = np.cumsum(self.piece_steps) - self.piece_steps
         steep = np.add.reduceat(back.controls[:, -1], first, axis=0)
-        steep = np.concatenate([steep, np.zeros((STOPPING_PIECES, inputs.count))])
+        steep = np.concatenate([steep, np.zeros((RESTING_PIECES, inputs.count))])
         with np.errstate(all="ignore"):
             ends: Array = self.output @ states[-1]
-        return ends, Inputs(back.controls[:, :-1], begin, steep, back.parameters)
+        return ends, AdversaryInputs(back.controls[:, :-1], begin, steep, back.parameters)
 
 
 def _pieces(steps: int) -> Array:

@@ -14,14 +14,14 @@ from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.ascent.case import MEANS, SIGNS, written
 from certrack.studies.falsifier.ascent.climb import Climb, climb
-from certrack.studies.falsifier.ascent.loop import ControlledLoop, Inputs
-from certrack.studies.falsifier.ascent.seeds import joined, of_run, waves
+from certrack.studies.falsifier.ascent.loop import AdversaryInputs, ControlledLoop
+from certrack.studies.falsifier.ascent.seeds import all_members, of_run, waves
 from certrack.studies.falsifier.linear.search import LinearCase, NothingTried, tail_error
 from certrack.systems.system import System
 
 #: Members to begin with, and turns for each number of them: at most, and runs of the search for
 #: each turn.
-MEMBERS, MOST_TURNS, RUNS_PER_TURN = 16, 16, 300
+CLIMBERS, MOST_CLIMB_TURNS, RUNS_PER_TURN = 16, 16, 300
 
 #: Twice as many steps must not change the errors to begin with by more than this part of the
 #: largest; nor may the run of what was found have less than the rest of what the steps promise.
@@ -81,7 +81,7 @@ def ascend(
         raise NothingTried("a derivative of the reference has no bound, or stands still")
     finer, members, senses = _begun(system, bounds, found, np.random.default_rng(seed))
     loop = ControlledLoop(system, bounds, finer)
-    turns = min(MOST_TURNS, max(1, budget // RUNS_PER_TURN))
+    turns = min(MOST_CLIMB_TURNS, max(1, budget // RUNS_PER_TURN))
 
     def tell(c: Climb) -> None:
         progress(budget, budget, max(0.0, float(c.errors.max())))
@@ -92,7 +92,7 @@ def ascend(
         while finer < MOST_FINER and not any(map(_is_honest, cases)):
             finer *= 2
             loop = ControlledLoop(system, bounds, finer)
-            some = np.arange(min(MEMBERS // 2, len(senses)))  # not those that lived of wrong steps
+            some = np.arange(min(CLIMBERS // 2, len(senses)))  # not those that lived of wrong steps
             members, senses = members.finer(2).some(some), senses[some]
             top = climb(loop, members, senses, turns, tell)
             spent, cases = spent + top.runs, [*cases, *_cases(loop, top)]
@@ -111,15 +111,15 @@ def _begun(
     bounds: tuple[float, ...],
     found: Sequence[tuple[System, Run]],
     rng: np.random.Generator,
-) -> tuple[int, Inputs, Array]:
+) -> tuple[int, AdversaryInputs, Array]:
     """How fine the steps must be, the members to begin with, and which side each is to make worse.
 
     The members are those of runs, and waves.
     """
     loop = ControlledLoop(system, bounds)
     seeds = [of_run(loop, *pair) for pair in found]
-    others = max(4, MEMBERS - len(seeds))
-    members = joined([*(inputs for inputs, _ in seeds), waves(loop, others, rng)])
+    others = max(4, CLIMBERS - len(seeds))
+    members = all_members([*(inputs for inputs, _ in seeds), waves(loop, others, rng)])
     senses = [sense for _, sense in seeds] + [1.0 if i % 2 else -1.0 for i in range(others)]
     finer, ends = 1, loop.errors(members)
     while finer < MOST_FINER:

@@ -1,4 +1,4 @@
-"""Inputs to begin an ascent with: constant ones, waves, and those of runs found before."""
+"""AdversaryInputs to begin an ascent with: constant ones, waves, and those of runs found before."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from certrack.core.expressions import TIME, parse
 from certrack.core.lowering import numpy_callable, rows
 from certrack.references.shapes import derivatives_between
 from certrack.simulation.run import Run
-from certrack.studies.falsifier.ascent.loop import STOPPING_PIECES, ControlledLoop, Inputs
+from certrack.studies.falsifier.ascent.loop import RESTING_PIECES, AdversaryInputs, ControlledLoop
 from certrack.systems.system import System
 
 #: Waves have from one turn in so many horizons to so many turns in one.
-FEWEST_TURNS, MOST_TURNS = 0.5, 60.0
+SLOWEST_WAVE, FASTEST_WAVE = 0.5, 60.0
 
 
-def waves(loop: ControlledLoop, count: int, rng: np.random.Generator) -> Inputs:
+def waves(loop: ControlledLoop, count: int, rng: np.random.Generator) -> AdversaryInputs:
     """Members at rest under shares that are constant at first, then waves of any frequency.
 
     Constants are at corners of their ranges.
     """
     steps, C, P = len(loop.widths), len(loop.acting), len(loop.ranges)
     time = (np.cumsum(loop.widths) / loop.horizon)[:, None, None]
-    turns = np.exp(rng.uniform(np.log(FEWEST_TURNS), np.log(MOST_TURNS), (C, count)))
+    turns = np.exp(rng.uniform(np.log(SLOWEST_WAVE), np.log(FASTEST_WAVE), (C, count)))
     shares = np.sign(np.sin(2 * np.pi * (turns * time + rng.uniform(size=(C, count)))))
     still = np.arange(count) < 4
     constant = np.array([1.0, 1.0, -1.0, -1.0])[np.arange(count) % 4]
     shares = np.where(still | np.array(loop.held)[:, None], constant, shares)
     corners = rng.integers(0, 2, (P, count))
     truths = np.take_along_axis(loop.ranges, corners, axis=1) if P else np.zeros((0, count))
-    pieces = np.zeros((len(loop.piece_steps) + STOPPING_PIECES, count))
-    return Inputs(
+    pieces = np.zeros((len(loop.piece_steps) + RESTING_PIECES, count))
+    return AdversaryInputs(
         np.broadcast_to(shares, (steps, C, count)),
         np.zeros((len(loop.bounds) - 1, count)),
         pieces,
@@ -43,7 +43,7 @@ def waves(loop: ControlledLoop, count: int, rng: np.random.Generator) -> Inputs:
     )
 
 
-def of_run(loop: ControlledLoop, case: System, run: Run) -> tuple[Inputs, float]:
+def of_run(loop: ControlledLoop, case: System, run: Run) -> tuple[AdversaryInputs, float]:
     """The inputs of a run until its worst error of the tail, and the sense of that error."""
     late = np.flatnonzero(run.t >= case.settings.tail_start)
     at = late[int(np.argmax(np.abs(run.e[0][late])))] if late.size else len(run.t) - 1
@@ -65,7 +65,7 @@ def of_run(loop: ControlledLoop, case: System, run: Run) -> tuple[Inputs, float]
     reference = _reference(loop, case, np.maximum(edges, 0.0))
     low, high = loop.ranges.T
     truths = np.clip([_true_value(case, name) for name in loop.truth_names], low, high)
-    return Inputs(shares, reference[0], reference[1], truths.reshape(-1, 1)), float(
+    return AdversaryInputs(shares, reference[0], reference[1], truths.reshape(-1, 1)), float(
         np.sign(run.e[0][at]) or 1.0
     )
 
@@ -119,9 +119,9 @@ def _stopping(loop: ControlledLoop, begin: Array, pieces: Array) -> Array:
     return np.zeros(count) if solved.x is None else np.asarray(solved.x[:-1])
 
 
-def joined(members: Sequence[Inputs]) -> Inputs:
+def all_members(members: Sequence[AdversaryInputs]) -> AdversaryInputs:
     """All members of all of them."""
-    return Inputs(
+    return AdversaryInputs(
         *(
             np.concatenate(parts, axis=-1)
             for parts in zip(*(m.parts() for m in members), strict=True)
