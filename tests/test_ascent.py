@@ -158,7 +158,7 @@ def test_no_step_leaves_what_is_admissible():
     low, high = loop.ranges.T[..., None]
     assert (low <= top.inputs.truths).all()
     assert (top.inputs.truths <= high).all()
-    case = written(loop, top.inputs.some(np.array([0])), top.slopes.some(np.array([0])), SIGNS)
+    case = written(loop, top.inputs.subset(np.array([0])), top.slopes.subset(np.array([0])), SIGNS)
     begin = case.reference.values(np.zeros(1), 0)[0, 0]
     assert begin == pytest.approx(top.inputs.begin[0, 0], rel=1e-3)  # it was not scaled down
 
@@ -193,7 +193,7 @@ def test_what_changes_slowly_is_held():
     top = climb(loop, waves(loop, 4, np.random.default_rng(0)), np.array([1.0, -1, 1, -1]), 2)
     assert (np.ptp(top.inputs.shares[:, 1], axis=0) == 0).all()
     assert (np.ptp(top.inputs.shares[:, 0], axis=0) == 2).all()
-    inputs, slopes = (v.some(np.array([0])) for v in (top.inputs, top.slopes))
+    inputs, slopes = (v.subset(np.array([0])) for v in (top.inputs, top.slopes))
     assert "t" not in written(loop, inputs, slopes, MEANS).truth.omega[1].text
 
 

@@ -82,7 +82,7 @@ class ControlledRuns:
     def __init__(self, flow: ControlledFlow) -> None:
         self._flow = flow
         try:
-            self._library: ctypes.CDLL | None = compiled_library("controlled.c", _header(flow))
+            self._library: ctypes.CDLL | None = compiled_library("controlled.c", _controlled_source(flow))
         except MethodUnavailable:
             self._library = None
 
@@ -119,10 +119,10 @@ class ControlledRuns:
         filled, parts = whole_registers(count), []
         for first in range(0, count, LANES):
             lanes = filled[first : first + LANES]
-            given = starts[:, lanes], controls[:, :, lanes], parameters[:, lanes]
-            parts.append(self._lanes(widths, *given, output))
-        whole = [np.concatenate(part, axis=-1)[..., :count] for part in zip(*parts, strict=True)]
-        return whole[0], None if output is None else InputSlopes(*whole[1:])
+            arguments = starts[:, lanes], controls[:, :, lanes], parameters[:, lanes]
+            parts.append(self._lanes(widths, *arguments, output))
+        parts_joined = [np.concatenate(part, axis=-1)[..., :count] for part in zip(*parts, strict=True)]
+        return parts_joined[0], None if output is None else InputSlopes(*parts_joined[1:])
 
     def _lanes(
         self, widths: Array, starts: Array, controls: Array, parameters: Array, output: Array | None
@@ -159,7 +159,7 @@ class _Task(ctypes.Structure):
 
 
 @remembered
-def _header(flow: ControlledFlow) -> str:
+def _controlled_source(flow: ControlledFlow) -> str:
     """The generated part of controlled.c."""
     names: dict[sympy.Symbol, str] = {}
     groups = (
@@ -180,12 +180,12 @@ def _header(flow: ControlledFlow) -> str:
     }
     rates = [(f"k[{i}]", rate) for i, rate in enumerate(flow.rates)]
     back = list(zip(targets, flow.pullback(), strict=True))
-    given = "const V *x, const V *c, const V *p"
+    arguments = "const V *x, const V *c, const V *p"
     return with_elementary(
         [
             c_enum(sizes),
-            c_function("rates", f"{given}, V *k", rates, names),
-            c_function("pullback", f"{given}, const V *g, V *ox, V *oc, V *op", back, names),
+            c_function("rates", f"{arguments}, V *k", rates, names),
+            c_function("pullback", f"{arguments}, const V *g, V *ox, V *oc, V *op", back, names),
         ]
     )
 
@@ -195,9 +195,9 @@ class _NumpyRuns:
 
     def __init__(self, flow: ControlledFlow) -> None:
         self._sizes = [len(v) for v in (flow.states, flow.controls, flow.parameters)]
-        given: Sequence[Sequence[sympy.Symbol]] = (flow.states, flow.controls, flow.parameters)
-        self._rates = numpy_callable(given, list(flow.rates))
-        self._pullback = numpy_callable([*given, flow.costates], flow.pullback())
+        arguments: Sequence[Sequence[sympy.Symbol]] = (flow.states, flow.controls, flow.parameters)
+        self._rates = numpy_callable(arguments, list(flow.rates))
+        self._pullback = numpy_callable([*arguments, flow.costates], flow.pullback())
 
     def _stages(self, h: float, x: Array, c: Array, p: Array) -> tuple[list[Array], list[Array]]:
         places, rates = [x], [self._values(self._rates(x, c, p), x)]

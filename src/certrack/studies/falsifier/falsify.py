@@ -229,8 +229,8 @@ def falsify(
         cases[KERNELS], runs[KERNELS] = linear.system, linear.run
     if linear is None or is_estimated(system):
         try:
-            found = [(case, runs[origin]) for origin, case in cases.items()]
-            ascent = ascend(system, bounds, found, budget, seed, progress)
+            earlier = [(case, runs[origin]) for origin, case in cases.items()]
+            ascent = ascend(system, bounds, earlier, budget, seed, progress)
             evaluations += ascent.runs
             cases[ASCENT], runs[ASCENT] = ascent.case.system, ascent.case.run
         except NothingTried as refusal:

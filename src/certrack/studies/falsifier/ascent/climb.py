@@ -24,7 +24,7 @@ from certrack.core.arrays import Array
 from certrack.studies.falsifier.ascent.loop import RESTING_PIECES, AdversaryInputs, ControlledLoop
 
 #: The first step of shares, over the slopes' root mean square; shortest and longest step.
-BEGINNING_STEP, SHORTEST_STEP, FULL_STEP = 100.0, 1e-3, 1e6
+BEGINNING_STEP, TINIEST_STEP, FULL_STEP = 100.0, 1e-3, 1e6
 
 #: By what a step that was good is longer, and one that was not is shorter.
 BETTER_FACTOR, WORSE_FACTOR = 3.0, 0.3
@@ -81,7 +81,7 @@ class Climb:
         """A step of shares and constants, and one of the reference."""
         good = self._try(self._along(self._step))
         self._step = np.clip(
-            self._step * np.where(good, BETTER_FACTOR, WORSE_FACTOR), SHORTEST_STEP, FULL_STEP
+            self._step * np.where(good, BETTER_FACTOR, WORSE_FACTOR), TINIEST_STEP, FULL_STEP
         )
         good = self._try(self._to_reference(self.inputs, self._part))
         part = np.where(good, np.minimum(1.0, 2 * self._part), self._part / 2)
@@ -130,8 +130,8 @@ class Climb:
 
     def keep(self, members: Array) -> None:
         """Go on with these members only."""
-        self.inputs, self.slopes = self.inputs.some(members), self.slopes.some(members)
-        self._goals = None if self._goals is None else self._goals.some(members)
+        self.inputs, self.slopes = self.inputs.subset(members), self.slopes.subset(members)
+        self._goals = None if self._goals is None else self._goals.subset(members)
         self.senses, self.errors = self.senses[members], self.errors[members]
         self._step, self._part, self._old = (
             v[members] for v in (self._step, self._part, self._old)

@@ -90,7 +90,7 @@ class AdversaryInputs:
         pairs = zip(self.parts(), others.parts(), strict=True)
         return AdversaryInputs(*(np.where(mask, a, b) for a, b in pairs))
 
-    def some(self, members: Array) -> AdversaryInputs:
+    def subset(self, members: Array) -> AdversaryInputs:
         """Those with these numbers."""
         return AdversaryInputs(*(a[..., members] for a in self.parts()))
 
@@ -208,7 +208,7 @@ class ControlledLoop:
         row[0], row[size] = 1.0, -1.0
         return row
 
-    def given(self, inputs: AdversaryInputs) -> tuple[Array, Array, Array, Array]:
+    def arguments(self, inputs: AdversaryInputs) -> tuple[Array, Array, Array, Array]:
         """Widths, starts, controls and parameters of the members.
 
         They begin where the error of the nominal law is zero, with the law's own estimates.
@@ -224,15 +224,15 @@ class ControlledLoop:
 
     def errors(self, inputs: AdversaryInputs) -> Array:
         """e_1 at the end, of every member."""
-        states = self.runs.run(*self.given(inputs))
+        states = self.runs.run(*self.arguments(inputs))
         with np.errstate(all="ignore"):
             ends: Array = self.output @ states[-1]
         return ends
 
     def slopes(self, inputs: AdversaryInputs) -> tuple[Array, AdversaryInputs]:
         """e_1 at the end, and its slopes by the inputs."""
-        given = self.given(inputs)
-        states, back = self.runs.run_back(*given, self.output)
+        arguments = self.arguments(inputs)
+        states, back = self.runs.run_back(*arguments, self.output)
         n, size = self.system.plant.n, len(self.system.start)
         begin = back.start[size:] + self.resting.T @ back.start[:n]
         first = np.cumsum(self.piece_steps) - self.piece_steps

@@ -53,7 +53,7 @@ class Ascent:
 def ascend(
     system: System,
     bounds: tuple[float, ...],
-    found: Sequence[tuple[System, Run]],
+    earlier: Sequence[tuple[System, Run]],
     budget: int,
     seed: int,
     progress: Progress,
@@ -65,7 +65,7 @@ def ascend(
     system : System
         Without an implementation.
     bounds : Y_0 ... Y_{q+1}
-    found : pairs of systems and runs
+    earlier : pairs of systems and runs
         Of the plant, the law and the bounds of `system`.
     budget : int
         Runs of the whole search: the more, the more turns.
@@ -79,7 +79,7 @@ def ascend(
     """
     if not np.isfinite(bounds).all() or min(bounds) <= 0:
         raise NothingTried("a derivative of the reference has no bound, or stands still")
-    finer, members, senses = _begun(system, bounds, found, np.random.default_rng(seed))
+    finer, members, senses = _begun(system, bounds, earlier, np.random.default_rng(seed))
     loop = ControlledLoop(system, bounds, finer)
     turns = min(MOST_CLIMB_TURNS, max(1, budget // RUNS_PER_TURN))
 
@@ -92,8 +92,8 @@ def ascend(
         while finer < MOST_FINER and not any(map(_is_honest, cases)):
             finer *= 2
             loop = ControlledLoop(system, bounds, finer)
-            some = np.arange(min(CLIMBERS // 2, len(senses)))  # not those that lived of wrong steps
-            members, senses = members.finer(2).some(some), senses[some]
+            kept = np.arange(min(CLIMBERS // 2, len(senses)))  # not those that lived of wrong steps
+            members, senses = members.finer(2).subset(kept), senses[kept]
             top = climb(loop, members, senses, turns, tell)
             spent, cases = spent + top.runs, [*cases, *_cases(loop, top)]
     if not cases:
@@ -109,7 +109,7 @@ def _is_honest(case: LinearCase) -> bool:
 def _begun(
     system: System,
     bounds: tuple[float, ...],
-    found: Sequence[tuple[System, Run]],
+    earlier: Sequence[tuple[System, Run]],
     rng: np.random.Generator,
 ) -> tuple[int, AdversaryInputs, Array]:
     """How fine the steps must be, the members to begin with, and which side each is to make worse.
@@ -117,7 +117,7 @@ def _begun(
     The members are those of runs, and waves.
     """
     loop = ControlledLoop(system, bounds)
-    seeds = [of_run(loop, *pair) for pair in found]
+    seeds = [of_run(loop, *pair) for pair in earlier]
     others = max(4, CLIMBERS - len(seeds))
     members = all_members([*(inputs for inputs, _ in seeds), waves(loop, others, rng)])
     senses = [sense for _, sense in seeds] + [1.0 if i % 2 else -1.0 for i in range(others)]
@@ -136,7 +136,7 @@ def _cases(loop: ControlledLoop, top: Climb) -> Iterator[LinearCase]:
     """What the best members are as systems, run."""
     good = np.flatnonzero(top.errors >= (1 - NEAR_BEST) * top.errors.max())
     for i in good.tolist():
-        inputs, slopes = top.inputs.some(np.array([i])), top.slopes.some(np.array([i]))
+        inputs, slopes = top.inputs.subset(np.array([i])), top.slopes.subset(np.array([i]))
         for form in (SIGNS, MEANS):
             try:
                 case = written(loop, inputs, slopes, form)
