@@ -12,15 +12,21 @@ if TYPE_CHECKING:
 STATUS_WIDTH = len("contradicted")
 
 
-def premise_lines(premises: Iterable[Premise]) -> list[str]:
-    """Every premise with its status, one line each; terms that are zero share one."""
-    zero, lines = [], []
+def premise_rows(premises: Iterable[Premise]) -> list[tuple[str, str, str]]:
+    """Status, name and detail of every premise; terms that are zero share a row."""
+    zero, rows = [], []
     for premise in premises:
         if premise.status == "proven" and premise.detail == f"tau |{premise.name}| = 0":
             zero.append(premise.name)
             continue
-        text = f"  {premise.status:<{STATUS_WIDTH}}  {premise.name}: {premise.detail}"
-        lines.append(f"{text}; {premise.remedy}" if premise.remedy else text)
-    if zero:
-        lines.append(f"  {'proven':<{STATUS_WIDTH}}  {', '.join(zero)}: zero")
-    return lines
+        remedy = f"; {premise.remedy}" if premise.remedy else ""
+        rows.append((premise.status, premise.name, premise.detail + remedy))
+    return [*rows, ("proven", ", ".join(zero), "zero")] if zero else rows
+
+
+def premise_lines(premises: Iterable[Premise]) -> list[str]:
+    """The same, one line each."""
+    return [
+        f"  {status:<{STATUS_WIDTH}}  {name}: {detail}"
+        for status, name, detail in premise_rows(premises)
+    ]
