@@ -82,7 +82,9 @@ class ControlledRuns:
     def __init__(self, flow: ControlledFlow) -> None:
         self._flow = flow
         try:
-            self._library: ctypes.CDLL | None = compiled_library("controlled.c", _controlled_source(flow))
+            self._library: ctypes.CDLL | None = compiled_library(
+                "controlled.c", _controlled_source(flow)
+            )
         except MethodUnavailable:
             self._library = None
 
@@ -121,7 +123,9 @@ class ControlledRuns:
             lanes = filled[first : first + LANES]
             arguments = starts[:, lanes], controls[:, :, lanes], parameters[:, lanes]
             parts.append(self._lanes(widths, *arguments, output))
-        parts_joined = [np.concatenate(part, axis=-1)[..., :count] for part in zip(*parts, strict=True)]
+        parts_joined = [
+            np.concatenate(part, axis=-1)[..., :count] for part in zip(*parts, strict=True)
+        ]
         return parts_joined[0], None if output is None else InputSlopes(*parts_joined[1:])
 
     def _lanes(

@@ -92,8 +92,8 @@ def ascend(
         while finer < MOST_FINER and not any(map(_is_honest, cases)):
             finer *= 2
             loop = ControlledLoop(system, bounds, finer)
-            kept = np.arange(min(CLIMBERS // 2, len(senses)))  # not those that lived of wrong steps
-            members, senses = members.finer(2).subset(kept), senses[kept]
+            half = np.arange(min(CLIMBERS // 2, len(senses)))  # not those that lived of wrong steps
+            members, senses = members.finer(2).subset(half), senses[half]
             top = climb(loop, members, senses, turns, tell)
             spent, cases = spent + top.runs, [*cases, *_cases(loop, top)]
     if not cases:
