@@ -283,6 +283,7 @@ ORIGIN_WORDS = {
     "search": "",
     "own": ", the file's own",
     "kernels": ", by kernels and a linear program",
+    "ascent": ", by an ascent from the worst of them",
 }
 
 #: What the user is told where the worst run has not reached its long run.

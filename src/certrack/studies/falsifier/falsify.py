@@ -30,6 +30,7 @@ from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.adversary import Adversary, reference_bounds
 from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
+from certrack.studies.falsifier.ascent.search import ascend
 from certrack.studies.falsifier.escape import Escape, first_escape
 from certrack.studies.falsifier.evolution import Search
 from certrack.studies.falsifier.linear.estimated import estimated_case, is_estimated
@@ -95,7 +96,7 @@ BEYOND_IMPLEMENTED = (
 )
 
 #: Where a worst case comes from.
-SEARCH, OWN, KERNELS = "search", "own", "kernels"
+SEARCH, OWN, KERNELS, ASCENT = "search", "own", "kernels", "ascent"
 
 
 @dataclass(frozen=True)
@@ -121,15 +122,16 @@ class Falsification:
         Of the alarm: which premise, or that none was found.
     own_run : bool
         Whether the worst case is the file's own run.
-    origin : {"search", "kernels", "own"}
-        Where the worst case comes from: the search, the kernels of the linear loop, the file.
+    origin : {"search", "ascent", "kernels", "own"}
+        Where the worst case comes from: the search, the ascent from what it found, the kernels of
+        the linear loop, the file.
     stopped : str or None
         How the worst run ended, where it did not reach its end.
     drive : DriveFalsification or None
         The worst case of the loop as the file's implementation carries it out, where it is linear.
     left_out : mapping of str to str
-        Why the kernels of the continuous loop (``"kernels"``) or of the implemented one
-        (``"drive"``) were not tried.
+        Why the kernels of the continuous loop (``"kernels"``), those of the implemented one
+        (``"drive"``) or the ascent (``"ascent"``) were not tried.
     """
 
     worst_error: float
@@ -230,6 +232,14 @@ def falsify(
     runs = {origin: simulate(case) for origin, case in cases.items()}
     if linear is not None:
         cases[KERNELS], runs[KERNELS] = linear.system, linear.run
+    if linear is None or is_estimated(system):
+        try:
+            earlier = [(case, runs[origin]) for origin, case in cases.items()]
+            ascent = ascend(system, bounds, earlier, budget, seed, progress)
+            evaluations += ascent.runs
+            cases[ASCENT], runs[ASCENT] = ascent.case.system, ascent.case.run
+        except NothingTried as refusal:
+            left_out[ASCENT] = str(refusal)
     errors = {origin: tail_error(run) for origin, run in runs.items()}
     worst = max(errors, key=lambda origin: errors[origin])
     against, stages = methods.best, methods.stages
