@@ -33,7 +33,7 @@ BETTER_FACTOR, WORSE_FACTOR = 3.0, 0.3
 LEAST_WAY = 1e-3
 
 #: A step is good if it gains more than this part of the error.
-WORTH_A_STEP = 1e-6
+WORTH_A_CLIMB = 1e-6
 
 
 class Climb:
@@ -90,7 +90,7 @@ class Climb:
     def _try(self, inputs: AdversaryInputs) -> Array:
         """Take what is better."""
         errors, slopes = self._at(inputs)
-        good = errors > self.errors + WORTH_A_STEP * np.abs(self.errors)
+        good = errors > self.errors + WORTH_A_CLIMB * np.abs(self.errors)
         self.errors = np.where(good, errors, self.errors)
         self.inputs = inputs.where(good, self.inputs)
         self.slopes = slopes.where(good, self.slopes)
