@@ -292,6 +292,8 @@ def test_phases_that_are_told_apart_from_the_time():
         ("asin(t)", ball(0, 1), "may reach 1 or -1"),
         ("asin(t)", ball(-1, 0), "may reach 1 or -1"),
         ("acos(2*t)", ball(0, 0.75), "may reach 1 or -1"),
+        ("asin(t)", arb(1), "may reach 1 or -1"),
+        ("(t**2 + abs(t))**(1/2)", ball(-1, 1), "base of a power"),
         ("abs(t)**(-1/2)", ball(-1, 1), "base of a power"),
     ],
 )
@@ -339,6 +341,7 @@ def test_magnitudes():
     assert ends(value) == pytest.approx((0, 4), abs=1e-6)
     assert ends(slope) == pytest.approx((-2, 2), abs=1e-6)
     assert arb(third).is_nan() and arb(fourth).is_nan()
+    assert len(Evaluation(ball(-1, 1), 4).series(sympy.Abs(TIME))) == 5
     (only,) = series("abs(t)", ball(-3, 2), 0)
     assert ends(only) == pytest.approx((0, 3), abs=1e-6)
     assert ends(series("abs(t)", ball(-2, -1), 1)[1]) == (-1, -1)
@@ -380,6 +383,7 @@ def test_parts():
     assert _positive(endless(1)) and not _positive(endless(0))
     assert ends(_power_of(fmpq(4), fmpq(1, 2))) == (2, 2)
     assert ends(_power_of(fmpq(4), fmpq(3, 2))) == pytest.approx((8, 8), rel=1e-12)
+    assert ends(_power_of(finite(1, 4), arb(1) / 2))[1] == pytest.approx(2, rel=1e-6)
     assert ends(_power_of(arb(3), arb(2))) == pytest.approx((9, 9), rel=1e-12)
     assert _integer_power(fmpq(-2, 3), 3) == fmpq(-8, 27)
     assert ends(_integer_power(ball(-2, 1), 3)) == pytest.approx((-8, 1), rel=1e-7)
@@ -387,3 +391,35 @@ def test_parts():
     assert ends(ONE) == pytest.approx((-1, 1)) and ends(_between(ball(-3, 2))) == pytest.approx(
         (-3, 3)
     )
+
+
+LOOSE = ("tanh", "acos(t**2)", "log(2 + 3*t)", "log(1 + t + t**2)", "asin(t - 1/2)")
+
+
+@pytest.mark.parametrize("text", [text for text in ANALYTIC if not text.startswith(LOOSE)])
+def test_a_span_of_one_time_has_the_derivatives_of_a_point(text):
+    found = series(text, finite(1.5, 1.5), 3)
+    expected = series(text, arb(1.5), 3)
+    for one, other in zip(found, expected, strict=True):
+        assert ends(one) == pytest.approx(ends(other), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_hyperbolic_tangent_bends_less_than_its_bell(sign):
+    """tanh'' = -2 tanh (1 - tanh^2), where 0 <= 1 - tanh^2(2t) <= 4 e^(-4t)."""
+    found = ends(series("tanh(2*t)" if sign > 0 else "tanh(-2*t)", endless(1), 2)[2])
+    expected = sorted((-16 * sign * math.exp(-4), 0))
+    assert found == pytest.approx(expected, abs=0.02)
+
+
+def test_arcsines_are_clamped_on_the_side_that_reaches_one():
+    rising = ends(series("asin(sin(t))", ball(-0.5, 1.7), 0)[0])
+    assert rising == pytest.approx((-0.5, math.pi / 2), abs=1e-4)
+    falling = ends(series("asin(sin(t))", ball(-1.7, 0.5), 0)[0])
+    assert falling == pytest.approx((-math.pi / 2, 0.5), abs=1e-4)
+
+
+@pytest.mark.parametrize(("begin", "end"), [(-0.5, -0.25), (0.25, 0.5)])
+def test_magnitudes_of_what_is_near_zero(begin, end):
+    found = ends(series("abs(t)", ball(begin, end), 1)[0])
+    assert found == pytest.approx((0.25, 0.5), rel=1e-6)
