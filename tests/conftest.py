@@ -3,6 +3,7 @@
 import math
 import os
 import shutil
+import sys
 import tempfile
 
 import numpy as np
@@ -168,3 +169,11 @@ def pytest_terminal_summary(terminalreporter):
         terminalreporter.section("Cortex-M4F: instructions, code, state, stack")
         for line in sorted(lines):
             terminalreporter.line(line)
+
+
+@pytest.fixture(autouse=True)
+def no_progress_lines(monkeypatch):
+    """A slow machine does not add lines to what a command says."""
+    lines = sys.modules.get("certrack.cli.progress_lines")
+    if lines is not None:
+        monkeypatch.setattr(lines, "SECONDS_BETWEEN_LINES", 3600.0)

@@ -22,7 +22,7 @@ from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import decimal, rational
 from certrack.certificates.assumption_1 import UncertainTerm
 from certrack.certificates.balls import ball_precision, enclosing_ball
-from certrack.certificates.centred import remainder_bound
+from certrack.certificates.centred import RemainderBound
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.cover import _Suprema, smallest_cover
 from certrack.certificates.document import FORMAT_1
@@ -57,6 +57,7 @@ from certrack.certificates.strength import _provable
 from certrack.certificates.tube import Tube
 from certrack.core.errors import InputError
 from certrack.core.expressions import parse, symbol
+from certrack.core.magnitudes import largest_magnitudes
 from certrack.laws.recursion import recursion
 
 # the conditions of a proof, on a loop of two states whose inequality is solved by hand
@@ -317,8 +318,25 @@ def test_the_remainder_is_bounded_by_the_whole_ellipsoid():
     spread = problem.Xe.astype(float) ** 2 @ (4 / np.array([4.0, 9.0, 16.0]))
     x1, x2 = np.sqrt(spread[:2])
     expected = 2 * x2 + x1 * 2 * 2 / 4 + 2 * 3 / 4
-    found = float(remainder_bound(system, problem)(reached))
+    found = float(RemainderBound(system, problem)(reached))
     assert expected <= found <= expected * (1 + 1e-9)
+
+
+def test_largest_magnitudes_hold_what_underflows():
+    """And every value of a formula on boxes of all sizes."""
+    a, b, c, x, y = sympy.symbols("a b c x y", real=True)
+    tiny, huge = np.full(1, 1e-200), np.full(1, 1e300)
+    box = {a: (tiny, tiny), b: (tiny, tiny), c: (huge, huge)}
+    assert largest_magnitudes(a * b * c, box, 1)[0] >= 1e-100
+    assert largest_magnitudes(sympy.exp(-x) * c, {x: (huge, huge), c: (huge, huge)}, 1)[0] > 0
+    sizes = 10.0 ** np.arange(-6, 3)
+    pair = dict.fromkeys((x, y), (-sizes, 2 * sizes))
+    formula = sympy.log(1 + x**2) * sympy.sin(x * y) - sympy.sqrt(1 + y**2) / 7
+    found = largest_magnitudes(formula, pair, len(sizes))
+    draws = np.random.default_rng(3).uniform(-1, 2, (2, 1000))[..., None] * sizes
+    values = abs(sympy.lambdify([x, y], formula)(*draws)).max(axis=0)
+    assert (values <= found).all()
+    assert found[0] <= values[0] * (1 + 1e-6)
 
 
 # tubes

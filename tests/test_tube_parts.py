@@ -89,8 +89,10 @@ def test_the_chain_of_two_stages(monkeypatch):
     assert second == close(5 * math.exp(-0.3) + 1.125 * (1 - math.exp(-0.3)))
 
 
-@pytest.mark.parametrize("known_until", [10.0, 3.0])
-def test_the_centred_stage_follows_the_first(monkeypatch, known_until):
+@pytest.mark.parametrize(
+    ("known_until", "in_floats"), [(10.0, 1), (10.0, math.inf), (3.0, math.inf)]
+)
+def test_the_centred_stage_follows_the_first(monkeypatch, known_until, in_floats):
     """Until t = 1 2 V_1 <= 16, so zeta is twice the proof's, if it has a bound there at all."""
     asked = []
     problem = SimpleNamespace(n=3, counts=(0, 1))
@@ -100,16 +102,22 @@ def test_the_centred_stage_follows_the_first(monkeypatch, known_until):
         asked.append(arguments)
         return [(1.0, 0.9), (1.5, 0.3), (2.0, 1.0)]
 
-    def zeta(reached):
-        if float(reached.bound) > known_until:
-            raise NoCertificate("none")
-        return number(reached.bound)
+    class Zeta:
+        """As large as e_n, where it has a bound; floats know all of it, or nothing."""
+
+        def __call__(self, reached):
+            if float(reached.bound) > known_until:
+                raise NoCertificate("none")
+            return number(reached.bound)
+
+        def in_floats(self, reached, squares):
+            return np.sqrt(squares) * in_floats
 
     monkeypatch.setattr(tubes, "_fall", fall)
     monkeypatch.setattr(tubes, "centred_problem", lambda *_: centred)
     monkeypatch.setattr(tubes, "single_stage", lambda *_: (6.0, 0.0, 0.5))
     monkeypatch.setattr(tubes, "squared_bound", lambda *_: number(1))
-    monkeypatch.setattr(tubes, "remainder_bound", lambda *_: zeta)
+    monkeypatch.setattr(tubes, "RemainderBound", lambda *_: Zeta())
     monkeypatch.setattr(tubes, "_allowed", lambda *_: lambda level: float(Fraction(str(level))) - 2)
     monkeypatch.setattr(tubes, "replace", lambda reached, bound: stage(bound))
     inner = [stage("2"), stage("3")]
