@@ -1,4 +1,4 @@
-"""The best quadratic function on a box, by Clarabel: the smallest bound of one row."""
+"""The best quadratic function on a box, by Clarabel: the smallest bounds of some rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exact proof of one bound of a stage: numbers as decimal texts, and their check."""
+"""The exact proof of the bounds of a stage: numbers as decimal texts, and their check."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def bootstrap(
 
 
 def _corner_sizes(loop: AdaptiveLoop) -> int:
-    """Entries of the matrices of all corners, of which the time of a program depends."""
+    """Entries of the matrices of all corners, on which the time of a program depends."""
     inputs = loop.Ua.shape[1] + loop.Ub.shape[1] + len(loop.Y)
     ranged = sum(1 for radius in loop.theta_radius if radius > 0)
     scales = 2 if loop.largest_scale > 1 else 0
