@@ -31,7 +31,7 @@ def waves(loop: ControlledLoop, count: int, rng: np.random.Generator) -> Adversa
     shares = np.sign(np.sin(2 * np.pi * (turns * time + rng.uniform(size=(C, count)))))
     still = np.arange(count) < 4
     constant = np.array([1.0, 1.0, -1.0, -1.0])[np.arange(count) % 4]
-    shares = np.where(still | np.array(loop.held)[:, None], constant, shares)
+    shares = np.where(still | np.array(loop.held, dtype=bool)[:, None], constant, shares)
     corners = rng.integers(0, 2, (P, count))
     truths = np.take_along_axis(loop.ranges, corners, axis=1) if P else np.zeros((0, count))
     pieces = np.zeros((len(loop.piece_steps) + RESTING_PIECES, count))
