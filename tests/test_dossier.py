@@ -14,6 +14,7 @@ from conftest import SHIPPED
 
 import certrack
 from certrack.cli import cli
+from certrack.core.errors import InputError
 from certrack.reports import guarantee as guarantee_module
 from certrack.reports import pages
 from certrack.reports.certificates import certificates_table
@@ -123,6 +124,13 @@ def test_a_long_certificate_is_named_by_its_digest(found, monkeypatch):
 def test_two_are_the_same_bytes(found, page):
     again = evidence_of(found.system, "drive.toml", effort="fast", without=OPTIONAL)
     assert to_html(dossier_of(again)) == page
+
+
+@pytest.mark.parametrize("wrong", [{"budget": 0}, {"seed": -1}, {"members": 0}])
+def test_an_argument_of_another_kind_is_refused(found, wrong):
+    (name,) = wrong
+    with pytest.raises(InputError, match=name):
+        evidence_of(found.system, "drive.toml", effort="fast", without=OPTIONAL, **wrong)
 
 
 def test_words_of_a_file_are_text(found):

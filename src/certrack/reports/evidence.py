@@ -11,10 +11,12 @@ from certrack.core import checks
 from certrack.core.errors import Cancelled, CertrackError
 from certrack.core.progress import Progress, silent
 from certrack.export.c.source import CCode, c_code
+from certrack.model.implementation import MAX_SEED
+from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.ensembles.ensemble import Ensemble, ensemble
-from certrack.studies.falsifier.falsify import Falsification, falsify
+from certrack.studies.falsifier.falsify import MAX_BUDGET, Falsification, falsify
 from certrack.studies.margins import Margins, margins
 from certrack.systems.system import System
 
@@ -23,8 +25,8 @@ PartResult = TypeVar("PartResult")
 #: Parts that may be left out, since they take time.
 OPTIONAL = ("falsification", "ensemble", "margins")
 
-#: Most members, and runs of the falsifier, that are taken.
-MAX_RUNS = 10**9
+#: Steps of which `progress` is told: certificates, run, and the five that may be refused.
+EVIDENCE_STEPS = 7
 
 
 @dataclass(frozen=True)
@@ -76,17 +78,22 @@ def evidence_of(
     """Compute all parts, in the order of the dossier; parameters as of :func:`dossier`."""
     for name in without:
         checks.choice("without", name, OPTIONAL)
-    checks.integer("members", members, 1, MAX_RUNS)
+    checks.integer("members", members, 1, MAX_MEMBERS)
+    checks.integer("budget", budget, 1, MAX_BUDGET)
+    checks.integer("seed", seed, 0, MAX_SEED - 1)
     refusals: dict[str, str] = {}
-    done = 0.0
+    done = 0
+
+    def begin() -> None:
+        nonlocal done
+        progress(done, EVIDENCE_STEPS, None)
+        done += 1
 
     def part(
         name: str, compute: Callable[[], PartResult], needed: bool = True
     ) -> PartResult | None:
         """What was computed; None where it is left out or refused, which is noted."""
-        nonlocal done
-        progress(done, 7, None)
-        done += 1
+        begin()
         try:
             return compute() if needed and name not in without else None
         except Cancelled:
@@ -95,8 +102,9 @@ def evidence_of(
             refusals[name] = str(refusal)
             return None
 
-    progress(done, 7, None)
+    begin()
     certificates = certify(system, effort)
+    begin()
     run = simulate(system)
     evidence = DesignEvidence(
         system=system,
@@ -110,5 +118,5 @@ def evidence_of(
         code=part("code", lambda: c_code(system), system.implementation is not None),
         refusals=refusals,
     )
-    progress(7, 7, None)
+    progress(EVIDENCE_STEPS, EVIDENCE_STEPS, None)
     return evidence

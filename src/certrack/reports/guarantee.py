@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import json
 
-from certrack.certificates.document import to_document
+from certrack.certificates.document import certificate_text
 from certrack.core.rounding import printed_bound, rounded_up
 from certrack.plotting.shared import as_svg
 from certrack.plotting.starts import starts_figure
@@ -110,7 +109,7 @@ def _certificate(evidence: DesignEvidence) -> Attachment | None:
     stages = evidence.certificates.stages
     if not stages:
         return None
-    text = json.dumps(to_document(evidence.system, *stages), indent=1) + "\n"
+    text = certificate_text(evidence.system, stages)
     digest = hashlib.sha256(text.encode()).hexdigest()
     content = text if len(text) <= LONGEST_ATTACHMENT else ""
     return Attachment("certificate.json", "application/json", content, digest)

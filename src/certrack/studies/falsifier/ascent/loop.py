@@ -30,7 +30,8 @@ ASCENT_TIME_CONSTANTS = 10.0
 #: A step over the fastest time constant of the nominal error, and steps at most.
 CONTROL_STEP_PART, MOST_CONTROL_STEPS = 0.15, 4000
 
-#: Pieces of the reference: each lasts so much of the time from it to the end, but some steps.
+#: A piece of the reference lasts this part of the time from it to the end, and at least so many
+#: steps.
 PIECE_PART, LEAST_PIECE = 0.07, 2
 
 #: Pieces by which a reference comes to rest after the end.
@@ -77,7 +78,7 @@ class AdversaryInputs:
         )
 
     def coarser(self, times: int) -> AdversaryInputs:
-        """The other way."""
+        """The same for a loop with so many times as few steps: the share of every such step."""
         return AdversaryInputs(self.shares[::times], self.begin, self.pieces, self.truths)
 
     def towards(self, others: AdversaryInputs, part: Array) -> AdversaryInputs:

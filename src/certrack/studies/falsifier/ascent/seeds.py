@@ -1,4 +1,4 @@
-"""AdversaryInputs to begin an ascent with: constant ones, waves, and those of runs found before."""
+"""Inputs to begin an ascent with: constant ones, waves, and those of runs found before."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _stopping(loop: ControlledLoop, begin: Array, pieces: Array) -> Array:
 
 
 def all_members(members: Sequence[AdversaryInputs]) -> AdversaryInputs:
-    """All members of all of them."""
+    """All of these side by side, their members numbered through."""
     return AdversaryInputs(
         *(
             np.concatenate(parts, axis=-1)
