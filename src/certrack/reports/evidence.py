@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
@@ -22,6 +23,9 @@ PartResult = TypeVar("PartResult")
 
 #: Parts that may be left out, since they take time.
 OPTIONAL = ("falsification", "ensemble", "margins")
+
+#: What the commands take where nothing is said.
+DEFAULT_EFFORT, DEFAULT_BUDGET = "default", 6000
 
 #: Most members, and runs of the falsifier, that are taken.
 MAX_RUNS = 10**9
@@ -48,6 +52,8 @@ class DesignEvidence:
         Of the controller, where the file has a drive.
     refusals : mapping of names to texts
         Why one of these is None, by its name; nothing where it was left out.
+    effort, budget, seed
+        As of :func:`dossier`, for the commands that the dossier quotes.
     """
 
     system: System
@@ -60,15 +66,28 @@ class DesignEvidence:
     margins: Margins | None
     code: CCode | None
     refusals: Mapping[str, str]
+    effort: str = DEFAULT_EFFORT
+    budget: int = DEFAULT_BUDGET
+    seed: int = 0
+
+    def command(self, verb: str, options: str = "") -> str:
+        """The command line that computes a part anew, with the arguments that matter to it."""
+        changed = ""
+        if verb == "certify" and self.effort != DEFAULT_EFFORT:
+            changed = f" --effort {self.effort}"
+        if verb == "falsify":
+            changed += f" --budget {self.budget}" if self.budget != DEFAULT_BUDGET else ""
+            changed += f" --seed {self.seed}" if self.seed else ""
+        return f"certrack {verb} {shlex.quote(self.file)}{changed}{options}"
 
 
 def evidence_of(
     system: System,
     file: str = "FILE.toml",
     *,
-    effort: str = "default",
+    effort: str = DEFAULT_EFFORT,
     members: int = 1000,
-    budget: int = 6000,
+    budget: int = DEFAULT_BUDGET,
     seed: int = 0,
     without: Collection[str] = (),
     progress: Progress = silent,
@@ -77,6 +96,8 @@ def evidence_of(
     for name in without:
         checks.choice("without", name, OPTIONAL)
     checks.integer("members", members, 1, MAX_RUNS)
+    checks.integer("budget", budget, 1, MAX_RUNS)
+    checks.integer("seed", seed, 0, 2**63 - 1)
     refusals: dict[str, str] = {}
     done = 0.0
 
@@ -109,6 +130,9 @@ def evidence_of(
         margins=part("margins", lambda: margins(system, seed=seed)),
         code=part("code", lambda: c_code(system), system.implementation is not None),
         refusals=refusals,
+        effort=effort,
+        budget=budget,
+        seed=seed,
     )
     progress(7, 7, None)
     return evidence
