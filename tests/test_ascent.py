@@ -271,3 +271,10 @@ def test_no_random_plant_is_driven_beyond_its_certificate(seed):
     assert found.alarm is None
     assert found.against.bound >= found.worst_error
     assert found.against.bound <= 3 * found.worst_error
+
+
+def test_a_run_that_shows_its_start_is_no_worst_case():
+    slow = EXAMPLE.replace(law=replace(EXAMPLE.law, leak_gain=0.002, leak_theta=0.002))
+    assert ControlledLoop(EXAMPLE, bounds_of(EXAMPLE)).forgets_start
+    with pytest.raises(NothingTried, match="outlasts the longest run"):
+        ascend(slow, bounds_of(slow), [], 300, 0, silent)

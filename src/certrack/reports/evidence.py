@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
@@ -28,6 +29,9 @@ OPTIONAL = ("falsification", "ensemble", "margins")
 #: Steps of which `progress` is told: certificates, run, and the five that may be refused.
 EVIDENCE_STEPS = 7
 
+#: What the commands take where nothing is said.
+DEFAULT_EFFORT, DEFAULT_BUDGET = "default", 6000
+
 
 @dataclass(frozen=True)
 class DesignEvidence:
@@ -50,6 +54,8 @@ class DesignEvidence:
         Of the controller, where the file has a drive.
     refusals : mapping of names to texts
         Why one of these is None, by its name; nothing where it was left out.
+    effort, budget, seed
+        As of :func:`dossier`, for the commands that the dossier quotes.
     """
 
     system: System
@@ -62,15 +68,28 @@ class DesignEvidence:
     margins: Margins | None
     code: CCode | None
     refusals: Mapping[str, str]
+    effort: str = DEFAULT_EFFORT
+    budget: int = DEFAULT_BUDGET
+    seed: int = 0
+
+    def command(self, verb: str, options: str = "") -> str:
+        """The command line that computes a part anew, with the arguments that matter to it."""
+        changed = ""
+        if verb == "certify" and self.effort != DEFAULT_EFFORT:
+            changed = f" --effort {self.effort}"
+        if verb == "falsify":
+            changed += f" --budget {self.budget}" if self.budget != DEFAULT_BUDGET else ""
+            changed += f" --seed {self.seed}" if self.seed else ""
+        return f"certrack {verb} {shlex.quote(self.file)}{changed}{options}"
 
 
 def evidence_of(
     system: System,
     file: str = "FILE.toml",
     *,
-    effort: str = "default",
+    effort: str = DEFAULT_EFFORT,
     members: int = 1000,
-    budget: int = 6000,
+    budget: int = DEFAULT_BUDGET,
     seed: int = 0,
     without: Collection[str] = (),
     progress: Progress = silent,
@@ -117,6 +136,9 @@ def evidence_of(
         margins=part("margins", lambda: margins(system, seed=seed)),
         code=part("code", lambda: c_code(system), system.implementation is not None),
         refusals=refusals,
+        effort=effort,
+        budget=budget,
+        seed=seed,
     )
     progress(EVIDENCE_STEPS, EVIDENCE_STEPS, None)
     return evidence

@@ -27,6 +27,9 @@ from certrack.systems.system import System
 #: Length of the run, in time constants of the slowest mode: e^-10 is left of the start.
 ASCENT_TIME_CONSTANTS = 10.0
 
+#: A run that is cut to fewer, since it would have too many steps, shows its start and no long run.
+LEAST_TIME_CONSTANTS = 5.0
+
 #: A step over the fastest time constant of the nominal error, and steps at most.
 CONTROL_STEP_PART, MOST_CONTROL_STEPS = 0.15, 4000
 
@@ -148,6 +151,12 @@ class ControlledLoop:
     def horizon(self) -> float:
         """Length of a run, s."""
         return float(self.widths.sum())
+
+    @property
+    def forgets_start(self) -> bool:
+        """Whether the run lasts until too little of its start is left to be taken for an error."""
+        least = LEAST_TIME_CONSTANTS * slowest_time_constant(self.system)
+        return self.horizon >= least
 
     @property
     def piece_widths(self) -> Array:
