@@ -117,8 +117,8 @@ def dossier(
 
 def dossier_of(evidence: DesignEvidence) -> Dossier:
     """The dossier of what was found."""
-    found = evidence.falsification
-    sound = not evidence.certificates.contradicted and (found is None or found.alarm is None)
+    worst = evidence.falsification
+    sound = not evidence.certificates.contradicted and (worst is None or worst.alarm is None)
     sections = (section(evidence) for section in IN_ORDER)
     return Dossier(
         title=evidence.system.title or evidence.file,
