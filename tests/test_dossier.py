@@ -231,7 +231,8 @@ def test_a_bound_of_the_continuous_law_says_so_where_there_is_a_drive(found):
 
 
 def test_an_alarm_stands_at_the_top_and_is_not_sound(found):
-    calm = Falsification(1.0, found.system, 100, {}, None, None, "", own_run=False)
+    bounds = {"peak": found.certificates.peak}
+    calm = Falsification(1e-4, found.system, 100, bounds, None, None, "", own_run=False)
     made = dossier_of(replace(found, falsification=calm))
     assert made.verified and made.sound
     loud = replace(calm, alarm="defect", reason="it is wrong")
