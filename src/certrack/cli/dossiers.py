@@ -94,7 +94,7 @@ def report(
     if as_json:
         click.echo(console.to_json({"file": str(out), "summary": result.summary}))
     else:
-        click.echo(f"{result.title}")
+        click.echo(result.title)
         console.print_lines(result.summary)
     tell_written(as_json, out)
     if not result.sound:
