@@ -74,6 +74,11 @@ from .studies.falsifier.falsify import falsify as falsify
 from .studies.margins import Margin as Margin
 from .studies.margins import Margins as Margins
 from .studies.margins import margins as margins
+from .studies.optimal.goal import Goal as Goal
+from .studies.optimal.goal import TrajectoryCost as TrajectoryCost
+from .studies.optimal.optimal import Optima as Optima
+from .studies.optimal.optimal import Optimum as Optimum
+from .studies.optimal.optimal import optimal as optimal
 from .systems.design import Design as Design
 from .systems.design import design as design
 from .systems.reader import load as load

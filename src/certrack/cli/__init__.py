@@ -23,6 +23,7 @@ from certrack.cli.dossiers import report
 from certrack.cli.exports import export
 from certrack.cli.files import design, list_systems, new
 from certrack.cli.margins import margin
+from certrack.cli.optimal import optimal
 from certrack.cli.papers import reproduce
 from certrack.cli.proofs import certify, falsify, verify
 from certrack.cli.runs import compare, ensemble, simulate
@@ -62,6 +63,7 @@ for verb in (
     compare,
     ensemble,
     margin,
+    optimal,
     tune,
     check,
     certify,

@@ -50,7 +50,7 @@ class NumpyFunction:
     def __call__(self, *values: Any) -> list[Any]:
         function = self._function
         if function is None:  # two threads may both write it: the same code
-            arguments, formulas = _renamed(self._arguments, map(by_selections, self._formulas))
+            arguments, formulas = renamed(self._arguments, map(by_selections, self._formulas))
             printer = NumPyPrinter(PRINTER_SETTINGS)  # takes from NumPy what it prints, not all
             known = {"Select": numpy_select}
             function = sympy.lambdify(arguments, formulas, known, printer, cse=True)
@@ -61,7 +61,7 @@ class NumpyFunction:
         return NumpyFunction, (self._arguments, self._formulas)
 
 
-def _renamed(
+def renamed(
     arguments: Sequence[Any], formulas: Iterable[sympy.Expr]
 ) -> tuple[list[Any], list[sympy.Expr]]:
     """Arguments and formulas with names of ours, in the same order.

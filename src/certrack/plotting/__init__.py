@@ -1,4 +1,4 @@
-"""Pictures of runs, certificates, ensembles, margins and fronts.
+"""Pictures of runs, certificates, ensembles, margins, fronts and optima.
 
 Figures are made without pyplot, so nothing global is touched and no window opens. The functions
 ``plot_...`` draw on any axes, of pyplot's figures too: ``plot_error(ax, {"adaptive": run})``. Their
@@ -17,6 +17,7 @@ from certrack.plotting.ensembles import (
 from certrack.plotting.fronts import front_figure
 from certrack.plotting.main_picture import plot
 from certrack.plotting.margins import drift_figure, margin_figure
+from certrack.plotting.optima import optima_figure
 from certrack.plotting.overviews import figure, overview, panels_for
 from certrack.plotting.references import reference_figure
 from certrack.plotting.runs import (
@@ -47,6 +48,7 @@ __all__ = [
     "front_figure",
     "margin_figure",
     "metric_histograms",
+    "optima_figure",
     "overview",
     "panels_for",
     "plot",

@@ -14,11 +14,13 @@ from certrack.core.errors import InputError
 from certrack.plotting.certificates import certificates_figure
 from certrack.plotting.ensembles import fan_chart
 from certrack.plotting.margins import margin_figure
+from certrack.plotting.optima import optima_figure
 from certrack.plotting.overviews import overview
 from certrack.plotting.shared import PAGE_WIDTH, in_brackets, new_figure, style
 from certrack.simulation.run import Run
 from certrack.studies.ensembles.ensemble import Ensemble
 from certrack.studies.margins import Margins
+from certrack.studies.optimal.optimal import Optima
 from certrack.systems.system import System
 
 #: Times at which a reference is drawn.
@@ -30,10 +32,11 @@ def plot(result: Any) -> Figure:
 
     Parameters
     ----------
-    result : Run, mapping of names to runs, System, Certificates, Ensemble or Margins
+    result : Run, mapping of names to runs, System, Certificates, Ensemble, Margins or Optima
         A run, or several to compare: output, error, states, estimates and input. A system: its
         reference. Certificates: the bounds side by side, and the tube. An ensemble: its quantile
-        bands. Margins: the error against period, delay and saturation.
+        bands. Margins: the error against period, delay and saturation. Optima: output and input
+        beside those of the law.
 
     Returns
     -------
@@ -58,7 +61,7 @@ def plot(result: Any) -> Figure:
 def _drawn(result: Any) -> Figure:
     raise InputError(
         "plot",
-        "draws a run, runs by name, a system, certificates, an ensemble or margins",
+        "draws a run, runs by name, a system, certificates, an ensemble, margins or optima",
         type(result).__name__,
     )
 
@@ -83,6 +86,11 @@ def _draw_ensemble(result: Ensemble) -> Figure:
 @_drawn.register
 def _draw_margins(result: Margins) -> Figure:
     return margin_figure(result, "", None)
+
+
+@_drawn.register
+def _draw_optima(result: Optima) -> Figure:
+    return optima_figure(result, result.run.system.title)
 
 
 @_drawn.register

@@ -55,7 +55,7 @@ def metric_labels(units: Sequence[str] | None) -> dict[str, str]:
         "rms_error": y,
         "integral_abs_error": f"{_factor(y)} s" if y else "",
         "peak_input": u,
-        "input_energy": f"{_factor(u)}^2 s" if u else "",
+        "input_energy": energy_unit(u),
         "input_variation": u,
     }
     return {key: labelled(label, by_metric.get(key, "")) for key, label in METRIC_LABELS.items()}
@@ -66,6 +66,15 @@ def move_labels(units: Sequence[str] | None) -> dict[str, str]:
     lengths = ("origin", "target", "following_error", "overshoot", "rest_error")
     by_metric = dict.fromkeys(lengths, unit_of_output(units))
     return {key: labelled(label, by_metric.get(key, "")) for key, label in MOVE_LABELS.items()}
+
+
+def energy_unit(unit: str) -> str:
+    """Unit of the integral of a square; empty where the unit is.
+
+    >>> energy_unit("N m"), energy_unit("")
+    ('(N m)^2 s', '')
+    """
+    return f"{_factor(unit)}^2 s" if unit else ""
 
 
 def _factor(unit: str) -> str:

@@ -1,0 +1,100 @@
+"""What is said of optimal trajectories and of the laws beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from certrack.reports.tables import Table, short_number, table
+from certrack.simulation.labels import energy_unit, labelled, unit_of_input, unit_of_output
+
+if TYPE_CHECKING:
+    from certrack.studies.optimal.goal import Goal
+    from certrack.studies.optimal.optimal import Optima, Optimum
+
+#: What is minimised, as a column begins.
+LEAST = {
+    "squared_error": "least int e_1^2",
+    "energy": "least int u^2",
+    "peak": "least peak input",
+    "time": "shortest time to e = 0",
+}
+
+#: A limit, in words.
+LIMITS = {"squared_error": "int e_1^2", "energy": "int u^2", "peak": "|u|"}
+
+#: The mesh or the transcription are worth a word beyond these parts.
+COARSE_MESH, DEVIATES = 0.05, 1e-2
+
+
+def optima_table(result: Optima, title: str = "") -> Table:
+    """The law and the optima of its plant, a column each."""
+    units = result.run.system.plant.units
+    output, force = unit_of_output(units), unit_of_input(units)
+    labels = {
+        "squared_error": labelled("int e_1^2", energy_unit(output)),
+        "energy": labelled("int u^2", energy_unit(force)),
+        "peak": labelled("peak input", force),
+        "time": "time [s]",
+    }
+    shown = [entry.cost if entry.found else None for entry in result.optima]
+    if not any(entry.goal.minimised == "time" for entry in result.optima):
+        del labels["time"]
+    rows: list[list[object]] = [
+        ["limits", "", *(_limits_text(entry.goal) for entry in result.optima)],
+        *(
+            [label, getattr(result.law, name), *(getattr(cost, name, None) for cost in shown)]
+            for name, label in labels.items()
+        ),
+        ["the law needs", "", *(_excess_text(result, entry) for entry in result.optima)],
+    ]
+    columns = ["", "law", *(LEAST[entry.goal.minimised] for entry in result.optima)]
+    return table(title, columns, rows, digits=4)
+
+
+def optima_notes(result: Optima) -> list[str]:
+    """What the numbers are, and what is to be known of them."""
+    lines = [
+        f"over {result.horizon:g} s; an optimum knows plant, disturbance and reference beforehand, "
+        "so no law does better from that start; found by a local search, not proven",
+    ]
+    if any(entry.goal.minimised == "time" for entry in result.optima):
+        lines.append(
+            "time: of the law until |e_1| stays in its band, of the optimum until e = 0, its end"
+        )
+    return lines + [
+        line for entry in result.optima for line in _remarks(entry, result.excess(entry))
+    ]
+
+
+def _excess_text(result: Optima, optimum: Optimum) -> str:
+    return f"{short_number(result.excess(optimum), 3)} times" if optimum.found else "-"
+
+
+def _remarks(optimum: Optimum, excess: float) -> Iterator[str]:
+    goal = _goal_text(optimum.goal)
+    if not optimum.found:
+        yield f"{goal}: none found: {optimum.reason}"
+        return
+    if excess < 1.0:
+        yield f"{goal}: the law needs less: on such a mesh no better input was found"
+    if optimum.mesh_error > COARSE_MESH:
+        yield (
+            f"{goal}: still changed by {100 * optimum.mesh_error:.0f} % from mesh to mesh: more "
+            "--elements would find less"
+        )
+    if optimum.deviation > DEVIATES:
+        yield (
+            f"{goal}: the plant deviates from it by up to {100 * optimum.deviation:.1f} % of a "
+            "state's magnitude: more --elements follow it better"
+        )
+
+
+def _goal_text(goal: Goal) -> str:
+    limits = _limits_text(goal)
+    return f"{LEAST[goal.minimised]} with {limits}" if limits else LEAST[goal.minimised]
+
+
+def _limits_text(goal: Goal) -> str:
+    limits = (f"{LIMITS[name]} <= {short_number(value, 4)}" for name, value in goal.limits.items())
+    return ", ".join(limits)

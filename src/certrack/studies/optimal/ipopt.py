@@ -1,0 +1,129 @@
+"""A nonlinear program solved by IPOPT, an interior-point method, through CasADi.
+
+Source: A. Waechter, L. T. Biegler, Mathematical Programming 106 (2006) 25-57.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from certrack.core.arrays import Array
+from certrack.studies.optimal.program import Program
+
+#: Iterations at most, and the tolerance of the scaled program.
+MAX_ITERATIONS, TOLERANCE = 1000, 1e-8
+
+#: What IPOPT's words mean.
+MEANINGS = {
+    "Infeasible_Problem_Detected": "the limits contradict each other near where it searched",
+    "Maximum_Iterations_Exceeded": f"it did not settle within {MAX_ITERATIONS} iterations",
+    "Restoration_Failed": "it found no way back to what the limits admit",
+    "Invalid_Number_Detected": "a formula leaves its domain",
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How a solution ended.
+
+    Attributes
+    ----------
+    found : bool
+        Whether it is a local optimum.
+    reason : str
+        Why not; empty if it is.
+    vector : (Z,) array
+    minimum : float
+        The objective there.
+    """
+
+    found: bool
+    reason: str
+    vector: Array
+    minimum: float
+
+
+def minimise(ca: Any, program: Program, called: Callable[[], None]) -> Answer:
+    """Solve a program.
+
+    Parameters
+    ----------
+    ca : module
+        ``casadi``.
+    program : Program
+    called : callable
+        Called at every iteration; an exception that it raises ends the search and is raised again.
+    """
+    problem = {"x": program.vector, "f": program.objective, "g": program.constraints}
+    raised: list[BaseException] = []
+
+    class Reporter(ca.Callback):
+        def __init__(self) -> None:
+            ca.Callback.__init__(self)
+            self.construct("reporter", {})
+
+        def get_n_in(self) -> int:
+            return ca.nlpsol_n_out()
+
+        def get_n_out(self) -> int:
+            return 1
+
+        def get_name_in(self, i: int) -> str:
+            return ca.nlpsol_out(i)
+
+        def get_sparsity_in(self, i: int) -> Any:
+            name = ca.nlpsol_out(i)
+            if name == "f":
+                return ca.Sparsity.scalar()
+            if name in ("x", "lam_x"):
+                return ca.Sparsity.dense(len(program.start))
+            if name in ("g", "lam_g"):
+                return ca.Sparsity.dense(len(program.lower))
+            return ca.Sparsity(0, 0)
+
+        def eval(self, _: Any) -> list[int]:
+            try:
+                called()
+            except BaseException as problem:
+                raised.append(problem)
+                return [1]
+            return [0]
+
+    reporter = Reporter()
+    solver = ca.nlpsol(
+        "optimal",
+        "ipopt",
+        problem,
+        {
+            "print_time": False,
+            "iteration_callback": reporter,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "max_iter": MAX_ITERATIONS,
+                "tol": TOLERANCE,
+            },
+        },
+    )
+    answer = solver(
+        x0=program.start,
+        lbx=program.low,
+        ubx=program.high,
+        lbg=program.lower,
+        ubg=program.upper,
+    )
+    if raised:
+        raise raised[0]
+    status = solver.stats()
+    word = str(status["return_status"])
+    found = bool(status["success"])
+    return Answer(
+        found,
+        "" if found else MEANINGS.get(word, word.replace("_", " ").lower()),
+        np.array(answer["x"]).reshape(-1),
+        float(answer["f"]),
+    )

@@ -1,0 +1,327 @@
+"""The best possible trajectory of a system's true plant, and how far its law is from it.
+
+The trajectory knows everything beforehand: the plant as it really is, its disturbance and the whole
+reference. No law can do better from that start, so the ratio of the law's cost to it says how much
+is left to gain. An optimum is found by direct collocation on meshes that grow finer, each made from
+the input of the optimum before; what the plant really does with the input found is integrated by
+another method. It is a local optimum, found and not proven.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from certrack.core import checks
+from certrack.core.arrays import Array
+from certrack.core.casadi_forms import casadi
+from certrack.core.progress import Progress, silent
+from certrack.loops.plant import measured
+from certrack.simulation.run import Run
+from certrack.studies.optimal.collocation import Grid, gauss_scheme
+from certrack.studies.optimal.course import Course, course_of
+from certrack.studies.optimal.goal import Goal, TrajectoryCost
+from certrack.studies.optimal.ipopt import Answer, minimise
+from certrack.studies.optimal.mesh import LOOKED_AT, mesh
+from certrack.studies.optimal.program import (
+    Guess,
+    Motion,
+    guess_on,
+    motion_on,
+    solution,
+    transcribe,
+)
+from certrack.studies.optimal.replay import replay
+from certrack.systems.system import System, require_system
+
+#: Elements of the first mesh, and the most of the last one: from mesh to mesh they double.
+FIRST_ELEMENTS, ELEMENTS = 120, 960
+
+#: The most that may be asked for.
+MOST = 20_000
+
+#: A mesh is fine enough where the minimum changes by less than this part from the one before, and
+#: the plant deviates from the trajectory by less than this part of each state's magnitude.
+SETTLED, FOLLOWED = 3e-3, 1e-3
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """One optimal trajectory.
+
+    Attributes
+    ----------
+    goal : Goal
+    found : bool
+        Whether the search ended at a local optimum.
+    reason : str
+        Why not; empty if it did.
+    cost : TrajectoryCost
+        What it costs, by the integration of the plant with its input.
+    ends : (E + 1,) array, s
+    inputs : (2, E) array
+        At the begin and at the end of every element, straight between.
+    times : (N,) array, s
+    states : (S, N) array
+        States of the simulated plant in that integration.
+    output, reference : (N,) arrays
+        x_1 as it is measured, and y_d.
+    mesh_error : float
+        Relative change of the minimum from the mesh before to the last one.
+    deviation : float
+        Largest difference between the trajectory of the search and the integrated one, relative to
+        the largest magnitude of each state.
+    """
+
+    goal: Goal
+    found: bool
+    reason: str
+    cost: TrajectoryCost
+    ends: Array
+    inputs: Array
+    times: Array
+    states: Array
+    output: Array
+    reference: Array
+    mesh_error: float
+    deviation: float
+
+    @property
+    def minimum(self) -> float:
+        """The value of what was minimised."""
+        return float(getattr(self.cost, self.goal.minimised))
+
+    def record(self) -> dict[str, Any]:
+        """Ready for JSON, without the courses."""
+        return {
+            **self.goal.record(),
+            "found": self.found,
+            "reason": self.reason,
+            **self.cost.record(),
+            "mesh_error": self.mesh_error,
+            "deviation": self.deviation,
+        }
+
+
+@dataclass(frozen=True)
+class Optima:
+    """A law's run, and optima of the same plant from the same start.
+
+    Attributes
+    ----------
+    run : Run
+        The law's own, up to the horizon.
+    law : TrajectoryCost
+        What it costs.
+    optima : tuple of Optimum
+    """
+
+    run: Run
+    law: TrajectoryCost
+    optima: tuple[Optimum, ...]
+
+    @property
+    def horizon(self) -> float:
+        """End of the runs, s."""
+        return self.run.system.settings.duration
+
+    @property
+    def found(self) -> bool:
+        """Whether every optimum that was asked for was found."""
+        return all(optimum.found for optimum in self.optima)
+
+    def excess(self, optimum: Optimum) -> float:
+        """How many times the minimum the law needs of it."""
+        return float(getattr(self.law, optimum.goal.minimised)) / optimum.minimum
+
+    def summary(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "horizon": self.horizon,
+            "law": self.law.record(),
+            "optima": [
+                entry.record() | {"law_over_minimum": self.excess(entry)} for entry in self.optima
+            ],
+        }
+
+    def __repr__(self) -> str:
+        shown = ", ".join(
+            f"least {entry.goal.minimised} {entry.minimum:.4g} (law {self.excess(entry):.3g} times)"
+            for entry in self.optima
+        )
+        return f"Optima({shown})"
+
+
+def optimal(
+    system: System,
+    objective: str | None = None,
+    *,
+    squared_error: float | None = None,
+    energy: float | None = None,
+    peak_input: float | None = None,
+    horizon: float | None = None,
+    elements: int = ELEMENTS,
+    progress: Progress = silent,
+) -> Optima:
+    """Find the best possible trajectories of a system's true plant, and compare its law.
+
+    Of all inputs u(t), minimise one of int e_1^2 dt, int u^2 dt, max |u| and the time to e = 0,
+    subject to x' = f(t, x, u) with the truth of the file, x(0), and limits of the others.
+
+    Parameters
+    ----------
+    system : System
+    objective : str, optional
+        ``"squared_error"``, ``"energy"``, ``"peak"`` or ``"time"``. By default three optima are
+        found: the least squared error at the law's own energy and peak, the least energy at its
+        squared error, and the least squared error at its peak alone.
+    squared_error, energy, peak_input : float, optional
+        Limits of the integral of e_1^2, the integral of u^2, and |u|.
+    horizon : float, optional, s
+        End of the runs; by default the duration of the file's simulation.
+    elements : int
+        Of the last mesh at most: on each the input is a line.
+    progress : callable
+        Called as ``progress(done, total, None)`` with the searches that are done.
+
+    Returns
+    -------
+    Optima
+
+    Raises
+    ------
+    InputError
+        Where limits contradict the objective, or the law's own run does not reach the horizon.
+    MissingExtra
+        Without CasADi.
+
+    Notes
+    -----
+    The optima are local ones, found from the law's course; nothing is proven of them.
+
+    Examples
+    --------
+    >>> import certrack
+    >>> system = certrack.load("dual-motor-lean")
+    >>> found = certrack.optimal(system, "energy", squared_error=0.155, horizon=6)
+    >>> found.optima[0].cost.energy < found.law.energy / 10
+    True
+    """
+    require_system(system)
+    count = checks.integer("elements", elements, least=FIRST_ELEMENTS, most=MOST)
+    limits = {"squared_error": squared_error, "energy": energy, "peak": peak_input}
+    goal = None if objective is None else Goal(objective, **limits)
+    if horizon is not None:
+        checks.real("horizon", horizon, above=0)
+    ca = casadi("the search for optimal trajectories")
+    course = course_of(system, horizon, silent)
+    goals = _against_the_law(course.law, limits) if goal is None else (goal,)
+    found = []
+    for i, one in enumerate(goals):
+        progress(i, len(goals), None)
+        found.append(_optimum(ca, course, one, count, _keep_calling(progress, i, len(goals))))
+    progress(len(goals), len(goals), None)
+    return Optima(course.run, course.law, tuple(found))
+
+
+def _against_the_law(law: TrajectoryCost, limits: dict[str, float | None]) -> tuple[Goal, ...]:
+    """The goals by which a law is judged; limits that are given replace the law's own cost."""
+    own = {name: value or getattr(law, name) for name, value in limits.items()}
+    return (
+        Goal("squared_error", energy=own["energy"], peak=own["peak"]),
+        Goal("energy", squared_error=own["squared_error"]),
+        Goal("squared_error", peak=own["peak"]),
+    )
+
+
+def _keep_calling(progress: Progress, done: int, total: int) -> Callable[[], None]:
+    return lambda: progress(done, total, None)
+
+
+def _optimum(
+    ca: Any, course: Course, goal: Goal, elements: int, called: Callable[[], None]
+) -> Optimum:
+    """Search from the law's course, then from the optimum of each mesh on one twice as fine."""
+    arrival = goal.minimised == "time"
+    motion, last, change = Motion(course.states, course.inputs, _first_end(course, goal)), None, 1.0
+    count = min(FIRST_ELEMENTS, elements)
+    while True:
+        search = _search(ca, course, goal, count, motion, called)
+        if last is not None:
+            change = abs(last.minimum / search.minimum - 1.0)
+        if not search.answer.found and last is not None:
+            search = last  # a coarser optimum is one, too
+        played = replay(course, search.ends, search.values.inputs, arrival)
+        followed = played.deviation(search.values.begins)
+        fine = change < SETTLED and followed < FOLLOWED
+        if fine or search is last or not search.answer.found or 2 * count > elements:
+            break
+        motion, last, count = search.motion, search, 2 * count
+    system = course.system
+    return Optimum(
+        goal=goal,
+        found=search.answer.found,
+        reason=search.answer.reason,
+        cost=played.cost,
+        ends=search.ends,
+        inputs=search.values.inputs,
+        times=played.times,
+        states=played.states,
+        output=measured(system, played.states)[0],
+        reference=system.reference.values(played.times, 0)[0],
+        mesh_error=change,
+        deviation=followed,
+    )
+
+
+@dataclass(frozen=True)
+class Search:
+    """A solved program.
+
+    Attributes
+    ----------
+    answer : Answer
+    of_time : bool
+        Whether the time was minimised.
+    ends : (E + 1,) array, s
+    values : Guess
+        States and inputs on the mesh.
+    motion : Motion
+        The same as functions of the time.
+    """
+
+    answer: Answer
+    of_time: bool
+    ends: Array
+    values: Guess
+    motion: Motion
+
+    @property
+    def minimum(self) -> float:
+        """What was minimised, over a unit of its own; the time itself."""
+        return self.motion.end if self.of_time else self.answer.minimum
+
+
+def _search(
+    ca: Any, course: Course, goal: Goal, elements: int, first: Motion, called: Callable[[], None]
+) -> Search:
+    """Solve on the mesh that a motion makes, from that motion."""
+    times = np.linspace(0.0, first.end, LOOKED_AT)
+    breaks = course.breaks[course.breaks < first.end]
+    grid = Grid(mesh(times, first.inputs(times), elements, breaks), gauss_scheme())
+    guess = guess_on(grid, first)
+    program = transcribe(ca, course, goal, grid, guess)
+    answer = minimise(ca, program, called)
+    values, stretch = solution(guess, answer.vector)
+    stretched = Grid(grid.ends * stretch, grid.scheme)
+    of_time = goal.minimised == "time"
+    return Search(answer, of_time, stretched.ends, values, motion_on(stretched, values))
+
+
+def _first_end(course: Course, goal: Goal) -> float:
+    """Where the first mesh ends: for the shortest time, where the law has settled."""
+    settled = course.law.time
+    return settled if goal.minimised == "time" and settled > 0 else course.horizon

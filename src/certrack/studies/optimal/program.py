@@ -1,0 +1,314 @@
+"""An optimal control problem as a nonlinear program, which CasADi differentiates exactly, twice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from certrack.core.arrays import Array
+from certrack.core.casadi_forms import casadi_callable
+from certrack.core.errors import InputError
+from certrack.core.expressions import TIME
+from certrack.studies.optimal.collocation import DEGREE, Grid
+from certrack.studies.optimal.course import Course
+from certrack.studies.optimal.goal import Goal
+
+#: A state or input that is smaller than this all along is scaled by it.
+SMALLEST_SCALE = 1e-6
+
+#: The shortest and the longest time that is searched, over the guess.
+SHORTEST, LONGEST = 1e-2, 3.0
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Where a search begins, and the scales of what is searched.
+
+    Attributes
+    ----------
+    begins : (S, E + 1) array
+        States at the ends of the elements.
+    inner : (d, S, E) array
+        States at the Gauss points.
+    inputs : (2, E) array
+        Inputs at the begin and at the end of the elements, straight between.
+    """
+
+    begins: Array
+    inner: Array
+    inputs: Array
+
+    @property
+    def state_scale(self) -> Array:
+        """Largest magnitude of each state, (S,) array."""
+        largest = np.abs(self.begins).max(axis=1)
+        return np.where(largest < SMALLEST_SCALE, 1.0, largest)
+
+    @property
+    def input_scale(self) -> float:
+        """Largest magnitude of the input."""
+        return max(float(np.abs(self.inputs).max()), SMALLEST_SCALE)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """States and input of a plant over a time.
+
+    Attributes
+    ----------
+    states : callable
+        At times, shape (S, N).
+    inputs : callable
+        At times, shape (N,).
+    end : float, s
+    """
+
+    states: Callable[[Array], Array]
+    inputs: Callable[[Array], Array]
+    end: float
+
+
+def guess_on(grid: Grid, motion: Motion) -> Guess:
+    """A motion on a grid; of its input the line nearest to it on each element."""
+    inner = np.array([motion.states(row) for row in grid.times])
+    at_nodes = motion.inputs(grid.times.reshape(-1)).reshape(grid.times.shape)
+    weights, since = grid.scheme.weights, grid.scheme.nodes - 0.5
+    mean, half_rise = weights @ at_nodes, 6.0 * (weights * since) @ at_nodes
+    return Guess(motion.states(grid.ends), inner, np.array([mean - half_rise, mean + half_rise]))
+
+
+def motion_on(grid: Grid, values: Guess) -> Motion:
+    """Values on a grid as a motion, linear between its points."""
+    times = np.vstack([grid.ends[:-1], grid.times]).T.reshape(-1)
+    table = np.concatenate([values.begins[None, :, :-1], values.inner])  # (d + 1, S, E)
+    rows = table.transpose(1, 2, 0).reshape(len(values.begins), -1)
+    times, rows = np.append(times, grid.ends[-1]), np.hstack([rows, values.begins[:, -1:]])
+
+    def states(t: Array) -> Array:
+        return np.array([np.interp(t, times, row) for row in rows])
+
+    def inputs(t: Array) -> Array:
+        element = np.clip(np.searchsorted(grid.ends, t, "right") - 1, 0, grid.elements - 1)
+        share = (t - grid.ends[element]) / grid.lengths[element]
+        first, last = values.inputs[:, element]
+        line: Array = first + share * (last - first)
+        return line
+
+    return Motion(states, inputs, float(grid.ends[-1]))
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """What is searched, each of order one.
+
+    Attributes
+    ----------
+    begins, inner, inputs : matrices
+        As those of :class:`Guess`, over its scales.
+    peak : scalar
+        Bound of the inputs' magnitudes.
+    stretch : scalar
+        Factor of the time: 1 but where the time is minimised.
+    """
+
+    begins: Any
+    inner: list[Any]
+    inputs: Any
+    peak: Any
+    stretch: Any
+
+    def vector(self, ca: Any) -> Any:
+        """All of them."""
+        blocks = [self.begins, *self.inner, self.inputs]
+        return ca.vertcat(*map(ca.vec, blocks), self.peak, self.stretch)
+
+
+@dataclass(frozen=True)
+class Program:
+    """A nonlinear program: the least objective with low <= z <= high and lower <= g <= upper.
+
+    Attributes
+    ----------
+    vector, objective, constraints : of CasADi
+        z, what is minimised, and g.
+    start, low, high : (Z,) arrays
+        Of z.
+    lower, upper : (G,) arrays
+        Of g.
+    """
+
+    vector: Any
+    objective: Any
+    constraints: Any
+    start: Array
+    low: Array
+    high: Array
+    lower: Array
+    upper: Array
+
+
+class Constraints:
+    """Constraints while they are gathered."""
+
+    def __init__(self) -> None:
+        self.rows: list[Any] = []
+        self.lower: list[float] = []
+        self.upper: list[float] = []
+
+    def add(self, rows: Any, lower: float, upper: float) -> None:
+        """lower <= each of the rows <= upper."""
+        self.rows.append(rows)
+        self.lower += [lower] * rows.numel()
+        self.upper += [upper] * rows.numel()
+
+
+def transcribe(ca: Any, course: Course, goal: Goal, grid: Grid, guess: Guess) -> Program:
+    """The program of a goal.
+
+    Parameters
+    ----------
+    ca : module
+        ``casadi``.
+    course : Course
+    goal : Goal
+    grid : Grid
+    guess : Guess
+    """
+    size, count = course.plant.n, grid.elements
+    z = Unknowns(
+        ca.MX.sym("x", size, count + 1),
+        [ca.MX.sym(f"x_{i}", size, count) for i in range(DEGREE)],
+        ca.MX.sym("u", 2, count),
+        ca.MX.sym("peak"),
+        ca.MX.sym("stretch"),
+    )
+    scale = ca.DM(guess.state_scale)
+    X, inner = _scaled(ca, scale, z.begins), [_scaled(ca, scale, block) for block in z.inner]
+    U, H = guess.input_scale * z.inputs, ca.DM(grid.lengths[None, :]) * z.stretch
+
+    gathered = Constraints()
+    motion = _motion(ca, course, grid, X, inner, U, H, z.stretch)
+    for residual in (X[:, 0] - ca.DM(course.start), *motion):
+        gathered.add(ca.vec(_scaled(ca, 1 / scale, residual)), 0.0, 0.0)
+    quantities = {
+        "squared_error": _squared_error(ca, course, goal, grid, inner, H, z.stretch),
+        "energy": ca.sum2(H * (U[0, :] ** 2 + U[0, :] * U[1, :] + U[1, :] ** 2)) / 3,
+        "peak": z.peak,
+        "time": z.stretch,
+    }
+    units = {name: max(getattr(course.law, name), 1e-12) for name in ("squared_error", "energy")}
+    for name in ("squared_error", "energy"):
+        if name in goal.limits:
+            gathered.add(quantities[name] / units[name], -np.inf, goal.limits[name] / units[name])
+    if goal.minimised == "peak":
+        gathered.add(ca.vec(z.inputs - z.peak), -np.inf, 0.0)
+        gathered.add(ca.vec(z.inputs + z.peak), 0.0, np.inf)
+    if goal.minimised == "time":
+        gathered.add(_arrival(ca, course, X[:, -1], grid.ends[-1] * z.stretch), 0.0, 0.0)
+
+    limit = np.inf if goal.peak is None else goal.peak / guess.input_scale
+    free = np.full(size * (count + 1 + DEGREE * count), np.inf)
+    held = np.full(2 * count, limit)
+    times = (SHORTEST, LONGEST) if goal.minimised == "time" else (1.0, 1.0)
+    return Program(
+        vector=z.vector(ca),
+        objective=quantities[goal.minimised] / units.get(goal.minimised, 1.0),
+        constraints=ca.vertcat(*gathered.rows),
+        start=_start(guess, limit),
+        low=np.concatenate([-free, -held, [0.0, times[0]]]),
+        high=np.concatenate([free, held, [np.inf, times[1]]]),
+        lower=np.array(gathered.lower),
+        upper=np.array(gathered.upper),
+    )
+
+
+def solution(guess: Guess, answer: Array) -> tuple[Guess, float]:
+    """States and inputs of a solved program's z, in the shape of the guess, and the stretch."""
+    size, ends = guess.begins.shape
+    blocks = [ends, *[ends - 1] * DEGREE]
+    cuts = np.cumsum([size * columns for columns in blocks] + [2 * (ends - 1), 1])
+    *states, inputs, _, stretch = np.split(answer, cuts)
+    begins, *inner = (part.reshape(-1, size).T * guess.state_scale[:, None] for part in states)
+    lines = inputs.reshape(-1, 2).T * guess.input_scale
+    return Guess(begins, np.array(inner), lines), float(stretch[0])
+
+
+def _start(guess: Guess, limit: float) -> Array:
+    """The z of a guess."""
+    blocks = [block / guess.state_scale[:, None] for block in (guess.begins, *guess.inner)]
+    inputs = np.clip(guess.inputs / guess.input_scale, -limit, limit)
+    parts = [block.T.reshape(-1) for block in (*blocks, inputs)]
+    return np.concatenate([*parts, [np.abs(inputs).max(), 1.0]])
+
+
+def _scaled(ca: Any, scale: Any, block: Any) -> Any:
+    """Each row times its scale."""
+    return ca.repmat(scale, 1, block.shape[1]) * block
+
+
+def _motion(
+    ca: Any, course: Course, grid: Grid, X: Any, inner: list[Any], U: Any, H: Any, stretch: Any
+) -> list[Any]:
+    """What vanishes for a motion of the plant: at the Gauss points, and between the elements."""
+    rates, _ = course.in_casadi(ca)
+    t, x, u = ca.SX.sym("t"), ca.SX.sym("x", course.plant.n), ca.SX.sym("u")
+    one = ca.Function("rates", [t, x, u], [ca.vertcat(*rates(t, ca.vertsplit(x), u))])
+    on_all, scheme = one.map(grid.elements), grid.scheme
+    residuals = []
+    for i, row in enumerate(grid.times):
+        slope = scheme.slopes[0, i] * X[:, :-1]
+        for weight, block in zip(scheme.slopes[1:, i], inner, strict=True):
+            slope += weight * block
+        at, share = ca.DM(row[None, :]) * stretch, float(scheme.nodes[i])
+        u_i = (1 - share) * U[0, :] + share * U[1, :]
+        residuals.append(slope - on_all(at, inner[i], u_i) * ca.repmat(H, course.plant.n, 1))
+    end = scheme.last[0] * X[:, :-1]
+    for weight, block in zip(scheme.last[1:], inner, strict=True):
+        end += weight * block
+    return [*residuals, X[:, 1:] - end]
+
+
+def _squared_error(
+    ca: Any, course: Course, goal: Goal, grid: Grid, inner: list[Any], H: Any, stretch: Any
+) -> Any:
+    """The integral of e_1^2."""
+    _, outputs = course.in_casadi(ca)
+    x = ca.SX.sym("x", course.plant.n)
+    output = ca.Function("output", [x], [outputs(ca.vertsplit(x))[0]]).map(grid.elements)
+    if goal.minimised == "time":
+        t = ca.SX.sym("t")
+        on_all = ca.Function("y_d", [t], [_reference(ca, course)(t)[0]]).map(grid.elements)
+        references = [on_all(ca.DM(row[None, :]) * stretch) for row in grid.times]
+    else:
+        references = [ca.DM(course.reference(row)[:1]) for row in grid.times]
+    integral = 0
+    for weight, block, y_d in zip(grid.scheme.weights, inner, references, strict=True):
+        integral += weight * ca.sum2(H * (output(block) - y_d) ** 2)
+    return integral
+
+
+def _arrival(ca: Any, course: Course, state: Any, time: Any) -> Any:
+    """The error coordinates e = A x - B Y at the end, which are to be zero."""
+    _, outputs = course.in_casadi(ca)
+    coordinates = course.system.controller.coordinates
+    measured = ca.vertcat(*outputs(ca.vertsplit(state)))
+    Y = ca.vertcat(*_reference(ca, course)(time))
+    return ca.mtimes(ca.DM(coordinates.A), measured) - ca.mtimes(ca.DM(coordinates.B), Y)
+
+
+def _reference(ca: Any, course: Course) -> Callable[[Any], list[Any]]:
+    """y_d and its derivatives as functions of CasADi's time."""
+    reference = course.system.reference
+    if reference.piece_symbols or len(course.breaks):
+        raise InputError(
+            "objective",
+            "the shortest time needs a reference and disturbances without breaks",
+            "time",
+            "Minimise the squared error under a limit of the peak input instead",
+        )
+    known = dict(zip(reference.parameter_symbols, reference.parameter_values, strict=True))
+    formulas = [formula.xreplace(known) for formula in reference.formulas(course.order)]
+    return casadi_callable(ca, [TIME], formulas)
