@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any
 
-from certrack.core import checks
 from certrack.core.errors import InputError
 
 #: What can be minimised, and what it is called in tables.
@@ -68,10 +67,6 @@ class Goal:
     def __post_init__(self) -> None:
         if self.minimised not in QUANTITIES:
             raise InputError("objective", f"must be one of {', '.join(QUANTITIES)}", self.minimised)
-        for name in LIMITED:
-            limit = getattr(self, name)
-            if limit is not None:
-                checks.real(KEYS.get(name, name), limit, above=0)
         if getattr(self, self.minimised, None) is not None:
             key = KEYS.get(self.minimised, self.minimised)
             raise InputError(key, "is what is minimised, so it has no limit", remedy="Leave it out")

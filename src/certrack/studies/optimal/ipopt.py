@@ -15,7 +15,7 @@ from certrack.core.arrays import Array
 from certrack.studies.optimal.program import Program
 
 #: Iterations at most, and the tolerance of the scaled program.
-MAX_ITERATIONS, TOLERANCE = 1000, 1e-8
+MAX_ITERATIONS, TOLERANCE = 500, 1e-8
 
 #: What IPOPT's words mean.
 MEANINGS = {

@@ -214,8 +214,10 @@ def optimal(
     count = checks.integer("elements", elements, least=FIRST_ELEMENTS, most=MOST)
     limits = {"squared_error": squared_error, "energy": energy, "peak": peak_input}
     goal = None if objective is None else Goal(objective, **limits)
-    if horizon is not None:
-        checks.real("horizon", horizon, above=0)
+    stated = {"squared_error": squared_error, "energy": energy, "peak_input": peak_input}
+    for key, value in (stated | {"horizon": horizon}).items():
+        if value is not None:
+            checks.real(key, value, above=0)
     ca = casadi("the search for optimal trajectories")
     course = course_of(system, horizon, silent)
     goals = _against_the_law(course.law, limits) if goal is None else (goal,)
@@ -229,7 +231,7 @@ def optimal(
 
 def _against_the_law(law: TrajectoryCost, limits: dict[str, float | None]) -> tuple[Goal, ...]:
     """The goals by which a law is judged; limits that are given replace the law's own cost."""
-    own = {name: value or getattr(law, name) for name, value in limits.items()}
+    own = {name: value or getattr(law, name) for name, value in limits.items()}  # none is 0
     return (
         Goal("squared_error", energy=own["energy"], peak=own["peak"]),
         Goal("energy", squared_error=own["squared_error"]),

@@ -1,0 +1,298 @@
+"""The best possible trajectories: exact optima, the laws beside them, and bad input."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import sympy
+from click.testing import CliRunner
+
+import certrack
+from certrack.cli import cli
+from certrack.core.casadi_forms import casadi, casadi_callable
+from certrack.core.errors import Cancelled, InputError, MissingExtra
+from certrack.core.expressions import parse
+from certrack.core.lowering import numpy_callable
+from certrack.studies.optimal.collocation import gauss_scheme
+from certrack.studies.optimal.goal import Goal
+from certrack.studies.optimal.mesh import mesh
+from certrack.studies.optimal.optimal import optimal
+from certrack.studies.optimal.replay import replay
+
+#: x'' = u from x = 1 at rest to the origin.
+DOUBLE_INTEGRATOR = """
+[plant]
+states = ["x1", "x2"]
+chain = [1]
+linear = [[0]]
+drift = "0"
+regressor = []
+gain_sign = 1
+input_gain = 1
+[plant.uncertainty]
+tau = [0, 1]
+gamma = [0, 0]
+beta = [0, 20]
+[truth]
+input_gain = 1
+omega = ["0", "{disturbance}"]
+[reference]
+signal = "{reference}"
+[law]
+kind = "robust"
+c = [2, 2]
+feedforward = 0
+[simulation]
+x0 = [1, 0]
+duration = {duration}
+band = 0.05
+"""
+
+
+def double_integrator(duration=12, disturbance="0", reference="0*t"):
+    text = DOUBLE_INTEGRATOR.format(
+        duration=duration, disturbance=disturbance, reference=reference
+    )
+    return certrack.loads(text)
+
+
+# exact optima
+
+
+@pytest.mark.parametrize("limit", [1.0, 4.0])
+def test_the_shortest_time_of_the_double_integrator(limit):
+    """Full force, then full brake: T = 2 sqrt(x/U)."""
+    (found,) = optimal(double_integrator(), "time", peak_input=limit).optima
+    assert found.found
+    assert found.cost.time == pytest.approx(2 / math.sqrt(limit), rel=1e-4)
+    assert found.cost.peak == pytest.approx(limit, rel=1e-6)
+    half = found.cost.time / 2
+    assert (found.inputs[:, found.ends[1:] < 0.98 * half] < -0.99 * limit).all()
+    assert (found.inputs[:, found.ends[:-1] > 1.02 * half] > 0.99 * limit).all()
+
+
+def quadratic_optimum(weight):
+    """int x^2 and int u^2 of the regulator of x'' = u that minimises int (x^2 + weight u^2)."""
+    a, b = 1 / math.sqrt(weight), math.sqrt(2) * weight**-0.25  # u = -a x - b x'
+    closed = np.array([[0.0, 1.0], [-a, -b]])
+    kept = []
+    for cost in (np.diag([1.0, 0.0]), np.outer([a, b], [a, b])):
+        eye = np.eye(2)
+        operator = np.kron(eye, closed.T) + np.kron(closed.T, eye)
+        kept.append(float(np.linalg.solve(operator, -cost.reshape(-1))[0]))
+    return kept
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.05])
+def test_the_linear_quadratic_regulator_is_found(weight):
+    """Where int e^2 is as the regulator's, the least energy is its, and the other way round."""
+    squared_error, energy = quadratic_optimum(weight)
+    system = double_integrator()
+    (least,) = optimal(system, "energy", squared_error=squared_error).optima
+    assert least.cost.energy == pytest.approx(energy, rel=1e-3)
+    (least,) = optimal(system, "squared_error", energy=energy).optima
+    assert least.cost.squared_error == pytest.approx(squared_error, rel=1e-3)
+
+
+def test_the_least_peak_and_the_least_error_are_duals():
+    """The least peak at an error is the peak at which that error is the least."""
+    system = double_integrator(duration=6)
+    (first,) = optimal(system, "squared_error", peak_input=2.0, elements=120).optima
+    error = first.cost.squared_error
+    (second,) = optimal(system, "peak", squared_error=error, elements=120).optima
+    assert second.cost.peak == pytest.approx(2.0, rel=1e-2)
+
+
+# the laws beside them
+
+
+SLOWER = [pytest.param(name, marks=pytest.mark.slow) for name in ("dual-motor-lean", "axis-load")]
+
+
+@pytest.mark.parametrize("name", ["example1", *SLOWER])
+def test_no_law_is_better_than_the_optimum(name):
+    found = optimal(certrack.load(name), horizon=4)
+    assert found.found and len(found.optima) == 3
+    for entry in found.optima:
+        assert found.excess(entry) > 1.0
+        assert entry.deviation < 1e-2
+        for quantity, limit in entry.goal.limits.items():
+            assert getattr(entry.cost, quantity) <= limit * (1 + 1e-3)
+
+
+def test_the_dual_motor_as_in_the_study():
+    """Figures of an independent study: 240 Runge-Kutta intervals by multiple shooting over 6 s."""
+    found = optimal(certrack.load("dual-motor-lean"), horizon=6)
+    within_both, least_energy, within_peak = (entry.cost for entry in found.optima)
+    assert within_both.squared_error == pytest.approx(0.1297, rel=0.01)
+    assert least_energy.energy == pytest.approx(0.796, rel=0.02)
+    assert within_peak.squared_error == pytest.approx(0.1221, rel=0.01)
+
+
+def test_the_replay_notices_another_input():
+    """It integrates what it is given: a little more input is another trajectory."""
+    from certrack.core.progress import silent
+    from certrack.studies.optimal.course import course_of
+
+    system = double_integrator(duration=4)
+    (found,) = optimal(system, "squared_error", peak_input=2.0).optima
+    course = course_of(system, 4.0, silent)
+    again = replay(course, found.ends, found.inputs, arrival=False)
+    begins = again.states[:, :: (len(again.times) - 1) // (len(found.ends) - 1)]
+    assert again.deviation(begins) == 0.0
+    other = replay(course, found.ends, 1.01 * found.inputs, arrival=False)
+    assert other.deviation(begins) > 1e-3
+
+
+def test_a_disturbance_that_jumps_is_met_by_the_mesh():
+    """Without a limit of the energy a pulse that is known beforehand is cancelled."""
+    pulse = "0.5*(sign(t - 1.03) - sign(t - 1.37))"
+    system = double_integrator(duration=3, disturbance=pulse)
+    (found,) = optimal(system, "squared_error", peak_input=20.0).optima
+    for time in (1.03, 1.37):
+        assert np.abs(found.ends - time).min() < 1e-12
+    assert found.deviation < 1e-6
+
+
+# parts
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_the_scheme_is_of_order_twice_its_degree(degree):
+    """x' = -x over one element, against exp."""
+    scheme = gauss_scheme(degree)
+    errors = []
+    for h in (0.4, 0.2):
+        matrix = scheme.slopes[1:].T + h * np.eye(degree)
+        inner = np.linalg.solve(matrix, -scheme.slopes[0])
+        errors.append(abs(scheme.last[0] + scheme.last[1:] @ inner - math.exp(-h)))
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(2 * degree + 1, abs=0.3)
+
+
+def test_formulas_are_the_same_in_casadi():
+    """Every function that a file may use, but for what is added below roots."""
+    ca = casadi("a test")
+    text = (
+        "sin(x1) + cos(x2) + tan(x1/4) + asin(x1/9) + acos(x2/9) + atan(x1) + atan2(x1, x2)"
+        " + sinh(x1) + cosh(x2) + tanh(x1) + exp(x2) + log(x1**2 + 2) + sqrt(x2**2 + 3)"
+        " + abs(x1) + sign(x2) + max(x1, x2) + min(x1, 2*x2, 3) + x1**3 + abs(x2)**(1/3)"
+    )
+    formula = parse("drift", text, ("x1", "x2")).expr
+    names = [sympy.Symbol(name, real=True) for name in ("x1", "x2")]
+    numeric = numpy_callable([names], [formula])
+    x = ca.SX.sym("x", 2)
+    function = ca.Function("f", [x], casadi_callable(ca, [names], [formula])(ca.vertsplit(x)))
+    for point in ([0.3, -0.7], [-1.2, 2.1], [2.5, 0.4]):
+        expected = numeric(np.array(point))[0]
+        assert float(function(point)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_norm_has_a_slope_at_rest():
+    ca = casadi("a test")
+    names = [sympy.Symbol(name, real=True) for name in ("x1", "x2")]
+    formula = sympy.sqrt(names[0] ** 2 + names[1] ** 2)
+    x = ca.SX.sym("x", 2)
+    value = casadi_callable(ca, [names], [formula])(ca.vertsplit(x))[0]
+    slopes = ca.Function("g", [x], [ca.gradient(value, x)])([0.0, 0.0])
+    assert np.array(slopes).tolist() == [[0.0], [0.0]]
+
+
+def test_the_mesh_has_every_break_and_is_dense_where_the_input_moves():
+    times = np.linspace(0.0, 10.0, 2001)
+    ends = mesh(times, np.exp(-5 * times), 100, np.array([3.0, 7.77]))
+    assert {0.0, 3.0, 7.77, 10.0} <= set(ends.tolist())
+    assert (np.diff(ends) > 0).all()
+    assert (ends < 1).sum() > 55
+    still = mesh(times, np.ones_like(times), 100, np.empty(0))
+    assert np.diff(still) == pytest.approx(0.1)
+
+
+# bad input
+
+
+@pytest.mark.parametrize(
+    ("wanted", "words"),
+    [
+        ({"objective": "speed"}, "objective: must be one of squared_error, energy, peak, time"),
+        ({"objective": "time"}, "peak_input: must be given for the shortest time"),
+        ({"objective": "energy"}, "squared_error: must be given for the least integral of u"),
+        ({"objective": "energy", "energy": 1.0, "squared_error": 1.0}, "energy: is what is min"),
+        ({"objective": "peak", "peak_input": 1.0, "squared_error": 1.0}, "peak_input: is what"),
+        ({"squared_error": -1.0}, "squared_error: must be"),
+        ({"energy": math.nan}, "energy: must be"),
+        ({"peak_input": 0.0}, "peak_input: must be"),
+        ({"horizon": 0.0}, "horizon: must be"),
+        ({"elements": 3}, "elements: must be"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(wanted, words):
+    with pytest.raises(InputError, match="^" + words.replace("^", r"\^")):
+        optimal(double_integrator(), **wanted)
+
+
+def test_limits_that_nothing_keeps_are_told(tmp_path):
+    system = double_integrator(duration=1)
+    (found,) = optimal(system, "energy", squared_error=1e-3, peak_input=1.0).optima
+    assert not found.found and found.reason
+    path = tmp_path / "mass.toml"
+    path.write_text(certrack.to_text(system))
+    limits = ["--squared-error", "1e-3", "--peak-input", "1"]
+    result = CliRunner().invoke(cli, ["optimal", str(path), "--objective", "energy", *limits])
+    assert result.exit_code == 1
+    assert "none found: " in result.stdout
+
+
+def test_the_shortest_time_needs_formulas_without_breaks():
+    system = double_integrator(disturbance="sign(t - 1)")
+    with pytest.raises(InputError, match="without breaks"):
+        optimal(system, "time", peak_input=3.0)
+
+
+def test_a_law_that_ends_early_is_told():
+    system = double_integrator(disturbance="20*x1**3")
+    with pytest.raises(InputError, match="horizon: the law's own run ends before it"):
+        optimal(system)
+
+
+def test_a_goal_without_limits_records_none():
+    assert Goal("squared_error").record() == {"minimised": "squared_error", "limits": {}}
+
+
+def test_without_casadi_there_is_a_hint(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "casadi", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'certrack\[optimal\]'"):
+        optimal(double_integrator())
+
+
+def test_a_search_can_be_cancelled():
+    calls = []
+
+    def stop(done, total, best):
+        calls.append((done, total))
+        if len(calls) == 5:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        optimal(double_integrator(), progress=stop)
+    assert len(calls) == 5
+
+
+# the command
+
+
+def test_the_command_prints_draws_and_reports(tmp_path):
+    command = ["optimal", "example1", "--horizon", "2"]
+    result = CliRunner().invoke(cli, [*command, "--plot", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    assert "the law needs" in result.stdout
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".svg", ".pdf"}
+    shown = CliRunner().invoke(cli, [*command, "--json"])
+    record = json.loads(shown.stdout)["example1"]
+    assert record["horizon"] == 2.0 and len(record["optima"]) == 3
+    assert all(entry["law_over_minimum"] > 1 for entry in record["optima"])
+
+
+def test_refusals_name_the_option():
+    result = CliRunner().invoke(cli, ["optimal", "example1", "--objective", "time"])
+    assert str(result.exception).startswith("--peak-input: must be given")
