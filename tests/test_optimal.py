@@ -51,9 +51,7 @@ band = 0.05
 
 
 def double_integrator(duration=12, disturbance="0", reference="0*t"):
-    text = DOUBLE_INTEGRATOR.format(
-        duration=duration, disturbance=disturbance, reference=reference
-    )
+    text = DOUBLE_INTEGRATOR.format(duration=duration, disturbance=disturbance, reference=reference)
     return certrack.loads(text)
 
 
@@ -63,13 +61,13 @@ def double_integrator(duration=12, disturbance="0", reference="0*t"):
 @pytest.mark.parametrize("limit", [1.0, 4.0])
 def test_the_shortest_time_of_the_double_integrator(limit):
     """Full force, then full brake: T = 2 sqrt(x/U)."""
-    (found,) = optimal(double_integrator(), "time", peak_input=limit).optima
-    assert found.found
-    assert found.cost.time == pytest.approx(2 / math.sqrt(limit), rel=1e-4)
-    assert found.cost.peak == pytest.approx(limit, rel=1e-6)
-    half = found.cost.time / 2
-    assert (found.inputs[:, found.ends[1:] < 0.98 * half] < -0.99 * limit).all()
-    assert (found.inputs[:, found.ends[:-1] > 1.02 * half] > 0.99 * limit).all()
+    (converged,) = optimal(double_integrator(), "time", peak_input=limit).optima
+    assert converged.converged
+    assert converged.cost.time == pytest.approx(2 / math.sqrt(limit), rel=1e-4)
+    assert converged.cost.peak == pytest.approx(limit, rel=1e-6)
+    half = converged.cost.time / 2
+    assert (converged.inputs[:, converged.ends[1:] < 0.98 * half] < -0.99 * limit).all()
+    assert (converged.inputs[:, converged.ends[:-1] > 1.02 * half] > 0.99 * limit).all()
 
 
 def quadratic_optimum(weight):
@@ -112,10 +110,10 @@ SLOWER = [pytest.param(name, marks=pytest.mark.slow) for name in ("dual-motor-le
 
 @pytest.mark.parametrize("name", ["example1", *SLOWER])
 def test_no_law_is_better_than_the_optimum(name):
-    found = optimal(certrack.load(name), horizon=4)
-    assert found.found and len(found.optima) == 3
-    for entry in found.optima:
-        assert found.excess(entry) > 1.0
+    converged = optimal(certrack.load(name), horizon=4)
+    assert converged.converged and len(converged.optima) == 3
+    for entry in converged.optima:
+        assert converged.excess(entry) > 1.0
         assert entry.deviation < 1e-2
         for quantity, limit in entry.goal.limits.items():
             assert getattr(entry.cost, quantity) <= limit * (1 + 1e-3)
@@ -123,8 +121,8 @@ def test_no_law_is_better_than_the_optimum(name):
 
 def test_the_dual_motor_as_in_the_study():
     """Figures of an independent study: 240 Runge-Kutta intervals by multiple shooting over 6 s."""
-    found = optimal(certrack.load("dual-motor-lean"), horizon=6)
-    within_both, least_energy, within_peak = (entry.cost for entry in found.optima)
+    converged = optimal(certrack.load("dual-motor-lean"), horizon=6)
+    within_both, least_energy, within_peak = (entry.cost for entry in converged.optima)
     assert within_both.squared_error == pytest.approx(0.1297, rel=0.01)
     assert least_energy.energy == pytest.approx(0.796, rel=0.02)
     assert within_peak.squared_error == pytest.approx(0.1221, rel=0.01)
@@ -133,15 +131,15 @@ def test_the_dual_motor_as_in_the_study():
 def test_the_replay_notices_another_input():
     """It integrates what it is given: a little more input is another trajectory."""
     from certrack.core.progress import silent
-    from certrack.studies.optimal.course import course_of
+    from certrack.studies.optimal.law_run import law_run_of
 
     system = double_integrator(duration=4)
-    (found,) = optimal(system, "squared_error", peak_input=2.0).optima
-    course = course_of(system, 4.0, silent)
-    again = replay(course, found.ends, found.inputs, arrival=False)
-    begins = again.states[:, :: (len(again.times) - 1) // (len(found.ends) - 1)]
+    (converged,) = optimal(system, "squared_error", peak_input=2.0).optima
+    law_run = law_run_of(system, 4.0, silent)
+    again = replay(law_run, converged.ends, converged.inputs, arrival=False)
+    begins = again.states[:, :: (len(again.times) - 1) // (len(converged.ends) - 1)]
     assert again.deviation(begins) == 0.0
-    other = replay(course, found.ends, 1.01 * found.inputs, arrival=False)
+    other = replay(law_run, converged.ends, 1.01 * converged.inputs, arrival=False)
     assert other.deviation(begins) > 1e-3
 
 
@@ -149,10 +147,10 @@ def test_a_disturbance_that_jumps_is_met_by_the_mesh():
     """Without a limit of the energy a pulse that is known beforehand is cancelled."""
     pulse = "0.5*(sign(t - 1.03) - sign(t - 1.37))"
     system = double_integrator(duration=3, disturbance=pulse)
-    (found,) = optimal(system, "squared_error", peak_input=20.0).optima
+    (converged,) = optimal(system, "squared_error", peak_input=20.0).optima
     for time in (1.03, 1.37):
-        assert np.abs(found.ends - time).min() < 1e-12
-    assert found.deviation < 1e-6
+        assert np.abs(converged.ends - time).min() < 1e-12
+    assert converged.deviation < 1e-6
 
 
 # parts
@@ -233,14 +231,14 @@ def test_bad_arguments_are_refused_by_name(wanted, words):
 
 def test_limits_that_nothing_keeps_are_told(tmp_path):
     system = double_integrator(duration=1)
-    (found,) = optimal(system, "energy", squared_error=1e-3, peak_input=1.0).optima
-    assert not found.found and found.reason
+    (converged,) = optimal(system, "energy", squared_error=1e-3, peak_input=1.0).optima
+    assert not converged.converged and converged.reason
     path = tmp_path / "mass.toml"
     path.write_text(certrack.to_text(system))
     limits = ["--squared-error", "1e-3", "--peak-input", "1"]
     result = CliRunner().invoke(cli, ["optimal", str(path), "--objective", "energy", *limits])
     assert result.exit_code == 1
-    assert "none found: " in result.stdout
+    assert "none converged: " in result.stdout
 
 
 def test_the_shortest_time_needs_formulas_without_breaks():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,6 +49,18 @@ def naming(file: str, *keys: str, period: float | None = None) -> Iterator[None]
             problem.key = "--period"
         if problem.key in keys and not problem.file:
             problem.within(file if Path(file).suffix else f"{file}.toml")
+        raise
+
+
+@contextmanager
+def options_named(options: Sequence[str]) -> Iterator[None]:
+    """Name the options in refusals of the arguments that they set."""
+    try:
+        yield
+    except InputError as problem:
+        name, mark, index = problem.key.partition("[")
+        if name in options and not problem.file:
+            problem.key = f"--{name.replace('_', '-')}{mark}{index}"
         raise
 
 

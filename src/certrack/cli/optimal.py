@@ -7,11 +7,10 @@ from typing import Any
 
 import click
 
-from certrack.cli.base import FOLDER, json_option, naming, tell_written
-from certrack.core.errors import InputError
+from certrack.cli.base import FOLDER, json_option, options_named, tell_written
 
 #: Arguments of certrack.optimal that are options of the verb.
-OPTIONS = ("objective", "squared_error", "energy", "peak_input", "horizon", "elements")
+OPTIMAL_OPTIONS = ("objective", "squared_error", "energy", "peak_input", "horizon", "elements")
 
 
 @click.command()
@@ -56,17 +55,12 @@ def optimal(
     if objective is not None:
         objective = objective.replace("-", "_")
     results = {}
-    try:
-        for name, system in systems.items():
-            with (
-                naming(name, "horizon"),
-                console.progress(f"Optima of {name}, searches") as advance,
-            ):
-                results[name] = search_optima(system, objective, progress=advance, **wanted)
-    except InputError as problem:
-        if problem.key in OPTIONS and not problem.file:
-            problem.key = f"--{problem.key.replace('_', '-')}"
-        raise
+    for name, system in systems.items():
+        with (
+            options_named(OPTIMAL_OPTIONS),
+            console.progress(f"Optima of {name}, searches") as advance,
+        ):
+            results[name] = search_optima(system, objective, progress=advance, **wanted)
     pictures: list[Path] = []
     if plot is not None:
         from certrack import plotting
@@ -81,5 +75,5 @@ def optimal(
             console.print_table(optima_report.optima_table(result, systems[name].title or name))
             console.print_lines(optima_report.optima_notes(result))
     tell_written(as_json, *pictures)
-    if not all(result.found for result in results.values()):
+    if not all(result.converged for result in results.values()):
         raise click.exceptions.Exit(1)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from certrack.cli.base import (
     json_option,
     keep_source,
     naming,
+    options_named,
     tell_written,
 )
 from certrack.core.errors import InputError
@@ -94,7 +94,7 @@ def _tuned(
         raise InputError("--plot", "draws a front, and none is asked for", remedy="Add --front")
     wanted["box"] = _box_of(wanted["box"])
     with (
-        _options_named(),
+        options_named(TUNE_OPTIONS),
         naming(file, "law", "tune"),
         console.progress("Tuning, starts", "best", "now finished and certified") as bar,
     ):
@@ -152,22 +152,10 @@ def _box_of(text: str | None) -> list[tuple[float, float]] | None:
 
 
 #: Arguments of certrack.tune that are options of the verb.
-OPTIONS = (
+TUNE_OPTIONS = (
     *("objective", "error", "peak_input", "energy", "period", "delay_margin", "noise"),
     *("feedforward", "box", "starts", "seed", "front"),
 )
-
-
-@contextmanager
-def _options_named() -> Iterator[None]:
-    """Name the options in refusals of the arguments that they set."""
-    try:
-        yield
-    except InputError as problem:
-        name, mark, index = problem.key.partition("[")
-        if name in OPTIONS:
-            problem.key = f"--{name.replace('_', '-')}{mark}{index}"
-        raise
 
 
 def _text_of(file: str) -> str:

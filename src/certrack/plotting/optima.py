@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from certrack.studies.optimal.optimal import Optima
 
 #: Legend of an optimum by what is minimised.
-NAMES = {
+LEAST_FORMULAS = {
     "squared_error": r"least $\int e_1^2\,dt$",
     "energy": r"least $\int u^2\,dt$",
     "peak": r"least $\max|u|$",
@@ -23,7 +23,7 @@ NAMES = {
 }
 
 #: A limit as it is written in the legend.
-LIMITS = {"squared_error": r"\int e_1^2", "energy": r"\int u^2", "peak": "|u|"}
+LIMIT_FORMULAS = {"squared_error": r"\int e_1^2", "energy": r"\int u^2", "peak": "|u|"}
 
 #: So many settling times of the law are shown: what differs is the transient.
 SHOWN_SETTLING_TIMES = 3.0
@@ -60,11 +60,12 @@ def optima_figure(result: Optima, title: str) -> Figure:
         above.plot(run.t, run.x[0], color="k", lw=1.0, label="law")
         below.plot(run.t, run.u, color="k", lw=1.0)
         shown = [run.u[run.t <= end]]
-        for entry in filter(lambda optimum: optimum.found, result.optima):
+        for entry in filter(lambda optimum: optimum.converged, result.optima):
             limits = (
-                rf"{LIMITS[name]} \leq {value:.3g}" for name, value in entry.goal.limits.items()
+                rf"{LIMIT_FORMULAS[name]} \leq {value:.3g}"
+                for name, value in entry.goal.limits.items()
             )
-            label = f"{NAMES[entry.goal.minimised]} with ${', '.join(limits)}$"
+            label = f"{LEAST_FORMULAS[entry.goal.minimised]} with ${', '.join(limits)}$"
             above.plot(entry.times, entry.output, label=label)
             both_ends = np.array([entry.ends[:-1], entry.ends[1:]]).T.reshape(-1)
             below.plot(both_ends, entry.inputs.T.reshape(-1))
@@ -82,7 +83,9 @@ def optima_figure(result: Optima, title: str) -> Figure:
 
 
 def _label(goal: Goal) -> str:
-    limits = [rf"{LIMITS[name]} \leq {value:.3g}" for name, value in goal.limits.items()]
+    limits = [rf"{LIMIT_FORMULAS[name]} \leq {value:.3g}" for name, value in goal.limits.items()]
     return (
-        f"{NAMES[goal.minimised]} with ${', '.join(limits)}$" if limits else NAMES[goal.minimised]
+        f"{LEAST_FORMULAS[goal.minimised]} with ${', '.join(limits)}$"
+        if limits
+        else LEAST_FORMULAS[goal.minimised]
     )

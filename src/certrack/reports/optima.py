@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from certrack.studies.optimal.optimal import Optima, Optimum
 
 #: What is minimised, as a column begins.
-LEAST = {
+LEAST_TEXTS = {
     "squared_error": "least int e_1^2",
     "energy": "least int u^2",
     "peak": "least peak input",
@@ -21,7 +21,7 @@ LEAST = {
 }
 
 #: A limit, in words.
-LIMITS = {"squared_error": "int e_1^2", "energy": "int u^2", "peak": "|u|"}
+LIMIT_TEXTS = {"squared_error": "int e_1^2", "energy": "int u^2", "peak": "|u|"}
 
 #: The mesh or the transcription are worth a word beyond these parts.
 COARSE_MESH, DEVIATES = 0.05, 1e-2
@@ -37,7 +37,7 @@ def optima_table(result: Optima, title: str = "") -> Table:
         "peak": labelled("peak input", force),
         "time": "time [s]",
     }
-    shown = [entry.cost if entry.found else None for entry in result.optima]
+    shown = [entry.cost if entry.converged else None for entry in result.optima]
     if not any(entry.goal.minimised == "time" for entry in result.optima):
         del labels["time"]
     rows: list[list[object]] = [
@@ -48,7 +48,7 @@ def optima_table(result: Optima, title: str = "") -> Table:
         ),
         ["the law needs", "", *(_excess_text(result, entry) for entry in result.optima)],
     ]
-    columns = ["", "law", *(LEAST[entry.goal.minimised] for entry in result.optima)]
+    columns = ["", "law", *(LEAST_TEXTS[entry.goal.minimised] for entry in result.optima)]
     return table(title, columns, rows, digits=4)
 
 
@@ -56,7 +56,7 @@ def optima_notes(result: Optima) -> list[str]:
     """What the numbers are, and what is to be known of them."""
     lines = [
         f"over {result.horizon:g} s; an optimum knows plant, disturbance and reference beforehand, "
-        "so no law does better from that start; found by a local search, not proven",
+        "so no law does better from that start; converged by a local search, not proven",
     ]
     if any(entry.goal.minimised == "time" for entry in result.optima):
         lines.append(
@@ -68,16 +68,16 @@ def optima_notes(result: Optima) -> list[str]:
 
 
 def _excess_text(result: Optima, optimum: Optimum) -> str:
-    return f"{short_number(result.excess(optimum), 3)} times" if optimum.found else "-"
+    return f"{short_number(result.excess(optimum), 3)} times" if optimum.converged else "-"
 
 
 def _remarks(optimum: Optimum, excess: float) -> Iterator[str]:
     goal = _goal_text(optimum.goal)
-    if not optimum.found:
-        yield f"{goal}: none found: {optimum.reason}"
+    if not optimum.converged:
+        yield f"{goal}: none converged: {optimum.reason}"
         return
     if excess < 1.0:
-        yield f"{goal}: the law needs less: on such a mesh no better input was found"
+        yield f"{goal}: the law needs less: on such a mesh no better input was converged"
     if optimum.mesh_error > COARSE_MESH:
         yield (
             f"{goal}: still changed by {100 * optimum.mesh_error:.0f} % from mesh to mesh: more "
@@ -92,9 +92,11 @@ def _remarks(optimum: Optimum, excess: float) -> Iterator[str]:
 
 def _goal_text(goal: Goal) -> str:
     limits = _limits_text(goal)
-    return f"{LEAST[goal.minimised]} with {limits}" if limits else LEAST[goal.minimised]
+    return f"{LEAST_TEXTS[goal.minimised]} with {limits}" if limits else LEAST_TEXTS[goal.minimised]
 
 
 def _limits_text(goal: Goal) -> str:
-    limits = (f"{LIMITS[name]} <= {short_number(value, 4)}" for name, value in goal.limits.items())
+    limits = (
+        f"{LIMIT_TEXTS[name]} <= {short_number(value, 4)}" for name, value in goal.limits.items()
+    )
     return ", ".join(limits)

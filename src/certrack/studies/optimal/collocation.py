@@ -18,11 +18,11 @@ from numpy.polynomial import Polynomial
 from certrack.core.arrays import Array
 
 #: Degree of the polynomials, and Gauss points in an element.
-DEGREE = 3
+COLLOCATION_DEGREE = 3
 
 
 @dataclass(frozen=True)
-class Scheme:
+class CollocationScheme:
     """Collocation on [0, 1].
 
     Attributes
@@ -43,7 +43,7 @@ class Scheme:
     weights: Array
 
 
-def gauss_scheme(degree: int = DEGREE) -> Scheme:
+def gauss_scheme(degree: int = COLLOCATION_DEGREE) -> CollocationScheme:
     """The scheme of a degree.
 
     Parameters
@@ -58,22 +58,22 @@ def gauss_scheme(degree: int = DEGREE) -> Scheme:
         basis.append(through_others / through_others(at))
     slopes = np.array([polynomial.deriv()(nodes) for polynomial in basis])
     last = np.array([polynomial(1.0) for polynomial in basis])
-    return Scheme(nodes, slopes, last, weights / 2)
+    return CollocationScheme(nodes, slopes, last, weights / 2)
 
 
 @dataclass(frozen=True)
-class Grid:
+class CollocationGrid:
     """A mesh with its Gauss points.
 
     Attributes
     ----------
     ends : (E + 1,) array, s
         Of the elements.
-    scheme : Scheme
+    scheme : CollocationScheme
     """
 
     ends: Array
-    scheme: Scheme
+    scheme: CollocationScheme
 
     @property
     def elements(self) -> int:

@@ -12,27 +12,27 @@ from typing import Any
 import numpy as np
 
 from certrack.core.arrays import Array
-from certrack.studies.optimal.program import Program
+from certrack.studies.optimal.program import NonlinearProgram
 
 #: Iterations at most, and the tolerance of the scaled program.
-MAX_ITERATIONS, TOLERANCE = 500, 1e-8
+MAX_IPOPT_ITERATIONS, TOLERANCE = 500, 1e-8
 
 #: What IPOPT's words mean.
 MEANINGS = {
     "Infeasible_Problem_Detected": "the limits contradict each other near where it searched",
-    "Maximum_Iterations_Exceeded": f"it did not settle within {MAX_ITERATIONS} iterations",
-    "Restoration_Failed": "it found no way back to what the limits admit",
+    "Maximum_Iterations_Exceeded": f"it did not settle within {MAX_IPOPT_ITERATIONS} iterations",
+    "Restoration_Failed": "it converged no way back to what the limits admit",
     "Invalid_Number_Detected": "a formula leaves its domain",
 }
 
 
 @dataclass(frozen=True)
-class Answer:
+class SolverAnswer:
     """How a solution ended.
 
     Attributes
     ----------
-    found : bool
+    converged : bool
         Whether it is a local optimum.
     reason : str
         Why not; empty if it is.
@@ -41,20 +41,20 @@ class Answer:
         The objective there.
     """
 
-    found: bool
+    converged: bool
     reason: str
     vector: Array
     minimum: float
 
 
-def minimise(ca: Any, program: Program, called: Callable[[], None]) -> Answer:
+def minimise(ca: Any, program: NonlinearProgram, called: Callable[[], None]) -> SolverAnswer:
     """Solve a program.
 
     Parameters
     ----------
     ca : module
         ``casadi``.
-    program : Program
+    program : NonlinearProgram
     called : callable
         Called at every iteration; an exception that it raises ends the search and is raised again.
     """
@@ -104,7 +104,7 @@ def minimise(ca: Any, program: Program, called: Callable[[], None]) -> Answer:
             "ipopt": {
                 "print_level": 0,
                 "sb": "yes",
-                "max_iter": MAX_ITERATIONS,
+                "max_iter": MAX_IPOPT_ITERATIONS,
                 "tol": TOLERANCE,
             },
         },
@@ -120,10 +120,10 @@ def minimise(ca: Any, program: Program, called: Callable[[], None]) -> Answer:
         raise raised[0]
     status = solver.stats()
     word = str(status["return_status"])
-    found = bool(status["success"])
-    return Answer(
-        found,
-        "" if found else MEANINGS.get(word, word.replace("_", " ").lower()),
+    converged = bool(status["success"])
+    return SolverAnswer(
+        converged,
+        "" if converged else MEANINGS.get(word, word.replace("_", " ").lower()),
         np.array(answer["x"]).reshape(-1),
         float(answer["f"]),
     )

@@ -10,7 +10,7 @@ from certrack.core.arrays import Array
 EVEN_SHARE = 0.4
 
 #: Points at which a run's input is looked at.
-LOOKED_AT = 4001
+MESH_SAMPLES = 4001
 
 #: Two ends closer than this part of the horizon are one.
 BLUR = 1e-9

@@ -21,14 +21,14 @@ from certrack.core.casadi_forms import casadi
 from certrack.core.progress import Progress, silent
 from certrack.loops.plant import measured
 from certrack.simulation.run import Run
-from certrack.studies.optimal.collocation import Grid, gauss_scheme
-from certrack.studies.optimal.course import Course, course_of
+from certrack.studies.optimal.collocation import CollocationGrid, gauss_scheme
 from certrack.studies.optimal.goal import Goal, TrajectoryCost
-from certrack.studies.optimal.ipopt import Answer, minimise
-from certrack.studies.optimal.mesh import LOOKED_AT, mesh
+from certrack.studies.optimal.ipopt import SolverAnswer, minimise
+from certrack.studies.optimal.law_run import LawRun, law_run_of
+from certrack.studies.optimal.mesh import MESH_SAMPLES, mesh
 from certrack.studies.optimal.program import (
-    Guess,
-    Motion,
+    GridValues,
+    PlantMotion,
     guess_on,
     motion_on,
     solution,
@@ -41,11 +41,11 @@ from certrack.systems.system import System, require_system
 FIRST_ELEMENTS, ELEMENTS = 120, 960
 
 #: The most that may be asked for.
-MOST = 20_000
+MAX_ELEMENTS = 20_000
 
 #: A mesh is fine enough where the minimum changes by less than this part from the one before, and
 #: the plant deviates from the trajectory by less than this part of each state's magnitude.
-SETTLED, FOLLOWED = 3e-3, 1e-3
+MINIMUM_CHANGE, ADMITTED_DEVIATION = 3e-3, 1e-3
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Optimum:
     Attributes
     ----------
     goal : Goal
-    found : bool
+    converged : bool
         Whether the search ended at a local optimum.
     reason : str
         Why not; empty if it did.
@@ -77,7 +77,7 @@ class Optimum:
     """
 
     goal: Goal
-    found: bool
+    converged: bool
     reason: str
     cost: TrajectoryCost
     ends: Array
@@ -95,10 +95,10 @@ class Optimum:
         return float(getattr(self.cost, self.goal.minimised))
 
     def record(self) -> dict[str, Any]:
-        """Ready for JSON, without the courses."""
+        """Ready for JSON, without the trajectories."""
         return {
             **self.goal.record(),
-            "found": self.found,
+            "converged": self.converged,
             "reason": self.reason,
             **self.cost.record(),
             "mesh_error": self.mesh_error,
@@ -129,9 +129,9 @@ class Optima:
         return self.run.system.settings.duration
 
     @property
-    def found(self) -> bool:
+    def converged(self) -> bool:
         """Whether every optimum that was asked for was found."""
-        return all(optimum.found for optimum in self.optima)
+        return all(optimum.converged for optimum in self.optima)
 
     def excess(self, optimum: Optimum) -> float:
         """How many times the minimum the law needs of it."""
@@ -200,7 +200,7 @@ def optimal(
 
     Notes
     -----
-    The optima are local ones, found from the law's course; nothing is proven of them.
+    The optima are local ones, found from the law's run; nothing is proven of them.
 
     Examples
     --------
@@ -211,7 +211,7 @@ def optimal(
     True
     """
     require_system(system)
-    count = checks.integer("elements", elements, least=FIRST_ELEMENTS, most=MOST)
+    count = checks.integer("elements", elements, least=FIRST_ELEMENTS, most=MAX_ELEMENTS)
     limits = {"squared_error": squared_error, "energy": energy, "peak": peak_input}
     goal = None if objective is None else Goal(objective, **limits)
     stated = {"squared_error": squared_error, "energy": energy, "peak_input": peak_input}
@@ -219,14 +219,14 @@ def optimal(
         if value is not None:
             checks.real(key, value, above=0)
     ca = casadi("the search for optimal trajectories")
-    course = course_of(system, horizon, silent)
-    goals = _against_the_law(course.law, limits) if goal is None else (goal,)
-    found = []
+    law_run = law_run_of(system, horizon, silent)
+    goals = _against_the_law(law_run.law, limits) if goal is None else (goal,)
+    converged = []
     for i, one in enumerate(goals):
         progress(i, len(goals), None)
-        found.append(_optimum(ca, course, one, count, _keep_calling(progress, i, len(goals))))
+        converged.append(_optimum(ca, law_run, one, count, _keep_calling(progress, i, len(goals))))
     progress(len(goals), len(goals), None)
-    return Optima(course.run, course.law, tuple(found))
+    return Optima(law_run.run, law_run.law, tuple(converged))
 
 
 def _against_the_law(law: TrajectoryCost, limits: dict[str, float | None]) -> tuple[Goal, ...]:
@@ -244,28 +244,32 @@ def _keep_calling(progress: Progress, done: int, total: int) -> Callable[[], Non
 
 
 def _optimum(
-    ca: Any, course: Course, goal: Goal, elements: int, called: Callable[[], None]
+    ca: Any, law_run: LawRun, goal: Goal, elements: int, called: Callable[[], None]
 ) -> Optimum:
-    """Search from the law's course, then from the optimum of each mesh on one twice as fine."""
+    """Search from the law's run, then from the optimum of each mesh on one twice as fine."""
     arrival = goal.minimised == "time"
-    motion, last, change = Motion(course.states, course.inputs, _first_end(course, goal)), None, 1.0
+    motion, last, change = (
+        PlantMotion(law_run.states, law_run.inputs, _first_end(law_run, goal)),
+        None,
+        1.0,
+    )
     count = min(FIRST_ELEMENTS, elements)
     while True:
-        search = _search(ca, course, goal, count, motion, called)
+        search = _solve_mesh(ca, law_run, goal, count, motion, called)
         if last is not None:
             change = abs(last.minimum / search.minimum - 1.0)
-        if not search.answer.found and last is not None:
+        if not search.answer.converged and last is not None:
             search = last  # a coarser optimum is one, too
-        played = replay(course, search.ends, search.values.inputs, arrival)
+        played = replay(law_run, search.ends, search.values.inputs, arrival)
         followed = played.deviation(search.values.begins)
-        fine = change < SETTLED and followed < FOLLOWED
-        if fine or search is last or not search.answer.found or 2 * count > elements:
+        fine = change < MINIMUM_CHANGE and followed < ADMITTED_DEVIATION
+        if fine or search is last or not search.answer.converged or 2 * count > elements:
             break
         motion, last, count = search.motion, search, 2 * count
-    system = course.system
+    system = law_run.system
     return Optimum(
         goal=goal,
-        found=search.answer.found,
+        converged=search.answer.converged,
         reason=search.answer.reason,
         cost=played.cost,
         ends=search.ends,
@@ -280,26 +284,26 @@ def _optimum(
 
 
 @dataclass(frozen=True)
-class Search:
+class SolvedMesh:
     """A solved program.
 
     Attributes
     ----------
-    answer : Answer
+    answer : SolverAnswer
     of_time : bool
         Whether the time was minimised.
     ends : (E + 1,) array, s
-    values : Guess
+    values : GridValues
         States and inputs on the mesh.
-    motion : Motion
+    motion : PlantMotion
         The same as functions of the time.
     """
 
-    answer: Answer
+    answer: SolverAnswer
     of_time: bool
     ends: Array
-    values: Guess
-    motion: Motion
+    values: GridValues
+    motion: PlantMotion
 
     @property
     def minimum(self) -> float:
@@ -307,23 +311,28 @@ class Search:
         return self.motion.end if self.of_time else self.answer.minimum
 
 
-def _search(
-    ca: Any, course: Course, goal: Goal, elements: int, first: Motion, called: Callable[[], None]
-) -> Search:
+def _solve_mesh(
+    ca: Any,
+    law_run: LawRun,
+    goal: Goal,
+    elements: int,
+    first: PlantMotion,
+    called: Callable[[], None],
+) -> SolvedMesh:
     """Solve on the mesh that a motion makes, from that motion."""
-    times = np.linspace(0.0, first.end, LOOKED_AT)
-    breaks = course.breaks[course.breaks < first.end]
-    grid = Grid(mesh(times, first.inputs(times), elements, breaks), gauss_scheme())
+    times = np.linspace(0.0, first.end, MESH_SAMPLES)
+    breaks = law_run.breaks[law_run.breaks < first.end]
+    grid = CollocationGrid(mesh(times, first.inputs(times), elements, breaks), gauss_scheme())
     guess = guess_on(grid, first)
-    program = transcribe(ca, course, goal, grid, guess)
+    program = transcribe(ca, law_run, goal, grid, guess)
     answer = minimise(ca, program, called)
     values, stretch = solution(guess, answer.vector)
-    stretched = Grid(grid.ends * stretch, grid.scheme)
+    stretched = CollocationGrid(grid.ends * stretch, grid.scheme)
     of_time = goal.minimised == "time"
-    return Search(answer, of_time, stretched.ends, values, motion_on(stretched, values))
+    return SolvedMesh(answer, of_time, stretched.ends, values, motion_on(stretched, values))
 
 
-def _first_end(course: Course, goal: Goal) -> float:
+def _first_end(law_run: LawRun, goal: Goal) -> float:
     """Where the first mesh ends: for the shortest time, where the law has settled."""
-    settled = course.law.time
-    return settled if goal.minimised == "time" and settled > 0 else course.horizon
+    settled = law_run.law.time
+    return settled if goal.minimised == "time" and settled > 0 else law_run.horizon

@@ -12,19 +12,19 @@ from certrack.core.arrays import Array
 from certrack.core.casadi_forms import casadi_callable
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
-from certrack.studies.optimal.collocation import DEGREE, Grid
-from certrack.studies.optimal.course import Course
+from certrack.studies.optimal.collocation import COLLOCATION_DEGREE, CollocationGrid
 from certrack.studies.optimal.goal import Goal
+from certrack.studies.optimal.law_run import LawRun
 
 #: A state or input that is smaller than this all along is scaled by it.
 SMALLEST_SCALE = 1e-6
 
 #: The shortest and the longest time that is searched, over the guess.
-SHORTEST, LONGEST = 1e-2, 3.0
+SHORTEST_STRETCH, LONGEST_STRETCH = 1e-2, 3.0
 
 
 @dataclass(frozen=True)
-class Guess:
+class GridValues:
     """Where a search begins, and the scales of what is searched.
 
     Attributes
@@ -54,7 +54,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Motion:
+class PlantMotion:
     """States and input of a plant over a time.
 
     Attributes
@@ -71,16 +71,18 @@ class Motion:
     end: float
 
 
-def guess_on(grid: Grid, motion: Motion) -> Guess:
+def guess_on(grid: CollocationGrid, motion: PlantMotion) -> GridValues:
     """A motion on a grid; of its input the line nearest to it on each element."""
     inner = np.array([motion.states(row) for row in grid.times])
     at_nodes = motion.inputs(grid.times.reshape(-1)).reshape(grid.times.shape)
     weights, since = grid.scheme.weights, grid.scheme.nodes - 0.5
     mean, half_rise = weights @ at_nodes, 6.0 * (weights * since) @ at_nodes
-    return Guess(motion.states(grid.ends), inner, np.array([mean - half_rise, mean + half_rise]))
+    return GridValues(
+        motion.states(grid.ends), inner, np.array([mean - half_rise, mean + half_rise])
+    )
 
 
-def motion_on(grid: Grid, values: Guess) -> Motion:
+def motion_on(grid: CollocationGrid, values: GridValues) -> PlantMotion:
     """Values on a grid as a motion, linear between its points."""
     times = np.vstack([grid.ends[:-1], grid.times]).T.reshape(-1)
     table = np.concatenate([values.begins[None, :, :-1], values.inner])  # (d + 1, S, E)
@@ -97,11 +99,11 @@ def motion_on(grid: Grid, values: Guess) -> Motion:
         line: Array = first + share * (last - first)
         return line
 
-    return Motion(states, inputs, float(grid.ends[-1]))
+    return PlantMotion(states, inputs, float(grid.ends[-1]))
 
 
 @dataclass(frozen=True)
-class Unknowns:
+class Searched:
     """What is searched, each of order one.
 
     Attributes
@@ -127,7 +129,7 @@ class Unknowns:
 
 
 @dataclass(frozen=True)
-class Program:
+class NonlinearProgram:
     """A nonlinear program: the least objective with low <= z <= high and lower <= g <= upper.
 
     Attributes
@@ -150,7 +152,7 @@ class Program:
     upper: Array
 
 
-class Constraints:
+class ConstraintRows:
     """Constraints while they are gathered."""
 
     def __init__(self) -> None:
@@ -165,22 +167,24 @@ class Constraints:
         self.upper += [upper] * rows.numel()
 
 
-def transcribe(ca: Any, course: Course, goal: Goal, grid: Grid, guess: Guess) -> Program:
+def transcribe(
+    ca: Any, law_run: LawRun, goal: Goal, grid: CollocationGrid, guess: GridValues
+) -> NonlinearProgram:
     """The program of a goal.
 
     Parameters
     ----------
     ca : module
         ``casadi``.
-    course : Course
+    law_run : LawRun
     goal : Goal
-    grid : Grid
-    guess : Guess
+    grid : CollocationGrid
+    guess : GridValues
     """
-    size, count = course.plant.n, grid.elements
-    z = Unknowns(
+    size, count = law_run.plant.n, grid.elements
+    z = Searched(
         ca.MX.sym("x", size, count + 1),
-        [ca.MX.sym(f"x_{i}", size, count) for i in range(DEGREE)],
+        [ca.MX.sym(f"x_{i}", size, count) for i in range(COLLOCATION_DEGREE)],
         ca.MX.sym("u", 2, count),
         ca.MX.sym("peak"),
         ca.MX.sym("stretch"),
@@ -189,17 +193,17 @@ def transcribe(ca: Any, course: Course, goal: Goal, grid: Grid, guess: Guess) ->
     X, inner = _scaled(ca, scale, z.begins), [_scaled(ca, scale, block) for block in z.inner]
     U, H = guess.input_scale * z.inputs, ca.DM(grid.lengths[None, :]) * z.stretch
 
-    gathered = Constraints()
-    motion = _motion(ca, course, grid, X, inner, U, H, z.stretch)
-    for residual in (X[:, 0] - ca.DM(course.start), *motion):
+    gathered = ConstraintRows()
+    motion = _motion(ca, law_run, grid, X, inner, U, H, z.stretch)
+    for residual in (X[:, 0] - ca.DM(law_run.start), *motion):
         gathered.add(ca.vec(_scaled(ca, 1 / scale, residual)), 0.0, 0.0)
     quantities = {
-        "squared_error": _squared_error(ca, course, goal, grid, inner, H, z.stretch),
+        "squared_error": _squared_error(ca, law_run, goal, grid, inner, H, z.stretch),
         "energy": ca.sum2(H * (U[0, :] ** 2 + U[0, :] * U[1, :] + U[1, :] ** 2)) / 3,
         "peak": z.peak,
         "time": z.stretch,
     }
-    units = {name: max(getattr(course.law, name), 1e-12) for name in ("squared_error", "energy")}
+    units = {name: max(getattr(law_run.law, name), 1e-12) for name in ("squared_error", "energy")}
     for name in ("squared_error", "energy"):
         if name in goal.limits:
             gathered.add(quantities[name] / units[name], -np.inf, goal.limits[name] / units[name])
@@ -207,17 +211,17 @@ def transcribe(ca: Any, course: Course, goal: Goal, grid: Grid, guess: Guess) ->
         gathered.add(ca.vec(z.inputs - z.peak), -np.inf, 0.0)
         gathered.add(ca.vec(z.inputs + z.peak), 0.0, np.inf)
     if goal.minimised == "time":
-        gathered.add(_arrival(ca, course, X[:, -1], grid.ends[-1] * z.stretch), 0.0, 0.0)
+        gathered.add(_arrival(ca, law_run, X[:, -1], grid.ends[-1] * z.stretch), 0.0, 0.0)
 
     limit = np.inf if goal.peak is None else goal.peak / guess.input_scale
-    free = np.full(size * (count + 1 + DEGREE * count), np.inf)
+    free = np.full(size * (count + 1 + COLLOCATION_DEGREE * count), np.inf)
     held = np.full(2 * count, limit)
-    times = (SHORTEST, LONGEST) if goal.minimised == "time" else (1.0, 1.0)
-    return Program(
+    times = (SHORTEST_STRETCH, LONGEST_STRETCH) if goal.minimised == "time" else (1.0, 1.0)
+    return NonlinearProgram(
         vector=z.vector(ca),
         objective=quantities[goal.minimised] / units.get(goal.minimised, 1.0),
         constraints=ca.vertcat(*gathered.rows),
-        start=_start(guess, limit),
+        start=_starting_vector(guess, limit),
         low=np.concatenate([-free, -held, [0.0, times[0]]]),
         high=np.concatenate([free, held, [np.inf, times[1]]]),
         lower=np.array(gathered.lower),
@@ -225,18 +229,18 @@ def transcribe(ca: Any, course: Course, goal: Goal, grid: Grid, guess: Guess) ->
     )
 
 
-def solution(guess: Guess, answer: Array) -> tuple[Guess, float]:
+def solution(guess: GridValues, answer: Array) -> tuple[GridValues, float]:
     """States and inputs of a solved program's z, in the shape of the guess, and the stretch."""
     size, ends = guess.begins.shape
-    blocks = [ends, *[ends - 1] * DEGREE]
+    blocks = [ends, *[ends - 1] * COLLOCATION_DEGREE]
     cuts = np.cumsum([size * columns for columns in blocks] + [2 * (ends - 1), 1])
     *states, inputs, _, stretch = np.split(answer, cuts)
     begins, *inner = (part.reshape(-1, size).T * guess.state_scale[:, None] for part in states)
     lines = inputs.reshape(-1, 2).T * guess.input_scale
-    return Guess(begins, np.array(inner), lines), float(stretch[0])
+    return GridValues(begins, np.array(inner), lines), float(stretch[0])
 
 
-def _start(guess: Guess, limit: float) -> Array:
+def _starting_vector(guess: GridValues, limit: float) -> Array:
     """The z of a guess."""
     blocks = [block / guess.state_scale[:, None] for block in (guess.begins, *guess.inner)]
     inputs = np.clip(guess.inputs / guess.input_scale, -limit, limit)
@@ -250,11 +254,18 @@ def _scaled(ca: Any, scale: Any, block: Any) -> Any:
 
 
 def _motion(
-    ca: Any, course: Course, grid: Grid, X: Any, inner: list[Any], U: Any, H: Any, stretch: Any
+    ca: Any,
+    law_run: LawRun,
+    grid: CollocationGrid,
+    X: Any,
+    inner: list[Any],
+    U: Any,
+    H: Any,
+    stretch: Any,
 ) -> list[Any]:
     """What vanishes for a motion of the plant: at the Gauss points, and between the elements."""
-    rates, _ = course.in_casadi(ca)
-    t, x, u = ca.SX.sym("t"), ca.SX.sym("x", course.plant.n), ca.SX.sym("u")
+    rates, _ = law_run.in_casadi(ca)
+    t, x, u = ca.SX.sym("t"), ca.SX.sym("x", law_run.plant.n), ca.SX.sym("u")
     one = ca.Function("rates", [t, x, u], [ca.vertcat(*rates(t, ca.vertsplit(x), u))])
     on_all, scheme = one.map(grid.elements), grid.scheme
     residuals = []
@@ -264,7 +275,7 @@ def _motion(
             slope += weight * block
         at, share = ca.DM(row[None, :]) * stretch, float(scheme.nodes[i])
         u_i = (1 - share) * U[0, :] + share * U[1, :]
-        residuals.append(slope - on_all(at, inner[i], u_i) * ca.repmat(H, course.plant.n, 1))
+        residuals.append(slope - on_all(at, inner[i], u_i) * ca.repmat(H, law_run.plant.n, 1))
     end = scheme.last[0] * X[:, :-1]
     for weight, block in zip(scheme.last[1:], inner, strict=True):
         end += weight * block
@@ -272,37 +283,45 @@ def _motion(
 
 
 def _squared_error(
-    ca: Any, course: Course, goal: Goal, grid: Grid, inner: list[Any], H: Any, stretch: Any
+    ca: Any,
+    law_run: LawRun,
+    goal: Goal,
+    grid: CollocationGrid,
+    inner: list[Any],
+    H: Any,
+    stretch: Any,
 ) -> Any:
     """The integral of e_1^2."""
-    _, outputs = course.in_casadi(ca)
-    x = ca.SX.sym("x", course.plant.n)
+    _, outputs = law_run.in_casadi(ca)
+    x = ca.SX.sym("x", law_run.plant.n)
     output = ca.Function("output", [x], [outputs(ca.vertsplit(x))[0]]).map(grid.elements)
     if goal.minimised == "time":
         t = ca.SX.sym("t")
-        on_all = ca.Function("y_d", [t], [_reference(ca, course)(t)[0]]).map(grid.elements)
+        on_all = ca.Function("y_d", [t], [_reference_formulas(ca, law_run)(t)[0]]).map(
+            grid.elements
+        )
         references = [on_all(ca.DM(row[None, :]) * stretch) for row in grid.times]
     else:
-        references = [ca.DM(course.reference(row)[:1]) for row in grid.times]
+        references = [ca.DM(law_run.reference(row)[:1]) for row in grid.times]
     integral = 0
-    for weight, block, y_d in zip(grid.scheme.weights, inner, references, strict=True):
-        integral += weight * ca.sum2(H * (output(block) - y_d) ** 2)
+    for weight, block, known in zip(grid.scheme.weights, inner, references, strict=True):
+        integral += weight * ca.sum2(H * (output(block) - known) ** 2)
     return integral
 
 
-def _arrival(ca: Any, course: Course, state: Any, time: Any) -> Any:
+def _arrival(ca: Any, law_run: LawRun, state: Any, time: Any) -> Any:
     """The error coordinates e = A x - B Y at the end, which are to be zero."""
-    _, outputs = course.in_casadi(ca)
-    coordinates = course.system.controller.coordinates
+    _, outputs = law_run.in_casadi(ca)
+    coordinates = law_run.system.controller.coordinates
     measured = ca.vertcat(*outputs(ca.vertsplit(state)))
-    Y = ca.vertcat(*_reference(ca, course)(time))
+    Y = ca.vertcat(*_reference_formulas(ca, law_run)(time))
     return ca.mtimes(ca.DM(coordinates.A), measured) - ca.mtimes(ca.DM(coordinates.B), Y)
 
 
-def _reference(ca: Any, course: Course) -> Callable[[Any], list[Any]]:
+def _reference_formulas(ca: Any, law_run: LawRun) -> Callable[[Any], list[Any]]:
     """y_d and its derivatives as functions of CasADi's time."""
-    reference = course.system.reference
-    if reference.piece_symbols or len(course.breaks):
+    reference = law_run.system.reference
+    if reference.piece_symbols or len(law_run.breaks):
         raise InputError(
             "objective",
             "the shortest time needs a reference and disturbances without breaks",
@@ -310,5 +329,5 @@ def _reference(ca: Any, course: Course) -> Callable[[Any], list[Any]]:
             "Minimise the squared error under a limit of the peak input instead",
         )
     known = dict(zip(reference.parameter_symbols, reference.parameter_values, strict=True))
-    formulas = [formula.xreplace(known) for formula in reference.formulas(course.order)]
+    formulas = [formula.xreplace(known) for formula in reference.formulas(law_run.order)]
     return casadi_callable(ca, [TIME], formulas)

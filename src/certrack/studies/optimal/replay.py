@@ -9,14 +9,14 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from certrack.core.arrays import Array
-from certrack.studies.optimal.course import Course
 from certrack.studies.optimal.goal import TrajectoryCost
+from certrack.studies.optimal.law_run import LawRun
 
 #: Tolerances of the integration.
-RELATIVE, ABSOLUTE = 1e-9, 1e-11
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-9, 1e-11
 
-#: Samples of an element in the replayed course.
-SAMPLES = 8
+#: Samples of an element in the replayed run.
+SAMPLES_PER_ELEMENT = 8
 
 
 @dataclass(frozen=True)
@@ -43,19 +43,19 @@ class Replay:
         ----------
         begins : (S, E + 1) array
         """
-        at_ends = self.states[:, ::SAMPLES]
+        at_ends = self.states[:, ::SAMPLES_PER_ELEMENT]
         if at_ends.shape != begins.shape or not np.isfinite(at_ends).all():
             return math.inf
         largest = np.abs(begins).max(axis=1, keepdims=True)
         return float((np.abs(at_ends - begins) / np.where(largest > 0, largest, 1.0)).max())
 
 
-def replay(course: Course, ends: Array, inputs: Array, arrival: bool) -> Replay:
+def replay(law_run: LawRun, ends: Array, inputs: Array, arrival: bool) -> Replay:
     """Integrate the plant element by element.
 
     Parameters
     ----------
-    course : Course
+    law_run : LawRun
     ends : (E + 1,) array, s
         Of the elements.
     inputs : (2, E) array
@@ -63,18 +63,18 @@ def replay(course: Course, ends: Array, inputs: Array, arrival: bool) -> Replay:
     arrival : bool
         Whether the end is a time of arrival.
     """
-    rates, output = course.rates(), course.output()
-    reference = course.system.reference
+    rates, output = law_run.rates(), law_run.output()
+    reference = law_run.system.reference
 
     def right_side(t: float, z: Array, begin: float, first: float, slope: float) -> Array:
         u = first + slope * (t - begin)
         error = float(output(z[:-1])[0]) - float(reference.values(np.array([t]), 0)[0, 0])
         return np.array([*rates(t, z[:-1], u), error**2], dtype=float)
 
-    z = np.append(course.start, 0.0)
+    z = np.append(law_run.start, 0.0)
     times, table = [ends[:1]], [z[:, None]]
     for begin, end, first, last in zip(ends[:-1], ends[1:], *inputs, strict=True):
-        at = np.linspace(begin, end, SAMPLES + 1)[1:]
+        at = np.linspace(begin, end, SAMPLES_PER_ELEMENT + 1)[1:]
         inside = np.append(at[:-1], np.nextafter(end, begin))  # what jumps at the end jumps later
         with np.errstate(all="ignore"):
             piece = solve_ivp(
@@ -84,12 +84,12 @@ def replay(course: Course, ends: Array, inputs: Array, arrival: bool) -> Replay:
                 method="DOP853",
                 t_eval=inside,
                 args=(begin, first, (last - first) / (end - begin)),
-                rtol=RELATIVE,
-                atol=ABSOLUTE,
+                rtol=RELATIVE_TOLERANCE,
+                atol=ABSOLUTE_TOLERANCE,
             )
         times.append(at)
         if not piece.success:
-            table.append(np.full((len(z), SAMPLES), np.nan))
+            table.append(np.full((len(z), SAMPLES_PER_ELEMENT), np.nan))
             break
         table.append(piece.y)
         z = piece.y[:, -1]

@@ -1,4 +1,4 @@
-"""One run as the optimum needs it: the plant as it really is, its reference, and the law's course.
+"""One run as the optimum needs it: the plant as it really is, its reference, and what the law does.
 
 An optimum is compared with a run of the law from the same start, under the same disturbance, and
 the search begins with that run.
@@ -30,7 +30,7 @@ from certrack.systems.system import System
 
 
 @dataclass(frozen=True)
-class Course:
+class LawRun:
     """A plant with its start and reference over a horizon, and what a law does there.
 
     Attributes
@@ -104,7 +104,7 @@ class Course:
         return [formula.xreplace(known) for formula in formulas]
 
 
-def course_of(system: System, horizon: float | None, progress: Progress) -> Course:
+def law_run_of(system: System, horizon: float | None, progress: Progress) -> LawRun:
     """Run the law of a system up to a horizon.
 
     Parameters
@@ -136,7 +136,7 @@ def course_of(system: System, horizon: float | None, progress: Progress) -> Cour
         metrics.peak_input,
         metrics.settling_time,
     )
-    return Course(run, simulated_plant(system), law, _breaks(system))
+    return LawRun(run, simulated_plant(system), law, _breaks(system))
 
 
 def _breaks(system: System) -> Array:
