@@ -231,11 +231,11 @@ def optimal(
 
 def _against_the_law(law: TrajectoryCost, limits: dict[str, float | None]) -> tuple[Goal, ...]:
     """The goals by which a law is judged; limits that are given replace the law's own cost."""
-    own = {name: value or getattr(law, name) for name, value in limits.items()}  # none is 0
+    limits = {name: value or getattr(law, name) for name, value in limits.items()}  # none is 0
     return (
-        Goal("squared_error", energy=own["energy"], peak=own["peak"]),
-        Goal("energy", squared_error=own["squared_error"]),
-        Goal("squared_error", peak=own["peak"]),
+        Goal("squared_error", energy=limits["energy"], peak=limits["peak"]),
+        Goal("energy", squared_error=limits["squared_error"]),
+        Goal("squared_error", peak=limits["peak"]),
     )
 
 
