@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
+
+import numpy as np
 
 #: Factor by which alpha moves while its best value is not surrounded; and the ends of all.
 STRIDE, LARGEST_ALPHA, LEAST_ALPHA = 2.5, 1e6, 1e-6
@@ -52,3 +55,39 @@ class Rate:
         (low, first), (high, last) = self._below, self._above
         part = 0.5 if last == math.inf else first / (first - last) if first < 0 else 0.0
         return low + min(max(part, INNER), 1 - INNER) * (high - low)
+
+
+class Solved(Protocol):
+    """A minimiser."""
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Of every row, in its unit."""
+
+    @property
+    def slope(self) -> float:
+        """Derivative of their sum by log alpha."""
+
+
+_Solved = TypeVar("_Solved", bound=Solved)
+_SolvedOut = TypeVar("_SolvedOut", bound=Solved, covariant=True)
+
+
+class RowProgram(Protocol[_SolvedOut]):
+    """A program that bounds rows with a given decay rate."""
+
+    def solve(self, alpha: float, rows: np.ndarray) -> _SolvedOut | None:
+        """The smallest bounds; None if there are none."""
+
+
+def best_of_rates(
+    program: RowProgram[_Solved], rows: np.ndarray, rate: Rate, tries: int
+) -> _Solved | None:
+    """The smallest sum of bounds over some alpha, of which `rate` learns."""
+    best: _Solved | None = None
+    for _ in range(tries):
+        solution = program.solve(rate.alpha, rows)
+        rate.met(None if solution is None else solution.slope)
+        if solution is not None and (best is None or solution.bounds.sum() < best.bounds.sum()):
+            best = solution
+    return best

@@ -9,18 +9,17 @@ import numpy as np
 
 from certrack.certificates.bootstrap.forms import forms_of
 from certrack.certificates.bootstrap.loop import AdaptiveLoop, adaptive_loop, formulas_of
-from certrack.certificates.bootstrap.program import BootstrapProgram, Found
-from certrack.certificates.bootstrap.proof import (
-    BootstrapStage,
-    prove_function,
-    row_over_box,
-)
+from certrack.certificates.bootstrap.polynomial_stages import polynomial_stages, shrunk
+from certrack.certificates.bootstrap.program import BootstrapProgram
+from certrack.certificates.bootstrap.proof import prove_function, row_over_box
 from certrack.certificates.bootstrap.ranges import Ranges
-from certrack.certificates.bootstrap.rates import Rate
+from certrack.certificates.bootstrap.rates import Rate, best_of_rates
 from certrack.certificates.bootstrap.regions import Reached, after, first_box, next_region, rows_of
+from certrack.certificates.bootstrap.stage import BootstrapStage
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, from_text
 from certrack.certificates.problem import ErrorProblem
+from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
 #: Stages at most; the iteration ends when no interval shrinks by more than this part.
@@ -55,9 +54,15 @@ class Bootstrap:
 
 
 def bootstrap(
-    system: System, problem: ErrorProblem, first: Proof, effort: str = "default"
+    system: System,
+    problem: ErrorProblem,
+    first: Proof,
+    effort: str = "default",
+    progress: Progress = silent,
 ) -> Bootstrap:
     """All stages behind the proof `first` of a bound on e_n.
+
+    With the effort ``high`` stages with polynomials follow those with quadratic functions.
 
     Raises
     ------
@@ -78,9 +83,15 @@ def bootstrap(
         if not stage.functions:
             break
         stages.append(stage)
-        gain, known = _shrunk(known, later), later
+        gain, known = shrunk(known, later), later
+        progress(0, None, max(map(abs, known.box[0].astype(float))))
         if gain < WORTH_A_STAGE:
             break
+    if effort == "high":
+        own = {error: rate.alpha for group, rate in rates.items() for error, _ in group}
+        starts = [own.get(error, start) for error, start in enumerate(starts)]
+        more, known = polynomial_stages(loop, ranges, known, starts, progress)
+        stages += more
     return Bootstrap(tuple(stages), known)
 
 
@@ -112,12 +123,6 @@ def _starts(loop: AdaptiveLoop, slow: float) -> list[float]:
     return [max(fast, slow)] * (loop.n - 1) + [slow] * (loop.r + 3)
 
 
-def _shrunk(before: Reached, after: Reached) -> float:
-    """The largest part by which an interval has become smaller."""
-    old, new = ((k.box[:, 1] - k.box[:, 0]).astype(float) for k in (before, after))
-    return float((1 - new / old).max())
-
-
 def _next_stage(
     loop: AdaptiveLoop,
     ranges: Ranges,
@@ -137,7 +142,7 @@ def _next_stage(
             programs[len(group)] = BootstrapProgram(floats, len(group))
         rate = rates.setdefault(group, Rate(min(starts[error] for error, _ in group)))
         asked = np.array([row_over_box(forms, side * rows[error]) for error, side in group])
-        solution = _best_of_rates(programs[len(group)], asked.astype(float), rate, tries)
+        solution = best_of_rates(programs[len(group)], asked.astype(float), rate, tries)
         if solution is None or not any(
             _gain(known, rows[error], side, bound) > WORTH_A_PROOF
             for (error, side), bound in zip(group, solution.bounds * solution.sizes, strict=True)
@@ -153,15 +158,3 @@ def _gain(known: Reached, row: np.ndarray, side: int, bound: float) -> float:
     low, high = known.interval_of(row)
     best = high if side > 0 else -low
     return (float(best) - bound) / float(high - low)
-
-
-def _best_of_rates(
-    program: BootstrapProgram, rows: np.ndarray, rate: Rate, tries: int
-) -> Found | None:
-    best: Found | None = None
-    for _ in range(tries):
-        solution = program.solve(rate.alpha, rows)
-        rate.met(None if solution is None else solution.slope)
-        if solution is not None and (best is None or solution.bounds.sum() < best.bounds.sum()):
-            best = solution
-    return best
