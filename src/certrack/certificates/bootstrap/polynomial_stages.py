@@ -66,7 +66,7 @@ def polynomial_stages(
         forms, rows = forms_of(loop, numbers), rows_of(loop, numbers)
         floats = forms_of(loop.in_floats(), numbers.in_floats())
         functions = []
-        solver = _Solver(loop, forms, floats, reference=reference)
+        solver = RowSolver(loop, forms, floats, reference=reference)
         for error in range(len(forms.sectors)):
             for side in (1, -1):
                 rate = rates.setdefault((error, side), Rate(starts[error]))
@@ -94,7 +94,7 @@ def shrunk(before: Reached, after: Reached) -> float:
     return float((1 - new / old).max())
 
 
-class _Solver:
+class RowSolver:
     """The program of a box, and the proofs of what it finds."""
 
     def __init__(self, loop: AdaptiveLoop, forms: Forms, floats: Forms, *, reference: bool) -> None:
