@@ -139,7 +139,7 @@ def test_fractions_survive_files_copies_and_certificates():
 def test_a_float_stands_for_the_rational_it_was_written_as(exact):
     value = nearest_float(exact)
     assert exact_rational(value) == exact
-    assert value == float(exact)
+    assert float(value) == float(exact)
     assert exact_rational(pickle.loads(pickle.dumps(value))) == exact
     above, below = stated_above(value), float_below(exact)
     assert Fraction(below) <= exact <= Fraction(above)
