@@ -31,15 +31,15 @@ from certrack.certificates.bootstrap.monomials import (
     Polynomial,
     added,
     affine,
-    derivative,
     monomials,
     multiplied,
+    partial_derivative,
     places,
 )
 
 
 @dataclass(frozen=True)
-class Channel:
+class InputChannel:
     """One input, or a psi with its products.
 
     Attributes
@@ -67,7 +67,7 @@ class Layout:
     count : int
         Number of variables.
     squares, sectors : int
-    channels : Channel
+    channels : InputChannel
     claims : int
     """
 
@@ -75,7 +75,7 @@ class Layout:
     count: int
     squares: int
     sectors: int
-    channels: tuple[Channel, ...]
+    channels: tuple[InputChannel, ...]
     claims: int
 
     @property
@@ -116,7 +116,7 @@ class Polynomials:
 
 
 @dataclass(frozen=True)
-class Condition:
+class SumOfSquares:
     """A polynomial that is a sum of squares over a vector of monomials."""
 
     polynomial: Polynomial
@@ -146,25 +146,25 @@ def layout_of(forms: Forms, degree: int, claims: int = 1) -> Layout:
         everywhere = tuple(range(len(stacked)))
         same = all((part == stacked[0]).all() for part in stacked)
         groups = (everywhere,) if same else tuple((corner,) for corner in everywhere)
-        channels.append(Channel(entries, square_of.get(place), groups))
+        channels.append(InputChannel(entries, square_of.get(place), groups))
     counts = (len(forms.squares), len(forms.sectors))
     return Layout(degree, forms.size, *counts, tuple(channels), claims)
 
 
-def conditions(
+def sums_of_squares(
     forms: Forms,
     layout: Layout,
     functions: Polynomials,
     alpha: Any,
     claims: Sequence[Polynomial],
-) -> list[Condition]:
+) -> list[SumOfSquares]:
     """All of them, in a fixed order; `claims` are scale W + bound - row less scale W."""
     half = layout.degree // 2
     low, high = monomials(layout.count, half - 1), monomials(layout.count, half)
     multipliers = (functions.squares, functions.inputs, functions.sectors, functions.holds)
-    found = [Condition(p, low) for kind in multipliers for p in kind]
+    found = [SumOfSquares(p, low) for kind in multipliers for p in kind]
     W = functions.W[0]
-    slopes = [derivative(W, i) for i in range(layout.count)]
+    slopes = [partial_derivative(W, i) for i in range(layout.count)]
     unit = 1 + 0 * forms.middle[0]
 
     def through(corner: Corner, entries: Sequence[tuple[int, Monomial]]) -> Polynomial:
@@ -190,34 +190,34 @@ def conditions(
     entries = [(i, own[i]) for i in range(layout.count + 1)]
     for corner, parts in zip(forms.corners, sums, strict=True):
         falls = added((unit, through(corner, entries)), (alpha, W), *parts, *shared)
-        found.append(Condition(added((-unit, falls)), high))
+        found.append(SumOfSquares(added((-unit, falls)), high))
     boxes = [_inside(row, unit) for row in forms.sectors]
     for number, claim in enumerate(claims):
         holds = functions.holds[number * layout.sectors :][: layout.sectors]
         terms = [(-unit, multiplied(box, p)) for box, p in zip(boxes, holds, strict=True)]
-        found.append(Condition(added((unit, W), (unit, claim), *terms), high))
+        found.append(SumOfSquares(added((unit, W), (unit, claim), *terms), high))
     return found
 
 
 def _bounded(
-    functions: Polynomials, channel: Channel, q: Polynomial, s: Polynomial
-) -> list[Condition]:
+    functions: Polynomials, channel: InputChannel, q: Polynomial, s: Polynomial
+) -> list[SumOfSquares]:
     """That s is above what an input can add."""
     count = len(next(iter(s)))
     half = max(map(sum, s)) // 2
     high = monomials(count, half)
     if channel.square is None:
-        return [Condition(added((1, s), (sign, q)), high) for sign in (-1, 1)]
+        return [SumOfSquares(added((1, s), (sign, q)), high) for sign in (-1, 1)]
     k = channel.square
     total = added((1, functions.squares[k]), (1, functions.inputs[k]))
     lifted = {(*m, 0): v for m, v in s.items()}
     lifted |= {(*m, 1): -v for m, v in q.items()} | {(*m, 2): v for m, v in total.items()}
     basis = [(*m, 0) for m in high] + [(*m, 1) for m in monomials(count, half - 1)]
-    return [Condition(lifted, tuple(basis))]
+    return [SumOfSquares(lifted, tuple(basis))]
 
 
 def _with_squares(
-    forms: Forms, functions: Polynomials, channel: Channel, q: Polynomial
+    forms: Forms, functions: Polynomials, channel: InputChannel, q: Polynomial
 ) -> Polynomial:
     """q, and what stands with the input in the |rows w|^2 of the a-inputs."""
     (place, _), size = channel.entries[0], forms.size

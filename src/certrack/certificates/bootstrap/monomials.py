@@ -63,7 +63,7 @@ def multiplied(known: Polynomial, other: Polynomial) -> Polynomial:
     return total
 
 
-def derivative(polynomial: Polynomial, i: int) -> Polynomial:
+def partial_derivative(polynomial: Polynomial, i: int) -> Polynomial:
     """By the i-th variable."""
     return {
         (*monomial[:i], monomial[i] - 1, *monomial[i + 1 :]): monomial[i] * value

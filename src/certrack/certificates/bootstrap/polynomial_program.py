@@ -11,10 +11,10 @@ import numpy as np
 from scipy import sparse
 
 from certrack.certificates.bootstrap.conditions import (
-    Condition,
     Layout,
     Polynomials,
-    conditions,
+    SumOfSquares,
+    sums_of_squares,
 )
 from certrack.certificates.bootstrap.forms import Corner, Forms
 from certrack.certificates.bootstrap.gram import gram_pattern
@@ -80,17 +80,17 @@ class PolynomialProgram:
         unknowns, bounds = self._unknowns(np.eye(shared))
         claims = [{places(layout.count)[-1]: bound} for bound in bounds]
         at_zero, at_one = (
-            conditions(forms, layout, unknowns, alpha, claims) for alpha in (0.0, 1.0)
+            sums_of_squares(forms, layout, unknowns, alpha, claims) for alpha in (0.0, 1.0)
         )
         frees = np.cumsum([0] + [len(gram_pattern(c.basis).free) for c in at_zero]) + shared
         self._count, self._frees = int(frees[-1]), frees
         blocks = [
-            _block(condition, int(first), shared, self._count)
+            _gram_block(condition, int(first), shared, self._count)
             for condition, first in zip(at_zero, frees[:-1], strict=True)
         ]
         more = [
-            _block(one, 0, shared, self._count, with_free=False)
-            - _block(zero, 0, shared, self._count, with_free=False)
+            _gram_block(one, 0, shared, self._count, with_free=False)
+            - _gram_block(zero, 0, shared, self._count, with_free=False)
             for one, zero in zip(at_one, at_zero, strict=True)
         ]
         self._base, self._slope = (sparse.csc_matrix(sparse.vstack(p)) for p in (blocks, more))
@@ -166,8 +166,8 @@ class PolynomialProgram:
         return Polynomials(**built), bounds
 
 
-def _block(
-    condition: Condition, first: int, shared: int, count: int, *, with_free: bool = True
+def _gram_block(
+    condition: SumOfSquares, first: int, shared: int, count: int, *, with_free: bool = True
 ) -> sparse.csr_matrix:
     """The vector of the Gram matrix as a linear function of the unknowns."""
     pattern = gram_pattern(condition.basis)

@@ -11,8 +11,8 @@ import numpy as np
 
 from certrack.certificates.bootstrap.conditions import (
     Polynomials,
-    conditions,
     layout_of,
+    sums_of_squares,
 )
 from certrack.certificates.bootstrap.forms import Forms
 from certrack.certificates.bootstrap.gram import gram_matrix, gram_pattern
@@ -92,7 +92,7 @@ def failed_sum(
         length = len(monomials(forms.size, degree))
         if len(lists) != count or any(len(texts) != length for texts in lists):
             return "a function does not have the shape of the loop"
-        parts[name] = tuple(_polynomial(texts, forms.size, degree) for texts in lists)
+        parts[name] = tuple(_read_polynomial(texts, forms.size, degree) for texts in lists)
     alpha = from_text(proof.alpha)
     if not alpha > 0:
         return "alpha is not positive"
@@ -103,7 +103,7 @@ def failed_sum(
         if not from_text(claim.scale) > 0:
             return "a scale is not positive"
         claims.append(claim_polynomial(forms, claim, rows[claim.error]))
-    found = conditions(forms, layout, Polynomials(**parts), alpha, claims)
+    found = sums_of_squares(forms, layout, Polynomials(**parts), alpha, claims)
     if len(found) != len(proof.grams):
         return "a function does not have the Gram matrices of the loop"
     for condition, texts in zip(found, proof.grams, strict=True):
@@ -116,7 +116,7 @@ def failed_sum(
     return ""
 
 
-def _polynomial(texts: Texts, count: int, degree: int) -> Polynomial:
+def _read_polynomial(texts: Texts, count: int, degree: int) -> Polynomial:
     return with_coefficients([from_text(text) for text in texts], count, degree)
 
 

@@ -22,7 +22,7 @@ from certrack.certificates.bootstrap.variables import knows_reference, with_refe
 from certrack.core.progress import Progress
 
 #: Degree of the functions. With degree 6 a program takes 50 times as long.
-DEGREE = 4
+FUNCTION_DEGREE = 4
 
 #: Monomials of a Gram matrix with which a program is solved: about four seconds for 28 of them.
 MOST_SOLVED = 28
@@ -85,7 +85,7 @@ def polynomial_stages(
 
 
 def _solvable(variables: int) -> bool:
-    return math.comb(variables + DEGREE // 2, DEGREE // 2) <= MOST_SOLVED
+    return math.comb(variables + FUNCTION_DEGREE // 2, FUNCTION_DEGREE // 2) <= MOST_SOLVED
 
 
 def shrunk(before: Reached, after: Reached) -> float:
@@ -101,7 +101,7 @@ class RowSolver:
         self._loop, self._errors, self._reference = loop, forms, reference
         self._forms = with_reference(loop, forms) if reference else forms
         floats = with_reference(loop.in_floats(), floats) if reference else floats
-        self._program = PolynomialProgram(floats, layout_of(self._forms, DEGREE))
+        self._program = PolynomialProgram(floats, layout_of(self._forms, FUNCTION_DEGREE))
 
     def bound(
         self, rows: Sequence[np.ndarray], wanted: tuple[int, int], rate: Rate
@@ -121,6 +121,6 @@ class RowSolver:
             found,
             [wanted],
             rows,
-            degree=DEGREE,
+            degree=FUNCTION_DEGREE,
             reference=self._reference,
         )
