@@ -82,7 +82,7 @@ def certify(
     system = load(file)
     axes = _two_states(states, system.plant.states)
     keep_source(file, *filter(None, [out]))
-    with console.progress("Certifying") as advance:
+    with console.progress("Certifying, steps", "bound") as advance:
         result = certificates.certify(system, effort, advance)
     if out is not None and result.stages:
         certificates.save_certificate(system, result.stages, out)
@@ -209,8 +209,9 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
 
     Disturbance, reference and parameters are varied within what the certificate covers; the file's
     own run is a candidate, too. Where the error loop is linear, its kernels and a linear program
-    give another, at the corners of plant.ranges; with [implementation] also one of the sampled
-    loop with the worst noise, which --out FILE.toml writes as FILE-drive.toml.
+    give another, at the corners of plant.ranges; where it is not, an ascent by its adjoint does.
+    With [implementation] there is also one of the sampled loop with the worst noise, which --out
+    FILE.toml writes as FILE-drive.toml.
 
     The worst error found is compared with every certificate: the ratio of bound to error tells how
     tight a bound is. A run beyond the best verified bound is an alarm, with exit code 1: a premise
@@ -284,6 +285,7 @@ ORIGIN_WORDS = {
     "search": "",
     "own": ", the file's own",
     "kernels": ", by kernels and a linear program",
+    "ascent": ", by an ascent from the worst of them",
 }
 
 #: What the user is told where the worst run has not reached its long run.

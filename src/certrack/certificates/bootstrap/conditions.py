@@ -162,7 +162,7 @@ def sums_of_squares(
     half = layout.degree // 2
     low, high = monomials(layout.count, half - 1), monomials(layout.count, half)
     multipliers = (functions.squares, functions.inputs, functions.sectors, functions.holds)
-    found = [SumOfSquares(p, low) for kind in multipliers for p in kind]
+    conditions = [SumOfSquares(p, low) for kind in multipliers for p in kind]
     W = functions.W[0]
     slopes = [partial_derivative(W, i) for i in range(layout.count)]
     unit = 1 + 0 * forms.middle[0]
@@ -182,21 +182,23 @@ def sums_of_squares(
         for group in channel.groups:
             s = next(majorants)
             q = through(forms.corners[group[0]], channel.entries)
-            found += _bounded(functions, channel, _with_squares(forms, functions, channel, q), s)
+            conditions += _bounded(
+                functions, channel, _with_squares(forms, functions, channel, q), s
+            )
             for at in group:
                 sums[at].append((unit, s))
     shared = _shared(forms, functions)
-    own = places(layout.count)
-    entries = [(i, own[i]) for i in range(layout.count + 1)]
+    variables = places(layout.count)
+    entries = [(i, variables[i]) for i in range(layout.count + 1)]
     for corner, parts in zip(forms.corners, sums, strict=True):
         falls = added((unit, through(corner, entries)), (alpha, W), *parts, *shared)
-        found.append(SumOfSquares(added((-unit, falls)), high))
+        conditions.append(SumOfSquares(added((-unit, falls)), high))
     boxes = [_inside(row, unit) for row in forms.sectors]
     for number, claim in enumerate(claims):
         holds = functions.holds[number * layout.sectors :][: layout.sectors]
         terms = [(-unit, multiplied(box, p)) for box, p in zip(boxes, holds, strict=True)]
-        found.append(SumOfSquares(added((unit, W), (unit, claim), *terms), high))
-    return found
+        conditions.append(SumOfSquares(added((unit, W), (unit, claim), *terms), high))
+    return conditions
 
 
 def _bounded(
@@ -235,10 +237,10 @@ def _shared(forms: Forms, functions: Polynomials) -> list[tuple[Any, Polynomial]
     size, unit = forms.size, 1 + 0 * forms.middle[0]
     terms: list[tuple[Any, Polynomial]] = [(unit, p) for p in functions.inputs]
     for squares, (rows, _) in zip(functions.squares, forms.squares, strict=True):
-        own, others = rows[:, : size + 1], rows[:, size + 1 :]
-        for row in own:
+        of_variables, of_inputs = rows[:, : size + 1], rows[:, size + 1 :]
+        for row in of_variables:
             terms.append((unit, multiplied(multiplied(affine(row), affine(row)), squares)))
-        crossed = np.abs(others.T @ others).sum()
+        crossed = np.abs(of_inputs.T @ of_inputs).sum()
         terms.append((unit, multiplied({places(size)[-1]: crossed}, squares)))
     for row, p in zip(forms.sectors, functions.sectors, strict=True):
         terms.append((unit, multiplied(_inside(row, unit), p)))

@@ -7,6 +7,7 @@ from dataclasses import fields
 from typing import Any
 
 from certrack.certificates.bootstrap.box import Region
+from certrack.certificates.bootstrap.inequality import MULTIPLIERS
 from certrack.certificates.bootstrap.polynomial_proof import PolynomialProof
 from certrack.certificates.bootstrap.proof import FunctionProof, RowBound
 from certrack.certificates.bootstrap.stage import BootstrapStage
@@ -87,11 +88,10 @@ def _polynomial_of(entry: Any) -> PolynomialProof:
 
 def _function_of(entry: Any) -> FunctionProof:
     _keys(entry, FunctionProof)
-    vectors = ("squares", "inputs", "sectors", "mu", "scales", "turns")
     return FunctionProof(
         alpha=_text(entry["alpha"]),
         G=_many(entry["G"], lambda row: _many(row, _text)),
-        **{name: _many(entry[name], _text) for name in vectors},
+        **{name: _many(entry[name], _text) for name in MULTIPLIERS},
         claims=_many(entry["claims"], _claim, MAX_CLAIMS),
     )
 

@@ -53,16 +53,16 @@ def gram_matrix(
 ) -> np.ndarray | None:
     """The exact Q with these free entries; None if a monomial is no product of two of the basis."""
     pattern = gram_pattern(basis)
-    rest = {monomial: 0 * value for monomial in pattern.first for value in free[:1]}
-    rest |= {monomial: value for monomial, value in polynomial.items() if value != 0}
-    if not rest.keys() <= pattern.first.keys():
+    remaining = {monomial: 0 * value for monomial in pattern.first for value in free[:1]}
+    remaining |= {monomial: value for monomial, value in polynomial.items() if value != 0}
+    if not remaining.keys() <= pattern.first.keys():
         return None
-    zero = next((0 * value for value in (*free, *rest.values())), 0)
+    zero = next((0 * value for value in (*free, *remaining.values())), 0)
     values = [zero] * len(upper_entries(pattern.size))
     for value, (entry, times, monomial) in zip(free, pattern.free, strict=True):
         values[entry] = value
-        rest[monomial] = rest[monomial] - times * value
-    for monomial, value in rest.items():
+        remaining[monomial] = remaining[monomial] - times * value
+    for monomial, value in remaining.items():
         entry, times = pattern.first[monomial]
         values[entry] = value / times
     matrix = np.full((pattern.size, pattern.size), zero, dtype=object)

@@ -32,7 +32,7 @@ MARGIN = 3e-6
 
 
 @dataclass(frozen=True)
-class FoundPolynomial:
+class PolynomialMinimiser:
     """A minimiser.
 
     Attributes
@@ -102,7 +102,7 @@ class PolynomialProgram:
         self._claim_pattern = gram_pattern(at_zero[-1].basis)
         self._conditions = len(at_zero)
 
-    def solve(self, alpha: float, rows: np.ndarray) -> FoundPolynomial | None:
+    def solve(self, alpha: float, rows: np.ndarray) -> PolynomialMinimiser | None:
         """The smallest bounds of rows (variables, 1); None if there are none."""
         scales = np.linalg.norm(rows[:, :-1], axis=1)
         right = -MARGIN * self._margin
@@ -130,11 +130,11 @@ class PolynomialProgram:
             return None
         x, z = np.array(result.x), np.array(result.z)
         slope = -alpha / self._speed * float(z @ (self._slope @ x))
-        return self._found(x, alpha, scales, slope)
+        return self._in_units(x, alpha, scales, slope)
 
-    def _found(
+    def _in_units(
         self, x: np.ndarray, alpha: float, scales: np.ndarray, slope: float
-    ) -> FoundPolynomial:
+    ) -> PolynomialMinimiser:
         """In the units of the loop."""
         parts, bounds = self._split(x[: self._frees[0]])
         for name in ("mu", "squares", "inputs", "sectors", "majorants"):
@@ -146,7 +146,7 @@ class PolynomialProgram:
         still = {*range(multipliers, multipliers + holds)}
         still |= {*range(self._conditions - claims, self._conditions)}
         grams = [g if i in still else self._speed * g for i, g in enumerate(grams)]
-        return FoundPolynomial(bounds, scales, slope, alpha, parts, grams)
+        return PolynomialMinimiser(bounds, scales, slope, alpha, parts, grams)
 
     def _split(self, values: np.ndarray) -> tuple[dict[str, list[Any]], np.ndarray]:
         parts, at = {}, 0

@@ -23,7 +23,7 @@ from certrack.certificates.bootstrap.monomials import (
     monomials,
     with_coefficients,
 )
-from certrack.certificates.bootstrap.polynomial_program import FoundPolynomial
+from certrack.certificates.bootstrap.polynomial_program import PolynomialMinimiser
 from certrack.certificates.bootstrap.proof import RowBound, proven_definite, row_over_box
 from certrack.certificates.bootstrap.variables import knows_reference, with_reference
 from certrack.certificates.exact import decimal_text, from_text
@@ -103,10 +103,10 @@ def failed_sum(
         if not from_text(claim.scale) > 0:
             return "a scale is not positive"
         claims.append(claim_polynomial(forms, claim, rows[claim.error]))
-    found = sums_of_squares(forms, layout, Polynomials(**parts), alpha, claims)
-    if len(found) != len(proof.grams):
+    conditions = sums_of_squares(forms, layout, Polynomials(**parts), alpha, claims)
+    if len(conditions) != len(proof.grams):
         return "a function does not have the Gram matrices of the loop"
-    for condition, texts in zip(found, proof.grams, strict=True):
+    for condition, texts in zip(conditions, proof.grams, strict=True):
         if len(texts) != len(gram_pattern(condition.basis).free):
             return "a Gram matrix does not have the shape of its condition"
         free = [from_text(text) for text in texts]
@@ -133,7 +133,7 @@ def claim_polynomial(forms: Forms, claim: RowBound, row: np.ndarray) -> Polynomi
 def prove_polynomial(
     loop: AdaptiveLoop,
     forms: Forms,
-    found: FoundPolynomial,
+    solution: PolynomialMinimiser,
     wanted: Sequence[tuple[int, int]],
     rows: Sequence[np.ndarray],
     *,
@@ -146,19 +146,21 @@ def prove_polynomial(
     """
     texts = {
         name: tuple(tuple(map(_short_text, values)) for values in lists)
-        for name, lists in found.parts.items()
+        for name, lists in solution.parts.items()
     }
     claims = tuple(
         RowBound(error, side, _short_text(scale), decimal_text(scale * bound))
-        for (error, side), scale, bound in zip(wanted, found.scales, found.bounds, strict=True)
+        for (error, side), scale, bound in zip(
+            wanted, solution.scales, solution.bounds, strict=True
+        )
     )
     proof = PolynomialProof(
         degree=degree,
         reference=reference,
-        alpha=_short_text(found.alpha),
+        alpha=_short_text(solution.alpha),
         W=texts.pop("W")[0],
         mu=texts.pop("mu")[0],
-        grams=tuple(tuple(map(_short_text, values)) for values in found.grams),
+        grams=tuple(tuple(map(_short_text, values)) for values in solution.grams),
         claims=claims,
         **texts,
     )

@@ -41,8 +41,8 @@ def polynomial_stages(
     known: Reached,
     starts: Sequence[float],
     progress: Progress,
-) -> tuple[list[BootstrapStage], Reached]:
-    """The stages behind what is known, and what is known after them.
+) -> list[BootstrapStage]:
+    """The stages behind what is known.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def polynomial_stages(
     """
     stages: list[BootstrapStage] = []
     if not _solvable(loop.size):
-        return stages, known
+        return stages
     more = len(loop.Y) - 1
     reference, best = False, knows_reference(loop) and _solvable(loop.size + more)
     rates: dict[tuple[int, int], Rate] = {}
@@ -81,7 +81,7 @@ def polynomial_stages(
         if gain < WORTH_A_STAGE_OF_POLYNOMIALS and reference == best:
             break
         reference = best
-    return stages, known
+    return stages
 
 
 def _solvable(variables: int) -> bool:
@@ -112,13 +112,13 @@ class RowSolver:
         row = np.append(side * rows[error], [rational(0)] * more)
         asked = row_over_box(self._forms, row).astype(float)[None]
         tries = LATER_PROGRAMS if rate.surrounded else FIRST_PROGRAMS
-        found = best_of_rates(self._program, asked, rate, tries)
-        if found is None:
+        solution = best_of_rates(self._program, asked, rate, tries)
+        if solution is None:
             return None
         return prove_polynomial(
             self._loop,
             self._errors,
-            found,
+            solution,
             [wanted],
             rows,
             degree=FUNCTION_DEGREE,

@@ -35,7 +35,7 @@ class Rate:
         return self._below is not None and self._above is not None
 
     def met(self, slope: float | None) -> None:
-        """Hear the slope of the bound by log alpha; None where there was no bound."""
+        """Take in the slope of the bound by log alpha; None where there was no bound."""
         here = math.log(self.alpha)
         if slope is None or slope > 0:
             self._above = (here, math.inf if slope is None else slope)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from certrack.certificates.bootstrap.forms import forms_of
@@ -25,32 +22,17 @@ from certrack.systems.system import System
 #: Stages at most; the iteration ends when no interval shrinks by more than this part.
 MOST_STAGES, WORTH_A_STAGE = 8, 0.01
 
-#: Programs for each row on the first box, on the others, and for e_1 on the last.
-FIRST_TRIES, LATER_TRIES, LAST_TRIES = 4, 1, 4
+#: Programs for each row on the first box, and on the others.
+FIRST_TRIES, LATER_TRIES = 4, 1
 
 #: A bound is proven if it is better than what is known by this part of the interval.
 WORTH_A_PROOF = 1e-3
 
-
 #: Entries of the matrices of all corners above which it takes more than about five seconds.
-MOST_OF_DEFAULT = 1200
+MOST_DEFAULT_ENTRIES = 1200
 
 #: Rows, each with its side, that one function bounds.
 Group = tuple[tuple[int, int], ...]
-
-
-@dataclass(frozen=True)
-class Bootstrap:
-    """The stages, and what is known after them."""
-
-    stages: tuple[BootstrapStage, ...]
-    known: Reached
-
-    @property
-    def bound(self) -> Any:
-        """Of limsup |e_1|, exact."""
-        low, high = self.known.box[0]
-        return max(abs(low), abs(high))
 
 
 def bootstrap(
@@ -59,7 +41,7 @@ def bootstrap(
     first: Proof,
     effort: str = "default",
     progress: Progress = silent,
-) -> Bootstrap:
+) -> tuple[BootstrapStage, ...]:
     """All stages behind the proof `first` of a bound on e_n.
 
     With the effort ``high`` stages with polynomials follow those with quadratic functions.
@@ -70,7 +52,7 @@ def bootstrap(
         If drift or regressor have no bounds on the first box, or it would take too long.
     """
     loop = adaptive_loop(system, problem)
-    if effort != "high" and _corner_sizes(loop) > MOST_OF_DEFAULT:
+    if effort != "high" and _corner_entries(loop) > MOST_DEFAULT_ENTRIES:
         raise NoCertificate("takes more time for a plant of this size: --effort high")
     ranges = Ranges(formulas_of(system), loop)
     known = first_box(loop, first)
@@ -88,15 +70,14 @@ def bootstrap(
         if gain < WORTH_A_STAGE:
             break
     if effort == "high":
-        own = {error: rate.alpha for group, rate in rates.items() for error, _ in group}
-        starts = [own.get(error, start) for error, start in enumerate(starts)]
-        more, known = polynomial_stages(loop, ranges, known, starts, progress)
-        stages += more
-    return Bootstrap(tuple(stages), known)
+        alphas = {error: rate.alpha for group, rate in rates.items() for error, _ in group}
+        starts = [alphas.get(error, start) for error, start in enumerate(starts)]
+        stages += polynomial_stages(loop, ranges, known, starts, progress)
+    return tuple(stages)
 
 
-def _corner_sizes(loop: AdaptiveLoop) -> int:
-    """Entries of the matrices of all corners, of which the time of a program depends."""
+def _corner_entries(loop: AdaptiveLoop) -> int:
+    """Entries of the matrices of all corners, on which the time of a program depends."""
     inputs = loop.Ua.shape[1] + loop.Ub.shape[1] + len(loop.Y)
     ranged = sum(1 for radius in loop.theta_radius if radius > 0)
     scales = 2 if loop.largest_scale > 1 else 0
