@@ -31,7 +31,7 @@ MOST_SOLVED = 28
 #: than this part.
 MOST_STAGES_OF_POLYNOMIALS, WORTH_A_STAGE_OF_POLYNOMIALS = 6, 0.015
 
-#: Programs for each row and side on the first box, and on the others.
+#: Programs for each row and side until its alpha is surrounded, and behind that or a sweep.
 FIRST_PROGRAMS, LATER_PROGRAMS = 3, 1
 
 
@@ -39,7 +39,7 @@ def polynomial_stages(
     loop: AdaptiveLoop,
     ranges: Ranges,
     known: Reached,
-    starts: Sequence[float],
+    sweep: Sequence[float],
     progress: Progress,
 ) -> list[BootstrapStage]:
     """The stages behind what is known.
@@ -49,8 +49,8 @@ def polynomial_stages(
     loop : AdaptiveLoop
     ranges : Ranges
     known : Reached
-    starts : floats, 1/s
-        An alpha for each row, where the search begins.
+    sweep : floats, 1/s
+        The alpha with which the search begins.
     progress : callable
         Gets the bound so far.
     """
@@ -69,8 +69,11 @@ def polynomial_stages(
         solver = RowSolver(loop, forms, floats, reference=reference)
         for error in range(len(forms.sectors)):
             for side in (1, -1):
-                rate = rates.setdefault((error, side), Rate(starts[error]))
-                function = solver.bound(rows, (error, side), rate)
+                first = (error, side) not in rates
+                begin = rates[error, 1].alpha if side < 0 else sweep[0]
+                rate = rates.setdefault((error, side), Rate(begin))
+                tried = sweep if first and side > 0 else ()
+                function = solver.bound(rows, (error, side), rate, tried)
                 functions += [] if function is None else [function]
                 so_far = after(known, functions, rows).box[0].astype(float)
                 progress(0, None, float(np.abs(so_far).max()))
@@ -104,15 +107,19 @@ class RowSolver:
         self._program = PolynomialProgram(floats, layout_of(self._forms, FUNCTION_DEGREE))
 
     def bound(
-        self, rows: Sequence[np.ndarray], wanted: tuple[int, int], rate: Rate
+        self,
+        rows: Sequence[np.ndarray],
+        wanted: tuple[int, int],
+        rate: Rate,
+        sweep: Sequence[float] = (),
     ) -> PolynomialProof | None:
         """A proven bound of one side of a row, if there is one."""
         error, side = wanted
         more = self._forms.size - self._loop.size
         row = np.append(side * rows[error], [rational(0)] * more)
         asked = row_over_box(self._forms, row).astype(float)[None]
-        tries = LATER_PROGRAMS if rate.surrounded else FIRST_PROGRAMS
-        solution = best_of_rates(self._program, asked, rate, tries)
+        tries = LATER_PROGRAMS if sweep or rate.surrounded else FIRST_PROGRAMS
+        solution = best_of_rates(self._program, asked, rate, tries, sweep)
         if solution is None:
             return None
         return prove_polynomial(

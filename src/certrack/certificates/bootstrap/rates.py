@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
@@ -51,6 +52,13 @@ class Rate:
         else:
             self._surround((here, slope), self._above)
         self.alpha = min(max(math.exp(self._next()), LEAST_ALPHA), LARGEST_ALPHA)
+
+    def restart(self, alpha: float, slope: float) -> None:
+        """Go on from another alpha, and what was met there; forget the others."""
+        self._below = self._above = None
+        self._failed.clear()
+        self.alpha = alpha
+        self.met(slope)
 
     def _failed_at(self, here: float) -> None:
         if self._below is None and self._above is None:
@@ -113,10 +121,24 @@ class RowProgram(Protocol[_SolvedOut]):
 
 
 def best_of_rates(
-    program: RowProgram[_Solved], rows: np.ndarray, rate: Rate, tries: int
+    program: RowProgram[_Solved],
+    rows: np.ndarray,
+    rate: Rate,
+    tries: int,
+    sweep: Sequence[float] = (),
 ) -> _Solved | None:
-    """The smallest sum of bounds over some alpha, of which `rate` learns."""
+    """The smallest sum of bounds over some alpha, of which `rate` learns.
+
+    The bound may have several minima over alpha: `rate` goes on from the best one of a sweep.
+    """
     best: _Solved | None = None
+    start = rate.alpha
+    for alpha in sweep:
+        solution = program.solve(alpha, rows)
+        if solution is not None and (best is None or solution.bounds.sum() < best.bounds.sum()):
+            best, start = solution, alpha
+    if best is not None:
+        rate.restart(start, best.slope)
     for _ in range(tries):
         solution = program.solve(rate.alpha, rows)
         rate.met(None if solution is None else solution.slope)

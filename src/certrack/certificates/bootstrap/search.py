@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from certrack.certificates.bootstrap.forms import forms_of
@@ -24,6 +26,10 @@ MOST_STAGES, WORTH_A_STAGE = 8, 0.01
 
 #: Programs for each row on the first box, and on the others.
 FIRST_TRIES, LATER_TRIES = 4, 1
+
+#: With the effort high as many alpha are tried in every stage, between these parts of what the
+#: first proof has and of the fastest error; the bound may have two minima, as different as these.
+SWEPT, SLOWEST, FASTEST = 6, 1.5, 2.0
 
 #: A bound is proven if it is better than what is known by this part of the interval.
 WORTH_A_PROOF = 1e-3
@@ -58,10 +64,11 @@ def bootstrap(
     known = first_box(loop, first)
     rates: dict[Group, Rate] = {}
     starts = _starts(loop, float(from_text(first.alpha)))
+    sweep = sweep_of(loop, first) if effort == "high" else ()
     stages: list[BootstrapStage] = []
     for count in range(MOST_STAGES):
         tries = LATER_TRIES if count else FIRST_TRIES
-        stage, later = _next_stage(loop, ranges, known, rates, starts, tries)
+        stage, later = _next_stage(loop, ranges, known, rates, starts, tries, sweep)
         if not stage.functions:
             break
         stages.append(stage)
@@ -70,9 +77,7 @@ def bootstrap(
         if gain < WORTH_A_STAGE:
             break
     if effort == "high":
-        alphas = {error: rate.alpha for group, rate in rates.items() for error, _ in group}
-        starts = [alphas.get(error, start) for error, start in enumerate(starts)]
-        stages += polynomial_stages(loop, ranges, known, starts, progress)
+        stages += polynomial_stages(loop, ranges, known, sweep, progress)
     return tuple(stages)
 
 
@@ -97,6 +102,18 @@ def groups_of(loop: AdaptiveLoop, rows: int) -> list[Group]:
     return [tuple((error, side) for error in part for side in (1, -1)) for part in parts if part]
 
 
+def single_rows(rows: int) -> list[Group]:
+    """Every row alone, with both sides."""
+    return [((error, 1), (error, -1)) for error in range(rows)]
+
+
+def sweep_of(loop: AdaptiveLoop, first: Proof) -> tuple[float, ...]:
+    """Some alpha from the slow one of the first proof to twice that of the fastest error."""
+    slow = SLOWEST * float(from_text(first.alpha))
+    fast = FASTEST * max(-float(loop.M[i, i]) for i in range(loop.n))
+    return tuple(map(float, np.geomspace(slow, max(fast, slow), SWEPT)))
+
+
 def _starts(loop: AdaptiveLoop, slow: float) -> list[float]:
     """An alpha for each row: e_1 ... e_{n-1} follow e_n alone, and faster than the estimates."""
     head = loop.M[:-1, :-1].astype(float)
@@ -111,6 +128,7 @@ def _next_stage(
     rates: dict[Group, Rate],
     starts: list[float],
     tries: int,
+    sweep: Sequence[float],
 ) -> tuple[BootstrapStage, Reached]:
     region = next_region(loop, ranges, known)
     numbers = region.numbers()
@@ -118,12 +136,13 @@ def _next_stage(
     floats = forms_of(loop.in_floats(), numbers.in_floats())
     rows = rows_of(loop, numbers)
     functions, programs = [], {}
-    for group in groups_of(loop, len(forms.sectors)):
+    count = len(forms.sectors)
+    for group in single_rows(count) if sweep else groups_of(loop, count):
         if len(group) not in programs:
             programs[len(group)] = BootstrapProgram(floats, len(group))
         rate = rates.setdefault(group, Rate(min(starts[error] for error, _ in group)))
         asked = np.array([row_over_box(forms, side * rows[error]) for error, side in group])
-        solution = best_of_rates(programs[len(group)], asked.astype(float), rate, tries)
+        solution = best_of_rates(programs[len(group)], asked.astype(float), rate, tries, sweep)
         if solution is None or not any(
             _gain(known, rows[error], side, bound) > WORTH_A_PROOF
             for (error, side), bound in zip(group, solution.bounds * solution.sizes, strict=True)
