@@ -21,15 +21,19 @@ from certrack.certificates.problem import ErrorProblem
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
-#: Stages at most; the iteration ends when no interval shrinks by more than this part.
-MOST_STAGES, WORTH_A_STAGE = 8, 0.01
+#: Stages at most; the iteration ends when no interval shrinks by more than this part, with a sweep.
+MOST_STAGES, WORTH_A_STAGE = 10, 0.01
 
 #: Programs for each row on the first box, and on the others.
 FIRST_TRIES, LATER_TRIES = 4, 1
 
-#: With the effort high as many alpha are tried in every stage, between these parts of what the
-#: first proof has and of the fastest error; the bound may have two minima, as different as these.
+#: As many alpha are tried where the iteration has come to an end, between these parts of that of
+#: the first proof and of the fastest error: a bound may have two minima, as different as these.
+#: Then only e_1 is bounded anew, unless the effort is high.
 SWEPT, SLOWEST, FASTEST = 6, 1.5, 2.0
+
+#: Groups of rows.
+MOST_GROUPS = 4
 
 #: A bound is proven if it is better than what is known by this part of the interval.
 WORTH_A_PROOF = 1e-3
@@ -64,18 +68,21 @@ def bootstrap(
     known = first_box(loop, first)
     rates: dict[Group, Rate] = {}
     starts = _starts(loop, float(from_text(first.alpha)))
-    sweep = sweep_of(loop, first) if effort == "high" else ()
+    sweep, stalled = sweep_of(loop, first), False
     stages: list[BootstrapStage] = []
     for count in range(MOST_STAGES):
         tries = LATER_TRIES if count else FIRST_TRIES
-        stage, later = _next_stage(loop, ranges, known, rates, starts, tries, sweep)
-        if not stage.functions:
+        tried = sweep if stalled else ()
+        groups = 1 if stalled and effort != "high" else MOST_GROUPS
+        stage, later = _next_stage(loop, ranges, known, rates, starts, tries, tried, groups)
+        gain = shrunk(known, later)
+        if stage.functions:
+            stages.append(stage)
+            known = later
+            progress(0, None, max(map(abs, known.box[0].astype(float))))
+        if stalled and gain < WORTH_A_STAGE:
             break
-        stages.append(stage)
-        gain, known = shrunk(known, later), later
-        progress(0, None, max(map(abs, known.box[0].astype(float))))
-        if gain < WORTH_A_STAGE:
-            break
+        stalled = gain < WORTH_A_STAGE
     if effort == "high":
         stages += polynomial_stages(loop, ranges, known, sweep, progress)
     return tuple(stages)
@@ -102,11 +109,6 @@ def groups_of(loop: AdaptiveLoop, rows: int) -> list[Group]:
     return [tuple((error, side) for error in part for side in (1, -1)) for part in parts if part]
 
 
-def single_rows(rows: int) -> list[Group]:
-    """Every row alone, with both sides."""
-    return [((error, 1), (error, -1)) for error in range(rows)]
-
-
 def sweep_of(loop: AdaptiveLoop, first: Proof) -> tuple[float, ...]:
     """Some alpha from the slow one of the first proof to twice that of the fastest error."""
     slow = SLOWEST * float(from_text(first.alpha))
@@ -129,6 +131,7 @@ def _next_stage(
     starts: list[float],
     tries: int,
     sweep: Sequence[float],
+    groups: int,
 ) -> tuple[BootstrapStage, Reached]:
     region = next_region(loop, ranges, known)
     numbers = region.numbers()
@@ -136,8 +139,7 @@ def _next_stage(
     floats = forms_of(loop.in_floats(), numbers.in_floats())
     rows = rows_of(loop, numbers)
     functions, programs = [], {}
-    count = len(forms.sectors)
-    for group in single_rows(count) if sweep else groups_of(loop, count):
+    for group in groups_of(loop, len(forms.sectors))[:groups]:
         if len(group) not in programs:
             programs[len(group)] = BootstrapProgram(floats, len(group))
         rate = rates.setdefault(group, Rate(min(starts[error] for error, _ in group)))
