@@ -30,7 +30,7 @@ FIRST_TRIES, LATER_TRIES = 4, 1
 #: As many alpha are tried where the iteration has come to an end, between these parts of that of
 #: the first proof and of the fastest error: a bound may have two minima, as different as these.
 #: Then only e_1 is bounded anew, unless the effort is high.
-SWEPT, SLOWEST, FASTEST = 6, 1.5, 2.0
+SWEPT, SLOW_PART, FAST_PART = 6, 1.5, 2.0
 
 #: Groups of rows.
 MOST_GROUPS = 4
@@ -111,8 +111,8 @@ def groups_of(loop: AdaptiveLoop, rows: int) -> list[Group]:
 
 def sweep_of(loop: AdaptiveLoop, first: Proof) -> tuple[float, ...]:
     """Some alpha from the slow one of the first proof to twice that of the fastest error."""
-    slow = SLOWEST * float(from_text(first.alpha))
-    fast = FASTEST * max(-float(loop.M[i, i]) for i in range(loop.n))
+    slow = SLOW_PART * float(from_text(first.alpha))
+    fast = FAST_PART * max(-float(loop.M[i, i]) for i in range(loop.n))
     return tuple(map(float, np.geomspace(slow, max(fast, slow), SWEPT)))
 
 
