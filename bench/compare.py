@@ -69,9 +69,9 @@ class Row:
     statement: str = ""
 
 
-def _certified(system: str, wanted: float) -> Row:
-    """A fast certificate of a system that is read or made anew: nothing is remembered of it."""
-    return Row(wanted, (), CHAIN, f"s = {system}", 'certrack.certify(s, effort="fast")')
+def _certified(system: str, wanted: float, effort: str = "fast") -> Row:
+    """A certificate of a system that is read or made anew: nothing is remembered of it."""
+    return Row(wanted, (), CHAIN, f"s = {system}", f"certrack.certify(s, effort={effort!r})")
 
 
 def _run(name: str, tolerance: float, wanted: float) -> Row:
@@ -88,6 +88,7 @@ ROWS = {
     "certrack falsify example1": Row(1.0, ("falsify", "example1", "--budget", "3000")),
     "certrack falsify dual-motor": Row(1.0, ("falsify", "dual-motor", "--budget", "3000")),
     "fast certificate, example1": _certified('certrack.load("example1")', 0.060),
+    "default certificate, example1": _certified('certrack.load("example1")', 3.0, "default"),
     "fast certificate, robust n = 2": _certified("chain(2)", 0.009),
     "fast certificate, robust n = 4": _certified("chain(4)", 0.022),
     "fast certificate, robust n = 12": _certified("chain(12)", 0.268),
@@ -97,7 +98,10 @@ ROWS = {
 }
 
 #: Too long for every comparison: by `--only`.
-LONG_ROWS = {"certrack reproduce": Row(6.0, ("reproduce", "--out", "{folder}"))}
+LONG_ROWS = {
+    "certrack reproduce": Row(6.0, ("reproduce", "--out", "{folder}")),
+    "high certificate, example1": _certified('certrack.load("example1")', 60.0, "high"),
+}
 
 
 def spent(row: Row, tree: Path, turn: float, folder: Path) -> float:

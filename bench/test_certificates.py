@@ -115,3 +115,15 @@ def test_fast_effort(n, report):
     fresh, begin = system(), time.process_time()
     certrack.certify(fresh, effort="fast")
     report(f'certify(effort="fast"), {n}: {1e3 * (time.process_time() - begin):.0f} ms')
+
+
+@pytest.mark.parametrize(
+    ("effort", "wanted", "bound"), [("default", 3, 0.0690), ("high", 60, 0.056)]
+)
+def test_efforts_for_the_adaptive_law(effort, wanted, bound, report):
+    certrack.certify(certrack.load("example1"), effort="fast")
+    fresh, begin = certrack.load("example1"), time.process_time()
+    best = certrack.certify(fresh, effort=effort).best
+    spent = time.process_time() - begin
+    report(f"certify(effort={effort!r}), example1: {best} in {spent:.1f} s (goal: {wanted} s)")
+    assert best.bound <= bound

@@ -509,6 +509,10 @@ class Region:
 
     def function(self, record):
         """The claims of a function that holds: (error, side, bound)."""
+        if isinstance(record, dict) and "degree" in record:
+            from independent_polynomial import check_polynomial
+
+            return check_polynomial(self, record)
         demand(isinstance(record, dict) and set(record) == FUNCTION, "a function has other keys")
         vectors = {
             key: [decimal(v) for v in record[key]]

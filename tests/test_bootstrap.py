@@ -485,6 +485,27 @@ def test_a_rate_surrounds_the_best_and_comes_near():
     assert rate.alpha == pytest.approx(3.0, rel=0.02)
 
 
+@pytest.mark.parametrize("start", [0.01, 0.3, 8.0])
+def test_a_rate_goes_both_ways_where_there_is_no_bound(start):
+    """Bounds from 0.5 to 5, the best at 1: it is looked for above and below the start."""
+    rate, tried = Rate(start), []
+    for _ in range(20):
+        tried.append(rate.alpha)
+        rate.met(math.log(rate.alpha) if 0.5 <= rate.alpha <= 5 else None)
+    assert rate.surrounded
+    assert rate.alpha == pytest.approx(1.0, rel=0.05)
+    assert sum(not 0.5 <= alpha <= 5 for alpha in tried) < 10
+
+
+def test_a_rate_that_never_finds_a_bound_leaves_no_side_out():
+    rate, tried = Rate(1.0), []
+    for _ in range(9):
+        tried.append(rate.alpha)
+        rate.met(None)
+    assert sorted(tried) == pytest.approx([2.5**k for k in range(-4, 5)])
+    assert not rate.surrounded
+
+
 def test_what_has_no_bootstrap_says_why():
     robust, _ = certify_bootstrap(certrack.load("dual-motor-lean"))
     assert "adaptive law" in robust.reason

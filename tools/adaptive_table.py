@@ -3,6 +3,7 @@
     python tools/adaptive_table.py                     all of them
     python tools/adaptive_table.py --seeds 3 17        two of them
     python tools/adaptive_table.py --rows FILE         rows as they come; those there are kept
+    python tools/adaptive_table.py --effort high       with the certificates of the effort high
 
 The plants are those of tests/adaptive_plants.py: orders 1 to 4, up to three unknown parameters,
 ranges, full Gamma, any feed-forward. `found` is that of `certrack falsify` with its default budget.
@@ -23,16 +24,17 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 from adaptive_plants import random_plant  # type: ignore[import-not-found]
 
+from certrack.certificates.certify import EFFORTS
 from certrack.studies.falsifier.falsify import falsify
 
 #: Plants of the table.
 COUNT = 40
 
 
-def row_of(seed: int) -> dict[str, Any]:
+def row_of(seed: int, effort: str) -> dict[str, Any]:
     """Numbers of one plant."""
     begin, system = time.process_time(), random_plant(seed)
-    found = falsify(system)
+    found = falsify(system, effort=effort)
     plant, against = system.plant, found.against
     return {
         "seed": seed,
@@ -76,6 +78,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs="*", default=list(range(COUNT)))
     parser.add_argument("--rows", type=Path)
+    parser.add_argument("--effort", choices=EFFORTS, default="default")
     arguments = parser.parse_args()
     rows = []
     if arguments.rows and arguments.rows.exists():
@@ -84,7 +87,7 @@ def main() -> None:
     for seed in arguments.seeds:
         if seed in known:
             continue
-        rows.append(row_of(seed))
+        rows.append(row_of(seed, arguments.effort))
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
         if arguments.rows:
             arguments.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))

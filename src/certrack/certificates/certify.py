@@ -195,7 +195,8 @@ def certify(
     system : System
     effort : {"fast", "default", "high"}
         How long it may take: ``fast`` cuts no ranges of constants into cells and leaves out peak
-        gains of large orders, ``high`` cuts them into four times as many as the default.
+        gains of large orders, ``high`` cuts them into four times as many as the default and goes
+        on with polynomials behind the quadratic functions of the bootstrap.
     progress : callable
         Gets the number of the step that begins, their number and, for ranges, the bound so far.
     warm : BoundEstimate, optional

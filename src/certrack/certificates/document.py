@@ -19,7 +19,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.assumptions import assumptions
 from certrack.certificates.bootstrap.check import check_bootstrap, claimed_bound
 from certrack.certificates.bootstrap.document import bootstrap_stages, is_bootstrap
-from certrack.certificates.bootstrap.proof import BootstrapStage
+from certrack.certificates.bootstrap.stage import BootstrapStage
 from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition, from_text

@@ -149,7 +149,9 @@ def every_certificate(
         "cascade": stages or (),
     }
     first = None if stages is None else stages[0]
-    certificates[BOOTSTRAP], proofs[BOOTSTRAP] = certify_bootstrap(system, effort, first)
+    certificates[BOOTSTRAP], proofs[BOOTSTRAP] = certify_bootstrap(
+        system, effort, first, lambda _, __, best: progress(3, METHOD_STEPS, best)
+    )
     progress(4, METHOD_STEPS, None)
     ranged, attainable = has_ranges(system), None
     if ranged:

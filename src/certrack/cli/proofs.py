@@ -46,7 +46,8 @@ if TYPE_CHECKING:
     type=click.Choice(["fast", "default", "high"]),
     default="default",
     show_default=True,
-    help="How long it may take: fast makes no cells of ranges, high four times as many.",
+    help="How long it may take: fast makes no cells of ranges and no bootstrap, high four times as "
+    "many cells, and polynomials behind the bootstrap (half a minute and more).",
 )
 @click.option("--require", is_flag=True, help="Exit with 1 if nothing is verified.")
 @picture_options

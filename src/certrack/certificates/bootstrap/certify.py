@@ -5,8 +5,8 @@ from __future__ import annotations
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.assumptions import assumptions
 from certrack.certificates.bootstrap.check import bounds_error, claimed_bound
-from certrack.certificates.bootstrap.proof import BootstrapStage
 from certrack.certificates.bootstrap.search import bootstrap
+from certrack.certificates.bootstrap.stage import BootstrapStage
 from certrack.certificates.certificate import (
     Certificate,
     NoCertificate,
@@ -17,6 +17,7 @@ from certrack.certificates.exact import Proof, float_up, from_text, prove
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
+from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
 #: A proof of e_n by a function that the update laws cancel, and the stages on what it reaches.
@@ -24,7 +25,10 @@ BootstrapProof = tuple[Proof | BootstrapStage, ...]
 
 
 def certify_bootstrap(
-    system: System, effort: str = "default", first: Proof | None = None
+    system: System,
+    effort: str = "default",
+    first: Proof | None = None,
+    progress: Progress = silent,
 ) -> tuple[Certificate, BootstrapProof]:
     """The bootstrap of `system`, and its stages.
 
@@ -32,9 +36,12 @@ def certify_bootstrap(
     ----------
     system : System
     effort : {"fast", "default", "high"}
-        ``fast`` leaves it out, ``default`` what takes longer than about five seconds.
+        ``fast`` leaves it out, ``default`` what takes longer than about five seconds, ``high``
+        goes on with polynomials.
     first : Proof, optional
         A proven bound on e_n, such as the first stage of the cascade; it is sought if left out.
+    progress : callable
+        Gets the bound so far, as its last argument.
 
     Returns
     -------
@@ -49,7 +56,7 @@ def certify_bootstrap(
             if effort == "fast":
                 raise NoCertificate("takes more time: --effort default")
             first = first or _first_proof(exact)
-            stages = bootstrap(system, exact, first, effort)
+            stages = bootstrap(system, exact, first, effort, progress)
             if not bounds_error(stages):
                 raise NoCertificate(_why_no_smaller(exact.n))
             bound = float_up(from_text(claimed_bound(stages)))

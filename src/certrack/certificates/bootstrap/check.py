@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 from certrack.certificates.bootstrap.forms import forms_of
 from certrack.certificates.bootstrap.loop import adaptive_loop, formulas_of
-from certrack.certificates.bootstrap.proof import BootstrapStage, failed_part
+from certrack.certificates.bootstrap.polynomial_proof import PolynomialProof, failed_sum
+from certrack.certificates.bootstrap.proof import failed_part
 from certrack.certificates.bootstrap.ranges import Ranges
 from certrack.certificates.bootstrap.regions import after, failed_region, first_box, rows_of
+from certrack.certificates.bootstrap.stage import BootstrapStage
 from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import Proof, failed_condition, from_text
 from certrack.certificates.problem import ErrorProblem
@@ -42,7 +44,10 @@ def _failed_stage(
         forms, rows = forms_of(loop, numbers), rows_of(loop, numbers)[:]
         allowed = rows[: len(forms.sectors)]
         for function in stage.functions:
-            reason = failed_part(forms, function, allowed)
+            if isinstance(function, PolynomialProof):
+                reason = failed_sum(loop, forms, function, allowed)
+            else:
+                reason = failed_part(forms, function, allowed)
             if reason:
                 return reason
         known = after(known, stage.functions, rows)

@@ -8,7 +8,9 @@ from typing import Any
 
 from certrack.certificates.bootstrap.box import Region
 from certrack.certificates.bootstrap.inequality import MULTIPLIERS
-from certrack.certificates.bootstrap.proof import BootstrapStage, FunctionProof, RowBound
+from certrack.certificates.bootstrap.polynomial_proof import PolynomialProof
+from certrack.certificates.bootstrap.proof import FunctionProof, RowBound
+from certrack.certificates.bootstrap.stage import BootstrapStage
 from certrack.certificates.exact import from_text
 from certrack.core.errors import InputError
 
@@ -59,8 +61,29 @@ def _stage_of(entry: Any) -> BootstrapStage:
         else _many(region[name], _text)
         for name in (entry.name for entry in fields(Region))
     }
-    functions = _many(entry["functions"], _function_of, MAX_FUNCTIONS)
+    functions = _many(entry["functions"], _any_function, MAX_FUNCTIONS)
     return BootstrapStage(Region(**parts), functions)
+
+
+def _any_function(entry: Any) -> FunctionProof | PolynomialProof:
+    polynomial = isinstance(entry, dict) and "degree" in entry
+    return _polynomial_of(entry) if polynomial else _function_of(entry)
+
+
+def _polynomial_of(entry: Any) -> PolynomialProof:
+    _keys(entry, PolynomialProof)
+    if type(entry["degree"]) is not int or type(entry["reference"]) is not bool:
+        raise TypeError("degree is no integer, or reference neither true nor false")
+    kinds = ("squares", "inputs", "sectors", "majorants", "holds", "grams")
+    return PolynomialProof(
+        degree=entry["degree"],
+        reference=entry["reference"],
+        alpha=_text(entry["alpha"]),
+        W=_many(entry["W"], _text),
+        mu=_many(entry["mu"], _text),
+        **{name: _many(entry[name], lambda texts: _many(texts, _text)) for name in kinds},
+        claims=_many(entry["claims"], _claim, MAX_CLAIMS),
+    )
 
 
 def _function_of(entry: Any) -> FunctionProof:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import flint
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from certrack.certificates.bootstrap.box import Region
 from certrack.certificates.bootstrap.forms import Forms
 from certrack.certificates.bootstrap.inequality import (
     MULTIPLIERS,
@@ -73,12 +72,12 @@ class FunctionProof:
         return Unknowns(from_text(self.alpha), G, *vectors)
 
 
-@dataclass(frozen=True)
-class BootstrapStage:
-    """What a stage stands on, and the functions that prove its bounds."""
+class Bounding(Protocol):
+    """What bounds rows: a quadratic function, or a polynomial."""
 
-    region: Region
-    functions: tuple[FunctionProof, ...]
+    @property
+    def claims(self) -> tuple[RowBound, ...]:
+        """Its bounds."""
 
 
 def _exact_vector(texts: tuple[str, ...]) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from certrack.certificates.arithmetic import rational, solve
 from certrack.certificates.bootstrap.box import Region, RegionNumbers, TextPair, interval_of
 from certrack.certificates.bootstrap.loop import AdaptiveLoop
-from certrack.certificates.bootstrap.proof import FunctionProof
+from certrack.certificates.bootstrap.proof import Bounding
 from certrack.certificates.bootstrap.ranges import Combination, Ranges, largest_reach
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, float_down, float_up, from_text, root_up
@@ -69,9 +69,7 @@ def _cut_to(ends: Any, side: int, bound: Any) -> tuple[Any, Any]:
     return (low, min(high, bound)) if side > 0 else (max(low, -bound), high)
 
 
-def after(
-    known: Reached, functions: Sequence[FunctionProof], rows: Sequence[np.ndarray]
-) -> Reached:
+def after(known: Reached, functions: Sequence[Bounding], rows: Sequence[np.ndarray]) -> Reached:
     """What is known with the bounds of a stage; its last row is that of ubar."""
     box, size = known.box.copy(), len(known.box)
     interval = before = known.interval_of(rows[-1])

@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from certrack.certificates.bootstrap.forms import forms_of
 from certrack.certificates.bootstrap.loop import AdaptiveLoop, adaptive_loop, formulas_of
-from certrack.certificates.bootstrap.program import BootstrapProgram, Minimiser
-from certrack.certificates.bootstrap.proof import (
-    BootstrapStage,
-    prove_function,
-    row_over_box,
-)
+from certrack.certificates.bootstrap.polynomial_stages import polynomial_stages, shrunk
+from certrack.certificates.bootstrap.program import BootstrapProgram
+from certrack.certificates.bootstrap.proof import prove_function, row_over_box
 from certrack.certificates.bootstrap.ranges import Ranges
-from certrack.certificates.bootstrap.rates import Rate
+from certrack.certificates.bootstrap.rates import Rate, best_of_rates
 from certrack.certificates.bootstrap.regions import Reached, after, first_box, next_region, rows_of
+from certrack.certificates.bootstrap.stage import BootstrapStage
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, from_text
 from certrack.certificates.problem import ErrorProblem
+from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
-#: Stages at most; the iteration ends when no interval shrinks by more than this part.
-MOST_STAGES, WORTH_A_STAGE = 8, 0.01
+#: Stages at most; the iteration ends when no interval shrinks by more than this part, with a sweep.
+MOST_STAGES, WORTH_A_STAGE = 10, 0.01
 
 #: Programs for each row on the first box, and on the others.
 FIRST_TRIES, LATER_TRIES = 4, 1
+
+#: As many alpha are tried where the iteration has come to an end, between these parts of that of
+#: the first proof and of the fastest error: a bound may have two minima, as different as these.
+#: Then only e_1 is bounded anew, unless the effort is high.
+SWEPT, SLOW_PART, FAST_PART = 6, 1.5, 2.0
+
+#: Groups of rows.
+MOST_GROUPS = 4
 
 #: A bound is proven if it is better than what is known by this part of the interval.
 WORTH_A_PROOF = 1e-3
@@ -37,9 +46,15 @@ Group = tuple[tuple[int, int], ...]
 
 
 def bootstrap(
-    system: System, problem: ErrorProblem, first: Proof, effort: str = "default"
+    system: System,
+    problem: ErrorProblem,
+    first: Proof,
+    effort: str = "default",
+    progress: Progress = silent,
 ) -> tuple[BootstrapStage, ...]:
     """All stages behind the proof `first` of a bound on e_n.
+
+    With the effort ``high`` stages with polynomials follow those with quadratic functions.
 
     Raises
     ------
@@ -53,16 +68,23 @@ def bootstrap(
     known = first_box(loop, first)
     rates: dict[Group, Rate] = {}
     starts = _starts(loop, float(from_text(first.alpha)))
+    sweep, stalled = sweep_of(loop, first), False
     stages: list[BootstrapStage] = []
     for count in range(MOST_STAGES):
         tries = LATER_TRIES if count else FIRST_TRIES
-        stage, later = _next_stage(loop, ranges, known, rates, starts, tries)
-        if not stage.functions:
+        tried = sweep if stalled else ()
+        groups = 1 if stalled and effort != "high" else MOST_GROUPS
+        stage, later = _next_stage(loop, ranges, known, rates, starts, tries, tried, groups)
+        gain = shrunk(known, later)
+        if stage.functions:
+            stages.append(stage)
+            known = later
+            progress(0, None, max(map(abs, known.box[0].astype(float))))
+        if stalled and gain < WORTH_A_STAGE:
             break
-        stages.append(stage)
-        gain, known = _shrunk(known, later), later
-        if gain < WORTH_A_STAGE:
-            break
+        stalled = gain < WORTH_A_STAGE
+    if effort == "high":
+        stages += polynomial_stages(loop, ranges, known, sweep, progress)
     return tuple(stages)
 
 
@@ -87,17 +109,18 @@ def groups_of(loop: AdaptiveLoop, rows: int) -> list[Group]:
     return [tuple((error, side) for error in part for side in (1, -1)) for part in parts if part]
 
 
+def sweep_of(loop: AdaptiveLoop, first: Proof) -> tuple[float, ...]:
+    """Some alpha from the slow one of the first proof to twice that of the fastest error."""
+    slow = SLOW_PART * float(from_text(first.alpha))
+    fast = FAST_PART * max(-float(loop.M[i, i]) for i in range(loop.n))
+    return tuple(map(float, np.geomspace(slow, max(fast, slow), SWEPT)))
+
+
 def _starts(loop: AdaptiveLoop, slow: float) -> list[float]:
     """An alpha for each row: e_1 ... e_{n-1} follow e_n alone, and faster than the estimates."""
     head = loop.M[:-1, :-1].astype(float)
     fast = -float(np.linalg.eigvals(head).real.max()) if len(head) else slow
     return [max(fast, slow)] * (loop.n - 1) + [slow] * (loop.r + 3)
-
-
-def _shrunk(before: Reached, after: Reached) -> float:
-    """The largest part by which an interval has become smaller."""
-    old, new = ((k.box[:, 1] - k.box[:, 0]).astype(float) for k in (before, after))
-    return float((1 - new / old).max())
 
 
 def _next_stage(
@@ -107,6 +130,8 @@ def _next_stage(
     rates: dict[Group, Rate],
     starts: list[float],
     tries: int,
+    sweep: Sequence[float],
+    groups: int,
 ) -> tuple[BootstrapStage, Reached]:
     region = next_region(loop, ranges, known)
     numbers = region.numbers()
@@ -114,12 +139,12 @@ def _next_stage(
     floats = forms_of(loop.in_floats(), numbers.in_floats())
     rows = rows_of(loop, numbers)
     functions, programs = [], {}
-    for group in groups_of(loop, len(forms.sectors)):
+    for group in groups_of(loop, len(forms.sectors))[:groups]:
         if len(group) not in programs:
             programs[len(group)] = BootstrapProgram(floats, len(group))
         rate = rates.setdefault(group, Rate(min(starts[error] for error, _ in group)))
         asked = np.array([row_over_box(forms, side * rows[error]) for error, side in group])
-        solution = _best_of_rates(programs[len(group)], asked.astype(float), rate, tries)
+        solution = best_of_rates(programs[len(group)], asked.astype(float), rate, tries, sweep)
         if solution is None or not any(
             _gain(known, rows[error], side, bound) > WORTH_A_PROOF
             for (error, side), bound in zip(group, solution.bounds * solution.sizes, strict=True)
@@ -135,15 +160,3 @@ def _gain(known: Reached, row: np.ndarray, side: int, bound: float) -> float:
     low, high = known.interval_of(row)
     best = high if side > 0 else -low
     return (float(best) - bound) / float(high - low)
-
-
-def _best_of_rates(
-    program: BootstrapProgram, rows: np.ndarray, rate: Rate, tries: int
-) -> Minimiser | None:
-    best: Minimiser | None = None
-    for _ in range(tries):
-        solution = program.solve(rate.alpha, rows)
-        rate.met(None if solution is None else solution.slope)
-        if solution is not None and (best is None or solution.bounds.sum() < best.bounds.sum()):
-            best = solution
-    return best
