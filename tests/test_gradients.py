@@ -1,0 +1,108 @@
+"""Gradients of certificates against differences of fourth order, on random plants n = 1 ... 6.
+
+The values that are differenced are solved for to ten digits, as the gradients are.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from test_tuning import agree, candidate_of, random_system
+
+from certrack.certificates.estimates.cascade import cascade_estimate
+from certrack.certificates.estimates.dual import semidefinite_estimate
+from certrack.certificates.estimates.loop_data import PlainLoop
+from certrack.certificates.estimates.riccati import riccati_estimate
+from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate
+from certrack.tuning.candidate import DIFFERENCE, Candidate
+from certrack.tuning.quantities import SemidefiniteError
+from certrack.tuning.registry import tuning_family
+
+#: Decay rates of the programs, as parts of the fastest.
+SHARE, HEAD_SHARE = 0.35, 0.3
+
+#: Orders of the plants; the large ones take seconds each.
+ORDERS = [1, 2, 3, *(pytest.param(n, marks=pytest.mark.slow) for n in (4, 5, 6))]
+
+
+def differences(value, v, step=2e-3):
+    """Central ones, right to the fourth power of the step."""
+    slopes = []
+    for unit in step * np.eye(len(v)):
+        near, far = (value(v + m * unit) - value(v - m * unit) for m in (1, 2))
+        slopes.append((8 * near - far) / (12 * step))
+    return np.array(slopes)
+
+
+def problems(kind, n, seed):
+    """The problem of a random plant as a function of the tuned numbers, and where they begin."""
+    if kind == "adaptive":
+        point = candidate_of(random_system(seed, n, kind))
+        quantity = SemidefiniteError(point.base)
+
+        def adaptive(v):
+            return quantity.problem(Candidate(point.family, point.base, np.append(v, 0.0)))
+
+        return adaptive, point.v[:-1]
+    system = random_system(seed, n)
+    family = tuning_family(system, kind, system.law.feedforward)
+    base = system.replace(law=family.law(family.start))
+    loop = PlainLoop.of(base)
+    return lambda v: loop.with_design(Candidate(family, base, v).design), family.start
+
+
+def beside(problem, v):
+    units = DIFFERENCE * np.eye(len(v))
+    return [(problem(v + unit), problem(v - unit)) for unit in units]
+
+
+@pytest.mark.parametrize("kind", ["robust", "linear", "adaptive"])
+@pytest.mark.parametrize("n", ORDERS)
+def test_semidefinite_program(n, kind):
+    problem, v = problems(kind, n, 2)
+
+    def log_bound(v, share=SHARE):
+        return math.log(semidefinite_estimate(problem(v), share).bound)
+
+    found = semidefinite_estimate(problem(v), SHARE, beside(problem, v), DIFFERENCE)
+    assert agree(found.log_gradient, differences(log_bound, v))
+    (by_share,) = differences(lambda s: log_bound(v, math.exp(s[0])), np.log([SHARE]))
+    assert found.by_log_share == pytest.approx(by_share, abs=1e-6)
+
+
+@pytest.mark.parametrize("n", ORDERS[1:])
+def test_cascade(n):
+    problem, v = problems("adaptive", n, 3)
+    shares = SHARE, HEAD_SHARE
+
+    def log_bound(v):
+        return math.log(cascade_estimate(problem(v), shares).bound)
+
+    found = cascade_estimate(problem(v), shares, beside(problem, v), DIFFERENCE)
+    assert agree(found.log_gradient, differences(log_bound, v))
+
+
+@pytest.mark.parametrize("kind", ["robust", "linear"])
+@pytest.mark.parametrize("n", range(1, 7))
+def test_dual_and_riccati_equation_tell_the_same(n, kind):
+    """Two ways to one bound: at the best decay rate, values and gradients are equal."""
+    problem, v = problems(kind, n, 3)
+    pairs, here = beside(problem, v), problem(v)
+    riccati = riccati_estimate(here)
+    slopes = np.array([riccati.gradient.along(*pair) for pair in pairs])
+    share = riccati.alpha / fastest_rate(here)
+    found = semidefinite_estimate(here, share, pairs, DIFFERENCE)
+    assert found.bound == pytest.approx(riccati.bound, rel=1e-8)
+    assert found.by_log_share == pytest.approx(0, abs=2e-5)
+    assert agree(found.log_gradient, slopes / (2 * DIFFERENCE * riccati.bound))
+
+
+def test_the_solver_s_first_point_is_too_far_off():
+    """Why a program is solved again about its solution: here, it costs 6 % more than the least."""
+    problem, v = problems("robust", 6, 3)
+    here = problem(v)
+    riccati = riccati_estimate(here)
+    first = SemidefiniteProgram(here).solve(riccati.alpha)
+    again = semidefinite_estimate(here, riccati.alpha / fastest_rate(here))
+    assert again.bound == pytest.approx(riccati.bound, rel=1e-8)
+    assert first is None or first.bound > riccati.bound * (1 + 1e-7)
