@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from test_tuning import agree, candidate_of, random_system
+from test_tuning import GRADIENT, agree, candidate_of, random_system
 
 from certrack.certificates.estimates.cascade import cascade_estimate
 from certrack.certificates.estimates.dual import semidefinite_estimate
@@ -20,6 +20,9 @@ from certrack.tuning.registry import tuning_family
 
 #: Decay rates of the programs, as parts of the fastest.
 SHARE, HEAD_SHARE = 0.35, 0.3
+
+#: Steps in logarithms of rates, and in parts of K, which poles answer more to.
+STEPS = {"robust": 2e-3, "adaptive": 2e-3, "linear": 2e-4}
 
 #: Orders of the plants; the large ones take seconds each.
 ORDERS = [1, 2, 3, *(pytest.param(n, marks=pytest.mark.slow) for n in (4, 5, 6))]
@@ -65,27 +68,35 @@ def test_semidefinite_program(n, kind):
         return math.log(semidefinite_estimate(problem(v), share).bound)
 
     found = semidefinite_estimate(problem(v), SHARE, beside(problem, v), DIFFERENCE)
-    assert agree(found.log_gradient, differences(log_bound, v))
+    solver = SemidefiniteProgram(problem(v)).solve(SHARE * fastest_rate(problem(v)))
+    assert found.bound == pytest.approx(solver.bound, rel=1e-7 if n < 4 else 1e-4)
+    assert agree(found.log_gradient, differences(log_bound, v, STEPS[kind]))
     (by_share,) = differences(lambda s: log_bound(v, math.exp(s[0])), np.log([SHARE]))
     assert found.by_log_share == pytest.approx(by_share, abs=1e-6)
 
 
 @pytest.mark.parametrize("n", ORDERS[1:])
 def test_cascade(n):
-    problem, v = problems("adaptive", n, 3)
+    problem, v = problems("adaptive", n, 2)
     shares = SHARE, HEAD_SHARE
 
-    def log_bound(v):
+    def log_bound(v, shares=shares):
         return math.log(cascade_estimate(problem(v), shares).bound)
 
     found = cascade_estimate(problem(v), shares, beside(problem, v), DIFFERENCE)
     assert agree(found.log_gradient, differences(log_bound, v))
+    by_shares = differences(lambda s: log_bound(v, tuple(np.exp(s))), np.log(shares))
+    np.testing.assert_allclose(found.by_log_shares, by_shares, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["robust", "linear"])
 @pytest.mark.parametrize("n", range(1, 7))
 def test_dual_and_riccati_equation_tell_the_same(n, kind):
-    """Two ways to one bound: at the best decay rate, values and gradients are equal."""
+    """Two ways to one bound: at the best decay rate, values and gradients are equal.
+
+    The equation's descent ends 1e-10 above the lowest; its gradient errs by the root of that, times
+    a condition that is larger in K than in rates.
+    """
     problem, v = problems(kind, n, 3)
     pairs, here = beside(problem, v), problem(v)
     riccati = riccati_estimate(here)
@@ -94,7 +105,9 @@ def test_dual_and_riccati_equation_tell_the_same(n, kind):
     found = semidefinite_estimate(here, share, pairs, DIFFERENCE)
     assert found.bound == pytest.approx(riccati.bound, rel=1e-8)
     assert found.by_log_share == pytest.approx(0, abs=2e-5)
-    assert agree(found.log_gradient, slopes / (2 * DIFFERENCE * riccati.bound))
+    expected = slopes / (2 * DIFFERENCE * riccati.bound)
+    error = np.abs(found.log_gradient - expected).max() / np.abs(expected).max()
+    assert error < (GRADIENT if kind == "robust" else 5 * GRADIENT)
 
 
 def test_the_solver_s_first_point_is_too_far_off():
