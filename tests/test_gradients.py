@@ -24,6 +24,9 @@ SHARE, HEAD_SHARE = 0.35, 0.3
 #: Steps in logarithms of rates, and in parts of K, which poles answer more to.
 STEPS = {"robust": 2e-3, "adaptive": 2e-3, "linear": 2e-4}
 
+#: In parts of K at n = 6: with 2e-4, differences err by 3 %.
+SMALL_STEP = 2e-5
+
 #: Orders of the plants; the large ones take seconds each.
 ORDERS = [1, 2, 3, *(pytest.param(n, marks=pytest.mark.slow) for n in (4, 5, 6))]
 
@@ -70,7 +73,8 @@ def test_semidefinite_program(n, kind):
     found = semidefinite_estimate(problem(v), SHARE, beside(problem, v), DIFFERENCE)
     solver = SemidefiniteProgram(problem(v)).solve(SHARE * fastest_rate(problem(v)))
     assert found.bound == pytest.approx(solver.bound, rel=1e-7 if n < 4 else 1e-4)
-    assert agree(found.log_gradient, differences(log_bound, v, STEPS[kind]))
+    step = SMALL_STEP if (n, kind) == (6, "linear") else STEPS[kind]
+    assert agree(found.log_gradient, differences(log_bound, v, step))
     (by_share,) = differences(lambda s: log_bound(v, math.exp(s[0])), np.log([SHARE]))
     assert found.by_log_share == pytest.approx(by_share, abs=1e-6)
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 #: Steps at most; each must bring the residual down to this part.
-MOST_STEPS, GAIN = 8, 0.5
+MOST_STEPS, LEFT_AFTER_STEP = 8, 0.5
 
 
 def with_last_digits(
@@ -47,7 +47,7 @@ def with_last_digits(
             break
         nearer = x + step[: len(x)], z + step[len(x) :]
         after = _residual(program, sizes, *nearer)
-        if not np.linalg.norm(after) < GAIN * np.linalg.norm(residual):
+        if not np.linalg.norm(after) < LEFT_AFTER_STEP * np.linalg.norm(residual):
             break
         (x, z), residual = nearer, after
     return x, z
