@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 #: Steps at most; each must bring the residual down to this part.
-MOST_STEPS, LEFT_AFTER_STEP = 8, 0.5
+NEWTON_STEPS, LEFT_AFTER_STEP = 8, 0.5
 
 
 def with_last_digits(
@@ -37,7 +37,7 @@ def with_last_digits(
     """
     _, matrix, right = program
     residual = _residual(program, sizes, x, z)
-    for _ in range(MOST_STEPS):
+    for _ in range(NEWTON_STEPS):
         by_x = -_product(sizes, z, matrix)
         by_z = _product(sizes, right - matrix @ x, np.eye(len(z)))
         jacobian = np.block([[np.zeros((len(x), len(x))), matrix.T], [by_x, by_z]])
