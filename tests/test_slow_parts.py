@@ -12,6 +12,7 @@ from certrack.certificates.implemented import slow as slow_terms
 from certrack.certificates.implemented import step_search
 from certrack.certificates.implemented.drive import DRIVE_BITS
 from certrack.certificates.implemented.slow import SlowTerms, StepResponses, as_function
+from certrack.certificates.implemented.superposition import speeds_of_states
 
 
 def no_less(found, expected):
@@ -164,7 +165,7 @@ def made(by_states=(), dwell=None, measures=None):
     step = SimpleNamespace(columns=[0], periods=4, measures=measures)
     value = np.array([flint.arb("1.25")], dtype=object)
     bounds = SimpleNamespace(drive=drive, gains=gains)
-    return SlowTerms(bounds, np.array([0]), step, [flint.arb(3)], [flint.arb(2)], value)
+    return SlowTerms(bounds, np.array([0]), step, [flint.arb(3)], [flint.arb(2)], value, {})
 
 
 def test_a_bound_is_the_sum_of_size_rate_jumps_and_what_is_fast():
@@ -199,9 +200,9 @@ def test_jumps_are_so_many_periods_apart(dwell, periods):
 
 def test_rates_of_the_states_are_of_their_rows_and_of_what_acts():
     drive = SimpleNamespace(n=2, W=flint.arb_mat([[0, 2], [-3, 0]]))
-    bounds = SimpleNamespace(drive=drive, outputs=np.array([0, 5, 5, 6]))
-    values = np.array([flint.arb(v) for v in (100, 7, 9, 4)], dtype=object)
-    found = slow_terms._rates(bounds, values, [flint.arb(10), flint.arb(20)])
+    rows = {5: flint.arb(9), 6: flint.arb(4)}  # of x_i' - W_i w, behind u, its rate and the states
+    bounds = SimpleNamespace(drive=drive, largest=lambda values, which: [rows[i] for i in which])
+    found = speeds_of_states(bounds, None, [flint.arb(10), flint.arb(20)])
     assert no_less([float(v) for v in found], [9 + 2 * 20, 4 + 3 * 10])
 
 

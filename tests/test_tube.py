@@ -50,8 +50,9 @@ def stages(example1):
 def hostile(example1):
     """The worst admissible case that a search has found: disturbance, reference, parameters."""
     worst = falsify(example1, budget=1500).system
-    bounds = example1.reference.bounds(1).values  # the search keeps within them
-    return worst.replace(reference=replace(worst.reference, declared=bounds))
+    bounds = example1.reference.bounds(1).values
+    assert all(a <= b for a, b in zip(worst.reference.bounds(1).values, bounds, strict=True))
+    return worst
 
 
 #: Starts near the reference, far from it, and with e_2 large where e_1 is not.

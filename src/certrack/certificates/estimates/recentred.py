@@ -42,7 +42,9 @@ def recentred_point(program: SemidefiniteProgram, alpha: float) -> ProgramPoint 
     alpha : float, 1/s
     """
     point = program.point(alpha)
-    for _ in range(MOST_ROUNDS if point is not None else 0):
+    if point is None:
+        return None
+    for _ in range(MOST_ROUNDS):
         better = _Centre.of(program, point).solved(program, point, alpha)
         if better is None:
             break
@@ -90,12 +92,12 @@ class _Centre:
         variables = self._variables(program.entries)
         base, slope = program.inequality
         columns, right = program.floor
-        whole = (base + program.scaling.rate(alpha) * slope) @ variables
+        decay = (base + program.scaling.rate(alpha) * slope) @ variables
         floor = np.column_stack([columns @ variables, right])
-        whole, floor = _congruent(whole, R), _congruent(floor, self.T)
+        decay, floor = _congruent(decay, R), _congruent(floor, self.T)
         signs = np.eye(len(variables))[count:]
-        matrix = np.vstack([whole, floor[:, :-1], -signs])
-        ends = np.concatenate([np.zeros(len(whole)), floor[:, -1], np.zeros(len(signs))])
+        matrix = np.vstack([decay, floor[:, :-1], -signs])
+        ends = np.concatenate([np.zeros(len(decay)), floor[:, -1], np.zeros(len(signs))])
         cost = variables.T @ point.cost
         unit = float(np.abs(cost).max()) or 1.0
         result = _minimised(cost / unit, matrix, ends, (len(R), n, len(signs)))
@@ -104,8 +106,8 @@ class _Centre:
         x, z = result[0], result[1] * unit
         dual = np.concatenate(
             [
-                _congruent(z[: len(whole), None], R.T)[:, 0],
-                _congruent(z[len(whole) : len(matrix) - len(signs), None], self.T.T)[:, 0],
+                _congruent(z[: len(decay), None], R.T)[:, 0],
+                _congruent(z[len(decay) : len(matrix) - len(signs), None], self.T.T)[:, 0],
                 z[len(matrix) - len(signs) :] / self.weights,
             ]
         )

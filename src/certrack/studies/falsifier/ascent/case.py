@@ -35,7 +35,8 @@ def written(
     system = loop.system
     widths = np.concatenate([loop.piece_widths, loop.stopping_widths])
     worst = WorstProfile(0.0, inputs.begin[:, 0], inputs.pieces[:, 0], widths)
-    reference = admissible_profile(worst, tuple(loop.bounds.tolist()), 1)
+    bounds, stopping = tuple(loop.bounds.tolist()), len(loop.stopping_widths)
+    reference = admissible_profile(worst, bounds, 1, stopping=stopping)
     x0 = loop.resting @ inputs.begin[:, 0]
     omega = ["0"] * system.plant.n
     edges = np.concatenate([[0.0], np.cumsum(loop.widths)])
