@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from test_tuning import GRADIENT, agree, candidate_of, random_system
 
+import certrack
 from certrack.certificates.estimates.cascade import cascade_estimate
 from certrack.certificates.estimates.dual import semidefinite_estimate
 from certrack.certificates.estimates.loop_data import PlainLoop
 from certrack.certificates.estimates.riccati import riccati_estimate
 from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate
 from certrack.tuning.candidate import DIFFERENCE, Candidate
+from certrack.tuning.implemented import IMPLEMENTED_DIFFERENCE, ImplementedError
 from certrack.tuning.quantities import SemidefiniteError
 from certrack.tuning.registry import tuning_family
 
@@ -26,6 +28,9 @@ STEPS = {"robust": 2e-3, "adaptive": 2e-3, "linear": 2e-4}
 
 #: In parts of K at n = 6: with 2e-4, differences err by 3 %.
 SMALL_STEP = 2e-5
+
+#: Of the implemented loop, whose kinks lie close to each other.
+IMPLEMENTED_STEP = 2e-6
 
 #: Orders of the plants; the large ones take seconds each.
 ORDERS = [1, 2, 3, *(pytest.param(n, marks=pytest.mark.slow) for n in (4, 5, 6))]
@@ -91,6 +96,28 @@ def test_cascade(n):
     assert agree(found.log_gradient, differences(log_bound, v))
     by_shares = differences(lambda s: log_bound(v, tuple(np.exp(s))), np.log(shares))
     np.testing.assert_allclose(found.by_log_shares, by_shares, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["robust", "linear"])
+@pytest.mark.parametrize("n", ORDERS)
+def test_loop_as_implemented(n, kind):
+    """The fixed point is differentiated; differences search it each time, to 1e-8."""
+    system = random_system(2, n)
+    family = tuning_family(system, kind, system.law.feedforward)
+    base = system.replace(law=family.law(family.start))
+    drive = certrack.Implementation(period=0.01, delay=0.5, measurement_quantum=[1e-4] * n)
+    error = ImplementedError(drive)
+
+    def estimate(v):
+        return error.estimate(Candidate(family, base, v))
+
+    v, step = family.start, IMPLEMENTED_STEP
+    gradient = error.log_gradient(Candidate(family, base, v))
+    assert agree(gradient, differences(lambda v: math.log(estimate(v).bound), v, step))
+    pairs = error.nearby(Candidate(family, base, v))
+    peaks = np.array([above.peak_input - below.peak_input for above, below in pairs])
+    expected = differences(lambda v: estimate(v).peak_input, v, step)
+    assert agree(peaks / (2 * IMPLEMENTED_DIFFERENCE), expected)
 
 
 @pytest.mark.parametrize("kind", ["robust", "linear"])
