@@ -42,6 +42,9 @@ FILE_PHASE, ANY_PHASE = "file", "any"
 #: 2^doublings periods are looked at one by one: from the first to the last of these.
 FEWEST_DOUBLINGS, MOST_DOUBLINGS = 5, 13
 
+#: By this part at least peaks must fall with twice as many periods.
+WORTH_PERIODS = 1e-3
+
 #: Digits of the bounds in a file, and the factor on them, so that other checkers confirm them.
 START_DIGITS, TEXT_FACTOR = 13, 1 + 1e-6
 
@@ -106,6 +109,15 @@ class Evidence:
     later: Later
     after: np.ndarray
     peaks: np.ndarray
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether no peak would be smaller with more periods, but for :data:`WORTH_PERIODS`.
+
+        The periods that are looked at have the same bounds then.
+        """
+        largest = self.run.bounds.max(axis=0)
+        return bool((largest * (1 + WORTH_PERIODS) >= self.peaks).all())
 
 
 class StartProver:
@@ -190,7 +202,7 @@ class StartProver:
         return min(self.search(starts, lambda _: True)[0] + 1, MOST_DOUBLINGS)
 
     def search(self, starts: Starts, enough: Callable[[Evidence], bool]) -> tuple[int, Evidence]:
-        """The fewest doublings after which nothing that comes is larger than before.
+        """The fewest doublings after which hardly anything that comes is larger than before.
 
         Parameters
         ----------
@@ -211,7 +223,7 @@ class StartProver:
                 reason = str(refusal)
                 continue
             best = doublings, evidence
-            if (evidence.run.bounds.max(axis=0) >= evidence.peaks).all() and enough(evidence):
+            if evidence.is_spent and enough(evidence):
                 break
         if best is None:
             raise NoCertificate(reason)
