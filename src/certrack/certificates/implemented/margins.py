@@ -78,7 +78,7 @@ def period_margins(
             other = system.replace(implementation=replace(drive, period=period))
             plant = RangedPlant(other) if chosen[0].cell else None
             if plant is not None and chosen is proofs:
-                again = _covered(other, plant, proofs, admitted)
+                again = _in_few_cells(other, plant, proofs, admitted)
             else:
                 again = [_again(other, proof, plant) for proof in chosen]
         except (NoCertificate, InputError):
@@ -108,7 +108,7 @@ def period_margins(
     return PeriodMargins(slowest[0], fastest[0], slowest[1], fastest[1], admitted)
 
 
-def _covered(
+def _in_few_cells(
     system: System, plant: RangedPlant, proofs: Sequence[ImplementedProof], admitted: float
 ) -> list[ImplementedProof]:
     """Proofs for the same delays, of cells that fill the ranges: for this bound a few will do."""
