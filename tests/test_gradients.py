@@ -13,6 +13,7 @@ import certrack
 from certrack.certificates.estimates.cascade import cascade_estimate
 from certrack.certificates.estimates.dual import semidefinite_estimate
 from certrack.certificates.estimates.loop_data import PlainLoop
+from certrack.certificates.estimates.peak_gains import peak_estimate
 from certrack.certificates.estimates.riccati import riccati_estimate
 from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate
 from certrack.tuning.candidate import DIFFERENCE, Candidate
@@ -28,6 +29,9 @@ STEPS = {"robust": 2e-3, "adaptive": 2e-3, "linear": 2e-4}
 
 #: In parts of K at n = 6: with 2e-4, differences err by 3 %.
 SMALL_STEP = 2e-5
+
+#: First step of the quadrature of peak gains, s.
+QUADRATURE_STEP = 2e-3
 
 #: Of the implemented loop, whose kinks lie close to each other.
 IMPLEMENTED_STEP = 2e-6
@@ -96,6 +100,29 @@ def test_cascade(n):
     assert agree(found.log_gradient, differences(log_bound, v))
     by_shares = differences(lambda s: log_bound(v, tuple(np.exp(s))), np.log(shares))
     np.testing.assert_allclose(found.by_log_shares, by_shares, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["robust", "linear"])
+@pytest.mark.parametrize("n", range(1, 7))
+def test_peak_gains(n, kind):
+    """With the quadrature's first step held fixed, as the gradient has it."""
+    system = random_system(2, n)
+    family = tuning_family(system, kind, system.law.feedforward)
+    base = system.replace(law=family.law(family.start))
+    loop, v = PlainLoop.of(base), family.start
+
+    def estimate(v, gradient=False):
+        design = Candidate(family, base, v).design
+        return peak_estimate(loop.with_design(design), gradient=gradient, step=QUADRATURE_STEP)
+
+    found = estimate(v, gradient=True)
+    pairs = Candidate(family, base, v).neighbours
+    changes = [
+        found.gradient.along(*(loop.with_design(point.design) for point in pair)) for pair in pairs
+    ]
+    gradient = np.array(changes) / (2 * DIFFERENCE * found.bound)
+    expected = differences(lambda v: math.log(estimate(v).bound), v, STEPS[kind] / 10)
+    assert agree(gradient, expected)
 
 
 @pytest.mark.parametrize("kind", ["robust", "linear"])

@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from scipy.optimize import direct, minimize_scalar
 from test_tuning import candidate_of, differences
 
 import certrack
@@ -24,6 +25,7 @@ from certrack.tuning import tune as module
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.families import RobustFamily
 from certrack.tuning.problem import Requirements
+from certrack.tuning.quantities import log_of
 from certrack.tuning.ranged import RangedError
 from certrack.tuning.responses import BoxPeak, BoxResponse, Grid, LinearPlant, PartPeak
 from certrack.tuning.search import GainSearch
@@ -49,6 +51,28 @@ def test_corners_of_ranges_are_those_of_the_exact_problems(name):
             for problem in prover.problems(prover.box)
         ]
         assert error.value(point) == pytest.approx(max(exact), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_an_optimum_of_estimates_is_not_improved_by_a_global_search():
+    """SciPy's `direct` about the gains and the decay rate, with the same limits as penalties."""
+    system = certrack.load("example1")
+    tuned = certrack.tune(system, peak_input=15.9, feedforward=1, starts=1).system
+    (stage,) = searches_of(tuned, Requirements(peak_input=15.9), "error", None, 1)
+    problem, family = stage.problem, stage.family
+
+    def penalised(v):
+        each = Candidate(family, problem.base, v)
+        excess = max(limit.excess(each) for limit in problem.task.limits)
+        return log_of(problem.error, each) + 100 * max(0.0, excess)
+
+    centre = family.start.copy()  # of a law, which has no decay rate: that is found first
+    ends = (family.low[-1], family.high[-1])
+    centre[-1] = minimize_scalar(lambda s: penalised([*centre[:-1], s]), bounds=ends).x
+    best = penalised(centre)
+    assert math.exp(best) <= 0.0455
+    bounds = list(zip(centre - 0.4, np.minimum(centre + 0.4, family.high), strict=True))
+    assert direct(penalised, bounds, maxfun=300).fun >= best - 1e-3
 
 
 @pytest.mark.parametrize("name", ["axis", "flexible-joint"])
