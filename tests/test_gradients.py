@@ -4,6 +4,8 @@ The values that are differenced are solved for to ten digits, as the gradients a
 """
 
 import math
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,9 +18,11 @@ from certrack.certificates.estimates.loop_data import PlainLoop
 from certrack.certificates.estimates.peak_gains import peak_estimate
 from certrack.certificates.estimates.riccati import riccati_estimate
 from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate
+from certrack.tuning import ranged as ranged_room
 from certrack.tuning.candidate import DIFFERENCE, Candidate
 from certrack.tuning.implemented import IMPLEMENTED_DIFFERENCE, ImplementedError
 from certrack.tuning.quantities import SemidefiniteError
+from certrack.tuning.ranged import RangedError
 from certrack.tuning.registry import tuning_family
 
 #: Decay rates of the programs, as parts of the fastest.
@@ -30,7 +34,8 @@ STEPS = {"robust": 2e-3, "adaptive": 2e-3, "linear": 2e-4}
 #: In parts of K at n = 6: with 2e-4, differences err by 3 %.
 SMALL_STEP = 2e-5
 
-#: First step of the quadrature of peak gains, s.
+#: First step of the quadrature of peak gains, s; as a part of the fastest time constant it moves
+#: with the gains, and the bound by up to 1e-4 of its own slope.
 QUADRATURE_STEP = 2e-3
 
 #: Of the implemented loop, whose kinks lie close to each other.
@@ -123,6 +128,25 @@ def test_peak_gains(n, kind):
     gradient = np.array(changes) / (2 * DIFFERENCE * found.bound)
     expected = differences(lambda v: math.log(estimate(v).bound), v, STEPS[kind] / 10)
     assert agree(gradient, expected)
+
+
+@pytest.mark.parametrize("kind", ["robust", "linear"])
+@pytest.mark.parametrize("n", ORDERS)
+def test_worst_corner_of_ranges(monkeypatch, n, kind):
+    held = partial(peak_estimate, step=QUADRATURE_STEP)
+    monkeypatch.setattr(ranged_room, "peak_estimate", held)
+    system = random_system(2, n)
+    ranges = {"input_gain_range": (1.2, 1.4), "theta_range": ((0.35, 0.45),)}
+    system = system.replace(plant=replace(system.plant, **ranges))
+    family = tuning_family(system, kind, system.law.feedforward)
+    base = system.replace(law=family.law(family.start))
+    error, v = RangedError(base), family.start
+
+    def log_bound(v):
+        return math.log(error.value(Candidate(family, base, v)))
+
+    gradient = error.log_gradient(Candidate(family, base, v))
+    assert agree(gradient, differences(log_bound, v, STEPS[kind] / 10))
 
 
 @pytest.mark.parametrize("kind", ["robust", "linear"])

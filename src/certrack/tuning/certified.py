@@ -17,7 +17,7 @@ def certified(system: System, *, bootstrap: bool = True) -> Certificate:
 
     Ranges are cut into cells, which takes seconds: gains that were searched for the corners may be
     too sharp for one proof of the whole box. The loop as implemented, of which the cells take
-    minutes, is tried for the whole box only.
+    a minute or more, is tried for the whole box only.
 
     Parameters
     ----------
