@@ -13,6 +13,7 @@ from test_implemented import ENCODER, UNIT_W, bare_drive, command, on_a_drive, r
 
 import certrack
 from certrack.certificates import certify, to_document, verify
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented import lags as lags_room
 from certrack.certificates.implemented import start_proof as start_proof_room
@@ -23,9 +24,14 @@ from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.lags import lag_gains
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import one_period
-from certrack.certificates.implemented.proof import cells_of, delays
+from certrack.certificates.implemented.proof import cells_of, delays, start_prover
 from certrack.certificates.implemented.start import FromStarts, Later, Starts, is_above
-from certrack.certificates.implemented.start_proof import POLYTOPE, X0
+from certrack.certificates.implemented.start_proof import (
+    MOST_DOUBLINGS,
+    POLYTOPE,
+    X0,
+    start_set_of,
+)
 from certrack.model.distribution import Distribution
 from certrack.reports.sampled import implemented_notes, implemented_summary
 from certrack.studies.ensembles.error_limit import limit_and_starts, started_inside
@@ -608,3 +614,21 @@ def test_words_of_the_start_are_floats_above(limited):
     image = np.array([0, 1.0, 1.0, 1.0, 0])
     assert not is_above(later, image) and is_above(later, image * (1 - 1e-15))
     assert ENCODER > 0 and proof.starts[0].phase == "file"
+
+
+def test_no_more_periods_than_lower_a_peak():
+    """From rest the bounds only rise, so that what comes later is never below them."""
+    system = certrack.load("dual-motor-lean")
+    drive = certrack.Implementation(period=0.003, delay=0.5, saturation=(-100, 100))
+    settings = replace(system.settings, x0=(0.0,) * 4)
+    system = system.replace(implementation=drive, settings=settings)
+    with flint.ctx.workprec(DRIVE_BITS):
+        prover = start_prover(system, rational("0.5"), (1, 1))
+        proof = prover.prove(X0)
+        starts = start_set_of(system, prover.drive, proof.phase, ())
+        more = prover.bounds(starts, proof.doublings + 2, 2 ** (proof.doublings + 1), None)
+        fewer = prover.bounds(starts, proof.doublings - 1, 2 ** (proof.doublings - 2), None)
+    peaks = np.array([float(text) for text in proof.peaks])
+    assert proof.doublings + 2 <= MOST_DOUBLINGS
+    assert (peaks <= more.peaks * (1 + 2e-3)).all()
+    assert (fewer.peaks > more.peaks * (1 + 1e-3)).any()

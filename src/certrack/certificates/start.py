@@ -20,6 +20,7 @@ from certrack.certificates.balls import ball_of, ball_precision, enclosing_ball,
 from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.problem import ErrorProblem
 from certrack.core.expressions import TIME, symbol
+from certrack.core.once import once
 from certrack.loops.plant import measured
 from certrack.references.base import ROUNDED_UNITS
 from certrack.systems.system import System
@@ -39,6 +40,12 @@ def reference_at_start(system: System, order: int) -> tuple[list[Any], bool]:
 
     The pieces of a piecewise reference are numbers of a few roundings each.
     """
+    return _reference_at_start(system, order, flint.ctx.prec)
+
+
+@once
+def _reference_at_start(system: System, order: int, _bits: int) -> tuple[list[Any], bool]:
+    """The same at the precision that is set."""
     reference = system.reference
     values: dict[Any, Any] = {TIME: flint.arb(0)}
     constants = dict(getattr(reference, "constants", ()))

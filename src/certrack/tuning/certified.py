@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from certrack.certificates.bootstrap.certify import certify_bootstrap
 from certrack.certificates.certificate import Certificate
 from certrack.certificates.certify import certify
 from certrack.certificates.implemented.certify import KIND
@@ -11,15 +12,25 @@ from certrack.certificates.scope import has_ranges
 from certrack.systems.system import System
 
 
-def certified(system: System) -> Certificate:
+def certified(system: System, *, bootstrap: bool = True) -> Certificate:
     """The best certificate of a system: that of the loop as implemented, else the smallest.
 
     Ranges are cut into cells, which takes seconds: gains that were searched for the corners may be
     too sharp for one proof of the whole box. The loop as implemented, of which the cells take
-    minutes, is tried for the whole box only.
+    a minute or more, is tried for the whole box only.
+
+    Parameters
+    ----------
+    system : System
+    bootstrap : bool
+        Whether the bootstrap, which takes a second or two, may be it.
     """
     result = certify(system, "fast")
-    if not has_ranges(system) or result.best.kind == KIND or result.contradicted:
+    if result.best.kind == KIND or result.contradicted:
         return result.best
-    ranges = certify_ranges(system.long_run)
-    return smallest((ranges.best, result.best)) or result.best
+    later, others = system.long_run, []
+    if has_ranges(system):
+        others.append(certify_ranges(later).best)
+    elif bootstrap and result.cascade_proof is not None:
+        others.append(certify_bootstrap(later, first=result.cascade_proof[0])[0])
+    return smallest((*others, result.best)) or result.best

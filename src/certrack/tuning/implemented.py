@@ -8,15 +8,21 @@ import numpy as np
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.certify import certify_implemented
-from certrack.certificates.implemented.estimate import Estimate, estimate_implemented
+from certrack.certificates.implemented.estimate import (
+    Estimate,
+    Neighbour,
+    estimate_implemented,
+    estimate_nearby,
+)
 from certrack.laws.base import Law
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
-from certrack.tuning.quantities import Quantity, logarithm
+from certrack.tuning.quantities import Quantity
 
-#: Step of the differences, in logarithms of gains: well above the roundings of the fixed point.
-IMPLEMENTED_DIFFERENCE = 1e-4
+#: Step of the differences of the loop's gains, in logarithms of the law's: the bound is made of
+#: sums of magnitudes, whose kinks lie close to each other.
+IMPLEMENTED_DIFFERENCE = 1e-6
 
 
 class ImplementedError(Quantity):
@@ -54,7 +60,26 @@ class ImplementedError(Quantity):
         return certify_implemented(system)[0].verified
 
     def log_gradient(self, candidate: Candidate) -> np.ndarray:
-        return difference_quotients(self, candidate)
+        estimate = self.estimate(candidate)
+        if estimate is None:
+            return np.zeros(len(candidate.v))
+        changes = [above.bound - below.bound for above, below in self.nearby(candidate)]
+        return np.array(changes) / (2 * IMPLEMENTED_DIFFERENCE * estimate.bound)
+
+    def nearby(self, candidate: Candidate) -> list[tuple[Neighbour, Neighbour]]:
+        """For each gain, the bounds a step above and below, from the fixed point in between."""
+        estimate = self.estimate(candidate)
+        assert estimate is not None
+
+        def at(v: np.ndarray) -> Neighbour:
+            moved = Candidate(candidate.family, candidate.base, v)
+            return estimate_nearby(self.implemented(moved), estimate)
+
+        def every() -> list[tuple[Neighbour, Neighbour]]:
+            steps = IMPLEMENTED_DIFFERENCE * np.eye(len(candidate.v))
+            return [(at(candidate.v + step), at(candidate.v - step)) for step in steps]
+
+        return candidate.once((self, "nearby"), every)
 
 
 class DrivePeak(Quantity):
@@ -75,16 +100,11 @@ class DrivePeak(Quantity):
         return self._nominal.value(candidate) + estimate.peak_input
 
     def log_gradient(self, candidate: Candidate) -> np.ndarray:
-        return difference_quotients(self, candidate)
-
-
-def difference_quotients(quantity: Quantity, candidate: Candidate) -> np.ndarray:
-    """The gradient of a quantity of the implemented loop."""
-    slopes = []
-    for step in IMPLEMENTED_DIFFERENCE * np.eye(len(candidate.v)):
-        high, low = (
-            quantity.value(Candidate(candidate.family, candidate.base, candidate.v + sign * step))
-            for sign in (1, -1)
-        )
-        slopes.append((logarithm(high) - logarithm(low)) / (2 * IMPLEMENTED_DIFFERENCE))
-    return np.array(slopes)
+        if self._error.estimate(candidate) is None:
+            return np.zeros(len(candidate.v))
+        changes = [
+            above.peak_input - below.peak_input for above, below in self._error.nearby(candidate)
+        ]
+        nominal = self._nominal.value(candidate) * self._nominal.log_gradient(candidate)
+        slopes: np.ndarray = nominal + np.array(changes) / (2 * IMPLEMENTED_DIFFERENCE)
+        return slopes / self.value(candidate)

@@ -204,7 +204,7 @@ class TuningProblem:
     def _error_limit(self) -> Limit:
         if self.wanted.error is not None:
             return Limit(self.error, self.wanted.error, option="--error")
-        best = certified(self.system)
+        best = certified(self.system, bootstrap=False)  # what a search can reach is without it
         if not best.verified:
             raise InputError(
                 "error",

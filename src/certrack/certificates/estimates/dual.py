@@ -11,7 +11,8 @@ share of the fastest rate,
 
     d log bound = dDelta/(2 Delta) + (alpha Delta_alpha/(2 Delta) - 1/2) d log alpha
 
-The scaling stays that of the point. It holds where the dual is unique.
+The scaling stays that of the point. It holds where the dual is unique. The point is solved for
+again about itself (:mod:`.recentred`): the solver's first one is too far off for a gradient.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from certrack.certificates.estimates.recentred import recentred_point
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.semidefinite import SemidefiniteProgram, fastest_rate
 
@@ -72,7 +74,7 @@ def semidefinite_estimate(
         return None
     alpha = share * fastest
     program = SemidefiniteProgram(problem, target)
-    point = program.point(alpha)
+    point = recentred_point(program, alpha)
     if point is None:
         return None
     solution = program.solution(point, alpha)

@@ -289,6 +289,6 @@ def failed_cover(system: System, proofs: Sequence[ImplementedProof]) -> str:
         for proof in group:
             if reason := failed_implemented(system, proof, delay, plant):
                 return reason
-            if reason := failed_starts(system, proof, delay):
+            if reason := failed_starts(system, proof, delay, plant):
                 return reason
     return limits_met(system, proofs)

@@ -48,6 +48,7 @@ def prove_cells(
     delay: Any,
     effort: str = "default",
     progress: Progress = silent,
+    enough: float = 0.0,
 ) -> list[Proven]:
     """Proofs for cells that fill the ranges of a system, for one delay.
 
@@ -60,6 +61,8 @@ def prove_cells(
         How many cells there may be.
     progress : callable
         Gets the number of cells, None and the bound so far.
+    enough : float
+        The search ends where no cell has a larger bound.
 
     Raises
     ------
@@ -78,7 +81,8 @@ def prove_cells(
         return math.inf if isinstance(proven, NoCertificate) else _size(proven)
 
     most = 1 if plant.varies else cells_allowed(plant, delay, effort)
-    cells = divided(plant.box, bound, most, WORTHWHILE, partial(_report, bound, progress))
+    report = partial(_report, bound, progress)
+    cells = divided(plant.box, bound, most, WORTHWHILE, report, enough)
     proofs = []
     for cell in sorted(cells):
         proven = tried[cell]

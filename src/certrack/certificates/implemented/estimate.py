@@ -18,6 +18,7 @@ from certrack.certificates.certificate import within_floats
 from certrack.certificates.implemented.drive import drive_of
 from certrack.certificates.implemented.enclosed import Enclosed
 from certrack.certificates.implemented.fixed_point import OutputBounds
+from certrack.certificates.implemented.float_image import FloatImage
 from certrack.certificates.implemented.gains import (
     PeakGains,
     gains_of,
@@ -46,11 +47,20 @@ class Estimate:
         Of limsup |e_1|.
     states : n floats
     peak_input : float
+    offset : float
+        What a constant of the law adds to it.
+    image : FloatImage
+        What they are a fixed point of.
+    grid : parts and doublings
+        Cells before and after the input changes, and how many periods are summed.
     """
 
     bound: float
     states: tuple[float, ...]
     peak_input: float
+    offset: float
+    image: FloatImage
+    grid: tuple[tuple[int, int], int]
 
 
 def estimate_implemented(system: System, delay: Any | None = None) -> Estimate:
@@ -83,11 +93,64 @@ def estimate_implemented(system: System, delay: Any | None = None) -> Estimate:
     drive = drive_of(system, delay)
     with flint.ctx.workprec(ESTIMATE_BITS), within_floats():
         period = one_period(drive, cells_of(drive))
-        rows, doublings = output_rows(period), periods_needed(period, LEFT_OF_ESTIMATE)
-        bounds = OutputBounds.of(period, rows, _estimated_gains(period, rows, doublings))
+        doublings = periods_needed(period, LEFT_OF_ESTIMATE)
+        bounds = _estimated_bounds(period, doublings)
         X, U = bounds.search()
         error, *states, peak, _ = (float(v) for v in bounds.image(X, U))
-    return Estimate(error, tuple(states), peak + abs(float(drive.offset)))
+    grid = cells_of(drive), doublings
+    offset = abs(float(drive.offset))
+    return Estimate(error, tuple(states), peak + offset, offset, bounds.in_floats(), grid)
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """The bounds of a loop nearby, to the first order of what it differs by.
+
+    Attributes
+    ----------
+    bound, peak_input : float
+    """
+
+    bound: float
+    peak_input: float
+
+
+def estimate_nearby(system: System, known: Estimate, delay: Any | None = None) -> Neighbour:
+    """The bounds of a loop near one whose bounds are known: its fixed point is not searched.
+
+    With v = F(v) there and F' here, an output o changes from F_o(v) to
+
+        F_o'(v) + dF_o/dv (1 - dF/dv)^-1 (F'(v) - F(v))
+
+    Parameters
+    ----------
+    system : System
+    known : Estimate
+        Whose grid it is estimated on.
+    delay : rational, optional
+        As there.
+
+    Raises
+    ------
+    NoCertificate
+        If a number leaves the range of floats.
+    """
+    drive = drive_of(system, delay)
+    parts, doublings = known.grid
+    with flint.ctx.workprec(ESTIMATE_BITS), within_floats():
+        image = _estimated_bounds(one_period(drive, parts), doublings).in_floats()
+    v = np.array([*known.states, known.peak_input - known.offset])
+    rows = known.image.largest_rows(v)
+    slopes = known.image.derivative(v, rows)
+    after, before = image.values(v)[rows], known.image.values(v)[rows]
+    moved = np.linalg.solve(np.eye(len(v)) - slopes[1:-1], (after - before)[1:-1])
+    bound, *_, peak, _ = after + slopes @ moved
+    return Neighbour(float(bound), float(peak) + abs(float(drive.offset)))
+
+
+def _estimated_bounds(period: Period, doublings: int) -> OutputBounds:
+    rows = output_rows(period)
+    return OutputBounds.of(period, rows, _estimated_gains(period, rows, doublings))
 
 
 def _estimated_gains(period: Period, rows: Sequence[Row], doublings: int) -> PeakGains:

@@ -21,6 +21,7 @@ import numpy as np
 
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.implemented.drive import Drive
+from certrack.certificates.implemented.float_image import FloatImage, floats
 from certrack.certificates.implemented.gains import PeakGains
 from certrack.certificates.implemented.outputs import Row, steady
 from certrack.certificates.implemented.period import Period
@@ -149,6 +150,12 @@ class OutputBounds:
         chosen = (values[self.outputs == k] for k in outputs)
         return [max(flint.arb(v.upper()) for v in entries) for entries in chosen]
 
+    def in_floats(self) -> FloatImage:
+        """F in floats."""
+        constant, w, x, u = (floats(part) for part in (self.constant, self.w, self.x, self.u))
+        by_v = np.column_stack([x, u])
+        return FloatImage(self.outputs, constant, w, by_v, self.drive.uncertain)
+
     def search(self) -> tuple[list[float], float]:
         """X and U that are probably above F(X, U): the fixed point, widened.
 
@@ -157,21 +164,11 @@ class OutputBounds:
         NoCertificate
             If there seems to be none.
         """
-        n, uncertain = self.drive.sized, self.drive.uncertain
-        constant, w, x, u = (_floats(v) for v in (self.constant, self.w, self.x, self.u))
-        gamma, beta = (_floats([getattr(b, name) for b in uncertain]) for name in ("gamma", "beta"))
-        weights = _floats([b.weights for b in uncertain]).reshape(-1, n)
-        Delta = _floats([b.Delta for b in uncertain]).reshape(-1, n)
-        growing = [(j, b.growing) for j, b in enumerate(uncertain) if b.growing is not None]
+        n, image = self.drive.sized, self.in_floats()
         chosen = [self.outputs == k for k in range(1, n + 2)]
         v = np.zeros(n + 1)
         for _ in range(FIXED_POINT_STEPS):
-            X = v[:n]
-            norm = np.linalg.norm(weights * X, axis=1)
-            size = gamma * norm + Delta @ X + beta
-            for j, bound in growing:
-                size[j] = bound.largest_float(X.tolist(), float(norm[j]))
-            values = constant + w @ size + x @ X + u * v[n]
+            values = image.values(v)
             after = np.array([values[rows].max() for rows in chosen])
             if not after.max() < LARGEST_BOUND:
                 break
@@ -191,11 +188,11 @@ class OutputBounds:
         sizes = [float(uncertain_size(bound, X).mid()) for bound in drive.uncertain]
         still = [0.0] * drive.sized
         beta = [float(uncertain_size(bound, still).mid()) for bound in drive.uncertain]
-        w, x, u, constant = (_floats(v) for v in (self.w, self.x, self.u, self.constant))
+        w, x, u, constant = (floats(v) for v in (self.w, self.x, self.u, self.constant))
         values = constant + w @ np.array(sizes) + x @ np.array(X) + u * U
         rows = np.flatnonzero(self.outputs == 0)
         i = rows[int(np.argmax(values[rows]))]
-        sensors = gains.noise[i] @ _floats(drive.mu)
+        sensors = gains.noise[i] @ floats(drive.mu)
         converter = gains.step[i] * float(drive.eta)
         sampling = gains.sample[i] * float(self.sample) + gains.first[i] * float(drive.Y[-1])
         sampling += gains.jump[i] * float(drive.jumps[0]) if drive.jumps else 0.0
@@ -225,10 +222,3 @@ def uncertain_size(bound: Any, X: Sequence[Any]) -> Any:
 
 def _as_balls(values: np.ndarray) -> np.ndarray:
     return np.vectorize(flint.arb, otypes=[object])(values)
-
-
-def _floats(values: Any) -> np.ndarray:
-    """Nearest floats of balls or rationals."""
-    array = np.array(values, dtype=object)
-    flat = [float(v.mid()) if isinstance(v, flint.arb) else float(v) for v in array.ravel()]
-    return np.array(flat, dtype=float).reshape(array.shape)

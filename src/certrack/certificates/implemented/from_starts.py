@@ -18,6 +18,7 @@ from certrack.certificates.implemented.enclosed import widened
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.polytope import Polytope, common
 from certrack.certificates.implemented.proof import ImplementedProof, cells_of, start_prover
+from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.implemented.start_proof import (
     ANY_PHASE,
@@ -169,7 +170,8 @@ class Findings:
 
 def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
     """Proofs from x0, and of the starts from which no limit is met."""
-    findings = [_starts_of_delay(system, proof) for proof in proofs]
+    plant = RangedPlant(system) if proofs[0].cell else None
+    findings = [_starts_of_delay(system, proof, plant) for proof in proofs]
     reason = next((entry.reason for entry in findings if entry.reason), "")
     polytopes = [entry.polytope for entry in findings if entry.polytope is not None]
     polytope = common(polytopes) if len(polytopes) == len(findings) else None
@@ -183,12 +185,14 @@ def from_starts(system: System, proofs: Sequence[ImplementedProof]) -> Findings:
     )
 
 
-def _starts_of_delay(system: System, proof: ImplementedProof) -> Findings:
+def _starts_of_delay(
+    system: System, proof: ImplementedProof, plant: RangedPlant | None
+) -> Findings:
     limited, polytope, reason = is_limited(system), None, ""
     starts = list(proof.starts)
     with flint.ctx.workprec(DRIVE_BITS):
         prover = start_prover(
-            system, rational(Fraction(proof.delay)), proof.parts, numbers(proof.cell)
+            system, rational(Fraction(proof.delay)), proof.parts, numbers(proof.cell), plant
         )
         try:
             starts = starts or [prover.prove(X0)]
@@ -220,7 +224,9 @@ def peaks_of(system: System, proofs: Sequence[ImplementedProof]) -> Peaks | None
     )
 
 
-def failed_starts(system: System, proof: ImplementedProof, delay: Any) -> str:
+def failed_starts(
+    system: System, proof: ImplementedProof, delay: Any, plant: RangedPlant | None = None
+) -> str:
     """Empty if what is said of starts holds, and no limit is met from x0; else what fails."""
     limited, regional = is_limited(system), is_regional(system)
     kinds = [start.of for start in proof.starts]
@@ -235,7 +241,7 @@ def failed_starts(system: System, proof: ImplementedProof, delay: Any) -> str:
         return "with jitter nothing is proven of starts"
     try:
         with within_floats(), flint.ctx.workprec(DRIVE_BITS):
-            prover = start_prover(system, delay, proof.parts, numbers(proof.cell))
+            prover = start_prover(system, delay, proof.parts, numbers(proof.cell), plant)
             for start in proof.starts:
                 if start.of == POLYTOPE:
                     polytope_of(prover, start)

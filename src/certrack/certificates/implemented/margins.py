@@ -15,6 +15,7 @@ from typing import Any
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up, from_text
+from certrack.certificates.implemented.cover import prove_cells
 from certrack.certificates.implemented.proof import ImplementedProof, prove_implemented
 from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.ranges.proofs import numbers
@@ -76,7 +77,10 @@ def period_margins(
         try:
             other = system.replace(implementation=replace(drive, period=period))
             plant = RangedPlant(other) if chosen[0].cell else None
-            again = [_again(other, proof, plant) for proof in chosen]
+            if plant is not None and chosen is proofs:
+                again = _in_few_cells(other, plant, proofs, admitted)
+            else:
+                again = [_again(other, proof, plant) for proof in chosen]
         except (NoCertificate, InputError):
             return False
         bound = max(float_up(from_text(proof.bound)) for proof in again)
@@ -102,6 +106,18 @@ def period_margins(
 
     slowest, fastest = end(STEP, SLOWER), end(1 / STEP, FASTER)
     return PeriodMargins(slowest[0], fastest[0], slowest[1], fastest[1], admitted)
+
+
+def _in_few_cells(
+    system: System, plant: RangedPlant, proofs: Sequence[ImplementedProof], admitted: float
+) -> list[ImplementedProof]:
+    """Proofs for the same delays, of cells that fill the ranges: for this bound a few will do."""
+    delays = dict.fromkeys(proof.delay for proof in proofs)
+    return [
+        proof
+        for delay in delays
+        for proof, _ in prove_cells(system, plant, rational(Fraction(delay)), enough=admitted)
+    ]
 
 
 def _again(system: System, proof: ImplementedProof, plant: RangedPlant | None) -> ImplementedProof:

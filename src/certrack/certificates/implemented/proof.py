@@ -257,7 +257,11 @@ def _starts_of_region(system: System, delay: Any, parts: tuple[int, int]) -> tup
 
 
 def start_prover(
-    system: System, delay: Any, parts: tuple[int, int], cell: Cell = ()
+    system: System,
+    delay: Any,
+    parts: tuple[int, int],
+    cell: Cell = (),
+    plant: RangedPlant | None = None,
 ) -> StartProver:
     """What proves bounds from a start for one delay; call it with :data:`DRIVE_BITS`.
 
@@ -266,7 +270,7 @@ def start_prover(
     NoCertificate
         If the loop is not covered.
     """
-    drive = drive_in(system, delay, cell)
+    drive = drive_in(system, delay, cell, plant)
     period = one_period(drive, parts)
     return StartProver(system, drive, lambda doublings: FromStarts(period, doublings))
 

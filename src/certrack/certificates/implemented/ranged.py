@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, partial
 from typing import Any
 
 import flint
@@ -53,7 +54,8 @@ class RangedPlant:
     """
 
     def __init__(self, system: System) -> None:
-        nominal_drive(system)  # refuses what is not covered whatever the ranges are
+        self._nominal = cache(partial(nominal_drive, system))
+        self._nominal(None)  # refuses what is not covered whatever the ranges are
         self.system = system
         self.loop: RangedLoop = ranged_loop(system)
         if self.loop.brackets:
@@ -82,7 +84,7 @@ class RangedPlant:
             If a denominator may vanish in the cell.
         """
         channels = self._coefficients.over(cell)
-        nominal, n = nominal_drive(self.system, delay), self.loop.n
+        nominal, n = self._nominal(delay), self.loop.n
         offset = abs(channels.centre[n - 1, n + 1])
         count = len(channels.rows)
         uncertain = [

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any
 
 import flint
@@ -41,6 +42,9 @@ FILE_PHASE, ANY_PHASE = "file", "any"
 
 #: 2^doublings periods are looked at one by one: from the first to the last of these.
 FEWEST_DOUBLINGS, MOST_DOUBLINGS = 5, 13
+
+#: By this part at least peaks must fall with twice as many periods.
+WORTH_PERIODS = 1e-3
 
 #: Digits of the bounds in a file, and the factor on them, so that other checkers confirm them.
 START_DIGITS, TEXT_FACTOR = 13, 1 + 1e-6
@@ -107,6 +111,15 @@ class Evidence:
     after: np.ndarray
     peaks: np.ndarray
 
+    @property
+    def is_spent(self) -> bool:
+        """Whether no peak would be smaller with more periods, but for :data:`WORTH_PERIODS`.
+
+        The periods that are looked at have the same bounds then.
+        """
+        largest = self.run.bounds.max(axis=0)
+        return bool((largest * (1 + WORTH_PERIODS) >= self.peaks).all())
+
 
 class StartProver:
     """Finds and checks start proofs of one loop, whose gains it keeps.
@@ -120,13 +133,30 @@ class StartProver:
 
     def __init__(self, system: System, drive: Drive, frames: Any) -> None:
         self.system, self.drive, self._frames = system, drive, frames
-        self._by_doublings: dict[int, FromStarts] = {}
+        self._by_doublings: dict[int, FromStarts | NoCertificate] = {}
+        self._starts = cache(partial(start_set_of, system, drive))
+        self._last_run: tuple[Starts, int, Transient, PeriodBounds] | None = None
 
     def frame(self, doublings: int) -> FromStarts:
-        """The right-hand sides for so many periods."""
+        """The right-hand sides for so many periods; NoCertificate is raised if there are none."""
         if doublings not in self._by_doublings:
-            self._by_doublings[doublings] = self._frames(doublings)
-        return self._by_doublings[doublings]
+            try:
+                self._by_doublings[doublings] = self._frames(doublings)
+            except NoCertificate as refusal:
+                self._by_doublings[doublings] = refusal
+        known = self._by_doublings[doublings]
+        if isinstance(known, NoCertificate):
+            raise known
+        return known
+
+    def _run(self, starts: Starts, doublings: int) -> tuple[Transient, PeriodBounds]:
+        """The periods that are looked at; the last ones are kept, for they are asked for twice."""
+        last = self._last_run
+        if last is None or last[0] is not starts or last[1] != doublings:
+            frame = self.frame(doublings)
+            transient = frame.transient(starts)
+            last = self._last_run = starts, doublings, transient, frame.run(starts, transient)
+        return last[2:]
 
     def first_frame(self) -> FromStarts:
         """The shortest one that has gains.
@@ -153,7 +183,7 @@ class StartProver:
         """
         phase = phase_of(self.system, self.drive, of)
         region = self._region(phase) if of == POLYTOPE else ()
-        starts = start_set_of(self.system, self.drive, phase, region)
+        starts = self._starts(phase, region)
         enough = self.within_later if of == POLYTOPE else lambda _: True
         doublings, evidence = self.search(starts, enough)
         return StartProof(
@@ -190,7 +220,7 @@ class StartProver:
         return min(self.search(starts, lambda _: True)[0] + 1, MOST_DOUBLINGS)
 
     def search(self, starts: Starts, enough: Callable[[Evidence], bool]) -> tuple[int, Evidence]:
-        """The fewest doublings after which nothing that comes is larger than before.
+        """The fewest doublings after which hardly anything that comes is larger than before.
 
         Parameters
         ----------
@@ -211,7 +241,7 @@ class StartProver:
                 reason = str(refusal)
                 continue
             best = doublings, evidence
-            if (evidence.run.bounds.max(axis=0) >= evidence.peaks).all() and enough(evidence):
+            if evidence.is_spent and enough(evidence):
                 break
         if best is None:
             raise NoCertificate(reason)
@@ -236,7 +266,7 @@ class StartProver:
             raise NoCertificate("a bound of what comes later is negative")
         if proof.phase == FILE_PHASE and phase_of(self.system, self.drive, X0) != FILE_PHASE:
             raise NoCertificate("the reference at t = 0 is not known exactly")
-        starts = start_set_of(self.system, self.drive, proof.phase, proof.region)
+        starts = self._starts(proof.phase, proof.region)
         # rounded down: a text stands for no more than it says
         states = tuple(float_down(from_text(text)) for text in proof.states)
         later = Later(states, float_down(from_text(proof.input)))
@@ -269,9 +299,7 @@ class StartProver:
         NoCertificate
             If it is none, or none is found.
         """
-        frame = self.frame(doublings)
-        transient = frame.transient(starts)
-        run = frame.run(starts, transient)
+        frame, (transient, run) = self.frame(doublings), self._run(starts, doublings)
         if later is None:
             later = frame.find_later(starts, transient, run, middle)
         image = frame.later_image(starts, transient, run, middle, later)
