@@ -18,6 +18,7 @@ import click
 
 from certrack.cli.cache import cache
 from certrack.cli.checks import check
+from certrack.cli.designer import app
 from certrack.cli.exports import export
 from certrack.cli.files import design, list_systems, new
 from certrack.cli.margins import margin
@@ -49,6 +50,7 @@ def cli() -> None:
 
 
 for verb in (
+    app,
     list_systems,
     new,
     design,

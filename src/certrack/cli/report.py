@@ -14,6 +14,9 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from certrack.core.rounding import BOUND_TEXT_DIGITS as BOUND_TEXT_DIGITS
+from certrack.core.rounding import short_number as short_number
+
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
@@ -83,17 +86,6 @@ def _cell(value: object, digits: int) -> str:
     if isinstance(value, float):
         return short_number(value, digits) if math.isfinite(value) else "-"
     return str(value)
-
-
-def short_number(value: float, digits: int = 5) -> str:
-    """A number with a short exponent, if any.
-
-    >>> [short_number(value, 4) for value in (804940.0, 0.00012344, 0.5)]
-    ['8.049e5', '1.234e-4', '0.5']
-    """
-    text = f"{value:.{digits}g}" if abs(value) >= 1e-3 or not value else f"{value:.{digits - 1}e}"
-    mantissa, mark, exponent = text.partition("e")
-    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}" if mark else text
 
 
 def print_lines(lines: Iterable[str]) -> None:
@@ -170,7 +162,3 @@ def rate_progress(what: str) -> Iterator[Progress]:
             bar.update(task, completed=done, total=total, rate=rate)
 
         yield advance
-
-
-#: Digits of a bound in tables and sentences.
-BOUND_TEXT_DIGITS = 5
