@@ -1,0 +1,51 @@
+// The text of the file, with numbers of lines, and the line of an error marked.
+import { byId, element, settled, style, write } from "./dom.js";
+
+const DELAY = 250;
+
+export class Editor {
+  /** `on`: text(text). */
+  constructor(on) {
+    this.area = byId("text");
+    this.lines = byId("lines");
+    this.check = byId("check");
+    this.problem = null;
+    const send = settled(() => on.text(this.area.value), DELAY);
+    this.area.addEventListener("input", () => {
+      this.number();
+      write(this.check, "…");
+      send();
+    });
+    this.area.addEventListener("scroll", () => (this.lines.scrollTop = this.area.scrollTop));
+  }
+
+  /** Another text from elsewhere; the place of the cursor stays. */
+  show(text) {
+    if (this.area.value !== text) {
+      const { selectionStart, selectionEnd, scrollTop } = this.area;
+      this.area.value = text;
+      this.area.setSelectionRange(selectionStart, selectionEnd);
+      this.area.scrollTop = scrollTop;
+    }
+    this.number();
+  }
+
+  /** What is wrong with the text; null if nothing is. */
+  mark(problem) {
+    this.problem = problem;
+    style(this.check, problem ? "check bad" : "check");
+    write(this.check, problem ? problem.message : "No errors.");
+    this.area.setAttribute("aria-invalid", String(Boolean(problem)));
+    this.number();
+  }
+
+  number() {
+    const count = this.area.value.split("\n").length, wrong = this.problem?.line;
+    if (this.lines.childElementCount !== count) {
+      this.lines.textContent = "";
+      for (let k = 1; k <= count; k += 1) this.lines.append(element("span", {}, String(k)));
+    }
+    [...this.lines.children].forEach((line, k) => style(line, k + 1 === wrong ? "wrong" : ""));
+    this.lines.scrollTop = this.area.scrollTop;
+  }
+}
