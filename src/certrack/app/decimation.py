@@ -10,7 +10,7 @@ import numpy as np
 RAW_PER_PIXEL = 2
 
 #: Both points of a column with one sample are apart by this part of the run.
-APART = 1e-9
+COLUMN_GAP = 1e-9
 
 
 def decimate(
@@ -38,7 +38,7 @@ def decimate(
     last = np.append(starts[1:], len(t)) - 1
     times = np.empty(2 * len(starts))
     times[0::2], times[1::2] = t[starts], t[last]
-    times[1::2] += np.where(last == starts, APART * (t[-1] - t[0]), 0.0)
+    times[1::2] += np.where(last == starts, COLUMN_GAP * (t[-1] - t[0]), 0.0)
     return times, [_extremes(np.asarray(row, dtype=float), starts) for row in rows]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from certrack.app.form import form_of
 from certrack.app.frames import FrameKind, pack_frame
-from certrack.app.gains import gains_of
+from certrack.app.gains import movable_gains
 from certrack.core.errors import CertrackError, InputError
 from certrack.core.rationals import float_of
 from certrack.simulation.metrics import METRIC_LABELS, settling_band
@@ -36,7 +36,7 @@ def system_frame(system: System, text: str, name: str, design: int) -> bytes:
         "units": ["" if unit == "1" else unit for unit in units],
         "estimates": [z.name for z in system.controller.states],
         "estimated": _true_values(system),
-        "gains": [gain.record() for gain in gains_of(system)],
+        "gains": [gain.record() for gain in movable_gains(system)],
         "feedforward": feedforward_of(system),
         "duration": settings.duration,
         "band": settling_band(settings, system.reference),

@@ -14,7 +14,7 @@ from certrack.core.keys import Key
 from certrack.systems.keys import TABLES
 
 #: Sections of the form: heading, and the tables that it shows.
-SECTIONS = {
+FORM_SECTIONS = {
     "Plant": ("", "plant", "plant.constants"),
     "Uncertainty": ("plant.uncertainty", "plant.ranges"),
     "Truth": ("truth", "truth.constants"),
@@ -51,8 +51,11 @@ def form_of(text: str) -> list[dict[str, Any]]:
 
     document = tomlkit.parse(text)
     return [
-        {"title": title, "fields": [field for table in tables for field in _fields(document, table)]}
-        for title, tables in SECTIONS.items()
+        {
+            "title": title,
+            "fields": [field for table in tables for field in _fields(document, table)],
+        }
+        for title, tables in FORM_SECTIONS.items()
     ]
 
 
@@ -143,9 +146,10 @@ def with_numbers(text: str, numbers: Mapping[str, float]) -> str:
             continue
         if name not in owner:  # the identity that a metric is if it is left out
             owner[name] = [1.0] * (int(index[0]) + 1)
+        owner = owner[name]
         for place in index[:-1]:
-            owner, name = owner[name], int(place)
-        owner[name][int(index[-1])] = _short(value)
+            owner = owner[int(place)]
+        owner[int(index[-1])] = _short(value)
     return tomlkit.dumps(document)
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 #: Another number on either side means that the page must be loaded again.
-PROTOCOL = 1
+PROTOCOL_NUMBER = 1
 
 MAGIC = b"CTR1"
 

@@ -86,7 +86,7 @@ class Gain:
         return dict(vars(self))
 
 
-def gains_of(system: System) -> list[Gain]:
+def movable_gains(system: System) -> list[Gain]:
     """Every number of the law that is finite, in the order of the panel."""
     law = system.law
     listed = [*_numbers_of(law, "law", system.plant.r)]
@@ -124,9 +124,7 @@ def _entries(value: Any, index: tuple[int, ...] = ()) -> Iterator[tuple[tuple[in
         yield index, float(value)
 
 
-def _gain(
-    path: str, name: str, index: tuple[int, ...], value: float, key: Key, group: str
-) -> Gain:
+def _gain(path: str, name: str, index: tuple[int, ...], value: float, key: Key, group: str) -> Gain:
     digits = "".join(str(i + 1) for i in index)
     symbol = SYMBOLS.get(name, name.removesuffix("0"))
     return Gain(

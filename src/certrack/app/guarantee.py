@@ -10,11 +10,9 @@ from certrack.app.frames import FrameKind, pack_frame
 from certrack.certificates import Certificate, Certificates
 from certrack.certificates.estimates.estimate import BoundEstimate
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
-from certrack.core.rounding import BOUND_TEXT_DIGITS, printed_bound, rounded_down
+from certrack.core.number_texts import BOUND_TEXT_DIGITS
+from certrack.core.rounding import printed_bound, rounded_down
 from certrack.systems.system import System
-
-#: A larger critical strength is told as "no limit".
-LARGEST_SCALE = 1e9
 
 
 def estimate_frame(bound: BoundEstimate, design: int, began: float) -> bytes:
@@ -133,19 +131,17 @@ def _facts(system: System, results: Certificates) -> list[tuple[str, str]]:
     facts: list[tuple[str, str]] = []
     if (band := system.settings.band) is not None and results.tube is not None:
         seconds = results.tube.settling_time(band)
-        when = (
-            "never: the tube ends above it"
-            if math.isinf(seconds)
-            else f"after {printed_bound(seconds, 3)} s"
-        )
-        facts.append((f"within \N{PLUS-MINUS SIGN}{band:g}{unit}, guaranteed", when))
+        when = "never" if math.isinf(seconds) else f"after {printed_bound(seconds, 3)} s"
+        facts.append((f"within \N{PLUS-MINUS SIGN}{band:g}{unit}, proven", when))
     scale = results.critical_semidefinite
     if scale:
-        text = "no limit" if math.isinf(scale) else f"{rounded_down(scale, 4)} \N{MULTIPLICATION SIGN}"
-        facts.append(("uncertainty tolerated", text))
+        text = (
+            "no limit" if math.isinf(scale) else f"{rounded_down(scale, 4)} \N{MULTIPLICATION SIGN}"
+        )
+        facts.append(("tolerates uncertainty", text))
     if results.critical_ranges is not None:
         strength = rounded_down(results.critical_ranges.scale, 4)
-        facts.append(("ranges tolerated", f"{strength} \N{MULTIPLICATION SIGN}"))
+        facts.append(("tolerates ranges", f"{strength} \N{MULTIPLICATION SIGN}"))
     return facts
 
 

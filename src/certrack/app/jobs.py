@@ -16,7 +16,7 @@ from certrack.app.responses import run_frame
 from certrack.certificates.certify import certify
 from certrack.certificates.estimates.estimate import estimate
 from certrack.core.errors import CertrackError
-from certrack.systems.shipped import shipped_text, starter
+from certrack.systems.shipped import starter
 from certrack.systems.system import System
 
 Job = Mapping[str, Any]

@@ -11,10 +11,11 @@ import numpy as np
 
 from certrack.app.decimation import decimate
 from certrack.app.frames import FrameKind, pack_frame
-from certrack.app.gains import gains_of
+from certrack.app.gains import movable_gains
 from certrack.app.responses import curves, number_text
 from certrack.core import checks
-from certrack.core.rounding import BOUND_TEXT_DIGITS, printed_bound
+from certrack.core.number_texts import BOUND_TEXT_DIGITS
+from certrack.core.rounding import printed_bound
 from certrack.simulation.metrics import METRIC_LABELS
 from certrack.systems.system import System
 
@@ -71,19 +72,21 @@ def run_task(
     return pack_frame(FrameKind.TASK, header, arrays, design=design)
 
 
-Answer = tuple[dict[str, Any], list[np.ndarray]]
+TaskResult = tuple[dict[str, Any], list[np.ndarray]]
 
 
-def _whole(options: Mapping[str, Any], name: str, default: int, least: int, most: int) -> int:
+def _integer_option(
+    options: Mapping[str, Any], name: str, default: int, least: int, most: int
+) -> int:
     return checks.integer(name, options.get(name, default), least, most)
 
 
-def _falsify(system: System, options: Mapping[str, Any], report: Any) -> Answer:
+def _falsify(system: System, options: Mapping[str, Any], report: Any) -> TaskResult:
     """The worst case found, and the curve of its error."""
     from certrack.simulation.simulator import simulate
     from certrack.studies.falsifier.falsify import falsify
 
-    budget = _whole(options, "budget", 6000, 100, MAX_RUNS)
+    budget = _integer_option(options, "budget", 6000, 100, MAX_RUNS)
     result = falsify(system, budget=budget, seed=_seed(options), progress=report)
     drive = result.drive
     of_drive = drive is not None and math.isfinite(drive.worst_error)
@@ -94,16 +97,16 @@ def _falsify(system: System, options: Mapping[str, Any], report: Any) -> Answer:
     alarm = result.alarm
     times, rows = curves(simulate(case), None)
     times, rows = decimate(times, [rows[system.plant.n]], WORST_PIXELS)
-    proven = certificate is not None and certificate.exists and certificate.verified
+    bound = None
+    if certificate is not None and certificate.exists and certificate.verified:
+        bound = certificate.bound
     header = {
         "worst": worst,
         "text": number_text(worst if math.isfinite(worst) else None),
         "runs": result.evaluations,
         "loop": "implemented" if of_drive else "continuous",
-        "certified": printed_bound(certificate.bound, BOUND_TEXT_DIGITS)
-        if certificate is not None and proven
-        else None,
-        "ratio": certificate.bound / worst if certificate is not None and proven and worst else None,
+        "certified": None if bound is None else printed_bound(bound, BOUND_TEXT_DIGITS),
+        "ratio": bound / worst if bound is not None and worst else None,
         "alarm": alarm,
         "reason": result.reason,
         "left_out": dict(result.left_out),
@@ -112,12 +115,12 @@ def _falsify(system: System, options: Mapping[str, Any], report: Any) -> Answer:
     return header, [times, *rows]
 
 
-def _ensemble(system: System, options: Mapping[str, Any], report: Any) -> Answer:
+def _ensemble(system: System, options: Mapping[str, Any], report: Any) -> TaskResult:
     """Quantile bands of every signal, and the statistics of the metrics."""
     from certrack.studies.ensembles.ensemble import ensemble
     from certrack.studies.ensembles.statistics import LEVELS
 
-    members = _whole(options, "members", 2000, 8, MAX_ENSEMBLE)
+    members = _integer_option(options, "members", 2000, 8, MAX_ENSEMBLE)
     result = ensemble(system, members, seed=_seed(options), progress=report)
     table = []
     for name, label in METRIC_LABELS.items():
@@ -141,11 +144,11 @@ def _ensemble(system: System, options: Mapping[str, Any], report: Any) -> Answer
     return header, [result.t, *bands.reshape(-1, bands.shape[-1])]
 
 
-def _margins(system: System, options: Mapping[str, Any], report: Any) -> Answer:
+def _margins(system: System, options: Mapping[str, Any], report: Any) -> TaskResult:
     """What period, delay and saturation may become."""
     from certrack.studies.margins import margins
 
-    members = _whole(options, "members", 32, 1, MAX_MARGIN_MEMBERS)
+    members = _integer_option(options, "members", 32, 1, MAX_MARGIN_MEMBERS)
     result = margins(system, members=members, seed=_seed(options), progress=report)
     unit = (system.plant.units or ("",))[-1]
     named = {
@@ -180,18 +183,18 @@ def _margins(system: System, options: Mapping[str, Any], report: Any) -> Answer:
     return header, []
 
 
-def _tune(system: System, options: Mapping[str, Any], report: Any) -> Answer:
+def _tune(system: System, options: Mapping[str, Any], report: Any) -> TaskResult:
     """Gains within limits, before and after."""
     from certrack.tuning.result import Tuned
     from certrack.tuning.tune import tune
 
-    limits = {
+    limits: dict[str, Any] = {
         name: checks.real(name, options[name], above=0)
         for name in TUNE_LIMITS
         if options.get(name) is not None
     }
     objective = options.get("objective", "error")
-    starts = _whole(options, "starts", 2, 1, MAX_TUNE_STARTS)
+    starts = _integer_option(options, "starts", 2, 1, MAX_TUNE_STARTS)
     front = options.get("front") or None
     result: Tuned = tune(
         system,
@@ -211,7 +214,7 @@ def _tune(system: System, options: Mapping[str, Any], report: Any) -> Answer:
     header = {
         "objective": objective,
         "table": table,
-        "gains": {gain.path: gain.value for gain in gains_of(result.system)},
+        "gains": {gain.path: gain.value for gain in movable_gains(result.system)},
         "limits": list(result.limits),
         "active": [limit.summary() for limit in result.active],
         "notes": [*result.notes, *result.broken],
@@ -246,4 +249,4 @@ def _figure(name: str, value: float | None) -> str:
 
 
 def _seed(options: Mapping[str, Any]) -> int:
-    return _whole(options, "seed", 0, 0, 2**63 - 1)
+    return _integer_option(options, "seed", 0, 0, 2**63 - 1)

@@ -33,7 +33,7 @@ class Hello:
 
 
 @dataclass(frozen=True)
-class Move:
+class GainMove:
     """Gains and a window of time: the newest wins.
 
     Attributes
@@ -121,7 +121,16 @@ class Save:
 
 
 Message = (
-    Hello | Move | Open | NewText | FormEdit | StartTask | CancelTask | Export | ListFiles | Save
+    Hello
+    | GainMove
+    | Open
+    | NewText
+    | FormEdit
+    | StartTask
+    | CancelTask
+    | Export
+    | ListFiles
+    | Save
 )
 
 
@@ -149,9 +158,9 @@ def parse_message(text: str) -> Message:
     return message
 
 
-def _move(values: dict[str, Any]) -> Move:
+def _move(values: dict[str, Any]) -> GainMove:
     window = values.get("window")
-    return Move(
+    return GainMove(
         _counter(values, "design", MAX_DESIGN),
         _counter(values, "view", MAX_VIEW),
         _gains(values.get("gains", {})),

@@ -10,7 +10,7 @@ import numpy as np
 
 from certrack.app.decimation import decimate
 from certrack.app.frames import FrameKind, pack_frame
-from certrack.core.rounding import short_number
+from certrack.core.number_texts import short_number
 from certrack.loops.plant import measured
 from certrack.simulation.metrics import METRIC_LABELS
 from certrack.simulation.run import Run

@@ -18,17 +18,17 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from certrack.app.frames import PROTOCOL, FrameKind, pack_frame
+from certrack.app.frames import PROTOCOL_NUMBER, FrameKind, pack_frame
 from certrack.app.hub import Hub
 from certrack.app.messages import (
     MAX_MESSAGE,
     CancelTask,
     Export,
     FormEdit,
+    GainMove,
     Hello,
     ListFiles,
     Message,
-    Move,
     NewText,
     Open,
     Save,
@@ -57,7 +57,7 @@ TYPES = {
 }
 
 #: The page, and the one that those see who come without the key.
-PAGE, REFUSAL = "index.html", "refused.html"
+PAGE_FILE, REFUSAL_FILE = "index.html", "refused.html"
 
 
 class AppServer:
@@ -101,15 +101,15 @@ class AppServer:
         if not self.access.host_is_ours(request.headers.get("host")):
             return PlainTextResponse("wrong host", 403, self.headers)
         if self.access.key_is_right(request.query_params.get("t")):
-            return Response(self.static[PAGE], headers=self.headers, media_type=TYPES[".html"])
-        return Response(self.static[REFUSAL], 403, self.headers, TYPES[".html"])
+            return Response(self.static[PAGE_FILE], headers=self.headers, media_type=TYPES[".html"])
+        return Response(self.static[REFUSAL_FILE], 403, self.headers, TYPES[".html"])
 
     async def file(self, request: Request) -> Response:
         """A file of the fixed table; nothing in it is secret."""
         if not self.access.host_is_ours(request.headers.get("host")):
             return PlainTextResponse("wrong host", 403, self.headers)
         name = request.path_params["name"]
-        if name not in self.static or name == PAGE:
+        if name not in self.static or name == PAGE_FILE:
             return PlainTextResponse("not found", 404, self.headers)
         kind = TYPES.get(Path(name).suffix, "text/plain")
         return Response(self.static[name], headers=self.headers, media_type=kind)
@@ -142,7 +142,7 @@ class AppServer:
 
     def _greeting(self) -> bytes:
         header = {
-            "hello": {"protocol": PROTOCOL, "certrack": version()},
+            "hello": {"protocol": PROTOCOL_NUMBER, "certrack": version()},
             "catalog": catalog(),
             "files": self.workspace.files(),
             "folder": str(self.workspace.folder),
@@ -159,12 +159,12 @@ class AppServer:
                 return
             try:
                 message = parse_message(text)
-                if not isinstance(message, Move):
+                if not isinstance(message, GainMove):
                     now = int(time.monotonic())
                     second, count = now, 1 if now != second else count + 1
                     if count > MAX_REQUESTS:
                         raise InputError("message", "too many requests in a second")
-                if isinstance(message, Hello) and message.protocol != PROTOCOL:
+                if isinstance(message, Hello) and message.protocol != PROTOCOL_NUMBER:
                     session.note("Reload the page: certrack was updated.")
                 await self._handle(session, message)
             except CertrackError as problem:
@@ -173,7 +173,7 @@ class AppServer:
 
     async def _handle(self, session: Session, message: Message) -> None:
         match message:
-            case Move():
+            case GainMove():
                 session.moved(message)
             case Open() | NewText() | FormEdit():
                 text = None
@@ -193,9 +193,7 @@ class AppServer:
             case ListFiles():
                 session.send(self._greeting())
             case Save():
-                name = self.workspace.write(
-                    message.name, message.text, overwrite=message.overwrite
-                )
+                name = self.workspace.write(message.name, message.text, overwrite=message.overwrite)
                 session.send(pack_frame(FrameKind.NOTE, {"saved": name}))
         self.hub.pump()
 

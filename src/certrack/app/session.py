@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from certrack.app.frames import FrameKind, frame_header, frame_prefix, pack_frame
-from certrack.app.messages import Export, FormEdit, Move, NewText, Open, StartTask
+from certrack.app.messages import Export, FormEdit, GainMove, NewText, Open, StartTask
 
 #: Without a move for so long, s, the exact bound and the run of the drive are computed; the proof
 #: by the default effort follows after another pause.
@@ -73,7 +73,7 @@ class Session:
         self.folder = folder
         self.base: DesignText | None = None
         self.design = 0
-        self.move: Move | None = None
+        self.move: GainMove | None = None
         self.outgoing: asyncio.Queue[bytes] = asyncio.Queue(QUEUE)
         self.served = 0.0
         self._mail: dict[str, dict[str, Any]] = {}
@@ -83,7 +83,7 @@ class Session:
 
     # what the page sends
 
-    def moved(self, move: Move) -> None:
+    def moved(self, move: GainMove) -> None:
         """Gains or window have changed."""
         if self.base is None:
             return
@@ -177,9 +177,7 @@ class Session:
             header = {"text": job["text"], "problem": {"message": header["message"], "line": None}}
             self.send(pack_frame(FrameKind.SYSTEM, header, design=design))
             return
-        self.send(
-            pack_frame(FrameKind.PROBLEM, header, design=design, view=job.get("view", 0))
-        )
+        self.send(pack_frame(FrameKind.PROBLEM, header, design=design, view=job.get("view", 0)))
 
     def note(self, text: str) -> None:
         """Tell the page something in passing."""

@@ -138,7 +138,7 @@ def limit_process(role: str) -> None:
             ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def main() -> None:
+def run_worker() -> None:
     """Entry point: ``python -m certrack.app.worker ROLE``."""
     role = sys.argv[1]
     one_thread_from_now_on()
@@ -167,4 +167,4 @@ def worker_environment() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    main()
+    run_worker()

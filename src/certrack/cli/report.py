@@ -14,8 +14,8 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from certrack.core.rounding import BOUND_TEXT_DIGITS as BOUND_TEXT_DIGITS
-from certrack.core.rounding import short_number as short_number
+from certrack.core.number_texts import BOUND_TEXT_DIGITS as BOUND_TEXT_DIGITS
+from certrack.core.number_texts import short_number as short_number
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar

@@ -7,9 +7,6 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 
 from certrack.core.rationals import exact_rational
 
-#: Digits of a bound in tables and sentences.
-BOUND_TEXT_DIGITS = 5
-
 #: Digits of a fraction before it is rounded to those that are shown.
 EXACT_DIGITS = 40
 
@@ -81,14 +78,3 @@ def in_digits(value: float, digits: int) -> float:
 def printed_bound(value: float | None, digits: int = 6) -> str:
     """A bound as a table shows it; a dash where there is none."""
     return "-" if value is None or not math.isfinite(value) else rounded_up(value, digits)
-
-
-def short_number(value: float, digits: int = 5) -> str:
-    """A number with a short exponent, if any.
-
-    >>> [short_number(value, 4) for value in (804940.0, 0.00012344, 0.5)]
-    ['8.049e5', '1.234e-4', '0.5']
-    """
-    text = f"{value:.{digits}g}" if abs(value) >= 1e-3 or not value else f"{value:.{digits - 1}e}"
-    mantissa, mark, exponent = text.partition("e")
-    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}" if mark else text

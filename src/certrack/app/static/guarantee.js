@@ -127,7 +127,7 @@ export class Guarantee {
     facts.textContent = "";
     const unit = system.units[0], rows = [["method", exact.method || "—"], ...exact.facts];
     const simulated = this.state.run?.header.metrics.tail_error;
-    if (exact.bound && simulated) rows.push(["slack, certified / simulated", `${(exact.bound / simulated).toFixed(2)} ×`]);
+    if (exact.bound && simulated) rows.push(["certified / simulated", `${(exact.bound / simulated).toFixed(2)} ×`]);
     for (const [name, value] of rows) facts.append(element("dt", {}, name), element("dd", {}, value));
     const body = byId("certificates").tBodies[0];
     body.textContent = "";

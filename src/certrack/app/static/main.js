@@ -10,7 +10,7 @@ import { Paints } from "./paints.js";
 import { Responses } from "./responses.js";
 import { Tasks } from "./tasks.js";
 
-const MOST_UNDO = 200, IN_FLIGHT = 2, NOTE_TIME = 6000, REST = 120, LATE = 400, RIGHT_MARGIN = 92;
+const MOST_UNDO = 200, IN_FLIGHT = 2, NOTE_TIME = 6000, REST = 120, LATE = 400, RIGHT_MARGIN = 96, COMPILING = "compiling …";
 
 const state = {
   system: null, base: "", text: "", name: "", saved: "", design: 0, view: 0, window: null,
@@ -29,7 +29,7 @@ const gains = new Gains(byId("gains"), {
   problem: (text) => note(text),
   step: (path, value) => edit(path, value),
 });
-const editor = new Editor((text) => sendText(text));
+const editor = new Editor({ text: sendText });
 const form = new Form(byId("form"), { edit });
 const responses = new Responses(byId("plots"), state, { zoom });
 const guarantee = new Guarantee(state, {});
@@ -140,7 +140,7 @@ function open(source, name) {
   restoring = { opening: true };
   state.openedFile = source === "file" ? name : "";
   clearTimeout(open.late);
-  open.late = setTimeout(() => write(byId("note"), "compiling …"), LATE);
+  open.late = setTimeout(() => write(byId("note"), COMPILING), LATE);
 }
 
 function openAsked(source, name) {
@@ -164,6 +164,7 @@ function edit(path, value) {
 function described(header, design) {
   if (design !== state.design) return;
   clearTimeout(open.late);
+  if (byId("note").textContent === COMPILING) note("");
   const was = restoring;
   restoring = null;
   if (header.problem) {

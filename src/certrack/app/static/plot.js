@@ -68,7 +68,7 @@ export class Plot {
       {
         width: Math.max(50, this.box.clientWidth),
         height: Math.max(40, this.box.clientHeight),
-        padding: [8, 10, spec.last ? 0 : 4, 0],
+        padding: [8, 14, spec.last ? 0 : 4, 0],
         legend: { show: false },
         series: [{}, ...spec.series.map((series) => ({ stroke: token(series.color), width: series.width ?? 1.5, dash: series.dash, points: { show: false }, pxAlign: 0, scale: "y" }))],
         bands: spec.bands?.map(({ of, color }) => ({ series: of, fill: color ? token(color) : this.colors.tube })),
