@@ -45,8 +45,13 @@ def decimate(
 def _extremes(row: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Both extremes of each column; the one that comes first stands first."""
     low, high = np.minimum.reduceat(row, starts), np.maximum.reduceat(row, starts)
-    ends = np.append(starts[1:], len(row)) - 1
-    rising = row[ends] >= row[starts]
+    counts = np.diff(np.append(starts, len(row)))
+    place = np.arange(len(row))
+    lowest, highest = (
+        np.maximum.reduceat(np.where(row == np.repeat(extreme, counts), place, -1), starts)
+        for extreme in (low, high)
+    )
     values = np.empty(2 * len(starts))
-    values[0::2], values[1::2] = np.where(rising, low, high), np.where(rising, high, low)
+    values[0::2] = np.where(lowest <= highest, low, high)
+    values[1::2] = np.where(lowest <= highest, high, low)
     return values

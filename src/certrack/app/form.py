@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from certrack.core.checks import number_or_text
 from certrack.core.errors import InputError
 from certrack.core.keys import Key
 from certrack.systems.keys import TABLES
@@ -21,12 +22,12 @@ FORM_SECTIONS = {
     "Reference": ("reference",),
     "Law": ("law", "law.observer"),
     "Drive": ("implementation",),
-    "Ensemble": ("ensemble",),
+    "Ensemble": ("ensemble", "ensemble.reference", "ensemble.constants"),
     "Run": ("simulation",),
 }
 
 #: Tables whose names the user chooses.
-NAMED = ("plant.constants", "truth.constants", "plant.ranges")
+NAMED = ("plant.constants", "truth.constants", "plant.ranges", "ensemble.constants")
 
 #: Kinds of keys that hold texts: what is typed is put in quotes.
 TEXT_KINDS = ("text", "formula", "choice")
@@ -99,6 +100,8 @@ def _as_typed(value: Any) -> str:
     """A value as the form shows it: TOML, but a text without quotes."""
     if isinstance(value, str):
         return str(value)
+    if isinstance(value, bool):
+        return str(value).lower()
     as_string = getattr(value, "as_string", None)
     written: str = as_string() if as_string is not None else str(value)
     return " ".join(written.split())
@@ -183,11 +186,9 @@ def _parsed(path: str, typed: str, key: Key | None) -> Any:
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
-    if key is not None and key.kind in TEXT_KINDS:
-        try:
-            return float(typed) if key.kind == "formula" and typed.lower() != "inf" else typed
-        except ValueError:
-            return typed
+    of_texts = key is not None and not any(isinstance(c, int) for c in key.choices)
+    if key is not None and of_texts and key.kind in TEXT_KINDS:
+        return number_or_text(typed) if key.kind == "formula" else typed
     try:
         return tomlkit.value(typed)
     except (TOMLKitError, ValueError, IndexError):

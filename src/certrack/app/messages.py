@@ -88,10 +88,12 @@ class FormEdit:
 
 @dataclass(frozen=True)
 class StartTask:
-    """A long computation."""
+    """A long computation about the design that the page shows."""
 
     task: str
     options: Mapping[str, Any]
+    design: int
+    gains: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -101,9 +103,11 @@ class CancelTask:
 
 @dataclass(frozen=True)
 class Export:
-    """The present design in a format."""
+    """The design that the page shows, in a format."""
 
     format: str
+    design: int
+    gains: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -190,8 +194,15 @@ def _text_and_name(values: dict[str, Any]) -> tuple[str, str]:
 
 def _start_task(values: dict[str, Any]) -> StartTask:
     return StartTask(
-        checks.choice("task", values["task"], TASKS), _table("options", values.get("options", {}))
+        checks.choice("task", values["task"], TASKS),
+        _table("options", values.get("options", {})),
+        *_shown(values),
     )
+
+
+def _shown(values: dict[str, Any]) -> tuple[int, dict[str, float]]:
+    """Counter and gains of what the page shows."""
+    return _counter(values, "design", MAX_DESIGN), _gains(values.get("gains", {}))
 
 
 def _table(key: str, entries: Any) -> dict[str, Any]:
@@ -222,7 +233,7 @@ _READERS: Mapping[str, Any] = {
     "edit": _form_edit,
     "task": _start_task,
     "cancel": lambda _: CancelTask(),
-    "export": lambda v: Export(checks.choice("format", v["format"], EXPORTS)),
+    "export": lambda v: Export(checks.choice("format", v["format"], EXPORTS), *_shown(v)),
     "files": lambda _: ListFiles(),
     "save": lambda v: Save(
         checks.text("name", v["name"]), _long_text("text", v["text"]), v.get("overwrite") is True

@@ -120,6 +120,7 @@ class Session:
         if self.base is None:
             return None
         job = self._job("task", "task")
+        job |= {"design": message.design, "gains": dict(message.gains)}
         if isinstance(message, StartTask):
             return job | {"task": message.task, "options": dict(message.options)}
         return job | {"do": "export", "format": message.format}

@@ -32,6 +32,7 @@ class Workspace:
         for path in sorted(self.folder.rglob("*.toml")):
             relative = path.relative_to(self.folder)
             hidden = any(part.startswith(".") for part in relative.parts)
+            hidden = hidden or not path.resolve().is_relative_to(self.folder)
             if hidden or len(relative.parts) > MAX_DEPTH or not path.is_file():
                 continue
             if "[plant]" in _beginning(path):
@@ -68,6 +69,7 @@ class Workspace:
         InputError
             If it is not in the folder, exists already, or cannot be written.
         """
+        self._path(name)
         path = self._path(name if name.endswith(".toml") else f"{name}.toml")
         write_text(path, text, overwrite=overwrite)
         return path.relative_to(self.folder).as_posix()

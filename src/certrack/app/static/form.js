@@ -52,8 +52,8 @@ export class Form {
       });
     }
     input.addEventListener("change", () => this.on.edit(field.path, input.value));
-    const limits = [field.shape, field.limits && field.kind !== "choice" ? field.limits : "", field.left_out && field.left_out !== "required" ? `if left out: ${field.left_out}` : ""].filter(Boolean).join("; ");
-    const help = element("span", { class: "help", id: helpId }, field.help, limits ? element("small", {}, ` ${limits}`) : null);
+    const limits = [field.shape && !field.help.includes(field.shape) ? field.shape : "", field.limits && field.kind !== "choice" ? field.limits : "", field.left_out && !["required", "()"].includes(field.left_out) ? `if left out: ${field.left_out}` : ""].filter((part) => part && part !== field.help).join("; ");
+    const help = element("span", { class: "help", id: helpId }, field.help, limits ? element("small", {}, ` · ${limits}`) : null);
     return element("div", { class: "field" }, element("label", { for: id }, field.name, field.unit ? element("i", {}, field.unit) : null), input, help);
   }
 

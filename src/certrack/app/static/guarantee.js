@@ -36,7 +36,7 @@ export class Guarantee {
     if (!bound || !run) return "waiting";
     if (bound.contradicted?.length) return "contradicted";
     if (!bound.bound) return "none";
-    if (!bound.exact) return "estimating";
+    if (!bound.exact || run.design !== bound.design) return "estimating";
     if (!bound.verified) return "unverified";
     return bound.refining ? "refining" : "exact";
   }
@@ -56,6 +56,7 @@ export class Guarantee {
     this.ladder(header, now, bound, worst && !now);
     this.alarm(now, bound, unit);
     this.measures(system, header, bound, before);
+    style(byId("facts"), bound?.exact ? "rows" : "rows old");
     const runKind = byId("run-kind");
     runKind.hidden = !system.drive;
     write(runKind, header.sampled ? "as the drive runs it" : "continuous");

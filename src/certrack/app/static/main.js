@@ -34,7 +34,7 @@ const form = new Form(byId("form"), { edit });
 const responses = new Responses(byId("plots"), state, { zoom });
 const guarantee = new Guarantee(state, {});
 const tasks = new Tasks(state, {
-  start: (task, options) => link.send({ type: "task", task, options }),
+  start: (task, options) => link.send({ type: "task", task, options, ...shown() }),
   cancel: () => link.send({ type: "cancel" }),
   apply: applyGains,
   restore: (pin) => travelTo(pin.snapshot),
@@ -223,6 +223,7 @@ function adopt(header, was) {
   for (const id of ["pin", "export"]) byId(id).disabled = false;
   tasks.buttons();
   resting = true;
+  outdate();
   submit();
   if (was?.travelling || another) history.present = snapshot();
   else commit();
@@ -238,8 +239,17 @@ function newText(text, design) {
   keep();
 }
 
+const shown = () => ({ design: state.design, gains: gains.values(state.system) });
+
+/** Nothing that was proven is of the new design. */
+function outdate() {
+  if (state.bound) state.bound = { ...state.bound, exact: false, contradicted: [] };
+  frame();
+}
+
 function moved(event) {
   nextDesign();
+  outdate();
   paints.event(event, state.design);
   state.lastMove = performance.now();
   showEdited();
@@ -332,8 +342,6 @@ function frame() {
 function draw() {
   if (!state.system || !state.run) return;
   if (!state.before) pinned(false);
-  const current = state.bound && (state.bound.design === state.design || !state.bound.exact);
-  if (state.bound && !current) state.bound = { ...state.bound, exact: false, contradicted: [] };
   responses.draw();
   guarantee.draw();
   if (state.bound?.shares?.length) guarantee.budget(state.bound.shares);
@@ -378,6 +386,7 @@ function travelTo(target, travelling = false) {
     gains.set(state.system, target.values);
     gains.rebase(target.bases);
     nextDesign();
+    outdate();
     resting = true;
     submit();
     if (travelling) history.present = target;
@@ -502,7 +511,7 @@ const actions = {
 
 function exportAs(format) {
   if (tasks.running) return note("One long computation at a time: wait for it or cancel it.");
-  link.send({ type: "export", format });
+  link.send({ type: "export", format, ...shown() });
   return tasks.begin("export");
 }
 

@@ -5,7 +5,7 @@ import { Plot } from "./plot.js";
 
 const NAMES = { falsify: "Falsify", ensemble: "Ensemble", margins: "Margins", tune: "Tune", compare: "Compare", export: "Export" };
 const OBJECTIVES = { error: "certified error", peak: "peak input", energy: "input energy", period: "longest stable period" };
-const LIMITS = [["error", "certified error"], ["peak_input", "peak input"], ["energy", "energy"], ["period", "period, s"], ["noise", "noise gain"]];
+const LIMITS = [["error", "certified error at most"], ["peak_input", "peak input at most"], ["energy", "energy at most"], ["period", "stable if held for, s"], ["noise", "noise gain at most"]];
 
 export class Tasks {
   /** `on`: start(task, options), cancel(), apply(gains), restore(pin), note(text). */
@@ -172,11 +172,11 @@ export class Tasks {
 
   tuneForm() {
     const objective = element("select", { id: "tune-objective" }, ...Object.entries(OBJECTIVES).map(([value, text]) => element("option", { value }, text)));
-    const fields = LIMITS.map(([name, text]) => element("label", { class: "inline" }, `${text} at most`, element("input", { name, inputmode: "decimal", placeholder: "no limit", autocomplete: "off" })));
+    const fields = LIMITS.map(([name, text]) => element("label", { class: "inline" }, text, element("input", { name, inputmode: "decimal", placeholder: "no limit", autocomplete: "off" })));
     const starts = element("input", { name: "starts", inputmode: "numeric", value: "2", autocomplete: "off" });
     const front = element("select", { name: "front" }, element("option", { value: "" }, "none"), ...["period", "peak-input", "energy", "noise", "error"].map((name) => element("option", {}, name)));
     const begin = element("button", { class: "primary" }, "Tune");
-    const form = element("div", { class: "tune-form" }, element("label", { class: "inline" }, "as small as possible", objective), ...fields, element("label", { class: "inline" }, "searches", starts), element("label", { class: "inline" }, "sweep a limit", front), begin);
+    const form = element("div", { class: "tune-form" }, element("label", { class: "inline" }, "optimise", objective), ...fields, element("label", { class: "inline" }, "searches", starts), element("label", { class: "inline" }, "sweep a limit", front), begin);
     this.open("Tune within limits", form, element("p", { class: "sub" }, "Locked gains are kept when the result is applied. The tuned design is certified in full."));
     begin.onclick = () => {
       const options = { objective: objective.value, starts: Number(starts.value) || 2, front: front.value };
