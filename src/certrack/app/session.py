@@ -108,7 +108,7 @@ class Session:
         if isinstance(message, Open) and text is None:
             job |= {"do": "source", "name": message.name, "text": ""}
         else:
-            job |= {"text": getattr(message, "text", text) or text, "name": message.name}
+            job |= {"text": getattr(message, "text", text), "name": message.name}
         if isinstance(message, FormEdit):
             job["entries"] = dict(message.entries)
         job |= {"folder": self.folder, "page": self.id}

@@ -290,6 +290,8 @@ function run({ header, rows, design, view }) {
   if (!older && !coarser && rows[0].length) {
     const times = Float64Array.from(rows[0], (t) => t + header.t0);
     state.run = { header, rows, times, design, view };
+    const { before } = state;
+    if (before && !before.byUser && before.design === design && header.sampled && !before.run.header.sampled) pinned(false);
     frame();
   }
   if (waiting) submit();
@@ -409,7 +411,7 @@ function applyGains(values) {
 function pinned(byUser) {
   const { run: now, bound, system } = state, n = system.states.length;
   if (!now) return;
-  state.before = { run: now, design: now.design, t: now.times, e: now.rows[1 + n], u: now.rows[3 + n], bound: bound?.exact ? bound : null };
+  state.before = { run: now, design: now.design, t: now.times, e: now.rows[1 + n], u: now.rows[3 + n], bound: bound?.exact ? bound : null, byUser };
   if (!byUser) {
     history.present = snapshot();
     return;

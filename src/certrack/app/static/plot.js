@@ -97,6 +97,7 @@ export class Plot {
     line.firstChild.style.stroke = `var(${series.color})`;
     if (series.dash) line.firstChild.setAttribute("stroke-dasharray", series.dash.map((d) => d * 0.8).join(" "));
     const name = series.name ? nameElement(series.label) : element("span", {}, series.label);
+    if (series.renamed) this.renamed = name;
     this.legend.append(element("span", {}, line, name, value));
     return value;
   }

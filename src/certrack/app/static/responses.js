@@ -86,7 +86,7 @@ export class Responses {
     const { state } = this;
     return {
       id: "error", title: "Error", unit, kind: "error", mode, modes: ERROR_MODES, end,
-      series: [{ label: "error", color: "--output" }, { label: "tube from the start", color: "--bound", width: 1, dash: [2, 3] }, { label: "", color: "--bound", width: 1, dash: [2, 3], hidden: true }],
+      series: [{ label: "error", color: "--output" }, { label: "tube from the start", renamed: true, color: "--bound", width: 1, dash: [2, 3] }, { label: "", color: "--bound", width: 1, dash: [2, 3], hidden: true }],
       bands: [{ of: [2, 3] }],
       ghosts: () => [...this.before("e"), ...this.worstCurve()],
       range: (low, high, axis) => (axis === "zoom" && state.bound ? [-1.6 * state.bound.bound, 1.6 * state.bound.bound] : null),
@@ -139,7 +139,15 @@ export class Responses {
     const { run, bound, system } = this.state;
     if (!run || !system) return;
     this.error.linear = bound?.bound ?? Math.max(1e-6, run.header.metrics.tail_error ?? 1e-2);
+    if (this.error.renamed) write(this.error.renamed, this.tubeName(bound));
     for (const plot of this.plots) plot.set(plot.curves(run.times, plot));
+  }
+
+  /** Whose tube it is: where the bound is another proof's, the tube may end elsewhere. */
+  tubeName(bound) {
+    if (!bound?.tube) return "no tube";
+    if (bound.loop === "implemented") return "tube, continuous law";
+    return bound.exact && bound.tube.kind !== bound.method ? `tube (${bound.tube.kind})` : "tube from the start";
   }
 
   /** Redraw with the colours of another theme. */
