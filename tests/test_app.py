@@ -30,9 +30,9 @@ from certrack.app.security import Access
 from certrack.app.server import AppServer, static_files
 from certrack.app.session import MAX_WAITING, QUEUE, Session
 from certrack.app.workspace import Workspace
-from certrack.cli import report
 from certrack.core.errors import InputError
 from certrack.core.rounding import printed_bound
+from certrack.reports.tables import BOUND_TEXT_DIGITS, table
 from certrack.simulation.metrics import METRIC_LABELS
 
 SET = {"type": "set", "design": 1, "view": 0, "gains": {"law.c[0]": 2}, "pixels": 300}
@@ -210,8 +210,9 @@ def test_numbers_of_a_run_are_those_of_the_command_line(context):
     run = certrack.simulate(certrack.load("example1").replace(law=law))
     assert header["metrics"] == run.metrics.as_dict()
     assert header["texts"] == metric_texts(run)
-    table = report.table("", ["", ""], [[k, run.metrics.as_dict()[k]] for k in METRIC_LABELS])
-    assert list(table.columns[1].cells) == list(header["texts"].values())
+    rows_of_table = [[k, run.metrics.as_dict()[k]] for k in METRIC_LABELS]
+    printed = table("", ["", ""], rows_of_table)
+    assert [row[1] for row in printed.rows] == list(header["texts"].values())
     error = rows[1 + 2]
     assert np.abs(error).max() == pytest.approx(np.abs(run.x[0] - run.y_d).max(), rel=1e-6)
     assert frame_prefix(data).design == 3 and frame_prefix(data).view == 2
@@ -235,7 +236,7 @@ def test_a_bound_is_the_estimate_and_the_exact_one_is_what_certify_proves(contex
     proven = certrack.certify(system, "fast")
     assert exact["verified"] and exact["method"] == proven.best.kind == bound["method"]
     assert exact["bound"] == pytest.approx(proven.best.bound, rel=1e-6)
-    assert exact["text"] == printed_bound(exact["bound"], report.BOUND_TEXT_DIGITS)
+    assert exact["text"] == printed_bound(exact["bound"], BOUND_TEXT_DIGITS)
     assert float(exact["text"]) >= exact["bound"]
     assert bound["bound"] == pytest.approx(exact["bound"], rel=1e-3)
     assert sum(share for _, share in bound["shares"]) == pytest.approx(1)

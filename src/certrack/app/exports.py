@@ -43,6 +43,12 @@ def exported_file(system: System, text: str, name: str, file_format: str) -> tup
         match file_format:
             case "certificate":
                 return f"{base}-certificate.json", _certificate(system)
+            case "report":
+                from certrack.reports.dossier import dossier
+                from certrack.reports.pages import save_dossier
+
+                path = folder / f"{base}-report.html"
+                save_dossier(dossier(system, f"{base}.toml"), path)
             case "c":
                 from certrack.export.c import export_c
 

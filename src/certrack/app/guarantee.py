@@ -10,8 +10,8 @@ from certrack.app.frames import FrameKind, pack_frame
 from certrack.certificates import Certificate, Certificates
 from certrack.certificates.estimates.estimate import BoundEstimate
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
-from certrack.core.number_texts import BOUND_TEXT_DIGITS
 from certrack.core.rounding import printed_bound, rounded_down
+from certrack.reports.tables import BOUND_TEXT_DIGITS
 from certrack.systems.system import System
 
 

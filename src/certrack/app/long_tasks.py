@@ -14,8 +14,8 @@ from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.gains import movable_gains
 from certrack.app.responses import curves, number_text
 from certrack.core import checks
-from certrack.core.number_texts import BOUND_TEXT_DIGITS
 from certrack.core.rounding import printed_bound
+from certrack.reports.tables import BOUND_TEXT_DIGITS
 from certrack.simulation.metrics import METRIC_LABELS
 from certrack.systems.system import System
 
@@ -26,7 +26,7 @@ REPORT_INTERVAL = 0.1
 WORST_PIXELS = 1200
 
 #: What a page may ask for at most.
-MAX_RUNS, MAX_ENSEMBLE, MAX_MARGIN_MEMBERS, MAX_TUNE_STARTS = 200_000, 100_000, 1000, 64
+MAX_SEARCH_RUNS, MAX_ENSEMBLE, MAX_MARGIN_MEMBERS, MAX_TUNE_STARTS = 200_000, 100_000, 1000, 64
 
 #: Limits that a page may give to tuning.
 TUNE_LIMITS = ("error", "peak_input", "energy", "period", "delay_margin", "noise")
@@ -86,7 +86,7 @@ def _falsify(system: System, options: Mapping[str, Any], report: Any) -> TaskRes
     from certrack.simulation.simulator import simulate
     from certrack.studies.falsifier.falsify import falsify
 
-    budget = _integer_option(options, "budget", 6000, 100, MAX_RUNS)
+    budget = _integer_option(options, "budget", 6000, 100, MAX_SEARCH_RUNS)
     result = falsify(system, budget=budget, seed=_seed(options), progress=report)
     drive = result.drive
     of_drive = drive is not None and math.isfinite(drive.worst_error)

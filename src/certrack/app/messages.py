@@ -22,7 +22,7 @@ LEAST_PIXELS, MOST_PIXELS = 50, 8000
 
 #: The long computations that a page may start, and the formats it may have.
 TASKS = ("falsify", "ensemble", "margins", "tune")
-EXPORTS = ("toml", "certificate", "c", "st", "fmu", "netcdf", "png", "svg", "pdf")
+EXPORTS = ("toml", "certificate", "report", "c", "st", "fmu", "netcdf", "png", "svg", "pdf")
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 
 from certrack.app.decimation import decimate
 from certrack.app.frames import FrameKind, pack_frame
-from certrack.core.number_texts import short_number
 from certrack.loops.plant import measured
+from certrack.reports.tables import short_number
 from certrack.simulation.metrics import METRIC_LABELS
 from certrack.simulation.run import Run
 

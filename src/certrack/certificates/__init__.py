@@ -1,7 +1,8 @@
 """Certificates: bounds on limsup |e_1(t)| that hold for everything the assumptions admit.
 
 Each method is a file: `published` (the paper's, and two sound forms of it), `semidefinite`,
-`cascade` with its `centred` stage; `ranges` is the room of constants that have a range, whose peak
+`cascade` with its `centred` stage; `bootstrap` is the room of quadratic functions on the set that
+such a proof reaches; `ranges` is the room of constants that have a range, whose peak
 gains serve loops without ranges, too; `methods` lists them all. They share
 `problem` (the error system as a matrix inequality), `scaling` (the units a solver sees it in) and
 `adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys

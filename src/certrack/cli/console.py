@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
-from rich.table import Table
+from rich.table import Table as RichTable
 
-from certrack.core.number_texts import BOUND_TEXT_DIGITS as BOUND_TEXT_DIGITS
-from certrack.core.number_texts import short_number as short_number
+from certrack.reports.tables import Table
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -45,28 +44,47 @@ def _json_ready(value: Any) -> Any:
 LONGEST_WORD = 24
 
 
-def table(
-    title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 5
-) -> Table:
-    """A table of text and numbers; neither a number nor a word of a usual length is broken."""
-    cells = [[_cell(value, digits) for value in row] for row in rows]
-    room = console().width - 3 * len(columns) - 1
-    heads = list(columns)
-    if sum(max(map(len, column)) for column in zip(heads, *cells, strict=True)) > room:
-        heads = [_broken(head, entries) for head, *entries in zip(heads, *cells, strict=True)]
-    min_widths = [_longest_word(column) for column in zip(heads, *cells, strict=True)]
+def print_table(content: Table, *, ruled: bool = False) -> None:
+    """Print a table; neither a number nor a word of a usual length is broken.
+
+    `ruled`: with lines between its rows.
+    """
+    heads = list(content.columns)
+    room = console().width - 3 * len(heads) - 1
+    columns = list(zip(heads, *content.rows, strict=True))
+    if sum(max(map(len, column)) for column in columns) > room:
+        heads = [_broken(head, entries) for head, *entries in columns]
+        columns = list(zip(heads, *content.rows, strict=True))
+    min_widths = [_longest_word(column) for column in columns]
     padding = 1 if sum(min_widths) <= room else 0  # rather no blanks than a broken word
-    room += 2 * (1 - padding) * len(columns)
-    result = Table(
-        title=title or None, title_justify="left", title_style="bold", padding=(0, padding)
+    room += 2 * (1 - padding) * len(heads)
+    result = RichTable(
+        title=content.title or None,
+        title_justify="left",
+        title_style="bold",
+        padding=(0, padding),
+        show_lines=ruled,
     )
     for head, width in zip(heads, min_widths, strict=True):
         result.add_column(
             head, overflow="fold", min_width=width if sum(min_widths) <= room else None
         )
-    for row in cells:
+    for row in content.rows:
         result.add_row(*row)
-    return result
+    console().print(result)
+
+
+#: Letters that the first column and one of the others need in a table of many columns.
+LABEL_WIDTH, COLUMN_WIDTH = 20, 15
+
+
+def print_wide_table(content: Table) -> None:
+    """Print a table of a column for each of many things, in parts below each other."""
+    count = max(1, (console().width - LABEL_WIDTH) // COLUMN_WIDTH)
+    for i in range(1, len(content.columns), count):
+        part = slice(i, i + count)
+        rows = tuple((row[0], *row[part]) for row in content.rows)
+        print_table(Table(content.title, (content.columns[0], *content.columns[part]), rows))
 
 
 def _longest_word(texts: Sequence[str]) -> int:
@@ -78,14 +96,6 @@ def _broken(head: str, entries: Sequence[str]) -> str:
     pieces = textwrap.wrap(head, 1, break_long_words=False)
     width = max(_longest_word(entries), *map(len, pieces), 1)
     return "\n".join(textwrap.wrap(head, width, break_long_words=False))
-
-
-def _cell(value: object, digits: int) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, float):
-        return short_number(value, digits) if math.isfinite(value) else "-"
-    return str(value)
 
 
 def print_lines(lines: Iterable[str]) -> None:
