@@ -344,11 +344,12 @@ def test_a_job_that_ends_its_worker_twice_is_not_tried_again():
     session.moved(moved(2))
     work = session.next_job("run", math.inf)
     session.crashed(work, timed_out=False, seconds=20)
+    session.crashed(work | {"do": "bound"}, timed_out=False, seconds=20)
     assert session.next_job("run", math.inf) == work
     session.crashed(work, timed_out=False, seconds=20)
     assert session.next_job("run", math.inf) is None
-    kinds = [frame_prefix(session.outgoing.get_nowait()).kind for _ in range(2)]
-    assert kinds == [FrameKind.NOTE, FrameKind.PROBLEM]
+    kinds = [frame_prefix(session.outgoing.get_nowait()).kind for _ in range(3)]
+    assert kinds == [FrameKind.NOTE, FrameKind.NOTE, FrameKind.PROBLEM]
 
 
 # files and security

@@ -27,7 +27,7 @@ QUEUE = 64
 #: Texts and edits that may wait.
 MAX_WAITING = 4
 
-#: A design that has ended a worker so often is not tried again.
+#: A job of a design that has ended a worker so often is not tried again.
 MAX_CRASHES = 2
 
 #: Kinds of jobs in the mailbox, and the role of the worker that does them, the first one first.
@@ -79,7 +79,7 @@ class Session:
         self._mail: dict[str, dict[str, Any]] = {}
         self._due: dict[str, float] = {}
         self._waiting: deque[dict[str, Any]] = deque()
-        self._crashes: dict[int, int] = {}
+        self._crashes: dict[tuple[int, str], int] = {}
 
     # what the page sends
 
@@ -164,9 +164,10 @@ class Session:
     def crashed(self, job: dict[str, Any], *, timed_out: bool, seconds: float) -> None:
         """The worker of a job has ended."""
         design = job.get("design", 0)
-        self._crashes[design] = self._crashes.get(design, 0) + 1
+        case = design, job["do"]
+        self._crashes[case] = self._crashes.get(case, 0) + 1
         self._crashes = dict(list(self._crashes.items())[-QUEUE:])
-        again = not timed_out and self._crashes[design] < MAX_CRASHES
+        again = not timed_out and self._crashes[case] < MAX_CRASHES
         if again:
             self.note("A worker stopped and was started again.")
             self._again(job)
