@@ -15,7 +15,7 @@ import websockets
 from certrack.app.frames import frame_arrays, frame_header, frame_prefix
 
 #: Longest wait for an answer, s: machines of tests may be slow and busy.
-PATIENCE = 180
+PATIENCE = 240
 
 KEY = "key-of-the-tests"
 

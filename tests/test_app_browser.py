@@ -74,7 +74,7 @@ def shown(server, chromium):
         page = context.new_page()
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("console", lambda m: errors.append(m.text) if is_error(m) else None)
-        page.goto(server.address + query)
+        page.goto(server.address + query, timeout=1000 * PATIENCE)
         wait(page, EXACT)
         return page
 
@@ -301,7 +301,7 @@ def test_axe_finds_nothing_and_nothing_is_cut(shown, theme, size):
 def test_the_page_says_that_the_server_is_gone_and_comes_back(chromium, tmp_path):
     with running("dual-motor-lean", folder=tmp_path) as first:
         page = chromium.new_page()
-        page.goto(first.address)
+        page.goto(first.address, timeout=1000 * PATIENCE)
         wait(page, EXACT)
         page.locator('[data-path="law.c[3]"]').focus()
         page.keyboard.press("PageUp")
