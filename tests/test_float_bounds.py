@@ -87,7 +87,7 @@ def test_estimates_are_what_certify_proves(name, kinds):
 def test_the_cascade_is_estimated_with_its_centred_stage_warm_and_cold():
     system = certrack.load("example1")
     warm = certrack.estimate(system)
-    assert warm.stages.centred is not None and warm.stages.shift
+    assert warm.cascade.centred is not None and warm.cascade.shift
     for factor in (1.02, 1.1, 1.4):
         law = replace(system.law, c=tuple(factor * v for v in system.law.c))
         moved = system.replace(law=law)

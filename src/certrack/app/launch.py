@@ -55,7 +55,7 @@ def folder_of(file: str | None) -> Path:
     return Path(file).resolve().parent if file is not None and Path(file).is_file() else Path.cwd()
 
 
-def launch(
+def serve_designer(
     file: str | None,
     *,
     host: str,
@@ -86,9 +86,10 @@ def launch(
     """
     try:
         import uvicorn
+        import websockets as websockets
         from starlette import applications as applications
     except ImportError:
-        raise MissingExtra("starlette and uvicorn", "app", "the designer") from None
+        raise MissingExtra("starlette, uvicorn or websockets", "app", "the designer") from None
     from certrack.app.hub import Hub
     from certrack.app.security import LOOPBACK, Access
     from certrack.app.server import AppServer

@@ -27,6 +27,6 @@ def app(file: str | None, port: int, host: str, no_browser: bool) -> None:
     \b
     Example: certrack app example1
     """
-    from certrack.app.launch import launch
+    from certrack.app.launch import serve_designer
 
-    launch(file, host=host, port=port, browser=not no_browser, say=click.echo)
+    serve_designer(file, host=host, port=port, browser=not no_browser, say=click.echo)

@@ -1,41 +1,47 @@
-// The page: one state, what changes it, and what is drawn of it once per frame.
-import { byId, element, settled, style, write } from "./dom.js";
+// The page: what changes the design, and what is drawn of it once per frame.
+import { byId, settled, write } from "./dom.js";
 import { Editor } from "./editor.js";
+import { Files, recent, remember } from "./files.js";
 import { Form } from "./form.js";
 import { Gains } from "./gains.js";
 import { Guarantee } from "./guarantee.js";
+import { History } from "./history.js";
+import { bindKeys, setSingleKeys, singleKeys } from "./keys.js";
 import { KIND, Link, sessionKey } from "./link.js";
 import { askUnsaved, closeMenu, exportMenu, fileMenu, helpMenu, startPage } from "./menus.js";
+import { note, status } from "./notes.js";
 import { Paints } from "./paints.js";
+import { Requests } from "./requests.js";
 import { Responses } from "./responses.js";
+import { nextDesign, nextView, state } from "./state.js";
+import { bindTabs, select } from "./tabs.js";
 import { Tasks } from "./tasks.js";
+import { beginTheme, switchTheme } from "./theme.js";
 
-const MOST_UNDO = 200, IN_FLIGHT = 2, NOTE_TIME = 6000, REST = 120, LATE = 400, RIGHT_MARGIN = 96, COMPILING = "compiling …";
+const REST = 120, LATE = 400, RESIZED = 200, COMPILING = "compiling …";
 
-const state = {
-  system: null, base: "", text: "", name: "", saved: "", design: 0, view: 0, window: null,
-  run: null, bound: null, worst: null, before: null, pins: [], connected: false, textProblem: null,
-  greeting: null,
-};
-const flight = [];
-const history = { undo: [], redo: [], present: null };
 const paints = new Paints(new URLSearchParams(location.search).has("measure"));
-const nextDesign = () => (state.design += 1);
-let waiting = false, restoring = null, asked = false, resting = false;
+let restoring = null, asked = false;
 
+beginTheme();
+const send = (message) => link.send(message);
+const values = () => (state.system ? gains.values(state.system) : {});
 const gains = new Gains(byId("gains"), {
   moved: (event) => moved(event),
-  commit: () => commit(),
+  commit: () => history.commit(),
   problem: (text) => note(text),
   step: (path, value) => edit(path, value),
 });
+const requests = new Requests({ send, values, width: () => byId("plots").clientWidth });
+const history = new History({ snapshot, show: (target) => travelTo(target, true), changed: showHistory });
+const files = new Files({ send, values, note });
 const editor = new Editor({ text: sendText });
 const form = new Form(byId("form"), { edit });
 const responses = new Responses(byId("plots"), state, { zoom });
 const guarantee = new Guarantee(state, {});
 const tasks = new Tasks(state, {
-  start: (task, options) => link.send({ type: "task", task, options, ...shown() }),
-  cancel: () => link.send({ type: "cancel" }),
+  start: (task, options) => send({ type: "task", task, options, ...shown() }),
+  cancel: () => send({ type: "cancel" }),
   apply: applyGains,
   restore: (pin) => travelTo(pin.snapshot),
   redraw: frame,
@@ -49,10 +55,10 @@ function opened() {
   state.connected = true;
   document.body.classList.remove("stale");
   status("ok", "connected");
-  flight.length = 0;
+  requests.forget();
   if (state.system) {
     restoring = snapshot();
-    link.send({ type: "text", design: nextDesign(), text: state.base, name: state.name });
+    send({ type: "text", design: nextDesign(), text: state.base, name: state.name });
   }
 }
 
@@ -64,19 +70,6 @@ function closed() {
   guarantee.badge("stale");
 }
 
-function status(kind, text) {
-  style(byId("link"), `link ${kind}`);
-  write(byId("link").lastElementChild, text);
-}
-
-function note(text) {
-  const target = byId("note");
-  write(target, text);
-  target.title = text;
-  clearTimeout(note.timer);
-  note.timer = setTimeout(() => write(target, ""), NOTE_TIME);
-}
-
 function received(message) {
   const { kind, header, design } = message;
   if (kind === KIND.RUN) run(message);
@@ -85,14 +78,17 @@ function received(message) {
   else if (kind === KIND.TASK) tasks.frame(message);
   else if (kind === KIND.SYSTEM) described(header, design);
   else if (kind === KIND.TEXT) newText(header.text, design);
-  else if (kind === KIND.FILE) download(header.name, message.data);
+  else if (kind === KIND.FILE) {
+    tasks.stop();
+    files.download(header.name, message.data);
+  }
   else if (kind === KIND.NOTE) noted(header);
   else if (kind === KIND.PROBLEM) problem(header, message);
 }
 
 function noted(header) {
   if (header.hello) greet(header);
-  else if (header.saved) savedAs(header.saved);
+  else if (header.saved) files.saved(header.saved);
   else if (header.note && header.note !== "ready") note(header.note);
 }
 
@@ -100,15 +96,12 @@ function greet(header) {
   const first = !state.greeting;
   state.greeting = header;
   if (!first || state.system) return;
-  const kept = sessionStorage.getItem("certrack-design"), linked = /^#design=(.+)$/.exec(location.hash)?.[1];
-  if (linked) {
-    window.history.replaceState(null, "", location.pathname + location.search);
-    openText(decoded(linked), "linked.toml");
-  } else if (kept) {
-    const { base, name, values, saved } = JSON.parse(kept);
-    state.saved = saved;
-    restoring = { base, name, values, before: null, keepSaved: true };
-    link.send({ type: "text", design: nextDesign(), text: base, name });
+  const linked = files.linked(), kept = files.kept();
+  if (linked !== null) openText(linked, "linked.toml");
+  else if (kept) {
+    state.saved = kept.saved;
+    restoring = { ...kept, before: null, keepSaved: true };
+    send({ type: "text", design: nextDesign(), text: kept.base, name: kept.name });
   } else if (header.first) {
     const [source, ...name] = header.first.split(" ");
     open(source, name.join(" "));
@@ -119,7 +112,7 @@ function greet(header) {
 }
 
 function problem(header, { design, view }) {
-  land(design, view);
+  requests.landed(design, view);
   if (header.superseded) return;
   if (["task", "export"].includes(header.of)) tasks.stop();
   if (header.of === "bound" || header.of === "exact") {
@@ -129,14 +122,14 @@ function problem(header, { design, view }) {
     return;
   }
   if (header.message) note(header.message);
-  if (waiting) submit();
+  requests.goOn();
 }
 
 // designs
 
 function open(source, name) {
   status("ok", "connected");
-  link.send({ type: "open", source, name, design: nextDesign() });
+  send({ type: "open", source, name, design: nextDesign() });
   restoring = { opening: true };
   state.openedFile = source === "file" ? name : "";
   clearTimeout(open.late);
@@ -144,21 +137,21 @@ function open(source, name) {
 }
 
 function openAsked(source, name) {
-  if (edited()) askUnsaved(state.name, () => open(source, name), () => save(state.name));
+  if (files.edited) askUnsaved(state.name, () => open(source, name), () => files.save(state.name));
   else open(source, name);
 }
 
 function openText(text, name) {
   restoring = { opening: true };
-  link.send({ type: "text", design: nextDesign(), text, name });
+  send({ type: "text", design: nextDesign(), text, name });
 }
 
 function sendText(text) {
-  link.send({ type: "text", design: nextDesign(), text, name: state.name });
+  send({ type: "text", design: nextDesign(), text, name: state.name });
 }
 
 function edit(path, value) {
-  link.send({ type: "edit", design: nextDesign(), text: state.text, name: state.name, entries: { [path]: value } });
+  send({ type: "edit", design: nextDesign(), text: state.text, name: state.name, entries: { [path]: value } });
 }
 
 function described(header, design) {
@@ -173,7 +166,7 @@ function described(header, design) {
       note(header.problem.message);
       if (!state.system) {
         editor.show(header.text);
-        select("file");
+        select("file", tabShown);
       }
     }
     editor.mark(header.problem);
@@ -204,7 +197,7 @@ function adopt(header, was) {
   if (another) {
     Object.assign(state, { before: null, pins: [], window: null, run: null, bound: null });
     if (!was?.keepSaved) state.saved = header.text;
-    Object.assign(history, { undo: [], redo: [] });
+    history.clear();
     guarantee.reset();
     if (state.openedFile) remember(state.openedFile);
   } else gains.rebase(bases);
@@ -222,12 +215,11 @@ function adopt(header, was) {
   byId("file").title = `${state.greeting?.folder ?? ""}  Ctrl+O`;
   for (const id of ["pin", "export"]) byId(id).disabled = false;
   tasks.buttons();
-  resting = true;
   outdate();
-  submit();
-  if (was?.travelling || another) history.present = snapshot();
-  else commit();
-  keep();
+  requests.submit(true);
+  if (was?.travelling || another) history.settle();
+  else history.commit();
+  showHistory();
 }
 
 /** The text with the present gains, from the server. */
@@ -235,11 +227,10 @@ function newText(text, design) {
   if (design !== state.design || state.textProblem) return;
   state.text = text;
   if (document.activeElement !== editor.area) editor.show(text);
-  showEdited();
-  keep();
+  showHistory();
 }
 
-const shown = () => ({ design: state.design, gains: gains.values(state.system) });
+const shown = () => ({ design: state.design, gains: values() });
 
 /** Nothing that was proven is of the new design. */
 function outdate() {
@@ -252,38 +243,15 @@ function moved(event) {
   outdate();
   paints.event(event, state.design);
   state.lastMove = performance.now();
-  showEdited();
-  submit();
+  files.showEdited();
+  requests.submit();
   rest();
 }
 
-const rest = settled(() => {
-  resting = true;
-  submit();
-}, REST);
-
-/** Send the newest design; at most two runs are on their way. */
-function submit() {
-  if (!state.system || !state.connected) return;
-  if (flight.length >= IN_FLIGHT) {
-    waiting = true;
-    return;
-  }
-  waiting = false;
-  const pixels = Math.round(Math.min(8000, Math.max(200, (byId("plots").clientWidth - RIGHT_MARGIN) * Math.min(2, devicePixelRatio))));
-  flight.push([state.design, state.view]);
-  link.send({ type: "set", design: state.design, view: state.view, gains: gains.values(state.system), window: state.window, pixels, resting });
-  resting = false;
-}
-
-/** An answer has come: it and all older ones are no longer on their way. */
-function land(design, view) {
-  const at = flight.findIndex(([d, v]) => d === design && v === view);
-  if (at >= 0) flight.splice(0, at + 1);
-}
+const rest = settled(() => requests.submit(true), REST);
 
 function run({ header, rows, design, view }) {
-  land(design, view);
+  requests.landed(design, view);
   const newest = state.run;
   const older = newest && (design < newest.design || (design === newest.design && view < newest.view));
   const coarser = newest && design === newest.design && view === newest.view && newest.header.sampled && !header.sampled;
@@ -294,7 +262,7 @@ function run({ header, rows, design, view }) {
     if (before && !before.byUser && before.design === design && header.sampled && !before.run.header.sampled) pinned(false);
     frame();
   }
-  if (waiting) submit();
+  requests.goOn();
 }
 
 function estimate(header, design) {
@@ -325,8 +293,8 @@ function zoom(low, high = null) {
     if (to - from < duration * 1e-6) return;
     state.window = from <= 0 && to >= duration ? null : [from, to];
   }
-  state.view = (state.view + 1) % 65536;
-  submit();
+  nextView();
+  requests.submit();
 }
 
 // painting, once per frame
@@ -357,31 +325,19 @@ function draw() {
 
 // undo and redo, pins
 
-const snapshot = () => ({ base: state.base, name: state.name, values: state.system ? gains.values(state.system) : {}, before: state.before, bases: gains.bases() });
-const same = (a, b) => a && b && a.base === b.base && a.before === b.before && JSON.stringify(a.values) === JSON.stringify(b.values);
-
-function commit() {
-  const now = snapshot();
-  if (same(now, history.present)) return;
-  if (history.present) history.undo.push(history.present);
-  if (history.undo.length > MOST_UNDO) history.undo.shift();
-  Object.assign(history, { redo: [], present: now });
-  showHistory();
-  keep();
+function snapshot() {
+  const { base, name, before } = state;
+  return { base, name, before, values: values(), bases: gains.bases() };
 }
 
 function showHistory() {
   byId("undo").disabled = !history.undo.length;
   byId("redo").disabled = !history.redo.length;
-  showEdited();
+  files.showEdited();
+  files.keep();
 }
 
-function travel(from, to) {
-  if (!from.length) return;
-  to.push(history.present);
-  travelTo(from.pop(), true);
-}
-
+/** Show what a snapshot has; a step of the history, or a change like any other. */
 function travelTo(target, travelling = false) {
   state.before = target.before;
   if (target.base === state.base) {
@@ -389,23 +345,19 @@ function travelTo(target, travelling = false) {
     gains.rebase(target.bases);
     nextDesign();
     outdate();
-    resting = true;
-    submit();
-    if (travelling) history.present = target;
-    else commit();
+    requests.submit(true);
+    if (!travelling) history.commit();
   } else {
     restoring = { ...target, travelling };
-    link.send({ type: "text", design: nextDesign(), text: target.base, name: target.name });
-    if (travelling) history.present = target;
+    send({ type: "text", design: nextDesign(), text: target.base, name: target.name });
   }
-  showHistory();
 }
 
 function applyGains(values) {
   const known = Object.fromEntries(Object.entries(values).filter(([path]) => gains.sliders.has(path)));
   gains.set(state.system, known, { keepLocked: true });
   moved(null);
-  commit();
+  history.commit();
 }
 
 function pinned(byUser) {
@@ -413,153 +365,55 @@ function pinned(byUser) {
   if (!now) return;
   state.before = { run: now, design: now.design, t: now.times, e: now.rows[1 + n], u: now.rows[3 + n], bound: bound?.exact ? bound : null, byUser };
   if (!byUser) {
-    history.present = snapshot();
+    history.settle();
     return;
   }
   gains.rebase();
   state.pins.push({ name: `pin ${state.pins.length + 1}`, run: now, bound: state.before.bound, snapshot: snapshot() });
-  commit();
+  history.commit();
   frame();
 }
 
-// files
+// buttons and keys
 
-const edited = () => Boolean(state.system) && (state.text !== state.saved || Object.keys(gains.values(state.system)).length > 0 && state.text === state.base);
-
-function showEdited() {
-  byId("edited").hidden = !edited();
-}
-
-function keep() {
-  if (!state.system) return;
-  const { base, name, values } = snapshot();
-  sessionStorage.setItem("certrack-design", JSON.stringify({ base, name, values, saved: state.saved }));
-}
-
-function save(name, overwrite = name === state.openedFile) {
-  state.saving = state.text;
-  link.send({ type: "save", name, text: state.text, overwrite });
-}
-
-function savedAs(name) {
-  state.saved = state.saving;
-  state.name = name;
-  state.openedFile = name;
-  write(byId("file-name"), name);
-  remember(name);
-  link.send({ type: "files" });
-  note(`${name} saved`);
-  showEdited();
-  keep();
-}
-
-const recent = () => JSON.parse(localStorage.getItem("certrack-recent") ?? "[]");
-const remember = (name) => localStorage.setItem("certrack-recent", JSON.stringify([name, ...recent().filter((file) => file !== name)].slice(0, 5)));
-
-function download(name, data) {
-  tasks.stop();
-  const address = URL.createObjectURL(new Blob([data]));
-  const anchor = element("a", { href: address, download: name });
-  document.body.append(anchor);
-  anchor.click();
-  anchor.remove();
-  setTimeout(() => URL.revokeObjectURL(address), 10_000);
-  note(`${name} exported`);
-}
-
-const encoded = (text) => btoa(String.fromCharCode(...new TextEncoder().encode(text))).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
-const decoded = (text) => new TextDecoder().decode(Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (c) => c.charCodeAt(0)));
-
-async function copyLink() {
-  const address = `${location.origin}/#design=${encoded(state.text)}`;
-  try {
-    await navigator.clipboard.writeText(address);
-    note("Link copied: it carries the whole design.");
-  } catch {
-    window.history.replaceState(null, "", `#design=${encoded(state.text)}`);
-    note("The address bar now carries the whole design.");
-  }
-}
-
-// tabs, theme, keys
-
-function select(name) {
-  for (const tab of document.querySelectorAll("[role=tab]")) {
-    const chosen = tab.id === `tab-${name}`;
-    tab.setAttribute("aria-selected", String(chosen));
-    tab.tabIndex = chosen ? 0 : -1;
-    byId(tab.getAttribute("aria-controls")).hidden = !chosen;
-  }
+function tabShown(name) {
   if (name === "file") editor.number();
 }
 
-function setTheme(theme) {
-  document.documentElement.dataset.theme = theme;
-  localStorage.setItem("certrack-theme", theme);
-  responses.recolor();
-  tasks.fan?.build();
-}
-
-const singleKeys = () => localStorage.getItem("certrack-single-keys") !== "off";
-const actions = {
-  file: () => state.greeting && fileMenu(state.greeting, state, { open: openAsked, saveAs: (name) => save(name), upload: openText, recent }),
-  export: () => exportMenu(state, { export: exportAs, copyLink }),
-  help: () => helpMenu({ singleKeys, setSingleKeys: (on) => localStorage.setItem("certrack-single-keys", on ? "on" : "off") }),
-  undo: () => travel(history.undo, history.redo),
-  redo: () => travel(history.redo, history.undo),
-  pin: () => pinned(true),
-  theme: () => setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"),
-};
-
 function exportAs(format) {
   if (tasks.running) return note("One long computation at a time: wait for it or cancel it.");
-  link.send({ type: "export", format, ...shown() });
+  send({ type: "export", format, ...shown() });
   return tasks.begin("export");
 }
 
+const actions = {
+  file: () => state.greeting && fileMenu(state.greeting, state, { open: openAsked, saveAs: (name) => files.save(name), upload: openText, recent }),
+  export: () => state.system && exportMenu(state, { export: exportAs, copyLink: () => files.copyLink() }),
+  help: () => helpMenu({ singleKeys, setSingleKeys }),
+  undo: () => history.back(),
+  redo: () => history.forth(),
+  pin: () => state.run && pinned(true),
+  theme: () => {
+    switchTheme();
+    responses.recolor();
+    tasks.fan?.build();
+  },
+};
 for (const [id, work] of Object.entries(actions)) byId(id).onclick = work;
-for (const tab of document.querySelectorAll("[role=tab]")) {
-  tab.onclick = () => select(tab.id.replace("tab-", ""));
-  tab.onkeydown = (event) => {
-    const tabs = [...document.querySelectorAll("[role=tab]")], by = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-    if (!by) return;
-    const next = tabs.at((tabs.indexOf(tab) + by) % tabs.length);
-    next.click();
-    next.focus();
-  };
-}
-
-const LETTERS = { f: "falsify", e: "ensemble", m: "margins", u: "tune", c: "compare" };
-addEventListener("keydown", (event) => {
-  const key = event.key.toLowerCase(), inField = /INPUT|TEXTAREA|SELECT/.test(document.activeElement?.tagName);
-  if (event.ctrlKey || event.metaKey) {
-    const work = { s: () => (state.system ? save(state.name) : null), o: actions.file, e: () => byId("export").disabled || actions.export(), z: inField ? null : event.shiftKey ? actions.redo : actions.undo }[key];
-    if (work) {
-      event.preventDefault();
-      work();
-    }
-    return;
-  }
-  if (key === "escape") {
-    if (!closeMenu() && !tasks.close() && state.window) zoom(null);
-    return;
-  }
-  if (inField || event.altKey || !singleKeys()) return;
-  if (LETTERS[key]) tasks.press(LETTERS[key]);
-  else if (key === "p" && state.run) pinned(true);
-  else if (key === "t") actions.theme();
-  else if (key === "l") gains.lockFocused();
-  else if ("123".includes(key) && responses.error) responses.error.setMode(["log", "sym", "zoom"][Number(key) - 1]);
-  else if (key === "?") actions.help();
+bindTabs(tabShown);
+bindKeys({
+  ...actions,
+  save: () => state.system && files.save(state.name),
+  escape: () => closeMenu() || tasks.close() || (state.window && zoom(null)),
+  task: (name) => tasks.press(name),
+  lock: () => gains.lockFocused(),
+  mode: (name) => responses.error?.setMode(name),
 });
 
-const resized = settled(() => state.system && zoomSame(), 200);
-function zoomSame() {
-  state.view = (state.view + 1) % 65536;
-  submit();
-}
-addEventListener("resize", resized);
+addEventListener("resize", settled(() => {
+  nextView();
+  requests.submit();
+}, RESIZED));
 
-document.documentElement.dataset.theme = localStorage.getItem("certrack-theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
 document.fonts?.ready.then(() => responses.plots.forEach((plot) => plot.plot.redraw(false)));
-window.lab = { state, paints, gains, history, flight, responses };
+window.lab = { state, paints, gains, history, flight: requests.flight, responses };

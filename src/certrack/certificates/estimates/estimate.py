@@ -10,10 +10,10 @@ import numpy as np
 
 from certrack.certificates.arithmetic import decimal
 from certrack.certificates.certificate import NoCertificate, within_floats
+from certrack.certificates.estimates.cascade import BestCascade, best_cascade
 from certrack.certificates.estimates.loop_data import in_plant_coordinates
 from certrack.certificates.estimates.peak_gains import peak_estimate
 from certrack.certificates.estimates.riccati import riccati_estimate
-from certrack.certificates.estimates.stages import StagesEstimate, estimate_stages
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.implemented.estimate import estimate_implemented
 from certrack.certificates.problem import ErrorProblem
@@ -69,7 +69,7 @@ class BoundEstimate:
         Of that bound; NaN if there is none.
     state : RiccatiState or None
         What a warm start needs besides.
-    stages : StagesEstimate or None
+    cascade : BestCascade or None
         The same of the cascade.
     reason : str
         Why there is none.
@@ -82,7 +82,7 @@ class BoundEstimate:
     tube: TubeEstimate | None = None
     alpha: float = math.nan
     state: RiccatiState | None = None
-    stages: StagesEstimate | None = None
+    cascade: BestCascade | None = None
     reason: str = ""
 
     def __repr__(self) -> str:
@@ -176,12 +176,12 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
     if solution is not None:
         bounds["semidefinite"] = solution.bound
         shares["semidefinite"] = _quadratic_shares(problem, solution)
-    stages = None
+    cascade = None
     if problem.adaptation is not None and problem.n > 1:
-        stages = estimate_stages(system, problem, None if warm is None else warm.stages)
-        if stages is not None:
-            bounds["cascade"] = stages.head.bound
-            shares["cascade"] = _cascade_shares(stages)
+        cascade = best_cascade(system, problem, None if warm is None else warm.cascade)
+        if cascade is not None:
+            bounds["cascade"] = cascade.head.bound
+            shares["cascade"] = _cascade_shares(cascade)
     if not bounds:
         raise NoCertificate("the uncertainty is too strong for this design; lower tau, or raise c")
     method = min(bounds, key=lambda kind: bounds[kind])
@@ -193,16 +193,16 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
         None if solution is None else _tube_of(system, problem, solution),
         math.nan if solution is None else solution.alpha,
         state,
-        stages,
+        cascade,
     )
 
 
-def _cascade_shares(stages: StagesEstimate) -> dict[str, float]:
+def _cascade_shares(cascade: BestCascade) -> dict[str, float]:
     """The bound of e_1, and in the place of its part by e_n what that is made of."""
-    of_last, of_head = stages.problems
-    shares = _quadratic_shares(of_head, stages.head, "e_n")
+    of_last, of_head = cascade.problems
+    shares = _quadratic_shares(of_head, cascade.head, "e_n")
     through_last = shares.pop("e_n", 0.0)
-    inner = _quadratic_shares(of_last, stages.of_last, "estimates")
+    inner = _quadratic_shares(of_last, cascade.of_last, "estimates")
     total = sum(inner.values())
     for name, share in inner.items():
         shares[name] = shares.get(name, 0.0) + through_last * share / total
