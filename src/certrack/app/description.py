@@ -8,6 +8,7 @@ from typing import Any
 from certrack.app.form import form_of
 from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.gains import movable_gains
+from certrack.app.profiles import reference_record
 from certrack.core.errors import CertrackError, InputError
 from certrack.core.rationals import float_of
 from certrack.simulation.metrics import METRIC_LABELS, settling_band
@@ -47,6 +48,7 @@ def system_frame(system: System, text: str, name: str, design: int) -> bytes:
         "limits": None if drive is None or drive.saturation is None else list(drive.saturation),
         "population": system.population is not None,
         "form": form_of(text),
+        "reference": reference_record(system, text),
     }
     return pack_frame(FrameKind.SYSTEM, header, design=design)
 

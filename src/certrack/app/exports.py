@@ -8,7 +8,9 @@ import tempfile
 import zipfile
 from pathlib import Path
 
+from certrack.app.messages import REPORTS
 from certrack.core.errors import InputError
+from certrack.core.progress import Progress, silent
 from certrack.export.identifiers import stem
 from certrack.systems.system import System
 
@@ -16,7 +18,9 @@ from certrack.systems.system import System
 USUAL_PERIOD = 0.001
 
 
-def exported_file(system: System, text: str, name: str, file_format: str) -> tuple[str, bytes]:
+def exported_file(
+    system: System, text: str, name: str, file_format: str, progress: Progress = silent
+) -> tuple[str, bytes]:
     """Name and content of one exported file.
 
     Parameters
@@ -28,6 +32,8 @@ def exported_file(system: System, text: str, name: str, file_format: str) -> tup
         Of the design.
     file_format : str
         One of :data:`certrack.app.messages.EXPORTS`.
+    progress : callable
+        Told of every part of a dossier.
 
     Raises
     ------
@@ -37,18 +43,14 @@ def exported_file(system: System, text: str, name: str, file_format: str) -> tup
     base = stem(name or "design")
     if file_format == "toml":
         return f"{base}.toml", text.encode()
+    if file_format in REPORTS:
+        return _report(system, base, REPORTS[file_format], progress)
     period = USUAL_PERIOD if system.implementation is None else None
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         match file_format:
             case "certificate":
                 return f"{base}-certificate.json", _certificate(system)
-            case "report":
-                from certrack.reports.dossier import dossier
-                from certrack.reports.pages import save_dossier
-
-                path = folder / f"{base}-report.html"
-                save_dossier(dossier(system, f"{base}.toml"), path)
             case "c":
                 from certrack.export.c import export_c
 
@@ -69,6 +71,17 @@ def exported_file(system: System, text: str, name: str, file_format: str) -> tup
                 simulate(system).save(path)
             case _:
                 return f"{base}.{file_format}", _picture(system, file_format)
+        return path.name, path.read_bytes()
+
+
+def _report(system: System, base: str, ending: str, progress: Progress) -> tuple[str, bytes]:
+    from certrack.reports.dossier import dossier
+    from certrack.reports.pages import require_writable, save_dossier
+
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / f"{base}-report{ending}"
+        require_writable(path)
+        save_dossier(dossier(system, f"{base}.toml", progress=progress), path)
         return path.name, path.read_bytes()
 
 

@@ -32,6 +32,9 @@ NAMED = ("plant.constants", "truth.constants", "plant.ranges", "ensemble.constan
 #: Kinds of keys that hold texts: what is typed is put in quotes.
 TEXT_KINDS = ("text", "formula", "choice")
 
+#: Entries of a reference that suit every kind of it.
+KEPT_OF_REFERENCE = ("transient",)
+
 #: A longer entry of a file is shown in the text only.
 MAX_SHOWN = 2000
 
@@ -130,6 +133,19 @@ def with_entries(text: str, entries: Mapping[str, str]) -> str:
         raise InputError("", f"is not TOML: {problem}", remedy="Mend the file first") from None
     for path, typed in entries.items():
         _set(document, path, typed.strip())
+    return tomlkit.dumps(document)
+
+
+def with_reference(text: str, entries: Mapping[str, Any]) -> str:
+    """The text with other entries in its table ``[reference]``; a soft start stays."""
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    table: Any = document["reference"]
+    for name in [name for name in table if name not in KEPT_OF_REFERENCE]:
+        del table[name]
+    for name, value in entries.items():
+        table[name] = value
     return tomlkit.dumps(document)
 
 

@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from certrack.app.description import refusal_frame, system_frame
-from certrack.app.form import with_entries, with_numbers
+from certrack.app.form import with_entries, with_numbers, with_reference
 from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.guarantee import certificates_frame, estimate_frame, shares_of
 from certrack.app.open_design import Designs, OpenDesign, continuous_law
+from certrack.app.profiles import REFERENCE_TEMPLATES, reference_of_kind
 from certrack.app.responses import run_frame
 from certrack.certificates.certify import certify
 from certrack.certificates.estimates.estimate import estimate
+from certrack.core import checks
 from certrack.core.errors import CertrackError
 from certrack.systems.shipped import starter
 from certrack.systems.system import System
@@ -90,11 +92,22 @@ def _describe(context: JobContext, job: Job, began: float, send: Sender, progres
     text = job["text"]
     try:
         if job.get("entries"):
-            text = with_entries(text, job["entries"])
+            text = _edited(context, job)
         design = context.open({**job, "text": text})
     except CertrackError as problem:
         return refusal_frame(problem, text, job["design"])
     return system_frame(design.system, text, job["name"], job["design"])
+
+
+def _edited(context: JobContext, job: Job) -> str:
+    """The text with entries changed; another kind of reference brings entries of its own."""
+    entries = dict(job["entries"])
+    text: str = job["text"]
+    kind = entries.pop("reference.kind", None)
+    if kind is not None:
+        kind = checks.choice("reference.kind", kind, REFERENCE_TEMPLATES)
+        text = with_reference(text, reference_of_kind(kind, context.open(job).system))
+    return with_entries(text, entries)
 
 
 def _source(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
@@ -121,10 +134,12 @@ def _task(context: JobContext, job: Job, began: float, send: Sender, progress: A
 def _export(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
     """The design as a file."""
     from certrack.app.exports import exported_file
+    from certrack.app.long_tasks import reporter
 
+    report = reporter("export", job["design"], send)
     text = with_numbers(job["text"], job["gains"])
     system = context.open({**job, "text": text}).system
-    name, data = exported_file(system, text, job["name"], job["format"])
+    name, data = exported_file(system, text, job["name"], job["format"], report)
     header = {"name": name, "seconds": round(time.perf_counter() - began, 2)}
     return pack_frame(FrameKind.FILE, header, data=data, design=job["design"])
 

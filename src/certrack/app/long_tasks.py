@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,10 +14,14 @@ from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.gains import movable_gains
 from certrack.app.responses import curves, number_text
 from certrack.core import checks
+from certrack.core.progress import Progress
 from certrack.core.rounding import printed_bound
 from certrack.reports.tables import BOUND_TEXT_DIGITS
 from certrack.simulation.metrics import METRIC_LABELS
 from certrack.systems.system import System
+
+if TYPE_CHECKING:
+    from certrack.studies.ensembles.ensemble import Ensemble
 
 #: Reports of a computation are passed on at most so often, s.
 REPORT_INTERVAL = 0.1
@@ -27,6 +31,10 @@ WORST_PIXELS = 1200
 
 #: What a page may ask for at most.
 MAX_SEARCH_RUNS, MAX_ENSEMBLE, MAX_MARGIN_MEMBERS, MAX_TUNE_STARTS = 200_000, 100_000, 1000, 64
+
+#: Members of the first fan chart that is shown, and how many times more the next one has: all the
+#: early ones together cost less than a seventh of the last.
+FIRST_MEMBERS, MORE_MEMBERS = 32, 8
 
 #: Limits that a page may give to tuning.
 TUNE_LIMITS = ("error", "peak_input", "energy", "period", "delay_margin", "noise")
@@ -55,6 +63,21 @@ def run_task(
     bytes
         The frame of the result.
     """
+    report = reporter(task, design, send)
+    work = {"falsify": _falsify, "ensemble": _ensemble, "margins": _margins, "tune": _tune}[task]
+
+    def frame(result: TaskResult, state: str) -> bytes:
+        header, arrays = result
+        return pack_frame(
+            FrameKind.TASK, {"task": task, "state": state, **header}, arrays, design=design
+        )
+
+    result = work(system, options, report, lambda early: send(frame(early, "early")))
+    return frame(result, "done")
+
+
+def reporter(task: str, design: int, send: Send) -> Progress:
+    """What a computation calls, and the page sees in its bottom bar."""
     last = 0.0
 
     def report(done: float, total: float | None, best: float | None, /) -> None:
@@ -66,13 +89,13 @@ def run_task(
         header = {"task": task, "state": "running", "done": done, "total": total, "best": best}
         send(pack_frame(FrameKind.TASK, header, design=design))
 
-    work = {"falsify": _falsify, "ensemble": _ensemble, "margins": _margins, "tune": _tune}[task]
-    header, arrays = work(system, options, report)
-    header = {"task": task, "state": "done", **header}
-    return pack_frame(FrameKind.TASK, header, arrays, design=design)
+    return report
 
 
 TaskResult = tuple[dict[str, Any], list[np.ndarray]]
+
+#: Shows a result of fewer members, or the like, before all is done.
+Show = Callable[[TaskResult], None]
 
 
 def _integer_option(
@@ -81,7 +104,9 @@ def _integer_option(
     return checks.integer(name, options.get(name, default), least, most)
 
 
-def _falsify(system: System, options: Mapping[str, Any], report: Any) -> TaskResult:
+def _falsify(
+    system: System, options: Mapping[str, Any], report: Progress, show: Show
+) -> TaskResult:
     """The worst case found, and the curve of its error."""
     from certrack.simulation.simulator import simulate
     from certrack.studies.falsifier.falsify import falsify
@@ -115,13 +140,25 @@ def _falsify(system: System, options: Mapping[str, Any], report: Any) -> TaskRes
     return header, [times, *rows]
 
 
-def _ensemble(system: System, options: Mapping[str, Any], report: Any) -> TaskResult:
+def _ensemble(
+    system: System, options: Mapping[str, Any], report: Progress, show: Show
+) -> TaskResult:
     """Quantile bands of every signal, and the statistics of the metrics."""
     from certrack.studies.ensembles.ensemble import ensemble
-    from certrack.studies.ensembles.statistics import LEVELS
 
     members = _integer_option(options, "members", 2000, 8, MAX_ENSEMBLE)
-    result = ensemble(system, members, seed=_seed(options), progress=report)
+    seed = _seed(options)
+    early = FIRST_MEMBERS
+    while early * MORE_MEMBERS <= members:
+        show(_fan(ensemble(system, early, seed=seed, limit=math.inf)))
+        early *= MORE_MEMBERS
+    return _fan(ensemble(system, members, seed=seed, progress=report))
+
+
+def _fan(result: Ensemble) -> TaskResult:
+    """Bands and statistics of an ensemble."""
+    from certrack.studies.ensembles.statistics import LEVELS
+
     table = []
     for name, label in METRIC_LABELS.items():
         entries = result.statistics.metrics[name].summary()
@@ -144,7 +181,9 @@ def _ensemble(system: System, options: Mapping[str, Any], report: Any) -> TaskRe
     return header, [result.t, *bands.reshape(-1, bands.shape[-1])]
 
 
-def _margins(system: System, options: Mapping[str, Any], report: Any) -> TaskResult:
+def _margins(
+    system: System, options: Mapping[str, Any], report: Progress, show: Show
+) -> TaskResult:
     """What period, delay and saturation may become."""
     from certrack.studies.margins import margins
 
@@ -183,7 +222,7 @@ def _margins(system: System, options: Mapping[str, Any], report: Any) -> TaskRes
     return header, []
 
 
-def _tune(system: System, options: Mapping[str, Any], report: Any) -> TaskResult:
+def _tune(system: System, options: Mapping[str, Any], report: Progress, show: Show) -> TaskResult:
     """Gains within limits, before and after."""
     from certrack.tuning.result import Tuned
     from certrack.tuning.tune import tune

@@ -20,9 +20,11 @@ MAX_ENTRIES_CHANGED = 2000
 #: Columns of pixels that a plot may have.
 LEAST_PIXELS, MOST_PIXELS = 50, 8000
 
-#: The long computations that a page may start, and the formats it may have.
+#: The long computations that a page may start, and the formats it may have; those of the dossier
+#: with the ending of its file.
 TASKS = ("falsify", "ensemble", "margins", "tune")
-EXPORTS = ("toml", "certificate", "report", "c", "st", "fmu", "netcdf", "png", "svg", "pdf")
+REPORTS = {"report": ".html", "report-pdf": ".pdf", "report-md": ".md", "report-tex": ".tex"}
+EXPORTS = ("toml", "certificate", *REPORTS, "c", "st", "fmu", "netcdf", "png", "svg", "pdf")
 
 
 @dataclass(frozen=True)

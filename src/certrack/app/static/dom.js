@@ -15,18 +15,18 @@ export function element(tag, attributes = {}, ...children) {
   return made;
 }
 
-/** A drawing of 12 or 16 units; the paths are our own. */
-export function drawing(size, ...paths) {
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  svg.setAttribute("viewBox", `0 0 ${size} ${size}`);
-  svg.setAttribute("aria-hidden", "true");
-  for (const d of paths) {
-    const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
-    path.setAttribute("d", d);
-    svg.append(path);
-  }
-  return svg;
+const SVG = "http://www.w3.org/2000/svg";
+
+/** A part of a drawing, with children that are parts or texts. */
+export function shape(tag, attributes = {}, ...children) {
+  const made = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.append(...children);
+  return made;
 }
+
+/** A drawing of 12 or 16 units; the paths are our own. */
+export const drawing = (size, ...paths) => shape("svg", { viewBox: `0 0 ${size} ${size}`, "aria-hidden": "true" }, ...paths.map((d) => shape("path", { d })));
 
 /** Set a text if it differs: the layout is left alone where nothing changes. */
 export function write(target, text) {

@@ -1,7 +1,10 @@
 // The system as a form: every key of the file, with its unit, its limits, and the help of the documentation.
 import { element } from "./dom.js";
+import { Profile } from "./profile.js";
 
 const WORDS = new Set(["choice"]);
+
+const KIND_OF_REFERENCE = "reference.kind";
 
 export class Form {
   /** `on`: edit(path, value). */
@@ -9,17 +12,21 @@ export class Form {
     this.parent = parent;
     this.on = on;
     this.stale = null;
+    this.profile = new Profile(on);
   }
 
-  build(sections) {
+  /** Show the keys of a system. */
+  build({ form: sections, reference, units }) {
     const open = new Set([...this.parent.querySelectorAll("details[open]")].map((fold) => fold.dataset.title));
     const focused = document.activeElement?.dataset?.path, first = !this.parent.childElementCount;
     this.parent.textContent = "";
     this.stale = element("p", { class: "stale-note", hidden: true }, "follows the file once it has no errors");
     this.parent.append(this.stale);
-    for (const { title, fields } of sections) {
+    for (const { title, fields: all } of sections) {
+      const fields = all.filter((field) => field.path !== KIND_OF_REFERENCE); // beside the drawing
       const filled = fields.filter((field) => field.value !== "");
       const fold = element("details", { class: "section", "data-title": title, open: first ? title === "Plant" || title === "Reference" : open.has(title) }, element("summary", {}, element("h3", {}, title), element("span", { class: "count" }, filled.length ? String(filled.length) : "not used")));
+      if (title === "Reference") fold.append(this.profile.build(reference, units[0]));
       for (const field of filled) fold.append(this.field(field));
       const empty = fields.filter((field) => field.value === "");
       if (empty.length) {

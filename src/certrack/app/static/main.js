@@ -44,6 +44,11 @@ const tasks = new Tasks(state, {
   cancel: () => send({ type: "cancel" }),
   apply: applyGains,
   restore: (pin) => travelTo(pin.snapshot),
+  behind: (pin) => {
+    state.before = pin.before;
+    history.commit();
+    frame();
+  },
   redraw: frame,
   note,
 });
@@ -190,7 +195,7 @@ function adopt(header, was) {
   document.title = `${header.name.replace(/\.toml$/, "")} · certrack`;
   const bases = another ? null : gains.bases();
   gains.build(header);
-  form.build(header.form);
+  form.build(header);
   editor.show(header.text);
   editor.mark(null);
   form.mark(null);
@@ -369,7 +374,7 @@ function pinned(byUser) {
     return;
   }
   gains.rebase();
-  state.pins.push({ name: `pin ${state.pins.length + 1}`, run: now, bound: state.before.bound, snapshot: snapshot() });
+  state.pins.push({ name: `pin ${state.pins.length + 1}`, run: now, bound: state.before.bound, before: state.before, snapshot: snapshot() });
   history.commit();
   frame();
 }
@@ -396,7 +401,7 @@ const actions = {
   theme: () => {
     switchTheme();
     responses.recolor();
-    tasks.fan?.build();
+    tasks.recolor();
   },
 };
 for (const [id, work] of Object.entries(actions)) byId(id).onclick = work;
