@@ -10,6 +10,8 @@ from app_client import PATIENCE, running
 
 import certrack
 from certrack.core.rounding import printed_bound
+from certrack.reports.tables import table
+from certrack.simulation.metrics import METRIC_LABELS
 
 pytestmark = pytest.mark.slow
 
@@ -106,12 +108,14 @@ def test_numbers_on_the_page_are_those_of_the_command_line(shown):
     assert page.inner_text("#bound .num") == printed_bound(proven.best.bound, 5)
     assert page.inner_text("#badge") == "exact"
     metrics = certrack.simulate(system).metrics.as_dict()
-    rows = page.locator("#measures tbody tr")
-    texts = {rows.nth(k).locator("th").inner_text(): rows.nth(k) for k in range(rows.count())}
-    from certrack.app.responses import number_text
-
-    row = next(row for label, row in texts.items() if label.startswith("tail error"))
-    assert row.locator("td").nth(1).inner_text() == number_text(metrics["tail_error"])
+    rows = page.locator("#measures tbody tr td:nth-child(3)").all_inner_texts()
+    printed = table("", ["", ""], [[name, metrics[name]] for name in METRIC_LABELS]).rows
+    assert rows == [printed_bound(proven.best.bound, 5), *(text for _, text in printed)]
+    page.click("#certificates-card summary")
+    for row in page.locator("#certificates tbody tr").all():
+        certificate = getattr(proven, row.locator("th").inner_text())
+        text = row.locator("td").first.inner_text()
+        assert text.strip() == (printed_bound(certificate.bound, 5) if certificate.exists else "—")
 
 
 def test_the_key_leaves_the_address_and_a_page_that_is_loaded_again_comes_back(shown):
@@ -229,6 +233,56 @@ def test_falsify_ensemble_cancel_and_export(shown, tmp_path):
         sources = sorted(map(str, folder.glob("*.c")))
         subprocess.run([compiler, *sources, "-o", str(tmp_path / "test"), "-lm"], check=True)
         assert subprocess.run([str(tmp_path / "test")], check=False).returncode == 0
+
+
+def test_a_reference_is_chosen_and_its_points_are_moved(shown):
+    page = shown()
+    page.click("#tab-system")
+    assert page.locator(".profile .curve").get_attribute("d").count("L") > 300
+    page.select_option('[id="field-reference.kind"]', "scurve")
+    wait(page, "lab.state.system.reference.kind === 'scurve'")
+    at_rest(page)
+    points = page.locator(".profile circle")
+    assert points.count() == 3
+    points.nth(1).focus()
+    page.keyboard.press("ArrowUp")
+    wait(page, "lab.state.system.reference.points.values[1] > 0.2")
+    at_rest(page)
+    moved = page.evaluate("lab.state.system.reference.points.values[1]")
+    assert certrack.loads(page.evaluate("lab.state.text")).reference.bounds(0).values[0] >= moved
+    assert page.evaluate("document.activeElement.dataset.path") == "reference.positions[1]"
+    page.keyboard.press("Control+z")
+    wait(page, "lab.state.system.reference.points.values[1] === 0.2")
+    box = points.nth(1).bounding_box()
+    page.mouse.move(box["x"] + 5, box["y"] + 5)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 5, box["y"] + 30, steps=4)
+    page.mouse.up()
+    wait(page, "lab.state.system.reference.points.values[1] < 0.19")
+
+
+def test_a_design_is_tuned_and_a_point_of_its_front_taken(shown):
+    page = shown()
+    opened(page, "dual-motor-lean")
+    before = page.evaluate("lab.state.bound.bound")
+    page.keyboard.press("p")
+    page.keyboard.press("u")
+    page.fill("input[name=starts]", "1")
+    page.fill("input[name=peak_input]", "20")
+    page.select_option("select[name=front]", "peak-input")
+    page.click(".tune-form .primary")
+    wait(page, "document.querySelectorAll('.front circle').length > 2")
+    page.locator(".front circle").nth(2).click()
+    wait(page, "document.querySelector('#work').hidden")
+    assert page.locator(".front circle").count() > 2, "the front stays in sight"
+    page.click("text=Use these gains")
+    at_rest(page)
+    assert page.evaluate("lab.state.bound.bound") != before
+    page.keyboard.press("c")
+    assert page.locator(".result.pins thead th").all_inner_texts() == ["pin 1", "now"]
+    page.click("text=go back")
+    at_rest(page)
+    assert page.evaluate("lab.state.bound.bound") == before
 
 
 def test_files_are_opened_and_saved_in_the_folder_only(shown, server):
