@@ -206,7 +206,10 @@ def test_a_contradicted_premise_strikes_the_number(shown):
     wait(page, "document.querySelector('#badge').textContent === 'premise contradicted'")
     assert "struck" in page.get_attribute("#bound", "class")
     assert page.locator("#premises .contradicted").is_visible()
-    assert page.locator("#remedy").is_visible()
+    page.click("#remedy >> text=Widen gamma[0] to 0.5")
+    at_rest(page)
+    assert page.inner_text("#badge").startswith("exact")
+    assert certrack.loads(page.evaluate("lab.state.text")).plant.uncertainty.gamma == (0.5, 0.2)
 
 
 def test_falsify_ensemble_cancel_and_export(shown, tmp_path):
@@ -214,6 +217,11 @@ def test_falsify_ensemble_cancel_and_export(shown, tmp_path):
     page.keyboard.press("f")
     wait(page, "lab.state.worst !== null")
     assert page.evaluate("lab.state.worst.worst <= lab.state.bound.bound")
+    with page.expect_download(timeout=1000 * PATIENCE) as download:
+        page.click("text=Save it as a file")
+    download.value.save_as(tmp_path / "worst.toml")
+    case = certrack.simulate(certrack.load(tmp_path / "worst.toml"))
+    assert case.metrics.tail_error == pytest.approx(page.evaluate("lab.state.worst.worst"))
     page.keyboard.press("Escape")
     assert not page.locator("#drawer").is_visible()
     page.keyboard.press("e")

@@ -32,6 +32,7 @@ def estimate_frame(bound: BoundEstimate, design: int, began: float) -> bytes:
         "method": bound.method,
         "reason": bound.reason,
         "shares": shares_of(bound),
+        "shares_of": bound.method,
         "tube": None
         if tube is None
         else {"pieces": [[0.0, tube.start**2, tube.bound**2]], "alpha": tube.alpha},
@@ -49,7 +50,7 @@ def shares_of(bound: BoundEstimate) -> list[tuple[str, float]]:
 def certificates_frame(
     system: System,
     results: Certificates,
-    shares: list[tuple[str, float]],
+    near: BoundEstimate,
     *,
     effort: str,
     design: int,
@@ -61,8 +62,8 @@ def certificates_frame(
     ----------
     system : System
     results : Certificates
-    shares : pairs of name and part
-        Of the estimate by the same method; empty where there are none.
+    near : BoundEstimate
+        Of the same design: it tells where the bound comes from.
     effort : str
     design : int
     began : float
@@ -80,7 +81,8 @@ def certificates_frame(
         "contradicted": [premise.record() for premise in broken],
         "premises": [premise.record() for premise in results.premises],
         "certificates": _rows(results),
-        "shares": shares,
+        "shares": shares_of(near),
+        "shares_of": near.method,
         "tube": _tube_record(results),
         "facts": _facts(system, results),
         "ms": _milliseconds(began),

@@ -10,7 +10,7 @@ from typing import Any
 from certrack.app.description import refusal_frame, system_frame
 from certrack.app.form import with_entries, with_numbers, with_reference
 from certrack.app.frames import FrameKind, pack_frame
-from certrack.app.guarantee import certificates_frame, estimate_frame, shares_of
+from certrack.app.guarantee import certificates_frame, estimate_frame
 from certrack.app.open_design import Designs, OpenDesign, continuous_law
 from certrack.app.profiles import REFERENCE_TEMPLATES, reference_of_kind
 from certrack.app.responses import run_frame
@@ -81,9 +81,8 @@ def _exact(context: JobContext, job: Job, began: float, send: Sender, progress: 
     results = certify(system, job["effort"], progress, warm=design.warm)
     near = estimate(system, warm=design.warm)
     design.warm = near
-    shares = shares_of(near) if near.method == results.best.kind else []
     return certificates_frame(
-        system, results, shares, effort=job["effort"], design=job["design"], began=began
+        system, results, near, effort=job["effort"], design=job["design"], began=began
     )
 
 

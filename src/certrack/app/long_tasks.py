@@ -110,6 +110,7 @@ def _falsify(
     """The worst case found, and the curve of its error."""
     from certrack.simulation.simulator import simulate
     from certrack.studies.falsifier.falsify import falsify
+    from certrack.systems.writer import to_text
 
     budget = _integer_option(options, "budget", 6000, 100, MAX_SEARCH_RUNS)
     result = falsify(system, budget=budget, seed=_seed(options), progress=report)
@@ -135,6 +136,7 @@ def _falsify(
         "alarm": alarm,
         "reason": result.reason,
         "left_out": dict(result.left_out),
+        "case": to_text(case),
         "stopped": result.stopped,
     }
     return header, [times, *rows]

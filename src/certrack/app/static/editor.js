@@ -35,8 +35,18 @@ export class Editor {
     this.problem = problem;
     style(this.check, problem ? "check bad" : "check");
     write(this.check, problem ? problem.message : "No errors.");
+    if (problem?.line) this.check.append(" ", element("button", { onclick: () => this.goTo(problem.line) }, "Go to the line"));
     this.area.setAttribute("aria-invalid", String(Boolean(problem)));
     this.number();
+  }
+
+  /** Put the cursor on a line, in the middle of the view. */
+  goTo(line) {
+    const before = this.area.value.split("\n").slice(0, line - 1).join("\n").length, height = this.area.scrollHeight / this.area.value.split("\n").length;
+    const from = line > 1 ? before + 1 : 0, to = this.area.value.indexOf("\n", from);
+    this.area.focus();
+    this.area.setSelectionRange(from, to < 0 ? this.area.value.length : to);
+    this.area.scrollTop = height * line - this.area.clientHeight / 2;
   }
 
   number() {

@@ -7,7 +7,7 @@ const STATUSES = ["contradicted", "assumed", "checked", "proven"];
 const LESS_IS_BETTER = new Set(["settling_time", "tail_error", "rms_error", "integral_abs_error", "peak_input", "input_energy", "input_variation"]);
 
 export class Guarantee {
-  /** `state` is read; `on`: edit(path, value), announce. */
+  /** `state` is read; `on`: edit(path, value). */
   constructor(state, on) {
     this.state = state;
     this.on = on;
@@ -78,7 +78,10 @@ export class Guarantee {
     const remedy = bound?.contradicted?.[0]?.remedy ?? "";
     const text = beyond ? `An admissible case (${worst.text} ${unit}) exceeds the bound (${bound.text} ${unit}): a premise is broken or certrack has a defect. Save the case.` : remedy;
     box.hidden = !text;
-    write(box, text);
+    if (box.dataset.text === text) return;
+    box.dataset.text = text;
+    box.textContent = text;
+    for (const change of beyond ? [] : widenings(remedy, this.state.system.form)) box.append(element("button", { onclick: () => this.on.edit(change.path, change.value) }, change.text));
   }
 
   ladder(header, worst, bound, outdated) {
@@ -102,7 +105,7 @@ export class Guarantee {
 
   measures(system, header, bound, before) {
     const body = byId("measures").tBodies[0], unit = system.units[0], input = system.units.at(-1);
-    const units = { tail_error: unit, rms_error: unit, peak_input: input, input_variation: input };
+    const units = { tail_error: unit, rms_error: unit, peak_input: input };
     const names = Object.keys(system.metrics);
     if (body.rows.length !== names.length + 1) {
       body.textContent = "";
@@ -154,8 +157,8 @@ export class Guarantee {
   }
 
   /** Shares of the bound, always in the same order. */
-  budget(shares) {
-    const box = byId("budget"), rows = [...shares].sort(([a], [b]) => (a < b ? -1 : 1));
+  budget(bound) {
+    const box = byId("budget"), rows = [...(bound?.shares ?? [])].sort(([a], [b]) => (a < b ? -1 : 1));
     byId("budget-card").hidden = !rows.length;
     const key = rows.map(([name]) => name).join();
     if (this.shown !== key || box.childElementCount !== rows.length) {
@@ -167,7 +170,25 @@ export class Guarantee {
       write(box.children[k].children[1], `${(100 * share).toFixed(0)} %`);
       box.children[k].querySelector("i").style.transform = `scaleX(${Math.min(1, Math.max(0, share))})`;
     });
+    write(byId("budget-of"), bound?.shares_of && bound.shares_of !== bound.method ? `in the ${bound.shares_of}` : "");
+    const most = rows.reduce((best, row) => (best && best[1] >= row[1] ? best : row), null);
+    write(byId("budget-hint"), most ? `A tenth less of the largest part (${cause(most[0])}) lowers the bound by about ${(10 * most[1]).toFixed(1)} %.` : "");
   }
+}
+
+/** Remedies that one press carries out: "widen gamma[0] to 0.5" as an edit of the file. */
+function widenings(remedy, form) {
+  const fields = form.flatMap((section) => section.fields);
+  return [...remedy.matchAll(/(gamma|beta)\[(\d+)\] to ([\d.e+-]*\d)/g)].flatMap(([, name, index, value]) => {
+    const path = `plant.uncertainty.${name}`, written = fields.find((field) => field.path === path)?.value;
+    try {
+      const numbers = JSON.parse(written);
+      numbers[Number(index)] = Number(value);
+      return [{ path, value: JSON.stringify(numbers), text: `Widen ${name}[${index}] to ${value}` }];
+    } catch {
+      return []; // not a list of numbers: the text says what to do
+    }
+  });
 }
 
 /** What adds to a bound, in words. */

@@ -8,8 +8,9 @@ import { Guarantee } from "./guarantee.js";
 import { History } from "./history.js";
 import { bindKeys, setSingleKeys, singleKeys } from "./keys.js";
 import { KIND, Link, sessionKey } from "./link.js";
-import { askUnsaved, closeMenu, exportMenu, fileMenu, helpMenu, startPage } from "./menus.js";
+import { closeMenu, exportMenu, fileMenu, helpMenu, startPage } from "./menus.js";
 import { note, status } from "./notes.js";
+import { Opening } from "./opening.js";
 import { Paints } from "./paints.js";
 import { Requests } from "./requests.js";
 import { Responses } from "./responses.js";
@@ -18,10 +19,10 @@ import { bindTabs, select } from "./tabs.js";
 import { Tasks } from "./tasks.js";
 import { beginTheme, switchTheme } from "./theme.js";
 
-const REST = 120, LATE = 400, RESIZED = 200, COMPILING = "compiling …";
+const REST = 120, RESIZED = 200;
 
 const paints = new Paints(new URLSearchParams(location.search).has("measure"));
-let restoring = null, asked = false;
+let asked = false;
 
 beginTheme();
 const send = (message) => link.send(message);
@@ -35,10 +36,12 @@ const gains = new Gains(byId("gains"), {
 const requests = new Requests({ send, values, width: () => byId("plots").clientWidth });
 const history = new History({ snapshot, show: (target) => travelTo(target, true), changed: showHistory });
 const files = new Files({ send, values, note });
+const opening = new Opening({ send }, files);
+const openAsked = (source, name) => opening.ask(() => opening.open(source, name));
 const editor = new Editor({ text: sendText });
 const form = new Form(byId("form"), { edit });
 const responses = new Responses(byId("plots"), state, { zoom });
-const guarantee = new Guarantee(state, {});
+const guarantee = new Guarantee(state, { edit });
 const tasks = new Tasks(state, {
   start: (task, options) => send({ type: "task", task, options, ...shown() }),
   cancel: () => send({ type: "cancel" }),
@@ -49,6 +52,8 @@ const tasks = new Tasks(state, {
     history.commit();
     frame();
   },
+  openText: (text, name) => opening.ask(() => opening.text(text, name)),
+  download: (name, text) => files.download(name, text),
   redraw: frame,
   note,
 });
@@ -62,7 +67,7 @@ function opened() {
   status("ok", "connected");
   requests.forget();
   if (state.system) {
-    restoring = snapshot();
+    state.restoring = snapshot();
     send({ type: "text", design: nextDesign(), text: state.base, name: state.name });
   }
 }
@@ -102,14 +107,14 @@ function greet(header) {
   state.greeting = header;
   if (!first || state.system) return;
   const linked = files.linked(), kept = files.kept();
-  if (linked !== null) openText(linked, "linked.toml");
+  if (linked !== null) opening.text(linked, "linked.toml");
   else if (kept) {
     state.saved = kept.saved;
-    restoring = { ...kept, before: null, keepSaved: true };
+    state.restoring = { ...kept, before: null, keepSaved: true };
     send({ type: "text", design: nextDesign(), text: kept.base, name: kept.name });
   } else if (header.first) {
     const [source, ...name] = header.first.split(" ");
-    open(source, name.join(" "));
+    opening.open(source, name.join(" "));
   } else {
     byId("start").hidden = false;
     startPage(byId("start"), header, openAsked);
@@ -132,25 +137,6 @@ function problem(header, { design, view }) {
 
 // designs
 
-function open(source, name) {
-  status("ok", "connected");
-  send({ type: "open", source, name, design: nextDesign() });
-  restoring = { opening: true };
-  state.openedFile = source === "file" ? name : "";
-  clearTimeout(open.late);
-  open.late = setTimeout(() => write(byId("note"), COMPILING), LATE);
-}
-
-function openAsked(source, name) {
-  if (files.edited) askUnsaved(state.name, () => open(source, name), () => files.save(state.name));
-  else open(source, name);
-}
-
-function openText(text, name) {
-  restoring = { opening: true };
-  send({ type: "text", design: nextDesign(), text, name });
-}
-
 function sendText(text) {
   send({ type: "text", design: nextDesign(), text, name: state.name });
 }
@@ -161,10 +147,9 @@ function edit(path, value) {
 
 function described(header, design) {
   if (design !== state.design) return;
-  clearTimeout(open.late);
-  if (byId("note").textContent === COMPILING) note("");
-  const was = restoring;
-  restoring = null;
+  opening.arrived();
+  const was = state.restoring;
+  state.restoring = null;
   if (header.problem) {
     state.textProblem = header.problem;
     if (was?.opening || !state.system) {
@@ -280,11 +265,10 @@ function estimate(header, design) {
 function exact(header, design) {
   if (design !== state.design) return;
   state.bound = { ...header, design, exact: true, refining: header.effort === "fast" };
-  if (!header.shares.length && state.shares?.design === design) state.bound.shares = state.shares.of;
   state.exactTime = header.ms;
   state.exactDelay = performance.now() - (state.lastMove ?? 0);
   guarantee.proven(header, state.system);
-  if (state.before && !state.before.bound && state.before.design === design) state.before.bound = state.bound;
+  if (state.before?.design === design) state.before.bound = state.bound;
   write(byId("announce"), header.bound ? `Certified bound ${header.text} ${state.system.units[0]}, exact` : header.reason);
   if (state.run) responses.describe(state.system, state.run, state.bound);
   frame();
@@ -319,8 +303,7 @@ function draw() {
   if (!state.before) pinned(false);
   responses.draw();
   guarantee.draw();
-  if (state.bound?.shares?.length) guarantee.budget(state.bound.shares);
-  else guarantee.budget([]);
+  guarantee.budget(state.bound);
   const { header } = state.run, parts = [`run ${header.ms.toFixed(1)} ms`];
   if (state.boundTime !== undefined) parts.push(`bound ${Math.round(state.boundTime)} ms`);
   if (state.exactTime !== undefined) parts.push(`exact ${Math.round(state.exactTime)} ms`);
@@ -353,7 +336,7 @@ function travelTo(target, travelling = false) {
     requests.submit(true);
     if (!travelling) history.commit();
   } else {
-    restoring = { ...target, travelling };
+    state.restoring = { ...target, travelling };
     send({ type: "text", design: nextDesign(), text: target.base, name: target.name });
   }
 }
@@ -374,7 +357,7 @@ function pinned(byUser) {
     return;
   }
   gains.rebase();
-  state.pins.push({ name: `pin ${state.pins.length + 1}`, run: now, bound: state.before.bound, before: state.before, snapshot: snapshot() });
+  state.pins.push({ name: `pin ${state.pins.length + 1}`, run: now, before: state.before, snapshot: snapshot() });
   history.commit();
   frame();
 }
@@ -392,7 +375,7 @@ function exportAs(format) {
 }
 
 const actions = {
-  file: () => state.greeting && fileMenu(state.greeting, state, { open: openAsked, saveAs: (name) => files.save(name), upload: openText, recent }),
+  file: () => state.greeting && fileMenu(state.greeting, state, { open: openAsked, saveAs: (name) => files.save(name), upload: (text, name) => opening.ask(() => opening.text(text, name)), recent }),
   export: () => state.system && exportMenu(state, { export: exportAs, copyLink: () => files.copyLink() }),
   help: () => helpMenu({ singleKeys, setSingleKeys }),
   undo: () => history.back(),

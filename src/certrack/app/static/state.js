@@ -3,7 +3,7 @@
 export const state = {
   system: null, base: "", text: "", name: "", saved: "", openedFile: "", design: 0, view: 0, window: null,
   run: null, bound: null, worst: null, before: null, pins: [], connected: false, textProblem: null,
-  greeting: null,
+  greeting: null, restoring: null,
 };
 
 /** Every change of gains or text is another design. */

@@ -8,7 +8,7 @@ import { Tuning } from "./tuning.js";
 const NAMES = { falsify: "Falsify", ensemble: "Ensemble", margins: "Margins", tune: "Tune", compare: "Compare", export: "Export" };
 
 export class Tasks {
-  /** `on`: start(task, options), cancel(), apply(gains), restore(pin), behind(pin), redraw(), note(text). */
+  /** `on`: start(task, options), cancel(), apply(gains), restore(pin), behind(pin), openText(text, name), download(name, text), redraw(), note(text). */
   constructor(state, on) {
     this.state = state;
     this.on = on;
@@ -98,7 +98,9 @@ export class Tasks {
     const facts = [["worst error found", `${header.text} ${unit}`], ["certified", header.certified ? `${header.certified} ${unit}` : "—"], ["certified / found", header.ratio ? `${header.ratio.toFixed(2)} ×` : "—"], ["loop", loop], ["runs spent", String(header.runs)]];
     for (const [what, why] of Object.entries(header.left_out)) facts.push([`not tried: ${what}`, why]);
     if (header.alarm) facts.unshift(["ALARM", header.reason]);
-    this.drawer.open("Worst case found", [table(["", ""], facts, "facts"), sentence("The largest error that the search met among cases which the premises admit. It proves nothing, but shows how tight the bound is.")]);
+    const name = `worst-of-${this.state.name.replace(/^.*\//, "")}`;
+    const actions = element("div", { class: "actions" }, element("button", { onclick: () => this.on.openText(header.case, name) }, "Open this case"), element("button", { onclick: () => this.on.download(name, header.case) }, "Save it as a file"));
+    this.drawer.open("Worst case found", [actions, table(["", ""], facts, "facts"), sentence("The largest error that the search met among cases which the premises admit. It proves nothing, but shows how tight the bound is.")]);
     this.on.note(`Worst of ${header.runs} admissible cases: ${header.text} ${unit}.`);
     this.on.redraw();
   }
@@ -128,9 +130,9 @@ export class Tasks {
       this.drawer.open("Compare", [sentence("Pin a design (P) to compare it with others; every pin stays in this list.")]);
       return;
     }
-    const now = { name: "now", run, bound: bound?.exact ? bound : null };
+    const now = { name: "now", run, before: { bound: bound?.exact ? bound : null } };
     const designs = [...pins, now], names = Object.keys(system.metrics);
-    const rows = [["certified bound", ...designs.map((d) => d.bound?.text ?? "—")], ...names.map((name) => [system.metrics[name], ...designs.map((d) => d.run.header.texts[name] ?? "—")])];
+    const rows = [["certified bound", ...designs.map((d) => d.before.bound?.text ?? "—")], ...names.map((name) => [system.metrics[name], ...designs.map((d) => d.run.header.texts[name] ?? "—")])];
     const button = (text, work) => pins.map((pin) => element("button", { onclick: () => work(pin) }, text));
     const behind = ["behind the curves", ...button("show", (pin) => this.on.behind(pin)), ""];
     const restore = ["gains and file", ...button("go back", (pin) => this.on.restore(pin)), ""];
