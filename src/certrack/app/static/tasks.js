@@ -136,6 +136,6 @@ export class Tasks {
     const button = (text, work) => pins.map((pin) => element("button", { onclick: () => work(pin) }, text));
     const behind = ["behind the curves", ...button("show", (pin) => this.on.behind(pin)), ""];
     const restore = ["gains and file", ...button("go back", (pin) => this.on.restore(pin)), ""];
-    this.drawer.open("Pinned designs", [table(["", ...designs.map((d) => d.name)], [...rows, behind, restore], "pins")]);
+    this.drawer.open("Pinned designs", [table(["", ...designs.map((d) => d.name)], [behind, restore, ...rows], "pins")]);
   }
 }
