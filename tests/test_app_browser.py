@@ -207,6 +207,7 @@ def test_a_contradicted_premise_strikes_the_number(shown):
     assert "struck" in page.get_attribute("#bound", "class")
     assert page.locator("#premises .contradicted").is_visible()
     page.click("#remedy >> text=Widen gamma[0] to 0.5")
+    wait(page, "lab.state.text.includes('gamma = [0.5, 0.2]')")
     at_rest(page)
     assert page.inner_text("#badge").startswith("exact")
     assert certrack.loads(page.evaluate("lab.state.text")).plant.uncertainty.gamma == (0.5, 0.2)

@@ -184,7 +184,7 @@ function widenings(remedy, form) {
     try {
       const numbers = JSON.parse(written);
       numbers[Number(index)] = Number(value);
-      return [{ path, value: JSON.stringify(numbers), text: `Widen ${name}[${index}] to ${value}` }];
+      return [{ path, value: `[${numbers.map((number) => JSON.stringify(number)).join(", ")}]`, text: `Widen ${name}[${index}] to ${value}` }];
     } catch {
       return []; // not a list of numbers: the text says what to do
     }
