@@ -1,6 +1,7 @@
 """The designer: from an input event to its paint in a browser, and many pages at one server."""
 
 import asyncio
+import os
 import shutil
 import statistics
 import sys
@@ -17,8 +18,8 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))
 #: Milliseconds from an input event to its paint, median and 95 %, on a quiet machine of two cores.
 GOAL_MEDIAN, GOAL_LATE = 40, 80
 
-#: Seconds of a drag; seconds between its moves.
-DRAG, MOVE = 6.0, 1 / 60
+#: Seconds of a drag, seconds between its moves, and pixels to either side.
+DRAG, MOVE, SWING = 6.0, 1 / 60, 5
 
 #: Pages without a browser, how long they move gains, s, and what they must get on a quiet machine.
 CLIENTS, CLIENT_SECONDS, GOAL_REPLY, GOAL_BOUNDS = 20, 60.0, 60, 2.0
@@ -65,6 +66,51 @@ def server(tmp_path_factory):
         yield started
 
 
+def test_many_pages_move_gains_at_once(server, report):
+    async def client(k, replies, counts):
+        async with page(server) as moving:
+            await moving.send("open", source="file", name="robust-4.toml", design=1)
+            await moving.receive("SYSTEM")
+            design, sent, bounds = 1, 0.0, 0
+            end = time.monotonic() + CLIENT_SECONDS
+            while time.monotonic() < end:
+                design += 1
+                sent = time.monotonic()
+                await moving.move(design, {"law.c[0]": 3 + 0.01 * (design % 50)})
+                prefix, _, _ = await moving.receive("RUN")
+                while prefix.design < design:
+                    prefix, _, _ = await moving.receive("RUN")
+                replies.append(1e3 * (time.monotonic() - sent))
+                await asyncio.sleep(max(0.0, 1 / 30 - (time.monotonic() - sent)))
+            bounds = sum(p.kind.name == "BOUND" for p, _ in moving.frames)
+            counts.append(bounds / CLIENT_SECONDS)
+
+    async def all_of_them():
+        replies, counts = [], []
+        async with page(server) as first:  # every worker has computed once
+            await first.send("open", source="file", name="robust-4.toml", design=1)
+            await first.receive("SYSTEM")
+            await first.move(2)
+            await first.receive("EXACT")
+        before = memory(server)
+        await asyncio.gather(*(client(k, replies, counts) for k in range(CLIENTS)))
+        return sorted(replies), sorted(counts), before, memory(server)
+
+    spent = processor_time(server)
+    replies, counts, before, after = asyncio.run(all_of_them())
+    spent = {role: value - spent[role] for role, value in processor_time(server).items()}
+    per_run = 1e3 * spent["run"] / len(replies)
+    per_bound = 1e3 * spent["bound"] / (CLIENT_SECONDS * sum(counts))
+    assert len(counts) == CLIENTS
+    report(
+        f"{CLIENTS} pages for {CLIENT_SECONDS:g} s: {len(replies)} runs, reply "
+        f"{statistics.median(replies):.0f} ms median, {replies[int(0.95 * len(replies))]:.0f} ms "
+        f"at 95 % (goal {GOAL_REPLY}); bounds {counts[0]:.1f} to {counts[-1]:.1f} /s and page "
+        f"(goal {GOAL_BOUNDS}); server and workers {before} -> {after} MB; processor time {per_run:.1f} ms a run, "
+        f"{per_bound:.1f} ms a bound"
+    )
+
+
 @pytest.fixture(scope="module")
 def chromium():
     driver = pytest.importorskip("playwright.sync_api")
@@ -85,14 +131,17 @@ def wait(shown, expression):
 
 def dragged(shown):
     """Milliseconds of the moves of one drag, ordered."""
+    slider = shown.locator('[data-path="law.c[0]"]')
+    slider.focus()
+    shown.keyboard.press("Delete")  # back to where it began
     shown.evaluate("lab.paints.times.length = 0")
-    box = shown.locator('[data-path="law.c[0]"]').bounding_box()
+    box = slider.bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     shown.mouse.move(x, y)
     shown.mouse.down()
     begin = time.monotonic()
     while (now := time.monotonic() - begin) < DRAG:
-        shown.mouse.move(x + 12 * ((now % 2) - 1 if now % 4 < 2 else 1 - now % 2), y)
+        shown.mouse.move(x + SWING * ((now % 2) - 1 if now % 4 < 2 else 1 - now % 2), y)
         time.sleep(MOVE)
     shown.mouse.up()
     wait(shown, f"lab.flight.length === 0 && {EXACT}")
@@ -119,39 +168,14 @@ def test_a_move_is_painted_in_time(server, chromium, report, law, n):
     report(line + f"  (goal {GOAL_MEDIAN} and {GOAL_LATE})")
 
 
-def test_many_pages_move_gains_at_once(server, report):
-    async def client(k, replies, counts):
-        async with page(server) as moving:
-            await moving.send("open", source="file", name="robust-4.toml", design=1)
-            await moving.receive("SYSTEM")
-            design, sent, bounds = 1, 0.0, 0
-            end = time.monotonic() + CLIENT_SECONDS
-            while time.monotonic() < end:
-                design += 1
-                sent = time.monotonic()
-                await moving.move(design, {"law.c[0]": 3 + 0.01 * (design % 50)})
-                prefix, _, _ = await moving.receive("RUN")
-                while prefix.design < design:
-                    prefix, _, _ = await moving.receive("RUN")
-                replies.append(1e3 * (time.monotonic() - sent))
-                await asyncio.sleep(max(0.0, 1 / 30 - (time.monotonic() - sent)))
-            bounds = sum(p.kind.name == "BOUND" for p, _ in moving.frames)
-            counts.append(bounds / CLIENT_SECONDS)
-
-    async def all_of_them():
-        replies, counts = [], []
-        before = memory(server)
-        await asyncio.gather(*(client(k, replies, counts) for k in range(CLIENTS)))
-        return sorted(replies), sorted(counts), before, memory(server)
-
-    replies, counts, before, after = asyncio.run(all_of_them())
-    assert len(counts) == CLIENTS
-    report(
-        f"{CLIENTS} pages for {CLIENT_SECONDS:g} s: {len(replies)} runs, reply "
-        f"{statistics.median(replies):.0f} ms median, {replies[int(0.95 * len(replies))]:.0f} ms "
-        f"at 95 % (goal {GOAL_REPLY}); bounds {counts[0]:.1f} to {counts[-1]:.1f} /s and page "
-        f"(goal {GOAL_BOUNDS}); server and workers {before} -> {after} MB"
-    )
+def processor_time(server):
+    """Seconds of each worker by its role."""
+    tick = os.sysconf("SC_CLK_TCK")
+    spent = {}
+    for role, process in server.workers().items():
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        spent[role] = (int(fields[11]) + int(fields[12])) / tick
+    return spent
 
 
 def memory(server):

@@ -351,14 +351,30 @@ def test_axe_finds_nothing_and_nothing_is_cut(shown, theme, size):
         assert not found, (view, found)
         wide = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
         assert wide <= 0, view
+
+    def nothing_found(what):
+        found = page.evaluate(
+            "axe.run().then((r) => r.violations.map((v) => [v.id, v.nodes.map((n) => n.html)]))"
+        )
+        assert not found, (what, found)
+
+    text = page.input_value("#text")
+    page.fill("#text", text.replace("x1**2*x2", "x1**2*x9"))
+    wait(page, "lab.state.textProblem !== null")
+    nothing_found("an error")
+    page.fill("#text", text.replace("gamma = [0.5, 0.2]", "gamma = [0.1, 0.2]"))
+    wait(page, "lab.state.bound?.contradicted?.length && lab.state.textProblem === null")
+    nothing_found("a contradicted premise")
+    page.click("#tab-system")
+    page.select_option('[id="field-reference.kind"]', "moves")
+    wait(page, "document.querySelectorAll('.profile circle').length === 3")
+    nothing_found("points of a reference")
     page.click("#tab-gains")
     page.locator("[data-task=tune]").click()
-    found = page.evaluate("axe.run().then((r) => r.violations.map((v) => v.id))")
-    assert not found
+    nothing_found("limits of tuning")
     page.keyboard.press("Escape")
     page.click("#file")
-    found = page.evaluate("axe.run().then((r) => r.violations.map((v) => v.id))")
-    assert not found
+    nothing_found("files")
 
 
 def test_the_page_says_that_the_server_is_gone_and_comes_back(chromium, tmp_path):

@@ -28,7 +28,7 @@ export class Fan {
 
   open(signals) {
     this.chart = element("div", { class: "fan" });
-    this.facts = element("div", {});
+    this.facts = element("div", { tabindex: 0, role: "group", "aria-label": "Figures of the ensemble" });
     this.pick = element("select", { "aria-label": "Signal of the fan chart" }, ...signals.map((name) => element("option", { selected: name === this.signal }, name)));
     this.pick.onchange = () => this.draw();
     this.drawer.open(TITLE, [element("div", { class: "split" }, element("div", { class: "fan-side" }, this.pick, this.chart), this.facts)], () => this.destroy());

@@ -2,7 +2,7 @@
 import { element, shape } from "./dom.js";
 import { format, tick } from "./numbers.js";
 
-const WIDTH = 330, HEIGHT = 170, LEFT = 52, RIGHT = 14, TOP = 10, BOTTOM = 36, RADIUS = 4.5, FAR_APART = 10;
+const WIDTH = 330, HEIGHT = 170, LEFT = 62, RIGHT = 14, TOP = 10, BOTTOM = 36, RADIUS = 4.5, FAR_APART = 10;
 
 /** Places of values on an axis, logarithmic where they are far apart, and the texts at its ends. */
 function axis(values, from, to) {
@@ -31,6 +31,6 @@ export function frontChart({ limit, objective, points }, choose) {
     point.addEventListener("keydown", (event) => ["Enter", " "].includes(event.key) && (event.preventDefault(), choose(value)));
     svg.append(point);
   }
-  const hint = `${objective} against ${limit}, by estimates; click a point to tune and certify for it${lost ? `. ${lost} values of the limit cannot be kept` : ""}.`;
+  const hint = `${objective} against ${limit}, by estimates; click a point to tune and certify for it${lost ? `. ${lost} further ${lost > 1 ? "values" : "value"} of the limit cannot be kept` : ""}.`;
   return element("figure", { class: "front-figure" }, svg, element("figcaption", { class: "sub" }, hint));
 }
