@@ -106,8 +106,8 @@ def test_many_pages_move_gains_at_once(server, report):
         f"{CLIENTS} pages for {CLIENT_SECONDS:g} s: {len(replies)} runs, reply "
         f"{statistics.median(replies):.0f} ms median, {replies[int(0.95 * len(replies))]:.0f} ms "
         f"at 95 % (goal {GOAL_REPLY}); bounds {counts[0]:.1f} to {counts[-1]:.1f} /s and page "
-        f"(goal {GOAL_BOUNDS}); server and workers {before} -> {after} MB; processor time {per_run:.1f} ms a run, "
-        f"{per_bound:.1f} ms a bound"
+        f"(goal {GOAL_BOUNDS}); server and workers {before} -> {after} MB; "
+        f"processor time {per_run:.1f} ms a run, {per_bound:.1f} ms a bound"
     )
 
 
