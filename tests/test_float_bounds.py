@@ -66,7 +66,7 @@ def test_a_loop_that_is_not_covered_has_no_estimate():
     ("name", "kinds"),
     [
         ("dual-motor-lean", ("peak", "semidefinite")),
-        ("example1", ("semidefinite",)),
+        ("example1", ("semidefinite", "cascade")),
         ("dual-motor-drive", ("implemented",)),
         ("axis", ("vertices",)),
     ],
@@ -82,6 +82,20 @@ def test_estimates_are_what_certify_proves(name, kinds):
         assert sum(found.shares.values()) == pytest.approx(found.bound)
     if found.tube is not None and proven.tube_kind == "semidefinite":
         assert found.tube(1.0) == pytest.approx(proven.tube(1.0), rel=1e-2)
+
+
+def test_the_cascade_is_estimated_with_its_centred_stage_warm_and_cold():
+    system = certrack.load("example1")
+    warm = certrack.estimate(system)
+    assert warm.cascade.centred is not None and warm.cascade.shift
+    for factor in (1.02, 1.1, 1.4):
+        law = replace(system.law, c=tuple(factor * v for v in system.law.c))
+        moved = system.replace(law=law)
+        warm = certrack.estimate(moved, warm=warm)
+        proven = certrack.certify(moved, "fast").cascade
+        assert warm.method == "cascade"
+        assert warm.bound == pytest.approx(proven.bound, rel=1e-3)
+        assert sum(warm.shares.values()) == pytest.approx(warm.bound)
 
 
 def test_a_warm_certificate_is_as_good_and_as_proven():

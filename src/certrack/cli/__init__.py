@@ -19,6 +19,7 @@ import click
 
 from certrack.cli.cache import cache
 from certrack.cli.checks import check
+from certrack.cli.designer import app
 from certrack.cli.dossiers import report
 from certrack.cli.exports import export
 from certrack.cli.files import design, list_systems, new
@@ -56,6 +57,7 @@ def cli() -> None:
 
 
 for verb in (
+    app,
     list_systems,
     new,
     design,

@@ -76,7 +76,7 @@ class Simulator:
             If its structure (formulas, law, feed-forward order) differs from the compiled one.
         """
         system = self.system if system is None else system
-        if not self._serves(system):
+        if not self.serves(system):
             raise InputError(
                 "system", "has another structure than the compiled one", remedy="Make a Simulator"
             )
@@ -88,8 +88,17 @@ class Simulator:
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self.system,)  # compiled code stays here
 
-    def _serves(self, system: System) -> bool:
-        """Whether the compiled loop is that of `system`; its formulas are made only if needed."""
+    def serves(self, system: System) -> bool:
+        """Whether the compiled loop is that of `system`, so that :meth:`run` takes it.
+
+        Parameters
+        ----------
+        system : System
+
+        Returns
+        -------
+        bool
+        """
         if (system.implementation is None) != (self.system.implementation is None):
             return False
         if system is self.system or _same_structure(system, self.system):

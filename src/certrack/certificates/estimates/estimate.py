@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from certrack.certificates.arithmetic import decimal
-from certrack.certificates.cascade import head_problem
 from certrack.certificates.certificate import NoCertificate, within_floats
+from certrack.certificates.estimates.cascade import BestCascade, best_cascade
 from certrack.certificates.estimates.loop_data import in_plant_coordinates
 from certrack.certificates.estimates.peak_gains import peak_estimate
 from certrack.certificates.estimates.riccati import riccati_estimate
@@ -69,6 +69,8 @@ class BoundEstimate:
         Of that bound; NaN if there is none.
     state : RiccatiState or None
         What a warm start needs besides.
+    cascade : BestCascade or None
+        The same of the cascade.
     reason : str
         Why there is none.
     """
@@ -80,6 +82,7 @@ class BoundEstimate:
     tube: TubeEstimate | None = None
     alpha: float = math.nan
     state: RiccatiState | None = None
+    cascade: BestCascade | None = None
     reason: str = ""
 
     def __repr__(self) -> str:
@@ -91,14 +94,14 @@ class BoundEstimate:
 def estimate(system: System, *, warm: BoundEstimate | None = None) -> BoundEstimate:
     """Estimate the certified error, many times faster than it is proven.
 
-    The methods are those of :func:`certrack.certify`, without cells of ranges, centred stages and
+    The methods are those of :func:`certrack.certify`, without cells of ranges and
     anything exact. Never show the result as proven.
 
     Parameters
     ----------
     system : System
     warm : BoundEstimate, optional
-        Of a system nearby: the search for the decay rate begins at its rate.
+        Of a system nearby: the searches begin where they ended there.
 
     Returns
     -------
@@ -173,8 +176,12 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
     if solution is not None:
         bounds["semidefinite"] = solution.bound
         shares["semidefinite"] = _quadratic_shares(problem, solution)
+    cascade = None
     if problem.adaptation is not None and problem.n > 1:
-        bounds |= _cascade(problem)
+        cascade = best_cascade(system, problem, None if warm is None else warm.cascade)
+        if cascade is not None:
+            bounds["cascade"] = cascade.head.bound
+            shares["cascade"] = _cascade_shares(cascade)
     if not bounds:
         raise NoCertificate("the uncertainty is too strong for this design; lower tau, or raise c")
     method = min(bounds, key=lambda kind: bounds[kind])
@@ -186,16 +193,20 @@ def _nominal(system: System, warm: BoundEstimate | None) -> BoundEstimate:
         None if solution is None else _tube_of(system, problem, solution),
         math.nan if solution is None else solution.alpha,
         state,
+        cascade,
     )
 
 
-def _cascade(problem: ErrorProblem) -> dict[str, float]:
-    """The two stages of the cascade, without a centred one between."""
-    last = best_solution(SemidefiniteProgram(problem, problem.n - 1))
-    if last is None:
-        return {}
-    head = best_solution(SemidefiniteProgram(head_problem(problem, last.bound)))
-    return {} if head is None else {"cascade": head.bound}
+def _cascade_shares(cascade: BestCascade) -> dict[str, float]:
+    """The bound of e_1, and in the place of its part by e_n what that is made of."""
+    of_last, of_head = cascade.problems
+    shares = _quadratic_shares(of_head, cascade.head, "e_n")
+    through_last = shares.pop("e_n", 0.0)
+    inner = _quadratic_shares(of_last, cascade.of_last, "estimates")
+    total = sum(inner.values())
+    for name, share in inner.items():
+        shares[name] = shares.get(name, 0.0) + through_last * share / total
+    return shares
 
 
 def causes(problem: ErrorProblem) -> list[str]:
@@ -206,13 +217,28 @@ def causes(problem: ErrorProblem) -> list[str]:
     return [name if names.count(name) == 1 else f"{name} {i + 1}" for i, name in enumerate(names)]
 
 
-def _quadratic_shares(problem: ErrorProblem, solution: Solution) -> dict[str, float]:
-    """The bound, divided among the causes as Delta is."""
-    na = problem.counts[0]
-    parts = dict(zip(causes(problem)[na:], np.concatenate([solution.nu, solution.k]), strict=True))
+def _quadratic_shares(
+    problem: ErrorProblem, solution: Solution, other: str = "estimates"
+) -> dict[str, float]:
+    """The bound, divided among the causes as Delta is; `other` has what is no cause by itself."""
+    values = np.concatenate([solution.nu, solution.k])
+    parts = {other: 0.0}
+    for name, value in zip(_inputs(problem, other), values, strict=True):
+        parts[name] = parts.get(name, 0.0) + float(value)
     if problem.adaptation is not None:
-        parts["estimates"] = solution.P[-1, -1] * problem.leakage(solution.alpha)
-    return {name: float(solution.bound * v / solution.delta) for name, v in parts.items()}
+        parts["estimates"] = parts.get("estimates", 0.0) + float(
+            solution.P[-1, -1] * problem.leakage(solution.alpha)
+        )
+    delta = solution.delta
+    return {name: float(solution.bound * v / delta) for name, v in parts.items() if v}
+
+
+def _inputs(problem: ErrorProblem, other: str) -> list[str]:
+    """Names of the b-inputs and of the columns of the reference; `other` for those without."""
+    named = causes(problem)[problem.counts[0] :]
+    nb, order = len(problem.states[1]), len(problem.derivatives)
+    b = [*named[:nb], *[other] * (problem.Ub.shape[1] - nb)]
+    return [*b, *named[nb:], *[other] * (problem.Uy.shape[1] - order)]
 
 
 def _tube_of(system: System, problem: ErrorProblem, solution: Solution) -> TubeEstimate | None:

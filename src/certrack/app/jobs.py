@@ -1,0 +1,157 @@
+"""The jobs of workers: from a text and gains to a frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from certrack.app.description import refusal_frame, system_frame
+from certrack.app.form import with_entries, with_numbers, with_reference
+from certrack.app.frames import FrameKind, pack_frame
+from certrack.app.guarantee import certificates_frame, estimate_frame
+from certrack.app.open_design import Designs, OpenDesign, continuous_law
+from certrack.app.profiles import REFERENCE_TEMPLATES, reference_of_kind
+from certrack.app.responses import run_frame
+from certrack.certificates.certify import certify
+from certrack.certificates.estimates.estimate import estimate
+from certrack.core import checks
+from certrack.core.errors import CertrackError
+from certrack.systems.shipped import starter
+from certrack.systems.system import System
+
+Job = Mapping[str, Any]
+Sender = Callable[[bytes], None]
+
+
+class JobContext:
+    """What a worker keeps between jobs."""
+
+    def __init__(self) -> None:
+        self.designs = Designs()
+
+    def open(self, job: Job) -> OpenDesign:
+        """The design of a job."""
+        folder = job.get("folder")
+        return self.designs.of(job["text"], job["name"], None if folder is None else Path(folder))
+
+    def system(self, job: Job) -> System:
+        """The system of a job, with its gains."""
+        return self.open(job).with_gains(job.get("gains", {}))
+
+
+def _warm(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
+    """Compile what the first page opens."""
+    try:
+        design = context.open(job)
+        if job["role"] == "run":
+            context.designs.run(continuous_law(design.system) or design.system)
+        elif job["role"] == "bound":
+            design.warm = estimate(design.system)
+    except CertrackError:  # the page will be told
+        pass
+    return pack_frame(FrameKind.NOTE, {"note": "ready"})
+
+
+def _run(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
+    """Responses; of a drive those of the continuous law, which are at hand at once."""
+    system = context.system(job)
+    if not job["sampled"]:
+        system = continuous_law(system) or system
+    run = context.designs.run(system)
+    counters = {"design": job["design"], "view": job["view"]}
+    window = None if job["window"] is None else (job["window"][0], job["window"][1])
+    return run_frame(run, window, job["pixels"], began=began, **counters)
+
+
+def _bound(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
+    """The bound in floats, which begins where the last one ended."""
+    design = context.open(job)
+    design.warm = estimate(design.with_gains(job["gains"]), warm=design.warm)
+    return estimate_frame(design.warm, job["design"], began)
+
+
+def _exact(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
+    """All certificates."""
+    design = context.open(job)
+    system = design.with_gains(job["gains"])
+    if design.warm is None:
+        design.warm = estimate(system)
+    results = certify(system, job["effort"], progress, warm=design.warm)
+    near = estimate(system, warm=design.warm)
+    design.warm = near
+    return certificates_frame(
+        system, results, near, effort=job["effort"], design=job["design"], began=began
+    )
+
+
+def _describe(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
+    """What a page shows of a text, after its entries were changed, or what is wrong with it."""
+    text = job["text"]
+    try:
+        if job.get("entries"):
+            text = _edited(context, job)
+        design = context.open({**job, "text": text})
+    except CertrackError as problem:
+        return refusal_frame(problem, text, job["design"])
+    return system_frame(design.system, text, job["name"], job["design"])
+
+
+def _edited(context: JobContext, job: Job) -> str:
+    """The text with entries changed; another kind of reference brings entries of its own."""
+    entries = dict(job["entries"])
+    text: str = job["text"]
+    kind = entries.pop("reference.kind", None)
+    if kind is not None:
+        kind = checks.choice("reference.kind", kind, REFERENCE_TEMPLATES)
+        text = with_reference(text, reference_of_kind(kind, context.open(job).system))
+    return with_entries(text, entries)
+
+
+def _source(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
+    """A shipped system, or the commented empty plant."""
+    text = starter(job["name"] or None)
+    name = f"{job['name'] or 'my-drive'}.toml"
+    return _describe(context, {**job, "text": text, "name": name}, began, send, progress)
+
+
+def _text(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
+    """The text with the gains that the sliders have now."""
+    text = with_numbers(job["text"], job["gains"])
+    return pack_frame(FrameKind.TEXT, {"text": text}, design=job["design"])
+
+
+def _task(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
+    """A long computation; its own last frame is the answer."""
+    from certrack.app.long_tasks import run_task
+
+    system = context.open({**job, "text": with_numbers(job["text"], job["gains"])}).system
+    return run_task(job["task"], system, job["options"], job["design"], send)
+
+
+def _export(context: JobContext, job: Job, began: float, send: Sender, progress: Any) -> bytes:
+    """The design as a file."""
+    from certrack.app.exports import exported_file
+    from certrack.app.long_tasks import reporter
+
+    report = reporter("export", job["design"], send)
+    text = with_numbers(job["text"], job["gains"])
+    system = context.open({**job, "text": text}).system
+    name, data = exported_file(system, text, job["name"], job["format"], report)
+    header = {"name": name, "seconds": round(time.perf_counter() - began, 2)}
+    return pack_frame(FrameKind.FILE, header, data=data, design=job["design"])
+
+
+#: What a worker is asked to do.
+JOBS: Mapping[str, Callable[..., bytes]] = {
+    "warm": _warm,
+    "run": _run,
+    "bound": _bound,
+    "exact": _exact,
+    "describe": _describe,
+    "source": _source,
+    "text": _text,
+    "task": _task,
+    "export": _export,
+}

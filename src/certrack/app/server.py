@@ -1,0 +1,226 @@
+"""The server: static files from a fixed table, and one connection for each page."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from collections.abc import AsyncIterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from certrack.app.frames import PROTOCOL_NUMBER, FrameKind, pack_frame
+from certrack.app.hub import Hub
+from certrack.app.messages import (
+    MAX_MESSAGE,
+    CancelTask,
+    Export,
+    FormEdit,
+    GainMove,
+    Hello,
+    ListFiles,
+    Message,
+    NewText,
+    Open,
+    Save,
+    StartTask,
+    parse_message,
+)
+from certrack.app.security import WRONG_KEY, Access
+from certrack.app.session import Session
+from certrack.app.workspace import Workspace
+from certrack.core.errors import CertrackError, InputError
+from certrack.core.version import version
+from certrack.systems.shipped import catalog
+
+#: Pages at the same time.
+MAX_PAGES = 64
+
+#: Messages of a page in a second that ask for more than a run; further ones are dropped.
+MAX_REQUESTS = 30
+
+TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".woff2": "font/woff2",
+    ".svg": "image/svg+xml",
+}
+
+#: The page, and the one that those see who come without the key.
+PAGE_FILE, REFUSAL_FILE = "index.html", "refused.html"
+
+
+class AppServer:
+    """The designer's server.
+
+    Parameters
+    ----------
+    access : Access
+    workspace : Workspace
+    first : str
+        What pages open first: ``"catalog NAME"``, ``"file NAME"``, or empty.
+    hub : Hub
+    """
+
+    def __init__(self, access: Access, workspace: Workspace, first: str, hub: Hub) -> None:
+        self.access, self.workspace, self.first, self.hub = access, workspace, first, hub
+        self.static = static_files()
+        self.headers = access.headers()
+
+    def application(self) -> Starlette:
+        """The ASGI application."""
+        routes = [
+            WebSocketRoute("/ws", self.connection),
+            Route("/", self.page),
+            Route("/{name:path}", self.file),
+        ]
+        application = Starlette(routes=routes, lifespan=self._lifespan)
+        application.add_middleware(GZipMiddleware, minimum_size=4096)
+        return application
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        await self.hub.start()
+        try:
+            yield
+        finally:
+            await self.hub.stop()
+
+    async def page(self, request: Request) -> Response:
+        """The page, for those who have the key."""
+        if not self.access.host_is_ours(request.headers.get("host")):
+            return PlainTextResponse("wrong host", 403, self.headers)
+        if self.access.key_is_right(request.query_params.get("t")):
+            return Response(self.static[PAGE_FILE], headers=self.headers, media_type=TYPES[".html"])
+        return Response(self.static[REFUSAL_FILE], 403, self.headers, TYPES[".html"])
+
+    async def file(self, request: Request) -> Response:
+        """A file of the fixed table; nothing in it is secret."""
+        if not self.access.host_is_ours(request.headers.get("host")):
+            return PlainTextResponse("wrong host", 403, self.headers)
+        name = request.path_params["name"]
+        if name not in self.static or name == PAGE_FILE:
+            return PlainTextResponse("not found", 404, self.headers)
+        kind = TYPES.get(Path(name).suffix, "text/plain")
+        return Response(self.static[name], headers=self.headers, media_type=kind)
+
+    async def connection(self, socket: WebSocket) -> None:
+        """One page."""
+        headers = socket.headers
+        if not (
+            self.access.host_is_ours(headers.get("host"))
+            and self.access.origin_is_ours(headers.get("origin"))
+            and self.access.key_is_right(socket.query_params.get("t"))
+        ):
+            await socket.close(4403, WRONG_KEY)
+            return
+        if len(self.hub.sessions) >= MAX_PAGES:
+            await socket.close(4429, f"More than {MAX_PAGES} pages are open.")
+            return
+        await socket.accept()
+        session = Session(str(self.workspace.folder))
+        self.hub.join(session)
+        session.send(self._greeting())
+        writer = asyncio.create_task(_write(socket, session))
+        try:
+            await self._listen(socket, session)
+        except WebSocketDisconnect:
+            pass
+        finally:
+            writer.cancel()
+            self.hub.leave(session)
+
+    def _greeting(self) -> bytes:
+        header = {
+            "hello": {"protocol": PROTOCOL_NUMBER, "certrack": version()},
+            "catalog": catalog(),
+            "files": self.workspace.files(),
+            "folder": str(self.workspace.folder),
+            "first": self.first,
+        }
+        return pack_frame(FrameKind.NOTE, header)
+
+    async def _listen(self, socket: WebSocket, session: Session) -> None:
+        second, count = 0, 0
+        while True:
+            text = await socket.receive_text()
+            if len(text) > MAX_MESSAGE:
+                await socket.close(1009)
+                return
+            try:
+                message = parse_message(text)
+                if not isinstance(message, GainMove):
+                    now = int(time.monotonic())
+                    second, count = now, 1 if now != second else count + 1
+                    if count > MAX_REQUESTS:
+                        raise InputError("message", "too many requests in a second")
+                if isinstance(message, Hello) and message.protocol != PROTOCOL_NUMBER:
+                    session.note("Reload the page: certrack was updated.")
+                await self._handle(session, message)
+            except CertrackError as problem:
+                header = {"message": str(problem), "of": _kind_of(text)}
+                session.send(pack_frame(FrameKind.PROBLEM, header, design=session.design))
+
+    async def _handle(self, session: Session, message: Message) -> None:
+        match message:
+            case GainMove():
+                session.moved(message)
+            case Open() | NewText() | FormEdit():
+                text = None
+                if isinstance(message, Open) and message.source == "file":
+                    text = self.workspace.read(message.name)
+                if not session.opened(message, text):
+                    raise InputError("message", "too many texts wait: a moment, please")
+            case StartTask() | Export():
+                job = session.long_job(message)
+                reason = "Nothing is open." if job is None else ""
+                if job is not None:
+                    reason = await self.hub.start_task(session, job)
+                if reason:
+                    raise InputError("task", reason)
+            case CancelTask():
+                self.hub.cancel_task(session)
+            case ListFiles():
+                session.send(self._greeting())
+            case Save():
+                name = self.workspace.write(message.name, message.text, overwrite=message.overwrite)
+                session.send(pack_frame(FrameKind.NOTE, {"saved": name}))
+        self.hub.pump()
+
+
+async def _write(socket: WebSocket, session: Session) -> None:
+    """Send what is queued for a page, in order."""
+    with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+        while True:
+            await socket.send_bytes(await session.outgoing.get())
+
+
+def _kind_of(text: str) -> Any:
+    """The kind of a message that was refused, if it has one."""
+    try:
+        return json.loads(text).get("type")
+    except (ValueError, AttributeError, RecursionError):
+        return None
+
+
+def static_files() -> dict[str, bytes]:
+    """Every file of the page by its name; no other name is ever read."""
+    folder = files("certrack.app") / "static"
+    contents: dict[str, bytes] = {}
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            for inner in entry.iterdir():
+                contents[f"{entry.name}/{inner.name}"] = inner.read_bytes()
+        else:
+            contents[entry.name] = entry.read_bytes()
+    return contents

@@ -1,0 +1,69 @@
+// The drawer over the lower part of the plots, where results of long computations are shown.
+import { element } from "./dom.js";
+
+const LEAST = 120, MOST = 600, STEP = 20, USUAL = 240;
+
+/** A table of texts and elements. */
+export function table(heads, rows, name = "") {
+  const body = element("tbody", {}, ...rows.map(([head, ...cells]) => element("tr", {}, element("th", { scope: "row" }, head), ...cells.map((cell) => element("td", {}, cell)))));
+  const top = heads.some(Boolean) ? element("thead", {}, element("tr", {}, ...heads.map((head) => (head ? element("th", { scope: "col" }, head) : element("td"))))) : "";
+  return element("table", { class: `result ${name}` }, top, body);
+}
+
+export const sentence = (text) => element("p", { class: "sub" }, text);
+
+export class Drawer {
+  constructor(root) {
+    this.root = root;
+    this.leave = null;
+  }
+
+  /** Show a result; `leave` is called when it goes. */
+  open(title, content, leave = null) {
+    this.leave?.();
+    this.leave = leave;
+    this.title = title;
+    this.root.textContent = "";
+    const close = element("button", { class: "icon small", "aria-label": "Close the result", title: "Close  Esc", onclick: () => this.close() }, "×");
+    this.body = element("div", { class: "drawer-body", tabindex: 0, role: "group", "aria-label": title }, ...content);
+    this.root.append(this.grip(), element("header", {}, element("h2", {}, title), element("span", { class: "spacer" }), close), this.body);
+    this.root.hidden = false;
+  }
+
+  /** Close it; whether it was open. */
+  close() {
+    const was = !this.root.hidden;
+    this.leave?.();
+    this.leave = null;
+    this.title = null;
+    this.root.hidden = true;
+    this.root.textContent = "";
+    return was;
+  }
+
+  /** The edge by which the drawer is made higher, by mouse and by keys. */
+  grip() {
+    const height = this.root.offsetHeight || USUAL;
+    const grip = element("div", { class: "grip", role: "separator", tabindex: 0, "aria-orientation": "horizontal", "aria-label": "Height of the result", "aria-valuenow": height, "aria-valuemin": LEAST, "aria-valuemax": MOST });
+    const set = (wanted) => {
+      const value = Math.max(LEAST, Math.min(MOST, wanted));
+      this.root.style.height = `${value}px`;
+      grip.setAttribute("aria-valuenow", Math.round(value));
+    };
+    grip.addEventListener("pointerdown", (event) => {
+      grip.setPointerCapture(event.pointerId);
+      const from = event.clientY, before = this.root.offsetHeight;
+      const move = (drag) => set(before + from - drag.clientY);
+      grip.addEventListener("pointermove", move);
+      grip.addEventListener("pointerup", () => grip.removeEventListener("pointermove", move), { once: true });
+    });
+    grip.addEventListener("keydown", (event) => {
+      const by = { ArrowUp: STEP, ArrowDown: -STEP }[event.key];
+      if (by) {
+        event.preventDefault();
+        set(this.root.offsetHeight + by);
+      }
+    });
+    return grip;
+  }
+}

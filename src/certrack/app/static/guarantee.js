@@ -1,0 +1,202 @@
+// The right-hand panel: the bound with its badge, where it comes from, measures, certificates, premises.
+import { byId, element, style, write } from "./dom.js";
+import { change } from "./numbers.js";
+
+const BADGES = { exact: ["exact", "exact"], refining: ["exact", "exact, refining"], estimating: ["estimating", "estimating"], none: ["bad", "no certificate"], contradicted: ["bad", "premise contradicted"], waiting: ["wait", "waiting"], stale: ["wait", "not current"], text: ["wait", "of the last good design"], unverified: ["estimating", "not verified"] };
+const STATUSES = ["contradicted", "assumed", "checked", "proven"];
+const LESS_IS_BETTER = new Set(["settling_time", "tail_error", "rms_error", "integral_abs_error", "peak_input", "input_energy", "input_variation"]);
+
+export class Guarantee {
+  /** `state` is read; `on`: edit(path, value). */
+  constructor(state, on) {
+    this.state = state;
+    this.on = on;
+    this.shown = "";
+  }
+
+  reset() {
+    for (const id of ["facts", "ladder", "budget"]) byId(id).textContent = "";
+    for (const id of ["measures", "certificates"]) byId(id).tBodies[0].textContent = "";
+    byId("premises").textContent = "";
+    this.exact = null;
+    this.badge("waiting");
+  }
+
+  badge(kind) {
+    const [name, text] = BADGES[kind], badge = byId("badge");
+    style(badge, `badge ${name}`);
+    write(badge, text);
+  }
+
+  /** What is known of the present design. */
+  get kind() {
+    const { bound, textProblem, connected, run } = this.state;
+    if (!connected) return "stale";
+    if (textProblem) return "text";
+    if (!bound || !run) return "waiting";
+    if (bound.contradicted?.length) return "contradicted";
+    if (!bound.bound) return "none";
+    if (!bound.exact || run.design !== bound.design) return "estimating";
+    if (!bound.verified) return "unverified";
+    return bound.refining ? "refining" : "exact";
+  }
+
+  draw() {
+    const { bound, run, system, worst, design, before } = this.state;
+    if (!system || !run) return;
+    const kind = this.kind, unit = system.units[0], header = run.header;
+    this.badge(kind);
+    const big = byId("bound");
+    write(big.children[0], bound?.bound ? "≤" : "");
+    write(big.children[1], bound ? (bound.bound ? bound.text : "none") : "—");
+    write(big.children[2], bound?.bound ? unit : "");
+    style(big, `big ${kind === "exact" || kind === "refining" ? "" : kind === "contradicted" ? "struck" : "muted"}`);
+    write(byId("meaning"), this.meaning(bound, kind));
+    const now = worst && worst.design === design ? worst : null;
+    this.ladder(header, now, bound, worst && !now);
+    this.alarm(now, bound, unit);
+    this.measures(system, header, bound, before);
+    style(byId("facts"), bound?.exact ? "rows" : "rows old");
+    const runKind = byId("run-kind");
+    runKind.hidden = !system.drive;
+    write(runKind, header.sampled ? "as the drive runs it" : "continuous");
+  }
+
+  meaning(bound, kind) {
+    if (!bound) return "compiling …";
+    if (kind === "contradicted") return `${bound.contradicted[0].name}: ${bound.contradicted[0].detail}: the bound does not apply to this file's own truth.`;
+    if (!bound.bound) return bound.reason || "no certificate";
+    if (bound.exact && bound.loop === "implemented") return "largest |e₁| once settled, of the loop as the drive runs it, for everything the premises admit";
+    if (bound.exact && bound.reason) return `largest |e₁| once settled ${bound.reason}`;
+    return "largest |e₁| once settled, for everything the premises admit";
+  }
+
+  /** An admissible case beyond the bound, or a remedy of a contradicted premise. */
+  alarm(worst, bound, unit) {
+    const box = byId("remedy");
+    const beyond = worst && bound?.exact && bound.verified && worst.alarm;
+    const remedy = bound?.contradicted?.[0]?.remedy ?? "";
+    const text = beyond ? `An admissible case (${worst.text} ${unit}) exceeds the bound (${bound.text} ${unit}): a premise is broken or certrack has a defect. Save the case.` : remedy;
+    box.hidden = !text;
+    if (box.dataset.text === text) return;
+    box.dataset.text = text;
+    box.textContent = text;
+    for (const change of beyond ? [] : widenings(remedy, this.state.system.form)) box.append(element("button", { onclick: () => this.on.edit(change.path, change.value) }, change.text));
+  }
+
+  ladder(header, worst, bound, outdated) {
+    const box = byId("ladder"), simulated = header.metrics.tail_error;
+    if (!box.childElementCount) {
+      for (const [label, color] of [["simulated", "--output"], ["worst found", "--worst"], ["certified", "--bound"]]) {
+        const bar = element("i");
+        bar.style.background = `var(${color})`;
+        box.append(element("span", {}, label), element("span", { class: "track" }, bar), element("b"));
+      }
+    }
+    const most = Math.max(simulated ?? 0, worst?.worst ?? 0, bound?.bound ?? 0) || 1;
+    const values = [[simulated, header.texts.tail_error], [worst?.worst, worst ? worst.text : outdated ? "outdated" : "not searched"], [bound?.bound, bound?.bound ? bound.text : "—"]];
+    values.forEach(([value, text], k) => {
+      box.children[3 * k + 1].firstChild.style.transform = `scaleX(${value ? Math.min(1, value / most) : 0})`;
+      write(box.children[3 * k + 2], text ?? "—");
+    });
+    box.children[6].textContent = bound && !bound.exact ? "estimated" : "certified";
+    box.setAttribute("aria-label", `simulated ${header.texts.tail_error}, ${worst ? `worst found ${worst.text}, ` : ""}${bound?.bound ? `bound ${bound.text}` : "no bound"}`);
+  }
+
+  measures(system, header, bound, before) {
+    const body = byId("measures").tBodies[0], unit = system.units[0], input = system.units.at(-1);
+    const units = { tail_error: unit, rms_error: unit, peak_input: input };
+    const names = Object.keys(system.metrics);
+    if (body.rows.length !== names.length + 1) {
+      body.textContent = "";
+      const row = (label, small) => body.append(element("tr", {}, element("th", { scope: "row" }, label, small ? element("small", {}, ` ${small}`) : null), element("td"), element("td"), element("td")));
+      row("certified bound", unit);
+      for (const name of names) row(system.metrics[name].replace(" [s]", ""), units[name] ?? (name === "settling_time" ? "s" : ""));
+    }
+    const fill = (row, old, now, oldValue, newValue, better) => {
+      const cells = body.rows[row].cells, shift = change(oldValue, newValue);
+      write(cells[1], old ?? "—");
+      write(cells[2], now ?? "—");
+      write(cells[3], shift);
+      style(cells[3], better && shift[0] === "−" ? "down" : better && shift[0] === "+" ? "up" : "");
+    };
+    fill(0, before?.bound?.text, bound?.exact && bound.bound ? bound.text : bound?.bound ? "estimating" : "none", before?.bound?.bound, bound?.exact ? bound.bound : null, true);
+    const same = before?.run?.header.sampled === header.sampled;
+    names.forEach((name, k) => fill(k + 1, same ? before.run.header.texts[name] : undefined, header.texts[name], same ? before.run.header.metrics[name] : null, header.metrics[name], LESS_IS_BETTER.has(name)));
+  }
+
+  /** All that only an exact result tells: rows are kept where they do not change. */
+  proven(exact, system) {
+    const facts = byId("facts");
+    facts.textContent = "";
+    const unit = system.units[0], rows = [["method", exact.method || "—"], ...exact.facts];
+    const simulated = this.state.run?.header.metrics.tail_error;
+    if (exact.bound && simulated) rows.push(["certified / simulated", `${(exact.bound / simulated).toFixed(2)} ×`]);
+    for (const [name, value] of rows) facts.append(element("dt", {}, name), element("dd", {}, value));
+    const body = byId("certificates").tBodies[0];
+    body.textContent = "";
+    for (const entry of exact.certificates) {
+      const best = entry.kind === exact.method;
+      body.append(element("tr", { class: best ? "best" : "" }, element("th", { scope: "row", title: entry.reason || null }, entry.kind), element("td", {}, entry.bound ? `${entry.text} ${unit}` : "—"), element("td", {}, entry.verified ? "verified" : "—")));
+    }
+    write(byId("certificate-count"), `${exact.certificates.filter((entry) => entry.verified).length} verified`);
+    this.premises(exact.premises, exact.contradicted.length > 0);
+  }
+
+  premises(premises, broken) {
+    const list = byId("premises"), counts = new Map();
+    list.textContent = "";
+    for (const premise of [...premises].sort((a, b) => STATUSES.indexOf(a.status) - STATUSES.indexOf(b.status))) {
+      counts.set(premise.status, (counts.get(premise.status) ?? 0) + 1);
+      const item = element("li", { class: premise.status }, element("span", { class: "vh" }, `${premise.status}: `), element("b", {}, premise.name), ` ${premise.detail}`);
+      if (premise.remedy) item.append(element("em", {}, ` ${premise.remedy}`));
+      list.append(item);
+    }
+    write(byId("premise-count"), STATUSES.filter((status) => counts.has(status)).map((status) => `${counts.get(status)} ${status}`).join(", "));
+    if (broken) byId("premises-card").open = true;
+  }
+
+  /** Shares of the bound, always in the same order. */
+  budget(bound) {
+    const box = byId("budget"), rows = [...(bound?.shares ?? [])].sort(([a], [b]) => (a < b ? -1 : 1));
+    byId("budget-card").hidden = !rows.length;
+    const key = rows.map(([name]) => name).join();
+    if (this.shown !== key || box.childElementCount !== rows.length) {
+      this.shown = key;
+      box.textContent = "";
+      for (const [name] of rows) box.append(element("div", { class: "bar" }, element("span", {}, cause(name)), element("span"), element("span", { class: "track" }, element("i"))));
+    }
+    rows.forEach(([, share], k) => {
+      write(box.children[k].children[1], `${(100 * share).toFixed(0)} %`);
+      box.children[k].querySelector("i").style.transform = `scaleX(${Math.min(1, Math.max(0, share))})`;
+    });
+    write(byId("budget-of"), bound?.shares_of && bound.shares_of !== bound.method ? `in the ${bound.shares_of}` : "");
+    const most = rows.reduce((best, row) => (best && best[1] >= row[1] ? best : row), null);
+    write(byId("budget-hint"), most ? `A tenth less of the largest part (${cause(most[0])}) lowers the bound by about ${(10 * most[1]).toFixed(1)} %.` : "");
+  }
+}
+
+/** Remedies that one press carries out: "widen gamma[0] to 0.5" as an edit of the file. */
+function widenings(remedy, form) {
+  const fields = form.flatMap((section) => section.fields);
+  return [...remedy.matchAll(/(gamma|beta)\[(\d+)\] to ([\d.e+-]*\d)/g)].flatMap(([, name, index, value]) => {
+    const path = `plant.uncertainty.${name}`, written = fields.find((field) => field.path === path)?.value;
+    try {
+      const numbers = JSON.parse(written);
+      numbers[Number(index)] = Number(value);
+      return [{ path, value: `[${numbers.map((number) => JSON.stringify(number)).join(", ")}]`, text: `Widen ${name}[${index}] to ${value}` }];
+    } catch {
+      return []; // not a list of numbers: the text says what to do
+    }
+  });
+}
+
+/** What adds to a bound, in words. */
+export function cause(name) {
+  const state = /^w_(\d+) \(state\)/.exec(name), disturbance = /^w_(\d+)/.exec(name), order = /^y_d\^\((\d+)\)/.exec(name);
+  if (state) return `disturbance w${state[1]}, its growth with the state`;
+  if (disturbance) return `disturbance w${disturbance[1]}`;
+  if (order) return order[1] === "0" ? "reference" : `reference, derivative ${order[1]}`;
+  return name === "estimates" ? "unknown parameters" : name;
+}
+

@@ -1,0 +1,407 @@
+// The page: what changes the design, and what is drawn of it once per frame.
+import { byId, settled, write } from "./dom.js";
+import { Editor } from "./editor.js";
+import { Files, recent, remember } from "./files.js";
+import { Form } from "./form.js";
+import { Gains } from "./gains.js";
+import { Guarantee } from "./guarantee.js";
+import { History } from "./history.js";
+import { bindKeys, setSingleKeys, singleKeys } from "./keys.js";
+import { KIND, Link, sessionKey } from "./link.js";
+import { closeMenu, exportMenu, fileMenu, helpMenu, startPage } from "./menus.js";
+import { note, status } from "./notes.js";
+import { Opening } from "./opening.js";
+import { Paints } from "./paints.js";
+import { Requests } from "./requests.js";
+import { Responses } from "./responses.js";
+import { nextDesign, nextView, state } from "./state.js";
+import { bindTabs, select } from "./tabs.js";
+import { Tasks } from "./tasks.js";
+import { beginTheme, switchTheme } from "./theme.js";
+
+const REST = 120, RESIZED = 200;
+
+const paints = new Paints(new URLSearchParams(location.search).has("measure"));
+let asked = false;
+
+beginTheme();
+const send = (message) => link.send(message);
+const values = () => (state.system ? gains.values(state.system) : {});
+const gains = new Gains(byId("gains"), {
+  moved: (event) => moved(event),
+  commit: () => history.commit(),
+  problem: (text) => note(text),
+  step: (path, value) => edit(path, value),
+});
+const requests = new Requests({ send, values, width: () => byId("plots").clientWidth });
+const history = new History({ snapshot, show: (target) => travelTo(target, true), changed: showHistory });
+const files = new Files({ send, values, note });
+const opening = new Opening({ send }, files);
+const openAsked = (source, name) => opening.ask(() => opening.open(source, name));
+const editor = new Editor({ text: sendText });
+const form = new Form(byId("form"), { edit });
+const responses = new Responses(byId("plots"), state, { zoom });
+const guarantee = new Guarantee(state, { edit });
+const tasks = new Tasks(state, {
+  start: (task, options) => send({ type: "task", task, options, ...shown() }),
+  cancel: () => send({ type: "cancel" }),
+  apply: applyGains,
+  restore: (pin) => travelTo(pin.snapshot),
+  behind: (pin) => {
+    state.before = pin.before;
+    history.commit();
+    frame();
+  },
+  openText: (text, name) => opening.ask(() => opening.text(text, name)),
+  download: (name, text) => files.download(name, text),
+  redraw: frame,
+  note,
+});
+const link = new Link(sessionKey(), { open: opened, closed, frame: received });
+
+// the connection
+
+function opened() {
+  state.connected = true;
+  document.body.classList.remove("stale");
+  status("ok", "connected");
+  requests.forget();
+  if (state.system) {
+    state.restoring = snapshot();
+    send({ type: "text", design: nextDesign(), text: state.base, name: state.name });
+  }
+}
+
+function closed() {
+  state.connected = false;
+  document.body.classList.add("stale");
+  status("bad", "reconnecting");
+  if (tasks.running) tasks.stop();
+  guarantee.badge("stale");
+}
+
+function received(message) {
+  const { kind, header, design } = message;
+  if (kind === KIND.RUN) run(message);
+  else if (kind === KIND.BOUND) estimate(header, design);
+  else if (kind === KIND.EXACT) exact(header, design);
+  else if (kind === KIND.TASK) tasks.frame(message);
+  else if (kind === KIND.SYSTEM) described(header, design);
+  else if (kind === KIND.TEXT) newText(header.text, design);
+  else if (kind === KIND.FILE) {
+    tasks.stop();
+    files.download(header.name, message.data);
+  }
+  else if (kind === KIND.NOTE) noted(header);
+  else if (kind === KIND.PROBLEM) problem(header, message);
+}
+
+function noted(header) {
+  if (header.hello) greet(header);
+  else if (header.saved) files.saved(header.saved);
+  else if (header.note && header.note !== "ready") note(header.note);
+}
+
+function greet(header) {
+  const first = !state.greeting;
+  state.greeting = header;
+  if (!first || state.system) return;
+  const linked = files.linked(), kept = files.kept();
+  if (linked !== null) opening.text(linked, "linked.toml");
+  else if (kept) {
+    state.saved = kept.saved;
+    state.restoring = { ...kept, before: null, keepSaved: true };
+    send({ type: "text", design: nextDesign(), text: kept.base, name: kept.name });
+  } else if (header.first) {
+    const [source, ...name] = header.first.split(" ");
+    opening.open(source, name.join(" "));
+  } else {
+    byId("start").hidden = false;
+    startPage(byId("start"), header, openAsked);
+  }
+}
+
+function problem(header, { design, view }) {
+  requests.landed(design, view);
+  if (header.superseded) return;
+  if (["task", "export"].includes(header.of)) tasks.stop();
+  if (header.of === "bound" || header.of === "exact") {
+    if (design !== state.design) return;
+    state.bound = { bound: null, text: "none", reason: header.message, exact: header.of === "exact", premises: [], certificates: [] };
+    frame();
+    return;
+  }
+  if (header.message) note(header.message);
+  requests.goOn();
+}
+
+// designs
+
+function sendText(text) {
+  send({ type: "text", design: nextDesign(), text, name: state.name });
+}
+
+function edit(path, value) {
+  send({ type: "edit", design: nextDesign(), text: state.text, name: state.name, entries: { [path]: value } });
+}
+
+function described(header, design) {
+  if (design !== state.design) return;
+  opening.arrived();
+  const was = state.restoring;
+  state.restoring = null;
+  if (header.problem) {
+    state.textProblem = header.problem;
+    if (was?.opening || !state.system) {
+      note(header.problem.message);
+      if (!state.system) {
+        editor.show(header.text);
+        select("file", tabShown);
+      }
+    }
+    editor.mark(header.problem);
+    form.mark(header.problem);
+    guarantee.badge(state.system ? "text" : "waiting");
+    return;
+  }
+  adopt(header, was);
+}
+
+/** A text that loads: the page shows it. */
+function adopt(header, was) {
+  const another = !state.system || was?.opening;
+  const structure = JSON.stringify([header.states, header.units, header.estimates]);
+  const changed = structure !== state.structure;
+  state.structure = structure;
+  Object.assign(state, { system: header, base: header.text, text: header.text, name: header.name, textProblem: null, worst: null });
+  document.body.classList.remove("empty");
+  byId("start").hidden = true;
+  write(byId("title"), header.title);
+  document.title = `${header.name.replace(/\.toml$/, "")} · certrack`;
+  const bases = another ? null : gains.bases();
+  gains.build(header);
+  form.build(header);
+  editor.show(header.text);
+  editor.mark(null);
+  form.mark(null);
+  if (another) {
+    Object.assign(state, { before: null, pins: [], window: null, run: null, bound: null });
+    if (!was?.keepSaved) state.saved = header.text;
+    history.clear();
+    guarantee.reset();
+    if (state.openedFile) remember(state.openedFile);
+  } else gains.rebase(bases);
+  if (changed || another) {
+    state.run = null;
+    state.bound = null;
+    state.before = null;
+    responses.build(header);
+  }
+  if (was?.values) {
+    gains.set(header, was.values);
+    if (was.before !== undefined) state.before = was.before ?? state.before;
+  }
+  write(byId("file-name"), header.name);
+  byId("file").title = `${state.greeting?.folder ?? ""}  Ctrl+O`;
+  for (const id of ["pin", "export"]) byId(id).disabled = false;
+  tasks.buttons();
+  outdate();
+  requests.submit(true);
+  if (was?.travelling || another) history.settle();
+  else history.commit();
+  showHistory();
+}
+
+/** The text with the present gains, from the server. */
+function newText(text, design) {
+  if (design !== state.design || state.textProblem) return;
+  state.text = text;
+  if (document.activeElement !== editor.area) editor.show(text);
+  showHistory();
+}
+
+const shown = () => ({ design: state.design, gains: values() });
+
+/** Nothing that was proven is of the new design. */
+function outdate() {
+  if (state.bound) state.bound = { ...state.bound, exact: false, contradicted: [] };
+  frame();
+}
+
+function moved(event) {
+  nextDesign();
+  outdate();
+  paints.event(event, state.design);
+  state.lastMove = performance.now();
+  files.showEdited();
+  requests.submit();
+  rest();
+}
+
+const rest = settled(() => requests.submit(true), REST);
+
+function run({ header, rows, design, view }) {
+  requests.landed(design, view);
+  const newest = state.run;
+  const older = newest && (design < newest.design || (design === newest.design && view < newest.view));
+  const coarser = newest && design === newest.design && view === newest.view && newest.header.sampled && !header.sampled;
+  if (!older && !coarser && rows[0].length) {
+    const times = Float64Array.from(rows[0], (t) => t + header.t0);
+    state.run = { header, rows, times, design, view };
+    const { before } = state;
+    if (before && !before.byUser && before.design === design && header.sampled && !before.run.header.sampled) pinned(false);
+    frame();
+  }
+  requests.goOn();
+}
+
+function estimate(header, design) {
+  if (state.bound?.exact && state.bound.design >= design) return;
+  state.bound = { ...header, design, exact: false };
+  state.boundTime = header.ms;
+  frame();
+}
+
+function exact(header, design) {
+  if (design !== state.design) return;
+  state.bound = { ...header, design, exact: true, refining: header.effort === "fast" };
+  state.exactTime = header.ms;
+  state.exactDelay = performance.now() - (state.lastMove ?? 0);
+  guarantee.proven(header, state.system);
+  if (state.before?.design === design) state.before.bound = state.bound;
+  write(byId("announce"), header.bound ? `Certified bound ${header.text} ${state.system.units[0]}, exact` : header.reason);
+  if (state.run) responses.describe(state.system, state.run, state.bound);
+  frame();
+}
+
+function zoom(low, high = null) {
+  const { duration } = state.system;
+  if (low === null) state.window = null;
+  else {
+    const from = Math.max(0, low), to = Math.min(duration, high);
+    if (to - from < duration * 1e-6) return;
+    state.window = from <= 0 && to >= duration ? null : [from, to];
+  }
+  nextView();
+  requests.submit();
+}
+
+// painting, once per frame
+
+function frame() {
+  if (asked) return;
+  asked = true;
+  requestAnimationFrame(() => {
+    asked = false;
+    draw();
+    if (state.run) paints.frame(state.run.design);
+  });
+}
+
+function draw() {
+  if (!state.system || !state.run) return;
+  if (!state.before) pinned(false);
+  responses.draw();
+  guarantee.draw();
+  guarantee.budget(state.bound);
+  const { header } = state.run, parts = [`run ${header.ms.toFixed(1)} ms`];
+  if (state.boundTime !== undefined) parts.push(`bound ${Math.round(state.boundTime)} ms`);
+  if (state.exactTime !== undefined) parts.push(`exact ${Math.round(state.exactTime)} ms`);
+  write(byId("cost"), [...parts, `${header.steps} steps`].join(" · "));
+  if (header.outcome !== "finished") write(byId("note"), `stopped at t = ${header.end.toPrecision(4)} s: ${header.message}`);
+}
+
+// undo and redo, pins
+
+function snapshot() {
+  const { base, name, before } = state;
+  return { base, name, before, values: values(), bases: gains.bases() };
+}
+
+function showHistory() {
+  byId("undo").disabled = !history.undo.length;
+  byId("redo").disabled = !history.redo.length;
+  files.showEdited();
+  files.keep();
+}
+
+/** Show what a snapshot has; a step of the history, or a change like any other. */
+function travelTo(target, travelling = false) {
+  state.before = target.before;
+  if (target.base === state.base) {
+    gains.set(state.system, target.values);
+    gains.rebase(target.bases);
+    nextDesign();
+    outdate();
+    requests.submit(true);
+    if (!travelling) history.commit();
+  } else {
+    state.restoring = { ...target, travelling };
+    send({ type: "text", design: nextDesign(), text: target.base, name: target.name });
+  }
+}
+
+function applyGains(values) {
+  const known = Object.fromEntries(Object.entries(values).filter(([path]) => gains.sliders.has(path)));
+  gains.set(state.system, known, { keepLocked: true });
+  moved(null);
+  history.commit();
+}
+
+function pinned(byUser) {
+  const { run: now, bound, system } = state, n = system.states.length;
+  if (!now) return;
+  state.before = { run: now, design: now.design, t: now.times, e: now.rows[1 + n], u: now.rows[3 + n], bound: bound?.exact ? bound : null, byUser };
+  if (!byUser) {
+    history.settle();
+    return;
+  }
+  gains.rebase();
+  state.pins.push({ name: `pin ${state.pins.length + 1}`, run: now, before: state.before, snapshot: snapshot() });
+  history.commit();
+  frame();
+}
+
+// buttons and keys
+
+function tabShown(name) {
+  if (name === "file") editor.number();
+}
+
+function exportAs(format) {
+  if (tasks.running) return note("One long computation at a time: wait for it or cancel it.");
+  send({ type: "export", format, ...shown() });
+  return tasks.begin("export");
+}
+
+const actions = {
+  file: () => state.greeting && fileMenu(state.greeting, state, { open: openAsked, saveAs: (name) => files.save(name), upload: (text, name) => opening.ask(() => opening.text(text, name)), recent }),
+  export: () => state.system && exportMenu(state, { export: exportAs, copyLink: () => files.copyLink() }),
+  help: () => helpMenu({ singleKeys, setSingleKeys }),
+  undo: () => history.back(),
+  redo: () => history.forth(),
+  pin: () => state.run && pinned(true),
+  theme: () => {
+    switchTheme();
+    responses.recolor();
+    tasks.recolor();
+  },
+};
+for (const [id, work] of Object.entries(actions)) byId(id).onclick = work;
+bindTabs(tabShown);
+bindKeys({
+  ...actions,
+  save: () => state.system && files.save(state.name),
+  escape: () => closeMenu() || tasks.close() || (state.window && zoom(null)),
+  task: (name) => tasks.press(name),
+  lock: () => gains.lockFocused(),
+  mode: (name) => responses.error?.setMode(name),
+});
+
+addEventListener("resize", settled(() => {
+  nextView();
+  requests.submit();
+}, RESIZED));
+
+document.fonts?.ready.then(() => responses.plots.forEach((plot) => plot.plot.redraw(false)));
+window.lab = { state, paints, gains, history, flight: requests.flight, responses };

@@ -1,0 +1,105 @@
+// What opens below a button of the top bar: files, exports, keys. None of them blocks the page.
+import { byId, element } from "./dom.js";
+
+const EXPORTS = [["toml", "System file (TOML)"], ["certificate", "Certificate (JSON)"], ["report", "Report (HTML)"], ["report-pdf", "Report (PDF)"], ["report-md", "Tables for papers (Markdown)"], ["report-tex", "Tables for papers (LaTeX)"], ["c", "C code with its test (ZIP)"], ["st", "Structured Text"], ["fmu", "FMU 2.0"], ["netcdf", "Run (NetCDF)"], ["svg", "Picture (SVG)"], ["png", "Picture (PNG)"], ["pdf", "Picture (PDF)"]];
+export const KEYS = [["F E M U C", "falsify, ensemble, margins, tune, compare"], ["P T L", "pin, theme, lock the focused gain"], ["1 2 3", "axis of the error"], ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"], ["Ctrl+S, Ctrl+O, Ctrl+E", "save, open, export"], ["arrows, PgUp, PgDn", "on a slider: 1 %, 10 %; with Shift a tenth"], ["Home, End, Delete", "on a slider: ends of the range, baseline"], ["arrows, + −, Esc", "on a plot: cursor, zoom, whole run"], ["Shift, drag", "on a slider: fine; on a plot: move the window"], ["?", "this list"]];
+export const TRY = [["Move ", "bandwidth", " and watch the bound."], ["Press ", "F", " to search the worst case."], ["Open ", "File", " and raise gamma."]];
+
+let closeOpen = null;
+
+/** Close what is open; whether something was. */
+export function closeMenu() {
+  if (!closeOpen) return false;
+  closeOpen();
+  return true;
+}
+
+function below(button, label, ...content) {
+  const again = button.getAttribute("aria-expanded") === "true";
+  closeMenu();
+  if (again) return null;
+  const panel = element("div", { class: "menu", role: "dialog", "aria-label": label, tabindex: -1 }, ...content);
+  const box = button.getBoundingClientRect();
+  panel.style.top = `${box.bottom + 6}px`;
+  if (box.left < innerWidth / 2) panel.style.left = `${Math.max(8, box.left)}px`;
+  else panel.style.right = `${Math.max(8, innerWidth - box.right)}px`;
+  document.body.append(panel);
+  button.setAttribute("aria-expanded", "true");
+  const outside = (event) => !panel.contains(event.target) && !button.contains(event.target) && closeMenu();
+  document.addEventListener("pointerdown", outside);
+  closeOpen = () => {
+    closeOpen = null;
+    document.removeEventListener("pointerdown", outside);
+    panel.remove();
+    button.setAttribute("aria-expanded", "false");
+    button.focus();
+  };
+  panel.addEventListener("keydown", (event) => arrows(event, panel));
+  (panel.querySelector("input, button") ?? panel).focus();
+  return panel;
+}
+
+function arrows(event, panel) {
+  const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+  if (!by) return;
+  const items = [...panel.querySelectorAll("button:not(:disabled)")], now = items.indexOf(document.activeElement);
+  event.preventDefault();
+  items.at((now + by) % items.length)?.focus();
+}
+
+const item = (text, detail, work) => element("button", { class: "item", onclick: () => { closeMenu(); work(); } }, element("span", {}, text), detail ? element("small", {}, detail) : null);
+
+/** Shipped systems and files; `on`: open(source, name), saveAs(name), save(), upload(text, name). */
+export function fileMenu(greeting, state, on) {
+  const name = element("input", { "aria-label": "Name to save as", value: (state.name || "my-drive.toml").replace(/^.*\//, ""), autocomplete: "off", spellcheck: "false" });
+  const save = () => { closeMenu(); on.saveAs(name.value); };
+  name.addEventListener("keydown", (event) => event.key === "Enter" && save());
+  const pick = element("input", { type: "file", accept: ".toml,text/plain", class: "vh", tabindex: -1, "aria-hidden": "true" });
+  pick.onchange = async () => pick.files[0] && (closeMenu(), on.upload(await pick.files[0].text(), pick.files[0].name));
+  const recent = on.recent().filter((file) => greeting.files.includes(file));
+  below(
+    byId("file"), "Files",
+    state.system ? element("div", { class: "save" }, name, element("button", { onclick: save }, "Save")) : null,
+    recent.length ? element("h3", {}, "Recent") : null, ...recent.map((file) => item(file, "", () => on.open("file", file))),
+    element("h3", {}, "Files in this folder"), element("p", { class: "sub path" }, greeting.folder),
+    ...greeting.files.map((file) => item(file, "", () => on.open("file", file))),
+    greeting.files.length ? null : element("p", { class: "sub" }, "none yet"),
+    item("From elsewhere on this computer …", "a copy of the text", () => pick.click()), pick,
+    item("Empty plant", "a commented file to begin with", () => on.open("empty", "")),
+    element("h3", {}, "Shipped systems"), ...Object.entries(greeting.catalog).map(([key, title]) => item(key, title, () => on.open("catalog", key))),
+  );
+}
+
+/** Formats; `on`: export(format), copyLink(). */
+export function exportMenu(state, on) {
+  below(byId("export"), "Export", ...EXPORTS.map(([format, text]) => item(text, state.system.drive || !["c", "st", "fmu"].includes(format) ? "" : "at 1 kHz: the file has no drive", () => on.export(format))), item("Link with the whole design", "to the clipboard", on.copyLink));
+}
+
+/** Keys and hints. */
+export function helpMenu(on) {
+  const keys = element("dl", { class: "keys" }, ...KEYS.flatMap(([key, what]) => [element("dt", {}, element("kbd", {}, key)), element("dd", {}, what)]));
+  const single = element("input", { type: "checkbox", id: "single-keys", checked: on.singleKeys() });
+  single.onchange = () => on.setSingleKeys(single.checked);
+  below(byId("help"), "Keys and hints", element("h3", {}, "Three things to try"), tryList(), element("h3", {}, "Keys"), keys, element("label", { class: "inline" }, single, " keys of a single letter"));
+}
+
+export function tryList() {
+  return element("ol", { class: "try" }, ...TRY.map(([before, what, after]) => element("li", {}, before, element("b", {}, what), after)));
+}
+
+/** What a page shows that has nothing open. */
+export function startPage(parent, greeting, open) {
+  parent.textContent = "";
+  const list = Object.entries(greeting.catalog).map(([name, title]) => element("li", {}, element("button", { class: "item", onclick: () => open("catalog", name) }, element("span", {}, name), element("small", {}, title))));
+  const files = greeting.files.map((file) => element("li", {}, element("button", { class: "item", onclick: () => open("file", file) }, element("span", {}, file))));
+  parent.append(
+    element("div", { class: "start-side" }, element("h2", {}, "Begin with"), element("button", { class: "item strong", onclick: () => open("empty", "") }, element("span", {}, "Empty plant"), element("small", {}, "a commented file, ready to be filled in")), files.length ? element("h2", {}, "Files in this folder") : null, element("ul", {}, ...files), element("h2", {}, "Three things to try"), tryList()),
+    element("div", {}, element("h2", {}, "Shipped systems"), element("ul", {}, ...list)),
+  );
+}
+
+/** Ask about unsaved changes beside the file's name; `leave` goes on without saving. */
+export function askUnsaved(name, leave, save) {
+  closeMenu();
+  below(byId("file"), "Unsaved changes", element("p", {}, `${name} has unsaved changes.`), element("div", { class: "actions" }, element("button", { class: "primary", onclick: () => { closeMenu(); save(); } }, "Save"), element("button", { onclick: () => { closeMenu(); leave(); } }, "Discard them"), element("button", { onclick: closeMenu }, "Stay")));
+}

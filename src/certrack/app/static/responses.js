@@ -1,0 +1,174 @@
+// The plots of a run, on one axis of time.
+import { write } from "./dom.js";
+import { format, nameParts } from "./numbers.js";
+import { Plot } from "./plot.js";
+
+const LINES = ["--line-1", "--line-2", "--line-3", "--line-4"], DASHES = [undefined, [6, 3], [2, 3], [8, 3, 2, 3]];
+export const ERROR_MODES = [
+  ["log", "|e| log", "Size of the error, logarithmic: start, decay and bound in one view"],
+  ["sym", "± sym", "Signed: linear within the bound, logarithmic outside"],
+  ["zoom", "± zoom", "Signed, linear, scaled to the bound"],
+];
+
+/** The bound on |e_1| from the start, at the times t. */
+export function tubeAt(tube, times) {
+  const { pieces, alpha } = tube, values = new Float64Array(times.length);
+  let i = 0;
+  for (let k = 0; k < times.length; k += 1) {
+    while (i + 1 < pieces.length && pieces[i + 1][0] <= times[k]) i += 1;
+    while (i > 0 && pieces[i][0] > times[k]) i -= 1;
+    const [begin, square, floor] = pieces[i], decay = Math.exp(-alpha * Math.max(0, times[k] - begin));
+    values[k] = Math.sqrt(square * decay + floor * (1 - decay));
+  }
+  return values;
+}
+
+export class Responses {
+  /** `state` is read; `on`: zoom(low, high). */
+  constructor(parent, state, on) {
+    this.parent = parent;
+    this.state = state;
+    this.on = on;
+    this.plots = [];
+  }
+
+  build(system) {
+    const mode = this.error?.mode ?? "log";
+    for (const plot of this.plots) plot.destroy();
+    this.plots = [];
+    const n = system.states.length, { state } = this;
+    this.rows = { x: (k) => state.run.rows[1 + k], e: () => state.run.rows[1 + n], y: () => state.run.rows[2 + n], u: () => state.run.rows[3 + n], z: (k) => state.run.rows[4 + n + k] };
+    const unit = system.units[0], { rows } = this;
+    const end = () => (state.run && state.run.header.outcome !== "finished" ? state.run.header.end : null);
+    this.add({ id: "output", title: "Output and reference", unit, clock: true, end, series: [{ label: system.states[0], name: true, color: "--output", width: 2 }, { label: "reference", color: "--reference", dash: [5, 4] }] }, (t) => [t, rows.x(0), rows.y()]);
+    this.error = this.add(this.errorSpec(unit, mode, end), (t, plot) => this.errorData(t, plot));
+    this.add({ id: "input", title: "Input u", unit: system.units[n], end, series: [{ label: "u", color: "--input" }], ghosts: () => this.before("u"), limits: () => this.inputLimits(system) }, (t) => [t, rows.u()]);
+    for (const [group, indices] of this.groups(system)) {
+      this.add({ id: `states-${indices[0]}`, title: "States", unit: group, end, series: indices.map((k, j) => ({ label: system.states[k], name: true, color: LINES[j], dash: DASHES[j] })) }, (t) => [t, ...indices.map((k) => rows.x(k))]);
+    }
+    if (system.estimates.length) {
+      const known = system.estimated.some((entry) => entry.value !== null);
+      this.add({ id: "estimates", title: "Estimates", unit: "", note: known ? "true value dashed" : "", end, series: system.estimates.slice(0, 4).map((name, j) => ({ label: name, name: true, color: LINES[j] })), limits: () => this.trueValues(system) }, (t) => [t, ...system.estimates.slice(0, 4).map((_, k) => rows.z(k))]);
+    }
+    const last = this.plots.at(-1);
+    last.spec.last = true;
+    last.root.classList.add("last");
+    last.build();
+    for (const plot of this.plots) plot.spec.id = plot.spec.id ?? plot.spec.title;
+  }
+
+  add(spec, data) {
+    const plot = new Plot(this.parent, spec, {
+      window: () => this.window,
+      zoom: (low, high) => this.on.zoom(low, high),
+      redraw: () => this.draw(),
+      time: (t) => this.plots[0]?.clock && write(this.plots[0].clock, t === null || t === undefined ? "" : `t = ${format(t)} s`),
+    });
+    plot.curves = data;
+    this.plots.push(plot);
+    return plot;
+  }
+
+  get window() {
+    return this.state.window ?? [0, this.state.system?.duration ?? 1];
+  }
+
+  /** States of one unit share a plot, at most four. */
+  groups(system) {
+    const byUnit = new Map();
+    system.states.forEach((_, k) => byUnit.set(system.units[k], [...(byUnit.get(system.units[k]) ?? []), k]));
+    const groups = [];
+    for (const [unit, indices] of byUnit) for (let k = 0; k < indices.length; k += 4) groups.push([unit, indices.slice(k, k + 4)]);
+    return groups;
+  }
+
+  errorSpec(unit, mode, end) {
+    const { state } = this;
+    return {
+      id: "error", title: "Error", unit, kind: "error", mode, modes: ERROR_MODES, end,
+      series: [{ label: "error", color: "--output" }, { label: "tube from the start", renamed: true, color: "--bound", width: 1, dash: [2, 3] }, { label: "", color: "--bound", width: 1, dash: [2, 3], hidden: true }],
+      bands: [{ of: [2, 3] }],
+      ghosts: () => [...this.before("e"), ...this.worstCurve()],
+      range: (low, high, axis) => (axis === "zoom" && state.bound ? [-1.6 * state.bound.bound, 1.6 * state.bound.bound] : null),
+      limits: (plot) => this.errorLimits(plot, unit),
+    };
+  }
+
+  errorData(t, plot) {
+    const e = this.rows.e(), log = plot.mode === "log", tube = this.state.bound?.tube;
+    const width = tube ? tubeAt(tube, t) : null, none = () => new Array(t.length).fill(null);
+    const below = !width ? none() : log ? new Array(t.length).fill(1e-14) : width.map((value) => -value);
+    return [t, log ? e.map(Math.abs) : e, width ?? none(), below];
+  }
+
+  errorLimits(plot, unit) {
+    const { bound, worst, design } = this.state, limits = [], shown = unit ? ` ${unit}` : "";
+    if (bound?.bound) {
+      const word = bound.exact ? "certified" : "estimated";
+      limits.push({ y: bound.bound, color: "--bound", label: `${word} ${bound.text}${shown}` });
+      if (plot.mode !== "log") limits.push({ y: -bound.bound, color: "--bound" });
+    }
+    if (worst && worst.design === design && Number.isFinite(worst.worst)) limits.push({ y: worst.worst, color: "--worst", dash: [2, 3], label: `worst found ${worst.text}${shown}`, below: true });
+    return limits;
+  }
+
+  before(what) {
+    const { before, run } = this.state;
+    return before?.run && before.run !== run && before[what] ? [{ t: before.t, y: before[what], color: "--before" }] : [];
+  }
+
+  worstCurve() {
+    const { worst, design } = this.state;
+    return worst?.rows && worst.design === design ? [{ t: worst.rows[0], y: worst.rows[1], color: "--worst", width: 1 }] : [];
+  }
+
+  inputLimits(system) {
+    return (system.limits ?? []).map((y, k) => ({ y, color: "--bound", label: k ? `limit ${format(y, 3)}` : `limit ${format(y, 3)}`, below: y < 0 }));
+  }
+
+  trueValues(system) {
+    const limits = [];
+    system.estimated.slice(0, 4).forEach((entry, k) => {
+      if (entry.value !== null) limits.push({ y: entry.value, color: LINES[k], dash: [4, 4], fit: true });
+      for (const y of entry.range ?? []) if (y !== null) limits.push({ y, color: LINES[k], dash: [1, 4], fit: true });
+    });
+    return limits;
+  }
+
+  draw() {
+    const { run, bound, system } = this.state;
+    if (!run || !system) return;
+    this.error.linear = bound?.bound ?? Math.max(1e-6, run.header.metrics.tail_error ?? 1e-2);
+    if (this.error.renamed) write(this.error.renamed, this.tubeName(bound));
+    for (const plot of this.plots) plot.set(plot.curves(run.times, plot));
+  }
+
+  /** Whose tube it is: where the bound is another proof's, the tube may end elsewhere. */
+  tubeName(bound) {
+    if (!bound?.tube) return "no tube";
+    if (bound.loop === "implemented") return "tube, continuous law";
+    return bound.exact && bound.tube.kind !== bound.method ? `tube (${bound.tube.kind})` : "tube from the start";
+  }
+
+  /** Redraw with the colours of another theme. */
+  recolor() {
+    for (const plot of this.plots) plot.build();
+    this.draw();
+  }
+
+  /** Texts for those who do not see the curves, when a move has come to rest. */
+  describe(system, run, bound) {
+    const unit = system.units[0];
+    for (const plot of this.plots) {
+      const rows = plot.plot.data.slice(1), parts = plot.spec.series.map((series, k) => {
+        if (series.hidden || series.label.startsWith("tube")) return null;
+        let low = Infinity, high = -Infinity;
+        for (const value of rows[k]) [low, high] = [Math.min(low, value), Math.max(high, value)];
+        return `${series.name ? nameParts(series.label).join(" ") : series.label} from ${format(low, 3)} to ${format(high, 3)}`;
+      });
+      plot.describe(`${plot.spec.title} over ${system.duration} s: ${parts.filter(Boolean).join(", ")} ${plot.spec.unit}`.trim());
+    }
+    const certified = bound?.bound ? `; certified ${bound.text} ${unit}` : "";
+    this.error.describe(`Error over ${system.duration} seconds: after ${system.tail} s at most ${run.header.texts.tail_error} ${unit}${certified}`);
+  }
+}

@@ -1,0 +1,13 @@
+// What the page shows, in one place: the modules read it, and what belongs to them they change.
+
+export const state = {
+  system: null, base: "", text: "", name: "", saved: "", openedFile: "", design: 0, view: 0, window: null,
+  run: null, bound: null, worst: null, before: null, pins: [], connected: false, textProblem: null,
+  greeting: null, restoring: null,
+};
+
+/** Every change of gains or text is another design. */
+export const nextDesign = () => (state.design += 1);
+
+/** Every change of the window or the size is another view. */
+export const nextView = () => (state.view = (state.view + 1) % 65536);

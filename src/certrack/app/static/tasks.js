@@ -1,0 +1,141 @@
+// The bottom bar: long computations with progress and cancel, and the drawer with their results.
+import { byId, element, write } from "./dom.js";
+import { Drawer, sentence, table } from "./drawer.js";
+import { Fan } from "./fan.js";
+import { format } from "./numbers.js";
+import { Tuning } from "./tuning.js";
+
+const NAMES = { falsify: "Falsify", ensemble: "Ensemble", margins: "Margins", tune: "Tune", compare: "Compare", export: "Export" };
+
+export class Tasks {
+  /** `on`: start(task, options), cancel(), apply(gains), restore(pin), behind(pin), openText(text, name), download(name, text), redraw(), note(text). */
+  constructor(state, on) {
+    this.state = state;
+    this.on = on;
+    this.running = null;
+    this.drawer = new Drawer(byId("drawer"));
+    this.fan = new Fan(state, this.drawer);
+    this.tuning = new Tuning(this.drawer, { start: (options) => this.start("tune", options), apply: on.apply, note: on.note });
+    byId("tasks").addEventListener("click", (event) => {
+      const task = event.target.dataset?.task;
+      if (task) this.press(task);
+    });
+    byId("cancel").onclick = () => on.cancel();
+  }
+
+  press(task) {
+    if (!this.state.system) return;
+    if (task === "tune") this.tuning.form();
+    else if (task === "compare") this.compare();
+    else this.start(task, {});
+  }
+
+  start(task, options) {
+    if (this.running) {
+      this.on.note("One long computation at a time: wait for it or cancel it.");
+      return;
+    }
+    this.on.start(task, options);
+    this.begin(task);
+  }
+
+  begin(task) {
+    this.running = task;
+    byId("work").hidden = false;
+    byId("bar").removeAttribute("value");
+    write(byId("work-text"), `${NAMES[task]} …`);
+    this.buttons();
+  }
+
+  stop() {
+    this.running = null;
+    byId("work").hidden = true;
+    this.buttons();
+  }
+
+  buttons() {
+    for (const button of byId("tasks").children) {
+      const off = !this.state.system || (this.running && button.dataset.task !== "compare");
+      button.disabled = off;
+      button.setAttribute("aria-pressed", String(this.running === button.dataset.task));
+    }
+  }
+
+  /** A frame of a computation. */
+  frame({ header, rows, design }) {
+    if (header.state === "running") {
+      this.progress(header);
+      return;
+    }
+    if (header.state !== "early") this.stop();
+    if (header.state === "cancelled") {
+      this.on.note("Cancelled.");
+      return;
+    }
+    this[header.task]?.(header, rows, design);
+  }
+
+  progress({ task, done, total, best }) {
+    if (total) byId("bar").value = done / total;
+    const unit = this.state.system.units[0], word = task === "tune" ? "best" : "worst";
+    const count = total ? `${Math.round(done)} of ${Math.round(total)}` : `${Math.round(done)}`;
+    write(byId("work-text"), `${NAMES[task]} ${count}${best === null ? "" : ` · ${word} so far ${format(best, 4)} ${unit}`}`.trim());
+  }
+
+  close() {
+    return this.drawer.close();
+  }
+
+  /** Draw with the colours of another theme. */
+  recolor() {
+    this.fan.recolor();
+  }
+
+  falsify(header, rows, design) {
+    const unit = this.state.system.units[0];
+    this.state.worst = { design, worst: header.worst ?? Infinity, text: header.text, rows, alarm: header.alarm };
+    const loop = header.loop === "implemented" ? "of the loop as the drive runs it" : "of the continuous loop";
+    const facts = [["worst error found", `${header.text} ${unit}`], ["certified", header.certified ? `${header.certified} ${unit}` : "—"], ["certified / found", header.ratio ? `${header.ratio.toFixed(2)} ×` : "—"], ["loop", loop], ["runs spent", String(header.runs)]];
+    for (const [what, why] of Object.entries(header.left_out)) facts.push([`not tried: ${what}`, why]);
+    if (header.alarm) facts.unshift(["ALARM", header.reason]);
+    const name = `worst-of-${this.state.name.replace(/^.*\//, "")}`;
+    const actions = element("div", { class: "actions" }, element("button", { onclick: () => this.on.openText(header.case, name) }, "Open this case"), element("button", { onclick: () => this.on.download(name, header.case) }, "Save it as a file"));
+    this.drawer.open("Worst case found", [actions, table(["", ""], facts, "facts"), sentence("The largest error that the search met among cases which the premises admit. It proves nothing, but shows how tight the bound is.")]);
+    this.on.note(`Worst of ${header.runs} admissible cases: ${header.text} ${unit}.`);
+    this.on.redraw();
+  }
+
+  ensemble(header, rows) {
+    const early = header.state === "early";
+    this.fan.show(header, rows, early);
+    if (!early) this.on.note(`Ensemble of ${header.members} members is done.`);
+  }
+
+  tune(header) {
+    this.tuning.done(header);
+  }
+
+  margins(header) {
+    const unit = this.state.system.units[0];
+    const rows = header.rows.map((row) => [row.label, row.within, row.bounded, row.exact]);
+    const lines = [`Admitted tail error ${header.error} ${unit} (${header.origin}); ${header.members} members tried at every value, which proves nothing.`, `Delay and saturation at a period of ${header.at} s.`];
+    if (header.as_stated) lines.push(`The drive as it stands in the file: tail error ${header.as_stated} ${unit}.`);
+    this.drawer.open("Margins of the implementation", [table(["margin", "within the error", "bounded", "exact edge"], rows), ...lines.map(sentence)]);
+    this.on.note("Margins are done.");
+  }
+
+  compare() {
+    const { pins, system, run, bound } = this.state;
+    if (!pins.length) {
+      this.drawer.open("Compare", [sentence("Pin a design (P) to compare it with others; every pin stays in this list.")]);
+      return;
+    }
+    const now = { name: "now", run, before: { bound: bound?.exact ? bound : null } };
+    const designs = [...pins, now], names = Object.keys(system.metrics);
+    const rows = [["certified bound", ...designs.map((d) => d.before.bound?.text ?? "—")], ...names.map((name) => [system.metrics[name], ...designs.map((d) => d.run.header.texts[name] ?? "—")])];
+    const button = (text, work) => pins.map((pin) => element("button", { onclick: () => work(pin) }, text));
+    const behind = ["behind the curves", ...button("show", (pin) => this.on.behind(pin)), ""];
+    const restore = ["gains and file", ...button("go back", (pin) => this.on.restore(pin)), ""];
+    this.drawer.open("Pinned designs", [table(["", ...designs.map((d) => d.name)], [behind, restore, ...rows], "pins")]);
+  }
+}

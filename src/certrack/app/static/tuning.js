@@ -1,0 +1,67 @@
+// Tuning: what is optimised within which limits, the tuned design, and the price of a limit.
+import { element } from "./dom.js";
+import { sentence, table } from "./drawer.js";
+import { frontChart } from "./front.js";
+import { format, typed } from "./numbers.js";
+
+const OBJECTIVES = { error: "certified error", peak: "peak input", energy: "input energy", period: "longest stable period" };
+const LIMITS = [["error", "certified error at most"], ["peak_input", "peak input at most"], ["energy", "energy at most"], ["period", "stable if held for, s"], ["noise", "noise gain at most"]];
+const SWEPT = ["period", "peak-input", "energy", "noise", "error"], STARTS = 2;
+
+export class Tuning {
+  /** `on`: start(options), apply(gains), note(text). */
+  constructor(drawer, on) {
+    this.drawer = drawer;
+    this.on = on;
+    this.last = {};
+  }
+
+  form() {
+    const { last } = this;
+    const objective = element("select", { id: "tune-objective" }, ...Object.entries(OBJECTIVES).map(([value, text]) => element("option", { value, selected: value === last.objective }, text)));
+    const field = (name, value, attributes) => element("input", { name, value: value ?? "", autocomplete: "off", ...attributes });
+    const labelled = (text, input) => element("label", { class: "inline" }, text, input);
+    const limits = LIMITS.map(([name, text]) => labelled(text, field(name, last[name], { inputmode: "decimal", placeholder: "no limit" })));
+    const starts = field("starts", last.starts ?? STARTS, { inputmode: "numeric" });
+    const front = element("select", { name: "front" }, element("option", { value: "" }, "none"), ...SWEPT.map((name) => element("option", { selected: name === last.front }, name)));
+    const begin = element("button", { class: "primary", onclick: () => this.begin(objective.value, Number(starts.value) || STARTS, front.value) }, "Tune");
+    this.drawer.open("Tune within limits", [
+      element("div", { class: "tune-form" }, labelled("optimise", objective), ...limits, labelled("searches", starts), labelled("sweep a limit", front), begin),
+      sentence("Locked gains are kept when the result is applied. The tuned design is certified in full. A sweep shows what a limit costs, and each point of it can be tuned for."),
+    ]);
+    objective.focus();
+  }
+
+  begin(objective, starts, front) {
+    const options = { objective, starts, front };
+    for (const [name, text] of LIMITS) {
+      const shown = this.drawer.body.querySelector(`input[name=${name}]`).value;
+      if (!shown.trim()) continue;
+      const value = typed(shown);
+      if (!(value > 0)) return this.on.note(`${text}: must be a number above 0, got ${shown}`);
+      options[name] = value;
+    }
+    this.last = options;
+    return this.on.start(options);
+  }
+
+  done(header) {
+    const apply = element("button", { class: "primary", onclick: () => this.on.apply(header.gains) }, "Use these gains");
+    const again = element("button", { onclick: () => this.form() }, "Change the limits");
+    const notes = [...header.active.map((limit) => `Active: ${limit.limit} ${format(limit.value)}; a tenth more of it gains ${(100 * Math.abs(limit.price)).toFixed(1)} %.`), ...header.notes, `Limits: ${[...new Set(header.limits)].join(", ") || "none"}.`];
+    const result = element("div", {}, element("div", { class: "actions" }, apply, again), table(["", "before", "after"], header.table), ...notes.map(sentence));
+    if (header.front) this.front = header.front;
+    const swept = header.front ?? (this.fromFront ? this.front : null);
+    this.fromFront = false;
+    const chart = swept ? frontChart(swept, (value) => this.at(swept.limit, value)) : null;
+    this.drawer.open("Tuned design", [chart ? element("div", { class: "split" }, chart, result) : result]);
+    this.on.note("Tuning is done.");
+  }
+
+  /** Tune for a point of the front, which stays in the picture. */
+  at(limit, value) {
+    this.last = { ...this.last, front: "", [limit.replaceAll(/[- ]/g, "_")]: value };
+    this.fromFront = true;
+    this.on.start(this.last);
+  }
+}

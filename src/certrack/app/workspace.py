@@ -1,0 +1,93 @@
+"""The files of one folder: no other is read or written, by whatever name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from certrack.core.errors import InputError
+from certrack.core.files import write_text
+from certrack.systems.tables import read_bytes
+
+#: Files that a page is told of, and folders below that are looked into.
+MAX_LISTED, MAX_DEPTH = 200, 3
+
+#: A longer text is no file for a page.
+MAX_TEXT_BYTES = 1 << 20
+
+
+class Workspace:
+    """A folder.
+
+    Parameters
+    ----------
+    folder : path
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.resolve()
+
+    def files(self) -> list[str]:
+        """System files in it, by their names below it."""
+        names = []
+        for path in sorted(self.folder.rglob("*.toml")):
+            relative = path.relative_to(self.folder)
+            hidden = any(part.startswith(".") for part in relative.parts)
+            hidden = hidden or not path.resolve().is_relative_to(self.folder)
+            if hidden or len(relative.parts) > MAX_DEPTH or not path.is_file():
+                continue
+            if "[plant]" in _beginning(path):
+                names.append(relative.as_posix())
+            if len(names) == MAX_LISTED:
+                break
+        return names
+
+    def read(self, name: str) -> str:
+        """The text of a file.
+
+        Raises
+        ------
+        InputError
+            If it is not in the folder or cannot be read.
+        """
+        path = self._path(name)
+        try:
+            data = read_bytes(path)
+        except OSError as problem:
+            raise InputError(name, f"cannot be read ({problem.strerror or problem})") from None
+        if len(data) > MAX_TEXT_BYTES:
+            raise InputError(name, "is larger than 1 MB", remedy="Use the command line")
+        try:
+            return data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            raise InputError(name, "is not a text file (UTF-8)") from None
+
+    def write(self, name: str, text: str, *, overwrite: bool) -> str:
+        """Write a file whole or not at all; returns its name.
+
+        Raises
+        ------
+        InputError
+            If it is not in the folder, exists already, or cannot be written.
+        """
+        self._path(name)
+        path = self._path(name if name.endswith(".toml") else f"{name}.toml")
+        write_text(path, text, overwrite=overwrite)
+        return path.relative_to(self.folder).as_posix()
+
+    def _path(self, name: str) -> Path:
+        """A path that is surely in the folder, links resolved."""
+        outside = InputError(name, f"is not in {self.folder}", remedy="Start certrack app there")
+        if not name or "\0" in name:
+            raise outside
+        path = (self.folder / name).resolve()
+        if not path.is_relative_to(self.folder) or path == self.folder:
+            raise outside
+        return path
+
+
+def _beginning(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(1 << 16).decode("utf-8", "replace")
+    except OSError:
+        return ""

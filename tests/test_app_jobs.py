@@ -1,0 +1,249 @@
+"""What the designer's workers do: gains, forms, references, runs, bounds, early results."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import certrack
+from certrack.app.form import form_of, with_entries, with_numbers, with_reference
+from certrack.app.frames import (
+    frame_arrays,
+    frame_header,
+    frame_prefix,
+)
+from certrack.app.gains import movable_gains, with_gains
+from certrack.app.jobs import JOBS, JobContext
+from certrack.app.long_tasks import FIRST_MEMBERS, MORE_MEMBERS, run_task
+from certrack.app.open_design import Designs, continuous_law
+from certrack.app.profiles import DRAWN_ORDER, reference_record
+from certrack.app.responses import metric_texts
+from certrack.core.errors import InputError
+from certrack.core.rounding import printed_bound
+from certrack.reports.tables import BOUND_TEXT_DIGITS, table
+from certrack.simulation.metrics import METRIC_LABELS
+
+# gains and form
+
+
+@pytest.mark.parametrize("name", sorted(certrack.catalog()))
+def test_every_gain_moves_the_law_and_the_text_alike(name):
+    text = certrack.starter(name)
+    system = certrack.loads(text)
+    gains = movable_gains(system)
+    values = {g.path: round(1.07 * g.value, 6) if g.value else 0.01 for g in gains}
+    assert values
+    written = certrack.loads(with_numbers(text, values))
+    assert with_gains(system, values).law == written.law
+    for path, value in values.items():
+        assert with_gains(system, {path: value}).law != system.law, path
+
+
+@pytest.mark.parametrize(
+    "path", ["law.c", "law.c[9]", "law.kind", "plant.chain[0]", "law.observer.bandwidth", "c[0]"]
+)
+def test_what_is_no_gain_is_refused(path):
+    with pytest.raises(InputError, match=r"is not a gain of this law|is a list"):
+        with_gains(certrack.load("example1"), {path: 1.0})
+
+
+def test_numbers_go_to_their_place_and_comments_stay():
+    text = certrack.starter("example1")
+    changed = with_numbers(text, {"law.c[1]": 0.75, "law.k[1][2]": 2, "law.leak_gain": 0.7})
+    assert (
+        changed.replace("0.75]", "0.5]")
+        .replace("inf, 2, 1]", "inf, 1, 1]")
+        .replace("leak_gain = 0.7", "leak_gain = 0.6")
+        == text
+    )
+    assert "# gbar1" in changed
+
+
+def test_a_field_of_the_form_is_written_as_toml():
+    text = certrack.starter("example1")
+    changed = with_entries(
+        text,
+        {
+            "plant.drift": "x1*x2",
+            "simulation.duration": "12.5",
+            "simulation.band": "",
+            "plant.uncertainty.gamma": "[0.1, 0.2]",
+            "implementation.period": "0.001",
+        },
+    )
+    system = certrack.loads(changed)
+    assert str(system.plant.drift.expr) == "x1*x2"
+    assert system.settings.duration == 12.5 and system.settings.band is None
+    assert system.plant.uncertainty.gamma == (0.1, 0.2)
+    assert system.implementation.period == 0.001
+    assert "# h(x)" in changed and changed.index("[plant]") < changed.index("[law]")
+    with pytest.raises(InputError, match="is not TOML"):
+        with_entries(text, {"plant.chain": "[1,"})
+    with pytest.raises(InputError, match="Mend the file first"):
+        with_entries("[plant", {"plant.chain": "[1]"})
+
+
+@pytest.mark.parametrize("name", sorted(certrack.catalog()))
+def test_the_form_has_every_key_of_a_file_and_its_help(name):
+    import tomllib
+
+    text = certrack.starter(name)
+    fields = {f["path"]: f for section in form_of(text) for f in section["fields"]}
+
+    def leaves(table, path=""):
+        for key, value in table.items():
+            where = f"{path}.{key}" if path else key
+            if isinstance(value, dict) and where not in fields:
+                yield from leaves(value, where)
+            else:
+                yield where
+
+    assert set(leaves(tomllib.loads(text))) <= set(fields)
+    assert all(field["help"] for field in fields.values() if field["kind"] != "any")
+    filled = {path: f["value"] for path, f in fields.items() if f["value"]}
+    again = certrack.loads(with_entries(text, {p: v for p, v in filled.items() if v is not None}))
+    assert again == certrack.loads(text)
+
+
+# jobs, in this process
+
+
+def job(do, **details):
+    text = certrack.starter(details.pop("name", "example1"))
+    base = {"text": text, "name": "example1.toml", "folder": None, "gains": {}, "design": 3}
+    return base | {"do": do, "view": 2, "window": None, "pixels": 300, "sampled": False} | details
+
+
+def carried_out(context, work):
+    return JOBS[work["do"]](context, work, 0.0, lambda frame: None, lambda *_: None)
+
+
+@pytest.fixture(scope="module")
+def context():
+    return JobContext()
+
+
+def test_numbers_of_a_run_are_those_of_the_command_line(context):
+    data = carried_out(context, job("run", gains={"law.c[0]": 1.25}))
+    header, rows = frame_header(data), frame_arrays(data)
+    law = dataclasses.replace(certrack.load("example1").law, c=(1.25, 0.5))
+    run = certrack.simulate(certrack.load("example1").replace(law=law))
+    assert header["metrics"] == run.metrics.as_dict()
+    assert header["texts"] == metric_texts(run)
+    rows_of_table = [[k, run.metrics.as_dict()[k]] for k in METRIC_LABELS]
+    printed = table("", ["", ""], rows_of_table)
+    assert [row[1] for row in printed.rows] == list(header["texts"].values())
+    error = rows[1 + 2]
+    assert np.abs(error).max() == pytest.approx(np.abs(run.x[0] - run.y_d).max(), rel=1e-6)
+    assert frame_prefix(data).design == 3 and frame_prefix(data).view == 2
+
+
+def test_a_window_is_computed_anew(context):
+    data = carried_out(context, job("run", window=[2.0, 2.5]))
+    header, rows = frame_header(data), frame_arrays(data)
+    run = certrack.simulate(certrack.load("example1"))
+    times = rows[0].astype(float) + header["t0"]
+    assert len(times) == 600 and times[0] == 2.0 and times[-1] == pytest.approx(2.5)
+    assert rows[1] == pytest.approx(run.trajectory.interpolate(times)[0], abs=1e-5)
+
+
+def test_a_bound_is_the_estimate_and_the_exact_one_is_what_certify_proves(context):
+    gains = {"law.c[0]": 7.0}
+    work = {"name": "dual-motor-lean", "gains": gains}
+    bound = frame_header(carried_out(context, job("bound", **work)))
+    exact = frame_header(carried_out(context, job("exact", effort="fast", **work)))
+    system = with_gains(certrack.load("dual-motor-lean"), gains)
+    proven = certrack.certify(system, "fast")
+    assert exact["verified"] and exact["method"] == proven.best.kind == bound["method"]
+    assert exact["bound"] == pytest.approx(proven.best.bound, rel=1e-6)
+    assert exact["text"] == printed_bound(exact["bound"], BOUND_TEXT_DIGITS)
+    assert float(exact["text"]) >= exact["bound"]
+    assert bound["bound"] == pytest.approx(exact["bound"], rel=1e-3)
+    assert sum(share for _, share in bound["shares"]) == pytest.approx(1)
+    assert exact["tube"]["pieces"] and {p["status"] for p in exact["premises"]} == {"proven"}
+
+
+def test_a_text_that_is_wrong_is_told_with_its_line(context):
+    text = certrack.starter("example1").replace("x1**2*x2", "x1**2*x9")
+    header = frame_header(carried_out(context, job("describe", text=text)))
+    assert header["problem"]["line"] == 9 and header["problem"]["key"] == "plant.drift"
+    assert "unknown name 'x9'" in header["problem"]["message"]
+
+
+def test_a_contradicted_premise_is_told_with_its_remedy(context):
+    text = certrack.starter("example1").replace("gamma = [0.5, 0.2]", "gamma = [0.1, 0.2]")
+    header = frame_header(carried_out(context, job("exact", text=text, effort="fast")))
+    assert not header["verified"]
+    assert header["contradicted"][0]["name"] == "w_1" and header["contradicted"][0]["remedy"]
+
+
+def test_a_drive_is_shown_by_its_continuous_law_first(context):
+    first = frame_header(carried_out(context, job("run", name="dual-motor-drive")))
+    assert not first["sampled"]
+    assert continuous_law(certrack.load("dual-motor-drive")).implementation is None
+
+
+def test_a_compiled_loop_serves_other_numbers():
+    designs = Designs()
+    system = certrack.load("dual-motor-lean")
+    designs.run(system)
+    (compiled,) = designs._simulators
+    designs.run(with_gains(system, {"law.c[2]": 8.0}))
+    assert designs._simulators == [compiled]
+
+
+# the reference
+
+
+@pytest.mark.parametrize("name", ["example1", "dual-motor-lean", "flexible-joint"])
+def test_another_kind_of_reference_suits_the_law_or_is_not_offered(context, name):
+    text = certrack.starter(name)
+    system = certrack.loads(text)
+    needed = system.controller.coordinates.q + 1
+    for kind, offered in reference_record(system, text)["kinds"]:
+        work = job("describe", text=text, entries={"reference.kind": kind})
+        header = frame_header(carried_out(context, work))
+        assert (header["problem"] is None) == offered, (kind, header["problem"])
+        if not offered:
+            continue
+        drawn = header["reference"]
+        assert drawn["kind"] == kind
+        size = np.abs(
+            system.reference.values(np.linspace(0, system.settings.duration, 999), 0)
+        ).max()
+        assert 0.3 * size < np.abs(drawn["rows"][0]).max() < 1.4 * size, kind
+        assert len(drawn["rows"]) >= min(needed, DRAWN_ORDER) + 1
+        for row, limit in zip(drawn["rows"], drawn["limits"], strict=True):
+            assert limit is None or np.abs(row).max() <= limit * (1 + 1e-4)
+
+
+def test_points_of_a_reference_are_where_the_curve_passes_them():
+    text = certrack.starter("point-to-point")
+    system = certrack.loads(text)
+    points = reference_record(system, text)["points"]
+    assert points["path"] == "reference.positions" and None not in points["times"]
+    assert points["times"] == sorted(points["times"])
+    reached = system.reference.values(np.array(points["times"]), 0)[0]
+    assert reached == pytest.approx(points["values"], abs=1e-4)
+    assert (
+        reference_record(certrack.load("example1"), certrack.starter("example1"))["points"] is None
+    )
+
+
+def test_an_edited_reference_keeps_the_comments_around_it():
+    text = certrack.starter("example1")
+    changed = with_reference(text, {"kind": "triangle", "amplitude": 0.2, "period": 10})
+    assert changed.split("[reference]")[0] == text.split("[reference]")[0]
+    assert certrack.loads(changed).reference.order == 1
+
+
+@pytest.mark.slow
+def test_the_first_members_of_an_ensemble_are_shown_early():
+    frames = []
+    options = {"members": FIRST_MEMBERS * MORE_MEMBERS}
+    data = run_task("ensemble", certrack.load("example1"), options, 5, frames.append)
+    early = [frame_header(f) for f in frames if frame_header(f)["state"] == "early"]
+    assert [header["members"] for header in early] == [FIRST_MEMBERS]
+    assert frame_header(data)["state"] == "done"
+    assert frame_header(data)["members"] == FIRST_MEMBERS * MORE_MEMBERS
+    assert len(frame_arrays(data)) == len(frame_arrays(frames[0]))

@@ -1,0 +1,160 @@
+"""Files, requests and keys of the designer, and what a machine without its packages is told."""
+
+import asyncio
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import certrack
+from certrack.app.launch import first_design, folder_of, serve_designer
+from certrack.app.security import Access
+from certrack.app.server import AppServer, static_files
+from certrack.app.workspace import Workspace
+from certrack.core.errors import InputError
+
+# files and security
+
+
+def test_no_file_outside_the_folder_is_read_or_written(tmp_path):
+    inside, outside = tmp_path / "inside", tmp_path / "outside.toml"
+    inside.mkdir()
+    outside.write_text("[plant]\n")
+    (inside / "link.toml").symlink_to(outside)
+    (inside / "mine.toml").write_text("[plant]\n")
+    space = Workspace(inside)
+    assert space.files() == ["mine.toml"] and space.read("mine.toml") == "[plant]\n"
+    names = [
+        "../outside.toml",
+        str(outside),
+        "link.toml",
+        "",
+        ".",
+        "a\0b",
+        "sub/../../outside.toml",
+    ]
+    for name in names:
+        with pytest.raises(InputError, match="is not in"):
+            space.read(name)
+        with pytest.raises(InputError, match="is not in"):
+            space.write(name, "x", overwrite=True)
+    assert outside.read_text() == "[plant]\n"
+    assert space.write("new", "text", overwrite=False) == "new.toml"
+    with pytest.raises(InputError, match="exists already"):
+        space.write("new.toml", "other", overwrite=False)
+
+
+def test_the_first_design_is_a_file_of_the_folder_or_a_shipped_system(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text(certrack.starter())
+    assert first_design("mine.toml", folder_of("mine.toml")) == "file mine.toml"
+    assert first_design("example1", folder_of("example1")) == "catalog example1"
+    assert first_design(None, folder_of(None)) == ""
+    for wrong in ("example7", "nothing.toml"):
+        with pytest.raises(InputError):
+            first_design(wrong, folder_of(wrong))
+
+
+class NoHub:
+    """Stands for the workers, which none of these requests may reach."""
+
+    sessions: dict = {}
+
+
+def asked(path, *, host="127.0.0.1:8000", method="GET"):
+    """Status, headers and body of a request, without a network."""
+    access = Access(8000, "right-key")
+    server = AppServer(access, Workspace.__new__(Workspace), "", NoHub())
+    answers = []
+
+    async def request():
+        path_only, _, query = path.partition("?")
+        scope = {
+            "type": "http", "method": method, "path": path_only, "raw_path": path_only.encode(),
+            "query_string": query.encode(), "headers": [(b"host", host.encode())],
+            "http_version": "1.1", "scheme": "http", "root_path": "",
+        }  # fmt: skip
+
+        async def receive():
+            return {"type": "http.request", "body": b""}
+
+        async def send(message):
+            answers.append(message)
+
+        await server.application()(scope, receive, send)
+
+    asyncio.run(request())
+    headers = {name.decode(): value.decode() for name, value in answers[0]["headers"]}
+    return answers[0]["status"], headers, b"".join(a.get("body", b"") for a in answers[1:])
+
+
+@pytest.mark.parametrize(
+    ("path", "host", "status"),
+    [
+        ("/?t=right-key", "127.0.0.1:8000", 200),
+        ("/?t=right-key", "localhost:8000", 200),
+        ("/", "127.0.0.1:8000", 403),
+        ("/?t=wrong-key", "127.0.0.1:8000", 403),
+        ("/?t=", "127.0.0.1:8000", 403),
+        ("/?t=right-key", "evil.example:8000", 403),
+        ("/?t=right-key", "127.0.0.1:8001", 403),
+        ("/main.js", "127.0.0.1:8000", 200),
+        ("/vendor/uPlot.js", "127.0.0.1:8000", 200),
+        ("/main.js", "evil.example", 403),
+        ("/index.html", "127.0.0.1:8000", 404),
+        ("/../server.py", "127.0.0.1:8000", 404),
+        ("/%2e%2e/server.py", "127.0.0.1:8000", 404),
+        ("/vendor/../main.js", "127.0.0.1:8000", 404),
+        ("//etc/passwd", "127.0.0.1:8000", 404),
+    ],
+)
+def test_requests(path, host, status):
+    code, headers, body = asked(path, host=host)
+    assert code == status
+    policy = headers["content-security-policy"]
+    assert "default-src 'none'" in policy and "unsafe" not in policy
+    assert headers["x-content-type-options"] == "nosniff"
+    assert b"right-key" not in body
+    if status == 200 and path.startswith("/?"):
+        assert b'id="plots"' in body
+
+
+def test_only_get_is_answered():
+    assert asked("/?t=right-key", method="POST")[0] == 405
+
+
+def test_nothing_of_the_page_is_inline_or_from_elsewhere():
+    for name, data in static_files().items():
+        if name.startswith("vendor") or name.endswith((".svg", ".woff2")):
+            continue
+        text = data.decode()
+        assert "http://" not in text.replace("http://www.w3.org/", ""), name
+        assert "https://" not in text, name
+        if name.endswith(".html"):
+            assert "style=" not in text and "onclick" not in text and "<script>" not in text
+        if name.endswith(".js"):
+            assert "innerHTML" not in text and "insertAdjacentHTML" not in text, name
+            assert "eval(" not in text and "new Function" not in text, name
+
+
+def test_the_licences_of_what_is_vendored_are_there():
+    files = static_files()
+    assert b"MIT" in files["vendor/uPlot-LICENSE.txt"]
+    assert b"Open Font License" in files["vendor/inter-LICENSE.txt"]
+    assert sum(map(len, files.values())) < 400_000
+
+
+@given(st.binary(min_size=0, max_size=40))
+def test_keys_are_compared_whatever_they_are(data):
+    access = Access(8000, "right-key")
+    text = data.decode("latin-1")
+    assert access.key_is_right(text) == (text == "right-key")
+    assert not access.origin_is_ours(text) and not access.origin_is_ours(None)
+
+
+@pytest.mark.parametrize("package", ["starlette", "uvicorn", "websockets"])
+def test_without_the_extra_one_line_says_what_to_install(package, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(certrack.MissingExtra, match=r"pip install 'certrack\[app\]'"):
+        serve_designer(None, host="127.0.0.1", port=0, browser=False, say=print)

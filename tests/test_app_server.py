@@ -1,0 +1,264 @@
+"""The designer's server with real workers, by clients of its protocol."""
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+import time
+from pathlib import Path
+
+import pytest
+import websockets
+from app_client import PATIENCE, page, running
+
+import certrack
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    with running("dual-motor-lean", folder=tmp_path_factory.mktemp("app")) as started:
+        yield started
+
+
+def test_the_command_prints_one_address_with_its_key(server):
+    assert server.address.startswith("http://127.0.0.1:") and "/?t=" in server.address
+
+
+async def refused(server, query, **options):
+    address = server.socket.split("?")[0] + query
+    try:
+        async with websockets.connect(address, **options):
+            return False
+    except websockets.InvalidStatus as refusal:
+        return refusal.response.status_code == 403
+
+
+def test_who_is_not_our_page_is_refused(server):
+    right = f"?t={server.key}"
+
+    async def attempts():
+        yield await refused(server, query="", origin=server.origin)
+        yield await refused(server, query="?t=wrong", origin=server.origin)
+        yield await refused(server, query=right)
+        yield await refused(server, query=right, origin="http://evil.example")
+        yield await refused(server, query=right, origin=server.origin.replace("127", "128"))
+
+    async def collected():
+        return [attempt async for attempt in attempts()]
+
+    assert all(asyncio.run(collected()))
+
+
+def test_a_message_that_is_too_long_closes_the_connection_and_others_live(server):
+    async def talk():
+        async with page(server) as other, page(server) as client:
+            await client.send("text", design=1, text="x" * (2 << 20), name="n")
+            with pytest.raises(websockets.ConnectionClosed) as closed:
+                await client.receive("SYSTEM")
+            assert closed.value.rcvd.code == 1009
+            assert (await other.open("dual-motor-lean"))["title"]
+
+    asyncio.run(talk())
+
+
+def test_moves_are_answered_and_the_last_is_proven(server):
+    async def talk():
+        async with page(server) as client:
+            system = await client.open("dual-motor-lean")
+            assert [gain["path"] for gain in system["gains"]] == [f"law.c[{i}]" for i in range(4)]
+            answered = []
+            for design in range(2, 30):
+                gains = {"law.c[0]": 6 + 0.1 * design}
+                await client.move(design, gains, resting=design == 29)
+                if design % 2:
+                    answered.append((await client.receive("RUN"))[0].design)
+            while answered[-1] < 29:
+                answered.append((await client.receive("RUN"))[0].design)
+            assert answered == sorted(answered)
+            prefix, exact, _ = await client.receive("EXACT")
+            assert prefix.design == 29 and exact["verified"]
+            bounds = [h for p, h in client.frames if p.kind.name == "BOUND" and p.design == 29]
+            if bounds:
+                assert bounds[-1]["bound"] == pytest.approx(exact["bound"], rel=1e-3)
+            texts = [h["text"] for p, h in client.frames if p.kind.name == "TEXT"]
+            assert certrack.loads(texts[-1]).law.c[0] == 8.9
+            return exact["bound"]
+
+    bound = asyncio.run(talk())
+    system = certrack.load("dual-motor-lean")
+    law = system.law.__class__(c=(8.9, 6, 6, 6), feedforward=1)
+    assert bound == pytest.approx(certrack.certify(system.replace(law=law)).best.bound, rel=1e-6)
+
+
+def test_hostile_texts_are_told_and_the_server_lives(server):
+    starter = certrack.starter("dual-motor-lean")
+    deep = "(" * 5000 + "x1" + ")" * 5000
+    bombs = [
+        "",
+        "[plant",
+        starter.replace('drift = "', f'drift = "{deep}+'),
+        starter.replace('drift = "', 'drift = "9**9**9**9+'),
+        starter.replace('drift = "', 'drift = "(x1+x2+x3+x4+1)**400+'),
+        starter.replace('drift = "', 'drift = "' + "*".join(["(x1+x2+1)"] * 300) + "+"),
+        starter.replace('drift = "', 'drift = "' + "sin(" * 200 + "x1" + ")" * 200 + "+"),
+        starter.replace('drift = "', 'drift = "' + "1" * 100_000 + "+"),
+        starter.replace('signal = "', "signal = \"__import__('os')+"),
+        starter.replace("duration = 20", "duration = 1e300"),
+        starter.replace('title = "', 'title = "<img src=x onerror=alert(1)>'),
+    ]
+
+    async def talk():
+        problems = []
+        async with page(server) as client:
+            for k, text in enumerate(bombs):
+                await client.send("text", design=k + 1, text=text, name="bomb.toml")
+                problems.append((await client.receive("SYSTEM"))[1]["problem"])
+            await client.send("nonsense")
+            await client.receive("PROBLEM")
+            assert (await client.open("dual-motor-lean", design=50))["problem"] is None
+        return problems
+
+    problems = asyncio.run(talk())
+    assert all(problem and "\n" not in problem["message"] for problem in problems[:9]), problems
+
+
+def test_a_killed_worker_is_started_again_and_nothing_is_lost(server):
+    async def talk():
+        async with page(server) as client:
+            await client.open("dual-motor-lean")
+            await client.move(2)
+            await client.receive("EXACT")
+            before = server.workers()
+            for role in ("run", "bound", "exact"):
+                os.kill(before[role], signal.SIGKILL)
+            await client.move(3, {"law.c[1]": 7.0}, resting=True)
+            await client.receive("RUN", where=lambda h: True)
+            prefix, exact, _ = await client.receive("EXACT")
+            assert prefix.design == 3 and exact["verified"]
+            assert not set(before.values()) & set(server.workers().values())
+
+    asyncio.run(talk())
+
+
+def test_long_computations_report_end_and_are_cancelled(server):
+    async def talk():
+        async with page(server) as client:
+            await client.open("dual-motor-lean")
+            await client.move(2)
+            await client.send("task", task="falsify", options={"budget": 200}, design=2)
+            _, done, rows = await client.receive("TASK", where=lambda h: h["state"] == "done")
+            assert done["worst"] <= float(done["certified"]) and len(rows) == 2
+            await client.send("task", task="ensemble", options={"members": 100_000}, design=2)
+            await client.receive("TASK", where=lambda h: h["state"] == "running")
+            await client.send("task", task="falsify", options={}, design=2)
+            assert "One long" in (await client.receive("PROBLEM"))[1]["message"]
+            task = server.workers()["task"]
+            await client.send("cancel")
+            await client.receive("TASK", where=lambda h: h["state"] == "cancelled")
+            for _ in range(100):
+                if not Path(f"/proc/{task}").exists():
+                    break
+                await asyncio.sleep(0.05)
+            assert not Path(f"/proc/{task}").exists()
+            options = {"starts": 1, "objective": "x"}
+            await client.send("task", task="tune", options=options, design=2)
+            assert "must be one of" in (await client.receive("PROBLEM"))[1]["message"]
+
+    asyncio.run(talk())
+
+
+@pytest.mark.parametrize("wanted", ["toml", "certificate", "c", "st", "fmu", "netcdf", "svg"])
+def test_exports(server, wanted, tmp_path):
+    from certrack.app.frames import frame_header, frame_prefix
+
+    async def talk():
+        async with page(server) as client:
+            await client.open("dual-motor-lean")
+            await client.move(2)
+            gains = {"law.c[0]": 6.5}
+            await client.send("export", format=wanted, design=2, gains=gains)
+            while True:
+                data = await asyncio.wait_for(client.connection.recv(), PATIENCE)
+                if frame_prefix(data).kind.name == "PROBLEM":
+                    raise AssertionError(frame_header(data)["message"])
+                if frame_prefix(data).kind.name == "FILE":
+                    header = frame_header(data)
+                    return header["name"], data[-header["bytes"] :]
+
+    name, content = asyncio.run(talk())
+    if wanted == "toml":
+        assert certrack.loads(content).law.c[0] == 6.5
+    if wanted == "certificate":
+        (tmp_path / name).write_bytes(content)
+        assert certrack.certificates.verify(tmp_path / name).verified
+    if wanted == "c":
+        import io
+        import zipfile
+
+        names = zipfile.ZipFile(io.BytesIO(content)).namelist()
+        assert any(entry.endswith(".c") for entry in names)
+    assert len(content) > 500
+
+
+def test_a_killed_server_leaves_no_worker_and_a_new_one_knows_the_key(tmp_path):
+    with running(folder=tmp_path) as first:
+        end = time.monotonic() + PATIENCE
+        while len(workers := first.workers()) < 3 and time.monotonic() < end:
+            time.sleep(0.1)
+        port = int(first.host.split(":")[1])
+        first.process.kill()
+        end = time.monotonic() + 20
+        while any(map(_lives, workers.values())) and time.monotonic() < end:
+            time.sleep(0.1)
+        assert len(workers) == 3 and not any(map(_lives, workers.values()))
+    with running(folder=tmp_path, port=port) as second:
+        assert second.address == first.address
+
+
+def _lives(process):
+    try:
+        stat = Path(f"/proc/{process}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+def test_a_thousand_connections_hold_neither_up_a_page_nor_the_server(server):
+    async def talk():
+        async with page(server) as client:
+            await client.open("dual-motor-lean")
+            held = await asyncio.gather(
+                *(asyncio.open_connection(*server.host.split(":")) for _ in range(1000)),
+                return_exceptions=True,
+            )
+            await client.move(2, {"law.c[0]": 6.5})
+            assert (await client.receive("RUN"))[0].design == 2
+            for entry in held:
+                if not isinstance(entry, BaseException):
+                    entry[1].close()
+        async with page(server) as client:
+            assert (await client.open("dual-motor-lean"))["title"]
+
+    asyncio.run(talk())
+
+
+@pytest.mark.parametrize("method", ["GET", "POST"])
+def test_a_body_of_50_megabytes_is_not_kept(server, method):
+    def memory():
+        status = Path(f"/proc/{server.process.pid}/status").read_text()
+        return int(status.partition("VmHWM:")[2].split()[0]) / 1024
+
+    host, port = server.host.split(":")
+    before, size = memory(), 50 << 20
+    with socket.create_connection((host, int(port)), PATIENCE) as connection:
+        head = f"{method} / HTTP/1.1\r\nHost: {server.host}\r\nContent-Length: {size}\r\n\r\n"
+        connection.sendall(head.encode())
+        with contextlib.suppress(OSError):
+            for _ in range(50):
+                connection.sendall(b"x" * (1 << 20))
+        answer = connection.recv(100)
+    assert answer.startswith(b"HTTP/1.1 403" if method == "GET" else b"HTTP/1.1 405")
+    assert memory() < before + 20
