@@ -66,6 +66,8 @@ class Certificates(ShownInNotebooks):
         Peak gains: of the nominal loop, or for all constants in their ranges.
     vertices, cells : Certificate
         For all constants in their ranges: one quadratic function, cells.
+    online : Certificate
+        For every motion of the gains between their ends, with ``[law.online]``.
     proof, cascade_proof
         The exactly verified numbers behind the semidefinite bound and the cascade.
     tightest : stages or cells
@@ -105,6 +107,7 @@ class Certificates(ShownInNotebooks):
     peak: Certificate
     vertices: Certificate
     cells: Certificate
+    online: Certificate
     proof: Proof | None
     cascade_proof: tuple[Proof, ...] | None
     critical_published: float

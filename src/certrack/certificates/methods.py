@@ -17,6 +17,7 @@ from certrack.certificates.certificate import (
 )
 from certrack.certificates.exact import Proof, float_up, from_text, prove, proven
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.online.certify import ONLINE, OnlineProof, certify_online
 from certrack.certificates.own_multipliers import own_solution
 from certrack.certificates.published import certify_published
 from certrack.certificates.ranges.certify import (
@@ -34,6 +35,9 @@ from certrack.systems.system import System
 NOMINAL_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade", "peak")
 RANGE_KINDS = ("vertices", "peak", "cells")
 
+#: Those of a law whose gains move.
+MOVING_KINDS = (*NOMINAL_KINDS, ONLINE)
+
 #: Of which a tube follows: inequalities for V, which hold for every t.
 QUADRATIC_KINDS = ("semidefinite", "cascade")
 
@@ -43,8 +47,8 @@ METHOD_STEPS = 4
 #: Orders up to which peak gains take less than about a second.
 FAST_PEAK_ORDER = 25
 
-#: Stages, or cells; empty where there is none, or none that a file holds.
-Proofs = tuple[Proof, ...] | tuple[CellProof, ...]
+#: Stages, cells, or that of moving gains; empty where there is none, or none that a file holds.
+Proofs = tuple[Proof, ...] | tuple[CellProof, ...] | tuple[OnlineProof, ...]
 
 
 @dataclass(frozen=True)
@@ -144,6 +148,7 @@ def every_certificate(
         "semidefinite": () if proof is None else (proof,),
         "cascade": stages or (),
     }
+    certificates[ONLINE], proofs[ONLINE] = certify_online(system)
     ranged, attainable = has_ranges(system), None
     if ranged:
         ranges = certify_ranges(
@@ -159,7 +164,8 @@ def every_certificate(
     certificates |= {"vertices": ranges.vertices, "peak": ranges.peak, "cells": ranges.cells}
     if not ranged:
         certificates["peak"], proofs["peak"] = certify_peak(system, effort)
-    kinds = RANGE_KINDS if ranged else NOMINAL_KINDS
+    kinds: tuple[str, ...] = RANGE_KINDS if ranged else NOMINAL_KINDS
+    kinds = kinds if system.law.online is None else MOVING_KINDS
     return Methods(certificates, proofs, kinds, attainable, ranges)
 
 

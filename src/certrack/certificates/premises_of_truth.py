@@ -179,7 +179,7 @@ def _equal(a: sympy.Expr, b: sympy.Expr) -> bool:
 def _knows_parameters(system: System) -> bool:
     """Whether the law uses the plant's g_n and theta themselves, by the error system it states."""
     try:
-        return isinstance(stated_error_system(system, integral=True), KnownParameters)
+        return isinstance(stated_error_system(system, integral=True, moving=True), KnownParameters)
     except NoCertificate:
         return False
 

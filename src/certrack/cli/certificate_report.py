@@ -9,7 +9,7 @@ from rich.table import Table
 
 from certrack.certificates import Certificate, Certificates
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
-from certrack.certificates.methods import NOMINAL_KINDS, RANGE_KINDS
+from certrack.certificates.methods import MOVING_KINDS, RANGE_KINDS
 from certrack.cli.report import BOUND_TEXT_DIGITS, table
 from certrack.cli.sampled_report import implemented_notes, implemented_summary
 from certrack.core.rounding import printed_bound, rounded_down
@@ -34,7 +34,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
         }
 
     return {
-        **{kind: entries(getattr(results, kind)) for kind in (*NOMINAL_KINDS, *RANGE_KINDS)},
+        **{kind: entries(getattr(results, kind)) for kind in (*MOVING_KINDS, *RANGE_KINDS)},
         "implemented": entries(results.implemented) | implemented_summary(results.implemented),
         "attainable": results.attainable,
         "verified": results.verified,
@@ -80,6 +80,7 @@ def certificates_table(results: Certificates) -> Table:
         if results.kinds == RANGE_KINDS
         else "peak gains of the error loop",
         "cells": "the ranges cut into cells, for constants that stand still",
+        "online": "for every motion of the gains between their ends",
         "implemented": "peak gains of the loop as the drive runs it"
         + (": the one to ship with" if results.implemented.verified else ""),
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from certrack.core.errors import DesignError
 from certrack.core.rationals import float_of
@@ -22,6 +22,7 @@ class Robust(Law):
     """
 
     kind = "robust"
+    moving: ClassVar[tuple[str, ...]] = ("c",)
 
     def equations(self, s: Signals) -> Equations:
         g_n, theta = s.parameter("g_n"), s.parameters("theta", s.r)

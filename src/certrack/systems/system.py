@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -17,6 +18,7 @@ from certrack.core.once import without_results
 from certrack.laws.base import Controller, Law
 from certrack.laws.leakage import longest_euler_period
 from certrack.laws.observer_model import observer_model
+from certrack.laws.online import LEVEL
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
@@ -155,6 +157,15 @@ class System(ShownInNotebooks):
                 len(self.controller.states),
                 f"the controller states ({names})",
             )
+            self._check_level("simulation", [(v, v) for v in self.settings.estimates])
+
+    def _check_level(self, table: str, estimates: Sequence[tuple[float, float]]) -> None:
+        """Refuse gains that begin beyond their ends."""
+        for i, (state, (low, high)) in enumerate(
+            zip(self.controller.states, estimates, strict=False)
+        ):
+            if state == LEVEL and not 0 <= low <= high <= 1:
+                raise InputError(f"{table}.estimates[{i}]", f"must be 0 to 1: it is {LEVEL}")
 
     def _check_parts(self) -> None:
         required = {"plant": Plant, "law": Law, "truth": Truth, "settings": Settings}
@@ -172,6 +183,8 @@ class System(ShownInNotebooks):
         states = len(self.controller.states)
         population = self.population.bound_to(self.plant, self.truth, states)
         set_fields(self, population=population)
+        limits = [(entry.low, entry.high) for entry in population.estimates or ()]
+        self._check_level("ensemble", limits)
         for i, entry in enumerate(population.x0 or ()):
             if max(abs(entry.low), abs(entry.high)) > self.settings.max_state:
                 raise InputError(f"ensemble.x0[{i}]", "must be within simulation.max_state")
@@ -183,6 +196,8 @@ class System(ShownInNotebooks):
         implementation.samples(self.settings.duration)
         if implementation.update == "euler":
             self._check_leak(implementation.period)
+            if self.law.online is not None:
+                self.law.online.check_period(implementation.period)
         if self.law.observer is not None:
             observer_model(self.plant, self.law, implementation)
         set_fields(self, implementation=implementation)
