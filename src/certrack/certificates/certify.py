@@ -30,6 +30,8 @@ from certrack.certificates.methods import (
     every_certificate,
     smallest,
 )
+from certrack.certificates.online.certify import OnlineProof, certify_online
+from certrack.certificates.online.tube import online_tube, tube_of
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.published import critical_strength
@@ -284,18 +286,25 @@ def _implemented(
     return replace(later, start=early.start, peaks=early.peaks), later_proofs
 
 
-def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:
+def _tube(
+    system: System,
+    stages: tuple[Proof, ...] | tuple[OnlineProof, ...],
+    vertex_proof: CellProof | None,
+) -> Tube | None:
     """The tube of the nominal loop's certificate, or of one quadratic function for all ranges.
 
     A soft start is part of what happens from a start, so there it is of a certificate that counts
     it, too.
     """
+    if system.law.online is not None:
+        _, moving = certify_online(system)
+        return online_tube(system, moving[0]) if moving else None
     if system.long_run is not system:
         proof = None if has_ranges(system) else certify_semidefinite(system)[1]
         return None if proof is None else tube(system, proof)
     if vertex_proof is not None:
         return range_tube(system, vertex_proof)
-    return tube(system, stages) if stages else None
+    return tube_of(system, stages) if stages else None
 
 
 def _unverified(result: Certificates, broken: Premise) -> Certificates:

@@ -39,7 +39,7 @@ RANGE_KINDS = ("vertices", "peak", "cells")
 MOVING_KINDS = (*NOMINAL_KINDS, ONLINE)
 
 #: Of which a tube follows: inequalities for V, which hold for every t.
-QUADRATIC_KINDS = ("semidefinite", "cascade")
+QUADRATIC_KINDS = ("semidefinite", "cascade", ONLINE)
 
 #: Steps of which :func:`every_certificate` reports.
 METHOD_STEPS = 4
@@ -86,9 +86,12 @@ class Methods:
         return self._tightest(self.kinds)
 
     @property
-    def stages(self) -> tuple[Proof, ...]:
-        """The same of those from which a tube follows: one stage, or the two or three."""
-        return _quadratic(self._tightest(QUADRATIC_KINDS))
+    def stages(self) -> tuple[Proof, ...] | tuple[OnlineProof, ...]:
+        """The same of those from which a tube follows: one to three stages, or of moving gains."""
+        moving = self.proofs[ONLINE]
+        return tuple(p for p in moving if isinstance(p, OnlineProof)) or _quadratic(
+            self._tightest(QUADRATIC_KINDS)
+        )
 
     def stages_of(self, kind: str) -> tuple[Proof, ...]:
         """The stages behind one of :data:`QUADRATIC_KINDS`."""

@@ -281,7 +281,7 @@ def other_end(law: Law) -> Law:
     assert law.online is not None
     changes = law.online.changes
     if "c" in changes and len(changes["c"]) != len(law.c):
-        checks.sequence("law.online.c", changes["c"], len(law.c), "as many numbers as law.c")
+        checks.sequence("law.c", changes["c"], len(law.c), "as many numbers as law.c")
     if "c_n" in changes:
         changes["c"] = (*law.c[:-1], changes.pop("c_n"))
     if "K" in changes:  # with a feed-forward gain of its own
@@ -319,7 +319,7 @@ def moving_equations(law: Law, equations: Equations, s: Signals) -> Equations:
         if name in known:
             others = s.parameters(f"{OTHER}{name}", len(known[name]))
             pairs = zip(known[name], others, strict=True)
-            moved |= {here: (1 - level) * here + level * there for here, there in pairs}
+            moved |= {here: here + level * (there - here) for here, there in pairs}
     return replace(
         equations,
         u=sympy.sympify(equations.u).xreplace(moved),

@@ -126,6 +126,8 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
 
 
 def _linear_loop(system: System, bounds: tuple[float, ...]) -> RangedLoop:
+    if system.law.online is not None:
+        raise NothingTried("the gains move: their motion is searched instead")
     loop = linear_error_loop(system)
     if loop is None:
         raise NothingTried("the error loop is not linear")
