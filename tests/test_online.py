@@ -19,7 +19,7 @@ from certrack.certificates.online.adaptation import moving_adaptation
 from certrack.certificates.online.certify import OnlineProof, certify_online, failed_online
 from certrack.certificates.online.ends import end_problems
 from certrack.certificates.online.tube import online_tube
-from certrack.certificates.stated import at_first_end, at_other_end
+from certrack.certificates.stated import first_end_system, other_end_system
 from certrack.core.errors import InputError
 from certrack.laws import Adaptive, Classic
 from certrack.laws.online import LEVEL, Online, within_unit
@@ -68,7 +68,7 @@ def test_the_file_of_a_system_keeps_what_moves():
 def test_ends_and_level_make_the_gains():
     system = robust()
     numbers = [system.law.numbers(system.plant)] + [
-        end(system).law.numbers(system.plant) for end in (at_first_end, at_other_end)
+        end(system).law.numbers(system.plant) for end in (first_end_system, other_end_system)
     ]
     assert (numbers[0]["nu_x"] == numbers[1]["nu_x"]).all()
     assert (numbers[0]["other_nu_x"] == numbers[2]["nu_x"]).all()
@@ -180,7 +180,9 @@ def test_a_larger_last_gain_needs_no_other_proof():
 
 
 def test_a_segment_is_worse_than_its_ends_and_better_at_a_bounded_speed():
-    ends = [certify_semidefinite(end(robust()))[0].bound for end in (at_first_end, at_other_end)]
+    ends = [
+        certify_semidefinite(end(robust()))[0].bound for end in (first_end_system, other_end_system)
+    ]
     bounds = [certify_online(robust(rate=rate))[0].bound for rate in (2.0, 20.0)]
     bounds.append(certify_online(robust())[0].bound)
     assert max(ends) < bounds[0] < bounds[1] < bounds[2]
@@ -245,7 +247,7 @@ def test_energy_falls_as_proven_wherever_the_loop_may_be(name):
 def largest_excess(system, proof, alpha, share):
     """The largest (V' + alpha V - share Delta)/Delta of many states, levels, speeds and inputs."""
     plant, controller = system.plant, system.controller
-    rng, n, first = np.random.default_rng(1), plant.n, at_first_end(system)
+    rng, n, first = np.random.default_rng(1), plant.n, first_end_system(system)
     delta = share * float(proof.bound) ** 2 * float(proof.ends[0].alpha) / 2
     problem = end_problems(system)[0]
     known = problem.adaptation is None
@@ -299,7 +301,7 @@ def largest_excess(system, proof, alpha, share):
         V = e @ Pw @ e / 2
         V_dot = e @ Pw @ e_dot + speed * e @ (P[1] - P[0]) @ e / 2
         if not known:
-            law, other = system.law, at_other_end(system).law
+            law, other = system.law, other_end_system(system).law
             weight = P[0][-1, -1]
 
             def between(name, law=law, other=other, w=w):

@@ -2,7 +2,8 @@
 
 Each method is a file: `published` (the paper's, and two sound forms of it), `semidefinite`,
 `cascade` with its `centred` stage; `ranges` is the room of constants that have a range, whose peak
-gains serve loops without ranges, too; `methods` lists them all. They share
+gains serve loops without ranges, too, and `online` that of gains that move; `methods` lists them
+all. They share
 `problem` (the error system as a matrix inequality), `scaling` (the units a solver sees it in) and
 `adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys
 the error system that it states (`stated`), `own_multipliers` (a proof without a solver), `exact`

@@ -66,18 +66,18 @@ def stated_error_system(
     if system.law.online is not None:
         if not moving:
             raise NoCertificate(GAINS_MOVE)
-        system = at_first_end(system)
+        system = first_end_system(system)
     return _compared_with_its_equations(system)
 
 
 @once
-def at_first_end(system: System) -> System:
+def first_end_system(system: System) -> System:
     """The system with the gains of ``[law]``, which stand still."""
     return _with_gains(system, first_end(system.law))
 
 
 @once
-def at_other_end(system: System) -> System:
+def other_end_system(system: System) -> System:
     """The system with the gains of ``[law.online]``, which stand still."""
     return _with_gains(system, other_end(system.law))
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,7 +25,13 @@ from certrack.laws.backstepping import ErrorCoordinates, Gains
 from certrack.laws.error_system import ErrorSystem
 from certrack.laws.integral import INTEGRAL
 from certrack.laws.observer import Observer
-from certrack.laws.online import Online, check_online, moving_equations, online_numbers
+from certrack.laws.online import (
+    Online,
+    check_online,
+    moving_equations,
+    online_numbers,
+    other_end,
+)
 from certrack.laws.recursion import recursion
 from certrack.laws.signals import Signals
 from certrack.model.names import NUMBER_PREFIXES
@@ -100,6 +107,14 @@ class Controller:
     def states(self) -> tuple[sympy.Symbol, ...]:
         """The controller's own states (estimates)."""
         return tuple(name for name, _ in self.equations.update)
+
+    @cached_property
+    def fastest_pole(self) -> float:
+        """Largest magnitude of the error system's poles, 1/s: of both ends of gains that move."""
+        pole = self.coordinates.fastest_pole
+        if self.law is None or self.law.online is None:
+            return pole
+        return max(pole, other_end(self.law).coordinates(self.signals.plant).fastest_pole)
 
     @property
     def symbols(self) -> tuple[sympy.Symbol, ...]:

@@ -33,7 +33,7 @@ def poles_near_gains(system: System) -> str:
     law = system.law
     if isinstance(law, Linear):
         return ""
-    if system.controller.coordinates.fastest_pole > FAR_FROM_GAINS * max(law.c):
+    if system.controller.fastest_pole > FAR_FROM_GAINS * max(law.c):
         if not law.gains().is_lean:
             return "leave law.k and law.p out, which make the poles fast, or lower law.c"
         if law.coupling is None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import Certificate, NoCertificate, missing, within_floats
@@ -13,11 +14,25 @@ from certrack.certificates.online.rates import RateProgram, prove_rates, squared
 from certrack.certificates.problem import ErrorProblem
 from certrack.certificates.ranges.vertices import VertexProgram, prove_vertices
 from certrack.certificates.search.best_proof import best_proof
-from certrack.certificates.semidefinite import best_solution
+from certrack.certificates.semidefinite import Bounded, Program, best_solution
 from certrack.systems.system import System
 
 #: The name of the method.
 ONLINE = "online"
+
+#: Parts of the best alpha that are tried to be proven.
+SMALLER_RATES = (1.0, 0.95, 0.85, 0.7, 0.5)
+
+
+class Solved(Bounded, Protocol):
+    """What a program returns, with its decay rate."""
+
+    @property
+    def alpha(self) -> float:
+        """Decay rate, 1/s."""
+
+
+Found = TypeVar("Found", bound=Solved)
 
 
 @dataclass(frozen=True)
@@ -69,10 +84,29 @@ def _proven_stages(system: System, problems: tuple[ErrorProblem, ...]) -> tuple[
         return None if proof is None else (proof,)
     floats, rate = [problem.in_floats() for problem in problems], _rate(system)
     if rate is None:
-        solution = best_solution(VertexProgram(floats))
-        return None if solution is None else prove_vertices(problems, solution)
-    moving = best_solution(RateProgram(floats, float(rate)))
-    return None if moving is None else prove_rates(problems, moving, rate)
+        return _first_proven(
+            VertexProgram(floats), lambda solution: prove_vertices(problems, solution)
+        )
+    return _first_proven(
+        RateProgram(floats, float(rate)), lambda solution: prove_rates(problems, solution, rate)
+    )
+
+
+def _first_proven(
+    program: Program[Found], prove: Callable[[Found], tuple[Proof, ...] | None]
+) -> tuple[Proof, ...] | None:
+    """The proof of the best alpha, or of a smaller one: the largest leave exact arithmetic no room.
+
+    Ends that are far apart have solutions up to a largest alpha only, and the best is near it.
+    """
+    best = best_solution(program)
+    for part in SMALLER_RATES if best is not None else ():
+        assert best is not None
+        solution = best if part == 1 else program.solve(part * best.alpha)
+        stages = None if solution is None else prove(solution)
+        if stages is not None:
+            return stages
+    return None
 
 
 def failed_online(system: System, proof: OnlineProof) -> str:

@@ -18,7 +18,7 @@ from certrack.certificates.formulation import (
 )
 from certrack.certificates.online.adaptation import moving_adaptation
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.stated import at_first_end, at_other_end, identical
+from certrack.certificates.stated import first_end_system, other_end_system, identical
 from certrack.core.once import once
 from certrack.laws.online import ENDS, LEVEL, OTHER, RULE
 from certrack.laws.plant_coordinates import PlantCoordinates, plant_coordinates
@@ -43,7 +43,7 @@ def end_problems(system: System) -> tuple[ErrorProblem, ...]:
     """
     if system.law.online is None:
         raise NoCertificate(GAINS_STAND_STILL)
-    ends = at_first_end(system), at_other_end(system)
+    ends = first_end_system(system), other_end_system(system)
     problems = [error_problem(end, rational) for end in ends]  # refuses what is not covered
     _require_mean(system, *ends)
     one, two = (adaptation_of(end, rational) for end in ends)

@@ -12,7 +12,7 @@ from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.online.certify import OnlineProof
 from certrack.certificates.online.ends import end_problems
 from certrack.certificates.start import starting_energy
-from certrack.certificates.stated import at_first_end
+from certrack.certificates.stated import first_end_system
 from certrack.certificates.tube import TUBE_ROUNDING, Tube, starts_of, tube
 from certrack.laws.online import LEVEL
 from certrack.systems.system import System
@@ -38,7 +38,7 @@ def online_tube(
     InputError
         If the box does not fit the plant or has too many corners.
     """
-    problems, first = end_problems(system), at_first_end(system)
+    problems, first = end_problems(system), first_end_system(system)
     starts, verified = starts_of(system, box)
     states = system.controller.states
     estimates = [v for z, v in zip(states, system.estimates, strict=True) if z != LEVEL]

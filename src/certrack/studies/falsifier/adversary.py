@@ -278,7 +278,7 @@ class Adversary:
         plant, u = system.plant, system.plant.uncertainty
         refuse_prefix(plant, ADVERSARY_PREFIX, "falsify")
         coordinates = system.controller.coordinates
-        fastest = max(LEAST_FASTEST, min(MAX_FREQUENCY, coordinates.fastest_pole))
+        fastest = max(LEAST_FASTEST, min(MAX_FREQUENCY, system.controller.fastest_pole))
         bounds = reference_bounds(system, coordinates.q + 1)
         bound = partial(u.bound_formula, states=plant.states, offset=ADVERSARY_NORM_OFFSET)
         others: list[AdversaryPart] = []
