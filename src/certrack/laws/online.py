@@ -347,9 +347,9 @@ def _rule(
 
 def within_unit(formula: sympy.Expr) -> sympy.Expr:
     """The formula held within [0, 1]; itself where it is a sum that cannot leave it."""
-    constant, rest = sympy.expand(formula).as_coeff_Add()
+    constant, remainder = sympy.expand(formula).as_coeff_Add()
     swing = sympy.S.Zero
-    for term in sympy.Add.make_args(rest) if rest != 0 else ():
+    for term in sympy.Add.make_args(remainder) if remainder != 0 else ():
         factor, function = term.as_coeff_Mul()
         if not isinstance(function, _BOUNDED):
             return sympy.Max(0, sympy.Min(1, formula))

@@ -18,7 +18,7 @@ from certrack.certificates.formulation import (
 )
 from certrack.certificates.online.adaptation import moving_adaptation
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.stated import first_end_system, other_end_system, identical
+from certrack.certificates.stated import first_end_system, identical, other_end_system
 from certrack.core.once import once
 from certrack.laws.online import ENDS, LEVEL, OTHER, RULE
 from certrack.laws.plant_coordinates import PlantCoordinates, plant_coordinates
@@ -65,7 +65,7 @@ def _require_mean(system: System, first: System, other: System) -> None:
     names = dict.fromkeys(name for key in online.changes for name in ENDS[key])
     signals = Signals(plant, still.signals.q)
     known, moved = still.signals.all_parameters, {}
-    level = _level(system)
+    level = _stated_level(system)
     for name in names:
         if name in known:
             others = signals.parameters(f"{OTHER}{name}", len(known[name]))
@@ -88,7 +88,7 @@ def _require_mean(system: System, first: System, other: System) -> None:
             raise NoCertificate(f"what runs with {name} has another number")
 
 
-def _level(system: System) -> sympy.Expr:
+def _stated_level(system: System) -> sympy.Expr:
     """The level, which its formula holds within [0, 1], and its rate within the stated one."""
     online, runs = system.law.online, system.controller
     assert online is not None
