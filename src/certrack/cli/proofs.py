@@ -47,6 +47,13 @@ if TYPE_CHECKING:
     show_default=True,
     help="How long it may take: fast makes no cells of ranges, high four times as many.",
 )
+@click.option(
+    "--input",
+    "with_input",
+    is_flag=True,
+    help="Bound the input, too: energy over the run, root mean square, peak from x0 and over the "
+    "starts of [ensemble], and in the long run.",
+)
 @click.option("--require", is_flag=True, help="Exit with 1 if nothing is verified.")
 @picture_options
 @json_option
@@ -56,6 +63,7 @@ def certify(
     plot: Path | None,
     states: str | None,
     effort: str,
+    with_input: bool,
     require: bool,
     appearance: Appearance,
     as_json: bool,
@@ -72,7 +80,7 @@ def certify(
     """
     from certrack import certificates
     from certrack.certificates.scope import has_ranges
-    from certrack.cli import certificate_report, range_report, report
+    from certrack.cli import certificate_report, input_report, range_report, report
     from certrack.systems.reader import load
 
     system = load(file)
@@ -95,8 +103,9 @@ def certify(
         title, units = appearance.titled(system.title), system.plant.units
         drawing = plotting.starts_figure(result.implemented, axes, title, units, appearance)
         plotting.save_figure(drawing, plot, "starts")
+    of_input = input_report.bounds_of_input(system) if with_input else {}
     if as_json:
-        click.echo(report.to_json(range_report.ranged_summary(result)))
+        click.echo(report.to_json(range_report.ranged_summary(result) | of_input))
     else:
         click.echo(system.title or file)
         report.console().print(certificate_report.certificates_table(result))
@@ -104,6 +113,7 @@ def certify(
             report.console().print(range_report.costs_table(result))
         report.print_lines(certificate_report.certificates_notes(result))
         report.print_lines(range_report.strength_line(result))
+        report.print_lines(input_report.input_lines(system, of_input))
         report.print_lines(["resting on:", *premise_lines(result.premises)])
     say_contradicted(result.contradicted)
     _note_without_implemented(system, result)
