@@ -17,6 +17,7 @@ import sys
 import tomllib
 from collections import defaultdict
 from fractions import Fraction as Q
+from functools import partial
 
 FORMATS = {"certrack-certificate/1": "assumptions", "certrack-certificate/2": "premises"}
 STAGE = {"alpha", "P", "lam", "nu", "k", "bound", "shift"}
@@ -752,6 +753,10 @@ def check(document, stated_bounds=None):
         from independent_online import check_online
 
         return check_online(document, stated_bounds)
+    from independent_bootstrap import is_bootstrap
+
+    if basis == "premises" and is_bootstrap(proof):
+        return check_bootstrap(document, stated_bounds)
     demand(isinstance(proof, list) and 1 <= len(proof) <= 3, "the proof has no one to three stages")
     for i, stage in enumerate(proof):
         numbers_of(stage)
@@ -775,6 +780,25 @@ def check(document, stated_bounds=None):
         problem = centred(system, whole, E, P, decimal(proof[1]["shift"]))
         E, _ = check_stage(proof[1], problem, system.n - 1)
     return check_stage(proof[-1], head(system, E), 0)[0]
+
+
+def check_bootstrap(document, stated_bounds):
+    """A bound on e_n, and stages on what it reaches; their arithmetic is in a file of its own."""
+    from independent_bootstrap import check_stages
+
+    first, *stages = document["proof"]
+    demand(len(stages) <= 64 and first["shift"] == "0", "too many stages, or a shift")
+    system = System(document["system"], stated_bounds)
+    demand(system.adaptive, "the bootstrap is for the adaptive law")
+    check_premises(document["premises"], system, tomllib.loads(document["system"]))
+    leakage = partial(system.leakage, shift=Q(0))
+    parts = (system.a, system.b, system.y, leakage, system.selections)
+    E, P = check_stage(first, Problem(system.M, system.A_inverse, *parts), system.n - 1)
+    bound = check_stages(system, E, P, stages)
+    claims = [c["bound"] for s in stages for f in s["functions"] for c in f["claims"]]
+    texts = {f"limsup |e_1(t)| <= {text}" for text in claims if decimal(text) == bound}
+    demand(document["claim"] in texts, "the claim is not that of the proof")
+    return bound
 
 
 #: End of the name of a premise that holds where the states stay from x0.

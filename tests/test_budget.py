@@ -148,7 +148,7 @@ def test_loading_has_a_budget(monkeypatch):
 
 def test_verifying_has_a_budget(monkeypatch, tmp_path):
     monkeypatch.setattr(document, "VERIFY_SECONDS", 0.1)
-    monkeypatch.setattr(document, "_read_document", lambda path: spin())
+    monkeypatch.setattr(document, "read_document", lambda path: spin())
     with pytest.raises(InputError, match=r"cert.json: is given up: it needs more than 0.1 s"):
         document.verify(tmp_path / "cert.json")
 

@@ -12,7 +12,10 @@ from conftest import SHIPPED
 from rich.console import Console
 
 import certrack
-from certrack.cli import cli, main, report, run_report
+from certrack.cli import cli, console, main
+from certrack.cli.console import print_table, print_wide_table
+from certrack.reports.runs import metrics_table, moves_table
+from certrack.reports.tables import table
 from certrack.simulation.metrics import METRIC_LABELS
 from certrack.simulation.moves import MOVE_LABELS
 
@@ -230,7 +233,7 @@ def test_falsify(capfd, tmp_path):
     assert 1 <= found["ratio"] < 1.2
     replayed = result(capfd, "simulate", str(path))
     assert replayed["tail_error"] == pytest.approx(found["worst_error"], rel=1e-12)
-    kinds = ["published", "corrected", "rate", "semidefinite", "cascade", "peak"]
+    kinds = ["published", "corrected", "rate", "semidefinite", "cascade", "bootstrap", "peak"]
     assert list(found["certificates"]) == kinds
     assert not any(entry["exceeded"] for entry in found["certificates"].values())
     assert found["against"]["method"] == "peak"
@@ -366,9 +369,9 @@ def test_the_lists_of_verbs_fit_a_terminal(monkeypatch, capfd, path):
 
 @pytest.mark.parametrize("terminal", [False, True])
 def test_notes_break_between_words_on_a_terminal_only(monkeypatch, capfd, terminal):
-    monkeypatch.setattr(report, "console", lambda: Console(width=30, force_terminal=terminal))
+    monkeypatch.setattr(console, "console", lambda: Console(width=30, force_terminal=terminal))
     lines = ["resting on:", "  " + "a-word " * 20 + "end", "", "x" * 40]
-    report.print_lines(lines)
+    console.print_lines(lines)
     out, _ = capfd.readouterr()
     if terminal:
         assert max(map(len, out.splitlines()[:-1])) <= 30
@@ -384,33 +387,30 @@ def test_module_runs_as_an_installed_command(tmp_path):
     assert done.stdout.startswith("certrack, version ")
 
 
-def printed(made):
-    console = report.console()
-    with console.capture() as captured:
-        console.print(made)
-    return captured.get()
-
-
 @pytest.mark.parametrize("width", ["80", "120"])
-def test_tables_break_neither_numbers_nor_words(monkeypatch, width):
+def test_tables_break_neither_numbers_nor_words(monkeypatch, capfd, width):
+    def printed(content, way=print_table):
+        way(content)
+        return capfd.readouterr().out
+
     monkeypatch.setenv("COLUMNS", width)
     numbers = [8.0494e5, 1.2344e-4, 0.012344, 0.0012344, -7.6543e-12]
     heads = ["5%", "median", "95%", "99%", "largest", "none"]
     rows = [[label, *numbers, 1000] for label in METRIC_LABELS.values()]
-    text = printed(report.table("", ["metric", *heads], rows, digits=4))
+    text = printed(table("", ["metric", *heads], rows, digits=4))
     for word in ["8.049e5", "1.234e-4", "0.01234", "0.001234", "-7.654e-12", *heads, "variation"]:
         assert word in text, word
     names = [f"dual-motor-{name}" for name in ("lean", "drive", "strong", "physical", "other")]
     summary = dict.fromkeys(METRIC_LABELS, 8.0494e5)
     summary |= {"outcome": "finished", "integrator": "implicit"}
-    text = printed(run_report.metrics_table(dict.fromkeys(names, summary)))
+    text = printed(metrics_table(dict.fromkeys(names, summary)), print_wide_table)
     assert text.count("8.0494e5") == len(METRIC_LABELS) * len(names)
     assert text.count("finished") == text.count("implicit") == len(names)
     for word in ("lean", "drive", "strong", "physical", "other"):
         assert word in text, word
     assert max(map(len, text.splitlines())) <= int(width)
     move = dict.fromkeys(MOVE_LABELS, 8.0883e-4) | {"begin": 0.801, "arrival": 1.402}
-    text = printed(run_report.moves_table([move | {"origin": 1.571, "target": 3.142}]))
+    text = printed(moves_table([move | {"origin": 1.571, "target": 3.142}]))
     for word in ("begins", "arrives", "following", "overshoot", "settled", "8.088e-4"):
         assert word in text, word
     assert max(map(len, text.splitlines())) <= int(width)

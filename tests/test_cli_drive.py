@@ -7,7 +7,7 @@ from test_cli import invoke, result
 
 import certrack
 from certrack.certificates import Certificate
-from certrack.cli.falsified import falsification_summary
+from certrack.reports.falsification import falsification_summary
 from certrack.studies.falsifier.falsify import Falsification
 
 ONE_STATE = """

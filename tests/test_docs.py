@@ -32,7 +32,16 @@ ROOT = Path(__file__).parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 #: Their commands or programs take long.
 LONG = {
-    *("README", "certificates", "deployment", "ensembles", "friction", "mismatch", "new-law"),
+    *(
+        "README",
+        "certificates",
+        "deployment",
+        "dossier",
+        "ensembles",
+        "friction",
+        "mismatch",
+        "new-law",
+    ),
     *("ranges", "observers", "python", "sampled", "tuning", "tutorial"),
 }
 PARAMETERS = [

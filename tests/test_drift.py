@@ -23,7 +23,8 @@ from certrack.certificates.ranges.loop import error_form
 from certrack.certificates.ranges.proofs import RangeProver
 from certrack.certificates.ranges.strength import STRENGTH_ACCURACY, critical_ranges
 from certrack.certificates.ranges.tube import range_tube
-from certrack.cli import cli, report
+from certrack.cli import cli
+from certrack.cli.console import to_json
 from certrack.core.errors import Cancelled, InputError
 from certrack.studies.drift import drift
 from certrack.studies.ensembles.corners import FIRST_CORNER, Corners, ranges_of
@@ -293,7 +294,7 @@ def test_margin_tells_the_drift(tmp_path):
     run = CliRunner().invoke(cli, ["margin", file, *options])
     assert run.exit_code == 0 and "+-60" in run.output
     assert (tmp_path / "margin-drift.png").stat().st_size > 5000
-    (entry,) = json.loads(report.to_json(drift(AXIS, error=0.001).summary()))["constants"]
+    (entry,) = json.loads(to_json(drift(AXIS, error=0.001).summary()))["constants"]
     assert entry["bound"] <= 0.001 and entry["low"] < 0.7 * 95.1089
 
 

@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import platform
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import certrack
+from certrack.core import compilers
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.integrators.many import native
@@ -566,3 +568,19 @@ def test_members_whose_steps_vanish_end(omega, members, outcome):
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
     assert outcome in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (shutil.which("gcc") and shutil.which("clang")), reason="one compiler")
+def test_members_are_the_same_by_every_compiler(monkeypatch, tmp_path):
+    monkeypatch.setenv("CERTRACK_CACHE", str(tmp_path))
+    found = []
+    for compiler in ("gcc", "clang"):
+        monkeypatch.setenv("CC", compiler)
+        monkeypatch.setattr(compilers, "_LOADED", {})
+        assert vector_compiler() == shutil.which(compiler)
+        engine = Engine(make_plan(VARIANTS["four states"], 5, 1e-7, None, "native"))
+        bands = Bands(engine.plan.centre, engine.plan.scale)
+        found.append(engine.metrics_and_outcomes(3, 9, bands)[0])
+    assert found[0].tobytes() != found[1].tobytes()  # they round differently: there are two
+    np.testing.assert_allclose(*found, rtol=1e-6)

@@ -9,7 +9,6 @@ import pytest
 
 from certrack.certificates import document
 from certrack.certificates.arithmetic import positive_definite, rational, solve
-from certrack.certificates.document import DOCUMENT_KEYS, FORMAT
 from certrack.certificates.exact import (
     MAX_EXPONENT,
     MAX_TEXT_LENGTH,
@@ -20,6 +19,7 @@ from certrack.certificates.exact import (
     from_text,
     root_up,
 )
+from certrack.certificates.layout import DOCUMENT_KEYS, FORMAT
 from certrack.certificates.majorants import _root_of
 from certrack.certificates.published import Terms
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS

@@ -25,6 +25,7 @@ from certrack.certificates.exact import float_down, float_up, from_text
 from certrack.certificates.formulation import error_coordinates, error_problem
 from certrack.certificates.published import _smallest_eigenvalue, certify_published, collect
 from certrack.certificates.start import reference_at_start, states_at_start
+from certrack.certificates.stated import stated_error_system
 from certrack.certificates.tube import Tube
 from certrack.certificates.tube import tube as tube_of
 from certrack.cli import cli
@@ -138,7 +139,7 @@ def test_fractions_survive_files_copies_and_certificates():
 def test_a_float_stands_for_the_rational_it_was_written_as(exact):
     value = nearest_float(exact)
     assert exact_rational(value) == exact
-    assert value == float(exact)
+    assert float(value) == float(exact)
     assert exact_rational(pickle.loads(pickle.dumps(value))) == exact
     above, below = stated_above(value), float_below(exact)
     assert Fraction(below) <= exact <= Fraction(above)
@@ -485,6 +486,15 @@ def test_a_law_that_does_not_obey_what_it_states_has_no_certificate(name, law, r
     assert reason in found.semidefinite.reason
     assert not any(c.exists for c in (found.published, found.corrected, found.rate, found.cascade))
     assert found.critical_semidefinite == found.critical_published == 0
+
+
+def test_a_law_runs_with_the_subnormal_numbers_that_it_states():
+    """Rounded first to 53 bits and then to a subnormal float, these become other floats."""
+    system = certrack.load("example1")
+    for number in (1.766551574016232e-308, 1.546147210739702e-308, 5e-324):
+        law = replace(system.law, leak_gain=number)
+        stated = stated_error_system(system.replace(law=law))
+        assert rational(stated.leak_gain) == rational(number)
 
 
 def test_the_critical_strength_is_told_above_all_where_there_is_no_certificate(tmp_path):

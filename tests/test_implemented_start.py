@@ -26,8 +26,8 @@ from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.proof import cells_of, delays
 from certrack.certificates.implemented.start import FromStarts, Later, Starts, is_above
 from certrack.certificates.implemented.start_proof import POLYTOPE, X0
-from certrack.cli.sampled_report import implemented_notes, implemented_summary
 from certrack.model.distribution import Distribution
+from certrack.reports.sampled import implemented_notes, implemented_summary
 from certrack.studies.ensembles.error_limit import limit_and_starts, started_inside
 
 LIMITS = {"saturation": (-15.0, 15.0)}

@@ -1,10 +1,16 @@
 """What is remembered, and for whom."""
 
+from dataclasses import replace
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
 import certrack
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.formulation import error_problem
 from certrack.core.memo import MAX_REMEMBERED, remembered
+from certrack.core.rationals import nearest_float
 from certrack.model.disturbance import DisturbanceFamily, register_disturbance
 from certrack.studies.ensembles.engine import Engine, compute_chunk
 from certrack.studies.ensembles.members import Members, members_of
@@ -63,6 +69,24 @@ def test_the_second_ensemble_of_a_system_proves_and_simulates_nothing(monkeypatc
     assert again.statistics.worst != first.statistics.worst
     with pytest.raises(AssertionError, match="computed again"):
         certrack.ensemble(system.replace(title="another"), 8, method="lockstep")
+
+
+def test_what_is_proven_of_a_float_is_not_recalled_for_a_rational_beside_it():
+    """1/3 and its float are one number to NumPy, and two systems to a proof."""
+    third = nearest_float(Fraction(1, 3))
+    equal, unequal = third == 1 / 3, third != 1 / 3
+    assert unequal and not equal
+    assert third == nearest_float(Fraction(1, 3)) and hash(third) == hash(1 / 3)
+    base = certrack.load("dual-motor-lean")
+
+    def with_strength(tau):
+        uncertainty = replace(base.plant.uncertainty, tau=(0, tau, 0, 1))
+        return base.replace(plant=replace(base.plant, uncertainty=uncertainty))
+
+    exact, rounded = with_strength("1/3"), with_strength(1 / 3)
+    assert exact != rounded and exact == with_strength("1/3")
+    recalled = remembered(lambda system: error_problem(system, rational))
+    assert recalled(exact).Ua.tolist() != recalled(rounded).Ua.tolist()
 
 
 def test_a_family_that_is_registered_anew_is_the_one_that_is_drawn():

@@ -109,7 +109,7 @@ def test_where_nothing_acts_the_decay_is_proven_all_the_same():
 def test_the_adaptive_law_has_none():
     found = certrack.certify(certrack.load("example1"))
     assert not found.peak.exists and "robust law" in found.peak.reason
-    assert found.best.kind == "cascade"
+    assert found.best.kind == "bootstrap"
 
 
 def test_fast_leaves_out_what_takes_long(monkeypatch):

@@ -454,6 +454,7 @@ def test_python_can_what_the_command_line_can():
         "new": "starter",
         "compare": "plot",
         "margin": "margins",
+        "report": "dossier",
         "verify": "certificates",
         "export": "export_c",
     }

@@ -20,6 +20,7 @@ from certrack.certificates.implemented.drive import DRIVE_BITS
 from certrack.certificates.implemented.growing import GrowingBound
 from certrack.certificates.implemented.period import one_period
 from certrack.certificates.implemented.start import FromStarts, Starts
+from certrack.certificates.methods import NOMINAL_KINDS
 from certrack.certificates.size_majorants import Sizes, stays_below
 from certrack.core.errors import InputError
 from certrack.core.expressions import parse, symbol
@@ -183,7 +184,7 @@ def test_the_largest_box_and_the_bound_inside_it(found):
 
 
 def test_the_continuous_loop_has_no_bound_of_a_formula(found):
-    for kind in ("published", "corrected", "rate", "semidefinite", "cascade", "peak"):
+    for kind in NOMINAL_KINDS:
         certificate = getattr(found, kind)
         assert not certificate.exists and "as implemented only" in certificate.reason
 

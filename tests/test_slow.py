@@ -31,10 +31,10 @@ from certrack.certificates.implemented.proof import (
     periods_needed,
 )
 from certrack.certificates.implemented.slow import SlowTerms, as_function
-from certrack.cli.sampled_report import implemented_notes
 from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
 from certrack.model.slowness import slow_size
+from certrack.reports.sampled import implemented_notes
 from certrack.studies.ensembles.members import Members
 from certrack.studies.falsifier.linear.slow_signal import _worst
 

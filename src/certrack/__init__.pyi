@@ -55,6 +55,9 @@ from .references import Bounds as Bounds
 from .references import SymbolicReference as SymbolicReference
 from .references import trapezoid as trapezoid
 from .references import triangle as triangle
+from .reports.dossier import Dossier as Dossier
+from .reports.dossier import dossier as dossier
+from .reports.pages import save_dossier as save_dossier
 from .simulation.metrics import Metrics as Metrics
 from .simulation.run import Run as Run
 from .simulation.simulator import Simulator as Simulator

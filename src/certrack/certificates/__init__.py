@@ -1,11 +1,11 @@
 """Certificates: bounds on limsup |e_1(t)| that hold for everything the assumptions admit.
 
 Each method is a file: `published` (the paper's, and two sound forms of it), `semidefinite`,
-`cascade` with its `centred` stage; `ranges` is the room of constants that have a range, whose peak
-gains serve loops without ranges, too, and `online` that of gains that move; `methods` lists them
-all. They share
-`problem` (the error system as a matrix inequality), `scaling` (the units a solver sees it in) and
-`adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys
+`cascade` with its `centred` stage; `bootstrap` is the room of quadratic functions on the set that
+such a proof reaches; `ranges` is the room of constants that have a range, whose peak gains serve
+loops without ranges, too, and `online` that of gains that move; `methods` lists them all. They
+share `problem` (the error system as a matrix inequality), `scaling` (the units a solver sees it in)
+and `adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys
 the error system that it states (`stated`), `own_multipliers` (a proof without a solver), `exact`
 (verification), `strength` (up to which scale of tau there is one), `document` (the saved
 certificate and its checker) and `tube` (the bound for every t, from the `start` in `balls`).

@@ -82,28 +82,49 @@ def enclosing_ball(expr: sympy.Expr, values: Mapping[sympy.Symbol, Any]) -> Any:
 def _ball(expr: sympy.Expr, values: Mapping[sympy.Symbol, Any]) -> Any:
     if expr in values:
         return values[expr]
+    operation, parts = ball_rule(expr)
+    return operation(*(_ball(part, values) for part in parts))
+
+
+def ball_rule(expr: sympy.Expr) -> tuple[Callable[..., Any], tuple[sympy.Expr, ...]]:
+    """What makes the ball of a formula of the balls of its parts, and these parts.
+
+    Raises
+    ------
+    ValueError
+        Where there is no rule.
+    """
     if expr.is_Rational:
-        return flint.arb(rational(expr))
+        return (lambda: flint.arb(rational(expr))), ()
     if expr == sympy.pi:
-        return flint.arb.pi()
+        return flint.arb.pi, ()
     if expr == sympy.E:
-        return flint.arb(1).exp()
+        return (lambda: flint.arb(1).exp()), ()
     if isinstance(expr, ConstantPower):
-        return _ball_power(expr.base, expr.exponent, values)
+        return _power_rule(expr.base, expr.exponent)
     if isinstance(expr, sympy.Pow):
-        return _ball_power(expr.base, expr.exp, values)
+        return _power_rule(expr.base, expr.exp)
     if type(expr) in _FUNCTIONS:
-        return _FUNCTIONS[type(expr)](*(_ball(part, values) for part in expr.args))
+        return _FUNCTIONS[type(expr)], expr.args
     raise ValueError(f"no rule for {type(expr).__name__}")
 
 
-def _ball_power(base: sympy.Expr, exponent: sympy.Expr, values: Mapping[sympy.Symbol, Any]) -> Any:
-    inside = _ball(base, values)
+def _power_rule(
+    base: sympy.Expr, exponent: sympy.Expr
+) -> tuple[Callable[..., Any], tuple[sympy.Expr, ...]]:
     if exponent.is_Integer:
-        return inside ** int(exponent)
+        return (lambda inside: _integer_power(inside, int(exponent))), (base,)
     if exponent.is_Rational and exponent.q == 2:
-        return inside.sqrt() ** int(exponent.p)
-    return inside ** _ball(exponent, values)
+        return (lambda inside: inside.sqrt() ** int(exponent.p)), (base,)
+    return (lambda inside, power: inside**power), (base, exponent)
+
+
+def _integer_power(inside: Any, exponent: int) -> Any:
+    """A power of a ball, which may hold zero if the exponent is positive."""
+    if exponent < 0 or not inside.contains(0):
+        return inside**exponent
+    size = inside.abs_upper() ** exponent
+    return flint.arb(0).union(size if exponent % 2 == 0 else -size).union(size)
 
 
 def upper_rational(ball: Any) -> Any:

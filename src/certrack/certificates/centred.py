@@ -81,7 +81,7 @@ class CentredProblems:
         """
         coordinates = error_coordinates(system, rational)
         q, zero = coordinates.q, rational(0)
-        AB, Y = _reference_part(system, problem)
+        AB, Y = reference_part(system, problem)
         Xy = np.zeros((problem.n, q + 2), dtype=object) + zero
         Xy[:, : q + 1] = AB * np.array(Y[: q + 1], dtype=object)
         through_x = np.append(coordinates.nu_x @ AB, zero)
@@ -156,7 +156,7 @@ def centred_problem(
     return CentredProblems.of(system, problem, reached).at(kappa)
 
 
-def _reference_part(system: System, problem: ErrorProblem) -> tuple[np.ndarray, list[Any]]:
+def reference_part(system: System, problem: ErrorProblem) -> tuple[np.ndarray, list[Any]]:
     """A^{-1} B and the bounds Y: x = A^{-1} e + A^{-1} B (y_d ... y_d^(q)), |y_d^(i)| <= Y_i."""
     coordinates = error_coordinates(system, rational)
     try:
@@ -174,7 +174,7 @@ def remainder_bound(system: System, problem: ErrorProblem) -> Callable[[Proof], 
     """
     law, plant = problem.adaptation, system.plant
     assert law is not None
-    AB, Y = _reference_part(system, problem)
+    AB, Y = reference_part(system, problem)
     exact = {symbol(name): value for name, value in plant.constant_values.items()}
     drift = put_in(plant.drift.expr, exact)
     regressor = [put_in(phi.expr, exact) for phi in plant.regressor]

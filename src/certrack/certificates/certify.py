@@ -62,7 +62,7 @@ class Certificates(ShownInNotebooks):
 
     Attributes
     ----------
-    published, corrected, rate, semidefinite, cascade : Certificate
+    published, corrected, rate, semidefinite, cascade, bootstrap : Certificate
         Of the nominal loop; none where constants have ranges.
     peak : Certificate
         Peak gains: of the nominal loop, or for all constants in their ranges.
@@ -106,6 +106,7 @@ class Certificates(ShownInNotebooks):
     rate: Certificate
     semidefinite: Certificate
     cascade: Certificate
+    bootstrap: Certificate
     peak: Certificate
     vertices: Certificate
     cells: Certificate

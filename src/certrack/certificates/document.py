@@ -17,6 +17,9 @@ from typing import Any
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.assumptions import assumptions
+from certrack.certificates.bootstrap.check import check_bootstrap, claimed_bound
+from certrack.certificates.bootstrap.document import bootstrap_stages, is_bootstrap
+from certrack.certificates.bootstrap.proof import BootstrapStage
 from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, failed_condition
@@ -31,6 +34,7 @@ from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
 from certrack.certificates.implemented.regional import is_of_starts
+from certrack.certificates.layout import FORMAT, FORMAT_1, check_layout, read_document
 from certrack.certificates.online.certify import OnlineProof, failed_online
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
@@ -38,7 +42,7 @@ from certrack.certificates.ranges.certify import cover_bound
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, CellProof, check_cells
 from certrack.certificates.records import cell_record, online_record, stage_record
 from certrack.core.budget import within_budget
-from certrack.core.errors import InputError, shorten
+from certrack.core.errors import InputError
 from certrack.core.files import write_text
 from certrack.core.rounding import rounded_up
 from certrack.core.version import version
@@ -46,22 +50,8 @@ from certrack.systems.reader import loads
 from certrack.systems.system import System, require_system
 from certrack.systems.writer import to_text
 
-FORMAT = "certrack-certificate/2"
-
-#: Of files before premises had a status: a list of texts, ``assumptions``, in their place.
-FORMAT_1 = "certrack-certificate/1"
-
-#: A certificate of order 100 has less than 1 MB; reading stops here, whatever a stranger sends.
-MAX_CERTIFICATE_BYTES = 20_000_000
-
 #: What checking may take: orders of 50 take a tenth of it. See core/budget.py.
 VERIFY_SECONDS, VERIFY_MEGABYTES = 300, 2000
-
-#: Keys of the file, `premises` or `assumptions` among them.
-DOCUMENT_KEYS = {
-    FORMAT: ("format", "made_by", "claim", "premises", "system", "proof", "sha256"),
-    FORMAT_1: ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256"),
-}
 
 #: The shift of a stage that is not the centred one, the second of three.
 NO_SHIFT = "0"
@@ -95,7 +85,7 @@ class Verdict:
 
 
 #: What a document holds: a stage, a cell, that of moving gains, or the proof for one delay.
-Stage = Proof | CellProof | OnlineProof | ImplementedProof
+Stage = Proof | CellProof | OnlineProof | ImplementedProof | BootstrapStage
 
 
 def to_document(system: System, *stages: Stage) -> dict[str, Any]:
@@ -133,9 +123,13 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     rests_on = premises_as_implemented(system, sampled) if sampled else premises(system)
     if broken := contradicted(rests_on):
         raise InputError("premises", f"the truth contradicts one: {broken[0]}")
-    bound = stages[-1].bound
-    if cells or sampled:
-        bound = cover_bound(cells) if cells else largest_bound(sampled)
+    grounded = tuple(stage for stage in stages if isinstance(stage, BootstrapStage))
+    if cells or sampled or grounded:
+        bound = cover_bound(cells) if cells else ""
+        bound = largest_bound(sampled) if sampled else bound
+        bound = claimed_bound(grounded) if grounded else bound
+    else:
+        bound = tuple(stage for stage in stages if isinstance(stage, Proof))[-1].bound
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
@@ -212,13 +206,15 @@ def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
 
 def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
     try:
-        body = source if isinstance(source, dict) else _read_document(Path(source))
+        body = source if isinstance(source, dict) else read_document(Path(source))
         if is_implemented(body):
             return _verify_implemented(body)
         if _is_cover(body):
             return _verify_cover(body)
         if _is_online(body):
             return _verify_online(body)
+        if is_bootstrap(body):
+            return _verify_bootstrap(body)
         stages = _stages(body)
         shifts = tuple(stage.shift for stage in _not_centred(stages))
 
@@ -269,7 +265,7 @@ def _is_online(body: dict[str, Any]) -> bool:
 
 def _verify_online(body: dict[str, Any]) -> Verdict:
     """Check a proof for gains that move."""
-    _check_layout(body)
+    check_layout(body)
     if body["format"] != FORMAT or len(body["proof"]) != 1:
         raise InputError("format", f"must be {FORMAT}, with one proof for gains that move")
     proof = online_record(body["proof"][0])
@@ -284,7 +280,7 @@ def _is_cover(body: dict[str, Any]) -> bool:
 
 def _verify_cover(body: dict[str, Any]) -> Verdict:
     """Check a proof by cells."""
-    _check_layout(body)
+    check_layout(body)
     if body["format"] != FORMAT:
         raise InputError("format", f"must be {FORMAT} for a proof by cells", body["format"])
     if len(body["proof"]) > MAX_PROOF_CELLS:
@@ -295,9 +291,22 @@ def _verify_cover(body: dict[str, Any]) -> Verdict:
     return _verified(body, bound, shifts, lambda system: check_cells(system, cells, bound))
 
 
+def _verify_bootstrap(body: dict[str, Any]) -> Verdict:
+    """Check a proof by a bootstrap."""
+    check_layout(body)
+    if body["format"] != FORMAT:
+        raise InputError("format", f"must be {FORMAT} for a bootstrap", body["format"])
+    first, stages = stage_record(body["proof"][0]), bootstrap_stages(body["proof"][1:])
+
+    def failed(system: System) -> str:
+        return check_bootstrap(system, error_problem(system, rational), first, stages)
+
+    return _verified(body, claimed_bound(stages), (first.shift,), failed)
+
+
 def _verify_implemented(body: dict[str, Any]) -> Verdict:
     """Check a proof of the implemented loop."""
-    _check_layout(body)
+    check_layout(body)
     if body["format"] != FORMAT:
         raise InputError("format", f"must be {FORMAT} for an implemented loop", body["format"])
     proofs = implemented_proofs(body["proof"])
@@ -335,55 +344,9 @@ def _rests_on(
     return Verdict(True, bound, "", rests_on)
 
 
-def _read_document(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(MAX_CERTIFICATE_BYTES + 1)
-        if len(data) > MAX_CERTIFICATE_BYTES:
-            raise InputError("", f"is larger than {MAX_CERTIFICATE_BYTES // 1_000_000} MB")
-        body = json.loads(
-            data.decode("utf-8"), object_pairs_hook=_unique_keys, parse_constant=_no_number
-        )
-    except OSError as problem:
-        raise InputError("", f"cannot be read ({problem.strerror})") from None
-    except InputError:
-        raise
-    except (ValueError, RecursionError):
-        raise InputError("", "is not a certificate: not JSON") from None
-    return body if isinstance(body, dict) else {}
-
-
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object in which no key stands twice."""
-    table = dict(pairs)
-    if len(table) < len(pairs):
-        twice = next(key for i, (key, _) in enumerate(pairs) if key in dict(pairs[:i]))
-        raise InputError("", f"is not a certificate: the key {shorten(twice)!r} stands twice")
-    return table
-
-
-def _no_number(text: str) -> Any:
-    raise InputError("", f"is not a certificate: {text} is not JSON")
-
-
-def _check_layout(body: dict[str, Any]) -> None:
-    """Refuse a body that has not the keys of its format, or no texts where they belong."""
-    if not isinstance(body, dict) or not isinstance(body.get("format"), str):
-        raise InputError(
-            "", "is not a certificate: it must have " + ", ".join(DOCUMENT_KEYS[FORMAT])
-        )
-    if body["format"] not in DOCUMENT_KEYS:
-        raise InputError("format", f"must be {FORMAT} or {FORMAT_1}", body["format"])
-    keys = DOCUMENT_KEYS[body["format"]]
-    if sorted(map(str, body)) != sorted(keys):
-        raise InputError("", "is not a certificate: it must have " + ", ".join(keys))
-    if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
-        raise InputError("", "is not a certificate: texts expected")
-
-
 def _stages(body: dict[str, Any]) -> tuple[Proof, ...]:
     """The proof's one to three stages, well formed."""
-    _check_layout(body)
+    check_layout(body)
     if not isinstance(body["proof"], list) or len(body["proof"]) not in (1, 2, 3):
         raise InputError("proof", "must be a list of one to three stages")
     return tuple(map(stage_record, body["proof"]))

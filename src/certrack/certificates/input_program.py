@@ -106,8 +106,8 @@ class InputProgram:
         count = len(self._entries) + sum(self._counts)
         columns = []
         for unit in np.eye(count):
-            P, parts = self._parts(unit)
-            columns.append(svec(self._scaled.inequality(P, *parts, alpha)))
+            P, (lam, nu, k) = self._parts(unit)
+            columns.append(svec(self._scaled.inequality(P, lam, nu, k, alpha)))
         return np.array(columns).T
 
     def _parts(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.assumptions import assumptions
+from certrack.certificates.bootstrap.certify import BootstrapProof, certify_bootstrap
 from certrack.certificates.cascade import certify_cascade
 from certrack.certificates.certificate import (
     Certificate,
@@ -32,7 +33,8 @@ from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
 #: Those of a nominal loop, and those that cover ranges of constants, as they are shown.
-NOMINAL_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade", "peak")
+BOOTSTRAP = "bootstrap"
+NOMINAL_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade", BOOTSTRAP, "peak")
 RANGE_KINDS = ("vertices", "peak", "cells")
 
 #: Those of a law whose gains move.
@@ -42,13 +44,13 @@ MOVING_KINDS = (*NOMINAL_KINDS, ONLINE)
 QUADRATIC_KINDS = ("semidefinite", "cascade", ONLINE)
 
 #: Steps of which :func:`every_certificate` reports.
-METHOD_STEPS = 4
+METHOD_STEPS = 5
 
 #: Orders up to which peak gains take less than about a second.
 FAST_PEAK_ORDER = 25
 
 #: Stages, cells, or that of moving gains; empty where there is none, or none that a file holds.
-Proofs = tuple[Proof, ...] | tuple[CellProof, ...] | tuple[OnlineProof, ...]
+Proofs = tuple[Proof, ...] | tuple[CellProof, ...] | tuple[OnlineProof, ...] | BootstrapProof
 
 
 @dataclass(frozen=True)
@@ -151,13 +153,16 @@ def every_certificate(
         "semidefinite": () if proof is None else (proof,),
         "cascade": stages or (),
     }
+    first = None if stages is None else stages[0]
+    certificates[BOOTSTRAP], proofs[BOOTSTRAP] = certify_bootstrap(system, effort, first)
     certificates[ONLINE], proofs[ONLINE] = certify_online(system)
+    progress(4, METHOD_STEPS, None)
     ranged, attainable = has_ranges(system), None
     if ranged:
         ranges = certify_ranges(
             system,
             effort,
-            lambda _, __, best: progress(3, METHOD_STEPS, best),
+            lambda _, __, best: progress(4, METHOD_STEPS, best),
             details=details,
         )
         proofs |= {ranges.best.kind: ranges.proof}

@@ -19,6 +19,7 @@ from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
 from certrack.core.once import once
+from certrack.core.rationals import float_of
 from certrack.laws.base import Equations, Law
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
 from certrack.laws.integral import INTEGRAL
@@ -168,7 +169,7 @@ def _compare_controller(system: System, equations: Equations, bare: Signals) -> 
             raise NoCertificate(_refusal(system, f"what runs as {name} is another"))
     used = dict(zip(map(str, controller.symbols), controller.values, strict=True))
     for name, value in _exact_values(bare, law.parameters(plant)).items():
-        if used.get(str(name)) != float(value):
+        if used.get(str(name)) != float_of(value):
             raise NoCertificate(_refusal(system, f"what runs with {name} has another number"))
 
 

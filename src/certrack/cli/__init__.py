@@ -18,6 +18,7 @@ import click
 
 from certrack.cli.cache import cache
 from certrack.cli.checks import check
+from certrack.cli.dossiers import report
 from certrack.cli.exports import export
 from certrack.cli.files import design, list_systems, new
 from certrack.cli.margins import margin
@@ -61,6 +62,7 @@ for verb in (
     certify,
     verify,
     falsify,
+    report,
     reproduce,
     export,
     cache,

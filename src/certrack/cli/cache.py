@@ -20,13 +20,13 @@ def cache(is_clear: bool, as_json: bool) -> None:
     \b
     Example: certrack cache --clear
     """
-    from certrack.cli import report
+    from certrack.cli import console
     from certrack.core import library_cache
 
     state = library_cache.clear() if is_clear else library_cache.state()
     if as_json:
         click.echo(
-            report.to_json(
+            console.to_json(
                 {
                     "place": None if state.place is None else str(state.place),
                     "libraries": state.libraries,

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from certrack.cli.base import json_option
-from certrack.cli.premises import premise_lines, say_contradicted
+from certrack.cli.premises import say_contradicted
+from certrack.reports.premises import premise_lines
 
 if TYPE_CHECKING:
     from certrack.certificates.cover import Cover
@@ -37,20 +38,20 @@ def check(file: str, as_json: bool) -> None:
     Example: certrack check dual-motor-drive
     """
     from certrack.certificates.premises_of_truth import CONTINUOUS_LAW
-    from certrack.cli import report
+    from certrack.cli import console
     from certrack.studies.check import check as check_system
     from certrack.systems.reader import load
 
     system = load(file)
     result = check_system(system)
     if as_json:
-        click.echo(report.to_json(result.summary()))
+        click.echo(console.to_json(result.summary()))
     else:
         click.echo(system.title or file)
-        report.print_lines(["premises:", *premise_lines(result.premises)])
+        console.print_lines(["premises:", *premise_lines(result.premises)])
         if any(premise.name == CONTINUOUS_LAW for premise in result.premises):
-            report.print_lines([LOOP_AS_IT_RUNS])
-        report.print_lines(_lines(system, result))
+            console.print_lines([LOOP_AS_IT_RUNS])
+        console.print_lines(_lines(system, result))
     say_contradicted(result.contradicted)
     for finding in result.faults:
         click.echo(f"certrack: {finding.name}: {finding.detail}; {finding.remedy}", err=True)

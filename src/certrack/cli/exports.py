@@ -166,7 +166,7 @@ def c(
     \b
     Example: certrack export c example1 --period 0.001 --real float --out firmware
     """
-    from certrack.cli import report
+    from certrack.cli import console
     from certrack.export.c import export_c
     from certrack.systems.reader import load
 
@@ -176,7 +176,7 @@ def c(
         click.echo(f"certrack: note: {note}", err=True)
     if as_json:
         values = {"name": exported.name, "files": [str(path) for path in exported.files]}
-        click.echo(report.to_json(values | {"notes": exported.notes}))
+        click.echo(console.to_json(values | {"notes": exported.notes}))
         return
     for path in exported.files:
         click.echo(f"{path} written")
@@ -254,6 +254,6 @@ def _note_unlikely(system: System, period: float | None) -> None:
 
 def _report_file(out: Path, as_json: bool) -> None:
     """Say what was written."""
-    from certrack.cli import report
+    from certrack.cli import console
 
-    click.echo(report.to_json({"file": str(out)}) if as_json else f"{out} written")
+    click.echo(console.to_json({"file": str(out)}) if as_json else f"{out} written")

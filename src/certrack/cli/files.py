@@ -17,14 +17,15 @@ def list_systems(as_json: bool) -> None:
     \b
     Example: certrack list
     """
-    from certrack.cli import report
+    from certrack.cli import console
+    from certrack.reports.tables import table
     from certrack.systems.shipped import catalog
 
     systems = catalog()
     if as_json:
-        click.echo(report.to_json(systems))
+        click.echo(console.to_json(systems))
     else:
-        report.console().print(report.table("", ["name", "title"], list(systems.items())))
+        console.print_table(table("", ["name", "title"], list(systems.items())))
         click.echo("To start from one of them: certrack new FILE.toml --from NAME")
 
 
@@ -43,7 +44,7 @@ def new(name: Path, shipped: str | None, as_json: bool) -> None:
     \b
     Example: certrack new drive.toml --from dual-motor-drive
     """
-    from certrack.cli import report
+    from certrack.cli import console
     from certrack.core.errors import InputError
     from certrack.core.files import write_text
     from certrack.systems.shipped import catalog, starter
@@ -55,7 +56,7 @@ def new(name: Path, shipped: str | None, as_json: bool) -> None:
     path = name if name.suffix else name.with_suffix(".toml")
     write_text(path, starter(shipped), overwrite=False)
     if as_json:
-        click.echo(report.to_json({"file": str(path)}))
+        click.echo(console.to_json({"file": str(path)}))
     else:
         click.echo(f"{path} written. Next: certrack simulate {path}")
 
@@ -70,7 +71,7 @@ def design(file: str, latex: bool, as_json: bool) -> None:
     \b
     Example: certrack design dual-motor --latex
     """
-    from certrack.cli import report
+    from certrack.cli import console
     from certrack.systems.reader import load
 
     system = load(file)
@@ -79,7 +80,7 @@ def design(file: str, latex: bool, as_json: bool) -> None:
         click.echo(result.latex)
         return
     if as_json:
-        click.echo(report.to_json(result.summary()))
+        click.echo(console.to_json(result.summary()))
         return
     order = result.coordinates.q
     click.echo(f"{system.title or file}: {system.law.kind} law, feed-forward order {order}\n")

@@ -50,13 +50,14 @@ def margin(
     \b
     Example: certrack margin dual-motor-lean --plot pictures
     """
-    from certrack.cli import margin_report, report
+    from certrack.cli import console
+    from certrack.reports import margins as margin_report
     from certrack.studies.margins import margins
     from certrack.systems.reader import load
 
     system = load(file)
     note_engine()
-    with naming(file, "margin"), report.progress("Margins, values tried") as advance:
+    with naming(file, "margin"), console.progress("Margins, values tried") as advance:
         result = margins(system, error=error, members=members, seed=seed, progress=advance)
     pictures: list[Path] = []
     if plot is not None:
@@ -68,13 +69,13 @@ def margin(
             figure = plotting.drift_figure(result.drift, system.title)
             pictures += plotting.save_figure(figure, plot, "margin-drift")
     if as_json:
-        click.echo(report.to_json(result.summary()))
+        click.echo(console.to_json(result.summary()))
     else:
         click.echo(system.title or file)
-        report.console().print(margin_report.margin_table(result, system.plant.units))
-        report.print_lines(margin_report.margin_notes(result))
+        console.print_table(margin_report.margin_table(result, system.plant.units))
+        console.print_lines(margin_report.margin_notes(result))
         if result.drift is not None:
             if result.drift.constants:
-                report.console().print(margin_report.drift_table(result.drift))
-            report.print_lines(margin_report.drift_notes(result.drift))
+                console.print_table(margin_report.drift_table(result.drift))
+            console.print_lines(margin_report.drift_notes(result.drift))
     tell_written(as_json, *pictures)

@@ -35,12 +35,12 @@ def reproduce(out: Path, as_json: bool) -> None:
     """
     from dataclasses import asdict
 
-    from certrack.cli import report
+    from certrack.cli import console
     from certrack.papers import liu2025
     from certrack.papers.liu2025.drawing import servo_diagram
     from certrack.plotting import save_figure
 
-    log = report.console(error=True)
+    log = console.console(error=True)
     save_figure(servo_diagram(), out, "figure-1")  # a folder that cannot be written: said at once
     with log.status("Reproducing") as status:
         results = liu2025.reproduce(tell=status.update)
@@ -55,7 +55,7 @@ def reproduce(out: Path, as_json: bool) -> None:
             "bounds": results.bounds,
             "figures": [str(out / f"{name}.png") for name in results.figures],
         }
-        click.echo(report.to_json(values))
+        click.echo(console.to_json(values))
         return
     print_reproduction(results)
     click.echo(f"{len(results.figures)} figures (PDF, PNG and SVG) in {out}")
@@ -63,21 +63,21 @@ def reproduce(out: Path, as_json: bool) -> None:
 
 def print_reproduction(results: Reproduction) -> None:
     """Metrics, bounds, claims and observations as tables."""
-    from certrack.cli import report, run_report
+    from certrack.cli.console import print_table, print_wide_table
+    from certrack.reports.runs import metrics_table
+    from certrack.reports.tables import table
 
-    console = report.console()
-    console.print(run_report.metrics_table({n: run.summary() for n, run in results.runs.items()}))
+    print_wide_table(metrics_table({n: run.summary() for n, run in results.runs.items()}))
     kinds = next(iter(results.bounds.values()))
     bounds = [[kind, *(entry[kind] for entry in results.bounds.values())] for kind in kinds]
     columns = ["limsup |e_1|", *results.bounds]
-    console.print(report.table("Certified, falsified and simulated error", columns, bounds))
+    print_table(table("Certified, falsified and simulated error", columns, bounds))
     rows = [[_claim_text(claim), claim.verdict] for claim in results.claims]
-    claims = report.table("Claims", ["place, claim, measure and value", "verdict"], rows)
+    claims = table("Claims", ["place, claim, measure and value", "verdict"], rows)
     notes = [[f"{note.where}: {note.text}"] for note in results.observations]
-    observations = report.table("Observations of ours", ["place, and what was measured"], notes)
-    for ruled in (claims, observations):
-        ruled.show_lines = True
-        console.print(ruled)
+    observations = table("Observations of ours", ["place, and what was measured"], notes)
+    for content in (claims, observations):
+        print_table(content, ruled=True)
     counts = Counter(claim.verdict for claim in results.claims)
     click.echo(", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
 

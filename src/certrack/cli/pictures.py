@@ -111,11 +111,11 @@ def draw(
 def certified_runs(systems: Mapping[str, System]) -> dict[str, Certificates]:
     """The certificates of systems, for the pictures of their runs."""
     from certrack.certificates import certify
-    from certrack.cli import report
+    from certrack.cli import console
 
     certificates = {}
     for name, system in systems.items():
-        with report.progress("Certifying") as advance:
+        with console.progress("Certifying") as advance:
             certificates[name] = certify(system, "fast", advance)
     return certificates
 

@@ -17,8 +17,9 @@ from certrack.cli.base import (
     note_implementation,
 )
 from certrack.cli.pictures import picture_options
-from certrack.cli.premises import note_contradictions, premise_lines, say_contradicted
+from certrack.cli.premises import note_contradictions, say_contradicted
 from certrack.core.errors import InputError
+from certrack.reports.premises import premise_lines
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificates
@@ -80,13 +81,16 @@ def certify(
     """
     from certrack import certificates
     from certrack.certificates.scope import has_ranges
-    from certrack.cli import certificate_report, input_report, range_report, report
+    from certrack.cli import console
+    from certrack.reports import certificates as certificate_report
+    from certrack.reports import input_bounds as input_report
+    from certrack.reports import ranges as range_report
     from certrack.systems.reader import load
 
     system = load(file)
     axes = _two_states(states, system.plant.states)
     keep_source(file, *filter(None, [out]))
-    with report.progress("Certifying") as advance:
+    with console.progress("Certifying") as advance:
         result = certificates.certify(system, effort, advance)
     if out is not None and result.stages:
         certificates.save_certificate(system, result.stages, out)
@@ -105,16 +109,16 @@ def certify(
         plotting.save_figure(drawing, plot, "starts")
     of_input = input_report.bounds_of_input(system) if with_input else {}
     if as_json:
-        click.echo(report.to_json(range_report.ranged_summary(result) | of_input))
+        click.echo(console.to_json(range_report.ranged_summary(result) | of_input))
     else:
         click.echo(system.title or file)
-        report.console().print(certificate_report.certificates_table(result))
+        console.print_table(certificate_report.certificates_table(result))
         if result.constants:
-            report.console().print(range_report.costs_table(result))
-        report.print_lines(certificate_report.certificates_notes(result))
-        report.print_lines(range_report.strength_line(result))
-        report.print_lines(input_report.input_lines(system, of_input))
-        report.print_lines(["resting on:", *premise_lines(result.premises)])
+            console.print_table(range_report.costs_table(result))
+        console.print_lines(certificate_report.certificates_notes(result))
+        console.print_lines(range_report.strength_line(result))
+        console.print_lines(input_report.input_lines(system, of_input))
+        console.print_lines(["resting on:", *premise_lines(result.premises)])
     say_contradicted(result.contradicted)
     _note_without_implemented(system, result)
     _hint_of_weights(system, result, effort)
@@ -179,18 +183,18 @@ def verify(certificate: Path, as_json: bool) -> None:
     """
     from certrack import certificates
     from certrack.certificates.implemented.premises import LIMITS
-    from certrack.cli import report
+    from certrack.cli import console
 
     proof = certificates.verify(certificate)
     if as_json:
         from dataclasses import asdict
 
-        click.echo(report.to_json(asdict(proof)))
+        click.echo(console.to_json(asdict(proof)))
     elif proof.verified:
         limited = any(premise.name == LIMITS for premise in proof.premises)
         whose = " from simulation.x0" if limited else ""
         click.echo(f"verified: limsup |e_1| <= {proof.printed_bound}{whose}, resting on")
-        report.print_lines(premise_lines(proof.premises))
+        console.print_lines(premise_lines(proof.premises))
     if not proof.verified:
         click.echo(f"certrack: {certificate}: not verified: {proof.reason}", err=True)
         raise click.exceptions.Exit(1)
@@ -225,8 +229,9 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     \b
     Example: certrack falsify example1 --out worst.toml
     """
-    from certrack.cli import falsified, report
+    from certrack.cli import console
     from certrack.core.rounding import printed_bound
+    from certrack.reports import falsification as falsified
     from certrack.studies.falsifier.falsify import falsify as search
     from certrack.systems.reader import load
     from certrack.systems.writer import save
@@ -236,7 +241,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     keep_source(file, *filter(None, [out, beside]))
     note_engine(compiled=False)
     note_contradictions(system, file)
-    with report.progress("Searching") as advance:
+    with console.progress("Searching") as advance:
         result = search(system, budget=budget, seed=seed, progress=advance)
     drive = result.drive
     if drive is None:
@@ -251,7 +256,7 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         "file": None if out is None else str(out),
     }
     if as_json:
-        click.echo(report.to_json(values))
+        click.echo(console.to_json(values))
     else:
         origin, of = ORIGIN_WORDS[result.origin], "" if drive is None else "continuous law, "
         click.echo(
@@ -260,13 +265,13 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
         click.echo(f"{of}certified limsup |e_1|: {printed_bound(values['certified'])}")
         ratio = values["ratio"]
         click.echo(f"certified / found: {'-' if ratio is None else format(ratio, '.3g')}")
-        report.console().print(falsified.falsification_table(values["certificates"]))
+        console.print_table(falsified.falsification_table(values["certificates"]))
         if values["settling"]:
-            report.print_lines([STILL_SETTLING])
+            console.print_lines([STILL_SETTLING])
         if values["certificates"].get("published", {}).get("exceeded"):
-            report.print_lines([PUBLISHED_EXCEEDED])
+            console.print_lines([PUBLISHED_EXCEEDED])
         if values["drive"] is not None:
-            report.print_lines(falsified.drive_lines(values["drive"]))
+            console.print_lines(falsified.drive_lines(values["drive"]))
         if "drive" in result.left_out:
             click.echo(
                 "certrack: note: nothing was tried of the loop as [implementation] runs it: "

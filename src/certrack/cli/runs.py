@@ -85,7 +85,8 @@ def simulate(
     \b
     Example: certrack simulate example1 --plot pictures --out run.nc
     """
-    from certrack.cli import report, run_report
+    from certrack.cli import console
+    from certrack.reports import runs as run_report
     from certrack.simulation.simulator import Simulator
     from certrack.systems.reader import load
 
@@ -118,7 +119,7 @@ def simulate(
         difference = difference_from_python(run)
         controller = {"controller": "c", "difference_from_python": difference}
     else:
-        with report.progress("Simulating, s") as advance:
+        with console.progress("Simulating, s") as advance:
             run, controller = Simulator(system).run(progress=advance), {"controller": "python"}
     if out is not None:
         run.save(out, samples)
@@ -127,12 +128,12 @@ def simulate(
     pictures = [] if plot is None else draw(runs, plot, system.title, appearance, certified)
     summary = run.summary()
     if as_json:
-        click.echo(report.to_json(summary | controller))
+        click.echo(console.to_json(summary | controller))
     else:
         click.echo(system.title or file)
-        report.console().print(run_report.metrics_table({Path(file).stem: summary}))
+        console.print_wide_table(run_report.metrics_table({Path(file).stem: summary}))
         if summary["moves"]:
-            report.console().print(run_report.moves_table(summary["moves"]))
+            console.print_table(run_report.moves_table(summary["moves"]))
         if with_c:
             click.echo(
                 f"controller: the exported C, compiled by {Path(find_c_compiler()).name}; "
@@ -168,7 +169,8 @@ def compare(
     \b
     Example: certrack compare example1 example1-classic
     """
-    from certrack.cli import report, run_report
+    from certrack.cli import console
+    from certrack.reports import runs as run_report
     from certrack.simulation.simulator import simulate as run_system
     from certrack.systems.reader import load
 
@@ -182,9 +184,9 @@ def compare(
     pictures = [] if plot is None else draw(runs, plot, "", appearance, certified)
     summaries = {file: run.summary() for file, run in runs.items()}
     if as_json:
-        click.echo(report.to_json(summaries))
+        click.echo(console.to_json(summaries))
     else:
-        report.console().print(run_report.metrics_table(summaries))
+        console.print_wide_table(run_report.metrics_table(summaries))
     tell_written(as_json, *pictures)
     diagnose(*runs.values())
 
@@ -258,7 +260,8 @@ def ensemble(
     """
     from contextlib import nullcontext
 
-    from certrack.cli import report, run_report
+    from certrack.cli import console
+    from certrack.reports import runs as run_report
     from certrack.studies.ensembles import workers
     from certrack.studies.ensembles.all_lost import AllMembersLost
     from certrack.studies.ensembles.ensemble import ensemble as run_ensemble
@@ -275,7 +278,7 @@ def ensemble(
     try:
         with (
             workers.connect(cluster) if cluster is not None else nullcontext() as client,
-            report.rate_progress("Members") as advance,
+            console.rate_progress("Members") as advance,
         ):
             result = run_ensemble(
                 system,
@@ -298,11 +301,11 @@ def ensemble(
     summary = result.summary()
     written = [] if out is None else _save_ensemble(result, summary, out, keep, appearance)
     if as_json:
-        click.echo(report.to_json(summary))
+        click.echo(console.to_json(summary))
     else:
         click.echo(f"{system.title or file}: {result.members} members, seed {seed}")
-        report.console().print(run_report.ensemble_table(result))
-        report.print_lines(run_report.ensemble_notes(result, file))
+        console.print_table(run_report.ensemble_table(result))
+        console.print_lines(run_report.ensemble_notes(result, file))
     tell_written(as_json, *written)
 
 
@@ -315,12 +318,12 @@ def _save_ensemble(
 ) -> list[Path]:
     """Bands, summary, pictures and chosen members; returns the paths."""
     from certrack import plotting
-    from certrack.cli import report
+    from certrack.cli import console
     from certrack.core.files import write_netcdf, write_text
 
     paths = [out / "bands.nc", out / "summary.json"]
     write_netcdf(paths[0], ensemble.dataset())
-    write_text(paths[1], report.to_json(summary) + "\n")
+    write_text(paths[1], console.to_json(summary) + "\n")
     for name, figure in plotting.ensemble_figures(ensemble, appearance).items():
         paths += plotting.save_figure(figure, out, name)
     for index in keep:

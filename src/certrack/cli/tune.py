@@ -68,8 +68,9 @@ def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted
     \b
     Example: certrack tune dual-motor-lean --peak-input 39.1 --period 0.087 --out tuned.toml
     """
-    from certrack.cli import report, tune_report
+    from certrack.cli import console
     from certrack.core.files import write_text
+    from certrack.reports import tuning as tune_report
     from certrack.systems.edit import with_law
     from certrack.systems.reader import load
     from certrack.tuning.tune import tune as search_gains
@@ -84,15 +85,15 @@ def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted
     with (
         _options_named(),
         naming(file, "law", "tune"),
-        report.progress("Tuning, starts", "best") as bar,
+        console.progress("Tuning, starts", "best") as bar,
     ):
         result = search_gains(system, progress=bar, **wanted)
     if as_json:
-        click.echo(report.to_json(result.summary()))
+        click.echo(console.to_json(result.summary()))
     else:
         click.echo(system.title or file)
-        report.console().print(tune_report.tuned_table(result, system.plant.units))
-        report.print_lines(tune_report.tuned_notes(result))
+        console.print_table(tune_report.tuned_table(result, system.plant.units))
+        console.print_lines(tune_report.tuned_notes(result))
     if out is not None:
         write_text(out, with_law(source, result.system, tune_report.remarks(result, file)))
     pictures: list[Path] = []

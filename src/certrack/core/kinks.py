@@ -12,6 +12,9 @@ from certrack.core.powers import without_fine_roots
 
 _OfTwo = Callable[[sympy.Expr, sympy.Expr], sympy.Expr]
 
+#: Functions that may jump where all their arguments are finite.
+JUMPING = (sympy.sign, sympy.atan2)
+
 #: What has a kink or a jump.
 _KINKED = (sympy.Abs, sympy.sign, sympy.Max, sympy.Min)
 

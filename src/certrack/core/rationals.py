@@ -26,6 +26,9 @@ DIGITS_AT_ONCE = 200
 class RationalFloat(float):
     """The float nearest to a rational that its own decimal text is not.
 
+    It equals what stands for the same rational only: what is proven of a system with the one is not
+    proven of a system with the other.
+
     Parameters
     ----------
     exact : Fraction
@@ -43,6 +46,16 @@ class RationalFloat(float):
         self = super().__new__(cls, exact.numerator / exact.denominator)
         self.exact = exact
         return self
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both stand for the same rational."""
+        return isinstance(other, RationalFloat) and self.exact == other.exact
+
+    def __ne__(self, other: object) -> bool:
+        """Whether they stand for different ones; a float's own would compare the floats."""
+        return not self == other
+
+    __hash__ = float.__hash__
 
     def __reduce__(self) -> tuple[type[RationalFloat], tuple[Fraction]]:
         """For copies and for pickle."""

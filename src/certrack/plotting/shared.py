@@ -124,6 +124,11 @@ def few_ticks(ax: Axes) -> None:
     ax.xaxis.set_minor_formatter(ticker.NullFormatter())
 
 
+def as_svg(drawing: Figure) -> str:
+    """A figure as SVG: the same figure gives the same text."""
+    return _written(drawing, "svg").decode()
+
+
 def save_figure(drawing: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as PNG, SVG and PDF; returns the paths.
 
@@ -148,10 +153,12 @@ def save_figure(drawing: Figure, folder: Path, name: str) -> list[Path]:
     >>> [path.name for path in certrack.plotting.save_figure(drawing, Path("pictures"), "run")]
     ['run.png', 'run.svg', 'run.pdf']
     """
-    pictures: dict[str, bytes] = {}
-    with style():
-        for kind, stamps in STAMPS.items():
-            buffer = io.BytesIO()  # no stamp: the same figure gives the same bytes
-            drawing.savefig(buffer, format=kind, dpi=DPI, metadata=dict.fromkeys(stamps))
-            pictures[f"{name}.{kind}"] = buffer.getvalue()
+    pictures = {f"{name}.{kind}": _written(drawing, kind) for kind in STAMPS}
     return list(write_folder(folder, pictures))
+
+
+def _written(drawing: Figure, kind: str) -> bytes:
+    buffer = io.BytesIO()
+    with style():  # no stamp: the same figure gives the same bytes
+        drawing.savefig(buffer, format=kind, dpi=DPI, metadata=dict.fromkeys(STAMPS[kind]))
+    return buffer.getvalue()

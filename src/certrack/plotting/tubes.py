@@ -18,6 +18,9 @@ from certrack.plotting.shared import BLUE, GREEN, new_figure, plain, set_title, 
 from certrack.plotting.units import label_with_unit
 from certrack.simulation.run import Run
 
+#: Times at most at which the tube is drawn, whose edges no renderer thins out.
+MAX_TIMES = 1000
+
 #: Bounds that differ by less are one line of the picture of the tube.
 SAME_BOUND = 1e-3
 
@@ -41,6 +44,7 @@ def plot_tube(ax: Axes, runs: Runs, tube: Tube, *, named: bool = True) -> None:
     >>> certrack.plotting.plot_tube(certrack.plot(run).axes[0], {"": run}, tube)
     """
     t = np.unique(np.concatenate([run.t for run in runs.values()]))
+    t = np.append(t[:: 1 + len(t) // MAX_TIMES], t[-1])
     bound = tube(t)
     sampled = any(run.system.implementation is not None for run in runs.values())
     label = "certified tube" + (" (continuous law)" if sampled else "")

@@ -15,7 +15,7 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, Expression, check_name, number, parse, symbol
 from certrack.core.keys import set_fields
-from certrack.core.kinks import derivative
+from certrack.core.kinks import JUMPING, derivative
 from certrack.core.lowering import numpy_callable, rows
 from certrack.core.powers import put_in
 from certrack.core.rationals import stated_above
@@ -23,9 +23,6 @@ from certrack.references.base import Bounds, require_order
 from certrack.references.growth import Undefined
 from certrack.references.smoothness import Smoothness, smoothness
 from certrack.references.supremum import is_sum_of_sinusoids, sinusoid_supremum
-
-#: Functions that may jump.
-JUMPING = (sympy.sign, sympy.atan2)
 
 #: What to do about a formula that may jump.
 NO_JUMPS = (

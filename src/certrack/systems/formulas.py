@@ -38,6 +38,43 @@ def as_latex(system: System) -> str:
     return f"\\begin{{align*}}\n{body}\n\\end{{align*}}"
 
 
+def plant_as_text(system: System) -> list[str]:
+    """The plant's equations (5), one line each, plain text."""
+    return [f"{left} = {right}" for left, right in _plant_sides(system, _as_plain_text)]
+
+
+def plant_as_latex(system: System) -> list[str]:
+    """The same in LaTeX."""
+    return [f"{left} = {right}" for left, right in _plant_sides(system, _as_latex_text)]
+
+
+def _plant_sides(system: System, show: Callable[[sympy.Expr], str]) -> Sides:
+    """x_i' = g_i x_{i+1} + sum_j b_ij x_j + tau_i w_i, and that of x_n with h, theta and u."""
+    plant, x = system.plant, system.plant.symbols
+    tau = [sympy.Float(value, PRINTED_DIGITS) for value in plant.uncertainty.tau]
+    w = [symbol(f"w_{i + 1}") for i in range(plant.n)]
+    sides = []
+    for i, (g, row) in enumerate(zip(plant.chain, plant.linear, strict=True)):
+        rate = g.expr * x[i + 1] + dot([b.expr for b in row], x[: i + 1]) + tau[i] * w[i]
+        sides.append((_dotted(show, x[i]), show(_with_few_digits(rate))))
+    known = plant.theta
+    theta = (
+        [symbol(f"theta_{k + 1}") for k in range(plant.r)]
+        if known is None
+        else [value.expr for value in known]
+    )
+    gain = symbol(f"g_{plant.n}") if plant.input_gain is None else plant.input_gain.expr
+    rate = plant.drift.expr + dot([f.expr for f in plant.regressor], theta) + tau[-1] * w[-1]
+    sides.append((_dotted(show, x[-1]), show(_with_few_digits(rate + gain * symbol("u")))))
+    return sides
+
+
+def _with_few_digits(expr: sympy.Expr) -> sympy.Expr:
+    """Numbers, and constants by their values, with the digits that are printed."""
+    rationals = {r for r in expr.atoms(sympy.Rational) if not r.is_Integer}
+    return _rounded(expr.xreplace({r: sympy.Float(r, PRINTED_DIGITS) for r in rationals}))
+
+
 def _equation_sides(
     system: System, show: Callable[[sympy.Expr], str], e: str, virtual: str
 ) -> Sides:
@@ -92,7 +129,10 @@ def _as_plain_text(expr: sympy.Expr) -> str:
 
 
 def _dotted(show: Callable[[sympy.Expr], str], state: sympy.Symbol) -> str:
-    return rf"\dot{{{show(state)}}}" if show is _as_latex_text else f"{state.name}'"
+    if show is not _as_latex_text:
+        return f"{state.name}'"
+    letter, mark, index = show(state).partition("_")  # the dot stands over the letter
+    return rf"\dot{{{letter}}}{mark}{index}"
 
 
 class _Latex(LatexPrinter):

@@ -14,7 +14,7 @@ import numpy as np
 
 from certrack.certificates import Certificate, NoCertificate, Proof
 from certrack.certificates.assumption_1 import VIOLATION_TOLERANCE, uncertain_terms
-from certrack.certificates.methods import QUADRATIC_KINDS
+from certrack.certificates.methods import BOOTSTRAP, QUADRATIC_KINDS
 from certrack.certificates.online.certify import OnlineProof
 from certrack.certificates.online.tube import tube_of
 from certrack.certificates.premise import contradicted
@@ -106,7 +106,7 @@ def _beyond(
     except (NoCertificate, InputError):
         return True
     limit = around(run.t)
-    if against.kind not in QUADRATIC_KINDS:
+    if against.kind not in (*QUADRATIC_KINDS, BOOTSTRAP):  # its stages take their time, too
         from_start = np.sqrt(np.maximum(limit**2 - around.floor, 0.0))
         limit = np.minimum(limit, against.bound + from_start)
     return bool(np.any(error > limit + slack))

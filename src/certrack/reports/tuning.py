@@ -1,4 +1,4 @@
-"""What `certrack tune` prints for people, and writes into the tuned file."""
+"""What is said of a search for gains, also in the file that it writes."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from certrack.cli import report
 from certrack.core.rounding import printed_bound
 from certrack.core.version import __version__
+from certrack.reports.tables import Table, short_number, table
 from certrack.tuning.measure import FOUND
 from certrack.tuning.result import tuned_numbers
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from certrack.tuning.measure import Measured
     from certrack.tuning.result import Tuned
 
@@ -39,7 +37,7 @@ def tuned_table(result: Tuned, units: Sequence[str] | None) -> Table:
     rows = [
         [label, _shown(result.before, name), _shown(result.after, name)] for label, name in entries
     ]
-    return report.table("", ["", "before", "after"], rows)
+    return table("", ["", "before", "after"], rows)
 
 
 def _shown(figures: Measured, name: str) -> object:
@@ -128,4 +126,4 @@ def remarks(result: Tuned, file: str) -> list[str]:
 def _numbers(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_numbers, value))}]"
-    return report.short_number(value, 6) if isinstance(value, float) else str(value)
+    return short_number(value, 6) if isinstance(value, float) else str(value)

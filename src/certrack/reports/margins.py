@@ -1,17 +1,15 @@
-"""What `certrack margin` prints for people."""
+"""What is said of the margins of an implementation."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from certrack.cli import report
-from certrack.cli.run_report import limit_text
 from certrack.core.rounding import printed_bound, rounded_down, rounded_up
+from certrack.reports.runs import limit_text
+from certrack.reports.tables import Table, short_number, table
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from certrack.studies.drift import Drift
     from certrack.studies.margins import Margin, Margins
 
@@ -34,14 +32,14 @@ def margin_table(margins: Margins, units: Sequence[str] | None) -> Table:
         ]
         for label, m in labels.items()
     ]
-    return report.table("", ["margin", "within the error", "bounded", "exact edge"], rows)
+    return table("", ["margin", "within the error", "bounded", "exact edge"], rows)
 
 
 def _margin_text(value: float | None, margin: Margin, limit: float, sign: str) -> object:
     """A margin; with a sign in front where nothing tried failed, so that no edge was found."""
     if value is None or any(error > limit for error in margin.errors):
         return value
-    return sign + report.short_number(value)
+    return sign + short_number(value)
 
 
 def margin_notes(margins: Margins) -> list[str]:
@@ -77,15 +75,15 @@ def drift_table(drift: Drift) -> Table:
         rows.append(
             [
                 entry.name,
-                report.short_number(entry.nominal),
-                f"[{', '.join(map(report.short_number, entry.file))}]",
+                short_number(entry.nominal),
+                f"[{', '.join(map(short_number, entry.file))}]",
                 "none" if entry.low is None else f"{more}+-{part}",
                 _range_text(entry.low, entry.high),
                 printed_bound(entry.bound if entry.low is not None else None, RANGE_DIGITS),
             ]
         )
     columns = ["constant", "nominal", "in the file", "may drift by", "that is", "certified there"]
-    return report.table("", columns, rows, digits=RANGE_DIGITS)
+    return table("", columns, rows, digits=RANGE_DIGITS)
 
 
 def drift_notes(drift: Drift) -> list[str]:

@@ -1,34 +1,21 @@
-"""What the command line prints of runs and ensembles."""
+"""What is said of runs and ensembles."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Group
-from rich.table import Table
-
-from certrack.cli.report import BOUND_TEXT_DIGITS, console, table
 from certrack.core.rounding import printed_bound
+from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
 from certrack.simulation.metrics import METRIC_LABELS
 from certrack.simulation.moves import MOVE_LABELS
 
 if TYPE_CHECKING:
     from certrack.studies.ensembles.ensemble import Ensemble
 
-#: Letters that the labels of the metrics and the numbers of one run need in a table.
-LABEL_WIDTH, RUN_WIDTH = 20, 15
 
-
-def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Group:
-    """Metrics of one or several runs, one column each, below each other where there are many."""
-    names = list(summaries)
-    count = max(1, (console().width - LABEL_WIDTH) // RUN_WIDTH)
-    groups = (names[i : i + count] for i in range(0, len(names), count))
-    return Group(*(_metrics_table({name: summaries[name] for name in group}) for group in groups))
-
-
-def _metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
+def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Metrics of one or several runs, a column each."""
     rows = [
         [label, *(summary[key] for summary in summaries.values())]
         for key, label in METRIC_LABELS.items()

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console
-from rich.table import Table
+from rich.table import Table as RichTable
+
+from certrack.reports.tables import Table
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -42,28 +44,47 @@ def _json_ready(value: Any) -> Any:
 LONGEST_WORD = 24
 
 
-def table(
-    title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 5
-) -> Table:
-    """A table of text and numbers; neither a number nor a word of a usual length is broken."""
-    cells = [[_cell(value, digits) for value in row] for row in rows]
-    room = console().width - 3 * len(columns) - 1
-    heads = list(columns)
-    if sum(max(map(len, column)) for column in zip(heads, *cells, strict=True)) > room:
-        heads = [_broken(head, entries) for head, *entries in zip(heads, *cells, strict=True)]
-    min_widths = [_longest_word(column) for column in zip(heads, *cells, strict=True)]
+def print_table(content: Table, *, ruled: bool = False) -> None:
+    """Print a table; neither a number nor a word of a usual length is broken.
+
+    `ruled`: with lines between its rows.
+    """
+    heads = list(content.columns)
+    room = console().width - 3 * len(heads) - 1
+    columns = list(zip(heads, *content.rows, strict=True))
+    if sum(max(map(len, column)) for column in columns) > room:
+        heads = [_broken(head, entries) for head, *entries in columns]
+        columns = list(zip(heads, *content.rows, strict=True))
+    min_widths = [_longest_word(column) for column in columns]
     padding = 1 if sum(min_widths) <= room else 0  # rather no blanks than a broken word
-    room += 2 * (1 - padding) * len(columns)
-    result = Table(
-        title=title or None, title_justify="left", title_style="bold", padding=(0, padding)
+    room += 2 * (1 - padding) * len(heads)
+    result = RichTable(
+        title=content.title or None,
+        title_justify="left",
+        title_style="bold",
+        padding=(0, padding),
+        show_lines=ruled,
     )
     for head, width in zip(heads, min_widths, strict=True):
         result.add_column(
             head, overflow="fold", min_width=width if sum(min_widths) <= room else None
         )
-    for row in cells:
+    for row in content.rows:
         result.add_row(*row)
-    return result
+    console().print(result)
+
+
+#: Letters that the first column and one of the others need in a table of many columns.
+LABEL_WIDTH, COLUMN_WIDTH = 20, 15
+
+
+def print_wide_table(content: Table) -> None:
+    """Print a table of a column for each of many things, in parts below each other."""
+    count = max(1, (console().width - LABEL_WIDTH) // COLUMN_WIDTH)
+    for i in range(1, len(content.columns), count):
+        part = slice(i, i + count)
+        rows = tuple((row[0], *row[part]) for row in content.rows)
+        print_table(Table(content.title, (content.columns[0], *content.columns[part]), rows))
 
 
 def _longest_word(texts: Sequence[str]) -> int:
@@ -75,25 +96,6 @@ def _broken(head: str, entries: Sequence[str]) -> str:
     pieces = textwrap.wrap(head, 1, break_long_words=False)
     width = max(_longest_word(entries), *map(len, pieces), 1)
     return "\n".join(textwrap.wrap(head, width, break_long_words=False))
-
-
-def _cell(value: object, digits: int) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, float):
-        return short_number(value, digits) if math.isfinite(value) else "-"
-    return str(value)
-
-
-def short_number(value: float, digits: int = 5) -> str:
-    """A number with a short exponent, if any.
-
-    >>> [short_number(value, 4) for value in (804940.0, 0.00012344, 0.5)]
-    ['8.049e5', '1.234e-4', '0.5']
-    """
-    text = f"{value:.{digits}g}" if abs(value) >= 1e-3 or not value else f"{value:.{digits - 1}e}"
-    mantissa, mark, exponent = text.partition("e")
-    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}" if mark else text
 
 
 def print_lines(lines: Iterable[str]) -> None:
@@ -170,7 +172,3 @@ def rate_progress(what: str) -> Iterator[Progress]:
             bar.update(task, completed=done, total=total, rate=rate)
 
         yield advance
-
-
-#: Digits of a bound in tables and sentences.
-BOUND_TEXT_DIGITS = 5

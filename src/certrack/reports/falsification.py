@@ -1,4 +1,4 @@
-"""What the command line prints of a falsification."""
+"""What is said of a falsification."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
-
-from certrack.cli.report import table
 from certrack.core.rounding import printed_bound
+from certrack.reports.tables import Table, table
 
 if TYPE_CHECKING:
     from certrack.certificates import Certificate

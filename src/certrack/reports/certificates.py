@@ -1,18 +1,16 @@
-"""What `certrack certify` prints: bounds side by side, what they mean, and all of it as JSON."""
+"""What is said of certificates: bounds side by side, what they mean, and all of it as JSON."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
-from rich.table import Table
-
 from certrack.certificates import Certificate, Certificates
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.methods import MOVING_KINDS, RANGE_KINDS
-from certrack.cli.report import BOUND_TEXT_DIGITS, table
-from certrack.cli.sampled_report import implemented_notes, implemented_summary
 from certrack.core.rounding import printed_bound, rounded_down
+from certrack.reports.sampled import implemented_notes, implemented_summary
+from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
 
 #: What stands for a critical strength without limit.
 LARGEST_STRENGTH = 1e9
@@ -75,6 +73,7 @@ def certificates_table(results: Certificates) -> Table:
         "rate": "V' <= -alpha V + Delta",
         "semidefinite": "best Lyapunov function",
         "cascade": "e_n first, then e_1 with e_n as bounded input",
+        "bootstrap": "quadratic functions on the set that is reached, again and again",
         "vertices": "one Lyapunov function for all constants, which may vary",
         "peak": "peak gains for all constants, which may vary"
         if results.kinds == RANGE_KINDS

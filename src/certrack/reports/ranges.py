@@ -1,4 +1,4 @@
-"""What `certrack certify` prints of ranges: what each constant costs, and how far all may grow."""
+"""What is said of ranges: what each constant costs, and how far all may grow."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from certrack.certificates.ranges.strength import STRENGTH_ACCURACY
-from certrack.cli import certificate_report, report
 from certrack.core.rounding import printed_bound, rounded_down
+from certrack.reports import certificates
+from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, short_number, table
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from certrack.certificates import Certificates
 
 
@@ -20,13 +19,13 @@ def costs_table(results: Certificates) -> Table:
     rows = []
     for entry in sorted(results.constants, key=lambda c: c.known):
         known = printed_bound(
-            entry.known if math.isfinite(entry.known) else None, report.BOUND_TEXT_DIGITS
+            entry.known if math.isfinite(entry.known) else None, BOUND_TEXT_DIGITS
         )
         share = entry.cost / entry.bound if math.isfinite(entry.bound) and entry.bound else math.nan
         rows.append(
             [
                 entry.name,
-                f"[{report.short_number(entry.low)}, {report.short_number(entry.high)}]",
+                f"[{short_number(entry.low)}, {short_number(entry.high)}]",
                 known,
                 entry.cost,
                 f"{100 * share:.0f} %" if math.isfinite(share) else "-",
@@ -37,7 +36,7 @@ def costs_table(results: Certificates) -> Table:
         "what each range costs: limsup |e_1| <= if that constant were known, "
         f"{'each proven' if proven else 'not all verified'}"
     )
-    return report.table(title, ["constant", "range", "if known", "costs", "of it"], rows, digits=3)
+    return table(title, ["constant", "range", "if known", "costs", "of it"], rows, digits=3)
 
 
 def strength_line(results: Certificates) -> list[str]:
@@ -50,17 +49,17 @@ def strength_line(results: Certificates) -> list[str]:
         return [f"{what}> 1e9 (there is a certificate even there)"]
     if not strength.scale:
         return [f"{what}none: {strength.reason}"]
-    scale = rounded_down(strength.scale, report.BOUND_TEXT_DIGITS)
+    scale = rounded_down(strength.scale, BOUND_TEXT_DIGITS)
     beyond = f"{100 * STRENGTH_ACCURACY:g} %"
     return [f"{what}{scale}; within {beyond} beyond it: {strength.reason}"]
 
 
 def ranged_summary(results: Certificates) -> dict[str, Any]:
     """All certificates, ready for JSON, and what is said of ranges."""
-    values, strength = certificate_report.certificates_summary(results), results.critical_ranges
+    values, strength = certificates.certificates_summary(results), results.critical_ranges
     critical = values["critical_strength"] | {"ranges": None, "ranges_end": None}
     if strength is not None:
-        critical["ranges"] = min(strength.scale, certificate_report.LARGEST_STRENGTH)
+        critical["ranges"] = min(strength.scale, certificates.LARGEST_STRENGTH)
         critical["ranges_end"] = strength.reason or None
         critical["beyond"] = math.isinf(strength.scale)
     constants = [entry.record() for entry in results.constants]

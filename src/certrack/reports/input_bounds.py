@@ -1,4 +1,4 @@
-"""What `certify --input` says of the input."""
+"""What is said of the bounds on the input."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from typing import Any
 
 from certrack.certificates.input_bounds import certify_input
-from certrack.cli.report import BOUND_TEXT_DIGITS
 from certrack.core.rounding import printed_bound
+from certrack.reports.tables import BOUND_TEXT_DIGITS
 from certrack.systems.system import System
 
 
 def bounds_of_input(system: System) -> dict[str, Any]:
     """Bounds from x0, and over the box of starts of the file's ensemble, ready for JSON."""
-    bounds = {"input": certify_input(system).record(), "input_over_starts": None}
+    here, over = certify_input(system).record(), None
     starts = None if system.population is None else system.population.x0
-    if starts is not None and bounds["input"]["peak_input"] is not None:
+    if starts is not None and here["peak_input"] is not None:
         box = [(float(entry.low), float(entry.high)) for entry in starts]
-        bounds["input_over_starts"] = certify_input(system, box).record()
-    return bounds
+        over = certify_input(system, box).record()
+    return {"input": here, "input_over_starts": over}
 
 
 def input_lines(system: System, bounds: Mapping[str, Any]) -> list[str]:

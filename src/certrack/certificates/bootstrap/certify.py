@@ -1,0 +1,67 @@
+"""The certificate of the bootstrap."""
+
+from __future__ import annotations
+
+from certrack.certificates.arithmetic import rational
+from certrack.certificates.assumptions import assumptions
+from certrack.certificates.bootstrap.check import claimed_bound
+from certrack.certificates.bootstrap.proof import BootstrapStage
+from certrack.certificates.bootstrap.search import bootstrap
+from certrack.certificates.certificate import (
+    Certificate,
+    NoCertificate,
+    missing,
+    within_floats,
+)
+from certrack.certificates.exact import Proof, float_up, from_text, prove
+from certrack.certificates.formulation import error_problem
+from certrack.certificates.problem import ErrorProblem
+from certrack.certificates.semidefinite import SemidefiniteProgram, best_solution
+from certrack.systems.system import System
+
+#: A proof of e_n by a function that the update laws cancel, and the stages on what it reaches.
+BootstrapProof = tuple[Proof | BootstrapStage, ...]
+
+
+def certify_bootstrap(
+    system: System, effort: str = "default", first: Proof | None = None
+) -> tuple[Certificate, BootstrapProof]:
+    """The bootstrap of `system`, and its stages.
+
+    Parameters
+    ----------
+    system : System
+    effort : {"fast", "default", "high"}
+        ``fast`` leaves it out, ``default`` what takes longer than about five seconds.
+    first : Proof, optional
+        A proven bound on e_n, such as the first stage of the cascade; it is sought if left out.
+
+    Returns
+    -------
+    certificate : Certificate
+    proof : the first proof and the stages, or nothing
+    """
+    try:
+        with within_floats():
+            exact = error_problem(system, rational)
+            if exact.adaptation is None:
+                raise NoCertificate("the bootstrap is for the adaptive law")
+            if effort == "fast":
+                raise NoCertificate("takes more time: --effort default")
+            first = first or _first_proof(exact)
+            solution = bootstrap(system, exact, first, effort)
+            bound = float_up(from_text(claimed_bound(solution.stages)))
+    except NoCertificate as refusal:
+        return missing("bootstrap", str(refusal)), ()
+    rests_on = tuple(assumptions(system))
+    certificate = Certificate("bootstrap", bound, verified=True, assumptions=rests_on)
+    return certificate, (first, *solution.stages)
+
+
+def _first_proof(exact: ErrorProblem) -> Proof:
+    target = exact.n - 1
+    solution = best_solution(SemidefiniteProgram(exact.in_floats(), target))
+    proof = None if solution is None else prove(exact, solution, target)
+    if proof is None:
+        raise NoCertificate("no bound on e_n to begin with; lower tau, or raise c")
+    return proof

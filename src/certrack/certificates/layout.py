@@ -1,0 +1,70 @@
+"""The layout of a certificate file: its formats and keys, and how it is read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from certrack.core.errors import InputError, shorten
+
+FORMAT = "certrack-certificate/2"
+
+#: Of files before premises had a status: a list of texts, ``assumptions``, in their place.
+FORMAT_1 = "certrack-certificate/1"
+
+#: A certificate of order 100 has less than 1 MB; reading stops here, whatever a stranger sends.
+MAX_CERTIFICATE_BYTES = 20_000_000
+
+#: Keys of the file, `premises` or `assumptions` among them.
+DOCUMENT_KEYS = {
+    FORMAT: ("format", "made_by", "claim", "premises", "system", "proof", "sha256"),
+    FORMAT_1: ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256"),
+}
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """The JSON object of a file; no key may stand twice, and no number be infinite."""
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_CERTIFICATE_BYTES + 1)
+        if len(data) > MAX_CERTIFICATE_BYTES:
+            raise InputError("", f"is larger than {MAX_CERTIFICATE_BYTES // 1_000_000} MB")
+        body = json.loads(
+            data.decode("utf-8"), object_pairs_hook=_unique_keys, parse_constant=_no_number
+        )
+    except OSError as problem:
+        raise InputError("", f"cannot be read ({problem.strerror})") from None
+    except InputError:
+        raise
+    except (ValueError, RecursionError):
+        raise InputError("", "is not a certificate: not JSON") from None
+    return body if isinstance(body, dict) else {}
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object in which no key stands twice."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        twice = next(key for i, (key, _) in enumerate(pairs) if key in dict(pairs[:i]))
+        raise InputError("", f"is not a certificate: the key {shorten(twice)!r} stands twice")
+    return table
+
+
+def _no_number(text: str) -> Any:
+    raise InputError("", f"is not a certificate: {text} is not JSON")
+
+
+def check_layout(body: dict[str, Any]) -> None:
+    """Refuse a body that has not the keys of its format, or no texts where they belong."""
+    if not isinstance(body, dict) or not isinstance(body.get("format"), str):
+        raise InputError(
+            "", "is not a certificate: it must have " + ", ".join(DOCUMENT_KEYS[FORMAT])
+        )
+    if body["format"] not in DOCUMENT_KEYS:
+        raise InputError("format", f"must be {FORMAT} or {FORMAT_1}", body["format"])
+    keys = DOCUMENT_KEYS[body["format"]]
+    if sorted(map(str, body)) != sorted(keys):
+        raise InputError("", "is not a certificate: it must have " + ", ".join(keys))
+    if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
+        raise InputError("", "is not a certificate: texts expected")
