@@ -159,7 +159,7 @@ def _energies(
     program = InputProgram(floats, _errors(system, starts))
     energy = None
     solution = program.energy(duration, means.astype(float))
-    for proof in () if solution is None else _rounded(solution):
+    for proof in () if solution is None else _as_proofs(solution):
         value = energy_bound(system, exact, proof, starts, duration, means)
         if value is not None:
             energy = _proven_bound(proof, value**2)
@@ -167,7 +167,7 @@ def _energies(
     rms = None
     ones = np.array([rational(1)] * (order + 1), dtype=object)
     solution = InputProgram(floats).energy(1.0, ones.astype(float))
-    for proof in () if solution is None else _rounded(solution):
+    for proof in () if solution is None else _as_proofs(solution):
         value = energy_bound(system, exact, proof, (), 1.0, ones)
         if value is not None:
             rms = _proven_bound(proof, value)
@@ -187,7 +187,7 @@ def _peak(system: System, exact: InputProblem, starts: Sequence[Start]) -> Input
     fastest = fastest_rate(exact.in_floats().problem)
     solutions = [program.peak(part * fastest) for part in RATES]
     for solution in sorted(filter(None, solutions), key=lambda entry: entry.value):
-        for proof in _rounded(solution):
+        for proof in _as_proofs(solution):
             square = peak_square(system, exact, proof, starts)
             if square is not None:
                 largest = from_text(root_up(square)) + exact.direct
@@ -207,7 +207,7 @@ def _errors(system: System, starts: Sequence[Start]) -> list[np.ndarray]:
     return errors
 
 
-def _rounded(solution: InputSolution) -> list[Proof]:
+def _as_proofs(solution: InputSolution) -> list[Proof]:
     """The solution as texts, giving way more and more."""
     proofs = []
     for slack in BACK_OFF:

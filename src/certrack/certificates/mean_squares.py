@@ -14,7 +14,7 @@ from certrack.references.base import bound_of
 from certrack.systems.system import System
 
 #: Parts of the run in each of which the largest square counts.
-PARTS = 400
+RUN_PARTS = 400
 
 #: Bits of the balls: they are as wide as a part of the run.
 PART_BITS = 64
@@ -47,10 +47,10 @@ def mean_squares(system: System, order: int, duration: float) -> np.ndarray:
 
 def _mean(formula: Any, values: dict[Any, Any], duration: float) -> Any:
     """Of the squares, from above."""
-    half = flint.arb(rational(duration)) / (2 * PARTS)
+    half = flint.arb(rational(duration)) / (2 * RUN_PARTS)
     total = rational(0)
-    for part in range(PARTS):
+    for part in range(RUN_PARTS):
         middle = half * (2 * part + 1)
         square = enclosing_ball(formula, values | {TIME: flint.arb(middle, half)}) ** 2
         total += upper_rational(square)
-    return total / PARTS
+    return total / RUN_PARTS

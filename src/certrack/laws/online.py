@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from certrack.laws.signals import Signals
     from certrack.model.plant import Plant
 
-Computed = TypeVar("Computed")
+OfEnd = TypeVar("OfEnd")
 
 #: The level w, where it is a state of the law.
 LEVEL = symbol("online_level")
@@ -289,7 +289,7 @@ def other_end(law: Law) -> Law:
     return replace(law, online=None, **changes)
 
 
-def at_other_end(law: Law, compute: Callable[[Any], Computed]) -> Computed:
+def at_other_end(law: Law, compute: Callable[[Any], OfEnd]) -> OfEnd:
     """What is computed of :func:`other_end`; messages name the keys of its table."""
     try:
         return compute(other_end(law))

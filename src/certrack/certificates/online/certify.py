@@ -32,7 +32,7 @@ class Solved(Bounded, Protocol):
         """Decay rate, 1/s."""
 
 
-Found = TypeVar("Found", bound=Solved)
+Optimum = TypeVar("Optimum", bound=Solved)
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def _proven_stages(system: System, problems: tuple[ErrorProblem, ...]) -> tuple[
 
 
 def _first_proven(
-    program: Program[Found], prove: Callable[[Found], tuple[Proof, ...] | None]
+    program: Program[Optimum], prove: Callable[[Optimum], tuple[Proof, ...] | None]
 ) -> tuple[Proof, ...] | None:
     """The proof of the best alpha, or of a smaller one: the largest leave exact arithmetic no room.
 
