@@ -5,6 +5,7 @@
 # make hunt   gives the property tests other random examples than every other run had
 # make docs   builds the site, in build/site
 # make bench  measures speed, as ratios within one run
+# make bench-compare BASE=main compares the speed of this tree with that of a commit
 # make mutants changes the source a little, and sees which changes no test notices
 # make keys   writes what docs and starter file say of each key of a system file
 PYTHON ?= python3
@@ -39,6 +40,10 @@ docs: .venv/documented
 
 bench: .venv/benched
 	$(BIN)/pytest bench
+
+.PHONY: bench-compare
+bench-compare: .venv/installed
+	$(BIN)/python bench/compare.py $(BASE)
 
 mutants: .venv/tested
 	nice -n 10 $(BIN)/python tools/mutants.py $(GROUPS)

@@ -809,7 +809,7 @@ SAMPLED = {"delay", "parts", "doublings", "states", "input", "step", "bound", "s
 
 
 def is_sampled(proof):
-    more = {"cell", "rates", "slow"}  # with ranges, with jitter, with bounds of rates
+    more = {"cell", "rates", "slow", "split"}  # with ranges, with jitter, with bounds of rates
     return bool(proof) and all(isinstance(e, dict) and set(e) - more == SAMPLED for e in proof)
 
 

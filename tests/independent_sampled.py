@@ -62,6 +62,7 @@ def check_entry(entry, loop, delay, table, system):
         checker.demand((rates >= 0).all() and not entry["starts"] and step >= 0, "jitter")
         loop.mu = loop.mu + loop.shift * rates
     image = loop.image(X, U, step)
+    checker.demand("slow" in entry or "split" not in entry, "a split without rates")
     if "slow" in entry:
         slow = Slow(entry, loop, table, system, exponential)
         image[0] = loop.image(X, U, slow=slow, speeds=slow.speeds(X, U))[0]

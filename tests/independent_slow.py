@@ -1,5 +1,6 @@
 """Bounds of rates in the implemented loop of docs/certificate-file.md, from that page and numpy."""
 
+import copy
 import math
 
 import independent_checker as checker
@@ -30,10 +31,43 @@ class Slow:
 
     def speeds(self, X, U):
         """Bounds of |s_k'|."""
+        self.apart = self._apart(X, U) if "split" in self.entry else {}
         if not any(row.any() for row in self.by_states.values()):
             return self.rate
         rates = self.loop.image(X, U, moving=True)[self.loop.n + 3 :]
         return {k: self.rate[k] + self.by_states[k] @ rates for k in self.known}
+
+    def _apart(self, X, U):
+        """w_k = s_k(t, x_s) + rest: bounds of the first, of its rate and of the rest."""
+        loop, split = self.loop, self.entry["split"]
+        functions = [k for k in self.known if self.by_states[k].any() and not self.jump[k]]
+        checker.demand(functions and not loop.formulas, "nothing is a function of the states")
+        checker.demand([len(part) for part in split] == [loop.n + 1] * 2, "other parts")
+        v_s, v_f = (np.array([float(checker.decimal(v)) for v in part]) for part in split)
+        checker.demand((v_s >= 0).all() and (v_f >= 0).all(), "a part is negative")
+        slow, fast = copy.copy(loop), copy.copy(loop)
+        slow.mu, slow.eta = 0 * loop.mu, 0.0
+        fast.Y, fast.slope, fast.jump = 0 * loop.Y, 0.0, 0.0
+
+        def of_slow(x):
+            size = np.zeros(loop.n)
+            for k in self.known:
+                size[k] = loop.size(x if k in functions else X)[k] - self.fast[k]
+            return size
+
+        def of_fast(x):
+            size, both = loop.size(X), of_slow(v_s[:-1])
+            for k in self.known:
+                moved = self.fast[k] + self.by_states[k] @ x
+                size[k] = min(moved, size[k] + both[k]) if k in functions else self.fast[k]
+            return size
+
+        slow.size, fast.size = of_slow, of_fast
+        images = [part.image(v[:-1], v[-1], moving=True) for part, v in ((slow, v_s), (fast, v_f))]
+        for image, v in zip(images, (v_s, v_f), strict=True):
+            checker.demand((image[1 : loop.n + 2] < v).all(), "a part is not above F of it")
+        rates, size, rest = images[0][loop.n + 3 :], of_slow(v_s[:-1]), of_fast(v_f[:-1])
+        return {k: (size[k], self.rate[k] + self.by_states[k] @ rates, rest[k]) for k in functions}
 
     def savings(self, rows, phase, w, speeds):
         """What rows of e_1 lose: of each w the plain part or that by steps counts."""
@@ -43,6 +77,9 @@ class Slow:
             tv, area, jumps = spent[k]
             slow = (w[k] - self.fast[k]) * tv + speeds[k] * area + self.jump[k] * jumps
             slow = slow + self.fast[k] * kernels[:, k]
+            if k in self.apart:
+                size, speed, rest = self.apart[k]
+                slow = np.minimum(slow, size * tv + speed * area + rest * kernels[:, k])
             total += np.maximum(kernels[:, k] * w[k] - slow, 0)
         return total
 

@@ -5,6 +5,7 @@ Random rates, jumps and fast parts; the worst slow signal by a linear program ov
 """
 
 import math
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -32,20 +33,45 @@ def with_random_rates(system, rng):
     return system.replace(plant=replace(system.plant, uncertainty=replace(u, **values)))
 
 
-def worst_slow_error(system, amplitude, frequency, forgotten=1e-7, most=3000):
-    """The largest |e_1| found at several places of a period."""
+def fed_back(loop, slopes):
+    """The loop with w_k = slopes_k x, for each w that acts."""
+    steps = []
+    for step in loop.steps:
+        step = step.copy()
+        step[: loop.n, : loop.n] += loop.through_w @ slopes
+        steps.append(step)
+    loop = copy(loop)
+    loop.steps = steps
+    return loop
+
+
+def worst_slow_error(
+    system, amplitude, frequency, forgotten=1e-7, most=3000, feedback=None, within=0.0
+):
+    """The largest |e_1| found at several places of a period.
+
+    With `feedback`, slopes over x for each w that acts, slopes x is a part of w; where that is more
+    than gamma ||x||, `within` of beta is kept for it, and it is asserted that this is enough.
+    """
     loop = SampledLoop(system)
+    loop = loop if feedback is None else fed_back(loop, feedback)
+    fed = np.zeros((0, loop.n)) if feedback is None else feedback
     periods = min(int(math.log(forgotten) / math.log(loop.radius)) + 20, most)
     places = sorted({0, loop.switch, STEPS // 2})
-    return max(_error(system, loop, place, periods, amplitude, frequency) for place in places)
+    return max(
+        _error(system, loop, place, periods, amplitude, frequency, (fed, within))
+        for place in places
+    )
 
 
-def _error(system, loop, place, periods, amplitude, frequency):
-    u, end = system.plant.uncertainty, periods * loop.T + place * loop.h
+def _error(system, loop, place, periods, amplitude, frequency, feedback):
+    (fed, within), u = feedback, system.plant.uncertainty
+    end = periods * loop.T + place * loop.h
     acting = [k for k in range(system.plant.n) if u.tau[k] and u.acts(k)]
     row = np.eye(len(loop.jump))[0]
     weights = _weights(loop, row, place, periods)
-    signals = [_signal(u, k, weights[:, j], loop.h) for j, k in enumerate(acting)]
+    signals = [_signal(u, k, weights[:, j], loop.h, within) for j, k in enumerate(acting)]
+    signals = [(v, 0 * s if fed[j : j + 1].any() else s) for j, (v, s) in enumerate(signals)]
     angles = np.linspace(0, 2 * np.pi, 8, endpoint=False) if amplitude else np.zeros(1)
     angles, sides = (v.ravel() for v in np.meshgrid(angles, [1.0, -1.0]))
     orders = np.arange(loop.q + 2)[:, None]
@@ -62,6 +88,10 @@ def _error(system, loop, place, periods, amplitude, frequency):
         for p in range(len(of_w)):
             norm = GROWTH * np.linalg.norm(chi[: loop.n], axis=0)
             w = [v[i] + s[i] * g * norm for (v, s), g in zip(signals, loop.gamma, strict=True)]
+            for row_of_x, k, g in zip(fed, acting, loop.gamma, strict=False):
+                assert (
+                    abs(row_of_x @ chi[: loop.n]) <= within * u.beta[k] + g * norm / GROWTH
+                ).all()
             chi = loop.steps[p] @ chi
             chi[: loop.n] += loop.through_w @ (np.array(w).reshape(-1, len(sides)) * sides)
             i += 1
@@ -79,12 +109,12 @@ def _weights(loop, row, place, periods):
     return np.array(steps[::-1]).reshape(len(steps), -1)
 
 
-def _signal(u, k, weights, h):
+def _signal(u, k, weights, h, within):
     """Values of w_k step by step, and the sign of what grows with the state."""
     slowness, signs = u.slowness(k), np.sign(weights)
     if slowness is None:
         return signs * u.beta[k], signs
-    values = _worst_slow(weights, h, u.beta[k] - slowness.fast, slowness)
+    values = _worst_slow(weights, h, u.beta[k] * (1 - within) - slowness.fast, slowness)
     follows = all(slope >= u.gamma[k] for slope in slowness.by_states)
     return values + slowness.fast * signs, 0 * signs + follows * np.sign(weights.sum())
 

@@ -22,7 +22,8 @@ from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import decimal, rational
 from certrack.certificates.assumption_1 import UncertainTerm
 from certrack.certificates.balls import ball_precision, enclosing_ball
-from certrack.certificates.centred import remainder_bound
+from certrack.certificates.centred import RemainderBound
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.cover import _Suprema, smallest_cover
 from certrack.certificates.document import FORMAT_1
 from certrack.certificates.domain import Condition, conditions
@@ -30,19 +31,33 @@ from certrack.certificates.exact import Proof, failed_condition, from_text, prov
 from certrack.certificates.formulation import error_coordinates, error_problem, uncertain_inputs
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.intervals import enclosure
-from certrack.certificates.majorants import _root_of, interval_ends, majorants
+from certrack.certificates.majorants import (
+    MAX_KEPT,
+    _below,
+    _best,
+    _plus,
+    _root_of,
+    _times,
+    covers,
+    interval_ends,
+    majorants,
+    root_above,
+)
+from certrack.certificates.methods import METHOD_STEPS, every_certificate, smallest
+from certrack.certificates.own_multipliers import own_multipliers, own_solution
 from certrack.certificates.premises_of_truth import DOMAIN, GAIN, THETA, _rewriting, _same
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.published import collect
+from certrack.certificates.published import best_eps, collect, residual_damping
 from certrack.certificates.ranges.cells import halved
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, RangeProver
 from certrack.certificates.sampling import Points, random_points
-from certrack.certificates.scaling import COUPLING, _not_slaved
+from certrack.certificates.scaling import COUPLING, _gramian_diagonal, _not_slaved, _size_under
 from certrack.certificates.semidefinite import Solution, best_solution
 from certrack.certificates.strength import _provable
 from certrack.certificates.tube import Tube
 from certrack.core.errors import InputError
 from certrack.core.expressions import parse, symbol
+from certrack.core.magnitudes import largest_magnitudes
 from certrack.laws.recursion import recursion
 
 # the conditions of a proof, on a loop of two states whose inequality is solved by hand
@@ -303,8 +318,25 @@ def test_the_remainder_is_bounded_by_the_whole_ellipsoid():
     spread = problem.Xe.astype(float) ** 2 @ (4 / np.array([4.0, 9.0, 16.0]))
     x1, x2 = np.sqrt(spread[:2])
     expected = 2 * x2 + x1 * 2 * 2 / 4 + 2 * 3 / 4
-    found = float(remainder_bound(system, problem)(reached))
+    found = float(RemainderBound(system, problem)(reached))
     assert expected <= found <= expected * (1 + 1e-9)
+
+
+def test_largest_magnitudes_hold_what_underflows():
+    """And every value of a formula on boxes of all sizes."""
+    a, b, c, x, y = sympy.symbols("a b c x y", real=True)
+    tiny, huge = np.full(1, 1e-200), np.full(1, 1e300)
+    box = {a: (tiny, tiny), b: (tiny, tiny), c: (huge, huge)}
+    assert largest_magnitudes(a * b * c, box, 1)[0] >= 1e-100
+    assert largest_magnitudes(sympy.exp(-x) * c, {x: (huge, huge), c: (huge, huge)}, 1)[0] > 0
+    sizes = 10.0 ** np.arange(-6, 3)
+    pair = dict.fromkeys((x, y), (-sizes, 2 * sizes))
+    formula = sympy.log(1 + x**2) * sympy.sin(x * y) - sympy.sqrt(1 + y**2) / 7
+    found = largest_magnitudes(formula, pair, len(sizes))
+    draws = np.random.default_rng(3).uniform(-1, 2, (2, 1000))[..., None] * sizes
+    values = abs(sympy.lambdify([x, y], formula)(*draws)).max(axis=0)
+    assert (values <= found).all()
+    assert found[0] <= values[0] * (1 + 1e-6)
 
 
 # tubes
@@ -440,6 +472,30 @@ def test_a_ball_holds_the_value_to_many_digits(text, value):
         assert float(ball.rad()) < 1e-300
 
 
+@pytest.mark.parametrize(
+    ("middle", "radius", "exponent", "low", "high"),
+    [
+        (0, 2, 2, 0, 4),
+        (0, 2, 3, -8, 8),
+        (1, 2, 2, 0, 9),
+        (1, 2, 3, -27, 27),
+        (-1, 2, 4, 0, 81),
+        (3, 1, 2, 4, 16),
+        (-3, 1, 3, -64, -8),
+        (2, 1, -1, 1 / 3, 1),
+    ],
+)
+def test_a_power_of_a_ball_that_may_hold_zero(middle, radius, exponent, low, high):
+    """Of an even one nothing is below zero; where zero is not inside, more may be enclosed."""
+    with ball_precision():
+        inside = flint.arb(middle, radius)
+        found = enclosing_ball(symbol("x1") ** exponent, {symbol("x1"): inside})
+        least, most = float(found.lower()), float(found.upper())
+    assert least <= low + 1e-12 and most >= high - 1e-12
+    if inside.contains(0):
+        assert (least, most) == pytest.approx((low, high), abs=1e-6)
+
+
 def test_no_ball_without_a_finite_value():
     for text in ("1/(x - 2)", "log(x - 3)", "sqrt(1 - x)"):
         with ball_precision(), pytest.raises(ValueError, match="no finite value"):
@@ -501,6 +557,8 @@ def test_the_root_of_an_irrational_majorant_is_rounded_up():
         ("x1*sin(t) + x2*cos(t)", (0, 2)),
         ("x1**2/sqrt(1 + x1**2)", None),
         ("sin(x1)*7", (0, 7)),
+        ("1/sqrt(x1**2 + 1/4)", None),
+        ("(x1**2 + 1/4)**(-3/2)", None),
         ("3*sin(t) + 4*cos(t)", (5,)),
     ],
 )
@@ -520,6 +578,39 @@ def test_the_majorant_of_a_formula(text, expected):
         for m in found:
             limit = sum(float(c) * norm**i for i, c in enumerate(m))
             assert abs(formula(t, *x)) <= limit * (1 + 1e-12) + 1e-12
+
+
+def test_sums_and_products_of_majorants():
+    a, b = (Fraction(2), Fraction(3)), (Fraction(5), Fraction(0), Fraction(7))
+    assert _plus(a, b) == _plus(b, a) == (7, 3, 7)
+    assert _times(a, b) == _times(b, a) == (10, 15, 14, 21)
+    assert root_above(Fraction(9, 16)) == Fraction(3, 4) and root_above(Fraction(0)) == 0
+    for square in (Fraction(2), Fraction(9, 2), Fraction(1, 3)):
+        assert 0 < root_above(square) ** 2 - square < Fraction(1, 2**90)
+
+
+def test_what_a_majorant_must_keep_to_cover():
+    """strength (b + a s) <= beta + gamma s, and nothing of a higher degree."""
+    one, two = Fraction(1), Fraction(2)
+    low = (one, two)
+    assert covers([low], two, one) and covers([(two,), low], two, one)
+    assert not covers([low], Fraction(199, 100), one) and not covers([low], two, Fraction(99, 100))
+    assert covers([low], 2 * two, 2 * one, two) and not covers([low], two, 2 * one, two)
+    assert not covers([low], 2 * two, one, two) and not covers([], two, one)
+    assert not covers([(one, two, Fraction(1, 10**9))], two, one)
+    assert covers([(one, two, Fraction(0))], two, one) and covers([(one,)], Fraction(0), one)
+
+
+def test_majorants_that_another_one_beats_are_left_out():
+    one, two, three = Fraction(1), Fraction(2), Fraction(3)
+    assert _below((one, two), (one, two)) and _below((one,), (one, two))
+    assert not _below((one, two), (one,)) and not _below((one, two), (two, one))
+    assert _below((one, two), (two, two)) and not _below((two, two), (one, two))
+    low, steep = (one, three), (two, one)
+    assert _best([(two, three), low, steep, (one, three, one)]) == [steep, low]
+    assert _best([(one, Fraction(0), Fraction(0)), (two,)]) == [(one,)]
+    many = [(Fraction(i), Fraction(99 - i)) for i in range(2 * MAX_KEPT)]
+    assert len(_best(many)) == MAX_KEPT
 
 
 # terms of the truth and what would cover them
@@ -554,6 +645,11 @@ AT = Points(np.array([0.0, 2.0]), np.array([[3.0, -1.0], [4.0, 2.0]]))
             {"weights": fractions(2, 1)},
             ((math.hypot(6, 4) / 10 + 0.2) / 2, (math.hypot(2, 2) / 10 + 0.2) / 2),
             "0.05 ||S x|| + 0.1",
+        ),
+        (
+            {"weights": fractions(1, 1)},
+            (0.35, (math.sqrt(5) / 10 + 0.2) / 2),
+            "0.05 ||x|| + 0.1",
         ),
         (
             {"single": fractions("1/3", 0)},
@@ -597,6 +693,19 @@ def test_a_bound_that_is_a_formula_covers_its_term_or_does_not():
         assert (found.gamma, found.beta, found.proven) == expected and found.both is None
 
 
+def test_a_point_that_breaks_a_bound_is_moved_to_where_it_breaks_it_most():
+    """3 exp(-(x1 - 1)^2 - x2^2) against 1e-4: nearly at the top, a little towards the origin."""
+    hill = term("exp(-(x1 - 1)**2 - x2**2)", gamma=0, beta="1e-4", tau=1)
+    start = Points(np.array([3.0]), np.array([[1.6], [0.5]]))
+    found = hill._polished(start)
+
+    def gain(x1, x2):
+        return 3 * np.exp(-((x1 - 1) ** 2) - x2**2) / (1 + np.hypot(x1, x2))
+
+    grid = gain(*np.meshgrid(np.linspace(0, 2, 401), np.linspace(-1, 1, 401))).max()
+    assert gain(*found.x[:, 0]) >= 0.999 * grid and found.t[0] >= 0
+
+
 def test_terms_that_nothing_covers():
     points = random_points(2, 20.0, 0)
     assert smallest_cover(term("x1", tau=0), points).gamma is None
@@ -638,6 +747,90 @@ def test_a_cover_is_rounded_up_and_raised_a_little(value, least, expected):
     assert search.smallest(value, Fraction(0), None) == right
 
 
+def test_a_supremum_is_looked_for_between_the_samples_and_not_far_from_them():
+    line = Points(np.zeros(2), np.array([[1.0, 2.0], [0.0, 0.0]]))
+    search = _Suprema(Needs(1.0), line)
+
+    def hill(points):
+        """1 near x = (1.3, 0), and much more where nothing is looked at."""
+        value = np.exp(-((points.x[0] - 1.3) ** 2) - points.x[1] ** 2)
+        return np.where((points.norm > 20.0) | (points.norm < 1e-6), 100.0, value)
+
+    assert search._supremum(hill) == pytest.approx(1.0, abs=1e-6)
+    beyond = Points(line.t, 30 * line.x)
+    assert search._supremum(hill, line) == pytest.approx(1.0, abs=1e-6)
+    assert math.isinf(search._supremum(hill, beyond))
+    assert math.isinf(search._supremum(lambda points: points.x[0] * math.inf))
+
+
+@dataclass(frozen=True)
+class Sized(Needs):
+    """A term of this size."""
+
+    tau: Fraction = Fraction(2)
+    form: object = None
+
+    def size(self, points):
+        return self.form(points.norm)
+
+
+def test_what_is_needed_beside_the_gamma_or_beta_of_a_file():
+    points = random_points(2, 20.0, 0)
+
+    def search(form):
+        return _Suprema(Sized(1.0, form=form), points)
+
+    affine = search(lambda r: 6 * r + 2)  # tau is 2: 3 ||x|| + 1
+    assert affine.gamma_needed(1.0) == pytest.approx(3.0, rel=1e-6)
+    assert affine.beta_needed(3.0) == pytest.approx(1.0, rel=1e-3)
+    assert affine.far_growth() == pytest.approx(3.0, rel=1e-3)
+    assert math.isinf(affine.gamma_needed(0.5)) and math.isinf(affine.beta_needed(2.9))
+    assert affine.gamma_needed(0.0) == math.inf
+    square = search(lambda r: r**2)
+    assert math.isinf(square.far_growth()) and math.isinf(square.gamma_needed(1.0))
+    assert search(lambda r: 4 * np.minimum(r, 1.0)).gamma_needed(0.0) == pytest.approx(2.0)
+    assert search(lambda r: r * math.nan).beta_needed(1.0) == 0
+
+
+@dataclass(frozen=True)
+class Judged(Sized):
+    """A term of which pairs are proven or not, and none is broken by samples."""
+
+    proven_pairs: object = None
+    name: str = "w_1"
+    zero: bool = False
+    growing: object = None
+
+    def violation_of_domain(self, points):
+        return None
+
+    def exceeded(self, points):
+        return None
+
+    def proven_with(self, gamma, beta):
+        return self.proven_pairs(gamma, beta)
+
+
+def test_a_cover_is_proven_if_all_that_is_stated_is():
+    points = random_points(2, 20.0, 0)
+
+    def cover(form, pairs, **numbers):
+        return smallest_cover(Judged(1.0, form=form, proven_pairs=pairs, **numbers), points)
+
+    def bent(r):
+        return 4 * np.minimum(r, 1.0)  # tau is 2: gamma = 2, or beta = 2
+
+    found = cover(bent, lambda gamma, beta: True)
+    assert (found.gamma, found.beta, found.both, found.proven) == (2.0, 2.0, None, True)
+    assert not cover(bent, lambda gamma, beta: beta > 0).proven
+    assert not cover(bent, lambda gamma, beta: gamma > 0).proven
+    affine = cover(lambda r: 6 * r + 2, lambda gamma, beta: gamma > 3)
+    assert affine.gamma is affine.beta is None and affine.proven
+    assert affine.both == (3.1, 1.0)
+    square = cover(lambda r: r**2, lambda gamma, beta: True)
+    assert square.gamma is square.beta is square.both is None and not square.proven
+
+
 # premises
 
 
@@ -652,6 +845,7 @@ def test_whether_two_formulas_are_the_same():
     assert same("sin(x1)**2 + cos(x1)**2", "1 + 1e-12*x2") is False
     assert same("sqrt(x1**2)", "x1") is False
     assert same("x1", "x2") is False
+    assert _same(sympy.zoo, sympy.oo, ()) is None  # of no value there is nothing to compare
 
 
 @pytest.mark.parametrize(
@@ -847,6 +1041,8 @@ def test_uncertain_terms_are_split_into_their_inputs():
     weighted = certrack.Uncertainty(tau=[1, 1, 1], gamma=[1, 0, 2], beta=[0, 0, 0], S=[2, 1, 1])
     found = uncertain_inputs(weighted, A.astype(float), decimal)
     assert [np.diag(S).tolist() for S, _ in found.selections] == [[2, 1, 1]] * 2
+    with pytest.raises(NoCertificate, match="plant.uncertainty.bound"):
+        uncertain_inputs(SimpleNamespace(bound=("x1**2", None, None)), A, rational)
 
 
 # files of proofs by cells
@@ -929,5 +1125,75 @@ def test_texts_of_numbers_have_a_sane_length():
 def test_a_coordinate_that_follows_another_has_a_size_of_its_own(coupling, expected):
     """Of the rates 1 and 4: the geometric mean 2 counts."""
     M = np.array([[-1.0, coupling], [0.0, -4.0]])
-    assert _not_slaved(M, np.array([1.0, 30.0])) == pytest.approx(expected)
+    for unit in (1e-4, 1.0, 1e4):  # of the rates
+        assert _not_slaved(unit * M, np.array([1.0, 30.0])) == pytest.approx(expected)
     assert _not_slaved(M.T[::-1, ::-1].T, np.array([30.0, 1.0])) == pytest.approx(expected[::-1])
+
+
+@pytest.mark.parametrize(
+    ("rates", "inputs"), [((1, 4), (1, 1e6)), ((2, 2), (3, 3)), ((0.1, 10), (1, 7))]
+)
+def test_coordinates_that_are_apart_have_the_size_that_noise_gives_them(rates, inputs):
+    """X = b^2/(2 r) solves -2 r X + b^2 = 0."""
+    problem = SimpleNamespace(n=2, M=-np.diag(np.array(rates, dtype=float)))
+    expected = np.array(inputs) / np.sqrt(2 * np.array(rates))
+    found = _size_under(problem, np.diag(np.array(inputs, dtype=float)))
+    assert found == pytest.approx(expected, rel=1e-4)
+    both = _size_under(problem, np.array([inputs], dtype=float).T)
+    assert both == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_loop_that_is_not_stable_has_no_sizes():
+    for M in (np.diag([0.0, -1.0]), np.diag([1e-9, -1.0])):
+        assert (_size_under(SimpleNamespace(n=2, M=M), np.array([[1.0], [5.0]])) == 1).all()
+    with np.errstate(all="ignore"), pytest.raises(OverflowError):
+        _size_under(SimpleNamespace(n=1, M=-np.eye(1)), np.array([[1e200]]))
+
+
+def test_the_solution_of_a_lyapunov_equation_of_two_states():
+    found = _gramian_diagonal(np.array([[-1.0, 2.0], [0.0, -3.0]]), np.eye(2))
+    assert found == pytest.approx([2 / 3, 1 / 6])
+
+
+# what is told of the progress
+
+
+def test_every_method_is_announced_before_it_begins():
+    told = []
+    found = every_certificate(certrack.load("dual-motor-lean"), "fast", lambda *a: told.append(a))
+    assert told == [(step, METHOD_STEPS, None) for step in range(METHOD_STEPS)]
+    assert smallest(found.certificates.values()).bound == min(
+        entry.bound for entry in found.certificates.values() if entry.verified
+    )
+    told.clear()
+    certrack.certify(
+        certrack.load("dual-motor-lean"), effort="fast", progress=lambda *a: told.append(a)
+    )
+    assert told == [(step, METHOD_STEPS + 1, None) for step in range(METHOD_STEPS + 2)]
+
+
+def test_what_is_no_system_is_refused():
+    for ask in (certrack.certify, lambda none: certrack.certificates.tube(none, ())):
+        with pytest.raises(InputError, match="system"):
+            ask("example1")
+
+
+@pytest.mark.parametrize("name", ["example1", "dual-motor"])
+def test_the_designs_own_multipliers(name):
+    """k_i = (1 + 1/eps) G a_i sum a, and what damps the last derivative besides."""
+    system = certrack.load(name)
+    exact = error_problem(system, rational)
+    found, terms = own_solution(system, exact), collect(system)
+    eps = best_eps(terms)
+    a = np.linalg.norm(exact.in_floats().Xy, axis=0)
+    k = (1 + 1 / eps) * terms.G * a * a.sum()
+    last = system.reference.bounds(exact.derivatives[-1]).values[-1]
+    k[-1] += residual_damping(system) * last**2
+    assert found.k == pytest.approx(k, rel=1e-12)
+    gamma, beta = (own_multipliers(system, exact, part) for part in ("gamma", "beta"))
+    assert found.lam == pytest.approx([float(v) for v in gamma])
+    assert found.nu == pytest.approx([float(v) for v in beta])
+    assert found.alpha == terms.alpha(eps) and (np.eye(exact.n) == found.P).all()
+    leak = exact.in_floats().leakage(found.alpha)
+    assert found.delta == pytest.approx(found.k.sum() + found.nu.sum() + leak)
+    assert 2 * found.delta / found.alpha <= (1 + 1e-9) * 2 * terms.dbar(eps) / found.alpha

@@ -100,7 +100,7 @@ def test_a_new_file_may_be_a_shipped_system_with_its_comments(capfd, tmp_path):
     assert certrack.load(path) == certrack.load("dual-motor-drive")
     code, _, err = invoke(capfd, "new", str(tmp_path / "no.toml"), "--from", "mine.toml")
     assert code == 2
-    assert "--from: must be one of axis, dual-motor" in err
+    assert "--from: must be one of axis, axis-load, dual-motor" in err
     assert not (tmp_path / "no.toml").exists()
 
 

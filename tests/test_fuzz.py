@@ -93,7 +93,7 @@ def test_a_forged_claim_is_found(monkeypatch):
 
     from fuzz import certificates
 
-    judge = certificates.Certificates(("dual-motor-lean",))
+    judge = certificates.Certificates((("dual-motor-lean", "fast"),))
     document = judge.honest[0]
     accepting = certificates.verify(document)
     monkeypatch.setattr(certificates, "verify", lambda path: accepting)

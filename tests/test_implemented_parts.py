@@ -258,7 +258,7 @@ def record(**changed):
 
 def test_a_proof_survives_its_record():
     (proof,) = implemented_proofs([record()])
-    assert asdict(proof) == record(cell=(), rates=(), slow=()) and "cell" not in record()
+    assert asdict(proof) == record(cell=(), rates=(), slow=(), split=()) and "cell" not in record()
     (ranged,) = implemented_proofs([record(cell=[["1/3", "2"]], rates=["1"])])
     assert ranged.cell == (("1/3", "2"),) and ranged.rates == ("1",)
     assert record_of(ranged)["cell"] == (("1/3", "2"),)

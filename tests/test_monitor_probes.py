@@ -1,6 +1,7 @@
 """The probes of a monitor reach both sides of every limit, and its numbers keep inside it."""
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
 
@@ -13,8 +14,15 @@ from test_monitor import FREE, FULL
 
 from certrack import Monitor
 from certrack.core.errors import InputError
+from certrack.core.expressions import symbol
 from certrack.export.golden_vectors import MUTATION, golden_vectors
-from certrack.export.monitor import Flag, Within, monitor_program, rounded_to_type
+from certrack.export.monitor import (
+    COMMAND_BEFORE,
+    Flag,
+    Within,
+    monitor_program,
+    rounded_to_type,
+)
 from certrack.export.monitor_probes import (
     BEYOND_BOUND,
     DOWN,
@@ -30,6 +38,7 @@ from certrack.export.monitor_probes import (
     monitor_probes,
 )
 from certrack.export.program import controller_program
+from certrack.loops.controller import COMMAND
 
 SMALL = Monitor(box={"x1": (-1, 1), "x2": ("-1e-5", 0.5)}, limit_reference=True)
 
@@ -59,6 +68,45 @@ def case(request):
 
 def premises(case):
     return [premise for flag in case.monitor.flags for premise in flag.premises]
+
+
+def test_conditions_are_of_what_the_controller_reads_keeps_and_answers(case):
+    golden, program = case.golden, case.program
+    expected = dict(zip(program.measured, golden.x, strict=True))
+    expected |= dict(zip(program.Y, golden.Y, strict=True))
+    expected |= dict(zip(program.states, golden.answers[1:], strict=True))
+    expected |= {COMMAND: golden.answers[0], COMMAND_BEFORE: golden.before}
+    for name, numbers in expected.items():
+        value, low, high = golden.values(Within(name, sympy.Float(0.1) * name, sympy.Float(0.3)))
+        assert (value == numbers).all() and (low == 0.1 * numbers).all() and (high == 0.3).all()
+    if not any(flag.of_command for flag in case.monitor.flags):  # nothing limits what is asked for
+        assert (golden.asked == golden.answers[0]).all()
+    parameters = controller_program(case.system, parameters=True)
+    samples = _Samples(case.system, parameters, case.monitor, golden.x, golden.Y, golden.states)
+    for name in parameters.parameters:
+        value, _, _ = samples.values(between(0, 1, name))
+        assert (value == parameters.constants[name]).all()
+
+
+def test_the_command_before_is_that_of_the_state_or_of_a_disabled_controller(case):
+    states, last = case.program.states, symbol("ctl_u_last")
+    monitor = replace(case.monitor, off=0.25)
+    samples = _Samples(
+        case.system, case.program, monitor, case.golden.x, case.golden.Y, case.golden.states
+    )
+    of_state = case.golden.states[states.index(last)] if last in states else 0.25
+    assert (samples.before == of_state).all()
+
+
+@pytest.mark.parametrize("case", ["full"], indirect=True)
+def test_probes_begin_with_the_golden_vectors_as_numbers_of_the_type(case):
+    for real, kind in (("double", np.float64), ("float", np.float32)):
+        probes = monitor_probes(case.system, case.program, case.monitor, case.vectors, real)
+        count = case.vectors.x.shape[1]
+        for ours, theirs in ((probes.x, case.vectors.x), (probes.Y, case.vectors.Y)):
+            assert (ours[:, :count] == theirs.astype(kind)).all()
+            assert (ours.astype(kind) == ours).all()
+    assert 0 < SPEED_MARGIN < MUTATION  # else a number that is 0.3 % off is not noticed
 
 
 def test_inputs_lie_at_their_limits_and_just_beyond(case):
@@ -107,6 +155,7 @@ def test_limited_references_go_beyond_their_bounds(case):
     assert len(found) == (2 * len(case.program.Y) if case.monitor.limit_reference else 0)
     for k, (_, Y, _) in enumerate(found):
         bound = case.monitor.reference_bounds[k // 2]
+        assert abs(Y[k // 2, 0]) > bound
         assert Y[k // 2, 0] == pytest.approx((-1, 1)[k % 2] * BEYOND_BOUND * bound)
 
 
@@ -176,7 +225,10 @@ def test_a_flag_of_the_command_is_left_to_rounding_near_the_limits_of_others():
     value, asked = [0.0, 3.0, 3.0], [0.0, 4.0, 3.0 + 1e-13]
     alone = _expected(command, [command], Numbers(value, asked), "double")
     assert alone.tolist() == [DOWN, UP, 2]
-    assert _expected(command, [command, same], Numbers(value, asked), "double").tolist() == [2] * 3
+    lower = Flag("rate", "", (between(-1, 7, "u"),), of_command=True)
+    for other in (same, lower):
+        found = _expected(command, [command, other], Numbers(value, asked), "double")
+        assert found.tolist() == [2] * 3
     found = _expected(command, [command, apart], Numbers(value, asked), "double")
     assert found.tolist() == [DOWN, UP, 2]
 

@@ -10,6 +10,7 @@ import pytest
 from test_certificate_formulas import exact
 
 import certrack
+from certrack.certificates import published
 from certrack.certificates.arithmetic import decimal, positive_definite, rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import error_problem
@@ -19,6 +20,7 @@ from certrack.certificates.published import (
     _minimise,
     _smallest_eigenvalue,
     best_eps,
+    critical_strength,
     residual_damping,
     uncertainty_terms,
 )
@@ -174,6 +176,24 @@ def test_the_damping_of_what_is_not_fed_forward():
 
 
 # units of programs
+
+
+@pytest.mark.parametrize("name", ["example1", "dual-motor"])
+def test_the_critical_strength_is_rounded_down(name):
+    """tau^2 (||A^-1||_F^2 G) = min c, in fractions."""
+    system = certrack.load(name)
+    Xe = error_problem(system, rational).Xe
+    G, _ = uncertainty_terms(system, rational)
+    c_min = min(rational(c) for c in system.law.gains().c)
+    found = rational(critical_strength(system)) ** 2 * (Xe**2).sum() * G / c_min
+    assert 1 - Fraction(1, 10**8) < Fraction(str(found)) < 1
+
+
+@pytest.mark.parametrize("sizes", [(math.inf, 0.0), (0.0, math.inf), (math.nan, 0.0)])
+def test_one_number_beyond_floats_is_too_many(monkeypatch, sizes):
+    monkeypatch.setattr(published, "uncertainty_terms", lambda system, number: sizes)
+    with pytest.raises(NoCertificate, match="range of floating point"):
+        published.collect(certrack.load("example1"))
 
 
 def test_numbers_lose_their_last_bits_alone():

@@ -1,6 +1,7 @@
 """The algebra below the proofs for ranges: rational functions, cells, edges, sectors, periods."""
 
 import itertools
+import math
 import re
 from fractions import Fraction
 from types import SimpleNamespace
@@ -18,10 +19,19 @@ from certrack.certificates.ranges.boxes import names
 from certrack.certificates.ranges.cells import MAX_CORNERS, corners_of, divided, halved
 from certrack.certificates.ranges.coefficients import Coefficients, _factors
 from certrack.certificates.ranges.edges import LARGEST_SCALE, largest_scale
+from certrack.certificates.ranges.estimates import estimated_peak_gains
 from certrack.certificates.ranges.formulas import untrue_formulas
+from certrack.certificates.ranges.kernels import peak_gains
 from certrack.certificates.ranges.loop import error_form, ranged_loop
-from certrack.certificates.ranges.peak import UNBOUNDED, _bound, peak_bound
-from certrack.certificates.ranges.rational import RationalVector
+from certrack.certificates.ranges.peak import (
+    FIXED_POINT_ROUNDING,
+    LEAST,
+    UNBOUNDED,
+    WIDENED,
+    _bound,
+    peak_bound,
+)
+from certrack.certificates.ranges.rational import RationalVector, _bernstein
 from certrack.certificates.ranges.sectors import SECTORS, sector_of
 from certrack.certificates.ranges.strength import stable_at_corners
 
@@ -161,6 +171,18 @@ def test_the_worst_cells_are_cut_as_long_as_it_pays():
     assert len(divided(box, lambda cell: float("inf"), 5, 0.01, reports.append)) == 5
 
 
+@pytest.mark.parametrize("part", [0.02, 0.49])
+def test_a_cut_counts_with_the_one_beside_it(part):
+    """Of the two halves of a box each must be cut before the bound falls."""
+
+    def width(cell):
+        return cell[0][1] - cell[0][0]
+
+    cells = divided(((0.0, 1.0),), width, 16, part, lambda _: None)
+    assert set(map(width, cells)) == {1 / 16}
+    assert len(divided(((0.0, 1.0),), width, 16, 0.51, lambda _: None)) == 3
+
+
 @pytest.mark.parametrize("function", list(SECTORS))
 @pytest.mark.parametrize("scale", [1, 3, sympy.Rational(1, 2)])
 def test_sectors_are_as_narrow_as_the_function_allows(function, scale):
@@ -194,6 +216,34 @@ def test_the_bound_of_a_fixed_point_is_above_it_and_close():
         with pytest.raises(NoCertificate, match="not below 1"):
             _bound(lambda v, gain=gain: np.minimum(1.0 + gain * v, UNBOUNDED), 2)
     assert _bound(lambda v: 0 * v, 2) >= 0
+
+
+def test_a_fixed_point_must_be_above_its_image_not_at_it():
+    def at_it(v):
+        """1 until that stands still; then what is as large as v with its rounding."""
+        if v.max() <= 1:
+            return np.ones(2)
+        below = v / (1 + FIXED_POINT_ROUNDING)
+        steps = np.array([below, np.nextafter(below, 0), np.nextafter(below, 9)])
+        return steps[np.argmin(np.abs(steps * (1 + FIXED_POINT_ROUNDING) - v), axis=0), [0, 1]]
+
+    top = np.full(2, 1 + WIDENED) + LEAST
+    assert (at_it(top) * (1 + FIXED_POINT_ROUNDING) == top).all()
+    with pytest.raises(NoCertificate, match="not below 1"):
+        _bound(at_it, 2)
+    assert _bound(lambda v: np.ones(2), 2) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 4])
+@pytest.mark.parametrize(("low", "high"), [("1", "3"), ("-2", "0.5"), ("0", "1")])
+def test_bernstein_coefficients_give_the_powers(degree, low, high):
+    low, high = exact(low), exact(high)
+    change = _bernstein(degree, low, high)
+    for t in map(exact, ("0", "0.25", "0.7", "1")):
+        basis = [math.comb(degree, i) * t**i * (1 - t) ** (degree - i) for i in range(degree + 1)]
+        for power in range(degree + 1):
+            value = sum(b * c for b, c in zip(basis, change[:, power], strict=True))
+            assert value == (low + (high - low) * t) ** power
 
 
 def test_a_matrix_is_the_product_of_its_factors():
@@ -275,6 +325,24 @@ c = [7]
 x0 = [0]
 duration = 1
 """
+
+
+def test_a_centre_without_inverse_is_not_stable():
+    """e' = -(a + 4.5) e + ...: zero in the middle of the range of a."""
+    text = re.sub("input_gain = .4.*|theta = .\\[.*", "", FIRST_ORDER)
+    system = certrack.loads(text.replace("a = [2, 3]", "a = [-12, 3]"))
+    loop = ranged_loop(system)
+    for gains_of in (peak_gains, estimated_peak_gains):
+        with pytest.raises(NoCertificate, match="not stable"):
+            peak_bound(loop, Coefficients(loop), loop.box, gains_of)
+
+
+@pytest.mark.parametrize("M", [[[0]], [["-1/3", "1/3"], ["1/7", "-1/7"]], [["-4/3", "2"], [2, -3]]])
+def test_what_has_no_inverse_has_no_peak_gain(M):
+    matrix = np.array([[exact(v) for v in row] for row in M], dtype=object)
+    one = 0 * matrix + np.eye(len(M), dtype=int)
+    with pytest.raises(NoCertificate, match="not stable"):
+        peak_gains(matrix, one, one)
 
 
 @pytest.mark.parametrize("size", [1, 5])

@@ -330,6 +330,13 @@ def test_no_cells_where_none_are_wanted(options):
     assert nothing.best == () and nothing.bound == nothing.certified == math.inf
 
 
+def test_one_constant_that_is_known_leaves_the_others_to_be_cut():
+    found = bound_ranges(Prover(), cells=True, box=(interval(1, 3), interval(2, 2)))
+    assert len(found.cells) > 1 and found.bound < 1
+    known = bound_ranges(Prover(moving=1), cells=True, box=(interval(2, 2), interval(-1, 1)))
+    assert known.cells == ()  # what is left is a slope, which is never cut
+
+
 def test_a_search_ends_with_what_is_enough():
     prover = Prover()
     found = bound_ranges(prover, cells=True, enough=2.75)

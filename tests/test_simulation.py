@@ -5,12 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy
 import xarray
 from conftest import systems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import certrack
+from certrack.core.branches import may_branch
 from certrack.core.errors import InputError
 from certrack.integrators.base import Outcome
 from certrack.laws import Adaptive, Robust
@@ -379,3 +381,19 @@ def test_settling_band_of_a_run_that_ends_early_is_that_of_the_whole():
     assert early.outcome is Outcome.escaped and np.abs(early.y_d).max() < 0.1
     assert early.metrics.band == certrack.simulate(system).metrics.band
     assert early.metrics.band == pytest.approx(0.05, rel=1e-6)
+
+
+def test_an_arcsine_away_from_its_branch_points_has_a_taylor_series():
+    """Its run agrees with SciPy's, whose steps need none."""
+    reference = certrack.SymbolicReference("0.2*asin(0.9*sin(t))")
+    system = certrack.load("example1").replace(reference=reference).with_settings(duration=5)
+    run, checked = simulate(system), simulate(system, integrator="scipy")
+    assert (run.trajectory.method, run.notes) == ("taylor", ())
+    times = np.linspace(0, 5, 101)
+    found, expected = (one.trajectory.interpolate(times) for one in (run, checked))
+    assert np.abs(found - expected).max() < 1e-8
+    x = sympy.Symbol("x", real=True)
+    sine, functions = sympy.sin(x), (sympy.asin, sympy.acos, sympy.tan)
+    away = [sympy.asin(0.9 * sine), x * sympy.acos(-sympy.tanh(x) / 2), sine]
+    near = [sympy.asin(sine), sympy.acos(-sine), sympy.asin(x / 2), sympy.tan(sine / 2)]
+    assert [may_branch(formula, functions) for formula in away + near] == [False] * 3 + [True] * 4

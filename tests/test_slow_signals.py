@@ -46,7 +46,7 @@ def with_slow(rate=0.0, jump=0.0, dwell=1.0, fast=0.0):
 
 def bound(**values):
     with flint.ctx.workprec(DRIVE_BITS):
-        return float(by_rates(*with_slow(**values))[1])
+        return float(by_rates(*with_slow(**values)).bound)
 
 
 def measured(apart=0, **values):

@@ -5,6 +5,7 @@ import math
 import sys
 from dataclasses import replace
 from decimal import Decimal
+from fractions import Fraction
 from itertools import pairwise
 
 import flint
@@ -16,7 +17,7 @@ import certrack
 from certrack.certificates import cascade, certify, certify_semidefinite
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.cascade import certify_cascade, head_problem
-from certrack.certificates.centred import centred_problem
+from certrack.certificates.centred import RemainderBound, centred_problem
 from certrack.certificates.exact import from_text, squared_bound
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.tube import (
@@ -49,8 +50,9 @@ def stages(example1):
 def hostile(example1):
     """The worst admissible case that a search has found: disturbance, reference, parameters."""
     worst = falsify(example1, budget=1500).system
-    bounds = example1.reference.bounds(1).values  # the search keeps within them
-    return worst.replace(reference=replace(worst.reference, declared=bounds))
+    bounds = example1.reference.bounds(1).values
+    assert all(a <= b for a, b in zip(worst.reference.bounds(1).values, bounds, strict=True))
+    return worst
 
 
 #: Starts near the reference, far from it, and with e_2 large where e_1 is not.
@@ -221,18 +223,20 @@ def test_the_centred_stage_waits_where_zeta_has_no_bound(monkeypatch, example1, 
     """The first steps refuse; V_2 then starts with what V_1 allows, and nothing gets smaller."""
     whole = tube_of(example1, stages)
     module = sys.modules["certrack.certificates.tube"]
-    real, refused = module.remainder_bound, []
+    refused = []
 
-    def refusing(system, problem):
-        def bound(reached):
+    class Refusing(module.RemainderBound):
+        def __call__(self, reached):
             if float(from_text(reached.bound)) > 1.0:
                 refused.append(1)
                 raise certrack.NoCertificate("unbounded")
-            return real(system, problem)(reached)
+            return super().__call__(reached)
 
-        return bound
+        def in_floats(self, reached, squares):
+            found = super().in_floats(reached, squares)
+            return np.where(squares > 1.0, np.inf, found)
 
-    monkeypatch.setattr(module, "remainder_bound", refusing)
+    monkeypatch.setattr(module, "RemainderBound", Refusing)
     late = tube_of(example1, stages)
     assert refused
     t = np.linspace(0, 60, 601)
@@ -246,17 +250,30 @@ def test_the_bound_on_zeta_counts_while_the_first_stage_falls(
     monkeypatch, factor, wider, example1, stages
 ):
     module = sys.modules["certrack.certificates.tube"]
-    real, whole = module.remainder_bound, tube_of(example1, stages)
+    whole = tube_of(example1, stages)
 
-    def changed(system, problem):
-        bound = real(system, problem)
-        return lambda reached: bound(reached) * (1 if reached == stages[0] else rational(factor))
+    class Changed(module.RemainderBound):
+        def in_floats(self, reached, squares):
+            return factor * super().in_floats(reached, squares)
 
-    monkeypatch.setattr(module, "remainder_bound", changed)
+    monkeypatch.setattr(module, "RemainderBound", Changed)
     other, t = tube_of(example1, stages), np.linspace(5, 15, 101)
     change = np.log(other(t) / whole(t)) * (1 if wider else -1)
     assert change.max() > 1e-3
     assert change.min() > -1e-9
+
+
+def test_float_bounds_on_zeta_are_above_the_intervals(example1, stages):
+    """On sets of all sizes; and hardly above."""
+    zeta = RemainderBound(example1, error_problem(example1, rational))
+    bounds = [str(2.0**k) for k in range(-4, 12, 3)]
+    squares = np.array([float(bound) ** 2 for bound in bounds])
+    found = zeta.in_floats(stages[0], squares)
+    for bound, size in zip(bounds, found.tolist(), strict=True):
+        exact = zeta(replace(stages[0], bound=bound))
+        # these have roots of 12 digits, which are rounded up
+        assert Fraction(size) >= Fraction(int(exact.p), int(exact.q)) * (1 - Fraction(1, 10**10))
+        assert size <= float(exact) * (1 + 1e-12)
 
 
 def test_a_cascade_of_order_3_keeps_its_tube():

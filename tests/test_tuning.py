@@ -29,7 +29,7 @@ from certrack.tuning.measure import FOUND, SIMULATED, figures_of
 from certrack.tuning.problem import Requirements, TuningProblem
 from certrack.tuning.quantities import NoiseGain, PeakGainError, Quantity, SemidefiniteError
 from certrack.tuning.registry import tuning_family
-from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, LinearPlant
+from certrack.tuning.responses import BoxPeak, BoxResponse, Grid, LinearEnergy, LinearPlant
 from certrack.tuning.search import GainSearch, Price
 from certrack.tuning.stability import StabilityEdge
 
@@ -200,7 +200,9 @@ class TestQuantities:
         point = candidate_of(self.system)
         nominal = point.base.replace(truth=replace(point.base.truth, omega=None))
         box = np.array([[-1.0, 1.0]] * 4)
-        peak = BoxPeak(LinearPlant.of(point.base), Grid.of(point.base), box).value(point)
+        peak = BoxPeak(BoxResponse(LinearPlant.of(point.base), Grid.of(point.base), box)).value(
+            point
+        )
         simulator = certrack.Simulator(nominal)
         signs = np.array(np.meshgrid(*[[-1, 1]] * 4)).reshape(4, -1).T
         peaks = [

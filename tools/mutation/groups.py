@@ -34,28 +34,30 @@ GROUPS = {
     "laws": Group(
         "laws/adaptive laws/balanced laws/base laws/classic laws/error_system laws/leakage"
         " laws/numbers laws/registry laws/robust laws/signals",
-        "laws law_formulas testing backstepping exact_numbers lyapunov extensions",
+        "laws law_formulas law_keys testing backstepping exact_numbers lyapunov extensions",
     ),
     "certificates": Group(
         "certificates/*",
         "certificates certificate_formulas certificate_parts published_formulas certificate_data"
-        " size_majorants exact_checks"
-        " rounding independent_checker bounds peak tube premises truth strength exact_numbers"
+        " certify_parts certificate_layout size_majorants exact_checks rounding bounds peak tube"
+        " independent_checker tube_parts error_problem premises truth strength exact_numbers"
         " false_claims forged_claims",
     ),
     "ranges": Group(
         "certificates/ranges/*",
-        "range_algebra range_parts attainable ranges independent_ranges sectors strength peak",
+        "range_algebra range_parts kernel_parts prover_parts attainable ranges independent_ranges"
+        " sectors strength peak estimates range_tubes",
     ),
     "implemented": Group(
         "certificates/implemented/*",
         "implemented implemented_formulas implemented_parts implemented_start enclosed"
-        " range_algebra forged_claims regional jitter proven_box implemented_ranges",
+        " range_algebra forged_claims regional jitter proven_box implemented_ranges slow"
+        " slow_signals slow_parts fixed_point_parts implemented_conditions start_parts",
     ),
     "references": Group(
         "references/*",
-        "references reference_parts growth testing bounds premises simulation time_events units"
-        " lipschitz soft_start samples_file",
+        "references reference_parts reference_keys reference_members growth testing bounds"
+        " premises simulation time_events units lipschitz soft_start samples_file",
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
     "sampled": Group(

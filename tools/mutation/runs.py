@@ -34,7 +34,7 @@ def in_child(action: Callable[[int], None], seconds: float) -> tuple[int, str]:
     if child == 0:
         code = 1
         try:
-            os.setsid()
+            os.setpgrp()
             limit = int(SLOWER * seconds) + EXTRA_SECONDS
             resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 1))
             resource.setrlimit(resource.RLIMIT_DATA, (BYTES, BYTES))

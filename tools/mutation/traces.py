@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import FrameType
 
@@ -24,6 +25,9 @@ KEPT = ROOT / "build" / "mutants"
 
 #: Seconds of the processor: no test that takes longer is used, nor are more of them for a mutant.
 LONGEST, BUDGET = 3.0, 12.0
+
+#: Tests of less are tried of all files, where something is changed that runs on import.
+QUICK = 0.01
 
 #: Seconds after which a test is stopped that could not be stopped yet.
 LATER = 0.01
@@ -39,27 +43,47 @@ class Trace:
     def tests(self, mutant: Mutant) -> tuple[list[str], bool]:
         """Tests that run a mutant, and whether they must import it anew.
 
-        The fastest first, those of a file together so that they share what they set up.
+        The fastest first, those of a file together so that they share what they set up. Other tests
+        of the same files follow: what one test sets up or remembers may be judged by another.
         """
         lines = self.lines.get(mutant.module, {})
         runners = {name for line in mutant.lines for name in lines.get(line, [])}
         anew = mutant.function is None or None in runners
-        nearest = {name for names in lines.values() for name in names}
-        if anew:  # whoever uses the module, and then all others
-            runners = {name for known in self.lines.values() for x in known.values() for name in x}
+        runners -= {None}
+        users = {name for names in lines.values() for name in names} - {None}
+        others = self._everyone
+        if anew:  # whoever uses the module, and all others: what it says may be read anywhere
+            runners = users
+            others = others | {name for name, used in self.seconds.items() if used < QUICK}
+        else:
+            files = {_file(name) for name in runners}
+            others = {name for name in others if _file(name) in files}
+
+        def rank(name: str) -> tuple[bool | float | str, ...]:
+            near = name not in runners, name not in users
+            return (anew and self.seconds[name] > QUICK, *near, self.seconds[name], name)
+
         chosen, total = [], 0.0
-        for name in sorted(
-            runners - {None}, key=lambda name: (name not in nearest, self.seconds[name], name)
-        ):
+        for name in sorted(runners | others, key=rank):
             total += self.seconds[name]
             if total > BUDGET:
                 break
             chosen.append(name)
-        return sorted(chosen, key=self._order), anew
+        return sorted(chosen, key=lambda name: (name not in runners, *self._order(name))), anew
+
+    @cached_property
+    def _everyone(self) -> set[str]:
+        """All tests that run a line of the group and passed."""
+        known = (names for lines in self.lines.values() for names in lines.values())
+        return {name for names in known for name in names} - {None}
 
     def _order(self, name: str) -> tuple[int, str, float]:
         seconds = self.seconds[name]
-        return math.ceil(math.log10(max(seconds, 0.03))), name.partition("::")[0], seconds
+        return math.ceil(math.log10(max(seconds, 0.03))), _file(name), seconds
+
+
+def _file(name: str) -> str:
+    return name.partition("::")[0]
 
 
 def trace(files: Iterable[str], modules: Iterable[str]) -> Trace:

@@ -19,6 +19,8 @@ ToNumber = Callable[[Any], Any]
 
 def rational(value: Any) -> Any:
     """Exact rational of what a float stands for, of a formula, or of a Fraction."""
+    if isinstance(value, Fraction):
+        return flint.fmpq(value.numerator, value.denominator)
     if isinstance(value, Expression):
         value = value.expr
     if isinstance(value, sympy.Rational):

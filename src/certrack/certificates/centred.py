@@ -14,7 +14,6 @@ the set that an earlier stage has proven to be reached, by interval arithmetic r
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -25,12 +24,14 @@ from mpmath import iv, mp
 
 from certrack.certificates.arithmetic import exact_float, rational, solve
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.exact import Proof, from_text, root_up
+from certrack.certificates.exact import Proof, float_up, from_text, root_up
 from certrack.certificates.formulation import error_coordinates
 from certrack.certificates.intervals import enclosure
 from certrack.certificates.problem import ErrorProblem
+from certrack.core.enclosures import WIDENING
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
+from certrack.core.magnitudes import largest_magnitudes
 from certrack.core.powers import put_in
 from certrack.systems.system import System
 
@@ -91,7 +92,7 @@ class CentredProblems:
             (through_x + coordinates.nu_Y) * np.array(Y, dtype=object),
             coordinates.R * Y[-1],
             Xy,
-            remainder_bound(system, problem)(reached),
+            RemainderBound(system, problem)(reached),
         )
 
     def at(self, kappa: Any) -> ErrorProblem:
@@ -166,46 +167,90 @@ def reference_part(system: System, problem: ErrorProblem) -> tuple[np.ndarray, l
     return problem.Xe @ coordinates.B, [exact_float(v, rational) for v in bounds]
 
 
-def remainder_bound(system: System, problem: ErrorProblem) -> Callable[[Proof], Any]:
+class RemainderBound:
     """Bound on |h - phi^T theta_tilde| as a function of what is reached.
 
-    The function takes a proof, for the set e^T P e <= B^2, s |theta_tilde|^2 <= B^2 with B its
-    bound, and raises NoCertificate where drift and regressor have no interval bound on that set.
+    Parameters
+    ----------
+    system : System
+    problem : ErrorProblem
+        Of `system`, in exact rationals, with the adaptive law.
     """
-    law, plant = problem.adaptation, system.plant
-    assert law is not None
-    AB, Y = reference_part(system, problem)
-    exact = {symbol(name): value for name, value in plant.constant_values.items()}
-    drift = put_in(plant.drift.expr, exact)
-    regressor = [put_in(phi.expr, exact) for phi in plant.regressor]
 
-    offsets = [
-        sum((abs(AB[j, i]) * Y[i] for i in range(AB.shape[1])), rational(0)) for j in range(plant.n)
-    ]
+    def __init__(self, system: System, problem: ErrorProblem) -> None:
+        law, plant = problem.adaptation, system.plant
+        assert law is not None
+        AB, Y = reference_part(system, problem)
+        exact = {symbol(name): value for name, value in plant.constant_values.items()}
+        self._law, self._Xe, self._states = law, problem.Xe, plant.symbols
+        self._drift = put_in(plant.drift.expr, exact)
+        self._regressor = [put_in(phi.expr, exact) for phi in plant.regressor]
+        # |x_j| <= max over the ellipsoid of |(A^-1 e)_j|, plus |(A^-1 B)_j| Y; a smaller box would
+        # leave out states that are reached, and the bound would be wrong
+        self._offsets = [
+            sum((abs(AB[j, i]) * Y[i] for i in range(AB.shape[1])), rational(0))
+            for j in range(plant.n)
+        ]
+        self._spreads = cache(self._spreads_of)
 
-    @cache
-    def spreads(rows: tuple[tuple[str, ...], ...]) -> tuple[list[Any], list[Any]]:
+    def _spreads_of(self, rows: tuple[tuple[str, ...], ...]) -> tuple[list[Any], list[Any]]:
         """What the square of the bound is multiplied with, for each x_j and each theta_i."""
         P = np.array([[from_text(v) for v in row] for row in rows], dtype=object)
-        states = np.diagonal(problem.Xe @ solve(P, problem.Xe.T))
-        return list(states), [law.Gamma[i, i] / P[-1, -1] for i in range(len(regressor))]
+        states = np.diagonal(self._Xe @ solve(P, self._Xe.T))
+        count = len(self._regressor)
+        return list(states), [self._law.Gamma[i, i] / P[-1, -1] for i in range(count)]
 
-    def bound(reached: Proof) -> Any:
+    def __call__(self, reached: Proof) -> Any:
+        """On the set e^T P e <= B^2, s |theta_tilde|^2 <= B^2, with B the bound of a proof.
+
+        Raises
+        ------
+        NoCertificate
+            Where drift and regressor have no interval bound on that set.
+        """
         B2 = from_text(reached.bound) ** 2
-        states, errors = spreads(reached.P)
+        states, errors = self._spreads(reached.P)
         box = {}
-        for state, spread, offset in zip(plant.symbols, states, offsets, strict=True):
-            # |x_j| <= max over the ellipsoid of |(A^-1 e)_j|, plus |(A^-1 B)_j| Y; a smaller box
-            # would leave out states that are reached, and the bound would be wrong
+        for state, spread, offset in zip(self._states, states, self._offsets, strict=True):
             radius = from_text(root_up(B2 * spread)) + offset
             box[state] = _enclose(-radius, radius)
-        total = _magnitude(drift, box)
-        for phi, spread in zip(regressor, errors, strict=True):
+        total = _magnitude(self._drift, box)
+        for phi, spread in zip(self._regressor, errors, strict=True):
             error = from_text(root_up(B2 * spread))
             total = total + _magnitude(phi, box) * error
         return total
 
-    return bound
+    def in_floats(self, reached: Proof, squares: np.ndarray) -> np.ndarray:
+        """Floats not below the bounds on many sets, whose B^2 are the given ones.
+
+        Parameters
+        ----------
+        reached : Proof
+            Of the same P.
+        squares : (N,) array
+
+        Returns
+        -------
+        (N,) array
+            Infinite where the float enclosures know no bound; the call itself may.
+        """
+        states, errors = self._spreads(reached.P)
+
+        def radius(spread: Any) -> np.ndarray:
+            return np.sqrt(squares * float_up(spread)) * (1 + WIDENING)
+
+        box = {}
+        for state, spread, offset in zip(self._states, states, self._offsets, strict=True):
+            size = (radius(spread) + float_up(offset)) * (1 + WIDENING)
+            box[state] = -size, size
+        try:
+            total = largest_magnitudes(self._drift, box, len(squares))
+            for phi, spread in zip(self._regressor, errors, strict=True):
+                part = largest_magnitudes(phi, box, len(squares)) * radius(spread)
+                total = (total + part * (1 + WIDENING)) * (1 + WIDENING)
+        except TypeError:  # a function without a rule
+            return np.full(len(squares), np.inf)
+        return np.where(np.isnan(total), np.inf, total)
 
 
 def _enclose(low: Any, high: Any) -> Any:

@@ -26,10 +26,10 @@ falls to the certificate.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise, product
+from itertools import pairwise, product, repeat
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ import numpy as np
 from certrack.certificates.arithmetic import positive_definite, rational
 from certrack.certificates.balls import ball_of, ball_precision
 from certrack.certificates.cascade import head_problem
-from certrack.certificates.centred import centred_problem, remainder_bound
+from certrack.certificates.centred import RemainderBound, centred_problem
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import (
     Proof,
@@ -285,17 +285,15 @@ def _centred_steps(
     share = 2 * from_text(proof.nu[-1]) / from_text(proof.alpha) if has_zeta else rational(0)
     floor, bound2 = squared_bound(centred, proof, target), from_text(reached.bound) ** 2
     limit, allowed = from_text(proof.bound) ** 2, _allowed(problem, inner)
-    zeta = remainder_bound(system, problem) if has_zeta else lambda _: rational(1)
-    smallest = zeta(reached)
+    growths = _growths(RemainderBound(system, problem), reached, steps) if has_zeta else repeat(1.0)
     result: Steps = []
-    for (time, ratio), (end, _) in pairwise(steps):
+    for ((time, ratio), (end, _)), growth in zip(pairwise(steps), growths, strict=False):
         level2 = rational(Fraction(ratio)) * bound2  # 2 V_1 from here on
         square = min(square, allowed(level2))
-        try:
-            part = zeta(replace(reached, bound=root_up(level2))) / smallest
-            level = _level(floor, share, float_up(part**2))
+        if math.isfinite(growth):
+            level = _level(floor, share, growth)
             after = _later(square, level, alpha, end - time)
-        except NoCertificate:  # zeta has no bound on so large a set
+        else:  # zeta has no bound on so large a set
             after = math.inf
         largest = min(float_up(level2), max(square, after))
         result.append((time, float_up(rational(Fraction(largest)) / limit)))
@@ -306,6 +304,23 @@ def _centred_steps(
         largest = min(ratio, float_up(bound2 / limit)) if ratio != 1.0 else 1.0
         result.append((at, largest))
     return result
+
+
+def _growths(zeta: RemainderBound, reached: Proof, steps: Steps) -> Iterator[float]:
+    """The square of zeta on each step's set, as a multiple of that on the smallest; inf without."""
+    bound2, smallest = from_text(reached.bound) ** 2, zeta(reached)
+    squares = [rational(Fraction(ratio)) * bound2 for _, ratio in steps[:-1]]
+    sizes = zeta.in_floats(reached, np.array(list(map(float_up, squares))))
+    for square, size in zip(squares, sizes.tolist(), strict=True):
+        try:
+            if math.isfinite(size):
+                largest = rational(Fraction(size))
+            else:  # other intervals may know more
+                largest = zeta(replace(reached, bound=root_up(square)))
+        except NoCertificate:
+            yield math.inf
+        else:
+            yield float_up((largest / smallest) ** 2)
 
 
 def _allowed(problem: ErrorProblem, inner: Sequence[Proof]) -> Callable[[Any], float]:

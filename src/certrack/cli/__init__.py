@@ -8,6 +8,7 @@ with ``--require``) or an alarm of the falsifier, 130 an interruption, 143 a ter
 
 from __future__ import annotations
 
+import gc
 import sys
 import warnings
 from collections.abc import Sequence
@@ -35,6 +36,10 @@ from certrack.cli.surroundings import (
 from certrack.cli.tune import tune
 from certrack.core.blas import one_thread_from_now_on
 from certrack.core.errors import CertrackError, one_line
+
+#: New objects, after which Python looks for circles of dead ones: seldom, since most of what a verb
+#: loads lives as long as the process.
+NEW_OBJECTS = 50_000
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -73,6 +78,7 @@ for verb in (
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the ``certrack`` command."""
     one_thread_from_now_on()
+    gc.set_threshold(NEW_OBJECTS)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         code = _run(arguments)

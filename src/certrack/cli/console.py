@@ -11,15 +11,15 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.table import Table as RichTable
 
-from certrack.reports.tables import Table
+from certrack.cli.progress_lines import progress_lines
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress as Bar
 
     from certrack.core.progress import Progress
+    from certrack.reports.tables import Table
 
 
 def to_json(values: Any) -> str:
@@ -49,6 +49,8 @@ def print_table(content: Table, *, ruled: bool = False) -> None:
 
     `ruled`: with lines between its rows.
     """
+    from rich.table import Table as RichTable
+
     heads = list(content.columns)
     room = console().width - 3 * len(heads) - 1
     columns = list(zip(heads, *content.rows, strict=True))
@@ -75,11 +77,13 @@ def print_table(content: Table, *, ruled: bool = False) -> None:
 
 
 #: Letters that the first column and one of the others need in a table of many columns.
-LABEL_WIDTH, COLUMN_WIDTH = 20, 15
+LABEL_WIDTH, COLUMN_WIDTH = 28, 15
 
 
 def print_wide_table(content: Table) -> None:
     """Print a table of a column for each of many things, in parts below each other."""
+    from certrack.reports.tables import Table
+
     count = max(1, (console().width - LABEL_WIDTH) // COLUMN_WIDTH)
     for i in range(1, len(content.columns), count):
         part = slice(i, i + count)
@@ -115,12 +119,14 @@ def print_lines(lines: Iterable[str]) -> None:
 
 def console(*, error: bool = False) -> Console:
     """Console on standard output or standard error."""
+    from rich.console import Console
+
     return Console(stderr=error, highlight=False, markup=False)
 
 
 @contextmanager
 def _bar(*fields: str) -> Iterator[Bar]:
-    """Progress bar on standard error with further columns; silent where nobody watches."""
+    """Progress bar on standard error with further columns."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -129,27 +135,38 @@ def _bar(*fields: str) -> Iterator[Bar]:
     )
     from rich.progress import Progress as Bar
 
-    log = console(error=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Bar(
         *columns,
         *map(TextColumn, fields),
         TimeRemainingColumn(),
-        console=log,
+        console=console(error=True),
         transient=True,
-        disable=not log.is_terminal,
     ) as bar:
         yield bar
 
 
 @contextmanager
-def progress(what: str, extreme: str = "worst") -> Iterator[Progress]:
-    """Progress bar; yields the `progress` of a long call that looks for an extreme."""
+def progress(what: str, extreme: str = "worst", then: str = "") -> Iterator[Progress]:
+    """Progress bar, or lines where there is no terminal; yields the `progress` of a long call.
+
+    Parameters
+    ----------
+    what, extreme : str
+        What is counted, and what the extreme is called that is looked for.
+    then : str
+        What goes on when all is counted.
+    """
+    if not console(error=True).is_terminal:
+        with progress_lines(what, extreme, then) as advance:
+            yield advance
+        return
     with _bar() as bar:
         task = bar.add_task(what, total=None)
 
         def advance(done: float, total: float | None, best: float | None, /) -> None:
             shown = what if best is None else f"{what}, {extreme} {best:.4g}"
+            shown += f", {then}" if then and total is not None and done >= total else ""
             done = done if total is None else min(done, total)
             bar.update(task, completed=done, total=total, description=shown)
 
@@ -159,6 +176,10 @@ def progress(what: str, extreme: str = "worst") -> Iterator[Progress]:
 @contextmanager
 def rate_progress(what: str) -> Iterator[Progress]:
     """Progress bar with rate and time left; yields the `progress` of a long call."""
+    if not console(error=True).is_terminal:
+        with progress_lines(what, "worst") as advance_line:
+            yield advance_line
+        return
     with _bar("{task.fields[rate]}") as bar:
         task = bar.add_task(what, total=None, rate="")
         start: tuple[float, float] | None = None

@@ -115,7 +115,7 @@ def certified_runs(systems: Mapping[str, System]) -> dict[str, Certificates]:
 
     certificates = {}
     for name, system in systems.items():
-        with console.progress("Certifying") as advance:
+        with console.progress("Certifying, steps", "bound") as advance:
             certificates[name] = certify(system, "fast", advance)
     return certificates
 

@@ -90,7 +90,7 @@ def certify(
     system = load(file)
     axes = _two_states(states, system.plant.states)
     keep_source(file, *filter(None, [out]))
-    with console.progress("Certifying") as advance:
+    with console.progress("Certifying, steps", "bound") as advance:
         result = certificates.certify(system, effort, advance)
     if out is not None and result.stages:
         certificates.save_certificate(system, result.stages, out)
@@ -294,6 +294,7 @@ ORIGIN_WORDS = {
     "search": "",
     "own": ", the file's own",
     "kernels": ", by kernels and a linear program",
+    "ascent": ", by an ascent from the worst of them",
 }
 
 #: What the user is told where the worst run has not reached its long run.

@@ -131,9 +131,10 @@ def simulate(
         click.echo(console.to_json(summary | controller))
     else:
         click.echo(system.title or file)
-        console.print_wide_table(run_report.metrics_table({Path(file).stem: summary}))
+        units = system.plant.units
+        console.print_wide_table(run_report.metrics_table({Path(file).stem: summary}, units))
         if summary["moves"]:
-            console.print_table(run_report.moves_table(summary["moves"]))
+            console.print_table(run_report.moves_table(summary["moves"], units))
         if with_c:
             click.echo(
                 f"controller: the exported C, compiled by {Path(find_c_compiler()).name}; "
@@ -186,7 +187,8 @@ def compare(
     if as_json:
         click.echo(console.to_json(summaries))
     else:
-        console.print_wide_table(run_report.metrics_table(summaries))
+        units = run_report.shared_units(system.plant.units for system in systems.values())
+        console.print_wide_table(run_report.metrics_table(summaries, units))
     tell_written(as_json, *pictures)
     diagnose(*runs.values())
 

@@ -16,6 +16,8 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import IO
 
+from certrack.core.progress import AT_ONCE
+
 #: Exit code of a process that the signal has ended, as shells count it.
 TERMINATED_CODE = 128 + signal.SIGTERM
 
@@ -40,6 +42,32 @@ def ended_by_exception() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def kept_at_termination() -> Iterator[None]:
+    """SIGTERM raises KeyboardInterrupt, so that a search keeps its best; the code tells of it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came = False
+
+    def keep(_signal: int, _frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+        raise KeyboardInterrupt(AT_ONCE)
+
+    before = signal.signal(signal.SIGTERM, keep)
+    try:
+        yield
+    except KeyboardInterrupt as interruption:
+        if AT_ONCE not in interruption.args:
+            raise
+        raise SystemExit(TERMINATED_CODE) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    if came:
+        raise SystemExit(TERMINATED_CODE)
 
 
 def _terminate(_signal: int, _frame: FrameType | None) -> None:

@@ -63,11 +63,22 @@ def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted
 
     Always in force besides the limits given: the loop held at three times the file's period (3 ms
     without one) is stable, and the noise gain is at most ten times that of the file's design. The
-    tuned design is certified in full. Progress shows the best so far; Ctrl-C keeps it.
+    tuned design is certified in full. Progress shows the best so far; Ctrl-C keeps it, and so does
+    a SIGTERM, after which nothing is measured of it.
 
     \b
     Example: certrack tune dual-motor-lean --peak-input 39.1 --period 0.087 --out tuned.toml
     """
+    from certrack.cli.surroundings import kept_at_termination
+
+    with kept_at_termination():
+        _tuned(file, out, plot, as_json, wanted)
+
+
+def _tuned(
+    file: str, out: Path | None, plot: Path | None, as_json: bool, wanted: dict[str, Any]
+) -> None:
+    """Search, tell and write."""
     from certrack.cli import console
     from certrack.core.files import write_text
     from certrack.reports import tuning as tune_report
@@ -85,7 +96,7 @@ def tune(file: str, out: Path | None, plot: Path | None, as_json: bool, **wanted
     with (
         _options_named(),
         naming(file, "law", "tune"),
-        console.progress("Tuning, starts", "best") as bar,
+        console.progress("Tuning, starts", "best", "now finished and certified") as bar,
     ):
         result = search_gains(system, progress=bar, **wanted)
     if as_json:

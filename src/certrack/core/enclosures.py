@@ -25,7 +25,10 @@ from certrack.core.expressions import TIME
 #: Every operation widens its result by this part of its magnitude: more than its roundings.
 WIDENING = 2.0**-50
 
-#: Values of symbols: the same on all intervals, or one on each.
+#: What the underflow of a product or a power loses, at most.
+LOST_BY_UNDERFLOW = 2.0**-1070
+
+#: Values of symbols: the same on all intervals, or one on each, or a pair of bounds.
 Known = Mapping[sympy.Symbol, Any]
 
 
@@ -61,7 +64,8 @@ def enclose(
         Of the functions that a system file may contain.
     begins, ends : (N,) arrays, s
     known : mapping
-        Values of all symbols but t; arrays have one for each interval.
+        Values of all symbols but t; arrays have one for each interval. A pair stands for any value
+        between two.
     order : int >= 1
         Number of Taylor coefficients beyond the value.
 
@@ -74,7 +78,11 @@ def enclose(
     memory: dict[sympy.Basic, IntervalArray] = {}
 
     def constant(value: Any) -> IntervalArray:
-        return _of_bounds(np.broadcast_to(np.asarray(value, dtype=float), half.shape), order)
+        low, high = (
+            np.broadcast_to(np.asarray(bound, dtype=float), half.shape)
+            for bound in (value if isinstance(value, tuple) else (value, value))
+        )
+        return _of_bounds(low, order, high)
 
     def time() -> IntervalArray:
         linear = _of_bounds(begins, order, ends)
@@ -154,6 +162,8 @@ def _times(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[Array, Array
 
 def _multiply(a: IntervalArray, b: IntervalArray) -> IntervalArray:
     low, high = _times((a.low[0], a.high[0]), (b.low[0], b.high[0]))
+    lost = LOST_BY_UNDERFLOW * ((a.sizes[0] > 0) & (b.sizes[0] > 0))
+    low, high = low - lost, high + lost
     one = _times((a.low[1], a.high[1]), (b.low[0], b.high[0]))
     two = _times((a.low[0], a.high[0]), (b.low[1], b.high[1]))
     sizes = np.array([_convolved(a.sizes, b.sizes, k) for k in range(a.order + 1)])
@@ -191,6 +201,7 @@ def _monotone(function: Callable[[Array], Array], x: IntervalArray) -> tuple[Arr
 
 def _exp(x: IntervalArray) -> IntervalArray:
     low, high = _monotone(np.exp, x)
+    high = high + LOST_BY_UNDERFLOW
     value = _of_bounds(low, x.order, high)
     for k in range(1, x.order + 1):
         terms = np.array([j * x.sizes[j] * value.sizes[k - j] for j in range(1, k + 1)])

@@ -27,7 +27,7 @@ def hoisted(
     symbols: Hoisted = {}
 
     def name(expr: sympy.Expr) -> sympy.Expr:
-        if not expr.free_symbols & common:
+        if expr.free_symbols.isdisjoint(common):
             return expr
         number, factor = expr.as_coeff_Mul()
         if factor not in symbols:
@@ -63,17 +63,25 @@ def _replaced(
     with_coefficients: bool = False,
 ) -> list[sympy.Expr]:
     """The formulas with names for the largest subexpressions of the symbols inside."""
+    free_of: dict[sympy.Basic, Set[sympy.Basic]] = {}
+
+    def free_symbols(expr: sympy.Basic) -> Set[sympy.Basic]:
+        """As SymPy has them, which collects them anew at every level of a formula."""
+        if expr not in free_of:
+            parts = map(free_symbols, expr.args)
+            free_of[expr] = frozenset({expr} if expr.is_Symbol else ()).union(*parts)
+        return free_of[expr]
 
     def walk(expr: sympy.Expr) -> sympy.Expr:
-        free = expr.free_symbols
-        if not free & inside:
+        free = free_symbols(expr)
+        if free.isdisjoint(inside):
             return expr
         if free <= inside:
             return name(expr)
         if expr.is_Add or expr.is_Mul:
-            shared = [arg for arg in expr.args if arg.free_symbols and arg.free_symbols <= inside]
+            shared = [arg for arg in expr.args if free_symbols(arg) and free_symbols(arg) <= inside]
             if shared and with_coefficients:
-                shared += [arg for arg in expr.args if not arg.free_symbols]
+                shared += [arg for arg in expr.args if not free_symbols(arg)]
             others = [walk(arg) for arg in expr.args if arg not in shared]
             return expr.func(*others, *([name(expr.func(*shared))] if shared else []))
         return expr.func(*map(walk, expr.args))

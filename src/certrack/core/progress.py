@@ -12,6 +12,10 @@ from typing import Protocol
 
 from certrack.core.errors import Cancelled
 
+#: Argument of a KeyboardInterrupt where the process is to end at once: what a search has is kept,
+#: and nothing is measured any more.
+AT_ONCE = "at once"
+
 
 class Progress(Protocol):
     """What is called while a long call works."""

@@ -8,6 +8,7 @@ compiled once per plant and law.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,14 +72,8 @@ def close_loop(system: System) -> ClosedLoop:
     ClosedLoop
     """
     plant, controller = simulated_plant(system), system.controller
-    s = controller.signals
-    measured = dict(zip(s.x, plant.outputs, strict=True))
-    measured |= zip(s.Y, system.reference.formulas(len(s.Y) - 1), strict=True)
-    u = controller.equations.u.xreplace(measured)
-    e_1 = (s.x[0] - s.Y[0]).xreplace(measured)
-
-    rates = [rate.xreplace({INPUT: u}) for rate in plant.rates]
-    rates += [rate.xreplace(measured) for _, rate in controller.equations.update]
+    Y = system.reference.formulas(len(controller.signals.Y) - 1)
+    u, e_1, rates = driven_loop(system, plant, Y)
     rates += [rate / sympy.Integer(INTEGRAL_SCALE) for rate in (u**2, e_1**2, e_1)]
 
     designed = [symbol(name) for name in system.plant.constant_values]
@@ -91,9 +86,30 @@ def close_loop(system: System) -> ClosedLoop:
         rates=tuple(rates),
         u=u,
         e_1=e_1,
-        gain_names=tuple(s.all_parameters),
+        gain_names=tuple(controller.signals.all_parameters),
         pieces=len(pieces),
     )
+
+
+def driven_loop(
+    system: System, plant: SimulatedPlant, Y: Sequence[sympy.Expr]
+) -> tuple[sympy.Expr, sympy.Expr, list[sympy.Expr]]:
+    """u, e_1 and the rates of plant and controller, the reference given.
+
+    Parameters
+    ----------
+    system : System
+    plant : SimulatedPlant
+        Its own.
+    Y : formulas of y_d, y_d' ... as far as the law uses them
+    """
+    controller = system.controller
+    s = controller.signals
+    measured = dict(zip(s.x, plant.outputs, strict=True)) | dict(zip(s.Y, Y, strict=True))
+    u = controller.equations.u.xreplace(measured)
+    rates = [rate.xreplace({INPUT: u}) for rate in plant.rates]
+    rates += [rate.xreplace(measured) for _, rate in controller.equations.update]
+    return u, (s.x[0] - s.Y[0]).xreplace(measured), rates
 
 
 def parameter_values(loop: ClosedLoop, system: System) -> np.ndarray:

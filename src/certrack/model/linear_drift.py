@@ -23,10 +23,15 @@ def total_drift(plant: Plant, theta: Sequence[Expression]) -> sympy.Expr:
 
 def linear_parts(plant: Plant, total: sympy.Expr) -> tuple[list[sympy.Expr], sympy.Expr] | None:
     """Slopes and constant of :func:`total_drift`; None where it is not linear."""
-    # atan(tan(x)) has the slope 1 wherever it has one, and is not linear
-    linear = total.is_polynomial(*plant.symbols)
-    slopes = [sympy.simplify(sympy.diff(total, x)) for x in plant.symbols]
-    if not linear or any(slope.free_symbols for slope in slopes):
+    if not total.is_polynomial(*plant.symbols):
+        return None  # atan(tan(x)) has the slope 1 wherever it has one, and is not linear
+    slopes = [_simple(sympy.diff(total, x)) for x in plant.symbols]
+    if any(slope.free_symbols for slope in slopes):
         return None
     constant = total.xreplace(dict.fromkeys(plant.symbols, sympy.S.Zero))
-    return slopes, sympy.simplify(constant)
+    return slopes, _simple(constant)
+
+
+def _simple(formula: sympy.Expr) -> sympy.Expr:
+    """As `sympy.simplify` has it; a number as it stands needs not load what that looks for."""
+    return formula if formula.is_Number else sympy.simplify(formula)

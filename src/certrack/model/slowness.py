@@ -4,7 +4,10 @@
     |s_k(t) - s_k(t')| <= rate_k |t - t'| + sum_j Delta_rate_kj |x_j(t) - x_j(t')|    between jumps,
 
 and s_k jumps by at most jump_k, with at least `dwell` between two of its jumps. So w_k stays within
-its bound, and what does not know of rates is right as it was.
+its bound, and what does not know of rates is right as it was. Where s_k follows states, and does
+not jump, it may be taken for a function s_k(t, x) of which all this holds at any t and x, and not
+along the motion alone: a hysteresis belongs to the fast part. A w_k that is slow as a whole has
+such parts: shrunk by fast_k towards zero it is as slow, and below its bound by fast_k.
 """
 
 from __future__ import annotations

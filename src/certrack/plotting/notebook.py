@@ -17,7 +17,7 @@ from certrack.certificates import Certificate, Certificates
 from certrack.core.rounding import rounded_up
 from certrack.plotting.main_picture import plot
 from certrack.plotting.shared import style
-from certrack.simulation.metrics import METRIC_LABELS
+from certrack.simulation.labels import metric_labels
 from certrack.simulation.run import Run
 from certrack.studies.ensembles.ensemble import Ensemble
 from certrack.studies.margins import Margins
@@ -65,7 +65,8 @@ def _show_design(result: Design) -> str:
 @html.register
 def _show_run(result: Run) -> str:
     metrics = result.metrics.as_dict()
-    rows: list[Sequence[object]] = [(v, metrics[k]) for k, v in METRIC_LABELS.items()]
+    labels = metric_labels(result.system.plant.units)
+    rows: list[Sequence[object]] = [(v, metrics[k]) for k, v in labels.items()]
     trajectory = result.trajectory
     rows += [
         ("outcome", f"{result.outcome.name} at {trajectory.end:g} s"),
@@ -96,7 +97,7 @@ def _show_certificates(result: Certificates) -> str:
 @html.register
 def _show_ensemble(result: Ensemble) -> str:
     rows = []
-    for name, label in METRIC_LABELS.items():
+    for name, label in metric_labels(result.system.plant.units).items():
         entries = result.statistics.metrics[name].summary()
         rows.append((label, *(entries[quantile] for quantile in SHOWN_QUANTILES)))
     table = _table(("metric", "5 %", "median", "95 %", "largest"), rows)

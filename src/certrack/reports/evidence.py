@@ -18,7 +18,7 @@ from certrack.studies.falsifier.falsify import Falsification, falsify
 from certrack.studies.margins import Margins, margins
 from certrack.systems.system import System
 
-Computed = TypeVar("Computed")
+PartResult = TypeVar("PartResult")
 
 #: Parts that may be left out, since they take time.
 OPTIONAL = ("falsification", "ensemble", "margins")
@@ -80,7 +80,9 @@ def evidence_of(
     refusals: dict[str, str] = {}
     done = 0.0
 
-    def part(name: str, compute: Callable[[], Computed], needed: bool = True) -> Computed | None:
+    def part(
+        name: str, compute: Callable[[], PartResult], needed: bool = True
+    ) -> PartResult | None:
         """What was computed; None where it is left out or refused, which is noted."""
         nonlocal done
         progress(done, 7, None)

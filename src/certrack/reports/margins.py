@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from certrack.core.rounding import printed_bound, rounded_down, rounded_up
 from certrack.reports.runs import limit_text
 from certrack.reports.tables import Table, short_number, table
+from certrack.simulation.labels import unit_of_input
 
 if TYPE_CHECKING:
     from certrack.studies.drift import Drift
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def margin_table(margins: Margins, units: Sequence[str] | None) -> Table:
     """Margins side by side."""
-    unit = units[-1] if units and units[-1] not in ("", "1") else ""
+    unit = unit_of_input(units)
     labels = {
         "longest period [s]": margins.period,
         "longest delay [s]": margins.delay,

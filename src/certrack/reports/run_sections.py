@@ -21,10 +21,10 @@ from certrack.systems.writer import to_text
 def response_section(evidence: DesignEvidence) -> Section:
     """The response from the file's own start."""
     run = evidence.run
-    summary = run.summary()
-    tables = [metrics_table({"run": summary})]
+    summary, units = run.summary(), evidence.system.plant.units
+    tables = [metrics_table({"run": summary}, units)]
     if summary["moves"]:
-        tables.append(moves_table(summary["moves"]))
+        tables.append(moves_table(summary["moves"], units))
     drawing = overview({"": run}, "", certified={"": evidence.certificates})
     return Section(
         key="response",

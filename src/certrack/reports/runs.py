@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from certrack.core.rounding import printed_bound
 from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
-from certrack.simulation.metrics import METRIC_LABELS
+from certrack.simulation.labels import metric_labels, move_labels, unit_of_output, with_unit
 from certrack.simulation.moves import MOVE_LABELS
 
 if TYPE_CHECKING:
     from certrack.studies.ensembles.ensemble import Ensemble
 
 
-def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
+def shared_units(units: Iterable[Sequence[str] | None]) -> Sequence[str] | None:
+    """The units of several systems; None if they differ."""
+    first, *others = units
+    return first if all(other == first for other in others) else None
+
+
+def metrics_table(
+    summaries: Mapping[str, Mapping[str, Any]], units: Sequence[str] | None = None
+) -> Table:
     """Metrics of one or several runs, a column each."""
+    labels = metric_labels(units)
     rows = [
-        [label, *(summary[key] for summary in summaries.values())]
-        for key, label in METRIC_LABELS.items()
+        [label, *(summary[key] for summary in summaries.values())] for key, label in labels.items()
     ]
     rows.append(["outcome", *(summary["outcome"] for summary in summaries.values())])
     rows.append(["integrator", *(summary["integrator"] for summary in summaries.values())])
@@ -29,7 +37,7 @@ def metrics_table(summaries: Mapping[str, Mapping[str, Any]]) -> Table:
 SHOWN_MOVES = 12
 
 
-def moves_table(moves: Sequence[Mapping[str, Any]]) -> Table:
+def moves_table(moves: Sequence[Mapping[str, Any]], units: Sequence[str] | None = None) -> Table:
     """Metrics of each move, a row each; of many the first, and the largest of all."""
     rows = [[move[key] for key in MOVE_LABELS] for move in moves[:SHOWN_MOVES]]
     if len(moves) > SHOWN_MOVES:
@@ -37,13 +45,13 @@ def moves_table(moves: Sequence[Mapping[str, Any]]) -> Table:
             max((m[key] for m in moves if m[key] is not None), default=None) for key in MOVE_LABELS
         ]
         rows.append([f"largest of {len(moves)}", "", "", "", *last[4:]])
-    return table("moves", list(MOVE_LABELS.values()), rows, digits=4)
+    return table("moves", list(move_labels(units).values()), rows, digits=4)
 
 
 def ensemble_table(ensemble: Ensemble) -> Table:
     """Quantiles of every metric."""
     rows = []
-    for key, label in METRIC_LABELS.items():
+    for key, label in metric_labels(ensemble.system.plant.units).items():
         entries = ensemble.statistics.metrics[key].summary()
         shown = [entries[name] for name in ("5%", "50%", "95%", "99%", "max")]
         rows.append([label, *shown, entries["missing"]])
@@ -54,6 +62,7 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
     """Outcomes, violations and the worst member in words."""
     outcomes = ", ".join(f"{n} {name}" for name, n in sorted(ensemble.statistics.outcomes.items()))
     lines = [f"outcomes: {outcomes}", *_replaced_omega(ensemble)]
+    unit = unit_of_output(ensemble.system.plant.units)
     unsettled = ensemble.statistics.metrics["settling_time"].missing
     if unsettled:
         lines.append(f"{unsettled} of {ensemble.members} members are never settled within the band")
@@ -63,7 +72,7 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
     else:
         inside = violations.get("started_inside")
         text = (
-            f"tail error beyond {limit_text(violations['limit'], violations['origin'])}: "
+            f"tail error beyond {limit_text(violations['limit'], violations['origin'], unit)}: "
             f"{violations['count']} of {ensemble.members if inside is None else inside} members"
         )
         if inside is not None:
@@ -77,7 +86,7 @@ def ensemble_notes(ensemble: Ensemble, file: str) -> list[str]:
         lines.append(text)
     value, index = ensemble.statistics.worst[0]
     lines += [
-        f"worst member {index}: tail error {value:.5g}; to replay it:",
+        f"worst member {index}: tail error {with_unit(f'{value:.5g}', unit)}; to replay it:",
         f"  certrack simulate {file} --member {index} --seed {ensemble.seed}",
     ]
     return [*lines, *_corner_lines(ensemble, file)]
@@ -95,7 +104,8 @@ def _corner_lines(ensemble: Ensemble, file: str) -> list[str]:
     values = ", ".join(f"{name} = {v:.5g}" for name, v in corners.constants[worst].items())
     beyond = "" if corners.beyond is None else f", {corners.beyond} beyond the limit"
     counts = f"{corners.lost} of {len(corners.errors)} lost{beyond}"
-    error = f"tail error {corners.errors[worst]:.5g}" if corners.lost == 0 else "lost"
+    size = with_unit(f"{corners.errors[worst]:.5g}", unit_of_output(ensemble.system.plant.units))
+    error = f"tail error {size}" if corners.lost == 0 else "lost"
     return [
         f"corners of plant.ranges, apart from the members: worst {worst} ({values}): {error}; "
         f"{counts}; to replay it:",
@@ -115,8 +125,8 @@ def _replaced_omega(ensemble: Ensemble) -> list[str]:
     ]
 
 
-def limit_text(limit: float, origin: str) -> str:
+def limit_text(limit: float, origin: str, unit: str = "") -> str:
     """A limit of the tail error and its origin; a certified bound is rounded up."""
     certified = "certifi" in origin
     number = printed_bound(limit, BOUND_TEXT_DIGITS) if certified else f"{limit:.5g}"
-    return f"{number} ({origin})"
+    return f"{with_unit(number, unit)} ({origin})"

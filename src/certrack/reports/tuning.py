@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from certrack.core.rounding import printed_bound
 from certrack.core.version import __version__
 from certrack.reports.tables import Table, short_number, table
+from certrack.simulation.labels import labelled, metric_labels, unit_of_input, unit_of_output
 from certrack.tuning.measure import FOUND
 from certrack.tuning.result import tuned_numbers
 
@@ -22,16 +23,17 @@ PERIODS_FOR_COMFORT = 3.0
 
 def tuned_table(result: Tuned, units: Sequence[str] | None) -> Table:
     """Before and after, side by side."""
-    output = f" [{units[0]}]" if units and units[0] not in ("", "1") else ""
+    y, u, labels = unit_of_output(units), unit_of_input(units), metric_labels(units)
     peaks = result.before.peak_is, result.after.peak_is
+    peak_is = FOUND if FOUND in peaks else result.after.peak_is
     entries = [
-        (f"certified error{output}", "certified"),
-        (f"worst error found{output}", "worst_found"),
-        (f"tail error, simulated{output}", "tail_error"),
-        (f"peak input, {FOUND if FOUND in peaks else result.after.peak_is}", "peak_input"),
-        ("input energy", "energy"),
-        ("variation of input", "input_variation"),
-        ("gain from noise to input", "noise"),
+        (labelled("certified error", y), "certified"),
+        (labelled("worst error found", y), "worst_found"),
+        (labelled("tail error, simulated", y), "tail_error"),
+        (labelled(f"peak input, {peak_is}", u), "peak_input"),
+        (labels["input_energy"], "energy"),
+        (labels["input_variation"], "input_variation"),
+        (labelled("gain from noise to input", f"{u} per unit of the states" if u else ""), "noise"),
         ("longest stable period [s]", "period"),
     ]
     rows = [
@@ -51,7 +53,7 @@ def tuned_notes(result: Tuned) -> list[str]:
     gains = tuned_numbers(result.system)
     lines = [f"law: {law.kind}, feedforward = {law.feedforward}"]
     lines += [f"  {name} = {_numbers(value)}" for name, value in gains.items()]
-    lines.append(f"limits: {', '.join(dict.fromkeys(result.limits)) or 'none'}")
+    lines.append(f"limits: {', '.join(result.limits) or 'none'}")
     lines += price_lines(result)
     per_start = ", ".join(map(str, result.programs_per_start))
     lines.append(
@@ -67,20 +69,16 @@ def price_lines(result: Tuned) -> list[str]:
     """The active limits, each with what a tenth more of it buys."""
     what = {"error": "error", "peak": "peak input", "energy": "energy", "period": "longer period"}
     name = what[result.objective]
-    prices: dict[str, float] = {}
-    lines: dict[str, str] = {}
-    for active in result.active:  # corners have a limit each: one price
-        sign = -1 if result.objective == "period" else 1
-        remaining = (1 - sign * prices.get(active.limit, 0.0)) * (1 - sign * active.price)
-        prices[active.limit] = sign * (1 - remaining)
+    lines = []
+    for active in result.active:
         shorter = active.limit in ("period", "delay margin")
         ease = f"10 % {'shorter' if shorter else 'more'} {active.limit}"
-        share = 100 * abs(prices[active.limit])
-        lines[active.limit] = (
+        share = 100 * abs(active.price)
+        lines.append(
             f"active: {active.limit} {active.value:.5g}: {ease} "
             f"buys {share:.2g} % {name} at the margin"
         )
-    return list(lines.values()) or ["no limit is active"]
+    return lines or ["no limit is active"]
 
 
 def _front_lines(result: Tuned) -> list[str]:
@@ -116,7 +114,7 @@ def remarks(result: Tuned, file: str) -> list[str]:
     certified = printed_bound(result.after.certified, 5)
     return [
         f"tuned by certrack {__version__} from {file}: {result.objective} optimised within",
-        *(f"  {limit}" for limit in dict.fromkeys(result.limits)),
+        *(f"  {limit}" for limit in result.limits),
         f"seed {result.seed}, {result.programs} programs; limsup |e_1| certified {certified} "
         f"({printed_bound(result.before.certified, 5)} before)",
         *price_lines(result),

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import sympy
 
+from certrack.core.branches import may_branch
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
 from certrack.core.heyoka import has_heyoka
@@ -73,7 +74,9 @@ class ContinuousSimulator:
         self.loop: ClosedLoop = close_loop(system)
         self._switched, self._switches = switched_loop(self.loop)
         self._idle: dict[tuple[str, float], list[Integrator]] = {}
-        self._has_kinks = any(rate.has(*UNSEEN_KINKS) for rate in self._switched.rates)
+        rates = self._switched.rates
+        self._has_kinks = any(may_branch(rate, UNSEEN_KINKS) for rate in rates)
+        self._branches = any(may_branch(rate, BRANCHING_FUNCTIONS) for rate in rates)
         self._parameters = parameter_values(self.loop, system)
         loop = self._switched
         arguments, u = [TIME, loop.states, loop.parameters], loop.u
@@ -144,9 +147,9 @@ class ContinuousSimulator:
             return "implicit", [
                 f"The design is stiff (fastest error pole {fastest:.3g} /s): implicit method used."
             ]
-        if any(rate.has(*BRANCHING_FUNCTIONS) for rate in self._switched.rates):
+        if self._branches:
             return "scipy", [
-                "asin, acos, atan2, tan have branch points unseen by Taylor steps: SciPy."
+                "asin, acos, atan2, tan may have branch points unseen by Taylor steps: SciPy."
             ]
         if not has_heyoka():
             warnings.warn(

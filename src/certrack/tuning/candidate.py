@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -10,6 +12,8 @@ from certrack.laws.backstepping import ErrorCoordinates
 from certrack.laws.base import Law
 from certrack.systems.system import System
 from certrack.tuning.families import Family
+
+Computed = TypeVar("Computed")
 
 #: Step of the differences of problem data and of cheap quantities, in logarithms of gains.
 DIFFERENCE = 1e-5
@@ -29,6 +33,14 @@ class Candidate:
 
     def __init__(self, family: Family, base: System, v: np.ndarray) -> None:
         self.family, self.base, self.v = family, base, np.array(v, dtype=float)
+        self._known: dict[Any, Any] = {}
+
+    def once(self, key: Any, compute: Callable[[], Computed]) -> Computed:
+        """What `compute` gives, which is asked for a key once."""
+        if key not in self._known:
+            self._known[key] = compute()
+        known: Computed = self._known[key]
+        return known
 
     @cached_property
     def law(self) -> Law:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from certrack.certificates.certify import certify
 from certrack.certificates.implemented.certify import KIND
 from certrack.core.errors import InputError
 from certrack.loops.stability import linear_loop
@@ -19,6 +18,7 @@ from certrack.studies.ensembles.ensemble import ensemble
 from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.certified import certified
 from certrack.tuning.companion import companion, is_memoryless
 from certrack.tuning.quantities import NoiseGain
 from certrack.tuning.responses import Grid
@@ -81,8 +81,7 @@ class Measured:
 
 def figures_of(system: System, box: np.ndarray | None, seed: int) -> Measured:
     """The figures of a system."""
-    result = certify(system, "fast")
-    best = result.best
+    best = certified(system)
     metrics = simulate(system).metrics
     candidate = _Fixed(system)
     return Measured(
@@ -118,7 +117,7 @@ class _Fixed(Candidate):
     """A system as it stands, as a candidate: its damping counts, too."""
 
     def __init__(self, system: System) -> None:
-        self.base, self.v = system, np.zeros(0)
+        self.base, self.v, self._known = system, np.zeros(0), {}
         self.__dict__ |= {"law": system.law, "design": system.controller.coordinates}
         self.__dict__ |= {"system": system}
 
@@ -148,7 +147,7 @@ def box_peak(system: System, box: np.ndarray, seed: int) -> float:
 def _falsified(system: System, seed: int, as_implemented: bool) -> float | None:
     """Of the loop that is certified: the continuous one, or that of the drive."""
     try:
-        attack = falsify(system, budget=FALSIFIED_RUNS, seed=seed)
+        attack = falsify(system, budget=FALSIFIED_RUNS, seed=seed, effort="fast")
     except InputError:
         return None  # a truth with states of its own, or names that the search needs
     if as_implemented:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from certrack.certificates.certify import certify
 from certrack.certificates.scope import has_ranges
 from certrack.core import checks
 from certrack.core.errors import InputError
@@ -17,6 +16,7 @@ from certrack.loops.stability import LinearLoop, linear_loop
 from certrack.model.implementation import Implementation
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
+from certrack.tuning.certified import certified
 from certrack.tuning.companion import is_memoryless
 from certrack.tuning.families import AdaptiveFamily, Family
 from certrack.tuning.implemented import DrivePeak, ImplementedError
@@ -30,7 +30,7 @@ from certrack.tuning.quantities import (
 )
 from certrack.tuning.ranged import RangedError
 from certrack.tuning.registry import tuning_family
-from certrack.tuning.responses import BoxPeak, Grid, LinearEnergy, StartPeak
+from certrack.tuning.responses import BoxResponse, Grid, LinearEnergy, PartPeak, StartPeak
 from certrack.tuning.runs import (
     MOST_CORNERS,
     TRANSIENT_PART,
@@ -204,7 +204,7 @@ class TuningProblem:
     def _error_limit(self) -> Limit:
         if self.wanted.error is not None:
             return Limit(self.error, self.wanted.error, option="--error")
-        best = certify(self.system, "fast").best
+        best = certified(self.system)
         if not best.verified:
             raise InputError(
                 "error",
@@ -222,7 +222,8 @@ class TuningProblem:
                 remedy="State ensemble.x0, or give --box, such as --box -1:1,-2:2",
             )
         if self._linear is not None:
-            return [BoxPeak(self._linear, Grid.of(self.base), self.box)]
+            response = BoxResponse(self._linear, Grid.of(self.base), self.box)
+            return PartPeak.every(response, self.first)
         duration = TRANSIENT_PART * self.base.settings.duration
         first = self.first
         quantities = [
@@ -238,7 +239,8 @@ class TuningProblem:
         if drive is None or drive.saturation is None or self._linear is None:
             return []
         x0 = np.array(self.base.settings.x0)
-        quantity = StartPeak(self._linear, Grid.of(self.base), np.stack([x0, x0], axis=1))
+        box = np.stack([x0, x0], axis=1)
+        quantity = StartPeak(BoxResponse(self._linear, Grid.of(self.base), box))
         if isinstance(self.error, ImplementedError):
             return [Limit(DrivePeak(quantity, self.error), self._least_limit)]
         return [Limit(quantity, SATURATION_SHARE * self._least_limit)]

@@ -59,11 +59,15 @@ def logarithm(value: float) -> float:
 
 def log_of(quantity: Quantity, candidate: Candidate) -> float:
     """log of a quantity; :data:`NO_VALUE` where gains are so extreme that nothing is computed."""
-    try:
-        with np.errstate(all="ignore"):
-            return logarithm(quantity.value(candidate))
-    except BEYOND_FLOATS:
-        return NO_VALUE
+
+    def value() -> float:
+        try:
+            with np.errstate(all="ignore"):
+                return logarithm(quantity.value(candidate))
+        except BEYOND_FLOATS:
+            return NO_VALUE
+
+    return candidate.once((quantity, "log"), value)
 
 
 def slope_of(quantity: Quantity, candidate: Candidate) -> np.ndarray:
@@ -98,8 +102,7 @@ class PeakGainError(Quantity):
         slopes = []
         for above, below in candidate.neighbours:
             high, low = (self._loop.with_design(point.design) for point in (above, below))
-            change = (estimate.gradient.M * (high.M - low.M)).sum()
-            change += (estimate.gradient.Uy * (high.Uy - low.Uy)).sum()
+            change = estimate.gradient.along(high, low)
             slopes.append(change / (2 * DIFFERENCE * estimate.bound))
         return np.array(slopes)
 

@@ -7,17 +7,14 @@ with cells; it is computed once, of the result.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.estimates.loop_data import in_plant_coordinates
 from certrack.certificates.estimates.peak_gains import peak_estimate
+from certrack.certificates.estimates.ranged_loop import CornerLoop, corner_loops
 from certrack.certificates.ranges.certify import range_prover
 from certrack.laws.base import Law
 from certrack.systems.system import System
-from certrack.tuning.candidate import Candidate
+from certrack.tuning.candidate import DIFFERENCE, Candidate
 from certrack.tuning.quantities import Quantity
 
 
@@ -34,30 +31,30 @@ class RangedError(Quantity):
 
     def __init__(self, system: System) -> None:
         self.programs = 0
-        self._errors: dict[Law, float] = {}
-        prover = range_prover(system)
-        prover.problems(prover.box)
+        self._corners = corner_loops(range_prover(system).loop)
+        self._worst: dict[Law, tuple[float, CornerLoop]] = {}
 
     def value(self, candidate: Candidate) -> float:
-        if candidate.law not in self._errors:
-            self.programs += 1
-            self._errors[candidate.law] = self._error(candidate.system)
-        return self._errors[candidate.law]
+        return self._worst_corner(candidate)[0]
 
     def log_gradient(self, candidate: Candidate) -> np.ndarray:
-        before = self.programs
-        gradient = super().log_gradient(candidate)
-        self.programs = before  # an evaluation is one with its gradient
-        return gradient
-
-    def _error(self, system: System) -> float:
-        try:
-            prover = range_prover(system)
-            problems = [problem.in_floats() for problem in prover.problems(prover.box)]
-        except NoCertificate:
-            return math.inf
-        bounds = [
-            peak_estimate(in_plant_coordinates(problem), gradient=False).bound
-            for problem in problems
+        bound, corner = self._worst_corner(candidate)
+        gradient = peak_estimate(corner.with_design(candidate.design)).gradient
+        if gradient is None:
+            return np.zeros(len(candidate.v))
+        changes = [
+            gradient.along(corner.with_design(above.design), corner.with_design(below.design))
+            for above, below in candidate.neighbours
         ]
-        return max(bounds)
+        return np.array(changes) / (2 * DIFFERENCE * bound)
+
+    def _worst_corner(self, candidate: Candidate) -> tuple[float, CornerLoop]:
+        if candidate.law not in self._worst:
+            self.programs += 1
+            bounds = [
+                peak_estimate(corner.with_design(candidate.design), gradient=False).bound
+                for corner in self._corners
+            ]
+            worst = int(np.argmax(bounds))
+            self._worst[candidate.law] = bounds[worst], self._corners[worst]
+        return self._worst[candidate.law]

@@ -73,7 +73,20 @@ class InputResponse:
     @property
     def peak(self) -> float:
         """sup |u| over time and the box."""
-        return float(max((np.abs(u) + s).max() for u, s in zip(self.u, self.spread, strict=True)))
+        return max(self.peaks)
+
+    @property
+    def peaks(self) -> list[float]:
+        """sup u and sup -u at the start alone, then after it in each stretch.
+
+        The largest of them has a kink where one becomes larger than another; each of them is
+        mostly smooth.
+        """
+        parts = []
+        for u, spread in zip(self.u, self.spread, strict=True):
+            for values in (spread + u, spread - u):
+                parts += [values[:1], values[1:]] if u is self.u[0] else [values]
+        return [float(values.max()) for values in parts if values.size]
 
     @property
     def energy(self) -> float:
@@ -173,18 +186,49 @@ def power_rows(E: np.ndarray, row: np.ndarray, count: int) -> np.ndarray:
     return rows[:count]
 
 
+@dataclass(frozen=True, eq=False)
+class BoxResponse:
+    """The input from a box of starts, computed once for each candidate."""
+
+    plant: InputPlant
+    grid: Grid
+    box: np.ndarray
+
+    def of(self, candidate: Candidate) -> InputResponse:
+        """The response of a candidate."""
+        box = self.box
+        centre, radius = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
+        return candidate.once(
+            self, lambda: self.plant.response(candidate, self.grid, centre, radius)
+        )
+
+
 class BoxPeak(Quantity):
     """The largest |u| over time and the box of starts, of a linear loop."""
 
     name = "peak input"
 
-    def __init__(self, plant: InputPlant, grid: Grid, box: np.ndarray) -> None:
-        self._plant, self._grid = plant, grid
-        self._centre, self._radius = box.mean(axis=1), (box[:, 1] - box[:, 0]) / 2
+    def __init__(self, response: BoxResponse) -> None:
+        self._response = response
 
     def value(self, candidate: Candidate) -> float:
-        response = self._plant.response(candidate, self._grid, self._centre, self._radius)
-        return response.peak
+        return self._response.of(candidate).peak
+
+
+class PartPeak(BoxPeak):
+    """The same of one sign and in one stretch of time: one of `InputResponse.peaks`."""
+
+    def __init__(self, response: BoxResponse, place: int) -> None:
+        super().__init__(response)
+        self._place = place
+
+    @classmethod
+    def every(cls, response: BoxResponse, candidate: Candidate) -> list[Quantity]:
+        """All of them."""
+        return [cls(response, place) for place in range(len(response.of(candidate).peaks))]
+
+    def value(self, candidate: Candidate) -> float:
+        return self._response.of(candidate).peaks[self._place]
 
 
 class StartPeak(BoxPeak):
@@ -199,8 +243,7 @@ class LinearEnergy(Quantity):
     name = "energy"
 
     def __init__(self, plant: InputPlant, grid: Grid, x0: np.ndarray) -> None:
-        self._plant, self._grid, self._x0 = plant, grid, x0
+        self._response = BoxResponse(plant, grid, np.stack([x0, x0], axis=1))
 
     def value(self, candidate: Candidate) -> float:
-        still = np.zeros_like(self._x0)
-        return self._plant.response(candidate, self._grid, self._x0, still).energy
+        return self._response.of(candidate).energy

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import minimize, nnls
 
+from certrack.core.progress import AT_ONCE
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
 from certrack.tuning.families import Family
@@ -40,8 +41,8 @@ class SearchState:
         The one that exceeds its limits least.
     excess : float
         By how much, in logarithms.
-    stopped : bool
-        Whether the user ended the search.
+    stopped, hurried : bool
+        Whether the user ended the search, and whether nothing more is to be computed.
     """
 
     best: Candidate | None = None
@@ -49,7 +50,13 @@ class SearchState:
     nearest: Candidate | None = None
     excess: float = math.inf
     stopped: bool = False
+    hurried: bool = False
     programs_per_start: list[int] = field(default_factory=list)
+
+    def ended_by(self, signal: BaseException) -> None:
+        """Note that the user ended it, and in which way."""
+        self.stopped = True
+        self.hurried = self.hurried or AT_ONCE in signal.args
 
 
 class GainSearch:
@@ -163,7 +170,7 @@ class Price:
 
 
 def prices(task: Task, candidate: Candidate) -> list[Price]:
-    """The active limits of a solution, with their multipliers.
+    """The active limits of a solution, with their multipliers; those of one name are one.
 
     At the optimum grad log f + sum_i m_i grad log g_i = 0 with m_i >= 0: m_i by least squares.
     """
@@ -173,7 +180,11 @@ def prices(task: Task, candidate: Candidate) -> list[Price]:
     slopes = np.array([limit.gradient(candidate) for limit in active])
     wanted = -task.sign * slope_of(task.objective, candidate)
     multipliers, _ = nnls(slopes.T, wanted)
-    return [
-        Price(limit, limit.quantity.value(candidate), float(m))
-        for limit, m in zip(active, multipliers, strict=True)
-    ]
+    together: dict[str, Price] = {}
+    for limit, m in zip(active, multipliers, strict=True):
+        value, sum_of_them = limit.quantity.value(candidate), float(m)
+        if (other := together.get(limit.name)) is not None:
+            value = min(value, other.value) if limit.at_least else max(value, other.value)
+            sum_of_them += other.exponent
+        together[limit.name] = Price(limit, value, sum_of_them)
+    return list(together.values())

@@ -95,7 +95,8 @@ def tune(
         Name of a limit to sweep: ``period``, ``peak-input``, ``energy``, ``noise`` or ``error``.
     progress : callable
         Gets the starts done, their number and the best objective so far. KeyboardInterrupt, and
-        :class:`~certrack.core.errors.Cancelled`, end the search and keep the best.
+        :class:`~certrack.core.errors.Cancelled`, end the search and keep the best; with the
+        argument :data:`~certrack.core.progress.AT_ONCE` nothing is measured either.
 
     Returns
     -------
@@ -146,14 +147,14 @@ def tune(
             best, used = refined, stage
         elif not search.state.stopped:
             notes.append("the loop as implemented has no certificate; tuned is the continuous")
-    task = used.problem.task
+    task, hurried = used.problem.task, search.state.hurried
     active = tuple(
         ActiveLimit(price.limit.name, price.limit.value, price.gain(EASED, task.sign))
-        for price in prices(task, best)
+        for price in ([] if hurried else prices(task, best))
     )
     programs = first.problem.error.programs
     curve: Front | None = None
-    if front is not None:
+    if front is not None and not hurried:
         curve = sweep(used.problem, used.family, best, front, progress)
     finished = with_law_of(system, last.written(best.v))
     starts_box = first.problem.box
@@ -164,7 +165,7 @@ def tune(
         objective=objective,
         before=before,
         after=after,
-        limits=tuple(limit.describe() for limit in task.limits),
+        limits=tuple(dict.fromkeys(limit.describe() for limit in task.limits)),
         active=active,
         programs=programs,
         programs_per_start=tuple(search.state.programs_per_start),
@@ -178,10 +179,12 @@ def tune(
 
 def _figures(system: System, box: np.ndarray | None, seed: int, search: GainSearch) -> Measured:
     """The figures of a system; none where the user ends that, who then has the design at least."""
+    if search.state.hurried:
+        return UNMEASURED
     try:
         return figures_of(system, box, seed)
-    except (KeyboardInterrupt, Cancelled):
-        search.state.stopped = True
+    except (KeyboardInterrupt, Cancelled) as signal:
+        search.state.ended_by(signal)
         return UNMEASURED
 
 
@@ -199,8 +202,8 @@ def _refined(
     try:
         refinement.run(stage.family, stage.family.start)
         refinement.run(stage.family, stage.beside(best.v))
-    except (KeyboardInterrupt, Cancelled):
-        search.state.stopped = True
+    except (KeyboardInterrupt, Cancelled) as signal:
+        search.state.ended_by(signal)
     return refinement.state.best
 
 
@@ -222,10 +225,10 @@ def _searched(stage: GainStage, count: int, seed: int, progress: Progress) -> Ga
             search.state.programs_per_start.append(problem.error.programs - before)
             done += 1
         progress(done, count, best_of(search.state.score))
-    except (KeyboardInterrupt, Cancelled):
+    except (KeyboardInterrupt, Cancelled) as signal:
         if search.state.best is None:
             raise
-        search.state.stopped = True
+        search.state.ended_by(signal)
     return search
 
 

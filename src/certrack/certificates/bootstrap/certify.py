@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.assumptions import assumptions
-from certrack.certificates.bootstrap.check import claimed_bound
+from certrack.certificates.bootstrap.check import bounds_error, claimed_bound
 from certrack.certificates.bootstrap.proof import BootstrapStage
 from certrack.certificates.bootstrap.search import bootstrap
 from certrack.certificates.certificate import (
@@ -50,12 +50,24 @@ def certify_bootstrap(
                 raise NoCertificate("takes more time: --effort default")
             first = first or _first_proof(exact)
             solution = bootstrap(system, exact, first, effort)
+            if not bounds_error(solution.stages):
+                raise NoCertificate(_why_no_smaller(exact.n))
             bound = float_up(from_text(claimed_bound(solution.stages)))
     except NoCertificate as refusal:
         return missing("bootstrap", str(refusal)), ()
     rests_on = tuple(assumptions(system))
     certificate = Certificate("bootstrap", bound, verified=True, assumptions=rests_on)
     return certificate, (first, *solution.stages)
+
+
+def _why_no_smaller(n: int) -> str:
+    """What to do where the stages say nothing new of e_1."""
+    if n == 1:  # the first proof is of e_1
+        return "no tighter here than semidefinite, which bounds e_1 already: take that one"
+    return (
+        "its stages do not bound e_1 on both sides: take another certificate, or lower tau, "
+        "raise c or the leaks, narrow the ranges"
+    )
 
 
 def _first_proof(exact: ErrorProblem) -> Proof:

@@ -49,6 +49,17 @@ def _failed_stage(
     return ""
 
 
+def bounds_error(stages: Sequence[BootstrapStage]) -> bool:
+    """Whether the stages bound e_1 on both sides."""
+    return all(_error_claims(stages, side) for side in (1, -1))
+
+
+def _error_claims(stages: Sequence[BootstrapStage], side: int) -> list[str]:
+    """The texts of all bounds of e_1 on one side."""
+    claims = [c for stage in stages for f in stage.functions for c in f.claims if c.error == 0]
+    return [c.bound for c in claims if c.side == side]
+
+
 def claimed_bound(stages: Sequence[BootstrapStage]) -> str:
     """The text of the bound on limsup |e_1| that the stages claim: the worse of its two sides.
 
@@ -57,8 +68,7 @@ def claimed_bound(stages: Sequence[BootstrapStage]) -> str:
     NoCertificate
         If they do not bound e_1 on both sides.
     """
-    claims = [c for stage in stages for f in stage.functions for c in f.claims if c.error == 0]
-    sides = [[c.bound for c in claims if c.side == side] for side in (1, -1)]
+    sides = [_error_claims(stages, side) for side in (1, -1)]
     if not all(sides):
         raise NoCertificate("no stage bounds e_1 on both sides")
     return max((min(texts, key=from_text) for texts in sides), key=from_text)

@@ -34,6 +34,11 @@ class DataGradient:
     M: np.ndarray
     Uy: np.ndarray
 
+    def along(self, above: ErrorProblem, below: ErrorProblem) -> float:
+        """What the number changes by from one problem to another beside it."""
+        change = (self.M * (above.M - below.M)).sum() + (self.Uy * (above.Uy - below.Uy)).sum()
+        return float(change)
+
 
 def in_plant_coordinates(problem: ErrorProblem) -> ErrorProblem:
     """The problem of a law without estimates, in the coordinates xi of the module's text.

@@ -17,6 +17,7 @@ from certrack.certificates.arithmetic import exact_float, rational
 from certrack.certificates.balls import enclosing_ball
 from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
+from certrack.core.memo import remembered
 from certrack.loops.controller import PERIOD
 from certrack.loops.linear_controller import linear_controller
 from certrack.loops.observers import INPUT_BEFORE, observer_values
@@ -47,8 +48,8 @@ def controller_matrices(
     known = set(values)
 
     def slopes(rows: Sequence[sympy.Expr], by: Sequence[sympy.Symbol]) -> flint.arb_mat:
-        entries = [sympy.diff(row, v) for row in rows for v in by]
-        if any(entry.free_symbols - known for entry in entries):
+        entries, names = _derivatives(tuple(rows), tuple(by))
+        if names - known:
             raise NoCertificate("only loops that are linear are covered as implemented")
         balls = [enclosing_ball(entry, values) for entry in entries]
         return flint.arb_mat(len(rows), len(by), balls)
@@ -63,6 +64,18 @@ def controller_matrices(
         "first": slopes(linear.presets, s.x),
         "first_input": slopes(linear.presets, [INPUT_BEFORE]),
     }
+
+
+@remembered
+def _derivatives(
+    rows: tuple[sympy.Expr, ...], by: tuple[sympy.Symbol, ...]
+) -> tuple[tuple[sympy.Expr, ...], frozenset[sympy.Basic]]:
+    """Derivatives of every row by every symbol, and what is left in them.
+
+    The numbers of a law are symbols in its formulas: laws of one structure have the same.
+    """
+    entries = tuple(sympy.diff(row, v) for row in rows for v in by)
+    return entries, frozenset().union(*(entry.free_symbols for entry in entries))
 
 
 def _numbers(system: System, implementation: Implementation) -> Mapping[sympy.Symbol, Any]:

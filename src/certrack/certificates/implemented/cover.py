@@ -16,12 +16,12 @@ import flint
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.implemented.drive import DRIVE_BITS
-from certrack.certificates.implemented.period import one_period
+from certrack.certificates.implemented.period import Period, one_period
 from certrack.certificates.implemented.proof import (
     ImplementedProof,
     cells_of,
+    periods_needed,
     prove_implemented,
-    work_of,
 )
 from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.ranges.boxes import names
@@ -93,10 +93,24 @@ def cells_allowed(plant: RangedPlant, delay: Any, effort: str) -> int:
     drive = plant.drive(plant.box, delay)
     with flint.ctx.workprec(DRIVE_BITS):
         try:
-            work = work_of(one_period(drive, cells_of(drive)))
+            work = _work_of(one_period(drive, cells_of(drive)))
         except NoCertificate:  # not stable in the middle of all ranges
             return MOST_SAMPLED_CELLS[effort]
     return max(1, min(MOST_SAMPLED_CELLS[effort], int(MOST_WORK[effort] / work)))
+
+
+def _work_of(period: Period) -> float:
+    """About how many numbers the tables of a proof go through.
+
+    Raises
+    ------
+    NoCertificate
+        If the loop is unstable, or too slow.
+    """
+    drive, cells = period.drive, len(period.cells)
+    rows = 3 * cells * (drive.sized + 2) + period.size
+    columns = (cells + 1) * (period.W.ncols() + 1) + 2 * (drive.q + 1) * cells * (drive.q + 3)
+    return float(2 ** periods_needed(period) * rows * (columns + 2 * period.size))
 
 
 def _size(proven: Proven) -> float:

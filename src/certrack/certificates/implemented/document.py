@@ -17,7 +17,7 @@ from certrack.core.errors import InputError
 PROOF_KEYS = tuple(entry.name for entry in fields(ImplementedProof))
 
 #: Those that a file without ranges, without jitter, or without rates need not have.
-OPTIONAL_KEYS = {"cell", "rates", "slow"}
+OPTIONAL_KEYS = {"cell", "rates", "slow", "split"}
 
 #: Keys of what is proven of a set of starts.
 START_KEYS = tuple(entry.name for entry in fields(StartProof))
@@ -43,7 +43,7 @@ def is_implemented(body: Any) -> bool:
 
 
 def record_of(stage: Any) -> dict[str, Any]:
-    """The numbers of a stage of any proof; of a sampled loop no empty cell, rates and slow."""
+    """The numbers of a stage of any proof; of a sampled loop no empty ones that are optional."""
     record = asdict(stage)
     if isinstance(stage, ImplementedProof):
         for name in OPTIONAL_KEYS:
@@ -71,7 +71,10 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
     if not set(PROOF_KEYS) - OPTIONAL_KEYS <= set(entry) <= set(PROOF_KEYS):
         raise InputError("proof", f"must have {', '.join(PROOF_KEYS)}")
     try:
-        listed = (*_as_tuple(entry["states"]), *_as_tuple(entry.get("rates", ())))
+        split = tuple(map(_as_tuple, _as_tuple(entry.get("split", ()))))
+        listed = [*_as_tuple(entry["states"]), *_as_tuple(entry.get("rates", ()))]
+        for part in split:
+            listed += part
         for text in (entry["input"], entry["step"], entry["bound"], *listed):
             from_text(text)
         delay = entry["delay"]
@@ -97,6 +100,7 @@ def _delay_proof(entry: dict[str, Any]) -> ImplementedProof:
         "starts": tuple(map(_start_proof, starts)),
         "cell": cell,
         "slow": slow,
+        "split": split,
     }
     return ImplementedProof(**(entry | lists))
 

@@ -126,13 +126,28 @@ class OutputBounds:
         NoCertificate
             If one of them is not finite.
         """
-        values = self.constant + self.x @ np.array(X, dtype=object) + self.u * U
-        for j, bound in enumerate(self.drive.uncertain):
-            values = values + self.w[:, j] * uncertain_size(bound, X)
+        sizes = [uncertain_size(bound, X) for bound in self.drive.uncertain]
+        return self.largest(self.values(self.constant, sizes, X, U), range(self.drive.sized + 3))
+
+    def values(self, constant: np.ndarray, sizes: Sequence[Any], X: Sequence[Any], U: Any) -> Any:
+        """Bounds of all rows, where |w| <= sizes, |x| <= X, |u| <= U and the rest is `constant`."""
+        values = constant + self.x @ np.array(X, dtype=object) + self.u * U
+        for j, size in enumerate(sizes):
+            values = values + self.w[:, j] * size
+        return values
+
+    def largest(self, values: np.ndarray, outputs: Sequence[int]) -> list[Any]:
+        """The upper bounds of outputs, as exact balls, from those of their rows.
+
+        Raises
+        ------
+        NoCertificate
+            If a row's is not finite.
+        """
         if not all(value.is_finite() for value in values):
             raise NoCertificate("a gain of the sampled loop leaves the range of floating point")
-        count = self.drive.sized + 3
-        return [max(flint.arb(v.upper()) for v in values[self.outputs == k]) for k in range(count)]
+        chosen = (values[self.outputs == k] for k in outputs)
+        return [max(flint.arb(v.upper()) for v in entries) for entries in chosen]
 
     def search(self) -> tuple[list[float], float]:
         """X and U that are probably above F(X, U): the fixed point, widened.

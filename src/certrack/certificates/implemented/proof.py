@@ -89,6 +89,9 @@ class ImplementedProof:
         channels' bounds stand behind the states' then.
     slow : one z for each uncertain term with a rate
         Where rates make the bound smaller: see :mod:`certrack.certificates.implemented.slow`.
+    split : two lists of n + 1 texts
+        Where that needs them, bounds of the states and the input without and by the sensors'
+        errors: see :mod:`certrack.certificates.implemented.superposition`.
     """
 
     delay: str
@@ -102,6 +105,7 @@ class ImplementedProof:
     rates: tuple[str, ...] = ()
     cell: tuple[tuple[str, str], ...] = ()
     slow: tuple[StepFunction, ...] = ()
+    split: tuple[tuple[str, ...], ...] = ()
 
 
 def delays(system: System) -> tuple[Any, ...]:
@@ -156,14 +160,14 @@ def prove_implemented(
         if reason := _not_above(bounds, image, proof):
             raise NoCertificate(reason)
         parts = bounds.parts(X, U)
-        slow: tuple[StepFunction, ...] = ()
-        smaller = image[0]
         if not cell:
-            slow, smaller = by_rates(period, bounds, proof.doublings, _claimed(proof), image[0])
-        if slow:
-            parts |= {RATES_PART: float(smaller) - float(image[0])}
-        bound, step = (_text_above(value) for value in (smaller, image[-1]))
-    return replace(proof, bound=bound, step=step, slow=slow), parts
+            rated = by_rates(period, bounds, doublings, _claimed(proof), image[0])
+            proof = replace(proof, slow=rated.slow, split=rated.split)
+        if proof.slow:
+            parts |= {RATES_PART: float(rated.bound) - float(image[0])}
+            image[0] = rated.bound
+        bound, step = (_text_above(value) for value in (image[0], image[-1]))
+    return replace(proof, bound=bound, step=step), parts
 
 
 def refuse_in_cells(system: System, cell: Sequence[Any]) -> None:
@@ -290,15 +294,16 @@ def failed_implemented(
         with flint.ctx.workprec(DRIVE_BITS):
             period = one_period(drive, proof.parts)
             bounds = _bounds(period, proof.doublings)
-            if drive.jitter and not proof.slow:
+            if drive.jitter and not (proof.slow or proof.split):
                 return _failed_with_jitter(period, bounds, proof)
             if is_regional(system) and not proof.starts:
                 return "the bound is not for every start, and nothing is said of one"
             image = _image(bounds, proof)
-            if proof.slow:
+            if proof.slow or proof.split:
                 if proof.cell or not slow_columns(drive):
                     return "the proof uses rates where there are none"
-                terms = SlowTerms.of(period, bounds, proof.doublings, *_claimed(proof))
+                claimed = _claimed(proof)
+                terms = SlowTerms.of(period, bounds, proof.doublings, *claimed, proof.split)
                 image[0] = terms.bound(proof.slow)
             return _not_proven(bounds, image, proof)
     except NoCertificate as refusal:
@@ -349,20 +354,6 @@ def periods_needed(period: Period, left: float = LEFT) -> int:
             "raise c, or sample less often"
         )
     return doublings
-
-
-def work_of(period: Period) -> float:
-    """About how many numbers the tables of a proof go through.
-
-    Raises
-    ------
-    NoCertificate
-        If the loop is unstable, or too slow.
-    """
-    drive, cells = period.drive, len(period.cells)
-    rows = 3 * cells * (drive.sized + 2) + period.size
-    columns = (cells + 1) * (period.W.ncols() + 1) + 2 * (drive.q + 1) * cells * (drive.q + 3)
-    return float(2 ** periods_needed(period) * rows * (columns + 2 * period.size))
 
 
 def _bounds(period: Period, doublings: int) -> OutputBounds:

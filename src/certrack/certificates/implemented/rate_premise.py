@@ -28,29 +28,37 @@ def rate_premises(system: System, proofs: Sequence[ImplementedProof]) -> Iterato
         return
     u, terms = system.plant.uncertainty, {term.k: term for term in uncertain_terms(system)}
     points = random_points(system.plant.n, system.settings.duration, SEED)
+    split = any(proof.split for proof in proofs)
     for k, strength in enumerate(u.tau):
         slowness = u.slowness(k)
         if strength and u.acts(k) and slowness is not None:
-            yield _Rate(system, k, slowness).premise(terms.get(k), points)
+            of_states = split and any(slowness.by_states) and not slowness.jump
+            yield _Rate(system, k, slowness, of_states).premise(terms.get(k), points)
 
 
 @dataclass(frozen=True)
 class _Rate:
-    """What is said of one w_k, from 0."""
+    """What is said of one w_k, from 0; and whether a proof needs it to be a function of x."""
 
     system: System
     k: int
     slowness: Slowness
+    of_states: bool
 
     @property
     def stated(self) -> str:
         """In words."""
         s, states = self.slowness, self.system.plant.states
         by_states = [f"{c:g} |d{x}|" for c, x in zip(s.by_states, states, strict=True) if c]
-        text = f"w_{self.k + 1} changes by at most {' + '.join([f'{s.rate:g} dt', *by_states])}"
+        what = "is a function of t and x, without hysteresis, that " if self.of_states else ""
+        most = " + ".join([f"{s.rate:g} dt", *by_states])
+        text = f"w_{self.k + 1} {what}changes by at most {most}"
         if s.jump:
             text += f", but for jumps of at most {s.jump:g}, at least {s.dwell:g} s apart"
-        return text + (f", and a part of at most {s.fast:g} of any speed" if s.fast else "")
+        if not s.fast:
+            return text
+        less = f", without which w_{self.k + 1} stays so much below its bound" * self.of_states
+        return f"{text}, and a part of at most {s.fast:g} of any speed{less}"
 
     def premise(self, term: UncertainTerm | None, points: Points) -> Premise:
         """The premise; no term where the truth has states of its own."""

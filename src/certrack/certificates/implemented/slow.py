@@ -18,12 +18,13 @@ In a cell |g - z| has the integral of the line between the ends and h^3/12 sup|g
 and is at most h^2/8 sup|g''| above its ends; g'' = k' is at most |lambda| e^{|A|h} |A W|.
 
 An estimate of w makes the step response return to nearly zero, so that a small z is enough. It is
-used for |e_1| alone, once the states have bounds without it.
+used for |e_1| alone, once the states have bounds without it. Where rates are those of the states,
+:mod:`.superposition` tells apart what sensors do to them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +45,12 @@ from certrack.certificates.implemented.gains import (
 )
 from certrack.certificates.implemented.outputs import Row
 from certrack.certificates.implemented.period import Period, padded
+from certrack.certificates.implemented.superposition import (
+    TwoParts,
+    speed_of,
+    speeds_of_states,
+    split_from,
+)
 from certrack.core.ball_matrices import absolute, beside, column, identity
 
 #: One z: from which period on (0 is the running one), and its value there as a decimal text.
@@ -295,6 +302,8 @@ class SlowTerms:
         Bounds of w and of the slow part's rate.
     values : (rows,) array of balls
         The bounds of the rows without what these columns add by their kernels.
+    parts : mapping of columns of W to TwoParts
+        Other bounds of w in two parts, where they are known.
     """
 
     bounds: OutputBounds
@@ -303,32 +312,39 @@ class SlowTerms:
     sizes: list[Any]
     speeds: list[Any]
     values: np.ndarray
+    parts: Mapping[int, TwoParts]
 
     @classmethod
     def of(
-        cls, period: Period, bounds: OutputBounds, doublings: int, X: Sequence[Any], U: Any
+        cls,
+        period: Period,
+        bounds: OutputBounds,
+        doublings: int,
+        X: Sequence[Any],
+        U: Any,
+        split: Sequence[Sequence[str]] = (),
     ) -> SlowTerms:
-        """From the bounds of all rows, with those of x' behind the others where they are needed."""
+        """From the bounds of all rows, with those of x' behind the others where they are needed.
+
+        Raises
+        ------
+        NoCertificate
+            If there are too many numbers, or the bounds of a split are not proven.
+        """
         drive, gains = bounds.drive, bounds.gains
         chosen = np.flatnonzero(bounds.outputs == 0)
         responses = StepResponses.of(period, [bounds.rows[i] for i in chosen], doublings)
         of_w = [uncertain_size(bound, X) for bound in drive.uncertain]
-        values = bounds.constant + bounds.x @ np.array(X, dtype=object) + bounds.u * U
-        for j, size in enumerate(of_w):
-            values = values + bounds.w[:, j] * size
-        rates = _rates(bounds, values, of_w) if needs_rates(drive) else []
-        speeds = []
-        for j in responses.columns:
-            slow = drive.uncertain[j].slow
-            assert slow is not None
-            by_states = zip(slow.by_states, rates, strict=False)
-            speeds.append(sum((flint.arb(c) * v for c, v in by_states), flint.arb(slow.rate)))
+        values = bounds.values(bounds.constant, of_w, X, U)
+        rates = speeds_of_states(bounds, values, of_w) if needs_rates(drive) else []
+        speeds = [speed_of(drive.uncertain[j], rates) for j in responses.columns]
         remaining = values[chosen]
         for j in responses.columns:
             kernels = np.array([flint.arb(float(v)) for v in gains.w[chosen, j]], dtype=object)
             remaining = remaining - kernels * of_w[j]
         sizes = [of_w[j] for j in responses.columns]
-        return cls(bounds, chosen, responses, sizes, speeds, remaining)
+        parts = split_from(bounds, X, split) if split else {}
+        return cls(bounds, chosen, responses, sizes, speeds, remaining, parts)
 
     def apart(self, i: int) -> int:
         """Whole periods between two jumps at least; 0 without jumps.
@@ -370,20 +386,12 @@ class SlowTerms:
                 kernel = flint.arb(float(gains.w[row, j]))
                 by_steps = (self.sizes[i] - slow.fast) * float(tv) + self.speeds[i] * float(area)
                 by_steps = by_steps + flint.arb(slow.jump) * float(jumps) + slow.fast * kernel
-                plain = self.sizes[i] * kernel
-                added.append(min(flint.arb(by_steps.upper()), flint.arb(plain.upper())))
+                bounds_of_part = [by_steps, self.sizes[i] * kernel]
+                if (parts := self.parts.get(j)) is not None:
+                    of_slow = parts.size * float(tv) + parts.speed * float(area)
+                    bounds_of_part.append(of_slow + parts.remainder * kernel)
+                added.append(min(flint.arb(bound.upper()) for bound in bounds_of_part))
             total = total + np.array(added, dtype=object)
         if not all(value.is_finite() for value in total):
             raise NoCertificate("a gain of the sampled loop leaves the range of floating point")
         return max(flint.arb(value.upper()) for value in total)
-
-
-def _rates(bounds: OutputBounds, values: np.ndarray, of_w: Sequence[Any]) -> list[Any]:
-    """Bounds of |x_i'|: of the rows of x_i' - W_i w, and |W_i| |w|."""
-    drive, n = bounds.drive, bounds.drive.n
-    rates = []
-    for i in range(n):
-        row = max(flint.arb(v.upper()) for v in values[bounds.outputs == n + 3 + i])
-        direct = sum((abs(drive.W[i, j]) * size for j, size in enumerate(of_w)), flint.arb(0))
-        rates.append(flint.arb((row + direct).upper()))
-    return rates

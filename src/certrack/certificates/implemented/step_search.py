@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import flint
@@ -17,6 +18,7 @@ from certrack.certificates.implemented.slow import (
     StepFunction,
     slow_columns,
 )
+from certrack.certificates.implemented.superposition import search_split
 
 #: Steps of z, at most; digits of each; by how much of the largest |g| two of them differ.
 MOST_STEPS_OF_Z, STEP_DIGITS, LEAST_STEP = 300, 9, 1e-7
@@ -29,10 +31,19 @@ UNUSED: StepFunction = ((0, "0"),)
 WORTH_WRITING = flint.fmpq(1_000_001, 1_000_000)
 
 
+@dataclass(frozen=True)
+class ByRates:
+    """A z for each uncertain term with a rate, bounds of a split loop, and of |e_1|."""
+
+    slow: tuple[StepFunction, ...]
+    split: tuple[tuple[str, ...], ...]
+    bound: Any
+
+
 def by_rates(
     period: Period, bounds: OutputBounds, doublings: int, claimed: tuple[list[Any], Any], plain: Any
-) -> tuple[tuple[StepFunction, ...], Any]:
-    """A z for each uncertain term with a rate and the bound of |e_1|, if that is smaller.
+) -> ByRates:
+    """What rates make of the bound of |e_1|; without a z where that is not smaller.
 
     Parameters
     ----------
@@ -41,22 +52,25 @@ def by_rates(
     claimed : (X, U)
         Its bounds of the states and of the input.
     plain : ball
-        Its bound of |e_1|, which stays where nothing is gained.
+        Its bound of |e_1|.
     """
     if not slow_columns(period.drive):
-        return (), plain
+        return ByRates((), (), plain)
     try:
-        terms = SlowTerms.of(period, bounds, doublings, *claimed)
+        split = search_split(bounds, *claimed)
+        terms = SlowTerms.of(period, bounds, doublings, *claimed, split)
         steps = search_steps(terms)
         smaller = terms.bound(steps)
         for i in range(len(steps)):  # where a z gains nothing, none is written
             fewer = (*steps[:i], UNUSED, *steps[i + 1 :])
             if terms.bound(fewer) <= smaller * WORTH_WRITING:
                 steps = fewer
-        smaller = terms.bound(steps)
+        smaller, unsplit = terms.bound(steps), replace(terms, parts={})
+        if split and unsplit.bound(steps) <= smaller * WORTH_WRITING:
+            split, smaller = (), unsplit.bound(steps)
     except NoCertificate:  # too many numbers, or jumps in every period
-        return (), plain
-    return (steps, smaller) if smaller < plain else ((), plain)
+        return ByRates((), (), plain)
+    return ByRates(steps, split, smaller) if smaller < plain else ByRates((), (), plain)
 
 
 def search_steps(terms: SlowTerms) -> tuple[StepFunction, ...]:
@@ -65,13 +79,25 @@ def search_steps(terms: SlowTerms) -> tuple[StepFunction, ...]:
     gains = terms.bounds.gains.w[terms.chosen][:, responses.columns]
     sizes = np.array([float(size.mid()) for size in terms.sizes])
     row = int(np.argmax([float(v.mid()) for v in terms.values] + gains @ sizes))
-    return tuple(_best_z(terms, i, row) for i in range(len(responses.columns)))
+    steps = tuple(_best_z(terms, i, row, _prices(terms, i)) for i in range(len(sizes)))
+    for i, j in enumerate(responses.columns):
+        if (parts := terms.parts.get(j)) is not None:
+            prices = (float(parts.size.mid()), float(parts.speed.mid()), 0.0)
+            other = (*steps[:i], _best_z(terms, i, row, prices), *steps[i + 1 :])
+            steps = min(steps, other, key=lambda z: float(terms.bound(z)))
+    return steps
 
 
-def _best_z(terms: SlowTerms, i: int, row: int) -> StepFunction:
-    responses = terms.responses
-    slow = terms.bounds.drive.uncertain[responses.columns[i]].slow
+def _prices(terms: SlowTerms, i: int) -> tuple[float, float, float]:
+    """Bounds of the slow part, of its rate and of its jumps."""
+    slow = terms.bounds.drive.uncertain[terms.responses.columns[i]].slow
     assert slow is not None
+    size = float(terms.sizes[i].mid()) - float(slow.fast)
+    return size, float(terms.speeds[i].mid()), float(slow.jump)
+
+
+def _best_z(terms: SlowTerms, i: int, row: int, prices: tuple[float, float, float]) -> StepFunction:
+    responses = terms.responses
     lengths = responses.lengths[row]
     time = lengths.sum(axis=1)
     middle = (responses.begin[row, ..., i] + responses.end[row, ..., i]) / 2
@@ -81,12 +107,9 @@ def _best_z(terms: SlowTerms, i: int, row: int) -> StepFunction:
     starts = _blocks(g, time)
     medians = np.array([np.median(part) for part in np.split(g, starts[1:])])
     weights = np.add.reduceat(time, starts)
-    size = float(terms.sizes[i].mid()) - float(slow.fast)
     windows = terms.apart(i)
     owner = starts // windows if windows else None
-    z = _least(
-        medians, weights, last, (size, float(terms.speeds[i].mid()), float(slow.jump)), owner
-    )
+    z = _least(medians, weights, last, prices, owner)
     return _few(starts, z, float(np.abs(g).max()))
 
 

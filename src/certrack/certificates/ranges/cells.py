@@ -44,7 +44,8 @@ def divided(
     most : int
         Number of cells at most.
     worthwhile : float
-        The search ends when twice as many cells have lowered the bound by less than this part.
+        The search ends when at least twice as many cells have lowered the bound by less than this
+        part.
     report : callable
         Gets the cells so far.
     enough : float
@@ -55,7 +56,7 @@ def divided(
     sizes = [high - low for low, high in box]
     cells, history = [box], [bound(box)]
     while len(cells) < most and history[-1] > enough:
-        before = history[(len(history) - 1) // 2]
+        before = history[len(history) // 2 - 1]
         if len(history) > 2 and math.isfinite(before) and history[-1] > (1 - worthwhile) * before:
             break
         worst = max(range(len(cells)), key=lambda i: bound(cells[i]))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from certrack.certificates.certificate import OUT_OF_RANGE, NoCertificate
-from certrack.certificates.ranges.kernels import CELLS, FIRST_CELL
+from certrack.certificates.ranges.kernels import CELLS, FIRST_CELL, NOT_STABLE
 
 #: Slowest time constants after which a kernel is over.
 HORIZON = 20.0
@@ -41,7 +41,7 @@ def estimated_peak_gains(M: np.ndarray, C: np.ndarray, B: np.ndarray) -> np.ndar
     values = np.linalg.eigvals(moved)
     slowest = -float(values.real.max())
     if not slowest > 0:
-        raise NoCertificate("the loop is not stable, or not for all constants of a cell")
+        raise NoCertificate(NOT_STABLE)
     h = FIRST_CELL / float(np.abs(values).max())
     turning = float(np.abs(values.imag).max())
     widest = WIDEST_CELL / turning if turning else math.inf

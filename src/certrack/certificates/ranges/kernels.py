@@ -43,6 +43,9 @@ PRECISION, MAX_BLOCKS = 256, 2000
 #: Unit roundoff of a float; part of the largest entry that counts as zero; what underflows.
 UNIT, SMALL, UNDERFLOW = 2.0**-53, 1e-40, 1e-280
 
+#: Why there is no bound.
+NOT_STABLE = "the loop is not stable, or not for all constants of a cell"
+
 
 @dataclass(frozen=True)
 class Decay:
@@ -77,7 +80,7 @@ def proven_decay(M: np.ndarray, B: np.ndarray) -> Decay:
         raise NoCertificate(OUT_OF_RANGE)
     slowest = -float(np.linalg.eigvals(floats).real.max())
     if not slowest > 0:
-        raise NoCertificate("the loop is not stable, or not for all constants of a cell")
+        raise NoCertificate(NOT_STABLE)
     mu = rational(Fraction(DECAY_PART * slowest))
     eye = np.eye(len(M), dtype=object)
     shifted = M + mu * eye
@@ -89,7 +92,7 @@ def proven_decay(M: np.ndarray, B: np.ndarray) -> Decay:
     exact = np.vectorize(lambda v: rational(Fraction(float(v))), otypes=[object])((P + P.T) / 2)
     form = shifted.T @ exact + exact @ shifted
     if not (positive_definite(exact) and positive_definite(-form)):
-        raise NoCertificate("no decay of the loop could be proven: it may be too stiff")
+        raise NoCertificate("no decay of the loop could be proven: it is not stable, or too stiff")
     balls = ball_matrix(exact)
     return Decay(mu, balls, balls.inv())
 

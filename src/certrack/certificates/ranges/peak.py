@@ -29,7 +29,7 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up
 from certrack.certificates.formulation import UncertainInputs
 from certrack.certificates.ranges.coefficients import Coefficients, largest_brackets
-from certrack.certificates.ranges.kernels import peak_gains
+from certrack.certificates.ranges.kernels import NOT_STABLE, peak_gains
 from certrack.certificates.ranges.loop import ErrorForm, RangedLoop, error_form
 from certrack.certificates.ranges.rational import Interval
 
@@ -111,7 +111,10 @@ def peak_bound(
         *(c.A @ channels.columns).T,
         *uncertain.a,
     ]
-    constant, gains, levels = _responses(form, outputs, loop.bound_on, columns, gains_of)
+    try:
+        constant, gains, levels = _responses(form, outputs, loop.bound_on, columns, gains_of)
+    except ZeroDivisionError:  # M has no inverse: an eigenvalue is zero
+        raise NoCertificate(NOT_STABLE) from None
     nb, nc = len(bounded), len(channels.rows)
     constant = constant + gains[:, :nb].sum(axis=1)
     through, from_norms = gains[:, nb : nb + nc], gains[:, nb + nc :]

@@ -94,13 +94,8 @@ def bound_ranges(
         return RangeBounds(vertices, peak)
     many = 4 if effort == "high" else 1
     search = _Cells(prover, box, vertices, peak, enough, progress)
-    divisions: list[tuple[CellProof, ...]] = []
-    if prover.by_peak_gains:
-        divisions.append(search.by_peak_gains(MOST_CELLS * many))
-    if not prover.by_peak_gains or not divisions[0]:
-        divisions.append(search.by_vertices(MOST_VERTEX_CELLS * many))
-    usable = [proofs for proofs in divisions if proofs]
-    return RangeBounds(vertices, peak, min(usable, key=largest, default=()))
+    proofs = search.by_peak_gains(MOST_CELLS * many) if prover.by_peak_gains else ()
+    return RangeBounds(vertices, peak, proofs or search.by_vertices(MOST_VERTEX_CELLS * many))
 
 
 def largest(proofs: tuple[CellProof, ...]) -> float:

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from certrack.certificates import Certificate
+from certrack.certificates.certify import EFFORTS
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.regional import is_regional
@@ -29,6 +30,7 @@ from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.falsifier.adversary import Adversary, reference_bounds
 from certrack.studies.falsifier.alarm import DEFECT, Alarm, alarm
+from certrack.studies.falsifier.ascent.search import ascend
 from certrack.studies.falsifier.escape import Escape, first_escape
 from certrack.studies.falsifier.evolution import Search
 from certrack.studies.falsifier.linear.estimated import estimated_case, is_estimated
@@ -94,7 +96,7 @@ BEYOND_IMPLEMENTED = (
 )
 
 #: Where a worst case comes from.
-SEARCH, OWN, KERNELS = "search", "own", "kernels"
+SEARCH, OWN, KERNELS, ASCENT = "search", "own", "kernels", "ascent"
 
 
 @dataclass(frozen=True)
@@ -120,15 +122,16 @@ class Falsification:
         Of the alarm: which premise, or that none was found.
     own_run : bool
         Whether the worst case is the file's own run.
-    origin : {"search", "kernels", "own"}
-        Where the worst case comes from: the search, the kernels of the linear loop, the file.
+    origin : {"search", "ascent", "kernels", "own"}
+        Where the worst case comes from: the search, the ascent from what it found, the kernels of
+        the linear loop, the file.
     stopped : str or None
         How the worst run ended, where it did not reach its end.
     drive : DriveFalsification or None
         The worst case of the loop as the file's implementation carries it out, where it is linear.
     left_out : mapping of str to str
-        Why the kernels of the continuous loop (``"kernels"``) or of the implemented one
-        (``"drive"``) were not tried.
+        Why the kernels of the continuous loop (``"kernels"``), those of the implemented one
+        (``"drive"``) or the ascent (``"ascent"``) were not tried.
     """
 
     worst_error: float
@@ -156,6 +159,7 @@ def falsify(
     *,
     budget: int = 6000,
     seed: int = 0,
+    effort: str = "default",
     progress: Progress = silent,
 ) -> Falsification:
     """Search the worst admissible case of `system`; its own run is always a candidate.
@@ -169,6 +173,8 @@ def falsify(
         Number of runs.
     seed : int
         Seed of the population.
+    effort : {"fast", "default", "high"}
+        Of the certificates that the worst case is held against, as of :func:`certrack.certify`.
     progress : callable
         Gets the runs so far, the budget and the worst error so far.
 
@@ -192,6 +198,7 @@ def falsify(
     require_system(system)
     checks.integer("budget", budget, 1, MAX_BUDGET)
     checks.integer("seed", seed, 0, 2**63 - 1)
+    checks.choice("effort", effort, EFFORTS)
     if system.truth.states:
         raise InputError(
             "truth.states",
@@ -200,13 +207,13 @@ def falsify(
         )
     progress(0, budget, None)
     system = system.long_run  # a soft start has vanished where the worst error is sought
-    methods = every_certificate(system)
+    methods = every_certificate(system, effort)
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
     left_out: dict[str, str] = {}
     drive = linear = None
     if system.implementation is not None:
         try:
-            drive = _of_drive(system, bounds)
+            drive = _of_drive(system, bounds, effort)
         except NothingTried as refusal:
             left_out["drive"] = str(refusal)
     system = system.replace(implementation=None)
@@ -225,6 +232,14 @@ def falsify(
     runs = {origin: simulate(case) for origin, case in cases.items()}
     if linear is not None:
         cases[KERNELS], runs[KERNELS] = linear.system, linear.run
+    if linear is None or is_estimated(system):
+        try:
+            earlier = [(case, runs[origin]) for origin, case in cases.items()]
+            ascent = ascend(system, bounds, earlier, budget, seed, progress)
+            evaluations += ascent.runs
+            cases[ASCENT], runs[ASCENT] = ascent.case.system, ascent.case.run
+        except NothingTried as refusal:
+            left_out[ASCENT] = str(refusal)
     errors = {origin: tail_error(run) for origin, run in runs.items()}
     worst = max(errors, key=lambda origin: errors[origin])
     against, stages = methods.best, methods.stages
@@ -275,10 +290,10 @@ def _worst_member(system: System, linear: LinearCase | None) -> System:
     return system.replace(truth=truth)
 
 
-def _of_drive(system: System, bounds: tuple[float, ...]) -> DriveFalsification:
+def _of_drive(system: System, bounds: tuple[float, ...], effort: str) -> DriveFalsification:
     """The worst case of the loop as it is implemented, and its certificate."""
     case = sampled_case(system, bounds)
-    implemented, proofs = certify_implemented(system)
+    implemented, proofs = certify_implemented(system, effort=effort)
     certificate: Certificate = implemented
     broken = contradicted(premises_as_implemented(system, proofs) if proofs else premises(system))
     if broken and certificate.exists:

@@ -82,17 +82,21 @@ def written_case(
 
 
 def admissible_profile(
-    worst: WorstProfile, bounds: tuple[float, ...], sense: int, shift: float = 0.0
+    worst: WorstProfile,
+    bounds: tuple[float, ...],
+    sense: int,
+    shift: float = 0.0,
+    stopping: int = STOPPING_PIECES,
 ) -> PiecewiseReference:
     """The reference as one of a system file, within the bounds for certain.
 
-    All times but the first are moved by `shift`.
+    All times but the first are moved by `shift`; by the last `stopping` pieces it comes to rest.
     """
     times = np.concatenate([[0.0], shift + np.cumsum(worst.widths)])
 
     def scaled(factor: float) -> PiecewiseReference:
         start, pieces = (factor * sense * part for part in (worst.start, worst.pieces))
-        pieces = _ending_at_rest(times, start, pieces)
+        pieces = _ending_at_rest(times, start, pieces, stopping)
         return profile(tuple(times.tolist()), tuple(start.tolist()), tuple(pieces.tolist()))
 
     reached = scaled(1.0).bounds(len(bounds) - 1).values
@@ -100,9 +104,11 @@ def admissible_profile(
     return scaled(WITHIN_BOUND / max(1.0, excess))
 
 
-def _ending_at_rest(times: np.ndarray, start: np.ndarray, pieces: np.ndarray) -> np.ndarray:
+def _ending_at_rest(
+    times: np.ndarray, start: np.ndarray, pieces: np.ndarray, stopping: int
+) -> np.ndarray:
     """The pieces with the last ones corrected by the rounding of all sums before them."""
-    order, last = len(start), len(pieces) - STOPPING_PIECES
+    order, last = len(start), len(pieces) - stopping
     columns = [
         [
             ((times[-1] - begin) ** (order - k) - (times[-1] - end) ** (order - k))

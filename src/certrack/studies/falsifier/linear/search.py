@@ -104,7 +104,7 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     NothingTried
         Where the loop is not linear or not stable, or nothing is found.
     """
-    loop = _linear_loop(system, bounds)
+    loop = _linear_loop(_without_integral(system), bounds)  # for where constants are worst
     implementation, references = system.implementation, reference_class(system, bounds)
     assert implementation is not None
     members = [
@@ -125,9 +125,18 @@ def sampled_case(system: System, bounds: tuple[float, ...]) -> LinearCase:
     return _worst_of(loop, chains)
 
 
+def _without_integral(system: System) -> System:
+    """The system whose law has no integral action: that is a memory of the sampled controller."""
+    if system.law.integral is None:
+        return system
+    return system.replace(law=replace(system.law, integral=None))
+
+
 def _linear_loop(system: System, bounds: tuple[float, ...]) -> RangedLoop:
     if system.law.online is not None:
         raise NothingTried("the gains move: their motion is searched instead")
+    if system.law.integral is not None:
+        raise NothingTried("law.integral is attacked as sampled only: add [implementation]")
     loop = linear_error_loop(system)
     if loop is None:
         raise NothingTried("the error loop is not linear")

@@ -1,0 +1,75 @@
+"""The layout of a certificate file: what is read at all, and which keys it must have."""
+
+import pytest
+
+from certrack.certificates import layout
+from certrack.certificates.layout import (
+    DOCUMENT_KEYS,
+    FORMAT,
+    FORMAT_1,
+    check_layout,
+    read_document,
+)
+from certrack.core.errors import InputError
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(text):
+        path = tmp_path / "certificate.json"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_document(path)
+
+    return read
+
+
+def test_what_is_read_is_an_object(read, tmp_path):
+    assert read('{"a": [1, {"b": 2}]}') == {"a": [1, {"b": 2}]}
+    assert read("[1]") == read('"text"') == {}
+    for text in ("", "{", "{'a': 1}", b"\xff\xfe", "[" * 100_000):
+        with pytest.raises(InputError, match="not JSON"):
+            read(text)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_document(tmp_path / "missing.json")
+
+
+def test_no_key_stands_twice_and_no_number_is_infinite(read):
+    for text in ('{"a": 1, "a": 1}', '{"b": {"a": 1, "c": 2, "a": 3}}'):
+        with pytest.raises(InputError, match="'a' stands twice"):
+            read(text)
+    assert read('{"a": {"a": 1}}') == {"a": {"a": 1}}
+    for word in ("NaN", "Infinity", "-Infinity"):
+        with pytest.raises(InputError, match=f"{word} is not JSON"):
+            read(f'{{"a": {word}}}')
+
+
+def test_reading_stops_at_a_limit(read, monkeypatch):
+    monkeypatch.setattr(layout, "MAX_CERTIFICATE_BYTES", 9)
+    assert read('{"a": 12}') == {"a": 12}
+    with pytest.raises(InputError, match="larger than"):
+        read('{"a": 123}')
+
+
+def body(kind, **changed):
+    return dict.fromkeys(DOCUMENT_KEYS[kind], "text") | {"format": kind} | changed
+
+
+@pytest.mark.parametrize("kind", [FORMAT, FORMAT_1])
+def test_a_certificate_has_the_keys_of_its_format(kind):
+    check_layout(body(kind))
+    check_layout(body(kind, proof=[], **{DOCUMENT_KEYS[kind][3]: []}))
+    for key in DOCUMENT_KEYS[kind]:
+        with pytest.raises(InputError, match="it must have"):
+            check_layout({name: v for name, v in body(kind).items() if name != key})
+    with pytest.raises(InputError, match="it must have"):
+        check_layout(body(kind, more=1))
+    for key in ("claim", "system", "sha256", "made_by"):
+        with pytest.raises(InputError, match="texts expected"):
+            check_layout(body(kind, **{key: 1}))
+    with pytest.raises(InputError, match="must be certrack-certificate/2 or"):
+        check_layout(body(kind, format="certrack-certificate/3"))
+    for wrong in ([], "text", None, body(kind, format=2)):
+        with pytest.raises(InputError, match="it must have"):
+            check_layout(wrong)
+    assert ("premises" in DOCUMENT_KEYS[kind]) == (kind == FORMAT)
+    assert ("assumptions" in DOCUMENT_KEYS[kind]) == (kind == FORMAT_1)
