@@ -197,6 +197,25 @@ def test_what_changes_slowly_is_held():
     assert "t" not in written(loop, inputs, slopes, MEANS).truth.omega[1].text
 
 
+def test_without_a_disturbance_the_reference_is_driven_alone():
+    plant = certrack.Plant(
+        states=["x1"],
+        gain_sign=-1,
+        input_gain="-0.3",
+        uncertainty=certrack.Uncertainty([0], [0], [0]),
+    )
+    system = certrack.System(
+        plant=plant,
+        law=certrack.Adaptive(c=(0.5,), gain_rate=0.2, leak_gain=0.1, leak_theta=0.1, delta0=0),
+        reference=certrack.SymbolicReference("0.1*sin(0.2*t)"),
+        truth=certrack.Truth("-0.3", (), ("0",)),
+        settings=certrack.Settings(x0=(0.0,), duration=2.0),
+    )
+    found = certrack.falsify(system, budget=100)
+    assert found.origin == "ascent"
+    assert found.own_run < found.worst_error <= certrack.certify(system, "fast").best.bound
+
+
 def test_a_reference_that_stands_still_is_not_searched():
     with pytest.raises(NothingTried, match="stands still"):
         ascend(EXAMPLE, (0.2, 0.0), [], 100, 0, silent)
@@ -252,3 +271,10 @@ def test_no_random_plant_is_driven_beyond_its_certificate(seed):
     assert found.alarm is None
     assert found.against.bound >= found.worst_error
     assert found.against.bound <= 3 * found.worst_error
+
+
+def test_a_run_that_shows_its_start_is_no_worst_case():
+    slow = EXAMPLE.replace(law=replace(EXAMPLE.law, leak_gain=0.002, leak_theta=0.002))
+    assert ControlledLoop(EXAMPLE, bounds_of(EXAMPLE)).forgets_start
+    with pytest.raises(NothingTried, match="outlasts the longest run"):
+        ascend(slow, bounds_of(slow), [], 300, 0, silent)

@@ -14,6 +14,7 @@ from conftest import SHIPPED
 
 import certrack
 from certrack.cli import cli
+from certrack.core.errors import InputError
 from certrack.reports import guarantee as guarantee_module
 from certrack.reports import pages
 from certrack.reports.certificates import certificates_table
@@ -22,6 +23,7 @@ from certrack.reports.evidence import OPTIONAL, evidence_of
 from certrack.reports.formula_pictures import broken, formula_svgs
 from certrack.reports.guarantee import guarantee_section
 from certrack.reports.pages import to_html, to_latex, to_markdown
+from certrack.studies.falsifier.falsify import Falsification
 
 CASES = Path(__file__).parent / "data" / "cases"
 SLOW_PARTS = [word for name in OPTIONAL for word in ("--without", name)]
@@ -125,6 +127,13 @@ def test_two_are_the_same_bytes(found, page):
     assert to_html(dossier_of(again)) == page
 
 
+@pytest.mark.parametrize("wrong", [{"budget": 0}, {"seed": -1}, {"members": 0}])
+def test_an_argument_of_another_kind_is_refused(found, wrong):
+    (name,) = wrong
+    with pytest.raises(InputError, match=name):
+        evidence_of(found.system, "drive.toml", effort="fast", without=OPTIONAL, **wrong)
+
+
 def test_words_of_a_file_are_text(found):
     system = found.system.replace(title='<script>alert("1")</script> & $x$')
     text = to_html(dossier_of(replace(found, system=system)))
@@ -210,6 +219,56 @@ def test_a_print(found, tmp_path):
     certrack.save_dossier(dossier_of(found), tmp_path / "report.pdf")
     data = (tmp_path / "report.pdf").read_bytes()
     assert data.startswith(b"%PDF") and len(data) < 3e6
+
+
+def test_a_bound_of_the_continuous_law_says_so_where_there_is_a_drive(found):
+    certificates = replace(
+        found.certificates, implemented=replace(found.certificates.implemented, verified=False)
+    )
+    assert "as the drive runs it, from x0" in dossier_of(found).summary[0]
+    first = dossier_of(replace(found, certificates=certificates)).summary[0]
+    assert "of the continuous law; nothing is verified of the loop as the drive runs it" in first
+
+
+def test_an_alarm_stands_at_the_top_and_is_not_sound(found):
+    bounds = {"peak": found.certificates.peak}
+    calm = Falsification(1e-4, found.system, 100, bounds, None, None, "", own_run=False)
+    made = dossier_of(replace(found, falsification=calm))
+    assert made.verified and made.sound
+    loud = replace(calm, alarm="defect", reason="it is wrong")
+    made = dossier_of(replace(found, falsification=loud))
+    assert made.summary[1] == "ALARM: a run is beyond the verified bound: it is wrong"
+    assert not made.verified and not made.sound
+
+
+def test_quoted_commands_repeat_what_was_computed(found):
+    text = to_markdown(dossier_of(replace(found, effort="fast", file="my drive.toml")))
+    quoted = "certrack certify 'my drive.toml' --effort fast --out certificate.json"
+    assert quoted in text
+    other = replace(found, budget=500, seed=3)
+    assert other.command("falsify") == "certrack falsify drive.toml --budget 500 --seed 3"
+    plain = replace(found, effort="default")
+    assert plain.command("certify") == "certrack certify drive.toml"
+    assert plain.command("falsify") == "certrack falsify drive.toml"
+
+
+def test_what_has_no_controller_in_c_says_why(found):
+    made = dossier_of(replace(found, code=None, refusals={"code": "no code of it"}))
+    (drive,) = [section for section in made.sections if section.key == "drive"]
+    assert drive.lines == ("no controller in C: no code of it",)
+
+
+@pytest.mark.parametrize("wrong", [{"budget": 0}, {"seed": -1}, {"members": 0}])
+def test_wrong_arguments_are_refused_at_once(found, monkeypatch, wrong):
+    monkeypatch.setattr("certrack.reports.evidence.certify", None)  # nothing may be computed
+    with pytest.raises(certrack.InputError, match=next(iter(wrong))):
+        evidence_of(found.system, **wrong)
+
+
+def test_markdown_shows_words_of_a_file_as_they_are(found):
+    system = found.system.replace(title="<b>a</b> *b* `c` [d](e) _f_ g_1 | h")
+    first = to_markdown(dossier_of(replace(found, system=system))).splitlines()[0]
+    assert first == r"# \<b>a\</b> \*b\* \`c\` \[d\](e) \_f\_ g_1 \| h"
 
 
 def test_formulas_are_broken_between_terms():

@@ -16,6 +16,7 @@ from scipy.linalg import expm
 import certrack
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import premises as implemented_premises
 from certrack.certificates.implemented.certify import limits_met
 from certrack.certificates.implemented.drive import DRIVE_BITS, drive_of, linear_drift
 from certrack.certificates.implemented.enclosed import ROUNDOFF, Enclosed, widened
@@ -26,7 +27,7 @@ from certrack.certificates.implemented.gains import (
 )
 from certrack.certificates.implemented.outputs import ERROR_DEGREE, STATE_DEGREE, output_rows
 from certrack.certificates.implemented.period import one_period
-from certrack.certificates.implemented.premises import _covered
+from certrack.certificates.implemented.premises import _covered, _status
 from certrack.certificates.implemented.proof import (
     ImplementedProof,
     prove_implemented,
@@ -43,6 +44,8 @@ from certrack.certificates.implemented.start_proof import (
     StartProver,
     start_set_of,
 )
+from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN
+from certrack.references import SoftStart
 
 LOST = ROUNDOFF * (1 - 2.0**-20)  # added to 1 it is lost
 
@@ -207,6 +210,47 @@ def test_the_premise_names_what_the_drive_has():
         every, *others = _covered(system, system.implementation).split("; ")
         assert every.startswith("sampled every 0.01 s, its input acts 0 periods later")
         assert others == expected
+
+
+def test_the_premise_names_a_reference_that_is_fed_forward_for_samples():
+    system = certrack.loads(DRIVE)
+    fed = system.replace(law=replace(system.law, sampled_feedforward=True))
+    said = "the reference fed forward as the sampled loop needs it"
+    assert _covered(fed, fed.implementation).split("; ")[-1] == said
+    assert said not in _covered(system, system.implementation)
+
+
+@pytest.mark.parametrize(
+    ("signal", "declared", "proven", "status"),
+    [
+        ("sin(t)", None, None, PROVEN),
+        ("sin(t)", (1, 1), None, PROVEN),  # nothing is stated of the slope of y_d'
+        ("sin(t)", (1, 1, 1), 1.0, PROVEN),
+        ("sin(t)", (1, 1, 2), 1.0, PROVEN),
+        ("sin(t)", (1, 1, 1), 1.5, CHECKED),
+        ("sin(t)", (1, 1, 1), None, CHECKED),
+        ("abs(t - 1)*exp(-t)", (1, 2, 3), None, ASSUMED),
+    ],
+)
+def test_what_is_known_of_the_slope_of_the_last_derivative(
+    monkeypatch, signal, declared, proven, status
+):
+    asked = []
+
+    def bound(reference, order):
+        asked.append((reference.declared, order))
+        return proven
+
+    monkeypatch.setattr(implemented_premises, "lipschitz_bound", bound)
+    reference = certrack.SymbolicReference(signal, declared=declared)
+    assert _status(reference, 1) == status
+    assert _status(SoftStart(reference, 0.5), 1) == status
+    assert set(asked) <= {(None, 1)} and bool(asked) == (len(declared or ()) > 2)
+
+
+def test_nothing_is_known_of_a_foreign_reference():
+    Foreign = type("Foreign", (), {"__module__": "somewhere"})
+    assert _status(Foreign(), 1) == ASSUMED
 
 
 @pytest.mark.parametrize("delay", ["0", "1/3"])

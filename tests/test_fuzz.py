@@ -1,6 +1,7 @@
 """Fuzzers: what was once found, in the fast tests; new inputs, in the slow ones and `make fuzz`."""
 
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -68,6 +69,27 @@ def test_the_runner_finds_each_kind_of_fault_once(monkeypatch, tmp_path):
     assert report.counts["fine"] > 0
 
 
+class Judged(Faulty):
+    """A fuzzer whose judge takes longer than the product may."""
+
+    def examine(self, data):
+        if data == b"hang":
+            return lambda: super(Judged, self).examine(data)
+        return lambda: spend(0.1) or "judged"
+
+
+def spend(seconds):
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass
+
+
+def test_the_time_of_a_judge_is_not_the_products(monkeypatch):
+    monkeypatch.setattr("fuzz.runner.MAX_SECONDS", 0.05)
+    assert outcome(Judged(), b"fine")[0] == "judged"
+    assert outcome(Judged(), b"hang")[0].startswith("FINDING: hangs")
+
+
 @pytest.mark.parametrize(
     ("text", "wrong"),
     [
@@ -101,7 +123,7 @@ def test_a_forged_claim_is_found(monkeypatch):
     def changed(**entries):
         return json.dumps(document | entries).encode()
 
-    assert judge.examine(changed()) == "verified, nothing changed"
+    assert judge.examine(changed())() == "verified, nothing changed"
     stage = document["proof"][0]
     half = f"{float(stage['bound']) / 2:.6g}"
     claim = f"limsup |e_1(t)| <= {half}"
@@ -112,4 +134,4 @@ def test_a_forged_claim_is_found(monkeypatch):
         b'{"claim": "limsup |e_1(t)| <= 0", ' + changed()[1:],
     ):
         with pytest.raises(Finding, match="accepted|twice"):
-            judge.examine(forged)
+            judge.examine(forged)()

@@ -9,6 +9,7 @@ import pytest
 from test_fixed_point_parts import q
 
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import cover
 from certrack.certificates.implemented import proof as module
 from certrack.certificates.implemented.proof import (
     MAX_CELLS_OF_INPUT,
@@ -17,7 +18,6 @@ from certrack.certificates.implemented.proof import (
     cells_of,
     failed_implemented,
     refuse_in_cells,
-    work_of,
 )
 
 
@@ -160,11 +160,11 @@ def test_cells_are_as_long_as_the_fastest_motion_allows():
 
 
 def test_the_work_of_a_proof(monkeypatch):
-    monkeypatch.setattr(module, "periods_needed", lambda period: 3)
+    monkeypatch.setattr(cover, "periods_needed", lambda period: 3)
     period = SimpleNamespace(
         drive=SimpleNamespace(sized=2, q=1), cells=[0, 0], W=flint.arb_mat(2, 1), size=5
     )
-    assert work_of(period) == 8 * (3 * 2 * 4 + 5) * (3 * 2 + 2 * 2 * 2 * 4 + 10)
+    assert cover._work_of(period) == 8 * (3 * 2 * 4 + 5) * (3 * 2 + 2 * 2 * 2 * 4 + 10)
 
 
 def test_a_text_is_above_its_ball():

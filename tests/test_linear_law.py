@@ -386,3 +386,10 @@ def test_weights_that_differ_too_much_are_refused_without_a_warning():
     for weights in ({"error": 1e300, "input": 1e-300}, {"error": 1e-300, "input": 1e300}):
         with pytest.raises(certrack.DesignError, match=r"law\.(K|lqr)"):
             LEAN.replace(law=Linear(lqr=weights)).design()
+
+
+def test_a_loop_without_feedback_has_all_margins():
+    A, b = np.array([[0.0, 1.0], [-2.0, -3.0]]), np.array([0.0, 1.0])
+    margins = loop_margins(A, b, np.zeros(2))
+    assert (margins.lowest_gain, margins.highest_gain) == (0.0, np.inf)
+    assert margins.phase == np.inf

@@ -241,6 +241,25 @@ def test_every_flag_is_expected_up_and_down(case):
     assert probes.x.shape[1] == probes.Y.shape[1] == len(probes.before) == probes.expected.shape[1]
 
 
+def test_a_sample_without_an_answer_is_no_probe(case, monkeypatch):
+    """Whether the command is not finite or what is kept."""
+
+    class Overflowing(_Samples):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            if self.x.shape[1] > case.vectors.x.shape[1]:
+                self.answers = self.answers.copy()
+                self.answers[0, 2], self.answers[-1, 5] = np.inf, np.nan
+
+    arguments = (case.system, case.program, case.monitor, case.vectors, "double")
+    every = monitor_probes(*arguments)
+    monkeypatch.setattr("certrack.export.monitor_probes._Samples", Overflowing)
+    found = monitor_probes(*arguments)
+    left_out = np.delete(every.x, [2, 5], axis=1)
+    assert np.array_equal(found.x, left_out) and found.Y.shape[1] == left_out.shape[1]
+    assert found.expected.shape[1] == len(found.before) == left_out.shape[1]
+
+
 def test_what_is_expected_is_what_the_conditions_say(case):
     for flag in case.monitor.flags:
         row = _expected(flag, case.monitor.flags, case.golden, "double")

@@ -414,6 +414,18 @@ def test_a_run_beyond_its_tube_without_a_broken_premise_is_a_defect(monkeypatch)
     assert raised.kind == "defect" and "report" in raised.reason
 
 
+def test_without_a_tube_a_short_run_is_run_on_before_it_is_an_alarm():
+    """A peak gain has a bound where the quadratic proof, and so the tube, may have none."""
+    system = LEAN.with_settings(x0=(5.0, 0.0, 0.0, 0.0), duration=1.0)
+    peak, run = certrack.certify(LEAN, "fast").peak, certrack.simulate(system)
+    assert run.metrics.tail_error > peak.bound
+    assert alarm(system, system, run, peak, ()) is None
+    wrong = replace(peak, bound=peak.bound / 10)
+    assert alarm(system, system, run, wrong, ()).kind == "defect"
+    other = with_omega("0.1*sin(t)", 3, system)  # a case of the search begins without an error
+    assert alarm(system, other, run, peak, ()).kind == "defect"
+
+
 # check
 
 

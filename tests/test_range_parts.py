@@ -4,6 +4,7 @@ import math
 import re
 from dataclasses import replace
 from fractions import Fraction
+from inspect import signature
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +16,7 @@ from test_range_algebra import FIRST_ORDER, exact
 import certrack
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof
+from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.ranges.boxes import (
     closed,
     forbidden,
@@ -23,6 +25,7 @@ from certrack.certificates.ranges.boxes import (
     scaled,
     with_range,
 )
+from certrack.certificates.ranges.certify import certify_ranges
 from certrack.certificates.ranges.coefficients import Coefficients, _parts, largest_brackets
 from certrack.certificates.ranges.costs import costs
 from certrack.certificates.ranges.edges import _decimal
@@ -538,3 +541,14 @@ def test_forms_at_two_points_of_a_range():
         assert form.M.tolist() == [[exact(rate) - 7]]
         assert form.W.tolist() == [[exact(rate), 0]]
     assert Proof("1", (), (), (), (), "1").shift == "0"
+
+
+def test_what_takes_longer_is_made_where_it_is_asked_for():
+    for verb, options in (
+        (certify_ranges, ("details",)),
+        (certify_implemented, ("from_start", "margins")),
+        (ranged_loop, ("sectors",)),
+        (RangeProver, ("sectors",)),
+    ):
+        assert all(signature(verb).parameters[name].default is False for name in options), verb
+    assert signature(certify_ranges).parameters["effort"].default == "default"

@@ -9,7 +9,7 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, parse
-from certrack.references import registry, samples, soft_start
+from certrack.references import profile, registry, samples, soft_start
 from certrack.references.registry import _check_values
 from certrack.references.search import Formula
 from certrack.references.smoothness import Stretch
@@ -87,6 +87,20 @@ def test_values_and_formulas_agree_in_every_derivative(order, off):
 
     with np.errstate(all="ignore"), pytest.raises(InputError, match=rf"y_d\^\({order}\) differ"):
         _check_values(Line(values=values), 1, 4.0)
+
+
+def test_the_target_of_a_soft_start_is_looked_at():
+    rest = {"order": 2.0, "declared_bound": None, "bounds": None}
+    right, wrong = Line(**rest), Line(**rest, values=lambda t, order: np.zeros((order + 1, len(t))))
+    registry.check_reference(soft_start.SoftStart(right, 1.0), 1, 4.0)
+    with pytest.raises(InputError, match="differ"):
+        registry.check_reference(soft_start.SoftStart(wrong, 1.0), 1, 4.0)
+
+
+@pytest.mark.parametrize("times", [(0, 1, 1, 2), (0, 1, 0.5, 2)])
+def test_times_of_a_profile_increase(times):
+    with pytest.raises(InputError, match=r"reference\.times\[2\]: times must increase"):
+        profile(times, (0, 0), (1, 0, -1))
 
 
 def test_a_class_that_is_not_registered_is_refused(monkeypatch):

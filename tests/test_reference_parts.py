@@ -28,6 +28,7 @@ from certrack.references.exact import exact, nearest, rational_above
 from certrack.references.extremes import largest_derivative, largest_of_rows
 from certrack.references.piecewise import PiecewiseReference
 from certrack.references.polynomials import (
+    _halved,
     derived,
     evaluate,
     largest_by_control_points,
@@ -130,6 +131,37 @@ def test_stationary_points_are_roots_inside_the_piece():
     quartic = np.array([[-1.0, 0.0, 0.0, 0.0, 16.0]])  # 1/2 and others outside
     points = np.array(stationary(quartic, np.ones(1))).ravel()
     assert np.abs(points - 0.5).min() < 1e-12 and ((points >= 0) & (points <= 1)).all()
+
+
+def test_halves_of_a_polynomial_by_its_control_points():
+    """t^2 - t + 1 has the control points 1, 1/2, 1; its halves 1, 3/4, 3/4 and back."""
+    left, right = _halved(np.array([[1.0, 0.5, 1.0]]))
+    assert left.tolist() == [1, 0.75, 0.75] and right.tolist() == [0.75, 0.75, 1]
+    cubic = np.array([[0.0, 1.0, 3.0, 8.0], [8.0, 3.0, 1.0, 0.0]])
+    halves = _halved(cubic)
+    assert halves.shape == (4, 4)
+    assert halves[0].tolist() == [0, 0.5, 1.25, 2.5] and halves[2].tolist() == [2.5, 3.75, 5.5, 8]
+    assert halves[1].tolist() == [8, 5.5, 3.75, 2.5] and halves[3].tolist() == [2.5, 1.25, 0.5, 0]
+
+
+def test_bounds_by_control_points_that_need_halving():
+    """Wilkinson-like rows, whose control points reach far beyond the values."""
+    rows = np.array([np.polynomial.chebyshev.cheb2poly([0] * 8 + [1])])  # |T_8| <= 1
+    shifted = fmpq_poly([fmpq(int(v)) for v in rows[0]])(fmpq_poly([-1, 2]))  # on [0, 1]
+    found = largest_by_control_points(np.array([[float(v) for v in shifted]]), np.ones(1))
+    assert 1 <= found <= 1 + 1e-7
+    two = np.array([[float(v) for v in shifted], [0.25] + [0.0] * 8])
+    assert largest_by_control_points(two, np.array([1.0, 5.0])) == pytest.approx(1, abs=1e-7)
+
+
+@pytest.mark.parametrize(("smoothness", "taken"), [(1, True), (3, True), (4, False), (0, False)])
+def test_pieces_have_as_many_derivatives_as_their_degree_at_most(smoothness, taken):
+    still = ((1.0, 0.0, 0.0, 0.0),)
+    if taken:
+        assert PiecewiseReference((0.0, 1.0), still, smoothness).order == smoothness
+        return
+    with pytest.raises(InputError, match=r"reference\.smoothness"):
+        PiecewiseReference((0.0, 1.0), still, smoothness)
 
 
 # sums of sinusoids
@@ -331,6 +363,8 @@ def test_a_spline_passes_its_samples_and_rests_at_its_ends(degree):
     at = np.array([0.3, 1.7, 3.9])
     assert turn.values(at, q) == pytest.approx(turn.values(at + 4, q), rel=1e-9, abs=1e-9)
     assert turn.period == 4 and turn.order == q + 1
+    later = samples((1, 2, 3, 5), (1, 2, -1, 1), interpolation="spline", degree=degree, repeat=True)
+    assert later.period == 4 and later.values(at + 1, q) == pytest.approx(turn.values(at, q))
 
 
 def test_monotone_samples_do_not_overshoot_and_times_have_units():

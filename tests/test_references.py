@@ -17,6 +17,7 @@ from certrack.core.expressions import TIME
 from certrack.references import (
     Key,
     SymbolicReference,
+    profile,
     register,
     samples,
     steps,
@@ -384,6 +385,20 @@ class Wave:
         return tuple(sympy.diff(signal, TIME, i) for i in range(order + 1))
 
 
+def test_a_function_that_is_registered_remembers_its_arguments():
+    @register("bumps", times=Key("numbers"), levels=Key("numbers"), slope=Key("number"))
+    def bumps(times, levels, slope=1.0):
+        return steps(times, levels, slope or 2.0)
+
+    found = bumps([1.0, 4.0], np.array([0.0, 1.0, 0.0]), slope=None)
+    assert found.fields == (("kind", "bumps"), ("times", (1.0, 4.0)), ("levels", (0.0, 1.0, 0.0)))
+    assert bumps((1.0,), (0.0, 1.0), 3.0).fields[1:] == (
+        ("times", (1.0,)),
+        ("levels", (0.0, 1.0)),
+        ("slope", 3.0),
+    )
+
+
 @pytest.mark.parametrize("name", ["dual-motor-lean", "dual-motor-drive"])
 def test_the_stated_duties_of_a_reference_suffice(name):
     """It is simulated, swept without recompiling, sampled and certified like a formula."""
@@ -423,6 +438,46 @@ def test_a_break_belongs_to_the_piece_after_it(period):
         assert found.values(times, 1)[1] == pytest.approx(np.full(len(times), slope))
         pieces = np.array([found.piece_values(t) for t in times[::97].tolist()])
         assert pieces[:, 2] == pytest.approx(np.full(len(pieces), slope))
+
+
+def test_shapes_remember_what_made_them():
+    size = ("amplitude", 0.2), ("period", 4.0)
+    assert trapezoid(0.2, 4.0, 1.0, 0.1, -0.3).fields == (
+        ("kind", "trapezoid"),
+        *size,
+        ("rise", 1.0),
+        ("offset", 0.1),
+        ("start", -0.3),
+    )
+    assert triangle(0.2, 4.0).fields == (
+        ("kind", "triangle"),
+        *size,
+        ("offset", 0.0),
+        ("start", 0.0),
+    )
+    times, levels = ("times", (1.0, 3.0)), ("levels", (0.5, 1.0, -1.0))
+    found = steps([1.0, 3.0], [0.5, 1.0, -1.0], 2.0)
+    assert found.fields == (("kind", "steps"), times, levels, ("slope", 2.0))
+    moved = profile((0, 1, 2), (0, 0), (2, -2))
+    assert moved.fields == (
+        ("kind", "profile"),
+        ("times", (0, 1, 2)),
+        ("start", (0, 0)),
+        ("highest", (2, -2)),
+    )
+    written = samples([0, 1, 2], [0, 1, 0]).fields
+    assert written[:3] == (("kind", "samples"), ("times", (0, 1, 2)), ("values", (0, 1, 0)))
+    assert written[3:] == (("interpolation", "monotone"),)
+    turning = samples(
+        [0, 1000, 2000], [0, 1, 0], "spline", time_unit="ms", degree=7, repeat=True
+    ).fields
+    assert turning[3:] == (
+        ("interpolation", "spline"),
+        ("time_unit", "ms"),
+        ("degree", 7),
+        ("repeat", True),
+    )
+    assert samples([0, 1, 2], [0, 1, 0], "cubic", repeat=True).fields[-1] == ("repeat", True)
 
 
 def test_steps_stand_still_before_the_first_and_after_the_last():

@@ -68,3 +68,41 @@ def test_a_start_is_forgotten_by_its_largest_later_entry():
     made.gains.last = np.array([[1.1, 0.0], [0.0, 0.1]])
     with pytest.raises(NoCertificate, match="not forgotten"):
         made._later_transient(np.array([1.0, 2.0]))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_what_a_start_adds_to_the_rows(known):
+    """One plant state, a memory of it and of the input, and one command: chi = (x, y, u).
+
+    x(0) = 2 +- 1, the input before is 4, the sensor's error 3; Pi = (1, 2, 3) y_d(0), y_d(0) = 5.
+    """
+    made = frame()
+    made.drive = SimpleNamespace(
+        n=1,
+        memories=1,
+        mu=[q(3)],
+        Y=[q(5), q(7)],
+        first=flint.fmpq_mat([[q("0.5")]]),
+        first_input=flint.fmpq_mat([[q("0.25")]]),
+    )
+    pi = flint.arb_mat([[1], [2], [3]])
+    made.period = SimpleNamespace(size=3, command=2, drive=made.drive, Pi=[0 * pi, pi])
+    rows = np.array([[[1.0, -2.0, 4.0], [0.0, 1.0, 0.0]], [[0.5, 0.0, 1.0], [0.0, 0.0, 2.0]]])
+    made.gains = SimpleNamespace(before=Enclosed(rows, np.zeros(rows.shape)))
+    seen = []
+    made._later_transient = lambda zeta: seen.append(zeta) or "later"
+    starts = SimpleNamespace(
+        center=(q(2),), half=(q(1),), Y=(flint.arb(5),) if known else None, initial=flint.arb(4)
+    )
+    found = made.transient(starts)
+    reference = np.array([5.0, 10.0, 15.0])
+    fixed = np.array([0.0, 0.25 * 4, 4.0]) - (reference if known else 0)
+    Z, noise = np.array([1.0, 0.5, 0.0]), np.array([0.0, 0.5 * 3, 0.0])
+    free = np.abs(rows @ noise) + (0 if known else np.abs(rows @ reference))
+    assert found.later == "later" and found.of_x0.value[:, :, 0] == pytest.approx(rows @ Z)
+    assert found.fixed.value == pytest.approx(rows @ fixed)
+    assert no_less(found.free, free)
+    assert no_less(found.size, np.abs(rows @ (fixed + 2 * Z)) + np.abs(rows @ Z) + free)
+    (zeta,) = seen
+    start_free = noise if known else noise + reference
+    assert no_less(zeta, np.abs(fixed + 2 * Z) + Z + start_free)

@@ -80,7 +80,7 @@ def cascade_problem(n, seed=5):
     return problem, v, pairs
 
 
-@pytest.mark.parametrize("n", [2, 3, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [2, 3])
 def test_gradient_of_the_cascade(n):
     """What a gain moves in the first stage moves the second, too."""
     problem, v, pairs = cascade_problem(n)

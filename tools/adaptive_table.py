@@ -1,6 +1,6 @@
 """Certified and found errors of random adaptive plants, side by side.
 
-    python tools/adaptive_table.py                     the table in docs/certificates.md
+    python tools/adaptive_table.py                     all of them
     python tools/adaptive_table.py --seeds 3 17        two of them
     python tools/adaptive_table.py --rows FILE         rows as they come; those there are kept
 

@@ -1,9 +1,10 @@
 """Run a fuzzer: many generated inputs, each held to what must never happen.
 
 A fuzzer has a name, makes an input from a random number generator, and examines one: it returns a
-word for what happened (it counts them), or raises :class:`Finding`. Whatever else is raised is a
-finding too, and so is what takes too long. Inputs that are found are kept in a folder; those worth
-keeping move to tests/data/corpus, which the tests replay.
+word for what happened (it counts them), or raises :class:`Finding`. Where judging what the product
+said takes time of its own, it returns the judge, whose time is not the product's. Whatever else is
+raised is a finding too, and so is what takes too long. Inputs that are found are kept in a folder;
+those worth keeping move to tests/data/corpus, which the tests replay.
 """
 
 import hashlib
@@ -14,6 +15,7 @@ import sys
 import time
 import traceback
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,7 +56,7 @@ class Fuzzer(Protocol):
 
     def make(self, rng: random.Random) -> bytes: ...
 
-    def examine(self, data: bytes) -> str: ...
+    def examine(self, data: bytes) -> str | Callable[[], str]: ...
 
 
 @dataclass
@@ -100,19 +102,23 @@ def run(fuzzer: Fuzzer, seed: int, count: int, keep: Path | None = None) -> Repo
 
 
 def outcome(fuzzer: Fuzzer, data: bytes) -> tuple[str, float]:
-    """The word for what happened to one input, and the processor time that it took, s."""
+    """The word for what happened to one input, and the processor time that the product took, s."""
     forget_peak()
-    begin = time.process_time()
+    begin, spent = time.process_time(), None
     try:
         with alarm(PATIENCE * MAX_SECONDS):
             word = fuzzer.examine(data)
+            spent = time.process_time() - begin
+            if not isinstance(word, str):
+                word = word()
     except Finding as finding:
         word = f"FINDING: {finding}"
     except TooLong as problem:
         word = f"FINDING: hangs {place(problem)}"
     except Exception as problem:
         word = f"FINDING: {type(problem).__name__} {place(problem)}"
-    spent = time.process_time() - begin
+    if spent is None:
+        spent = time.process_time() - begin
     if word == UNTIMED:
         return word, 0.0
     if spent > MAX_SECONDS and word != SEARCHED and not word.startswith("FINDING"):

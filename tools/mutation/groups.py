@@ -43,6 +43,7 @@ GROUPS = {
         " independent_checker tube_parts error_problem premises truth strength exact_numbers"
         " false_claims forged_claims",
     ),
+    "bootstrap": Group("certificates/bootstrap/*", "bootstrap"),
     "ranges": Group(
         "certificates/ranges/*",
         "range_algebra range_parts kernel_parts prover_parts attainable ranges independent_ranges"
@@ -56,8 +57,8 @@ GROUPS = {
     ),
     "references": Group(
         "references/*",
-        "references reference_parts reference_keys reference_members growth testing bounds"
-        " premises simulation time_events units lipschitz soft_start samples_file",
+        "references reference_parts reference_keys reference_members growth taylor bound_search"
+        " testing bounds premises simulation time_events units lipschitz soft_start samples_file",
     ),
     "metrics": Group("simulation/metrics simulation/refine", "metrics refine simulation"),
     "sampled": Group(

@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +32,9 @@ QUICK = 0.01
 
 #: Seconds after which a test is stopped that could not be stopped yet.
 LATER = 0.01
+
+#: Functions of pytest in which what a test raises is the test's.
+STOPPABLE = {"pytest_runtest_setup", "pytest_runtest_call"}
 
 
 @dataclass(frozen=True)
@@ -130,7 +134,9 @@ def _measure(file: str, kept: Path) -> None:
         pass
 
     def stop(signum: int, frame: FrameType | None) -> None:
-        if frame and "/coverage/" in frame.f_code.co_filename:  # it may hold its lock
+        """Later where coverage may hold its lock, and where pytest would not take it for a test."""
+        names = {outer.f_code.co_name for outer, _ in traceback.walk_stack(frame)}
+        if frame and ("/coverage/" in frame.f_code.co_filename or names.isdisjoint(STOPPABLE)):
             signal.setitimer(signal.ITIMER_VIRTUAL, LATER)
         else:
             raise TooLong

@@ -141,6 +141,11 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     return body | {"sha256": _digest(body)}
 
 
+def certificate_text(system: System, stages: Sequence[Stage]) -> str:
+    """The text of a certificate file; parameters as of :func:`save_certificate`."""
+    return json.dumps(to_document(system, *stages), indent=1) + "\n"
+
+
 def save_certificate(system: System, stages: Sequence[Stage], path: str | os.PathLike[str]) -> None:
     """Write the certificate to `path`; a failure leaves what was there.
 
@@ -165,7 +170,7 @@ def save_certificate(system: System, stages: Sequence[Stage], path: str | os.Pat
     True
     """
     require_system(system)
-    write_text(Path(path), json.dumps(to_document(system, *stages), indent=1) + "\n")
+    write_text(Path(path), certificate_text(system, stages))
 
 
 def verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:

@@ -32,8 +32,10 @@ from certrack.certificates.search.best_proof import ProofSearch, best_proof
 from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
-#: Those of a nominal loop, and those that cover ranges of constants, as they are shown.
+#: Name of the certificate by iterated quadratic functions on a box.
 BOOTSTRAP = "bootstrap"
+
+#: Those of a nominal loop, and those that cover ranges of constants, as they are shown.
 NOMINAL_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade", BOOTSTRAP, "peak")
 RANGE_KINDS = ("vertices", "peak", "cells")
 

@@ -64,7 +64,8 @@ def report(
     Plant and premises, the law as formulas, all certificates and how to check them, where the bound
     comes from, the response, the worst case found, an ensemble, margins, the drive, and the system
     file. A page (.html) carries its pictures and the certificate, and needs no network; a print of
-    it (.pdf) needs WeasyPrint. The exit code is 1 if a premise is contradicted.
+    it (.pdf) needs WeasyPrint. The exit code is 1 if a premise is contradicted, or a run that was
+    found is beyond a verified bound.
 
     \b
     Example: certrack report dual-motor-drive --out report.html
@@ -93,7 +94,7 @@ def report(
     if as_json:
         click.echo(console.to_json({"file": str(out), "summary": result.summary}))
     else:
-        click.echo(f"{result.title}")
+        click.echo(result.title)
         console.print_lines(result.summary)
     tell_written(as_json, out)
     if not result.sound:

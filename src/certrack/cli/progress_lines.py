@@ -26,7 +26,7 @@ def progress_lines(what: str, extreme: str, then: str = "") -> Iterator[Progress
     Parameters
     ----------
     what, extreme : str
-        What is counted, and what its best or worst value is called.
+        What is counted, and what the extreme is called that is looked for.
     then : str
         What goes on when all is counted.
     """

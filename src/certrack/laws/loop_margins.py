@@ -57,6 +57,8 @@ def loop_margins(A: np.ndarray, b: np.ndarray, k: np.ndarray) -> LoopMargins:
     b, k : (n,) arrays
         A - b k is stable.
     """
+    if not np.any(k):  # nothing is fed back: nothing depends on the factor
+        return LoopMargins(0.0, math.inf, math.inf)
     eye = np.eye(len(A))
 
     def L(omega: float) -> complex:

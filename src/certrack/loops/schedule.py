@@ -121,8 +121,7 @@ def make_schedule(
         If the switches are too many.
     """
     known = tuple(sorted((s.name, float(numbers[s])) for s in switches.numbers))
-    stated = tuple(np.asarray(reference.breaks(0.0, duration), dtype=float).tolist())
-    times, values, scans = _searched(switches, known, stated, duration, tolerance)
+    times, values, scans = _searched(switches, known, duration, tolerance)
     return Schedule(reference, switches, times, values, scans, BREAK_BLUR * duration)
 
 
@@ -138,7 +137,6 @@ def _nearest(times: Array, others: Array) -> Array:
 def _searched(
     switches: TimeSwitches,
     numbers: tuple[tuple[str, float], ...],
-    stated: tuple[float, ...],
     duration: float,
     tolerance: float,
 ) -> tuple[Array, Array, tuple[Scan, ...]]:

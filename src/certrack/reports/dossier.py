@@ -32,9 +32,9 @@ class Dossier:
         What is guaranteed, in a few sentences.
     sections : sequence of Section
     verified : bool
-        Whether the best bound is proven and no premise is contradicted.
+        Whether the best bound is proven, no premise is contradicted and no run is beyond it.
     sound : bool
-        Whether no premise is contradicted.
+        Whether no premise is contradicted, and no run that was found is beyond a verified bound.
     """
 
     title: str
@@ -117,11 +117,13 @@ def dossier(
 
 def dossier_of(evidence: DesignEvidence) -> Dossier:
     """The dossier of what was found."""
+    worst = evidence.falsification
+    sound = not evidence.certificates.contradicted and (worst is None or worst.alarm is None)
     sections = (section(evidence) for section in IN_ORDER)
     return Dossier(
         title=evidence.system.title or evidence.file,
         summary=tuple(summary(evidence)),
         sections=tuple(section for section in sections if section is not None),
-        verified=evidence.certificates.verified,
-        sound=not evidence.certificates.contradicted,
+        verified=sound and evidence.certificates.verified,
+        sound=sound,
     )

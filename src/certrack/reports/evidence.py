@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
@@ -11,10 +12,12 @@ from certrack.core import checks
 from certrack.core.errors import Cancelled, CertrackError
 from certrack.core.progress import Progress, silent
 from certrack.export.c.source import CCode, c_code
+from certrack.model.implementation import MAX_SEED
+from certrack.model.sampling import MAX_MEMBERS
 from certrack.simulation.run import Run
 from certrack.simulation.simulator import simulate
 from certrack.studies.ensembles.ensemble import Ensemble, ensemble
-from certrack.studies.falsifier.falsify import Falsification, falsify
+from certrack.studies.falsifier.falsify import MAX_BUDGET, Falsification, falsify
 from certrack.studies.margins import Margins, margins
 from certrack.systems.system import System
 
@@ -23,8 +26,11 @@ PartResult = TypeVar("PartResult")
 #: Parts that may be left out, since they take time.
 OPTIONAL = ("falsification", "ensemble", "margins")
 
-#: Most members, and runs of the falsifier, that are taken.
-MAX_RUNS = 10**9
+#: Steps of which `progress` is told: certificates, run, and the five that may be refused.
+EVIDENCE_STEPS = 7
+
+#: What the commands take where nothing is said.
+DEFAULT_EFFORT, DEFAULT_BUDGET = "default", 6000
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,8 @@ class DesignEvidence:
         Of the controller, where the file has a drive.
     refusals : mapping of names to texts
         Why one of these is None, by its name; nothing where it was left out.
+    effort, budget, seed
+        As of :func:`dossier`, for the commands that the dossier quotes.
     """
 
     system: System
@@ -60,15 +68,28 @@ class DesignEvidence:
     margins: Margins | None
     code: CCode | None
     refusals: Mapping[str, str]
+    effort: str = DEFAULT_EFFORT
+    budget: int = DEFAULT_BUDGET
+    seed: int = 0
+
+    def command(self, verb: str, options: str = "") -> str:
+        """The command line that computes a part anew, with the arguments that matter to it."""
+        changed = ""
+        if verb == "certify" and self.effort != DEFAULT_EFFORT:
+            changed = f" --effort {self.effort}"
+        if verb == "falsify":
+            changed += f" --budget {self.budget}" if self.budget != DEFAULT_BUDGET else ""
+            changed += f" --seed {self.seed}" if self.seed else ""
+        return f"certrack {verb} {shlex.quote(self.file)}{changed}{options}"
 
 
 def evidence_of(
     system: System,
     file: str = "FILE.toml",
     *,
-    effort: str = "default",
+    effort: str = DEFAULT_EFFORT,
     members: int = 1000,
-    budget: int = 6000,
+    budget: int = DEFAULT_BUDGET,
     seed: int = 0,
     without: Collection[str] = (),
     progress: Progress = silent,
@@ -76,17 +97,22 @@ def evidence_of(
     """Compute all parts, in the order of the dossier; parameters as of :func:`dossier`."""
     for name in without:
         checks.choice("without", name, OPTIONAL)
-    checks.integer("members", members, 1, MAX_RUNS)
+    checks.integer("members", members, 1, MAX_MEMBERS)
+    checks.integer("budget", budget, 1, MAX_BUDGET)
+    checks.integer("seed", seed, 0, MAX_SEED - 1)
     refusals: dict[str, str] = {}
-    done = 0.0
+    done = 0
+
+    def begin() -> None:
+        nonlocal done
+        progress(done, EVIDENCE_STEPS, None)
+        done += 1
 
     def part(
         name: str, compute: Callable[[], PartResult], needed: bool = True
     ) -> PartResult | None:
         """What was computed; None where it is left out or refused, which is noted."""
-        nonlocal done
-        progress(done, 7, None)
-        done += 1
+        begin()
         try:
             return compute() if needed and name not in without else None
         except Cancelled:
@@ -95,8 +121,9 @@ def evidence_of(
             refusals[name] = str(refusal)
             return None
 
-    progress(done, 7, None)
+    begin()
     certificates = certify(system, effort)
+    begin()
     run = simulate(system)
     evidence = DesignEvidence(
         system=system,
@@ -109,6 +136,9 @@ def evidence_of(
         margins=part("margins", lambda: margins(system, seed=seed)),
         code=part("code", lambda: c_code(system), system.implementation is not None),
         refusals=refusals,
+        effort=effort,
+        budget=budget,
+        seed=seed,
     )
-    progress(7, 7, None)
+    progress(EVIDENCE_STEPS, EVIDENCE_STEPS, None)
     return evidence

@@ -17,7 +17,7 @@ PACKAGES = ("numpy", "scipy", "sympy", "python-flint", "heyoka", "mpmath", "matp
 
 
 def file_section(evidence: DesignEvidence) -> Section:
-    """The system file as it was read, and what computed the dossier."""
+    """The system as a file, written anew without comments, and what computed the dossier."""
     text = to_text(evidence.system)
     digest = hashlib.sha256(text.encode()).hexdigest()
     rows = [["certrack", __version__], ["Python", platform.python_version()]]
@@ -26,8 +26,8 @@ def file_section(evidence: DesignEvidence) -> Section:
         key="file",
         title="The system file",
         lines=(
-            "What everything above is about. Digests are SHA-256.",
-            "A digest of this text that differs from the one below: another system.",
+            "What everything above is about, written anew without the comments of its file. "
+            "Digests are SHA-256: a text with another digest may be another system.",
         ),
         tables=(table("computed by", ["package", "version"], rows),),
         attachments=(Attachment("system.toml", "application/toml", text, digest),),

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import json
 
-from certrack.certificates.document import to_document
+from certrack.certificates.document import certificate_text
 from certrack.core.rounding import printed_bound, rounded_up
 from certrack.plotting.shared import as_svg
 from certrack.plotting.starts import starts_figure
@@ -14,6 +13,7 @@ from certrack.reports.certificates import certificates_notes, certificates_table
 from certrack.reports.evidence import DesignEvidence
 from certrack.reports.premises import premise_rows
 from certrack.reports.ranges import costs_table, strength_line
+from certrack.reports.sampled import for_starts
 from certrack.reports.sections import Attachment, Picture, Section
 from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
 
@@ -35,6 +35,9 @@ def summary(evidence: DesignEvidence) -> list[str]:
     if evidence.falsification is not None:
         worst = evidence.falsification.worst_error
         lines.append(f"worst admissible case found, of the continuous law: {worst:.5g}")
+        if evidence.falsification.alarm is not None:
+            reason = evidence.falsification.reason
+            lines.insert(1, f"ALARM: a run is beyond the verified bound: {reason}")
     if evidence.ensemble is not None:
         error, _ = evidence.ensemble.statistics.worst[0]
         lines.append(f"largest tail error of {evidence.ensemble.members} members: {error:.5g}")
@@ -49,7 +52,11 @@ def _guaranteed(evidence: DesignEvidence) -> str:
     if not best.exists:
         return "nothing is guaranteed: no certificate exists"
     bound = printed_bound(best.bound, BOUND_TEXT_DIGITS)
-    loop = ", of the loop as the drive runs it" if best is results.implemented else ""
+    loop = ""
+    if best is results.implemented:
+        loop = f", of the loop as the drive runs it{for_starts(results.implemented)}"
+    elif evidence.system.implementation is not None:
+        loop = ", of the continuous law; nothing is verified of the loop as the drive runs it"
     checked = "verified exactly" if best.verified else "NOT verified"
     return f"limsup |e_1| <= {bound}, {checked} ({best.kind}{loop})"
 
@@ -110,7 +117,7 @@ def _certificate(evidence: DesignEvidence) -> Attachment | None:
     stages = evidence.certificates.stages
     if not stages:
         return None
-    text = json.dumps(to_document(evidence.system, *stages), indent=1) + "\n"
+    text = certificate_text(evidence.system, stages)
     digest = hashlib.sha256(text.encode()).hexdigest()
     content = text if len(text) <= LONGEST_ATTACHMENT else ""
     return Attachment("certificate.json", "application/json", content, digest)
@@ -119,10 +126,10 @@ def _certificate(evidence: DesignEvidence) -> Attachment | None:
 def _how_to_check(evidence: DesignEvidence) -> list[str]:
     if not evidence.certificates.stages:
         return []
+    command = evidence.command("certify", " --out certificate.json")
     return [
-        f"To check it without a solver: certrack certify {evidence.file} --out certificate.json, "
-        "then certrack verify certificate.json. The format is described, so that anyone can write "
-        "another checker."
+        f"To check it without a solver: {command}, then certrack verify certificate.json. The "
+        "format is described, so that anyone can write another checker."
     ]
 
 

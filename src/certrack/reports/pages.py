@@ -116,17 +116,26 @@ def _printer() -> Any:
 
 def to_markdown(dossier: Dossier) -> str:
     """The sentences and tables of a dossier as Markdown, without its pictures."""
-    blocks = [f"# {dossier.title}", *dossier.summary]
+    blocks = [f"# {_plain(dossier.title)}", *map(_plain, dossier.summary)]
     for section in dossier.sections:
-        blocks += [f"## {section.title}", *section.lines]
+        blocks += [f"## {section.title}", *map(_plain, section.lines)]
         blocks += [f"    {formula.text}" for formula in section.formulas]
         blocks += [_markdown_table(entry) for entry in section.tables]
     return "\n\n".join(blocks) + "\n"
 
 
+#: What Markdown takes for marks within a line, and HTML for tags; one _ within a word is none.
+MARKDOWN_MARKS = re.compile(r"[\\`*<\[\]#~|]|(?<!\w)_|_(?!\w)")
+
+
+def _plain(text: str) -> str:
+    """Text that Markdown shows as it is."""
+    return MARKDOWN_MARKS.sub(lambda mark: "\\" + mark[0], text)
+
+
 def _markdown_table(entry: Table) -> str:
     def row(cells: tuple[str, ...]) -> str:
-        return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+        return f"| {' | '.join(map(_plain, cells))} |"
 
     rule = "|" + " --- |" * len(entry.columns)
     lines = [row(entry.columns), rule, *map(row, entry.rows)]

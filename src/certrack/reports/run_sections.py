@@ -54,7 +54,7 @@ def falsification_section(evidence: DesignEvidence) -> Section | None:
     if values["drive"] is not None:
         lines += drive_lines(values["drive"])
     lines += [f"not tried: {what}: {why}" for what, why in values["left_out"].items()]
-    lines.append(f"To repeat it: certrack falsify {evidence.file} --out worst.toml")
+    lines.append(f"To repeat it: {evidence.command('falsify', ' --out worst.toml')}")
     return Section(key, title, tuple(lines), tables=(falsification_table(values["certificates"]),))
 
 
@@ -113,7 +113,9 @@ def drive_section(evidence: DesignEvidence) -> Section | None:
             f"The controller in C: {size} characters of C90 in one header and one source, "
             f"{states} real numbers of state, no memory taken while it runs."
         )
-        lines.append(f"To write it with its acceptance test: certrack export c {evidence.file}")
+        lines.append(f"To write it with its acceptance test: {evidence.command('export c')}")
+    elif "code" in evidence.refusals:
+        lines.append(f"no controller in C: {evidence.refusals['code']}")
     return Section(
         "drive", "Drive", tuple(lines), tables=(table("implementation", ["key", "value"], rows),)
     )

@@ -16,7 +16,7 @@ from certrack.certificates.implemented.step_search import RATES_PART
 from certrack.core.rounding import rounded_down, rounded_up
 
 
-def _for_starts(sampled: ImplementedCertificate) -> str:
+def for_starts(sampled: ImplementedCertificate) -> str:
     """For which starts a bound is proven, in words; nothing for all."""
     if sampled.starts == "x0":
         return ", from x0" + (" and the proven polytope" if sampled.polytope is not None else "")
@@ -65,7 +65,7 @@ def implemented_notes(sampled: ImplementedCertificate, digits: int) -> list[str]
     )
     ship = (
         f"ship with implemented: limsup |e_1| <= {bound} holds for the sampled loop, between its "
-        f"samples too{_for_starts(sampled)}; the others speak of the continuous law"
+        f"samples too{for_starts(sampled)}; the others speak of the continuous law"
     )
     if not sampled.verified:
         ship = (

@@ -58,8 +58,8 @@ MARGIN_TOLERANCE = 1e-6
 #: Stands for no saturation.
 UNLIMITED_INPUT = (-1e12, 1e12)
 
-#: The first delay tried, in periods; the lowest saturation, over the input that is needed.
-FIRST_DELAY, LOWEST_SATURATION = 0.2, 1e-4
+#: The lowest saturation tried, over the input that is needed.
+LOWEST_SATURATION = 1e-4
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class SearchState:
 
 
 class GainSearch:
-    """CompiledRuns one task from many starts.
+    """The search of one task, from many starts.
 
     Parameters
     ----------

@@ -49,15 +49,15 @@ def certify_bootstrap(
             if effort == "fast":
                 raise NoCertificate("takes more time: --effort default")
             first = first or _first_proof(exact)
-            solution = bootstrap(system, exact, first, effort)
-            if not bounds_error(solution.stages):
+            stages = bootstrap(system, exact, first, effort)
+            if not bounds_error(stages):
                 raise NoCertificate(_why_no_smaller(exact.n))
-            bound = float_up(from_text(claimed_bound(solution.stages)))
+            bound = float_up(from_text(claimed_bound(stages)))
     except NoCertificate as refusal:
         return missing("bootstrap", str(refusal)), ()
     rests_on = tuple(assumptions(system))
     certificate = Certificate("bootstrap", bound, verified=True, assumptions=rests_on)
-    return certificate, (first, *solution.stages)
+    return certificate, (first, *stages)
 
 
 def _why_no_smaller(n: int) -> str:

@@ -7,6 +7,7 @@ from dataclasses import fields
 from typing import Any
 
 from certrack.certificates.bootstrap.box import Region
+from certrack.certificates.bootstrap.inequality import MULTIPLIERS
 from certrack.certificates.bootstrap.proof import BootstrapStage, FunctionProof, RowBound
 from certrack.certificates.exact import from_text
 from certrack.core.errors import InputError
@@ -64,11 +65,10 @@ def _stage_of(entry: Any) -> BootstrapStage:
 
 def _function_of(entry: Any) -> FunctionProof:
     _keys(entry, FunctionProof)
-    vectors = ("squares", "inputs", "sectors", "mu", "scales", "turns")
     return FunctionProof(
         alpha=_text(entry["alpha"]),
         G=_many(entry["G"], lambda row: _many(row, _text)),
-        **{name: _many(entry[name], _text) for name in vectors},
+        **{name: _many(entry[name], _text) for name in MULTIPLIERS},
         claims=_many(entry["claims"], _claim, MAX_CLAIMS),
     )
 

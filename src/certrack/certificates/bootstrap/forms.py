@@ -42,7 +42,8 @@ class Forms:
         Of the errors; w begins with them and 1.
     width : int
         Of w.
-    corners : Corner
+    corners : sequence of Corner
+        One for each end of pi; one alone where they are the same.
     squares : pairs (rows, place)
         |rows w|^2 - w_place^2 >= 0, of the a-inputs.
     products : pairs (places of v, places of psi v)

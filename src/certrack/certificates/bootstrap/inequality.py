@@ -21,6 +21,9 @@ import numpy as np
 
 from certrack.certificates.bootstrap.forms import Corner, Forms
 
+#: Multipliers of :class:`Unknowns`, in the order of its fields.
+MULTIPLIERS = ("squares", "inputs", "sectors", "mu", "scales", "turns")
+
 
 @dataclass(frozen=True)
 class Unknowns:
@@ -54,6 +57,12 @@ class Unknowns:
         """K_i."""
         a, b, c = self.turns[3 * i : 3 * i + 3]
         return np.array([[0 * a, a, b], [-a, 0 * a, c], [-b, -c, 0 * a]])
+
+
+def multiplier_counts(forms: Forms) -> tuple[int, ...]:
+    """How many numbers each of :data:`MULTIPLIERS` has."""
+    kinds, behind = len(forms.products), forms.width - forms.size - 1
+    return len(forms.squares), behind, len(forms.sectors), forms.width, 6 * kinds, 3 * kinds
 
 
 def shared_form(forms: Forms, unknowns: Unknowns) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The best quadratic function on a box, by Clarabel: the smallest bound of one row."""
+"""The best quadratic function on a box, by Clarabel: the smallest bounds of some rows."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from certrack.certificates.bootstrap.forms import Corner, Forms
 from certrack.certificates.bootstrap.inequality import (
     Unknowns,
     corner_form,
+    multiplier_counts,
     shared_form,
     target_form,
 )
@@ -23,8 +24,8 @@ LARGEST_RATE = 4.0
 
 
 @dataclass(frozen=True)
-class Found:
-    """A minimiser.
+class Minimiser:
+    """The best function with some alpha, and what it bounds.
 
     Attributes
     ----------
@@ -59,11 +60,11 @@ class BootstrapProgram:
         scaled = (Corner(c.F / self._speed, c.relation / self._relation) for c in forms.corners)
         self.forms = forms = replace(forms, corners=tuple(scaled))
         size, width = forms.size, forms.width
-        self._counts = (len(forms.squares), width - size - 1, len(forms.sectors))
+        counts, kinds = multiplier_counts(forms), len(forms.products)
         self._entries = [(i, j) for j in range(size + 1) for i in range(j + 1)]
-        free, signed, kinds = len(self._entries), sum(self._counts), len(forms.products)
-        self._free, self._parts = free, np.cumsum([*self._counts, width, 6 * kinds])
-        self._count = free + signed + width + 9 * kinds + targets  # the bounds are the last
+        free, signed = len(self._entries), sum(counts[:3])
+        self._free, self._parts = free, np.cumsum(counts[:-1])
+        self._count = free + sum(counts) + targets  # the bounds are the last
         units = [self._unknowns(row) for row in np.eye(self._count)]
         shared = [shared_form(forms, unit) for unit in units]
         self._slopes = np.array([self._padded(unit.G) for unit in units])
@@ -94,7 +95,7 @@ class BootstrapProgram:
         self._cones += [clarabel.PSDTriangleConeT(size + 1)] * targets
         self._cones += [clarabel.PSDTriangleConeT(3)] * kinds + [clarabel.NonnegativeConeT(signed)]
 
-    def solve(self, alpha: float, rows: np.ndarray) -> Found | None:
+    def solve(self, alpha: float, rows: np.ndarray) -> Minimiser | None:
         """The smallest bounds of rows (zeta, 1) with this decay rate; None if there are none.
 
         The bounds are of one function; their sum is minimised, each in units of its row.
@@ -126,7 +127,7 @@ class BootstrapProgram:
         scaled = vars(self._unknowns(x))
         values = {name: value * self._speed for name, value in scaled.items() if name != "G"}
         values |= {"alpha": alpha, "mu": values["mu"] / self._relation}
-        return Found(x[-self.targets :], sizes, slope, replace(self._unknowns(x), **values))
+        return Minimiser(x[-self.targets :], sizes, slope, replace(self._unknowns(x), **values))
 
     def _unknowns(self, x: np.ndarray, alpha: float = 0.0) -> Unknowns:
         G = np.zeros((self.forms.size + 1, self.forms.size + 1))

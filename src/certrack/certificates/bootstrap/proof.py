@@ -1,4 +1,4 @@
-"""The exact proof of one bound of a stage: numbers as decimal texts, and their check."""
+"""The exact proof of the bounds of a stage: numbers as decimal texts, and their check."""
 
 from __future__ import annotations
 
@@ -13,19 +13,18 @@ from scipy.linalg import solve_triangular
 from certrack.certificates.bootstrap.box import Region
 from certrack.certificates.bootstrap.forms import Forms
 from certrack.certificates.bootstrap.inequality import (
+    MULTIPLIERS,
     Unknowns,
     corner_form,
+    multiplier_counts,
     shared_form,
     target_form,
 )
-from certrack.certificates.bootstrap.program import Found
+from certrack.certificates.bootstrap.program import Minimiser
 from certrack.certificates.exact import decimal_text, from_text
 
 #: How far a solution gives way until exact arithmetic confirms it, in the units of a box's radius.
-GIVING_WAY = (1e-7, 1e-6, 1e-5, 1e-4)
-
-#: Multipliers of :class:`Unknowns`, in the order of its fields.
-MULTIPLIERS = ("squares", "inputs", "sectors", "mu", "scales", "turns")
+FUNCTION_BACK_OFF = (1e-7, 1e-6, 1e-5, 1e-4)
 
 #: Where the diagonal stands in the upper triangle of a D_i.
 DIAGONAL = (1.0, 0.0, 1.0, 0.0, 0.0, 1.0)
@@ -101,11 +100,9 @@ def failed_part(forms: Forms, proof: FunctionProof, rows: Sequence[np.ndarray]) 
     `rows` are those that claims may name, over the errors.
     """
     unknowns = proof.unknowns()
-    size, width = forms.size, forms.width
-    kinds = len(forms.products)
-    counts = (len(forms.squares), width - size - 1, len(forms.sectors), width, 6 * kinds, 3 * kinds)
-    lengths = [len(getattr(unknowns, name)) for name in MULTIPLIERS]
-    if unknowns.G.shape != (size + 1, size + 1) or tuple(lengths) != counts:
+    size = forms.size
+    lengths = tuple(len(getattr(unknowns, name)) for name in MULTIPLIERS)
+    if unknowns.G.shape != (size + 1, size + 1) or lengths != multiplier_counts(forms):
         return "G or the multipliers do not have the shape of the loop"
     if not (unknowns.G == unknowns.G.T).all():
         return "G is not symmetric"
@@ -113,7 +110,7 @@ def failed_part(forms: Forms, proof: FunctionProof, rows: Sequence[np.ndarray]) 
         return "alpha is not positive"
     if any(v < 0 for v in (*unknowns.squares, *unknowns.inputs, *unknowns.sectors)):
         return "a multiplier is negative"
-    if not all(proven_definite(unknowns.scale(i)) for i in range(kinds)):
+    if not all(proven_definite(unknowns.scale(i)) for i in range(len(forms.products))):
         return "a multiplier of the regressor is not positive definite"
     for claim in proof.claims:
         if claim.side not in (1, -1) or not 0 <= claim.error < len(rows):
@@ -133,7 +130,7 @@ def failed_part(forms: Forms, proof: FunctionProof, rows: Sequence[np.ndarray]) 
 
 def prove_function(
     forms: Forms,
-    solution: Found,
+    solution: Minimiser,
     wanted: Sequence[tuple[int, int]],
     rows: Sequence[np.ndarray],
 ) -> FunctionProof | None:
@@ -143,7 +140,7 @@ def prove_function(
     ----------
     forms : Forms
         In exact rationals.
-    solution : Found
+    solution : Minimiser
     wanted : pairs (error, side)
     rows : arrays
         Over the errors.
@@ -151,7 +148,7 @@ def prove_function(
     u, size = solution.unknowns, forms.size
     speed = max(float(np.abs(c.F.astype(float)).sum(axis=1).max()) for c in forms.corners)
     room = len(u.inputs) + len(u.sectors) + len(u.turns)
-    for part in GIVING_WAY:
+    for part in FUNCTION_BACK_OFF:
         more = part * speed
         inputs, sectors = (np.maximum(v, 0.0) + more for v in (u.inputs, u.sectors))
         squares = np.maximum(u.squares, 0.0)

@@ -47,6 +47,9 @@ SAMPLES = 32
 #: Middles and half widths are rounded to floats; this covers it.
 FLOAT_SHARE, FLOAT_WIDENING = 1e-15, 1 + 1e-15
 
+#: Where sums of balls begin.
+ZERO_BALL = flint.arb(0)
+
 #: A checker may halve so often until all parts are within a stated bound.
 MOST_PARTS_TO_CHECK = 10_000
 
@@ -234,9 +237,6 @@ def largest_reach(loop: AdaptiveLoop, box: np.ndarray) -> list[float]:
         wide = np.abs(S.astype(float)) @ np.abs(through) @ (np.abs(middle) + width)
         limits.append(largest + FLOAT_SUM * float(np.linalg.norm(wide)) + FLOAT_SUM * largest)
     return limits
-
-
-ZERO_BALL = flint.arb(0)
 
 
 def _combined(rows: Sequence[Sequence[Any]], values: Sequence[Any]) -> list[Any]:

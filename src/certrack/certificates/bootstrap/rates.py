@@ -26,13 +26,8 @@ class Rate:
     _below: tuple[float, float] | None = field(default=None, repr=False)
     _above: tuple[float, float] | None = field(default=None, repr=False)
 
-    @property
-    def surrounded(self) -> bool:
-        """Whether the best alpha is known to be between two that were tried."""
-        return self._below is not None and self._above is not None
-
     def met(self, slope: float | None) -> None:
-        """Hear the slope of the bound by log alpha; None where there was no bound."""
+        """Take in the slope of the bound by log alpha; None where there was no bound."""
         here = math.log(self.alpha)
         if slope is None or slope > 0:
             self._above = (here, math.inf if slope is None else slope)

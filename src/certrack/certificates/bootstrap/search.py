@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from certrack.certificates.bootstrap.forms import forms_of
 from certrack.certificates.bootstrap.loop import AdaptiveLoop, adaptive_loop, formulas_of
-from certrack.certificates.bootstrap.program import BootstrapProgram, Found
+from certrack.certificates.bootstrap.program import BootstrapProgram, Minimiser
 from certrack.certificates.bootstrap.proof import (
     BootstrapStage,
     prove_function,
@@ -26,37 +23,22 @@ from certrack.systems.system import System
 #: Stages at most; the iteration ends when no interval shrinks by more than this part.
 MOST_STAGES, WORTH_A_STAGE = 8, 0.01
 
-#: Programs for each row on the first box, on the others, and for e_1 on the last.
-FIRST_TRIES, LATER_TRIES, LAST_TRIES = 4, 1, 4
+#: Programs for each row on the first box, and on the others.
+FIRST_TRIES, LATER_TRIES = 4, 1
 
 #: A bound is proven if it is better than what is known by this part of the interval.
 WORTH_A_PROOF = 1e-3
 
-
 #: Entries of the matrices of all corners above which it takes more than about five seconds.
-MOST_OF_DEFAULT = 1200
+MOST_DEFAULT_ENTRIES = 1200
 
 #: Rows, each with its side, that one function bounds.
 Group = tuple[tuple[int, int], ...]
 
 
-@dataclass(frozen=True)
-class Bootstrap:
-    """The stages, and what is known after them."""
-
-    stages: tuple[BootstrapStage, ...]
-    known: Reached
-
-    @property
-    def bound(self) -> Any:
-        """Of limsup |e_1|, exact."""
-        low, high = self.known.box[0]
-        return max(abs(low), abs(high))
-
-
 def bootstrap(
     system: System, problem: ErrorProblem, first: Proof, effort: str = "default"
-) -> Bootstrap:
+) -> tuple[BootstrapStage, ...]:
     """All stages behind the proof `first` of a bound on e_n.
 
     Raises
@@ -65,7 +47,7 @@ def bootstrap(
         If drift or regressor have no bounds on the first box, or it would take too long.
     """
     loop = adaptive_loop(system, problem)
-    if effort != "high" and _corner_sizes(loop) > MOST_OF_DEFAULT:
+    if effort != "high" and _corner_entries(loop) > MOST_DEFAULT_ENTRIES:
         raise NoCertificate("takes more time for a plant of this size: --effort high")
     ranges = Ranges(formulas_of(system), loop)
     known = first_box(loop, first)
@@ -81,11 +63,11 @@ def bootstrap(
         gain, known = _shrunk(known, later), later
         if gain < WORTH_A_STAGE:
             break
-    return Bootstrap(tuple(stages), known)
+    return tuple(stages)
 
 
-def _corner_sizes(loop: AdaptiveLoop) -> int:
-    """Entries of the matrices of all corners, of which the time of a program depends."""
+def _corner_entries(loop: AdaptiveLoop) -> int:
+    """Entries of the matrices of all corners, on which the time of a program depends."""
     inputs = loop.Ua.shape[1] + loop.Ub.shape[1] + len(loop.Y)
     ranged = sum(1 for radius in loop.theta_radius if radius > 0)
     scales = 2 if loop.largest_scale > 1 else 0
@@ -157,8 +139,8 @@ def _gain(known: Reached, row: np.ndarray, side: int, bound: float) -> float:
 
 def _best_of_rates(
     program: BootstrapProgram, rows: np.ndarray, rate: Rate, tries: int
-) -> Found | None:
-    best: Found | None = None
+) -> Minimiser | None:
+    best: Minimiser | None = None
     for _ in range(tries):
         solution = program.solve(rate.alpha, rows)
         rate.met(None if solution is None else solution.slope)

@@ -57,8 +57,10 @@ class _Rate:
             text += f", but for jumps of at most {s.jump:g}, at least {s.dwell:g} s apart"
         if not s.fast:
             return text
-        less = f", without which w_{self.k + 1} stays so much below its bound" * self.of_states
-        return f"{text}, and a part of at most {s.fast:g} of any speed{less}"
+        text += f", and a part of at most {s.fast:g} of any speed"
+        if not self.of_states:
+            return text
+        return f"{text}, without which w_{self.k + 1} stays so much below its bound"
 
     def premise(self, term: UncertainTerm | None, points: Points) -> Premise:
         """The premise; no term where the truth has states of its own."""

@@ -5,7 +5,9 @@ transient; the best case is polished alone. Where the error loop is linear, its 
 program give another case, also at the corners of what has a range, and of the loop as a drive
 carries it out (:mod:`certrack.studies.falsifier.linear`). Where constants have ranges, the adaptive
 law gets the case of the loop that knows what it estimates, and the search goes on from these
-constants. Cases are written as system files and replayed there.
+constants. Where the loop is nonlinear, an ascent along the slopes of its adjoint goes on from the
+worst of all these (:mod:`certrack.studies.falsifier.ascent`). Cases are written as system files and
+replayed there.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""AdversaryInputs of a controlled loop made worse, turn by turn.
+"""The inputs of a controlled loop, made worse turn by turn.
 
 The adjoint gives the slopes of e_1 at the end. Two kinds of step take turns, and neither leaves
 what is admissible:
@@ -43,7 +43,7 @@ class Climb:
     ----------
     loop : ControlledLoop
     inputs : AdversaryInputs
-        To begin with.
+        Those to begin with.
     senses : (N,) array
         1 or -1: which side of the error is to grow.
 
@@ -129,7 +129,7 @@ class Climb:
         return now.towards(self._goals, part)
 
     def keep(self, members: Array) -> None:
-        """Go on with these members only."""
+        """Go on with these members alone."""
         self.inputs, self.slopes = self.inputs.subset(members), self.slopes.subset(members)
         self._goals = None if self._goals is None else self._goals.subset(members)
         self.senses, self.errors = self.senses[members], self.errors[members]

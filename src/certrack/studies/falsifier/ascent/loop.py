@@ -27,10 +27,14 @@ from certrack.systems.system import System
 #: Length of the run, in time constants of the slowest mode: e^-10 is left of the start.
 ASCENT_TIME_CONSTANTS = 10.0
 
+#: A run that is cut to fewer, since it would have too many steps, shows its start and no long run.
+LEAST_TIME_CONSTANTS = 5.0
+
 #: A step over the fastest time constant of the nominal error, and steps at most.
 CONTROL_STEP_PART, MOST_CONTROL_STEPS = 0.15, 4000
 
-#: Pieces of the reference: each lasts so much of the time from it to the end, but some steps.
+#: A piece of the reference lasts this part of the time from it to the end, and at least so many
+#: steps.
 PIECE_PART, LEAST_PIECE = 0.07, 2
 
 #: Pieces by which a reference comes to rest after the end.
@@ -77,7 +81,7 @@ class AdversaryInputs:
         )
 
     def coarser(self, times: int) -> AdversaryInputs:
-        """The other way."""
+        """The same for a loop with so many times as few steps: the share of every such step."""
         return AdversaryInputs(self.shares[::times], self.begin, self.pieces, self.truths)
 
     def towards(self, others: AdversaryInputs, part: Array) -> AdversaryInputs:
@@ -147,6 +151,12 @@ class ControlledLoop:
     def horizon(self) -> float:
         """Length of a run, s."""
         return float(self.widths.sum())
+
+    @property
+    def forgets_start(self) -> bool:
+        """Whether the run lasts until too little of its start is left to be taken for an error."""
+        least = LEAST_TIME_CONSTANTS * slowest_time_constant(self.system)
+        return self.horizon >= least
 
     @property
     def piece_widths(self) -> Array:

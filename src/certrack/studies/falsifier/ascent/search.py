@@ -79,6 +79,8 @@ def ascend(
     """
     if not np.isfinite(bounds).all() or min(bounds) <= 0:
         raise NothingTried("a derivative of the reference has no bound, or stands still")
+    if not ControlledLoop(system, bounds).forgets_start:
+        raise NothingTried("the slowest mode, or leak of an estimate, outlasts the longest run")
     finer, members, senses = _begun(system, bounds, earlier, np.random.default_rng(seed))
     loop = ControlledLoop(system, bounds, finer)
     turns = min(MOST_CLIMB_TURNS, max(1, budget // RUNS_PER_TURN))

@@ -1,4 +1,4 @@
-"""AdversaryInputs to begin an ascent with: constant ones, waves, and those of runs found before."""
+"""Inputs to begin an ascent with: constant ones, waves, and those of runs found before."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def waves(loop: ControlledLoop, count: int, rng: np.random.Generator) -> Adversa
     shares = np.sign(np.sin(2 * np.pi * (turns * time + rng.uniform(size=(C, count)))))
     still = np.arange(count) < 4
     constant = np.array([1.0, 1.0, -1.0, -1.0])[np.arange(count) % 4]
-    shares = np.where(still | np.array(loop.held)[:, None], constant, shares)
+    shares = np.where(still | np.array(loop.held, dtype=bool)[:, None], constant, shares)
     corners = rng.integers(0, 2, (P, count))
     truths = np.take_along_axis(loop.ranges, corners, axis=1) if P else np.zeros((0, count))
     pieces = np.zeros((len(loop.piece_steps) + RESTING_PIECES, count))
@@ -120,7 +120,7 @@ def _stopping(loop: ControlledLoop, begin: Array, pieces: Array) -> Array:
 
 
 def all_members(members: Sequence[AdversaryInputs]) -> AdversaryInputs:
-    """All members of all of them."""
+    """All of these side by side, their members numbered through."""
     return AdversaryInputs(
         *(
             np.concatenate(parts, axis=-1)
