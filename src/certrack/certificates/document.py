@@ -129,7 +129,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         bound = largest_bound(sampled) if sampled else bound
         bound = claimed_bound(grounded) if grounded else bound
     else:
-        bound = tuple(stage for stage in stages if isinstance(stage, Proof))[-1].bound
+        bound = [stage for stage in stages if isinstance(stage, Proof | OnlineProof)][-1].bound
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
