@@ -28,7 +28,7 @@ class Robust(Law):
         g_n, theta = s.parameter("g_n"), s.parameters("theta", s.r)
         return Equations(u=(s.nu - dot(s.phi, theta)) / g_n)
 
-    def error_system(self, s: Signals) -> KnownParameters:
+    def error_system(self, s: Signals) -> KnownParameters | None:
         return KnownParameters(s.parameter("g_n"), s.parameters("theta", s.r))
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:

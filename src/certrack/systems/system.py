@@ -19,6 +19,7 @@ from certrack.laws.base import Controller, Law
 from certrack.laws.leakage import longest_euler_period
 from certrack.laws.observer_model import observer_model
 from certrack.laws.online import LEVEL
+from certrack.laws.plant_coordinates import output_derivatives
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
@@ -350,14 +351,3 @@ def require_system(system: Any, key: str = "system") -> None:
     """Refuse what is no system, such as the name of a file, where one is needed."""
     if not isinstance(system, System):
         raise InputError(key, "must be a System", system, "certrack.load makes one")
-
-
-def output_derivatives(plant: Plant) -> np.ndarray:
-    """Rows that give y, y' ... y^(n-1) of the states, where nothing uncertain acts: (n, n)."""
-    F = np.zeros((plant.n, plant.n))
-    F[:-1] = plant.b
-    F[range(plant.n - 1), range(1, plant.n)] += plant.g
-    rows = [np.eye(plant.n)[0]]
-    for _ in range(plant.n - 1):
-        rows.append(rows[-1] @ F)
-    return np.array(rows)
