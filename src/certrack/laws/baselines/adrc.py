@@ -31,6 +31,7 @@ class Adrc(Baseline):
 
     kind = "adrc"
     tuned = ("rate", "observer_rate")
+    slower = "lower law.observer_rate"
 
     rate: float = gain(above=0, default=3.0, unit="1/s", help="poles of the control")
     observer_rate: float = gain(above=0, default=20.0, unit="1/s", help="poles of the observer")

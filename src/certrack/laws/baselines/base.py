@@ -39,6 +39,8 @@ class Baseline(Robust):
     moving: ClassVar[tuple[str, ...]] = ()
     #: Gains that a search may choose: positive numbers.
     tuned: ClassVar[tuple[str, ...]] = ()
+    #: What makes its poles slower, as a remedy says it.
+    slower: ClassVar[str]
     no_certificate = "no inequality V' <= -alpha V + Delta is known for this law"
 
     c: tuple[float, ...] = field(default=(), init=False, repr=False)

@@ -26,6 +26,7 @@ class L1Adaptive(Baseline):
 
     kind = "l1"
     tuned = ("weight", "adaptation", "filter_rate")
+    slower = "lower law.weight"
 
     weight: float = gain(above=0, default=100.0, help="weight of x_1 - y_d against the input's")
     adaptation: float = gain(above=0, default=50.0, unit="1/s", help="rate of the estimate")

@@ -28,6 +28,7 @@ class Mrac(Baseline):
 
     kind = "mrac"
     tuned = ("weight", "adaptation", "leak")
+    slower = "lower law.weight"
 
     weight: float = gain(above=0, default=100.0, help="weight of x_1 - y_d against the input's")
     adaptation: float = gain(above=0, default=1.0, help="adaptation gain")

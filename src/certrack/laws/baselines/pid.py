@@ -29,6 +29,7 @@ class Pid(Baseline):
 
     kind = "pid"
     tuned = ("k_p", "k_i", "k_d", "filter_time")
+    slower = "raise law.filter_time"
 
     k_p: float = gain(above=0, default=10.0, help="gain of the error")
     k_i: float = gain(above=0, default=1.0, help="gain of its integral")

@@ -32,6 +32,7 @@ class SlidingMode(Baseline):
 
     kind = "smc"
     tuned = ("rate", "switching", "layer")
+    slower = "lower law.switching/law.layer"
 
     rate: float = gain(above=0, default=3.0, unit="1/s", help="decay of the error on the surface")
     switching: float = gain(above=0, default=5.0, help="size of the switched part of nu")

@@ -32,6 +32,7 @@ class SuperTwisting(Baseline):
 
     kind = "super-twisting"
     tuned = ("rate", "k_1", "k_2", "layer")
+    slower = "lower law.k_1 or raise law.layer"
 
     rate: float = gain(above=0, default=3.0, unit="1/s", help="decay of the error on the surface")
     k_1: float = gain(above=0, default=5.0, help="gain of the root of sigma")
