@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from certrack.cli.base import MEMBER_SEED, naming, tell_written
-from certrack.core import checks
 from certrack.core.errors import InputError
 
 #: Arguments of compare_laws, by the names of the options.
@@ -79,6 +78,7 @@ def law_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def compare_tuned_laws(file: str, plot: Path | None, as_json: bool, wanted: dict[str, Any]) -> None:
     """Tune, measure, print and draw."""
     from certrack.cli import console
+    from certrack.core import checks
     from certrack.reports import law_comparison as report
     from certrack.systems.reader import load
     from certrack.tuning.comparison.compare_laws import compare_laws

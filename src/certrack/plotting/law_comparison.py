@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from certrack.tuning.comparison.compare_laws import LawComparison
 
 #: Columns of the picture, and the size of a part, in.
-COLUMNS, PART_WIDTH, PART_HEIGHT = 2, 3.6, 1.7
+PANEL_COLUMNS, PART_WIDTH, PART_HEIGHT = 2, 3.6, 1.7
 
 
 def law_comparison_figure(result: LawComparison, title: str) -> Figure:
@@ -32,20 +33,18 @@ def law_comparison_figure(result: LawComparison, title: str) -> Figure:
     shown = [figures for figures in result.laws if figures.members is not None]
     settings = result.system.settings
     window = (settings.tail_start, settings.duration)
-    rows = max(1, -(-len(shown) // COLUMNS))
+    rows = max(1, -(-len(shown) // PANEL_COLUMNS))
     with style():
-        drawing = new_figure(COLUMNS * PART_WIDTH, rows * PART_HEIGHT + 0.5)
-        axes = np.atleast_1d(drawing.subplots(rows, COLUMNS, squeeze=False)).ravel()
+        drawing = new_figure(PANEL_COLUMNS * PART_WIDTH, rows * PART_HEIGHT + 0.5)
+        axes = np.atleast_1d(drawing.subplots(rows, PANEL_COLUMNS, squeeze=False)).ravel()
         for ax, figures in zip(axes, shown, strict=False):
             assert figures.members is not None
-            plot_fan(ax, figures.members, window=window)
-            for line in ax.get_lines()[1:]:
-                line.remove()  # the limit, which is that of an output that stays
+            plot_fan(ax, replace(figures.members, limit=None), window=window)
             ax.set_title(figures.name, fontsize="medium")
             few_ticks(ax)
         for ax in axes[len(shown) :]:
             ax.set_visible(False)
-        for ax in axes[max(0, len(shown) - COLUMNS) : len(shown)]:
+        for ax in axes[max(0, len(shown) - PANEL_COLUMNS) : len(shown)]:
             ax.set_xlabel("t [s]")
         if shown:
             handles, labels = axes[0].get_legend_handles_labels()

@@ -73,7 +73,7 @@ def law_notes(result: LawComparison) -> list[str]:
         f"{result.budget} evaluations, seed {result.seed}",
     ]
     for figures in result.laws:
-        numbers = ", ".join(f"{name} = {_shown(v)}" for name, v in figures.gains().items())
+        numbers = ", ".join(f"{name} = {_gain_text(v)}" for name, v in figures.gains().items())
         lines.append(f"{figures.name}: {figures.system.law.kind} law, {numbers}")
         if figures.works and math.isfinite(figures.bound):
             lines.append(f"  certified by {figures.bound_note}")
@@ -84,8 +84,8 @@ def law_notes(result: LawComparison) -> list[str]:
     return lines
 
 
-def _shown(value: object) -> str:
+def _gain_text(value: object) -> str:
     value = getattr(value, "error", value)
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_shown, value))}]"
+        return f"[{', '.join(map(_gain_text, value))}]"
     return short_number(float(value), 5) if isinstance(value, (int, float)) else str(value)

@@ -1,4 +1,4 @@
-"""Laws side by side on one system: found by one search, in one set of limits, measured alike."""
+"""Laws side by side on one system: tuned by one search, in one set of limits, measured alike."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class LawFigures:
     name : str
     system : System
         With the law, sampled, and with what the law knows of the plant.
-    found : FoundGains or None
+    searched : FoundGains or None
         None of the file's own gains.
     works : bool
         Whether all runs finish, with an error below that of an output that stays.
@@ -82,7 +82,7 @@ class LawFigures:
 
     name: str
     system: System
-    found: FoundGains | None
+    searched: FoundGains | None
     works: bool
     exceeded: tuple[str, ...] = ()
     metrics: Metrics | None = None
@@ -129,7 +129,7 @@ class LawFigures:
             "bound_note": self.bound_note,
             "exceeded": list(self.exceeded),
             "gains": self._plain_gains(),
-            "evaluations": None if self.found is None else self.found.evaluations,
+            "evaluations": None if self.searched is None else self.searched.evaluations,
         }
 
     def _plain_gains(self) -> dict[str, Any]:
@@ -246,14 +246,14 @@ def compare_laws(
         progress(i + 1, total, None)
         trials = measure.trials_of(entrant)
         trials.starts = list(stated.starts)
-        found = search_gains(trials, family, aimed, measure.resting, budget, seed)
-        rows.append(measure.figures(name, trials, found.law, limits, found))
+        searched = search_gains(trials, family, aimed, measure.resting, budget, seed)
+        rows.append(measure.figures(name, trials, searched.law, limits, searched))
     progress(total, total, None)
     return LawComparison(base, limits, tuple(rows), budget, seed, members)
 
 
 class _Measure:
-    """The figures of any law, all found in the same way."""
+    """The figures of any law, all measured in the same way."""
 
     def __init__(self, system: System, members: int, seed: int) -> None:
         self._system, self._members, self._seed = system, members, seed
@@ -268,26 +268,26 @@ class _Measure:
         return Trials(system, self._box)
 
     def figures(
-        self, name: str, trials: Trials, law: Law, limits: SharedLimits, found: FoundGains | None
+        self, name: str, trials: Trials, law: Law, limits: SharedLimits, searched: FoundGains | None
     ) -> LawFigures:
         """All of one law."""
         system = trials.system.replace(law=law)
         metrics = trials.metrics(law)
         works = metrics is not None and metrics.tail_error < self.resting
-        if not works or metrics is None or (found is not None and not found.score.works):
-            return LawFigures(name, system, found, works=False)
+        if not works or metrics is None or (searched is not None and not searched.score.works):
+            return LawFigures(name, system, searched, works=False)
         group = ensemble(system, self._members, seed=self._seed, limit=self.resting)
         of_members = group.statistics.metrics["peak_input"].summary()
         member_peak = math.inf if of_members["missing"] else float(of_members["max"] or math.inf)
         peak = max(metrics.peak_input, trials.peak(law), member_peak)
-        exceeded = () if found is None else found.score.exceeded
-        if found is not None and peak > limits.peak_input:
+        exceeded = () if searched is None else searched.score.exceeded
+        if searched is not None and peak > limits.peak_input:
             exceeded = tuple(dict.fromkeys(("peak input", *exceeded)))
         bound, note = self._bound(system)
         return LawFigures(
             name,
             system,
-            found,
+            searched,
             works=True,
             exceeded=exceeded,
             metrics=metrics,

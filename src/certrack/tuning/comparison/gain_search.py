@@ -9,14 +9,14 @@ from scipy.optimize import differential_evolution, minimize
 
 from certrack.core.errors import CertrackError
 from certrack.laws.base import Law
-from certrack.tuning.comparison.trials import LOST, Score, SharedLimits, Trials, score
+from certrack.tuning.comparison.trials import LOST_SCORE, Score, SharedLimits, Trials, score
 from certrack.tuning.families import Family
 
 #: Standard deviation of the first gains about those of the family's start, in logarithms.
 FIRST_SPREAD = 1.5
 
 #: Sets of gains in a population, over the number of gains; numbers of differential evolution.
-POPULATION_PER_GAIN, DIFFERENCE_SCALE, CROSSOVER = 4, (0.4, 0.9), 0.8
+POPULATION_PER_GAIN, GAIN_DIFFERENCE_SCALE, GAIN_CROSSOVER = 4, (0.4, 0.9), 0.8
 
 #: The part of the evaluations that polish the best.
 POLISH_PART = 0.3
@@ -56,7 +56,7 @@ class _Best:
         try:
             law = self._family.written(np.clip(v, self._family.low, self._family.high))
         except CertrackError:
-            return LOST
+            return LOST_SCORE
         result = score(self._trials, law, self._limits, self._resting)
         if result.value < self.score.value:
             self.law, self.score, self.v = law, result, v
@@ -91,10 +91,10 @@ def search_gains(
         rng=rng,
         tol=0.0,
         atol=0.0,
-        mutation=DIFFERENCE_SCALE,
-        recombination=CROSSOVER,
+        mutation=GAIN_DIFFERENCE_SCALE,
+        recombination=GAIN_CROSSOVER,
     )
-    if best.score.value < LOST:
+    if best.score.value < LOST_SCORE:
         minimize(
             best,
             best.v,

@@ -18,7 +18,7 @@ from certrack.systems.system import System
 from certrack.tuning.runs import TRANSIENT_PART, WORSE, corners
 
 #: Smaller numbers have no logarithm of interest.
-TINY = 1e-300
+LEAST_LOGGED = 1e-300
 
 #: A search looks at so many corners of the box, those with the largest inputs.
 SEARCHED_CORNERS = 4
@@ -120,7 +120,7 @@ def largest_reference(system: System) -> float:
 
 #: What a run that is lost counts, as a logarithm, and one that finishes and does not follow; the
 #: slope by which a limit is felt, and the logarithm from which it is felt no more.
-LOST, ASTRAY, PENALTY, LARGEST_EXCESS = 500.0, 200.0, 20.0, 4.0
+LOST_SCORE, ASTRAY_SCORE, PENALTY, LARGEST_EXCESS = 500.0, 200.0, 20.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def score(trials: Trials, law: Law, limits: SharedLimits, resting: float) -> Sco
     """The score of one law; `resting` is the error of an output that stays at zero."""
     metrics = trials.metrics(law)
     if metrics is None or not math.isfinite(metrics.tail_error):
-        return Score(LOST, (), works=False)
+        return Score(LOST_SCORE, (), works=False)
     tail = metrics.tail_error
     peak = max(metrics.peak_input, trials.peak(law, SEARCHED_CORNERS))
     held = trials.metrics(law, limits.period)
@@ -158,15 +158,17 @@ def score(trials: Trials, law: Law, limits: SharedLimits, resting: float) -> Sco
     }
     exceeded = tuple(name for name, excess in excesses.items() if excess > 0)
     works = tail < resting and math.isfinite(peak)
-    value = math.log(max(tail, TINY)) + PENALTY * sum(max(0.0, v) for v in excesses.values())
-    return Score(value + (0.0 if works else ASTRAY), exceeded, works)
+    value = math.log(max(tail, LEAST_LOGGED)) + PENALTY * sum(
+        max(0.0, v) for v in excesses.values()
+    )
+    return Score(value + (0.0 if works else ASTRAY_SCORE), exceeded, works)
 
 
 def _excess(value: float, limit: float) -> float:
     """By how much a limit is exceeded, as a logarithm, at most a few."""
     if not math.isfinite(value):
         return LARGEST_EXCESS
-    return min(LARGEST_EXCESS, math.log(max(value, TINY) / limit))
+    return min(LARGEST_EXCESS, math.log(max(value, LEAST_LOGGED) / limit))
 
 
 def sampled(system: System, period: float) -> System:
