@@ -142,7 +142,17 @@ def check_rates(stages, problems, rate):
     return bound
 
 
+def share_all_but_the_last_gain(one, two):
+    """A larger c_n may stand in M[n][n] alone; nothing else of the error system may differ."""
+    for name in ("A", "B", "R", "a", "b", "y", "selections", "gains", "delta0", "theta0", "boxes"):
+        demand(getattr(one, name) == getattr(two, name), f"the ends do not share {name}")
+    for i, (here, there) in enumerate(zip(one.M, two.M, strict=True)):
+        last = i == len(one.M) - 1
+        demand(here[: len(here) - last] == there[: len(there) - last], "the ends do not share M")
+
+
 def check_adaptive(stage, one, two, rate):
+    share_all_but_the_last_gain(one, two)
     slower = min((one, two), key=lambda end: -end.M[-1][-1])
     gbar = min(one.gbar, two.gbar)
     falls = [Q(0), Q(0)]

@@ -15,10 +15,12 @@ from certrack.certificates import certify_semidefinite, to_document, verify
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.document import _digest
+from certrack.certificates.formulation import adaptation_of, error_problem
 from certrack.certificates.online.adaptation import moving_adaptation
 from certrack.certificates.online.certify import OnlineProof, certify_online, failed_online
 from certrack.certificates.online.ends import end_problems
 from certrack.certificates.online.tube import online_tube
+from certrack.certificates.search.best_proof import best_proof
 from certrack.certificates.stated import first_end_system, other_end_system
 from certrack.core.errors import InputError
 from certrack.laws import Adaptive, Classic
@@ -178,6 +180,88 @@ def test_a_larger_last_gain_needs_no_other_proof():
         law=replace(system.law, c=(1.0, 30.0), online=replace(system.law.online, c_n=0.5))
     )
     assert certify_online(turned)[0].bound == still.bound
+
+
+COUPLED = """
+title = "c_n in two entries of the error system"
+[plant]
+states = ["x1", "x2"]
+chain = [1]
+linear = [[0.1]]
+drift = "0"
+input_gain = 1
+gain_sign = 1
+[plant.ranges]
+input_gain = [0.9, 1.1]
+[plant.uncertainty]
+tau = [0, 1]
+gamma = [0, 0]
+beta = [0, 0.1]
+[truth]
+omega = ["0.0", "0.1*sin(2*t)"]
+input_gain = 1
+[reference]
+signal = "0.01*sin(t)"
+[law]
+kind = "adaptive"
+c = [0.5, 0.5]
+coupling = 10
+gain_rate = 1
+leak_gain = 1
+delta0 = 1
+[law.online]
+c_n = 4
+schedule = "0.5 - 0.5*tanh(50*x1*x2/(1e-9 + x1**2 + x2**2))"
+[simulation]
+x0 = [0.1, 0]
+duration = 40
+"""
+
+
+def as_if_the_slower_end_decided(system):
+    """The proof and the file of the slower end, whatever else differs."""
+    ends = first_end_system(system), other_end_system(system)
+    problems = [error_problem(end, rational) for end in ends]
+    slower = min(problems, key=lambda problem: -problem.M[-1, -1])
+    moving = moving_adaptation(*(adaptation_of(end, rational) for end in ends), None)
+    stage = best_proof(replace(slower, adaptation=moving)).proof
+    proof = OnlineProof(stage.bound, (stage,))
+    return proof, to_document(system, proof)
+
+
+def test_a_last_gain_that_stands_in_two_entries_has_no_certificate():
+    """A run leaves what the slower end alone would claim: with a coupling M[n, n-1] moves."""
+    system = certrack.loads(COUPLED)
+    found, proofs = certify_online(system)
+    assert (found.exists, proofs) == (False, ())
+    assert "coupling" in found.reason
+    proof, document = as_if_the_slower_end_decided(system)
+    run = simulate(system)
+    assert np.abs(run.e[0][run.t > 20]).max() > 10 * float(proof.bound)
+    assert "coupling" in verify(document).reason
+    with pytest.raises(independent_checker.Refused, match="share M"):
+        independent_checker.check(document)
+
+
+def test_with_a_coupling_leakages_may_move():
+    system = certrack.loads(COUPLED.replace("c_n = 4", "leak_gain = 2"))
+    found, proof = certify_online(system)
+    assert found.verified
+    assert float(independent_checker.check(to_document(system, *proof))) <= found.bound
+
+
+def test_a_law_whose_update_laws_differ_in_more_has_no_certificate():
+    class Guessing(Adaptive):
+        kind = "guessing"
+
+        def parameters(self, plant):
+            return dict(super().parameters(plant)) | {"delta0": self.c[-1]}
+
+    base = certrack.load("example1")
+    law = Guessing(c=base.law.c, online=Online(c_n=3.0, **RULE))
+    found, _ = certify_online(base.replace(law=law))
+    assert not found.exists
+    assert "differ in more" in found.reason
 
 
 def test_a_segment_is_worse_than_its_ends_and_better_at_a_bounded_speed():
@@ -467,6 +551,84 @@ duration = 20
     attack = certrack.falsify(system, budget=1500, seed=seed)
     assert attack.alarm is None
     assert attack.worst_error <= found.bound
+
+
+def adaptive_plant(rng, coupling, moves):
+    """A random adaptive system whose gains follow the sign of a random quadratic form."""
+    n = int(rng.integers(2, 4))
+    states = [f"x{i + 1}" for i in range(n)]
+    low = round(rng.uniform(0.5, 1.5), 2)
+    moved = {
+        "c_n": f"c_n = {round(low * rng.uniform(1.5, 8), 2)}",
+        "leaks": f"leak_gain = {rng.uniform(0.5, 2):.2f}\nleak_theta = {rng.uniform(0.5, 2):.2f}",
+    }[moves]
+    form = " + ".join(f"({rng.normal():.3f})*{a}*{states[-1]}" for a in states)
+    return certrack.loads(f"""
+title = "a random adaptive plant"
+[plant]
+states = {json.dumps(states)}
+chain = {rng.uniform(0.5, 2, n - 1).round(2).tolist()}
+linear = {[rng.uniform(-0.3, 0.3, i + 1).round(2).tolist() for i in range(n - 1)]}
+drift = "0"
+regressor = ["sin(x1)"]
+input_gain = 1
+gain_sign = 1
+[plant.ranges]
+input_gain = [0.9, 1.1]
+theta = [[-0.2, 0.2]]
+[plant.uncertainty]
+tau = {[0.0] * (n - 1) + [1.0]}
+gamma = {[0.0] * n}
+beta = {[0.0] * (n - 1) + [0.1]}
+[truth]
+input_gain = 1
+theta = [0.1]
+omega = {json.dumps(["0"] * (n - 1) + [f"0.1*sin({rng.uniform(0.5, 4):.2f}*t)"])}
+[reference]
+signal = "0.05*sin(0.8*t)"
+[law]
+kind = "adaptive"
+c = {[low] * n}
+{coupling}
+delta0 = 1
+leak_gain = 1
+leak_theta = 1
+[law.online]
+{moved}
+schedule = "0.5 - 0.5*tanh(50*({form})/(1e-9 + {" + ".join(f"{a}**2" for a in states)}))"
+[simulation]
+x0 = {[0.1] + [0.0] * (n - 1)}
+duration = 30
+""")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("coupling", ["", "coupling = 0.6", "coupling = 5"])
+def test_searches_against_random_adaptive_plants(seed, coupling):
+    """What is claimed withstands; c_n beside a coupling is claimed nowhere."""
+    rng = np.random.default_rng(seed)
+    for moves in ("c_n", "leaks"):
+        system = adaptive_plant(rng, coupling, moves)
+        found, proof = certify_online(system)
+        assert found.exists == (not coupling or moves == "leaks"), found.reason
+        if found.exists:
+            assert float(independent_checker.check(to_document(system, *proof))) <= found.bound
+            attack = certrack.falsify(system, budget=1000, seed=seed)
+            assert attack.alarm is None
+            assert attack.worst_error <= found.bound
+
+
+@pytest.mark.slow
+def test_the_random_plants_beat_what_the_slower_end_would_claim():
+    """The search can fail: with a coupling, some of them leave the bound of the slower end."""
+    ratios = []
+    for seed in range(20):
+        system = adaptive_plant(np.random.default_rng(seed), "coupling = 8", "c_n")
+        proof, _ = as_if_the_slower_end_decided(system)
+        run = simulate(system)
+        ratios.append(np.abs(run.e[0][run.t > 15]).max() / float(proof.bound))
+    assert max(ratios) > 1
 
 
 @pytest.mark.slow

@@ -19,7 +19,8 @@ r(w) likewise. So xi' = sum_j w_j (M_j xi + U_j z), w_j >= 0, w_0 + w_1 = 1.
   once, once and twice, are negative definite (`rates`).
 
 **Estimates.** P = blkdiag(Pbar, s), so that the update laws cancel whatever ubar is, if both use
-the same one. A, B and R have no c_n in them. So
+the same one. A, B and R have no c_n in them, and of M the entry (n, n) alone: with a coupling
+M[n, n-1] has one as well, and what moves both is refused. So
 
 * c_n(t) >= c_lo adds -s (c_n - c_lo) e_n^2 to V': a proof for the smaller end holds for both;
 * gbar1(t), gbar2(t) enter V' through their cost alone, which is convex in each: the ends count;

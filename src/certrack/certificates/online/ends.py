@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import ToNumber, exact_float, rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.formulation import (
@@ -51,6 +52,7 @@ def end_problems(system: System) -> tuple[ErrorProblem, ...]:
         coordinates = [_in_plant_coordinates(end) for end in ends]
         problems = [_problem(end, part) for end, part in zip(ends, coordinates, strict=True)]
         return tuple(_with_inputs_of_both(*problems))
+    _require_shared(*ends, one, two)
     slower = min(problems, key=lambda problem: -problem.M[-1, -1])
     rate = system.law.online.rate
     adaptation = moving_adaptation(one, two, None if rate is None else rational(rate))
@@ -86,6 +88,31 @@ def _require_mean(system: System, first: System, other: System) -> None:
         (number,) = (values[a] for a in runs.signals.all_parameters.get(name, ()))
         if number != value:
             raise NoCertificate(f"what runs with {name} has another number")
+
+
+def _require_shared(first: System, other: System, one: Adaptation, two: Adaptation) -> None:
+    """Refuse estimates whose error systems differ in more than what one inequality covers.
+
+    A larger c_n only takes from V' if it stands in M[n, n] and nowhere else.
+    """
+    here, there = (error_coordinates(end, rational) for end in (first, other))
+    same = all(
+        (getattr(here, part) == getattr(there, part)).all() for part in ("A", "B", "F", "g", "R")
+    )
+    apart = here.error_matrix != there.error_matrix
+    apart[-1, -1] = False
+    if not same or apart.any():
+        hint = "" if first.law.coupling is None else ": with law.coupling it is in M[n, n-1], too"
+        raise NoCertificate(
+            "with estimates c_n may stand in the last diagonal entry of the error system only"
+            f"{hint}; leave law.coupling out, or let other gains move"
+        )
+    known = ("gains", "delta0", "gain_sign", "theta_box", "shift")
+    same = all(getattr(one, part) == getattr(two, part) for part in known)
+    apart = one.Gamma != two.Gamma
+    np.fill_diagonal(apart, val=False)
+    if not same or (one.theta0 != two.theta0).any() or apart.any():
+        raise NoCertificate("the update laws of both ends differ in more than may move")
 
 
 def _stated_level(system: System) -> sympy.Expr:
