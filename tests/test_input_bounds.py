@@ -7,10 +7,14 @@ import pytest
 from test_certificates import MUTANTS, scaled, scaled_rows
 
 import certrack
-from certrack.certificates import certify_input
+from certrack.certificates import certify_input, certify_semidefinite, tube
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.input_bounds import InputBound, failed_input
 from certrack.certificates.input_problem import input_problem
 from certrack.certificates.mean_squares import mean_squares
+from certrack.core.errors import InputError
+from certrack.references import SoftStart
+from certrack.reports.input_bounds import bounds_of_input, input_lines
 from certrack.simulation.simulator import simulate
 
 BOX = ((-1.0, 1.0),) * 4
@@ -151,3 +155,138 @@ def test_what_has_no_bound_says_why():
     assert found.rms is None
     run = simulate(shifted.with_settings(duration=3.0))
     assert run.metrics.peak_input <= found.peak.bound
+
+
+# What is no bound ---------------------------------------------------------------------------------
+
+OWN_STATES = """
+title = "truth in other units"
+[plant]
+states = ["x1", "x2"]
+chain = [1]
+linear = [[0]]
+drift = "0"
+input_gain = 1
+gain_sign = 1
+[plant.uncertainty]
+tau = [0, 1]
+gamma = [0, 0]
+beta = [0, 0.1]
+[truth]
+states = ["p", "v"]
+rates = ["v", "0.01*u + 0.001*sin(3*t)"]
+outputs = ["100*p", "100*v"]
+[reference]
+signal = "0.1*sin(t)"
+[law]
+kind = "robust"
+c = [2, 2]
+feedforward = 1
+[simulation]
+x0 = [0.01, 0.0]
+duration = 10
+[ensemble]
+x0 = [{ uniform = [-0.01, 0.01]}, { uniform = [-0.01, 0.01]}]
+"""
+
+
+def softly(transient=0.3):
+    system = lean()
+    system = system.replace(reference=SoftStart(system.reference, transient))
+    return system.with_settings(x0=(0.0, 0.075, 0.0, 0.075))
+
+
+def test_a_soft_start_has_no_bound_over_a_box():
+    """Each start joins the reference by a polynomial of its own, with derivatives of its own."""
+    system = softly()
+    found = certify_input(system, BOX)
+    assert "reference of its own" in found.reason
+    assert found.peak is None
+    elsewhere = simulate(system.with_settings(x0=(1.0, 1.0, -1.0, 1.0), duration=2.0)).metrics
+    assert elsewhere.peak_input > 39.28  # what the reference from x0 would give for the box
+    bounds = bounds_of_input(certrack.loads(certrack.to_text(system)))
+    assert bounds["input"]["verified"]
+    assert not bounds["input_over_starts"]["verified"]
+    assert "reference of its own" in " ".join(input_lines(system, bounds))
+    _, proof = certify_semidefinite(system)
+    with pytest.raises(NoCertificate, match="reference of its own"):
+        tube(system, proof, BOX)
+
+
+def test_starts_of_a_truth_with_states_of_its_own_are_no_box_of_the_plant():
+    system = certrack.loads(OWN_STATES)
+    bounds = bounds_of_input(system)
+    assert bounds["input"]["peak_input"] > simulate(system).metrics.peak_input
+    assert bounds["input_over_starts"]["peak_input"] is None
+    assert "truth.states" in input_lines(system, bounds)[-1]
+    other = certrack.load("dual-motor-physical")  # with more states than the plant
+    assert "truth.states" in bounds_of_input(other)["input_over_starts"]["reason"]
+
+
+def test_nothing_is_verified_where_the_truth_contradicts_a_premise():
+    base = lean()
+    norm = "sqrt(x1**2 + x2**2 + x3**2 + x4**2)"
+    omega = ("0", "0", "0", f"0.01*{norm} + 60*cos(t)")
+    system = base.replace(truth=certrack.Truth(base.truth.input_gain, omega=omega))
+    bounds = bounds_of_input(system)
+    assert bounds["input_over_starts"] is None
+    here = bounds["input"]
+    assert not here["verified"]
+    assert here["peak_input"] is here["energy"] is None
+    assert "contradicted" in {premise["status"] for premise in here["premises"]}
+    (line,) = input_lines(system, bounds)
+    assert "contradicted" in line
+    assert "verified" not in line
+
+
+@pytest.mark.parametrize(
+    "box", [[1, 2, 3, 4], 5, "abcd", [("a", "b")] * 4, [(1, 0)] * 4, [[0]] * 4]
+)
+def test_a_malformed_box_is_refused(box):
+    with pytest.raises(InputError, match="box"):
+        certify_input(lean(), box)
+
+
+def test_what_is_missing_is_told():
+    n = 7
+    system = certrack.loads(f"""
+title = "seven integrators"
+[plant]
+states = {str([f"x{i + 1}" for i in range(n)]).replace("'", '"')}
+chain = {[1] * (n - 1)}
+drift = "0"
+gain_sign = 1
+input_gain = 1
+[truth]
+input_gain = 1
+[plant.uncertainty]
+tau = {[0] * (n - 1) + [1]}
+gamma = {[0] * n}
+beta = {[0] * (n - 1) + [0.1]}
+[reference]
+signal = "0.1*sin(t)"
+[law]
+kind = "robust"
+c = {[2] * n}
+feedforward = {n - 1}
+[simulation]
+x0 = {[0.1] * n}
+duration = 10
+[ensemble]
+x0 = [{", ".join(["{ uniform = [-1, 1] }"] * n)}]
+""")
+    bounds = bounds_of_input(system)
+    lines = input_lines(system, bounds)
+    assert "64 corners" in lines[-1]
+    told = any(line.startswith("no bound of energy:") for line in lines)
+    assert told == (bounds["input"]["energy"] is None)
+    base = certrack.load("dual-motor-lean")
+    shifted = base.replace(plant=replace(base.plant, drift="K_L/J_M*(x1 - x3) + 1"))
+    assert certify_input(shifted).missing.keys() == {"energy", "rms"}
+    assert "constant drift" in " ".join(input_lines(shifted, bounds_of_input(shifted)))
+
+
+def test_an_observer_is_no_part_of_the_bound():
+    system = certrack.load("axis-load")
+    assert system.law.observer is not None
+    assert "without the input of law.observer" in input_lines(system, bounds_of_input(system))[0]

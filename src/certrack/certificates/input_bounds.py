@@ -12,8 +12,8 @@ square are of u without the constant that cancels a drift h(0); where there is o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import flint
@@ -36,11 +36,15 @@ from certrack.certificates.input_program import InputProgram, InputSolution
 from certrack.certificates.mean_squares import mean_squares
 from certrack.certificates.semidefinite import fastest_rate
 from certrack.certificates.start import Start, starting_energy
-from certrack.certificates.tube import starts_of
+from certrack.certificates.tube import intervals, starts_of
 from certrack.systems.system import System, require_system
 
 #: Rates that are tried for the peak, as parts of the fastest.
 RATES = np.geomspace(0.02, 0.9, 8)
+
+#: The bounds: of squares, and all.
+ENERGIES = ("energy", "rms")
+NAMES = (*ENERGIES, "peak", "ultimate")
 
 #: Starts of a box that a program distinguishes: all corners of one of six states.
 MAX_PROGRAM_STARTS = 64
@@ -78,6 +82,8 @@ class InputBounds:
         The starts of energy and peak, if not x0 alone.
     reason : str
         Why there are none.
+    missing : mapping of str to str
+        Why one of the four is missing, by name.
     """
 
     energy: InputBound | None = None
@@ -86,6 +92,7 @@ class InputBounds:
     ultimate: InputBound | None = None
     box: tuple[tuple[float, float], ...] | None = None
     reason: str = ""
+    missing: Mapping[str, str] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
         """The bounds, ready for JSON."""
@@ -96,6 +103,7 @@ class InputBounds:
             "ultimate_input": _value(self.ultimate),
             "box": None if self.box is None else [list(pair) for pair in self.box],
             "reason": self.reason,
+            "missing": dict(self.missing),
         }
 
 
@@ -105,6 +113,8 @@ def _value(bound: InputBound | None) -> float | None:
 
 def certify_input(system: System, box: Sequence[tuple[float, float]] | None = None) -> InputBounds:
     """Bounds on the input of `system`, verified exactly.
+
+    They rest on the premises of the certificates of the continuous law.
 
     Parameters
     ----------
@@ -130,22 +140,31 @@ def certify_input(system: System, box: Sequence[tuple[float, float]] | None = No
     True
     """
     require_system(system)
-    pairs = None if box is None else tuple((float(low), float(high)) for low, high in box)
-    starts, proven = starts_of(system, box)
+    pairs = None if box is None else intervals(system.plant.n, box)
     try:
+        starts, proven = starts_of(system, pairs)
         with within_floats():
             exact = input_problem(system)
             if not proven:
                 raise NoCertificate("the start is not known exactly: the reference has no formula")
             duration = system.settings.duration
-            return InputBounds(
+            found = InputBounds(
                 *_energies(system, exact, starts, duration),
                 peak=_peak(system, exact, starts),
                 ultimate=_peak(system, exact, ()),
                 box=pairs,
             )
+            return replace(found, missing=_missing(found, exact))
     except NoCertificate as refusal:
         return InputBounds(reason=str(refusal), box=pairs)
+
+
+def _missing(found: InputBounds, exact: InputProblem) -> dict[str, str]:
+    """Why some are missing."""
+    reasons = dict.fromkeys(NAMES, "no proof was found")
+    if exact.constant != 0:
+        reasons |= dict.fromkeys(ENERGIES, "u cancels a constant drift, which it does for ever")
+    return {name: reasons[name] for name in NAMES if getattr(found, name) is None}
 
 
 def _energies(

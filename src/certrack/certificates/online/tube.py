@@ -37,6 +37,8 @@ def online_tube(
     ------
     InputError
         If the box does not fit the plant or has too many corners.
+    NoCertificate
+        If each start of the box has a reference of its own (a soft start).
     """
     problems, first = end_problems(system), first_end_system(system)
     starts, verified = starts_of(system, box)
