@@ -218,11 +218,15 @@ class Online:
         """Whether the level is a state of the law."""
         return self.threshold is not None or self.rate is not None
 
+    def formula(self, plant: Plant) -> sympy.Expr:
+        """The schedule as it is written."""
+        assert self.schedule is not None
+        names = [str(TIME), *plant.states, *plant.constant_values]
+        return parse("law.online.schedule", self.schedule, names).expr
+
     def wanted(self, s: Signals) -> sympy.Expr:
         """What the schedule wants the level to be, within [0, 1]."""
-        assert self.schedule is not None
-        names = [str(TIME), *s.plant.states, *s.plant.constant_values]
-        return within_unit(parse("law.online.schedule", self.schedule, names).expr)
+        return within_unit(self.formula(s.plant))
 
     def check_period(self, period: float) -> None:
         """Refuse a period at which Euler's step takes the level out of [0, 1].
