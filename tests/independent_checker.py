@@ -154,7 +154,7 @@ def reference_bounds(table, order, constants):
         **{k: number(v, constants) for k, v in table.get("constants", {}).items()},
     }
     try:
-        waves = spectrum(ast.parse(table["signal"].strip(), mode="eval").body, known)
+        waves = spectrum(ast.parse(str(table["signal"]).strip(), mode="eval").body, known)
     except (KeyError, Refused):
         return None
     bounds = []

@@ -42,6 +42,7 @@ def check_online(document, stated_bounds):
     check_premises(document["premises"], one, first)
     rate = None if "rate" not in online else number(online["rate"], one.constants)
     check_rule(online, rate, one.constants)
+    check_level(table, online, one.constants)
     if one.adaptive:
         demand(len(stages) == 1, "there must be one stage")
         return check_adaptive(stages[0], one, System(other, stated_bounds), rate)
@@ -77,6 +78,13 @@ def check_rule(online, rate, constants):
             demand(number(online.get(name, 0), constants) <= rate, "the rule is faster")
     elif {"gain_rate", "Gamma"} & set(online):
         raise Refused("adaptation gains move at any speed")
+
+
+def check_level(table, online, constants):
+    """Where the level is a state, it is the last of the initial estimates."""
+    estimates = table.get("simulation", {}).get("estimates")
+    if estimates and {"threshold", "rate"} & set(online):
+        demand(0 <= number(estimates[-1], constants) <= 1, "the level begins outside its ends")
 
 
 def in_plant_coordinates(end, stated_bounds):

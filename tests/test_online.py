@@ -470,6 +470,41 @@ def test_forged_files_are_refused(name):
         independent_checker.check(forged)
 
 
+def test_files_that_leave_numbers_or_a_wrong_level_are_refused():
+    base = certrack.load("dual-motor-linear")
+    law = base.law.settled(base.plant)
+    faster = tuple(1.1 * v for v in law.K)
+    system = base.replace(law=replace(law, online=Online(K=faster, schedule="0.5", rate=1.0)))
+    _, proof = certify_online(system)
+    document = to_document(system, *proof)
+    assert verify(document).verified
+    independent_checker.check(document)
+    lines = document["system"].splitlines()
+    rs = [i for i, line in enumerate(lines) if line.startswith("r = ")]
+    assert len(rs) == 2
+    changed = ["\n".join(lines[:i] + lines[i + 1 :]) + "\n" for i in rs]
+    level = document["system"].replace("[simulation]", "[simulation]\nestimates = [3.0]")
+    for text in (*changed, level):
+        forged = document | {"system": text}
+        forged |= {"sha256": _digest(forged)}
+        if text is level:
+            with pytest.raises(InputError, match="estimates"):
+                verify(forged)
+        else:
+            assert "to be computed" in verify(forged).reason
+        with pytest.raises(independent_checker.Refused):
+            independent_checker.check(forged)
+
+
+def test_what_others_cover_is_not_covered_beside_moving_gains():
+    base = certrack.load("axis")
+    online = Online(c=tuple(1.5 * v for v in base.law.c), schedule="0.5")
+    system = base.replace(law=replace(base.law, online=online), implementation=None)
+    found = certrack.certify(system, "fast")
+    assert "beside law.online" in found.online.reason
+    assert "only the certificate online can" in found.semidefinite.reason
+
+
 def test_a_controller_with_another_rule_has_no_certificate():
     class Free(certrack.Robust):
         def normal_equations(self, s):

@@ -44,7 +44,7 @@ RATES = np.geomspace(0.02, 0.9, 8)
 
 #: The bounds: of squares, and all.
 ENERGIES = ("energy", "rms")
-NAMES = (*ENERGIES, "peak", "ultimate")
+ALL_BOUNDS = (*ENERGIES, "peak", "ultimate")
 
 #: Starts of a box that a program distinguishes: all corners of one of six states.
 MAX_PROGRAM_STARTS = 64
@@ -148,23 +148,23 @@ def certify_input(system: System, box: Sequence[tuple[float, float]] | None = No
             if not proven:
                 raise NoCertificate("the start is not known exactly: the reference has no formula")
             duration = system.settings.duration
-            found = InputBounds(
+            bounds = InputBounds(
                 *_energies(system, exact, starts, duration),
                 peak=_peak(system, exact, starts),
                 ultimate=_peak(system, exact, ()),
                 box=pairs,
             )
-            return replace(found, missing=_missing(found, exact))
+            return replace(bounds, missing=_missing(bounds, exact))
     except NoCertificate as refusal:
         return InputBounds(reason=str(refusal), box=pairs)
 
 
-def _missing(found: InputBounds, exact: InputProblem) -> dict[str, str]:
+def _missing(bounds: InputBounds, exact: InputProblem) -> dict[str, str]:
     """Why some are missing."""
-    reasons = dict.fromkeys(NAMES, "no proof was found")
+    reasons = dict.fromkeys(ALL_BOUNDS, "no proof was found")
     if exact.constant != 0:
         reasons |= dict.fromkeys(ENERGIES, "u cancels a constant drift, which it does for ever")
-    return {name: reasons[name] for name in NAMES if getattr(found, name) is None}
+    return {name: reasons[name] for name in ALL_BOUNDS if getattr(bounds, name) is None}
 
 
 def _energies(

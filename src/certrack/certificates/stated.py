@@ -36,7 +36,7 @@ INTEGRAL_ACTION = (
 )
 
 #: Why there is no other certificate of a law whose gains move.
-GAINS_MOVE = "gains move (law.online): the certificate online covers them, in continuous time"
+GAINS_MOVE = "gains move (law.online): only the certificate online can cover it, in continuous time"
 
 #: Relative difference from the recursion's numbers that is a rounding and not another design.
 SAME_NUMBERS = 1e-9

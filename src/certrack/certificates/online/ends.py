@@ -19,7 +19,13 @@ from certrack.certificates.formulation import (
 )
 from certrack.certificates.online.adaptation import moving_adaptation
 from certrack.certificates.problem import ErrorProblem
-from certrack.certificates.stated import first_end_system, identical, other_end_system
+from certrack.certificates.scope import ranged_names
+from certrack.certificates.stated import (
+    first_end_system,
+    identical,
+    other_end_system,
+    stated_error_system,
+)
 from certrack.core.once import once
 from certrack.laws.online import ENDS, LEVEL, OTHER, RULE
 from certrack.laws.plant_coordinates import PlantCoordinates, plant_coordinates
@@ -45,6 +51,7 @@ def end_problems(system: System) -> tuple[ErrorProblem, ...]:
     if system.law.online is None:
         raise NoCertificate(GAINS_STAND_STILL)
     ends = first_end_system(system), other_end_system(system)
+    _refuse_beside(ends[0])
     problems = [error_problem(end, rational) for end in ends]  # refuses what is not covered
     _require_mean(system, *ends)
     one, two = (adaptation_of(end, rational) for end in ends)
@@ -57,6 +64,16 @@ def end_problems(system: System) -> tuple[ErrorProblem, ...]:
     rate = system.law.online.rate
     adaptation = moving_adaptation(one, two, None if rate is None else rational(rate))
     return (replace(slower, adaptation=adaptation).read_only(),)
+
+
+def _refuse_beside(first: System) -> None:
+    """Refuse what other certificates cover, which do not cover moving gains."""
+    ranged = ranged_names(first, stated_error_system(first))
+    beside = f"plant.ranges of {', '.join(ranged)}" if ranged else ""
+    if first.plant.uncertainty.bound is not None:
+        beside = "plant.uncertainty.bound"
+    if beside:
+        raise NoCertificate(f"no certificate covers {beside} beside law.online: leave one out")
 
 
 def _require_mean(system: System, first: System, other: System) -> None:
