@@ -64,6 +64,7 @@ def test_a_file_can_name_it(law):
     system = benchmark(law(feedforward=1))
     assert certrack.loads(certrack.to_text(system)) == system
     assert not certrack.certify(system).best.verified
+    assert "minimises" not in str(system.design()) and "margins" not in str(system.design())
 
 
 def test_poles_are_where_they_are_placed():

@@ -35,6 +35,7 @@ LONG = {
     *(
         "README",
         "certificates",
+        "comparison-of-laws",
         "deployment",
         "dossier",
         "ensembles",

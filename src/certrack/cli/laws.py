@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,8 @@ def compare_tuned_laws(file: str, plot: Path | None, as_json: bool, wanted: dict
             checks.real(f"--{name.replace('_', '-')}", wanted[name], above=0)
     arguments = {ARGUMENTS[name]: wanted[name] for name in ARGUMENTS}
     with (
-        naming(file, "law", "law.delta0", "laws"),
+        _laws_named(),
+        naming(file, "law", "law.delta0"),
         console.progress("Laws tuned and measured") as bar,
     ):
         result = compare_laws(system, names, **arguments, progress=bar)
@@ -110,3 +112,14 @@ def compare_tuned_laws(file: str, plot: Path | None, as_json: bool, wanted: dict
         console.print_wide_table(report.law_table(result, system.plant.units))
         console.print_lines(report.law_notes(result))
     tell_written(as_json, *pictures)
+
+
+@contextmanager
+def _laws_named() -> Iterator[None]:
+    """Name the option in refusals of the laws."""
+    try:
+        yield
+    except InputError as problem:
+        if problem.key == "laws":
+            problem.key = "--laws"
+        raise

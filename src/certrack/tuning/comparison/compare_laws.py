@@ -21,6 +21,7 @@ from certrack.tuning.certified import certified
 from certrack.tuning.comparison.entrants import entrant_of
 from certrack.tuning.comparison.gain_search import FoundGains, search_gains
 from certrack.tuning.comparison.trials import (
+    PEAK,
     SharedLimits,
     Trials,
     largest_reference,
@@ -281,8 +282,9 @@ class _Measure:
         member_peak = math.inf if of_members["missing"] else float(of_members["max"] or math.inf)
         peak = max(metrics.peak_input, trials.peak(law), member_peak)
         exceeded = () if searched is None else searched.score.exceeded
-        if searched is not None and peak > limits.peak_input:
-            exceeded = tuple(dict.fromkeys(("peak input", *exceeded)))
+        exceeded = tuple(name for name in exceeded if name != PEAK)  # of what was aimed at
+        if peak > limits.peak_input and searched is not None:
+            exceeded = (PEAK, *exceeded)
         bound, note = self._bound(system)
         return LawFigures(
             name,

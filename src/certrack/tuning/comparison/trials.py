@@ -17,6 +17,9 @@ from certrack.simulation.simulator import Simulator
 from certrack.systems.system import System
 from certrack.tuning.runs import TRANSIENT_PART, WORSE, corners
 
+#: Name of the limit of the largest |u|.
+PEAK = "peak input"
+
 #: Smaller numbers have no logarithm of interest.
 LEAST_LOGGED = 1e-300
 
@@ -152,7 +155,7 @@ def score(trials: Trials, law: Law, limits: SharedLimits, resting: float) -> Sco
     held = trials.metrics(law, limits.period)
     held_tail = math.inf if held is None else held.tail_error
     excesses = {
-        "peak input": _excess(peak, limits.peak_input),
+        PEAK: _excess(peak, limits.peak_input),
         "variation of input": _excess(metrics.input_variation, limits.input_variation),
         "period": _excess(held_tail, WORSE * tail),
     }
