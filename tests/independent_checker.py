@@ -154,7 +154,7 @@ def reference_bounds(table, order, constants):
         **{k: number(v, constants) for k, v in table.get("constants", {}).items()},
     }
     try:
-        waves = spectrum(ast.parse(table["signal"].strip(), mode="eval").body, known)
+        waves = spectrum(ast.parse(str(table["signal"]).strip(), mode="eval").body, known)
     except (KeyError, Refused):
         return None
     bounds = []
@@ -369,7 +369,8 @@ class System:
     """Steps 1 to 3."""
 
     def __init__(self, text, stated_bounds=None):
-        table = tomllib.loads(text)
+        table = tomllib.loads(text) if isinstance(text, str) else text
+        demand("online" not in table["law"], "the gains move")
         self.plant, self.law, truth = table["plant"], table["law"], table["truth"]
         c = self.constants = {}
         for name, value in self.plant.get("constants", {}).items():
@@ -572,9 +573,12 @@ class System:
             abs(g) * self.gbar1 * ((1 - shift) / g - self.delta0) ** 2 / (4 * s1)
             for g in self.gains
         )
+        return cost + self.leakage_of_theta(alpha, shift)
+
+    def leakage_of_theta(self, alpha, shift):
         r = len(self.Gamma)
         if not r:
-            return cost
+            return Q(0)
         Gamma_inverse = inverse(self.Gamma)
         W = [
             [self.gbar2 * (i == j) - alpha / 2 * Gamma_inverse[i][j] for j in range(r)]
@@ -587,7 +591,7 @@ class System:
             form([(1 + shift) * v - t for v, t in zip(corner, self.theta0, strict=True)], W)
             for corner in corners
         )
-        return cost + self.gbar2**2 * worst / 4
+        return self.gbar2**2 * worst / 4
 
 
 class Problem:
@@ -613,21 +617,12 @@ def decimal(text):
     return Q(text)
 
 
-def check_stage(stage, problem, target):
-    """Steps 4 to 8; the bound, and P."""
-    alpha, P, lam, nu, k, bound, _ = numbers_of(stage)
-    n, adaptive = len(problem.M), problem.leakage is not None
-    counts = (len(problem.a), len(problem.b), len(problem.y))
-    demand((len(lam), len(nu), len(k)) == counts, "the multipliers have another number")
-    demand(len(P) == n and all(len(row) == n for row in P), "P has another shape")
-    demand(transposed(P) == P, "P is not symmetric")
-    demand(alpha > 0 and min([*lam, *nu, *k, Q(0)]) >= 0, "a sign is wrong")
-    demand(not adaptive or not any(P[-1][:-1]), "P couples e_n")
-    floor = [[v - (i == j == target) for j, v in enumerate(row)] for i, row in enumerate(P)]
-    demand(positive_definite(floor), "P is below its floor")
+def negative_form(problem, P, lam, nu, k, alpha):
+    """Minus the form of step 6."""
+    n = len(problem.M)
     columns = [*problem.a, *problem.b, *(column for column, _ in problem.y)]
     size = n + len(columns)
-    negative = zeros(size, size)  # minus the form
+    negative = zeros(size, size)
     PM = product(P, problem.M)
     for i in range(n):
         for j in range(n):
@@ -653,6 +648,22 @@ def check_stage(stage, problem, target):
                 negative[i][j] -= factor * u * v
     for j, value in enumerate([*lam, *nu, *k]):
         negative[n + j][n + j] += value
+    return negative
+
+
+def check_stage(stage, problem, target):
+    """Steps 4 to 8; the bound, and P."""
+    alpha, P, lam, nu, k, bound, _ = numbers_of(stage)
+    n, adaptive = len(problem.M), problem.leakage is not None
+    counts = (len(problem.a), len(problem.b), len(problem.y))
+    demand((len(lam), len(nu), len(k)) == counts, "the multipliers have another number")
+    demand(len(P) == n and all(len(row) == n for row in P), "P has another shape")
+    demand(transposed(P) == P, "P is not symmetric")
+    demand(alpha > 0 and min([*lam, *nu, *k, Q(0)]) >= 0, "a sign is wrong")
+    demand(not adaptive or not any(P[-1][:-1]), "P couples e_n")
+    floor = [[v - (i == j == target) for j, v in enumerate(row)] for i, row in enumerate(P)]
+    demand(positive_definite(floor), "P is below its floor")
+    negative = negative_form(problem, P, lam, nu, k, alpha)
     demand(positive_definite(negative), "the inequality does not hold")
     delta = sum(nu, Q(0)) + sum(k, Q(0))
     if adaptive:
@@ -738,6 +749,10 @@ def check(document, stated_bounds=None):
         from independent_ranges import check_cells
 
         return check_cells(document, stated_bounds)
+    if isinstance(proof, list) and proof and isinstance(proof[0], dict) and "ends" in proof[0]:
+        from independent_online import check_online
+
+        return check_online(document, stated_bounds)
     from independent_bootstrap import is_bootstrap
 
     if basis == "premises" and is_bootstrap(proof):

@@ -16,6 +16,7 @@ from certrack.core.compilers import c_compilers
 from certrack.core.keys import keys_of
 from certrack.laws import LAWS
 from certrack.laws.observer import Observer
+from certrack.laws.online import Online
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
@@ -34,6 +35,7 @@ LONG = {
     *(
         "README",
         "certificates",
+        "comparison-of-laws",
         "deployment",
         "dossier",
         "ensembles",
@@ -144,6 +146,7 @@ def test_no_field_of_a_table_is_without_its_key():
         Population,
         System,
         Observer,
+        Online,
     ):
         names = {entry.name for entry in dataclasses.fields(owner)}
         assert names - set(keys_of(owner)) == without.get(owner, set())

@@ -180,6 +180,14 @@ def test_own_bounds_of_references_are_not_below_their_samples():
             assert float(bound) <= 2 * sample + 0.2
 
 
+def test_a_signal_that_is_a_number_is_understood():
+    system = certrack.load("dual-motor-lean")
+    text = certrack.to_text(system).replace('signal = "0.1*sin(0.75*t)"', "signal = 0")
+    documents = certificates(certrack.loads(text))
+    assert documents
+    assert all(map(accepted, documents))
+
+
 # Mutants ------------------------------------------------------------------------------------------
 
 

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 import certrack
 from certrack.certificates import save_certificate, verify
 from certrack.core.errors import InputError
+from certrack.laws.plant_coordinates import output_derivatives
 from certrack.references import SoftStart, SymbolicReference, jumps, lipschitz_bound
 from certrack.studies.ensembles.error_limit import limit_and_starts
 from certrack.studies.ensembles.members import Members
-from certrack.systems.system import output_derivatives
 from certrack.testing.reference import ReferenceConformance
 
 LEAN = certrack.load("dual-motor-lean")

@@ -2,19 +2,20 @@
 
 Each method is a file: `published` (the paper's, and two sound forms of it), `semidefinite`,
 `cascade` with its `centred` stage; `bootstrap` is the room of quadratic functions on the set that
-such a proof reaches; `ranges` is the room of constants that have a range, whose peak
-gains serve loops without ranges, too; `methods` lists them all. They share
-`problem` (the error system as a matrix inequality), `scaling` (the units a solver sees it in) and
-`adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys
+such a proof reaches; `ranges` is the room of constants that have a range, whose peak gains serve
+loops without ranges, too, and `online` that of gains that move; `methods` lists them all. They
+share `problem` (the error system as a matrix inequality), `scaling` (the units a solver sees it in)
+and `adaptation` (the update laws' part), which `formulation` fills from a system whose law obeys
 the error system that it states (`stated`), `own_multipliers` (a proof without a solver), `exact`
 (verification), `strength` (up to which scale of tau there is one), `document` (the saved
 certificate and its checker) and `tube` (the bound for every t, from the `start` in `balls`).
 
-Which systems have a certificate at all is said by `scope`. What a bound rests on is a list of
-`premise` records, made by `premises_of_truth` (by `reference_premise` for y_d); `assumptions` has
-it as texts. What the truth keeps of Assumption 1 is found by `majorants` and `cover`, where
-formulas are defined by `domain`. `estimates` are bounds in floats with their gradients, for
-searches.
+How much input a law asks for is bounded by `input_bounds`, with `input_problem`, `input_program`
+and `mean_squares`. Which systems have a certificate at all is said by `scope`. What a bound rests
+on is a list of `premise` records, made by `premises_of_truth` (by `reference_premise` for y_d);
+`assumptions` has it as texts. What the truth keeps of Assumption 1 is found by `majorants` and
+`cover`, where formulas are defined by `domain`. `estimates` are bounds in floats with their
+gradients, for searches.
 
 A bound is a claim that others build on, so the author of a new method must:
 
@@ -49,6 +50,7 @@ from certrack.certificates.certify import Certificates, certify
 from certrack.certificates.document import Verdict, save_certificate, to_document, verify
 from certrack.certificates.estimates.estimate import BoundEstimate, TubeEstimate, estimate
 from certrack.certificates.exact import Proof
+from certrack.certificates.input_bounds import InputBounds, certify_input
 from certrack.certificates.methods import best_sound_bound, certify_peak, certify_semidefinite
 from certrack.certificates.premise import Premise
 from certrack.certificates.premises_of_truth import premises
@@ -58,6 +60,7 @@ __all__ = [
     "BoundEstimate",
     "Certificate",
     "Certificates",
+    "InputBounds",
     "NoCertificate",
     "Premise",
     "Proof",
@@ -66,6 +69,7 @@ __all__ = [
     "Verdict",
     "best_sound_bound",
     "certify",
+    "certify_input",
     "certify_peak",
     "certify_semidefinite",
     "estimate",

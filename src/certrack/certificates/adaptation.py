@@ -97,26 +97,32 @@ class Adaptation:
         """q(alpha): what the prior guesses cost, worst over the ranges.
 
         None if alpha is too large, or Gamma is not positive definite.
-
-
-        -|g| gbar1 (s1 d^2 - d (delta - delta_0)) and its theta counterpart, maximised over the
-        estimation errors; s1 = 1 - alpha/(2 gbar gbar1), and W = gbar2 I - alpha/2 Gamma^{-1}.
         """
-        s1 = 1 - alpha / (2 * self.gain_rate * self.leak_gain)
+        of_gain = self._cost_of_gain(alpha, self.leak_gain)
+        of_theta = self._cost_of_theta(alpha, self.leak_theta)
+        return None if of_gain is None or of_theta is None else of_gain + of_theta
+
+    def _cost_of_gain(self, alpha: Any, leak: Any) -> Any:
+        """-|g| gbar1 (s1 d^2 - d (delta - delta_0)), maximised over d = delta_tilde.
+
+        s1 = 1 - alpha/(2 gbar gbar1); None if it is not positive.
+        """
+        s1 = 1 - alpha / (2 * self.gain_rate * leak)
         if not s1 > 0:
             return None
-        cost = max(g * self.leak_gain * d**2 / (4 * s1) for g, d in self.delta_offsets())
-        r = len(self.Gamma)
-        if r:
-            if not self.gamma_is_positive_definite():
-                return None
-            inverse = solve(self.Gamma, np.eye(r, dtype=self.Gamma.dtype))
-            W = self.leak_theta * np.eye(r, dtype=self.Gamma.dtype) - alpha / 2 * inverse
-            if not positive_definite(W):
-                return None
-            worst = max(v @ solve(W, v) for v in self.theta_offsets())
-            cost = cost + self.leak_theta**2 * worst / 4
-        return cost
+        return max(g * leak * d**2 / (4 * s1) for g, d in self.delta_offsets())
+
+    def _cost_of_theta(self, alpha: Any, leak: Any) -> Any:
+        """Its theta counterpart, with W = gbar2 I - alpha/2 Gamma^{-1}."""
+        r, dtype = len(self.Gamma), self.Gamma.dtype
+        if not r:
+            return 0
+        if not self.gamma_is_positive_definite():
+            return None
+        W = leak * np.eye(r, dtype=dtype) - alpha / 2 * solve(self.Gamma, np.eye(r, dtype=dtype))
+        if not positive_definite(W):
+            return None
+        return leak**2 * max(v @ solve(W, v) for v in self.theta_offsets()) / 4
 
     def energy(self, estimates: np.ndarray) -> Any:
         """The estimates' part of V for s = 1, worst over the ranges.

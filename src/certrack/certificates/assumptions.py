@@ -28,7 +28,7 @@ def assumptions(system: System) -> list[str]:
             "the simulated plant, which has states of its own, differing from the design's by no "
             "more than w, that is within gamma and beta; nothing here checks this"
         )
-    if isinstance(stated_error_system(system, integral=True), KnownParameters):
+    if isinstance(stated_error_system(system, integral=True, moving=True), KnownParameters):
         premises.append("g_n and theta exactly as the law uses them")
         return premises + _irrational(system)
     if plant.input_gain_range:

@@ -30,6 +30,8 @@ from certrack.certificates.methods import (
     every_certificate,
     smallest,
 )
+from certrack.certificates.online.certify import OnlineProof, certify_online
+from certrack.certificates.online.tube import online_tube, tube_of
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.published import critical_strength
@@ -66,6 +68,8 @@ class Certificates(ShownInNotebooks):
         Peak gains: of the nominal loop, or for all constants in their ranges.
     vertices, cells : Certificate
         For all constants in their ranges: one quadratic function, cells.
+    online : Certificate
+        For every motion of the gains between their ends, with ``[law.online]``.
     proof, cascade_proof
         The exactly verified numbers behind the semidefinite bound and the cascade.
     tightest : stages or cells
@@ -106,6 +110,7 @@ class Certificates(ShownInNotebooks):
     peak: Certificate
     vertices: Certificate
     cells: Certificate
+    online: Certificate
     proof: Proof | None
     cascade_proof: tuple[Proof, ...] | None
     critical_published: float
@@ -283,18 +288,25 @@ def _implemented(
     return replace(later, start=early.start, peaks=early.peaks), later_proofs
 
 
-def _tube(system: System, stages: tuple[Proof, ...], vertex_proof: CellProof | None) -> Tube | None:
+def _tube(
+    system: System,
+    stages: tuple[Proof, ...] | tuple[OnlineProof, ...],
+    vertex_proof: CellProof | None,
+) -> Tube | None:
     """The tube of the nominal loop's certificate, or of one quadratic function for all ranges.
 
     A soft start is part of what happens from a start, so there it is of a certificate that counts
     it, too.
     """
+    if system.law.online is not None:
+        _, moving = certify_online(system)
+        return online_tube(system, moving[0]) if moving else None
     if system.long_run is not system:
         proof = None if has_ranges(system) else certify_semidefinite(system)[1]
         return None if proof is None else tube(system, proof)
     if vertex_proof is not None:
         return range_tube(system, vertex_proof)
-    return tube(system, stages) if stages else None
+    return tube_of(system, stages) if stages else None
 
 
 def _unverified(result: Certificates, broken: Premise) -> Certificates:

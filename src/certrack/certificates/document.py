@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from certrack.certificates.bootstrap.document import bootstrap_stages, is_bootst
 from certrack.certificates.bootstrap.stage import BootstrapStage
 from certrack.certificates.cascade import check_cascade
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.exact import Proof, failed_condition, from_text
+from certrack.certificates.exact import Proof, failed_condition
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.implemented.certify import claim_of, failed_cover, largest_bound
 from certrack.certificates.implemented.document import (
@@ -35,11 +35,12 @@ from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
 from certrack.certificates.implemented.regional import is_of_starts
 from certrack.certificates.layout import FORMAT, FORMAT_1, check_layout, read_document
+from certrack.certificates.online.certify import OnlineProof, failed_online
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.certify import cover_bound
-from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, CellProof, check_cells, numbers
-from certrack.certificates.ranges.rational import MAX_HULL_POINTS
+from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, CellProof, check_cells
+from certrack.certificates.records import cell_record, online_record, stage_record
 from certrack.core.budget import within_budget
 from certrack.core.errors import InputError
 from certrack.core.files import write_text
@@ -83,8 +84,8 @@ class Verdict:
         return rounded_up(self.bound, 6)
 
 
-#: What a document holds: a stage, a cell, or the proof for one delay.
-Stage = Proof | CellProof | ImplementedProof | BootstrapStage
+#: What a document holds: a stage, a cell, that of moving gains, or the proof for one delay.
+Stage = Proof | CellProof | OnlineProof | ImplementedProof | BootstrapStage
 
 
 def to_document(system: System, *stages: Stage) -> dict[str, Any]:
@@ -128,7 +129,7 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         bound = largest_bound(sampled) if sampled else bound
         bound = claimed_bound(grounded) if grounded else bound
     else:
-        bound = tuple(stage for stage in stages if isinstance(stage, Proof))[-1].bound
+        bound = [stage for stage in stages if isinstance(stage, Proof | OnlineProof)][-1].bound
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
@@ -215,41 +216,79 @@ def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
             return _verify_implemented(body)
         if _is_cover(body):
             return _verify_cover(body)
+        if _is_online(body):
+            return _verify_online(body)
         if is_bootstrap(body):
             return _verify_bootstrap(body)
         stages = _stages(body)
-        proof = stages[-1]
-        if body["sha256"] != _digest(body):
-            return Verdict(False, proof.bound, "the file was changed after it was made")
-        if any(stage.shift != NO_SHIFT for stage in _not_centred(stages)):
-            reason = "a shift stands in a stage that does not use it"
-            return Verdict(False, proof.bound, reason)
-        if body["claim"] != f"limsup |e_1(t)| <= {proof.bound}":
-            return Verdict(False, proof.bound, "the claim is not that of the proof")
-        system = loads(body["system"], "system")
-        exact = error_problem(system, rational)
-        reason = (
-            failed_condition(exact, proof)
-            if len(stages) == 1
-            else check_cascade(system, exact, stages)
-        )
-        if reason:
-            return Verdict(False, proof.bound, reason)
-        return _rests_on(body, proof.bound, premises(system), assumptions(system))
+        shifts = tuple(stage.shift for stage in _not_centred(stages))
+
+        def failed(system: System) -> str:
+            exact = error_problem(system, rational)
+            if len(stages) == 1:
+                return failed_condition(exact, stages[0])
+            return check_cascade(system, exact, stages)
+
+        return _verified(body, stages[-1].bound, shifts, failed)
     except NoCertificate as refusal:
         return Verdict(False, "", str(refusal))
 
 
-def _is_cover(body: dict[str, Any]) -> bool:
-    """Whether a body claims a bound by cells of the ranges of constants."""
-    if not isinstance(body, dict):
-        return False
-    proof = body.get("proof")
+def _verified(
+    body: dict[str, Any], bound: str, shifts: Iterable[str], failed: Callable[[System], str]
+) -> Verdict:
+    """Check a well formed proof of the continuous law.
+
+    `shifts` are those of stages that have none; `failed` tells of a system what fails.
+    """
+    if body["sha256"] != _digest(body):
+        return Verdict(False, bound, "the file was changed after it was made")
+    if any(shift != NO_SHIFT for shift in shifts):
+        return Verdict(False, bound, "a shift stands in a stage that does not use it")
+    if body["claim"] != f"limsup |e_1(t)| <= {bound}":
+        return Verdict(False, bound, "the claim is not that of the proof")
+    system = loads(body["system"], "system")
+    if reason := _left_open(system) or failed(system):
+        return Verdict(False, bound, reason)
+    return _rests_on(body, bound, premises(system), assumptions(system))
+
+
+def _left_open(system: System) -> str:
+    """Empty if the system states every number of its law, as a file that is checked anew must."""
+    stated = system.law.settled(system.plant) == system.law
+    return (
+        "" if stated else "the file leaves numbers of its law to be computed: K and r of each end"
+    )
+
+
+def _has_entries(body: dict[str, Any], key: str) -> bool:
+    """Whether the proof of a body is a list of objects with this key."""
+    proof = body.get("proof") if isinstance(body, dict) else None
     return (
         isinstance(proof, list)
         and bool(proof)
-        and all(isinstance(entry, dict) and "cell" in entry for entry in proof)
+        and all(isinstance(entry, dict) and key in entry for entry in proof)
     )
+
+
+def _is_online(body: dict[str, Any]) -> bool:
+    """Whether a body claims a bound for gains that move."""
+    return _has_entries(body, "ends")
+
+
+def _verify_online(body: dict[str, Any]) -> Verdict:
+    """Check a proof for gains that move."""
+    check_layout(body)
+    if body["format"] != FORMAT or len(body["proof"]) != 1:
+        raise InputError("format", f"must be {FORMAT}, with one proof for gains that move")
+    proof = online_record(body["proof"][0])
+    shifts = (stage.shift for stage in proof.ends)
+    return _verified(body, proof.bound, shifts, lambda system: failed_online(system, proof))
+
+
+def _is_cover(body: dict[str, Any]) -> bool:
+    """Whether a body claims a bound by cells of the ranges of constants."""
+    return _has_entries(body, "cell")
 
 
 def _verify_cover(body: dict[str, Any]) -> Verdict:
@@ -259,18 +298,10 @@ def _verify_cover(body: dict[str, Any]) -> Verdict:
         raise InputError("format", f"must be {FORMAT} for a proof by cells", body["format"])
     if len(body["proof"]) > MAX_PROOF_CELLS:
         raise InputError("proof", f"must have at most {MAX_PROOF_CELLS} cells")
-    cells = tuple(_cell(entries) for entries in body["proof"])
+    cells = tuple(map(cell_record, body["proof"]))
     bound = cover_bound(cells)
-    if body["sha256"] != _digest(body):
-        return Verdict(False, bound, "the file was changed after it was made")
-    if any(stage.shift != NO_SHIFT for cell in cells for stage in cell.points):
-        return Verdict(False, bound, "a shift stands in a stage that does not use it")
-    if body["claim"] != f"limsup |e_1(t)| <= {bound}":
-        return Verdict(False, bound, "the claim is not that of the proof")
-    system = loads(body["system"], "system")
-    if reason := check_cells(system, cells, bound):
-        return Verdict(False, bound, reason)
-    return _rests_on(body, bound, premises(system), assumptions(system))
+    shifts = (stage.shift for cell in cells for stage in cell.points)
+    return _verified(body, bound, shifts, lambda system: check_cells(system, cells, bound))
 
 
 def _verify_bootstrap(body: dict[str, Any]) -> Verdict:
@@ -278,19 +309,12 @@ def _verify_bootstrap(body: dict[str, Any]) -> Verdict:
     check_layout(body)
     if body["format"] != FORMAT:
         raise InputError("format", f"must be {FORMAT} for a bootstrap", body["format"])
-    first, stages = _proof(body["proof"][0]), bootstrap_stages(body["proof"][1:])
-    bound = claimed_bound(stages)
-    if body["sha256"] != _digest(body):
-        return Verdict(False, bound, "the file was changed after it was made")
-    if first.shift != NO_SHIFT:
-        return Verdict(False, bound, "a shift stands in a stage that does not use it")
-    if body["claim"] != f"limsup |e_1(t)| <= {bound}":
-        return Verdict(False, bound, "the claim is not that of the proof")
-    system = loads(body["system"], "system")
-    exact = error_problem(system, rational)
-    if reason := check_bootstrap(system, exact, first, stages):
-        return Verdict(False, bound, reason)
-    return _rests_on(body, bound, premises(system), assumptions(system))
+    first, stages = stage_record(body["proof"][0]), bootstrap_stages(body["proof"][1:])
+
+    def failed(system: System) -> str:
+        return check_bootstrap(system, error_problem(system, rational), first, stages)
+
+    return _verified(body, claimed_bound(stages), (first.shift,), failed)
 
 
 def _verify_implemented(body: dict[str, Any]) -> Verdict:
@@ -309,26 +333,9 @@ def _verify_implemented(body: dict[str, Any]) -> Verdict:
     if is_only_in_region(rests_on) and without_polytopes(proofs) != proofs:
         reason = "a bound of w holds in the region of x0 only, and other starts are claimed"
         return Verdict(False, bound, reason)
-    if reason := failed_cover(system, proofs):
+    if reason := _left_open(system) or failed_cover(system, proofs):
         return Verdict(False, bound, reason)
     return _rests_on(body, bound, rests_on, ())
-
-
-def _cell(entries: Any) -> CellProof:
-    """One cell of a proof, well formed."""
-    if not isinstance(entries, dict) or set(entries) != {"cell", "bound", "points"}:
-        raise InputError("proof", "a cell must have cell, bound and points")
-    points = entries["points"]
-    if not isinstance(points, list) or len(points) > MAX_HULL_POINTS:
-        raise InputError("proof", f"points must be a list of at most {MAX_HULL_POINTS} stages")
-    try:
-        (bound,) = _decimal_texts([entries["bound"]])
-        cell = tuple((str(low), str(high)) for low, high in entries["cell"])
-        if not all(low <= high for low, high in numbers(cell)):
-            raise ValueError("an interval is empty")
-    except (TypeError, ValueError, ZeroDivisionError) as problem:
-        raise InputError("proof", f"must hold decimal texts ({problem})") from None
-    return CellProof(cell, bound, tuple(map(_proof, points)))
 
 
 def _not_centred(stages: tuple[Proof, ...]) -> tuple[Proof, ...]:
@@ -355,30 +362,7 @@ def _stages(body: dict[str, Any]) -> tuple[Proof, ...]:
     check_layout(body)
     if not isinstance(body["proof"], list) or len(body["proof"]) not in (1, 2, 3):
         raise InputError("proof", "must be a list of one to three stages")
-    return tuple(_proof(entries) for entries in body["proof"])
-
-
-def _proof(entries: Any) -> Proof:
-    names = ("alpha", "P", "lam", "nu", "k", "bound", "shift")
-    if not isinstance(entries, dict) or set(entries) != set(names):
-        raise InputError("proof", "must have " + ", ".join(names))
-    try:
-        vectors = {name: _decimal_texts(entries[name]) for name in ("lam", "nu", "k")}
-        rows = tuple(_decimal_texts(row) for row in entries["P"])
-        alpha, bound, shift = _decimal_texts(
-            [entries[name] for name in ("alpha", "bound", "shift")]
-        )
-        return Proof(alpha, rows, vectors["lam"], vectors["nu"], vectors["k"], bound, shift)
-    except (TypeError, ValueError) as problem:
-        raise InputError("proof", f"must hold decimal texts ({problem})") from None
-
-
-def _decimal_texts(values: Any) -> tuple[str, ...]:
-    if not isinstance(values, (list, tuple)):
-        raise TypeError("a list is missing")
-    for value in values:
-        from_text(value)
-    return tuple(values)
+    return tuple(map(stage_record, body["proof"]))
 
 
 def _digest(body: dict[str, Any]) -> str:

@@ -18,6 +18,7 @@ from certrack.certificates.certificate import (
 )
 from certrack.certificates.exact import Proof, float_up, from_text, prove, proven
 from certrack.certificates.formulation import error_problem
+from certrack.certificates.online.certify import ONLINE, OnlineProof, certify_online
 from certrack.certificates.own_multipliers import own_solution
 from certrack.certificates.published import certify_published
 from certrack.certificates.ranges.certify import (
@@ -38,8 +39,11 @@ BOOTSTRAP = "bootstrap"
 NOMINAL_KINDS = ("published", "corrected", "rate", "semidefinite", "cascade", BOOTSTRAP, "peak")
 RANGE_KINDS = ("vertices", "peak", "cells")
 
+#: Those of a law whose gains move.
+MOVING_KINDS = (*NOMINAL_KINDS, ONLINE)
+
 #: Of which a tube follows: inequalities for V, which hold for every t.
-QUADRATIC_KINDS = ("semidefinite", "cascade")
+QUADRATIC_KINDS = ("semidefinite", "cascade", ONLINE)
 
 #: Steps of which :func:`every_certificate` reports.
 METHOD_STEPS = 5
@@ -47,8 +51,8 @@ METHOD_STEPS = 5
 #: Orders up to which peak gains take less than about a second.
 FAST_PEAK_ORDER = 25
 
-#: Stages, or cells; empty where there is none, or none that a file holds.
-Proofs = tuple[Proof, ...] | tuple[CellProof, ...] | BootstrapProof
+#: Stages, cells, or that of moving gains; empty where there is none, or none that a file holds.
+Proofs = tuple[Proof, ...] | tuple[CellProof, ...] | tuple[OnlineProof, ...] | BootstrapProof
 
 
 @dataclass(frozen=True)
@@ -86,9 +90,12 @@ class Methods:
         return self._tightest(self.kinds)
 
     @property
-    def stages(self) -> tuple[Proof, ...]:
-        """The same of those from which a tube follows: one stage, or the two or three."""
-        return _quadratic(self._tightest(QUADRATIC_KINDS))
+    def stages(self) -> tuple[Proof, ...] | tuple[OnlineProof, ...]:
+        """The same of those from which a tube follows: one to three stages, or of moving gains."""
+        moving = self.proofs[ONLINE]
+        return tuple(p for p in moving if isinstance(p, OnlineProof)) or _quadratic(
+            self._tightest(QUADRATIC_KINDS)
+        )
 
     def stages_of(self, kind: str) -> tuple[Proof, ...]:
         """The stages behind one of :data:`QUADRATIC_KINDS`."""
@@ -152,6 +159,7 @@ def every_certificate(
     certificates[BOOTSTRAP], proofs[BOOTSTRAP] = certify_bootstrap(
         system, effort, first, lambda _, __, best: progress(3, METHOD_STEPS, best)
     )
+    certificates[ONLINE], proofs[ONLINE] = certify_online(system)
     progress(4, METHOD_STEPS, None)
     ranged, attainable = has_ranges(system), None
     if ranged:
@@ -168,7 +176,8 @@ def every_certificate(
     certificates |= {"vertices": ranges.vertices, "peak": ranges.peak, "cells": ranges.cells}
     if not ranged:
         certificates["peak"], proofs["peak"] = certify_peak(system, effort)
-    kinds = RANGE_KINDS if ranged else NOMINAL_KINDS
+    kinds: tuple[str, ...] = RANGE_KINDS if ranged else NOMINAL_KINDS
+    kinds = kinds if system.law.online is None else MOVING_KINDS
     return Methods(certificates, proofs, kinds, attainable, ranges)
 
 

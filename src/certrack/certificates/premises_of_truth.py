@@ -18,7 +18,7 @@ from certrack.certificates.premise import ASSUMED, CHECKED, CONTRADICTED, PROVEN
 from certrack.certificates.reference_premise import reference_premise
 from certrack.certificates.sampling import RANDOM_POINTS, Points, random_points
 from certrack.certificates.stated import stated_error_system
-from certrack.core.expressions import Expression, parse
+from certrack.core.expressions import TIME, Expression, parse
 from certrack.core.powers import put_in
 from certrack.core.rounding import rounded_range
 from certrack.laws.error_system import KnownParameters
@@ -179,7 +179,7 @@ def _equal(a: sympy.Expr, b: sympy.Expr) -> bool:
 def _knows_parameters(system: System) -> bool:
     """Whether the law uses the plant's g_n and theta themselves, by the error system it states."""
     try:
-        return isinstance(stated_error_system(system, integral=True), KnownParameters)
+        return isinstance(stated_error_system(system, integral=True, moving=True), KnownParameters)
     except NoCertificate:
         return False
 
@@ -314,28 +314,32 @@ def _number(value: Fraction) -> str:
 
 
 def _domain(system: System, points: Points) -> Premise:
-    plant = system.plant
-    formulas = {"plant.drift": plant.drift.expr}
+    plant, online = system.plant, system.law.online
+    formulas, named = {"plant.drift": plant.drift.expr}, "drift and regressor"
     formulas |= {f"plant.regressor[{i}]": v.expr for i, v in enumerate(plant.regressor)}
+    if online is not None and online.schedule is not None:
+        formulas["law.online.schedule"] = online.formula(plant)
+        named = "drift, regressor and schedule"
     unproven = False
     for key, formula in formulas.items():
         exact = _numeric(formula, plant)
         undefined = undefined_at(exact, plant.symbols, points)
         if undefined is not None:
             condition, where = undefined
-            x = where.x[:, 0].tolist()
+            x, t = where.x[:, 0].tolist(), float(where.t[0])
+            at = f"t = {t:.4g}, x = {_listed(x)}" if exact.has(TIME) else f"x = {_listed(x)}"
             return Premise(
                 DOMAIN,
                 CONTRADICTED,
-                f"{key} has no value at x = {_listed(x)}: {condition}",
-                {"t": float(where.t[0]), "x": x},
+                f"{key} has no value at {at}: {condition}",
+                {"t": t, "x": x},
                 f"the claim is of all states: {_rewriting(condition)}",
             )
         unproven |= not all(c.proven(plant.symbols) for c in conditions(exact))
     if unproven:
-        detail = f"drift and regressor are defined at {RANDOM_POINTS} random states"
+        detail = f"{named} are defined at {RANDOM_POINTS} random states"
         return Premise(DOMAIN, CHECKED, detail)
-    return Premise(DOMAIN, PROVEN, "drift and regressor are defined for every state")
+    return Premise(DOMAIN, PROVEN, f"{named} are defined for every state")
 
 
 def _rewriting(condition: Condition) -> str:

@@ -9,6 +9,7 @@ of the plant and of the recursion.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,11 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
 from certrack.core.once import once
 from certrack.core.rationals import float_of
-from certrack.laws.base import Equations
+from certrack.laws.base import Equations, Law
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
 from certrack.laws.integral import INTEGRAL
 from certrack.laws.linear import Linear
+from certrack.laws.online import first_end, other_end
 from certrack.laws.recursion import recursion
 from certrack.laws.signals import Signals
 from certrack.systems.system import System
@@ -33,12 +35,15 @@ INTEGRAL_ACTION = (
     "law of known parameters"
 )
 
+#: Why there is no other certificate of a law whose gains move.
+GAINS_MOVE = "gains move (law.online): only the certificate online can cover it, in continuous time"
+
 #: Relative difference from the recursion's numbers that is a rounding and not another design.
 SAME_NUMBERS = 1e-9
 
 
 def stated_error_system(
-    system: System, *, integral: bool = False
+    system: System, *, integral: bool = False, moving: bool = False
 ) -> KnownParameters | EstimatedParameters:
     """The error system of the law, which its equations do obey.
 
@@ -49,6 +54,8 @@ def stated_error_system(
     system : System
     integral : bool
         Whether the law may have integral action; what it states is then of the nu that has it.
+    moving : bool
+        Whether its gains may move; what it states is then of those of ``[law]``.
 
     Raises
     ------
@@ -57,7 +64,28 @@ def stated_error_system(
     """
     if system.law.integral is not None and not integral:
         raise NoCertificate(INTEGRAL_ACTION)
+    if system.law.online is not None:
+        if not moving:
+            raise NoCertificate(GAINS_MOVE)
+        system = first_end_system(system)
     return _compared_with_its_equations(system)
+
+
+@once
+def first_end_system(system: System) -> System:
+    """The system with the gains of ``[law]``, which stand still."""
+    return _with_gains(system, first_end(system.law))
+
+
+@once
+def other_end_system(system: System) -> System:
+    """The system with the gains of ``[law.online]``, which stand still."""
+    return _with_gains(system, other_end(system.law))
+
+
+def _with_gains(system: System, law: Law) -> System:
+    settings = replace(system.settings, estimates=None)
+    return system.replace(law=law, settings=settings, implementation=None, population=None)
 
 
 @once
@@ -100,15 +128,16 @@ def _disagreements(
     if states != stated.estimates:
         yield "its own states are not the estimates"
         return
-    if not _identical(equations.u, stated.input(s.nu, s.phi)):
+    if not identical(equations.u, stated.input(s.nu, s.phi)):
         yield "its u is another"
     rates = stated.rates(s.nu, s.phi, s.e_n, s.sign_g)
     for (z, rate), expected in zip(equations.update, rates, strict=True):
-        if not _identical(rate, expected):
+        if not identical(rate, expected):
             yield f"the rate of {z} is another"
 
 
-def _identical(formula: Any, expected: sympy.Expr) -> bool:
+def identical(formula: Any, expected: sympy.Expr) -> bool:
+    """Whether two formulas are the same by symbolic algebra."""
     if formula == expected:
         return True
     difference = sympy.expand(sympy.sympify(formula) - expected)
@@ -132,11 +161,11 @@ def _compare_controller(system: System, equations: Equations, bare: Signals) -> 
     others = [z for z in controller.states if z not in [name for name, _ in equations.update]]
     rates = dict(controller.equations.update)
     if others != [INTEGRAL] * (law.integral is not None) or any(
-        not _identical(rates[z], full.x[0] - full.Y[0]) for z in others
+        not identical(rates[z], full.x[0] - full.Y[0]) for z in others
     ):
         raise NoCertificate(_refusal(system, "it has states that are not its own"))
     for name, formula in equations.formulas.items():
-        if name not in runs or not _identical(runs[name], sympy.sympify(formula).xreplace(parts)):
+        if name not in runs or not identical(runs[name], sympy.sympify(formula).xreplace(parts)):
             raise NoCertificate(_refusal(system, f"what runs as {name} is another"))
     used = dict(zip(map(str, controller.symbols), controller.values, strict=True))
     for name, value in _exact_values(bare, law.parameters(plant)).items():

@@ -164,7 +164,8 @@ def tube(
     InputError
         If the box does not fit the plant or has too many corners, or the proof is by cells.
     NoCertificate
-        If a stage of a cascade has the bound 0.
+        If a stage of a cascade has the bound 0, or each start of the box has a reference of its
+        own (a soft start).
 
     Examples
     --------
@@ -348,22 +349,42 @@ def _allowed(problem: ErrorProblem, inner: Sequence[Proof]) -> Callable[[Any], f
 def starts_of(
     system: System, box: Sequence[tuple[float, float]] | None
 ) -> tuple[list[Start], bool]:
-    """Starts at which the convex V can be largest, and whether their numbers are proven."""
+    """Starts at which the convex V can be largest, and whether their numbers are proven.
+
+    Raises
+    ------
+    InputError
+        If the box does not fit the plant or has too many corners.
+    NoCertificate
+        If each start of a box has a reference of its own.
+    """
+    corners = None if box is None else _corners(system.plant.n, box)
+    if corners is not None and system.long_run is not system:
+        raise NoCertificate(
+            "reference.transient joins each start by a reference of its own, so a set of starts "
+            "has no bound in common: leave the box or reference.transient out"
+        )
     with ball_precision():
         Y, proven = reference_at_start(system, system.controller.coordinates.q)
-        if box is None:
+        if corners is None:
             x, known = states_at_start(system)
             return [(x, Y)], proven and known
-        return [(list(map(ball_of, corner)), Y) for corner in _corners(system, box)], proven
+        return [(list(map(ball_of, corner)), Y) for corner in corners], proven
 
 
-def _corners(system: System, box: Sequence[tuple[float, float]]) -> list[tuple[float, ...]]:
-    n = system.plant.n
-    pairs = [
-        checks.ordered_pair(f"box[{i}]", pair)
-        for i, pair in enumerate(checks.sequence("box", box, n, "[low, high] per state"))
-    ]
-    distinct = [tuple(dict.fromkeys(pair)) for pair in pairs]
+def intervals(n: int, box: Any) -> tuple[tuple[float, float], ...]:
+    """A box of plant states as n pairs of floats.
+
+    Raises
+    ------
+    InputError
+    """
+    entries = checks.sequence("box", box, n, "[low, high] per state")
+    return tuple(checks.ordered_pair(f"box[{i}]", pair) for i, pair in enumerate(entries))
+
+
+def _corners(n: int, box: Any) -> list[tuple[float, ...]]:
+    distinct = [tuple(dict.fromkeys(pair)) for pair in intervals(n, box)]
     if math.prod(map(len, distinct)) > MAX_BOX_CORNERS:
         raise InputError("box", f"must have at most {MAX_BOX_CORNERS} corners", n)
     return list(product(*distinct))

@@ -49,6 +49,13 @@ if TYPE_CHECKING:
     help="How long it may take: fast makes no cells of ranges and no bootstrap, high four times as "
     "many cells, and polynomials behind the bootstrap (half a minute and more).",
 )
+@click.option(
+    "--input",
+    "with_input",
+    is_flag=True,
+    help="Bound the input, too: energy over the run, root mean square, peak from x0 and over the "
+    "starts of [ensemble], and in the long run.",
+)
 @click.option("--require", is_flag=True, help="Exit with 1 if nothing is verified.")
 @picture_options
 @json_option
@@ -58,6 +65,7 @@ def certify(
     plot: Path | None,
     states: str | None,
     effort: str,
+    with_input: bool,
     require: bool,
     appearance: Appearance,
     as_json: bool,
@@ -76,6 +84,7 @@ def certify(
     from certrack.certificates.scope import has_ranges
     from certrack.cli import console
     from certrack.reports import certificates as certificate_report
+    from certrack.reports import input_bounds as input_report
     from certrack.reports import ranges as range_report
     from certrack.systems.reader import load
 
@@ -99,8 +108,9 @@ def certify(
         title, units = appearance.titled(system.title), system.plant.units
         drawing = plotting.starts_figure(result.implemented, axes, title, units, appearance)
         plotting.save_figure(drawing, plot, "starts")
+    of_input = input_report.bounds_of_input(system) if with_input else {}
     if as_json:
-        click.echo(console.to_json(range_report.ranged_summary(result)))
+        click.echo(console.to_json(range_report.ranged_summary(result) | of_input))
     else:
         click.echo(system.title or file)
         console.print_table(certificate_report.certificates_table(result))
@@ -108,6 +118,7 @@ def certify(
             console.print_table(range_report.costs_table(result))
         console.print_lines(certificate_report.certificates_notes(result))
         console.print_lines(range_report.strength_line(result))
+        console.print_lines(input_report.input_lines(system, of_input))
         console.print_lines(["resting on:", *premise_lines(result.premises)])
     say_contradicted(result.contradicted)
     _note_without_implemented(system, result)

@@ -18,6 +18,7 @@ from certrack.cli.base import (
     note_unlikely,
     tell_written,
 )
+from certrack.cli.laws import compare_tuned_laws, law_options
 from certrack.cli.pictures import certified_runs, draw, picture_options, show_runs
 from certrack.cli.premises import note_contradictions
 
@@ -156,6 +157,7 @@ def simulate(
     is_flag=True,
     help="Certify first, and draw the bounds and the tubes beside the errors.",
 )
+@law_options
 @picture_options
 @json_option
 def compare(
@@ -164,12 +166,23 @@ def compare(
     with_bound: bool,
     appearance: Appearance,
     as_json: bool,
+    **wanted: Any,
 ) -> None:
     """Simulate several systems and print their metrics side by side.
 
+    With --laws, one system is given each of these laws in turn: the same search chooses the gains
+    of each, within the same limits, and all are measured alike, sampled as the file says.
+
     \b
     Example: certrack compare example1 example1-classic
+             certrack compare dual-motor-lean --laws lean,lqr,smc --plot pictures
     """
+    if wanted["laws"] is not None:
+        if len(files) != 1 or with_bound:
+            problem = "--laws needs one FILE, and certifies by itself"
+            raise click.UsageError(problem, click.get_current_context())
+        compare_tuned_laws(files[0], plot, as_json, wanted)
+        return
     from certrack.cli import console
     from certrack.reports import runs as run_report
     from certrack.simulation.simulator import simulate as run_system

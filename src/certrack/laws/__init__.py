@@ -16,6 +16,7 @@ from certrack.laws.error_system import EstimatedParameters, KnownParameters, Own
 from certrack.laws.linear import Linear
 from certrack.laws.lqr import LqrWeights
 from certrack.laws.numbers import metric, vector
+from certrack.laws.online import Online
 from certrack.laws.registry import LAWS, known_laws
 from certrack.laws.registry import register_law as register
 from certrack.laws.robust import Robust
@@ -36,6 +37,7 @@ __all__ = [
     "Law",
     "Linear",
     "LqrWeights",
+    "Online",
     "OwnErrors",
     "Plant",
     "Robust",

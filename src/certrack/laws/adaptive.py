@@ -39,6 +39,7 @@ class Adaptive(Law):
     """
 
     kind = "adaptive"
+    moving = ("c_n", "gain_rate", "leak_gain", "leak_theta", "Gamma")
 
     gain_rate: float = gain(above=0, default=1.0, help="adaptation gain of delta_hat")
     leak_gain: float = gain(above=0, default=0.1, help="leakage of delta_hat towards delta0")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,6 +25,13 @@ from certrack.laws.backstepping import ErrorCoordinates, Gains
 from certrack.laws.error_system import ErrorSystem
 from certrack.laws.integral import INTEGRAL
 from certrack.laws.observer import Observer
+from certrack.laws.online import (
+    Online,
+    check_online,
+    moving_equations,
+    online_numbers,
+    other_end,
+)
 from certrack.laws.recursion import recursion
 from certrack.laws.signals import Signals
 from certrack.model.names import NUMBER_PREFIXES
@@ -100,6 +108,14 @@ class Controller:
         """The controller's own states (estimates)."""
         return tuple(name for name, _ in self.equations.update)
 
+    @cached_property
+    def fastest_pole(self) -> float:
+        """Largest magnitude of the error system's poles, 1/s: of both ends of gains that move."""
+        pole = self.coordinates.fastest_pole
+        if self.law is None or self.law.online is None:
+            return pole
+        return max(pole, other_end(self.law).coordinates(self.signals.plant).fastest_pole)
+
     @property
     def symbols(self) -> tuple[sympy.Symbol, ...]:
         """Symbols of all gains, in the order of :attr:`values`."""
@@ -129,7 +145,8 @@ class Law(ABC):
        into them;
     4. return from :meth:`parameters` a number, or an array of the shape asked for, for each of
        these names, and raise DesignError where the plant does not tell what the law must know. The
-       names A_n, B_n, nu_x, nu_Y, A_n0, nu_0 and sign_g are taken;
+       names A_n, B_n, nu_x, nu_Y, A_n0, nu_0 and sign_g are taken, and those that begin with
+       other_ and online_;
     5. pass ``certrack.testing.LawConformance``.
 
     Optional: another feed-forward order (:meth:`order`); a reason in `no_certificate`; initial
@@ -160,11 +177,15 @@ class Law(ABC):
         an own state of the law, the last one.
     observer : Observer, optional
         What a sampled controller estimates, and gives to the law instead of filtered differences.
+    online : Online, optional
+        Another end of the gains, and the rule by which they move between the two.
     """
 
     kind: ClassVar[str]
     #: Why V' <= -alpha V + Delta is not provable for the law; empty where it may be.
     no_certificate: ClassVar[str] = ""
+    #: Keys of :class:`certrack.laws.online.Online` that the law admits.
+    moving: ClassVar[tuple[str, ...]] = ()
 
     c: tuple[float, ...] = keyed(
         "numbers",
@@ -220,6 +241,7 @@ class Law(ABC):
         otherwise="none",
     )
     observer: Observer | None = None
+    online: Online | None = None
 
     def __post_init__(self) -> None:
         gains = self.gains()
@@ -228,11 +250,13 @@ class Law(ABC):
         values |= {"p": gains.p} if self.p is not None else {}
         set_fields(self, **values)
         check_fields(self, "law", *(name for name in keys_of(self) if name not in ("c", "k", "p")))
-        self._check_observer()
+        self._check_tables()
 
-    def _check_observer(self) -> None:
+    def _check_tables(self) -> None:
+        """Check what is a table below that of the law."""
         if not isinstance(self.observer, Observer | None):
             raise InputError("law.observer", "must be an Observer", self.observer)
+        check_online(self)
 
     @abstractmethod
     def equations(self, s: Signals) -> Equations:
@@ -288,7 +312,18 @@ class Law(ABC):
     def _values(
         self, coordinates: ErrorCoordinates, plant: Plant, names: Sequence[str]
     ) -> np.ndarray:
-        numbers: dict[str, Any] = {
+        numbers = self._numbers(coordinates, plant)
+        for name in names:
+            if name not in numbers:
+                raise InputError("law", f"parameters() gives no number for {name}")
+        return np.concatenate([np.ravel(np.asarray(numbers[name], float)) for name in names])
+
+    def numbers(self, plant: Plant) -> dict[str, Any]:
+        """All numbers that stand for gains in the formulas, by name."""
+        return self._numbers(self.coordinates(plant), plant)
+
+    def _numbers(self, coordinates: ErrorCoordinates, plant: Plant) -> dict[str, Any]:
+        return {
             "A_n": coordinates.A[-1],
             "B_n": coordinates.B[-1],
             "nu_x": coordinates.nu_x,
@@ -296,11 +331,8 @@ class Law(ABC):
             **_of_integral(coordinates),
             "sign_g": plant.gain_sign,
             **self.parameters(plant),
+            **({} if self.online is None else online_numbers(self, plant)),
         }
-        for name in names:
-            if name not in numbers:
-                raise InputError("law", f"parameters() gives no number for {name}")
-        return np.concatenate([np.ravel(np.asarray(numbers[name], float)) for name in names])
 
     def design(self, plant: Plant) -> Controller:
         """The controller for `plant`.
@@ -320,6 +352,8 @@ class Law(ABC):
         known = {*signals.x, *signals.Y, TIME, *(z for z, _ in equations.update)}
         known |= {name for group in signals.all_parameters.values() for name in group}
         known |= set().union(plant.drift.expr.free_symbols, *(f.free_symbols for f in signals.phi))
+        if self.online is not None:
+            known |= {symbol(name) for name in plant.constant_values}
         remedy = "Use the signals, gains by s.parameter, and own states that have a rate"
         check_symbols("law", equations.formulas, known, remedy)
         unknown = [str(z) for z in equations.filters if z.name not in names]
@@ -346,6 +380,8 @@ class Law(ABC):
         equations = self.equations(s)
         if not isinstance(equations, Equations):
             raise InputError("law", "equations must return Equations", equations)
+        if self.online is not None:
+            equations = moving_equations(self, equations, s)
         names = [z for z, _ in equations.update]
         for i, z in enumerate(names):
             if z != symbol(str(z)):

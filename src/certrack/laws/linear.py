@@ -11,6 +11,7 @@ from certrack.core.errors import DesignError, InputError
 from certrack.core.keys import check_fields, keyed, set_fields
 from certrack.laws.backstepping import Gains
 from certrack.laws.lqr import LqrWeights, as_computed, lqr_feedback
+from certrack.laws.online import at_other_end
 from certrack.laws.plant_coordinates import (
     PlantCoordinates,
     balancing_feedforward,
@@ -42,6 +43,7 @@ class Linear(Robust):
     """
 
     kind = "linear"
+    moving = ("K", "r")
 
     c: tuple[float, ...] = field(default=(), init=False, repr=False)
     k: tuple[tuple[float, ...], ...] | None = field(default=None, init=False, repr=False)
@@ -72,7 +74,7 @@ class Linear(Robust):
 
     def __post_init__(self) -> None:
         check_fields(self, "law", "feedforward", "K", "r")
-        self._check_observer()
+        self._check_tables()
         if self.lqr is not None:
             set_fields(self, lqr=LqrWeights.of(self.lqr))
         if (self.K is None) == (self.lqr is None):
@@ -95,7 +97,10 @@ class Linear(Robust):
         r = self.r
         if r is None:
             r = as_computed(balancing_feedforward(plant.g, plant.b, np.array(K), q))
-        return replace(self, K=K, r=r, lqr=None)
+        online = self.online
+        if online is not None and online.K is not None:
+            online = replace(online, r=at_other_end(self, lambda law: law.settled(plant)).r)
+        return replace(self, K=K, r=r, lqr=None, online=online)
 
     def coordinates(self, plant: Plant) -> PlantCoordinates:
         """xi = x - Pi Y."""

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from certrack.laws.backstepping import ErrorCoordinates
+from certrack.model.plant import Plant
 
 
 @dataclass(frozen=True)
@@ -81,3 +82,14 @@ def balancing_feedforward(g: np.ndarray, b: np.ndarray, K: np.ndarray, q: int) -
     unit = np.eye(len(K))[:, -1]
     through = np.linalg.solve(without.error_matrix, np.stack([without.R, unit], axis=1))[0]
     return float(through[0] / through[1])
+
+
+def output_derivatives(plant: Plant) -> np.ndarray:
+    """Rows that give y, y' ... y^(n-1) of the states, where nothing uncertain acts: (n, n)."""
+    F = np.zeros((plant.n, plant.n))
+    F[:-1] = plant.b
+    F[range(plant.n - 1), range(1, plant.n)] += plant.g
+    rows = [np.eye(plant.n)[0]]
+    for _ in range(plant.n - 1):
+        rows.append(rows[-1] @ F)
+    return np.array(rows)

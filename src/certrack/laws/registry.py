@@ -11,11 +11,22 @@ from certrack.core.expressions import check_name
 from certrack.core.keys import keys_of, require_compared
 from certrack.laws.adaptive import Adaptive
 from certrack.laws.base import Law
+from certrack.laws.baselines.adrc import Adrc
+from certrack.laws.baselines.l1 import L1Adaptive
+from certrack.laws.baselines.mrac import Mrac
+from certrack.laws.baselines.pid import Pid
+from certrack.laws.baselines.sliding import SlidingMode
+from certrack.laws.baselines.super_twisting import SuperTwisting
 from certrack.laws.classic import Classic
 from certrack.laws.linear import Linear
 from certrack.laws.robust import Robust
 
-LAWS: dict[str, type[Law]] = {law.kind: law for law in (Adaptive, Robust, Linear, Classic)}
+#: Laws of the textbooks, to be compared with.
+BASELINES = (Pid, SlidingMode, SuperTwisting, Adrc, Mrac, L1Adaptive)
+
+LAWS: dict[str, type[Law]] = {
+    law.kind: law for law in (Adaptive, Robust, Linear, Classic, *BASELINES)
+}
 
 _L = TypeVar("_L", bound=type[Law])
 

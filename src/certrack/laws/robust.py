@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from certrack.core.errors import DesignError
 from certrack.core.rationals import float_of
@@ -22,12 +22,13 @@ class Robust(Law):
     """
 
     kind = "robust"
+    moving: ClassVar[tuple[str, ...]] = ("c",)
 
     def equations(self, s: Signals) -> Equations:
         g_n, theta = s.parameter("g_n"), s.parameters("theta", s.r)
         return Equations(u=(s.nu - dot(s.phi, theta)) / g_n)
 
-    def error_system(self, s: Signals) -> KnownParameters:
+    def error_system(self, s: Signals) -> KnownParameters | None:
         return KnownParameters(s.parameter("g_n"), s.parameters("theta", s.r))
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:

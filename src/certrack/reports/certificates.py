@@ -7,7 +7,8 @@ from typing import Any
 
 from certrack.certificates import Certificate, Certificates
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
-from certrack.certificates.methods import NOMINAL_KINDS, RANGE_KINDS
+from certrack.certificates.methods import MOVING_KINDS, RANGE_KINDS
+from certrack.certificates.tube import TUBE_ROUNDING, Tube
 from certrack.core.rounding import printed_bound, rounded_down
 from certrack.reports.sampled import implemented_notes, implemented_summary
 from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
@@ -32,7 +33,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
         }
 
     return {
-        **{kind: entries(getattr(results, kind)) for kind in (*NOMINAL_KINDS, *RANGE_KINDS)},
+        **{kind: entries(getattr(results, kind)) for kind in (*MOVING_KINDS, *RANGE_KINDS)},
         "implemented": entries(results.implemented) | implemented_summary(results.implemented),
         "attainable": results.attainable,
         "verified": results.verified,
@@ -79,6 +80,7 @@ def certificates_table(results: Certificates) -> Table:
         if results.kinds == RANGE_KINDS
         else "peak gains of the error loop",
         "cells": "the ranges cut into cells, for constants that stand still",
+        "online": "for every motion of the gains between their ends",
         "implemented": "peak gains of the loop as the drive runs it"
         + (": the one to ship with" if results.implemented.verified else ""),
     }
@@ -111,16 +113,30 @@ def certificates_notes(results: Certificates) -> list[str]:
         ]
     lines = [*implemented_notes(results.implemented, BOUND_TEXT_DIGITS), *lines]
     if results.tube is not None:
-        level = (1 + SETTLED_MARGIN) * math.sqrt(results.tube.floor)
-        start = printed_bound(float(results.tube(0.0)), BOUND_TEXT_DIGITS)
-        settled = printed_bound(results.tube.settling_time(level), BOUND_TEXT_DIGITS)
-        margin = f"{100 * SETTLED_MARGIN:g} %"
-        lines.append(
-            f"tube from x0: |e_1| <= {start} at t = 0, within {margin} of the bound of "
-            f"{results.tube_kind} after {settled} s"
-            + ("" if results.tube.verified else " (the start is not verified)")
-        )
+        lines.append(_of_tube(results, results.tube))
     return lines
+
+
+def _of_tube(results: Certificates, tube: Tube) -> str:
+    """Where the tube begins, and when it is near the bound that holds in the long run.
+
+    With a soft start the tube has a floor of its own, which the bound may be far below.
+    """
+    bound = getattr(results, results.tube_kind).bound
+    level, where, later = (1 + SETTLED_MARGIN) * bound, f"the bound of {results.tube_kind}", ""
+    if not math.isfinite(bound) or math.isinf(tube.settling_time(level)):
+        floor = math.sqrt(tube.floor) * TUBE_ROUNDING
+        level = (1 + SETTLED_MARGIN) * floor
+        where = f"its floor of {printed_bound(floor, BOUND_TEXT_DIGITS)}"
+        if math.isfinite(bound):
+            later = f"; it counts a soft start for ever, the bound of {results.tube_kind} does not"
+    start = printed_bound(float(tube(0.0)), BOUND_TEXT_DIGITS)
+    settled = printed_bound(tube.settling_time(level), BOUND_TEXT_DIGITS)
+    verified = "" if tube.verified else " (the start is not verified)"
+    return (
+        f"tube from x0: |e_1| <= {start} at t = 0, within {100 * SETTLED_MARGIN:g} % of {where} "
+        f"after {settled} s{later}{verified}"
+    )
 
 
 def _strength_text(scale: float) -> str:

@@ -106,7 +106,7 @@ class ContinuousSimulator:
             duration=settings.duration,
             tolerance=settings.tolerance,
             plant_order=self.loop.n,
-            fastest_pole=system.controller.coordinates.fastest_pole,
+            fastest_pole=system.controller.fastest_pole,
             max_state=settings.max_state,
             progress=progress,
         )
@@ -140,7 +140,7 @@ class ContinuousSimulator:
                     remedy="Use scipy, or install heyoka (conda-forge has it for all systems)",
                 )
             return wanted, []
-        fastest = system.controller.coordinates.fastest_pole
+        fastest = system.controller.fastest_pole
         slowest = system.controller.coordinates.slowest_pole
         time_constants = fastest * system.settings.duration
         if time_constants > STIFF_TIME_CONSTANTS and fastest > STIFF_POLE_RATIO * slowest:

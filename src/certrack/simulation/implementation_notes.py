@@ -96,7 +96,7 @@ def quantum_error(system: System) -> float:
 def _speed_notes(system: System, implementation: Implementation) -> tuple[str, ...]:
     """The exact verdict where the loop is linear, else the fastest error pole by the period."""
     period, delay = implementation.period, implementation.run_delay
-    pole = system.controller.coordinates.fastest_pole
+    pole = system.controller.fastest_pole
     longest = longest_speed_period(pole, delay)
     if period < SURELY_SHORT * longest:
         return ()

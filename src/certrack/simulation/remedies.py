@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from certrack.laws.baselines.base import Baseline
 from certrack.laws.linear import Linear
 from certrack.laws.observer import DOB
 from certrack.systems.system import System
@@ -20,6 +21,8 @@ def slower_law(system: System) -> str:
     law = system.law
     if isinstance(law, Linear):
         return "lower law.K" if law.lqr is None else "raise law.lqr.input"
+    if isinstance(law, Baseline):
+        return law.slower
     return poles_near_gains(system) or "lower law.c"
 
 
@@ -31,9 +34,9 @@ def poles_near_gains(system: System) -> str:
     system : System
     """
     law = system.law
-    if isinstance(law, Linear):
+    if isinstance(law, Linear | Baseline):
         return ""
-    if system.controller.coordinates.fastest_pole > FAR_FROM_GAINS * max(law.c):
+    if system.controller.fastest_pole > FAR_FROM_GAINS * max(law.c):
         if not law.gains().is_lean:
             return "leave law.k and law.p out, which make the poles fast, or lower law.c"
         if law.coupling is None:

@@ -149,7 +149,7 @@ def check(system: System) -> Check:
 def _findings(system: System) -> Iterator[Finding]:
     implementation = system.implementation
     if implementation is None:
-        fastest = system.controller.coordinates.fastest_pole
+        fastest = system.controller.fastest_pole
         detail = f"fastest {fastest:.4g} rad/s; no [implementation], so no period to compare"
         yield Finding("poles", NOTE, detail, poles_near_gains(system))
     else:
@@ -164,7 +164,7 @@ def _findings(system: System) -> Iterator[Finding]:
 
 def _pole_period(system: System, implementation: Implementation) -> Finding:
     """The fastest pole of the error system against the period and the delay."""
-    fastest = system.controller.coordinates.fastest_pole
+    fastest = system.controller.fastest_pole
     lag = implementation.period * (1 + max(implementation.delays))
     product = fastest * lag
     what = "period" if not max(implementation.delays) else "(period + delay)"
@@ -183,9 +183,7 @@ def _sampled_stability(system: System, implementation: Implementation) -> Iterat
     """The eigenvalues of one period where the loop is linear, else its speed."""
     loop = linear_loop(system)
     if loop is None:
-        longest = longest_speed_period(
-            system.controller.coordinates.fastest_pole, max(implementation.delays)
-        )
+        longest = longest_speed_period(system.controller.fastest_pole, max(implementation.delays))
         if implementation.period >= longest:
             yield Finding(
                 "sampled stability",

@@ -260,7 +260,7 @@ def margins(
 def _first_period(system: System) -> float:
     """A period that is short for the error poles, s; the loop of an adaptive law may be faster."""
     duration = system.settings.duration
-    pole = system.controller.coordinates.fastest_pole
+    pole = system.controller.fastest_pole
     first = min(PERIOD_PER_TIME_CONSTANT / pole, duration / MIN_RUN_SAMPLES)
     first = min(first, LEAK_PERIOD_SHARE * _leak_period(system))
     if duration / first > MAX_RUN_SAMPLES:

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from certrack.systems.system import System
 
 
+#: Said below the formulas of a law whose gains move.
+MOVING = "(with the gains of [law]; those of [law.online] are the other end of their motion)"
+
+
 @dataclass(frozen=True)
 class Design(ShownInNotebooks):
     """Result of :func:`design`.
@@ -102,7 +106,7 @@ def design(system: System) -> Design:
         title=system.title,
         kind=system.law.kind,
         coordinates=system.controller.coordinates,
-        formulas=tuple(formulas.as_text(system)),
+        formulas=(*formulas.as_text(system), *([MOVING] if system.law.online else [])),
         latex=formulas.as_latex(system),
         optimality=optimality(system),
     )

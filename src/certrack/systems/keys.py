@@ -12,6 +12,7 @@ from typing import Any
 from certrack.core.keys import Key, keys_of
 from certrack.laws import LAWS, Law
 from certrack.laws.observer import Observer
+from certrack.laws.online import Online
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
@@ -21,8 +22,8 @@ from certrack.references import known_references
 from certrack.references.keys import FORMULA_KEYS, REFERENCE_KINDS, TRANSIENT
 from certrack.systems.system import Settings, System
 
-#: A field of every law that is a table below its own.
-OBSERVER = "observer"
+#: Fields of every law that are tables below its own.
+LAW_TABLES: dict[str, type[Any]] = {"observer": Observer, "online": Online}
 
 
 def _keys_below(owner: Any, below: str = "") -> dict[str, Key]:
@@ -41,7 +42,7 @@ def law_keys(law: type[Law]) -> dict[str, Key]:
     undescribed = {
         entry.name: Key("any", required=entry.default is MISSING)
         for entry in fields(law)
-        if entry.init and entry.name != OBSERVER
+        if entry.init and entry.name not in LAW_TABLES
     }
     return {"kind": kind, **undescribed, **keys_of(law)}
 
@@ -63,7 +64,7 @@ TABLES: dict[str, dict[str, Key]] = {
     "reference": dict(FORMULA_KEYS),
     **{f"reference[{kind}]": reference_keys(kind) for kind in REFERENCE_KINDS},
     **{f"law[{kind}]": law_keys(law) for kind, law in LAWS.items()},
-    "law.observer": _keys_below(Observer),
+    **{f"law.{name}": _keys_below(owner) for name, owner in LAW_TABLES.items()},
     "simulation": _keys_below(Settings),
     "implementation": _keys_below(Implementation),
     "ensemble": _keys_below(Population),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from certrack.laws.cost import Cost, freed_loop, optimal_cost
+from certrack.laws.error_system import EstimatedParameters, KnownParameters
 from certrack.laws.integral import of_the_chain
 from certrack.laws.loop_margins import LoopMargins, loop_margins
 from certrack.model.linear_drift import linear_parts, total_drift
@@ -26,9 +27,10 @@ class Optimality:
     Attributes
     ----------
     cost : Cost or None
-        None for a linear law whose K was given.
-    at_v : LoopMargins
-        At v, what the law adds to the terms that it cancels.
+        None for a linear law whose K was given, and for one that states no error system.
+    at_v : LoopMargins or None
+        At v, what the law adds to the terms that it cancels; None for a law that states no error
+        system with known or estimated parameters.
     at_u : LoopMargins or None
         At the input of the plant; None where h + phi^T theta is not linear in x.
     has_integral : bool
@@ -36,7 +38,7 @@ class Optimality:
     """
 
     cost: Cost | None
-    at_v: LoopMargins
+    at_v: LoopMargins | None
     at_u: LoopMargins | None
     has_integral: bool = False
 
@@ -47,7 +49,7 @@ class Optimality:
             "cost": None
             if cost is None
             else {"state": cost.state, "input": cost.input, "of_states": cost.of_states},
-            "margins_at_v": _record(self.at_v),
+            "margins_at_v": None if self.at_v is None else _record(self.at_v),
             "margins_at_u": None if self.at_u is None else _record(self.at_u),
         }
 
@@ -65,7 +67,8 @@ class Optimality:
                 f"{'(e_0, x - x_d)' if self.has_integral else 'x - x_d'} the weights of e are",
                 *(f"  [{', '.join(map(_short, row))}]" for row in self.cost.of_states.tolist()),
             ]
-        shown.append(f"margins at v: {_words(self.at_v)}")
+        if self.at_v is not None:
+            shown.append(f"margins at v: {_words(self.at_v)}")
         if self.at_u is not None:
             shown.append(f"margins at u: {_words(self.at_u)}")
         return shown
@@ -73,6 +76,9 @@ class Optimality:
 
 def optimality(system: System) -> Optimality:
     """Cost and margins of a system's design."""
+    stated = system.law.error_system(system.controller.signals)
+    if not isinstance(stated, KnownParameters | EstimatedParameters):
+        return Optimality(None, None, None)
     has_integral = system.controller.coordinates.integral is not None
     coordinates = of_the_chain(system.controller.coordinates)
     M, k = freed_loop(coordinates)

@@ -16,12 +16,11 @@ from certrack.core import checks
 from certrack.core.budget import within_budget
 from certrack.core.errors import InputError
 from certrack.laws import Law, known_laws
-from certrack.laws.observer import Observer
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
 from certrack.model.truth import Truth, constants_of_truth
-from certrack.systems.keys import OBSERVER, TABLES, law_keys
+from certrack.systems.keys import LAW_TABLES, TABLES, law_keys
 from certrack.systems.lines import line_of
 from certrack.systems.reference_reader import read_reference
 from certrack.systems.shipped import catalog, shipped_text
@@ -237,14 +236,14 @@ def _read_law(table: Any, constants: Mapping[str, Any]) -> Law:
     if "kind" not in table:
         raise InputError("law.kind", "is missing", remedy="Known: " + ", ".join(laws))
     law = laws[checks.choice("law.kind", table["kind"], laws, OWN_LAW)]
-    observer = table.get(OBSERVER)
-    table = {name: value for name, value in table.items() if name != OBSERVER}
+    below = {name: table[name] for name in LAW_TABLES if name in table}
+    table = {name: value for name, value in table.items() if name not in below}
     refuse_keys_of_another("law", table, "law", {name: law_keys(laws[name]) for name in laws})
     values = read_values("law", table, constants, law_keys(law))
     del values["kind"]
-    if observer is None:
-        return law(**values)
-    return law(**values, observer=Observer(**read_values("law.observer", observer, constants)))
+    for name, entries in below.items():
+        values[name] = LAW_TABLES[name](**read_values(f"law.{name}", entries, constants))
+    return law(**values)
 
 
 def _read_population(table: Any, constants: Mapping[str, Any]) -> Population | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -17,6 +18,8 @@ from certrack.core.once import without_results
 from certrack.laws.base import Controller, Law
 from certrack.laws.leakage import longest_euler_period
 from certrack.laws.observer_model import observer_model
+from certrack.laws.online import LEVEL
+from certrack.laws.plant_coordinates import output_derivatives
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant
 from certrack.model.population import Population
@@ -155,6 +158,15 @@ class System(ShownInNotebooks):
                 len(self.controller.states),
                 f"the controller states ({names})",
             )
+            self._check_level("simulation", [(v, v) for v in self.settings.estimates])
+
+    def _check_level(self, table: str, estimates: Sequence[tuple[float, float]]) -> None:
+        """Refuse gains that begin beyond their ends."""
+        for i, (state, (low, high)) in enumerate(
+            zip(self.controller.states, estimates, strict=False)
+        ):
+            if state == LEVEL and not 0 <= low <= high <= 1:
+                raise InputError(f"{table}.estimates[{i}]", f"must be 0 to 1: it is {LEVEL}")
 
     def _check_parts(self) -> None:
         required = {"plant": Plant, "law": Law, "truth": Truth, "settings": Settings}
@@ -172,6 +184,8 @@ class System(ShownInNotebooks):
         states = len(self.controller.states)
         population = self.population.bound_to(self.plant, self.truth, states)
         set_fields(self, population=population)
+        limits = [(entry.low, entry.high) for entry in population.estimates or ()]
+        self._check_level("ensemble", limits)
         for i, entry in enumerate(population.x0 or ()):
             if max(abs(entry.low), abs(entry.high)) > self.settings.max_state:
                 raise InputError(f"ensemble.x0[{i}]", "must be within simulation.max_state")
@@ -183,6 +197,8 @@ class System(ShownInNotebooks):
         implementation.samples(self.settings.duration)
         if implementation.update == "euler":
             self._check_leak(implementation.period)
+            if self.law.online is not None:
+                self.law.online.check_period(implementation.period)
         if self.law.observer is not None:
             observer_model(self.plant, self.law, implementation)
         set_fields(self, implementation=implementation)
@@ -335,14 +351,3 @@ def require_system(system: Any, key: str = "system") -> None:
     """Refuse what is no system, such as the name of a file, where one is needed."""
     if not isinstance(system, System):
         raise InputError(key, "must be a System", system, "certrack.load makes one")
-
-
-def output_derivatives(plant: Plant) -> np.ndarray:
-    """Rows that give y, y' ... y^(n-1) of the states, where nothing uncertain acts: (n, n)."""
-    F = np.zeros((plant.n, plant.n))
-    F[:-1] = plant.b
-    F[range(plant.n - 1), range(1, plant.n)] += plant.g
-    rows = [np.eye(plant.n)[0]]
-    for _ in range(plant.n - 1):
-        rows.append(rows[-1] @ F)
-    return np.array(rows)

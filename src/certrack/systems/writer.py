@@ -23,6 +23,7 @@ from certrack.model.population import Population
 from certrack.model.truth import Truth
 from certrack.references import PiecewiseReference, Reference, SoftStart, SymbolicReference
 from certrack.references.registry import kind_of
+from certrack.systems.keys import LAW_TABLES
 from certrack.systems.system import System, require_system
 
 #: Lists of numbers from this length on are written as one item.
@@ -192,9 +193,10 @@ def _law_table(law: Law) -> dict[str, Any]:
     values = _present(field_values(law))
     if not law.sampled_feedforward:
         values.pop("sampled_feedforward", None)
-    if law.observer is not None:
-        observer = _present(field_values(law.observer))
-        values["observer"] = {name: value for name, value in observer.items() if value != ()}
+    for name in LAW_TABLES:
+        if name in values:
+            below = _present(field_values(values[name]))
+            values[name] = {key: value for key, value in below.items() if value != ()}
     return {"kind": law.kind} | values
 
 

@@ -301,11 +301,15 @@ class LawConformance:
 
 
 def _with_other_gains(law: Law) -> Law:
-    """The law with one list of its gains, c where it has one, a tenth larger."""
-    lists = [name for name, key in keys_of(law).items() if key.kind == "numbers"]
-    values: dict[str, Any] = {name: getattr(law, name) for name in lists}
-    name, gains = next((name, gains) for name, gains in values.items() if gains)
-    changed: dict[str, Any] = {name: tuple(1.1 * value for value in gains)}
+    """The law with one list of its gains, c where it has one, or all its numbers a tenth larger."""
+    keys = keys_of(law).items()
+    lists = [name for name, key in keys if key.kind == "numbers" and getattr(law, name)]
+    if lists:
+        changed: dict[str, Any] = {lists[0]: tuple(1.1 * v for v in getattr(law, lists[0]))}
+    else:
+        numbers = [name for name, key in keys if key.kind == "number"]
+        changed = {name: 1.1 * getattr(law, name) for name in numbers if getattr(law, name)}
+        assert changed, f"the {law.kind} law has no gains"
     return replace(law, **changed)
 
 

@@ -161,5 +161,5 @@ def _exact_edge(system: System, candidate: Candidate) -> float | None:
     drive, loop = system.implementation, linear_loop(system)
     if loop is None or drive is None:
         return None
-    guess = 1 / system.controller.coordinates.fastest_pole
+    guess = 1 / system.controller.fastest_pole
     return StabilityEdge(loop, guess, float(drive.run_delay)).first(candidate)

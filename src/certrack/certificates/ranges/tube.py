@@ -33,6 +33,8 @@ def range_tube(
     ------
     InputError
         If the box does not fit the plant or has too many corners.
+    NoCertificate
+        If each start of the box has a reference of its own (a soft start).
     """
     prover = prover_of(system, len(proof.cell))
     starts, verified = starts_of(system, box)

@@ -8,6 +8,7 @@ from certrack.core.version import version
 from certrack.export.c.printer import comment
 from certrack.export.program import ControllerProgram, unread_states
 from certrack.laws import Law, Linear
+from certrack.laws.baselines.base import Baseline
 from certrack.laws.integral import INTEGRAL
 from certrack.systems.system import System
 from certrack.systems.writer import to_text
@@ -43,6 +44,8 @@ def _gains(law: Law) -> str:
     """What the comment names of the law."""
     if isinstance(law, Linear):
         return f"K = ({', '.join(f'{value:g}' for value in law.K or ())})"
+    if isinstance(law, Baseline):
+        return ", ".join(f"{name} = {getattr(law, name):g}" for name in law.tuned)
     return f"c = ({', '.join(f'{value:g}' for value in law.c)}) 1/s"
 
 

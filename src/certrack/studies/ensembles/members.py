@@ -20,6 +20,7 @@ from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, parse, symbol
 from certrack.core.lowering import numpy_callable, rows
 from certrack.core.memo import remembered
+from certrack.laws.plant_coordinates import output_derivatives
 from certrack.loops.continuous import ClosedLoop, close_loop, parameter_values
 from certrack.loops.plant import true_constants
 from certrack.model.distribution import Distribution
@@ -42,7 +43,7 @@ from certrack.studies.ensembles.corners import (
 )
 from certrack.studies.ensembles.following import following_parameters
 from certrack.studies.ensembles.scaled_reference import scaled_reference
-from certrack.systems.system import System, output_derivatives, require_system
+from certrack.systems.system import System, require_system
 
 #: Members and times at which the pattern of a registered disturbance is looked at.
 CHECKED_MEMBERS, CHECKED_TIMES = 64, 257

@@ -7,13 +7,13 @@ loop. Whatever the numbers, the assumptions hold:
   bang-bang patterns with searched frequency, phase, hardness and state feedback; sines within their
   rate where that is bounded;
 * references of searched amplitude, frequency, phase and shape within Y_0 ... Y_{q+1};
-* g_n and theta within the ranges of the file.
+* g_n and theta within the ranges of the file;
+* where the gains move, any motion of them between their ends.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -26,29 +26,24 @@ from certrack.model.names import refuse_prefix
 from certrack.references import SymbolicReference
 from certrack.references.base import bound_of
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
+from certrack.studies.falsifier.patterns import (
+    ADVERSARY_PREFIX,
+    BELOW_ONE,
+    MAX_FREQUENCY,
+    MIN_FREQUENCY,
+    AdversaryPart,
+    FreeLevel,
+    Pattern,
+    SearchVariable,
+)
 from certrack.systems.system import System
-
-#: Largest hardness of a disturbance's pattern: tanh(30 y) is a sign but for 3 % of y's range.
-MAX_HARDNESS = 30.0
-
-#: Range of the pattern's frequencies, rad/s, if the design allows them: faster ones average out.
-MIN_FREQUENCY, MAX_FREQUENCY = 0.05, 10.0
 
 #: The fastest frequency searched is at least this, rad/s, however slow the design.
 LEAST_FASTEST = 0.5
 
-#: |tanh| rounds to 1: with this factor w_k never passes its bound.
-BELOW_ONE = 0.999999
-
 #: ||x|| in the disturbances is sqrt(x.x + offset^2) - offset: larger than in an ensemble, lest the
 #: Taylor method take tiny steps where feedback drives the state through zero.
 ADVERSARY_NORM_OFFSET = 1e-4
-
-#: Begin of the names of the patterns' numbers, where they are constants of the plant.
-ADVERSARY_PREFIX = "adv_"
-
-#: Hardness to begin with: tanh(10 y) is a sign but for a tenth of y's range, and still cheap.
-PLAUSIBLE_HARDNESS = 10.0
 
 #: Where the search begins: frequencies over that of the fastest full-size reference, and phases.
 PLAUSIBLE_FACTORS, PLAUSIBLE_PHASES = (1.0, 2.0, 0.5, 3.0), 4
@@ -73,53 +68,6 @@ REFERENCE_SAMPLES = 1001
 
 #: Keeps derivatives of the reference below their bounds in spite of rounding.
 BELOW_BOUND = 1 - 1e-12
-
-
-@dataclass(frozen=True)
-class SearchVariable:
-    """One searched number.
-
-    Attributes
-    ----------
-    name : str
-        As a constant of the plant, where it is one.
-    low, high : float
-    """
-
-    name: str
-    low: float
-    high: float
-
-    @property
-    def middle(self) -> float:
-        """Middle of the range."""
-        return (self.low + self.high) / 2
-
-    @property
-    def neutral(self) -> float:
-        """0 if it is in the range, else the middle."""
-        return 0.0 if self.low <= 0 <= self.high else self.middle
-
-
-class AdversaryPart(ABC):
-    """One thing that the adversary may choose."""
-
-    @property
-    @abstractmethod
-    def variables(self) -> tuple[SearchVariable, ...]:
-        """Its numbers, in the order of all values below."""
-
-    def plausible(self, frequency: float, phase: float) -> tuple[float, ...]:
-        """Values to begin with; where it oscillates, with this frequency and phase."""
-        return tuple(variable.neutral for variable in self.variables)
-
-    @abstractmethod
-    def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
-        """Put it into a system; what is written as formulas refers to constants if `named`."""
-
-    @abstractmethod
-    def write_parameters(self, values: np.ndarray, table: ParameterTable) -> None:
-        """Put the values (G, N) of N members into the parameters of the loop with named ones."""
 
 
 class Wave(NamedTuple):
@@ -207,51 +155,19 @@ class ReferenceShape(AdversaryPart):
 
 
 @dataclass(frozen=True)
-class DisturbancePattern(AdversaryPart):
+class DisturbancePattern(Pattern):
     """w_k of one state, a share of its bound.
 
     Attributes
     ----------
-    k : int
-        Number of the state, from 0.
-    states : names of the plant's states
     bound : formula
         The bound of w_k.
-    fastest : float, rad/s
     """
 
-    k: int
-    states: tuple[str, ...]
     bound: str
-    fastest: float
 
-    @property
-    def variables(self) -> tuple[SearchVariable, ...]:
-        k = self.k
-        feedback = (f"{ADVERSARY_PREFIX}v{k}_{j}" for j in range(len(self.states)))
-        return (
-            SearchVariable(f"{ADVERSARY_PREFIX}m{k}", 0.0, MAX_HARDNESS),
-            SearchVariable(f"{ADVERSARY_PREFIX}w{k}", MIN_FREQUENCY, self.fastest),
-            SearchVariable(f"{ADVERSARY_PREFIX}p{k}", 0.0, 2 * math.pi),
-            *(SearchVariable(name, -MAX_HARDNESS, MAX_HARDNESS) for name in feedback),
-        )
-
-    def plausible(self, frequency: float, phase: float) -> tuple[float, ...]:
-        return (PLAUSIBLE_HARDNESS, frequency, phase, *(0.0 for _ in self.states))
-
-    def write_system(self, values: Sequence[float], draft: SystemDraft, *, named: bool) -> None:
-        numbers = {
-            variable.name: value for variable, value in zip(self.variables, values, strict=True)
-        }
-        if named:
-            draft.constants |= numbers
-        m, w, p, *v = (name if named else f"({value!r})" for name, value in numbers.items())
-        feedback = "".join(f" + {v_j}*{x}" for v_j, x in zip(v, self.states, strict=True))
-        draft.omega[self.k] = f"{BELOW_ONE}*tanh({m}*sin({w}*t + {p}){feedback})*({self.bound})"
-
-    def write_parameters(self, values: np.ndarray, table: ParameterTable) -> None:
-        for variable, row in zip(self.variables, values, strict=True):
-            table.set_constant(variable.name, row)
+    def write(self, pattern: str, draft: SystemDraft) -> None:
+        draft.omega[int(self.name)] = f"{BELOW_ONE}*{pattern}*({self.bound})"
 
 
 @dataclass(frozen=True)
@@ -362,7 +278,7 @@ class Adversary:
         plant, u = system.plant, system.plant.uncertainty
         refuse_prefix(plant, ADVERSARY_PREFIX, "falsify")
         coordinates = system.controller.coordinates
-        fastest = max(LEAST_FASTEST, min(MAX_FREQUENCY, coordinates.fastest_pole))
+        fastest = max(LEAST_FASTEST, min(MAX_FREQUENCY, system.controller.fastest_pole))
         bounds = reference_bounds(system, coordinates.q + 1)
         bound = partial(u.bound_formula, states=plant.states, offset=ADVERSARY_NORM_OFFSET)
         others: list[AdversaryPart] = []
@@ -371,11 +287,13 @@ class Adversary:
             if u.tau[k] > 0 and u.acts(k) and slowness is not None:
                 others.append(SlowSine(k, u.beta[k], slowness.rate, fastest))
             elif u.tau[k] > 0 and u.acts(k):
-                others.append(DisturbancePattern(k, plant.states, bound(k), fastest))
+                others.append(DisturbancePattern(str(k), plant.states, fastest, bound(k)))
         if plant.input_gain_range and len(set(plant.input_gain_range)) > 1:
             others.append(TrueGain(plant.n, *plant.input_gain_range))
         for i, box in enumerate(plant.theta_range or ()):
             others += [TrueTheta(i, *box)] if box[0] < box[1] else []
+        if system.law.online is not None:
+            others.append(FreeLevel("g", plant.states, fastest))
         return cls(ReferenceShape(tuple(bounds), fastest), tuple(others))
 
     @property

@@ -14,9 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from certrack.certificates import Certificate, NoCertificate, Proof, tube
+from certrack.certificates import Certificate, NoCertificate, Proof
 from certrack.certificates.assumption_1 import VIOLATION_TOLERANCE, uncertain_terms
 from certrack.certificates.methods import BOOTSTRAP, QUADRATIC_KINDS
+from certrack.certificates.online.certify import OnlineProof
+from certrack.certificates.online.tube import tube_of
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.sampling import Points
@@ -53,7 +55,11 @@ class Alarm:
 
 
 def alarm(
-    system: System, case: System, run: Run, against: Certificate, stages: tuple[Proof, ...]
+    system: System,
+    case: System,
+    run: Run,
+    against: Certificate,
+    stages: tuple[Proof, ...] | tuple[OnlineProof, ...],
 ) -> Alarm | None:
     """The alarm that a run raises, or None.
 
@@ -86,7 +92,11 @@ def alarm(
 
 
 def _beyond(
-    system: System, case: System, run: Run, against: Certificate, stages: tuple[Proof, ...]
+    system: System,
+    case: System,
+    run: Run,
+    against: Certificate,
+    stages: tuple[Proof, ...] | tuple[OnlineProof, ...],
 ) -> bool:
     """Whether |e_1| passes the tube from the run's start; or the bound, without a tube."""
     if run.outcome in (Outcome.escaped, Outcome.undefined):
@@ -99,7 +109,7 @@ def _beyond(
     if not stages:
         return not _is_own(system, case) or _beyond_in_the_long_run(case, against)
     try:
-        around = tube(_within_bounds(system, case), stages)
+        around = tube_of(_within_bounds(system, case), stages)
     except (NoCertificate, InputError):
         return True
     limit = around(run.t)

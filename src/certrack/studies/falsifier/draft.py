@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from certrack.laws import Law
 from certrack.loops.continuous import ClosedLoop, parameter_values
 from certrack.model.truth import Truth
 from certrack.systems.system import Settings, System
@@ -23,7 +24,7 @@ class SystemDraft:
     constants : mapping
         Added to those of the plant.
     omega : list of n formulas
-    reference, input_gain, theta
+    reference, input_gain, theta, law
         As in :class:`System` and :class:`Truth`.
     """
 
@@ -33,21 +34,24 @@ class SystemDraft:
     reference: Any = field(init=False)
     input_gain: Any = field(init=False)
     theta: list[Any] = field(init=False)
+    law: Law = field(init=False)
 
     def __post_init__(self) -> None:
         truth = self.system.truth
         self.omega = ["0"] * self.system.plant.n
-        self.reference = self.system.reference
+        self.reference, self.law = self.system.reference, self.system.law
         self.input_gain, self.theta = truth.input_gain, list(truth.theta)
 
     def finish(self, settings: Settings) -> System:
         """The system as drafted; the strengths of its disturbances are the admissible ones."""
         plant: Any = self.system.plant
+        if self.law is not self.system.law:  # it may have other states
+            settings = replace(settings, estimates=None)
         if self.constants:
             plant = replace(plant, constants=dict(plant.constants) | self.constants)
         return System(
             plant=plant,
-            law=self.system.law,
+            law=self.law,
             reference=self.reference,
             truth=Truth(
                 self.input_gain,

@@ -19,9 +19,9 @@ from certrack.core.arrays import Array
 from certrack.core.expressions import symbol
 from certrack.integrators.controlled import ControlledFlow, ControlledRuns
 from certrack.loops.continuous import close_loop, driven_loop, parameter_values
-from certrack.studies.falsifier.adversary import ADVERSARY_PREFIX
 from certrack.studies.falsifier.draft import SystemDraft
 from certrack.studies.falsifier.loop import slowest_time_constant
+from certrack.studies.falsifier.patterns import ADVERSARY_PREFIX
 from certrack.systems.system import System
 
 #: Length of the run, in time constants of the slowest mode: e^-10 is left of the start.

@@ -133,6 +133,8 @@ def _without_integral(system: System) -> System:
 
 
 def _linear_loop(system: System, bounds: tuple[float, ...]) -> RangedLoop:
+    if system.law.online is not None:
+        raise NothingTried("the gains move: their motion is searched instead")
     if system.law.integral is not None:
         raise NothingTried("law.integral is attacked as sampled only: add [implementation]")
     loop = linear_error_loop(system)

@@ -1,0 +1,235 @@
+"""The laws that enter a comparison: which of their numbers are searched, and where they begin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from certrack.core import checks
+from certrack.core.errors import CertrackError, InputError
+from certrack.laws.adaptive import Adaptive
+from certrack.laws.base import Law
+from certrack.laws.baselines.base import Baseline
+from certrack.laws.classic import Classic
+from certrack.laws.linear import Linear
+from certrack.laws.lqr import LqrWeights
+from certrack.laws.registry import BASELINES
+from certrack.laws.robust import Robust
+from certrack.references.base import Reference
+from certrack.systems.system import Settings, System
+from certrack.tuning.families import AdaptiveFamily, Family, PositiveGains, RobustFamily
+from certrack.tuning.linear_family import rates_of
+
+#: First weight of each state in parts of the one before it, from that of the output on.
+WEIGHT_OF_OUTPUT, WEIGHT_RATIO = 100.0, 0.1
+
+#: Damping with which the paper's law begins.
+FIRST_DAMPING = 1.0
+
+#: Adaptation gain with which the classic law begins.
+FIRST_ADAPTATION = 1.0
+
+
+class BaselineFamily(PositiveGains):
+    """The gains that a baseline says are its tuned ones."""
+
+    def __init__(self, system: System, law: type[Baseline], feedforward: int) -> None:
+        self._law = law
+        super().__init__(system, feedforward)
+
+    def _base(self, law: Law, feedforward: int) -> Law:
+        if type(law) is self._law:
+            return replace(law, feedforward=feedforward)
+        return self._law(feedforward=feedforward, observer=law.observer)
+
+    def _numbers(self, law: Law) -> list[float]:
+        return [getattr(law, name) for name in self._law.tuned]
+
+    def _with(self, values: np.ndarray) -> Law:
+        gains: dict[str, Any] = dict(zip(self._law.tuned, map(float, values), strict=True))
+        return replace(self.base, **gains)
+
+
+class LqrFamily(PositiveGains):
+    """Linear feedback by the weights of all states."""
+
+    kind = "linear"
+
+    def _base(self, law: Law, feedforward: int) -> Law:
+        weights = WEIGHT_OF_OUTPUT * WEIGHT_RATIO ** np.arange(self.plant.n)
+        lqr = LqrWeights(tuple(map(float, weights)))
+        return Linear(lqr=lqr, feedforward=feedforward, observer=law.observer)
+
+    def _numbers(self, law: Law) -> list[float]:
+        assert isinstance(law, Linear) and law.lqr is not None
+        return list(law.lqr.diagonal(self.plant.n))
+
+    def _with(self, values: np.ndarray) -> Law:
+        lqr = LqrWeights(tuple(map(float, values)))
+        assert isinstance(self.base, Linear)
+        return replace(self.base, lqr=lqr)
+
+
+class LeanAdaptiveFamily(AdaptiveFamily):
+    """c and the adaptation, without the certificate's own number."""
+
+    has_share = False
+
+
+class PaperFamily(PositiveGains):
+    """c, one damping k and one p for all steps; of the reference y_d alone is used."""
+
+    kind = "paper"
+
+    def _base(self, law: Law, feedforward: int) -> Law:
+        n = self.plant.n
+        return replace(
+            law,
+            k=tuple((FIRST_DAMPING,) * (2 * m) for m in range(1, n + 1)),
+            p=(FIRST_DAMPING,) * (n - 1),
+            coupling=None,
+            feedforward=0,
+        )
+
+    def _numbers(self, law: Law) -> list[float]:
+        assert law.k is not None
+        adaptation = (
+            [law.gain_rate, law.leak_gain, law.leak_theta] if isinstance(law, Adaptive) else []
+        )
+        return [*law.c, law.k[0][0], FIRST_DAMPING, *adaptation]
+
+    def _with(self, values: np.ndarray) -> Law:
+        n = self.plant.n
+        *c, k, p = map(float, values[: n + 2])
+        rows = tuple((k,) * (2 * m) for m in range(1, n + 1))
+        law = replace(self.base, c=tuple(c), k=rows, p=(p,) * (n - 1))
+        if isinstance(law, Adaptive):
+            rate, leak_gain, leak_theta = map(float, values[n + 2 :])
+            law = replace(law, gain_rate=rate, leak_gain=leak_gain, leak_theta=leak_theta)
+        return law
+
+
+class ClassicFamily(PositiveGains):
+    """c and the gains of an adaptation without leakage."""
+
+    kind = "classic"
+
+    def _base(self, law: Law, feedforward: int) -> Law:
+        return Classic(c=law.c, gain_rate=FIRST_ADAPTATION)
+
+    def _numbers(self, law: Law) -> list[float]:
+        return [*law.c, FIRST_ADAPTATION, *[FIRST_ADAPTATION] * self.plant.r]
+
+    def _with(self, values: np.ndarray) -> Law:
+        n = len(self.base.c)
+        assert isinstance(self.base, Classic)
+        return replace(
+            self.base,
+            c=tuple(map(float, values[:n])),
+            gain_rate=float(values[n]),
+            Gamma=tuple(map(float, values[n + 1 :])) or None,
+        )
+
+
+def backstepping_of(system: System) -> System:
+    """The system with a law of the recursion, as fast as its own where that has none."""
+    if system.law.c:
+        return system.replace(law=replace(system.law, sampled_feedforward=False, integral=None))
+    c = tuple(map(float, rates_of(system)))
+    return system.replace(law=Robust(c=c, feedforward=system.law.feedforward))
+
+
+def most_feedforward(reference: Reference, n: int) -> int:
+    """As many derivatives of y_d as the plant can use and the reference has."""
+    return int(max(0, min(n - 1, reference.order - 1)))
+
+
+def informed(system: System) -> System:
+    """The system whose plant states g_n and theta; where it does not, the law's prior guesses.
+
+    Raises
+    ------
+    InputError
+        If nobody guesses them.
+    """
+    plant, law = system.plant, system.law
+    stated = plant.input_gain is not None and (plant.theta is not None or not plant.r)
+    if stated:
+        return system
+    delta0, theta0 = getattr(law, "delta0", 0.0), getattr(law, "theta0", None)
+    if not delta0:
+        raise InputError("law.delta0", "must say about what 1/g_n is: other laws need it")
+    guesses: dict[str, Any] = {"input_gain": 1 / delta0, "theta": theta0 or (0.0,) * plant.r}
+    plant = replace(plant, **guesses, input_gain_range=None, theta_range=None)
+    settings = replace(system.settings, estimates=None)
+    population = system.population and replace(system.population, estimates=None)
+    known = Robust(c=law.c or (1.0,) * plant.n)
+    return system.replace(plant=plant, law=known, settings=settings, population=population)
+
+
+def _lean(system: System) -> tuple[System, Family]:
+    base = backstepping_of(system)
+    adaptive = isinstance(base.law, Adaptive)
+    family = LeanAdaptiveFamily if adaptive else RobustFamily
+    most = most_feedforward(system.reference, system.plant.n)
+    return base, family(base, max(base.law.feedforward, min(1, most)))
+
+
+def _paper(system: System) -> tuple[System, Family]:
+    base = backstepping_of(system)
+    return base, PaperFamily(base, 0)
+
+
+def _classic(system: System) -> tuple[System, Family]:
+    base, q = backstepping_of(system), most_feedforward(system.reference, system.plant.n)
+    if isinstance(base.law, Adaptive):
+        return base, ClassicFamily(base, q)
+    return base, RobustFamily(base, q)
+
+
+def _lqr(system: System) -> tuple[System, Family]:
+    base = informed(system)
+    return base, LqrFamily(base, most_feedforward(system.reference, system.plant.n))
+
+
+def _baseline(law: type[Baseline]) -> Callable[[System], tuple[System, Family]]:
+    def entrant(system: System) -> tuple[System, Family]:
+        base = informed(system)
+        q = most_feedforward(system.reference, system.plant.n)
+        return base, BaselineFamily(base, law, q)
+
+    return entrant
+
+
+#: What a comparison may be asked for: system -> that with what the law knows, and its gains.
+ENTRANTS: Mapping[str, Callable[[System], tuple[System, Family]]] = {
+    "lean": _lean,
+    "paper": _paper,
+    "classic": _classic,
+    "lqr": _lqr,
+    **{law.kind: _baseline(law) for law in BASELINES},
+}
+
+
+def entrant_of(system: System, name: str) -> tuple[System, Family]:
+    """The system with what the law of this name knows, and the family of its gains.
+
+    Raises
+    ------
+    InputError
+        If there is no such law, or the system does not tell what it must know.
+    """
+    checks.choice("laws", name, ENTRANTS)
+    try:
+        base, family = ENTRANTS[name](system)
+        return base.replace(law=family.law(family.start), settings=_begun(base)), family
+    except CertrackError as problem:
+        raise InputError("laws", f"{name} does not fit: {problem}") from None
+
+
+def _begun(system: System) -> Settings:
+    """Settings without initial estimates, which are those of another law."""
+    return replace(system.settings, estimates=None)

@@ -1,0 +1,162 @@
+"""Laws side by side: one search, one set of limits, figures that another computation confirms."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import certrack
+from certrack.cli import main
+from certrack.laws.baselines.pid import Pid
+from certrack.plotting.law_comparison import law_comparison_figure
+from certrack.reports.law_comparison import law_notes, law_table
+from certrack.tuning.comparison.compare_laws import NOTHING_FOUND, compare_laws
+from certrack.tuning.comparison.entrants import ENTRANTS, entrant_of, informed, most_feedforward
+from certrack.tuning.comparison.gain_search import search_gains
+from certrack.tuning.comparison.trials import (
+    ASTRAY_SCORE,
+    LOST_SCORE,
+    PENALTY,
+    SharedLimits,
+    Trials,
+    largest_reference,
+    sampled,
+    score,
+)
+
+NO_LIMITS = SharedLimits(1e6, 1e6, 0.006)
+
+
+@pytest.fixture(scope="module")
+def short():
+    """Example 1, sampled, for a short time."""
+    system = certrack.load("example1").with_settings(duration=6, tail=3)
+    return sampled(system, 0.002)
+
+
+@pytest.fixture(scope="module")
+def compared(short):
+    return compare_laws(short, ["lqr", "pid"], budget=10, members=8)
+
+
+@pytest.mark.slow
+def test_every_law_can_enter(short):
+    for name in ENTRANTS:
+        for system in (short, sampled(certrack.load("dual-motor-lean"), 0.001)):
+            entrant, family = entrant_of(system, name)
+            assert entrant.law == family.law(family.start)
+            assert entrant.settings.estimates is None
+            assert entrant.reference == system.reference and entrant.truth == system.truth
+            for v in (family.start - 0.3, family.start + 0.3):
+                entrant.replace(law=family.written(v))
+
+
+def test_what_nobody_knows_is_guessed_as_the_file_guesses(short):
+    plant = informed(short).plant
+    assert float(plant.input_gain.expr) == 1 / 0.4 and [float(v.expr) for v in plant.theta] == [2.1]
+    assert informed(short).truth.input_gain.text == short.truth.input_gain.text
+    lean = certrack.load("dual-motor-lean")
+    assert informed(lean) is lean
+    with pytest.raises(certrack.InputError, match="delta0"):
+        informed(short.replace(law=replace(short.law, delta0=0.0)))
+
+
+def test_feedforward_is_what_plant_and_reference_allow():
+    lean = certrack.load("dual-motor-lean")
+    assert most_feedforward(lean.reference, 4) == 3
+    steps = certrack.references.steps((1.0,), (0.0, 1.0), slope=2.0)
+    assert most_feedforward(steps, 4) == max(0, min(3, steps.order - 1))
+
+
+def test_the_score_is_the_tail_error_and_what_limits_add(short):
+    trials, law = Trials(short, None), short.law
+    tail = certrack.simulate(short).metrics.tail_error
+    free = score(trials, law, NO_LIMITS, 1.0)
+    assert free.works and not free.exceeded and free.value == pytest.approx(math.log(tail))
+    peak = certrack.simulate(short).metrics.peak_input
+    tight = score(trials, law, replace(NO_LIMITS, peak_input=peak / 2), 1.0)
+    assert tight.exceeded == ("peak input",)
+    assert tight.value == pytest.approx(free.value + PENALTY * math.log(2))
+    assert score(trials, law, NO_LIMITS, tail / 2).value > ASTRAY_SCORE - 20
+    assert not score(trials, law, NO_LIMITS, tail / 2).works
+
+
+def test_a_law_that_escapes_is_lost():
+    lean = sampled(certrack.load("dual-motor-lean"), 0.001).replace(law=Pid(feedforward=3))
+    trials = Trials(lean, None)
+    assert score(trials, lean.law, NO_LIMITS, 1.0).value == LOST_SCORE
+
+
+def test_a_search_is_never_worse_than_its_start_and_repeats(short):
+    entrant, family = entrant_of(short, "lqr")
+    limits, resting = SharedLimits(16.0, 300.0, 0.006), largest_reference(short)
+    assert resting == pytest.approx(0.2, rel=1e-3)
+    first = score(Trials(entrant, None), family.written(family.start), limits, resting)
+    runs = [search_gains(Trials(entrant, None), family, limits, resting, 12, 3) for _ in range(2)]
+    assert runs[0].score.value <= first.value and runs[0] == runs[1]
+
+
+@pytest.mark.slow
+def test_figures_are_those_of_the_runs(compared, short):
+    stated, lqr, _ = compared.laws
+    assert stated.metrics == certrack.simulate(short).metrics
+    fresh = certrack.simulate(lqr.system)
+    assert lqr.metrics == fresh.metrics
+    truth = replace(short.truth, input_gain=short.truth.input_gain.text + "*1.3")
+    tail = certrack.simulate(lqr.system.replace(truth=truth)).metrics.tail_error
+    assert lqr.at_gains[1] == pytest.approx(tail, rel=1e-6)
+    longest = lqr.system.replace(implementation=certrack.Implementation(lqr.longest_period))
+    assert certrack.simulate(longest).metrics.tail_error <= 2 * fresh.metrics.tail_error
+    longer = lqr.system.replace(implementation=certrack.Implementation(1.1 * lqr.longest_period))
+    assert not certrack.simulate(longer).metrics.tail_error <= 2 * fresh.metrics.tail_error
+    assert lqr.worst_member >= lqr.members.statistics.metrics["tail_error"].quantile(0.5)
+    assert math.isinf(lqr.bound) and "guesses" in lqr.bound_note  # g_n is not known
+    assert stated.bound > stated.metrics.tail_error
+
+
+@pytest.mark.slow
+def test_limits_are_those_of_the_files_law(compared):
+    stated, limits = compared.laws[0], compared.limits
+    assert limits.input_variation == pytest.approx(10 * stated.metrics.input_variation)
+    assert limits.peak_input >= stated.metrics.peak_input and limits.period == 0.006
+
+
+@pytest.mark.slow
+def test_table_and_picture_have_every_law(compared):
+    table = law_table(compared, None)
+    assert table.columns == ("", "as stated", "lqr", "pid")
+    assert all(len(row) == 4 for row in table.rows)
+    notes = "\n".join(law_notes(compared))
+    assert "k_p" in notes and "lqr = [" in notes
+    drawing = law_comparison_figure(compared, "")
+    titles = [ax.get_title() for ax in drawing.axes if ax.get_visible()]
+    assert titles == [figures.name for figures in compared.laws if figures.members is not None]
+    json.dumps(compared.summary(), default=float)
+
+
+@pytest.mark.slow
+def test_no_gains_are_found_where_none_stabilise():
+    """A PID on the load of the dual motor, whose integral would need more phase than it has."""
+    lean = certrack.load("dual-motor-lean").with_settings(duration=8, tail=4)
+    result = compare_laws(lean, ["pid"], budget=12, members=4)
+    assert not result.laws[1].works and law_table(result, None).rows[-1][2] == NOTHING_FOUND
+    assert result.laws[0].works and np.isfinite(result.laws[0].bound)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--laws", "nothing"], "--laws"),
+        (["--laws", "lqr,lqr"], "twice"),
+        (["--laws", "lqr", "--peak-input", "-1"], "--peak-input"),
+        (["--laws", "lqr", "example1-classic"], "one FILE"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, message, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["compare", "example1", *arguments])
+    assert end.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
