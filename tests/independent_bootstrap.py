@@ -322,6 +322,7 @@ class Loop:
 
     def stage(self, stage):
         demand(isinstance(stage, dict) and set(stage) == {"region", "functions"}, "other keys")
+        demand(isinstance(stage["functions"], list), "functions are no list")
         region = Region(self, stage["region"])
         size = self.size
         box, row = list(self.box), None

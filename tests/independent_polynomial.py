@@ -6,6 +6,7 @@ variables (with repetitions) to coefficients.
 
 from fractions import Fraction as Q
 from itertools import combinations_with_replacement
+from math import comb
 
 from independent_bootstrap import definite
 from independent_checker import decimal, demand
@@ -108,8 +109,8 @@ def check_polynomial(region, record):
     demand(not reference or min(system.Y[:n_y]) > 0, "the reference does not move")
     variables = [*range(size), *moved]  # places in w
     N = len(variables)
+    demand(D <= 260 and comb(N + D // 2, D // 2) <= 130, "too many monomials")
     basis, low = words(N, D // 2), words(N, D // 2 - 1)
-    demand(len(basis) <= 130, "too many monomials")
     corners = []
     for F, relation in region.corners:
         rows = [list(row) for row in F]
@@ -132,6 +133,9 @@ def check_polynomial(region, record):
     alpha = decimal(record["alpha"])
     demand(alpha > 0, "alpha is not positive")
     W, mu = read(record["W"], D), read(record["mu"], D - 1)
+    for key in ("squares", "inputs", "sectors", "majorants", "holds", "grams", "claims"):
+        demand(isinstance(record[key], list), f"{key} is no list")
+    demand(all(isinstance(free, list) for free in record["grams"]), "a Gram matrix is no list")
     squares, inputs, sectors, holds = (
         [read(p, D - 2) for p in record[key]] for key in ("squares", "inputs", "sectors", "holds")
     )

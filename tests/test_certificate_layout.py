@@ -2,7 +2,8 @@
 
 import pytest
 
-from certrack.certificates import layout
+import certrack
+from certrack.certificates import document, layout
 from certrack.certificates.layout import (
     DOCUMENT_KEYS,
     FORMAT,
@@ -10,7 +11,7 @@ from certrack.certificates.layout import (
     check_layout,
     read_document,
 )
-from certrack.core.errors import InputError
+from certrack.core.errors import CertrackError, InputError
 
 
 @pytest.fixture
@@ -73,3 +74,12 @@ def test_a_certificate_has_the_keys_of_its_format(kind):
             check_layout(wrong)
     assert ("premises" in DOCUMENT_KEYS[kind]) == (kind == FORMAT)
     assert ("assumptions" in DOCUMENT_KEYS[kind]) == (kind == FORMAT_1)
+
+
+def test_a_certificate_that_nobody_could_check_is_not_written(monkeypatch, tmp_path):
+    system = certrack.load("dual-motor-lean")
+    stages = certrack.certify(system, "fast").stages
+    monkeypatch.setattr(document, "MAX_CERTIFICATE_BYTES", 100)
+    with pytest.raises(CertrackError, match="larger than 0 MB, which nobody could check"):
+        certrack.certificates.save_certificate(system, stages, tmp_path / "cert.json")
+    assert not list(tmp_path.iterdir())

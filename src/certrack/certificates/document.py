@@ -34,7 +34,13 @@ from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
 from certrack.certificates.implemented.regional import is_of_starts
-from certrack.certificates.layout import FORMAT, FORMAT_1, check_layout, read_document
+from certrack.certificates.layout import (
+    FORMAT,
+    FORMAT_1,
+    MAX_CERTIFICATE_BYTES,
+    check_layout,
+    read_document,
+)
 from certrack.certificates.online.certify import OnlineProof, failed_online
 from certrack.certificates.premise import Premise, contradicted
 from certrack.certificates.premises_of_truth import premises
@@ -42,7 +48,7 @@ from certrack.certificates.ranges.certify import cover_bound
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, CellProof, check_cells
 from certrack.certificates.records import cell_record, online_record, stage_record
 from certrack.core.budget import within_budget
-from certrack.core.errors import InputError
+from certrack.core.errors import CertrackError, InputError
 from certrack.core.files import write_text
 from certrack.core.rounding import rounded_up
 from certrack.core.version import version
@@ -143,7 +149,14 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
 
 def certificate_text(system: System, stages: Sequence[Stage]) -> str:
     """The text of a certificate file; parameters as of :func:`save_certificate`."""
-    return json.dumps(to_document(system, *stages), indent=1) + "\n"
+    text = json.dumps(to_document(system, *stages), indent=1) + "\n"
+    if len(text) > MAX_CERTIFICATE_BYTES:  # more than `verify` reads; it is ASCII
+        raise CertrackError(
+            f"the certificate of {len(text) / 1e6:.0f} MB is larger than "
+            f"{MAX_CERTIFICATE_BYTES // 1_000_000} MB, which nobody could check: certify with less "
+            "effort"
+        )
+    return text
 
 
 def save_certificate(system: System, stages: Sequence[Stage], path: str | os.PathLike[str]) -> None:

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     default="default",
     show_default=True,
     help="How long it may take: fast makes no cells of ranges and no bootstrap, high four times as "
-    "many cells, and polynomials behind the bootstrap (half a minute and more).",
+    "many cells, and polynomials behind the bootstrap (half a minute to half an hour).",
 )
 @click.option(
     "--input",

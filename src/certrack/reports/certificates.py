@@ -74,7 +74,7 @@ def certificates_table(results: Certificates) -> Table:
         "rate": "V' <= -alpha V + Delta",
         "semidefinite": "best Lyapunov function",
         "cascade": "e_n first, then e_1 with e_n as bounded input",
-        "bootstrap": "quadratic functions on the set that is reached, again and again",
+        "bootstrap": "functions on the set that is reached, again and again",
         "vertices": "one Lyapunov function for all constants, which may vary",
         "peak": "peak gains for all constants, which may vary"
         if results.kinds == RANGE_KINDS

@@ -24,12 +24,14 @@ from certrack.core.progress import Progress
 #: Degree of the functions. With degree 6 a program takes 50 times as long.
 FUNCTION_DEGREE = 4
 
-#: Monomials of a Gram matrix with which a program is solved: about four seconds for 28 of them.
+#: Monomials of a Gram matrix with which a program is solved: a second or two for 15 of them, four
+#: for 21, but seven to 35 for 28, the more the more inputs there are.
 MOST_SOLVED = 28
 
-#: Stages at most, the first one without the reference; they end when no interval shrinks by more
-#: than this part.
+#: Stages at most, the first one without the reference, and with more than so many monomials; they
+#: end when no interval shrinks by more than this part.
 MOST_STAGES_OF_POLYNOMIALS, WORTH_A_STAGE_OF_POLYNOMIALS = 6, 0.015
+MANY_MONOMIALS, STAGES_OF_MANY = 21, 2
 
 #: Programs for each row and side until its alpha is surrounded, and behind that or a sweep.
 FIRST_PROGRAMS, LATER_PROGRAMS = 3, 1
@@ -60,7 +62,9 @@ def polynomial_stages(
     more = len(loop.Y) - 1
     reference, best = False, knows_reference(loop) and _solvable(loop.size + more)
     rates: dict[tuple[int, int], Rate] = {}
-    for _ in range(MOST_STAGES_OF_POLYNOMIALS):
+    largest = _monomials(loop.size + more if best else loop.size)
+    most = MOST_STAGES_OF_POLYNOMIALS if largest <= MANY_MONOMIALS else STAGES_OF_MANY
+    for _ in range(most):
         region = next_region(loop, ranges, known)
         numbers = region.numbers()
         forms, rows = forms_of(loop, numbers), rows_of(loop, numbers)
@@ -87,8 +91,13 @@ def polynomial_stages(
     return stages
 
 
+def _monomials(variables: int) -> int:
+    """Those of a Gram matrix."""
+    return math.comb(variables + FUNCTION_DEGREE // 2, FUNCTION_DEGREE // 2)
+
+
 def _solvable(variables: int) -> bool:
-    return math.comb(variables + FUNCTION_DEGREE // 2, FUNCTION_DEGREE // 2) <= MOST_SOLVED
+    return _monomials(variables) <= MOST_SOLVED
 
 
 def shrunk(before: Reached, after: Reached) -> float:
