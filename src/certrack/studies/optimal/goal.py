@@ -16,7 +16,7 @@ QUANTITIES = {
 }
 
 #: What can have a limit, and the arguments of :func:`~certrack.optimal` that are called otherwise.
-LIMITED_QUANTITIES, ARGUMENTS = ("squared_error", "energy", "peak"), {"peak": "peak_input"}
+LIMITED_QUANTITIES, ARGUMENT_NAMES = ("squared_error", "energy", "peak"), {"peak": "peak_input"}
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Goal:
         if self.minimised not in QUANTITIES:
             raise InputError("objective", f"must be one of {', '.join(QUANTITIES)}", self.minimised)
         if getattr(self, self.minimised, None) is not None:
-            key = ARGUMENTS.get(self.minimised, self.minimised)
+            key = ARGUMENT_NAMES.get(self.minimised, self.minimised)
             raise InputError(key, "is what is minimised, so it has no limit", remedy="Leave it out")
         if self.minimised == "time" and self.peak is None:
             raise InputError(
