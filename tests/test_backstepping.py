@@ -247,3 +247,19 @@ def test_the_error_matrix_is_that_of_the_closed_chain(n, coupling):
             virtual = found.eta[m - 1] @ x[:m] + found.d[m - 1] @ Y
             assert x[m] - virtual == pytest.approx(e[m], abs=1e-12 * np.abs(found.A).max())
         assert list(found.R[:-1]) == list(found.B[:-1, q]) and found.R[-1] == 0
+
+
+@pytest.mark.parametrize("coupling", [None, 0.6])
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_the_errors_of_perfect_tracking_are_zero(n, coupling):
+    """With all derivatives fed forward: x_1 = y_d and x_{i+1} = (x_i' - sum_j b_ij x_j)/g_i."""
+    rng = np.random.default_rng(10 + n)
+    g, b = rng.uniform(0.5, 2, n - 1) * rng.choice([-1, 1], n - 1), np.tril(rng.normal(size=(n, n)))
+    design = recursion(g, b[: n - 1], Gains(tuple(rng.uniform(1, 3, n)), coupling=coupling), n - 1)
+    states = np.zeros((n, n))  # each state as a combination of y_d, y_d' ...
+    states[0, 0] = 1.0
+    for i in range(n - 1):
+        derivative = np.append(0.0, states[i, :-1])
+        states[i + 1] = (derivative - b[i, : i + 1] @ states[: i + 1]) / g[i]
+    errors = design.A @ states - design.B
+    assert np.abs(errors).max() < 1e-12 * np.abs(design.A).max() * np.abs(states).max()

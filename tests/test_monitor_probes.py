@@ -159,6 +159,16 @@ def test_limited_references_go_beyond_their_bounds(case):
         assert Y[k // 2, 0] == pytest.approx((-1, 1)[k % 2] * BEYOND_BOUND * bound)
 
 
+def test_answers_are_to_the_reference_that_is_followed(case):
+    """Beyond its bounds the answer is that at the bounds, if the monitor limits it; only then."""
+    bounds = np.array(case.monitor.reference_bounds)[:, None]
+    beyond = case.golden.Y + 3 * bounds
+    x, states = case.golden.x, case.golden.states
+    answers = case.samples(x, beyond, states).asked
+    at_bounds = case.samples(x, np.clip(beyond, -bounds, bounds), states).asked
+    assert (answers == at_bounds).all() == case.monitor.limit_reference
+
+
 def test_a_limited_reference_is_tried_where_its_bound_counts_most(case):
     """Where y_d^(i) 0.3 % below its bound changes most what the law asks for within its limits."""
     found = case.limited

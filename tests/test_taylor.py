@@ -9,6 +9,7 @@ from flint import arb, fmpq
 
 from certrack.core.expressions import TIME, parse
 from certrack.core.kinks import without_minmax
+from certrack.core.powers import ConstantPower
 from certrack.references.growth import INFINITE, LINEAR, GrowthEnclosure, Span, Undefined, ball
 from certrack.references.taylor import (
     ONE,
@@ -423,3 +424,11 @@ def test_arcsines_are_clamped_on_the_side_that_reaches_one():
 def test_magnitudes_of_what_is_near_zero(begin, end):
     found = ends(series("abs(t)", ball(begin, end), 1)[0])
     assert found == pytest.approx((0.25, 0.5), rel=1e-6)
+
+
+def test_a_number_to_the_power_one_is_that_number_exactly():
+    """It stands for the exponent of a fine root, and keeps a rational one exact."""
+    exponent = sympy.Rational(1, 3)
+    assert constant(ConstantPower(exponent, sympy.Integer(1))) == fmpq(1, 3)
+    root = constant(ConstantPower(sympy.Integer(2), exponent))
+    assert (root**3).contains(2) and float(root.rad()) < 1e-12
