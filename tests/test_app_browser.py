@@ -172,6 +172,27 @@ def test_every_slider_moves_by_keys_typing_and_mouse_and_is_undone(shown):
     assert page.evaluate("lab.state.run.design === lab.state.design")
 
 
+def test_a_second_drag_moves_as_the_first_did(shown):
+    """Presses must not select texts of the page, which the browser would then drag away."""
+    page = shown()
+    slider = page.locator('[data-path="law.c[0]"]')
+    for _ in range(2):
+        slider.focus()
+        page.keyboard.press("Delete")
+        box = slider.bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.mouse.move(x, y)
+        page.mouse.down()
+        values = set()
+        for k in range(24):
+            page.mouse.move(x + 4 * ((k % 6) - 3), y)
+            values.add(slider.get_attribute("aria-valuenow"))
+            time.sleep(0.05)
+        page.mouse.up()
+        at_rest(page)
+        assert len(values) >= 5
+
+
 def test_text_and_form_follow_each_other_and_errors_are_marked(shown):
     page = shown()
     page.click("#tab-file")

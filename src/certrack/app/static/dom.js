@@ -28,6 +28,9 @@ export function shape(tag, attributes = {}, ...children) {
 /** A drawing of 12 or 16 units; the paths are our own. */
 export const drawing = (size, ...paths) => shape("svg", { viewBox: `0 0 ${size} ${size}`, "aria-hidden": "true" }, ...paths.map((d) => shape("path", { d })));
 
+/** A press there begins a gesture of ours: the browser neither selects text nor drags it away. */
+export const ownGesture = (target) => target.addEventListener("mousedown", (event) => event.preventDefault());
+
 /** Set a text if it differs: the layout is left alone where nothing changes. */
 export function write(target, text) {
   if (target.textContent !== text) target.textContent = text;

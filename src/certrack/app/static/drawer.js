@@ -1,5 +1,5 @@
 // The drawer over the lower part of the plots, where results of long computations are shown.
-import { element } from "./dom.js";
+import { element, ownGesture } from "./dom.js";
 
 const LEAST = 120, MOST = 600, STEP = 20, USUAL = 240;
 
@@ -50,6 +50,7 @@ export class Drawer {
       this.root.style.height = `${value}px`;
       grip.setAttribute("aria-valuenow", Math.round(value));
     };
+    ownGesture(grip);
     grip.addEventListener("pointerdown", (event) => {
       grip.setPointerCapture(event.pointerId);
       const from = event.clientY, before = this.root.offsetHeight;

@@ -1,5 +1,5 @@
 // The reference drawn in the form: y_d and its derivatives with their limits, and points to be moved.
-import { element, shape } from "./dom.js";
+import { element, ownGesture, shape } from "./dom.js";
 import { format, roundedUp } from "./numbers.js";
 
 const WIDTH = 290, LEFT = 18, RIGHT = 8, HIGH = 84, LOW = 34, GAP = 18, RADIUS = 5, STEP = 0.02, DIGITS = 4;
@@ -54,6 +54,7 @@ export class Profile {
         event.preventDefault();
         take(value + by * STEP * scale.range);
       });
+      ownGesture(point);
       point.addEventListener("pointerdown", (event) => this.drag(event, svg, point, title, value, scale, text, take));
       svg.append(point);
     });
@@ -63,6 +64,7 @@ export class Profile {
   drag(begin, svg, point, title, value, { y, range, tall }, text, take) {
     const pixel = svg.getBoundingClientRect().width / WIDTH;
     let now = value;
+    point.focus();
     point.setPointerCapture(begin.pointerId);
     const move = (event) => {
       now = value - ((event.clientY - begin.clientY) / pixel / tall) * range;

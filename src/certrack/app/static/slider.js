@@ -1,5 +1,5 @@
 // One number: a logarithmic slider with a field and a lock. Its value keeps its sign.
-import { drawing, element, write } from "./dom.js";
+import { drawing, element, write, ownGesture } from "./dom.js";
 import { format, nameElement, typed } from "./numbers.js";
 
 const SPAN = 10, NEAR = 12, FINE = 0.1;
@@ -32,6 +32,7 @@ export class Slider {
     this.row = element("div", { class: linked ? "gain linked" : "gain" }, label, this.track, element("div", { class: "value" }, this.field, element("i", {}, gain.unit), lock ? this.lock : null), element("span", { class: "vh", id: `${id}-help` }, `${gain.help}. Logarithmic.`));
     parent.append(this.row);
     this.lock.onclick = () => this.toggleLock();
+    ownGesture(this.track);
     this.track.addEventListener("pointerdown", (event) => this.press(event));
     this.track.addEventListener("dblclick", (event) => this.set(this.base, event, true));
     this.track.addEventListener("keydown", (event) => this.key(event));
