@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import certrack
-from certrack.app.form import form_of, with_entries, with_numbers, with_reference
+from certrack.app.form import form_of, with_entries, with_numbers, with_reference_table
 from certrack.app.frames import (
     frame_arrays,
     frame_header,
@@ -232,7 +232,7 @@ def test_points_of_a_reference_are_where_the_curve_passes_them():
 
 def test_an_edited_reference_keeps_the_comments_around_it():
     text = certrack.starter("example1")
-    changed = with_reference(text, {"kind": "triangle", "amplitude": 0.2, "period": 10})
+    changed = with_reference_table(text, {"kind": "triangle", "amplitude": 0.2, "period": 10})
     assert changed.split("[reference]")[0] == text.split("[reference]")[0]
     assert certrack.loads(changed).reference.order == 1
 

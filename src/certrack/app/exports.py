@@ -12,10 +12,8 @@ from certrack.app.messages import REPORTS
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
 from certrack.export.identifiers import stem
+from certrack.model.implementation import USUAL_PERIOD
 from certrack.systems.system import System
-
-#: Period of an exported controller where the file has no drive, s.
-USUAL_PERIOD = 0.001
 
 
 def exported_file(

@@ -136,7 +136,7 @@ def with_entries(text: str, entries: Mapping[str, str]) -> str:
     return tomlkit.dumps(document)
 
 
-def with_reference(text: str, entries: Mapping[str, Any]) -> str:
+def with_reference_table(text: str, entries: Mapping[str, Any]) -> str:
     """The text with other entries in its table ``[reference]``; a soft start stays."""
     import tomlkit
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from certrack.app.description import refusal_frame, system_frame
-from certrack.app.form import with_entries, with_numbers, with_reference
+from certrack.app.form import with_entries, with_numbers, with_reference_table
 from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.guarantee import certificates_frame, estimate_frame
 from certrack.app.open_design import Designs, OpenDesign, continuous_law
@@ -105,7 +105,7 @@ def _edited(context: JobContext, job: Job) -> str:
     kind = entries.pop("reference.kind", None)
     if kind is not None:
         kind = checks.choice("reference.kind", kind, REFERENCE_TEMPLATES)
-        text = with_reference(text, reference_of_kind(kind, context.open(job).system))
+        text = with_reference_table(text, reference_of_kind(kind, context.open(job).system))
     return with_entries(text, entries)
 
 

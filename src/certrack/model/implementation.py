@@ -26,6 +26,9 @@ from certrack.model.plant import Plant
 UPDATES = ("euler", "exact_leak")
 ANTI_WINDUPS = ("leak", "hold", "none")
 
+#: Period of a drive of which none is stated, s.
+USUAL_PERIOD = 0.001
+
 #: Longest computation delay, periods.
 MAX_DELAY = 100.0
 

@@ -24,7 +24,7 @@ ONLINE = "online"
 SMALLER_RATES = (1.0, 0.95, 0.85, 0.7, 0.5)
 
 
-class Solved(Bounded, Protocol):
+class SolvedEnds(Bounded, Protocol):
     """What a program returns, with its decay rate."""
 
     @property
@@ -32,7 +32,7 @@ class Solved(Bounded, Protocol):
         """Decay rate, 1/s."""
 
 
-Optimum = TypeVar("Optimum", bound=Solved)
+EndsOptimum = TypeVar("EndsOptimum", bound=SolvedEnds)
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def _proven_stages(system: System, problems: tuple[ErrorProblem, ...]) -> tuple[
 
 
 def _first_proven(
-    program: Program[Optimum], prove: Callable[[Optimum], tuple[Proof, ...] | None]
+    program: Program[EndsOptimum], prove: Callable[[EndsOptimum], tuple[Proof, ...] | None]
 ) -> tuple[Proof, ...] | None:
     """The proof of the best alpha, or of a smaller one: the largest leave exact arithmetic no room.
 

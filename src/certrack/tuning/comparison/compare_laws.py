@@ -14,6 +14,7 @@ from certrack.core.errors import CertrackError, InputError
 from certrack.core.keys import keys_of
 from certrack.core.progress import Progress, silent
 from certrack.laws.base import Law
+from certrack.model.implementation import USUAL_PERIOD
 from certrack.simulation.metrics import Metrics
 from certrack.studies.ensembles.ensemble import Ensemble, ensemble
 from certrack.systems.system import System, require_system
@@ -29,8 +30,8 @@ from certrack.tuning.comparison.trials import (
 )
 from certrack.tuning.runs import WORSE
 
-#: The period where the file says none, s; at so many times the period a law must still work.
-USUAL_PERIOD, PERIODS_HELD = 0.001, 3.0
+#: At so many times the period a law must still work.
+PERIODS_HELD = 3.0
 
 #: The input's variation may be so many times that of the file's own law.
 VARIATION_FACTOR = 10.0
