@@ -896,6 +896,7 @@ def read(path):
 
 
 if __name__ == "__main__":
+    sys.modules["independent_checker"] = sys.modules["__main__"]  # whose Refused the parts raise
     try:
         print("holds:", float(check(read(sys.argv[1]))))
     except Refused as reason:

@@ -146,6 +146,9 @@ def test_mean_squares_are_above_the_true_ones_and_near_them():
 
 def test_what_has_no_bound_says_why():
     assert "known parameters" in certify_input(certrack.load("example1")).reason
+    online = certrack.laws.Online(c=(8.0,) * 4, schedule="0.5")
+    moving = lean().replace(law=replace(lean().law, online=online))
+    assert "stand still" in certify_input(moving).reason
     base = certrack.load("dual-motor-lean")
     bent = replace(base.plant, drift="x1**3")
     assert "linear" in certify_input(base.replace(plant=bent)).reason

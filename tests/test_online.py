@@ -11,9 +11,10 @@ import sympy
 from test_certificates import MUTANTS
 
 import certrack
-from certrack.certificates import certify_semidefinite, to_document, verify
+from certrack.certificates import certify_semidefinite, to_document, tube, verify
 from certrack.certificates.adaptation import Adaptation
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.document import _digest
 from certrack.certificates.formulation import adaptation_of, error_problem
 from certrack.certificates.online.adaptation import moving_adaptation
@@ -552,6 +553,19 @@ def test_the_tube_holds_from_the_start_and_falls_to_the_bound(certified):
     assert tube(np.inf) == pytest.approx(found.bound, rel=1e-9)
     run = simulate(system.with_settings(duration=6.0, tail=3.0))
     assert (np.abs(run.e[0]) <= tube(run.t)).all()
+
+
+def test_a_tube_of_a_proof_for_another_system_is_refused():
+    """As that of the long run is where a soft start counts."""
+    system = robust()
+    soft = system.replace(reference=SoftStart(system.reference, 0.4))
+    _, (proof,) = certify_online(system)
+    with pytest.raises(NoCertificate, match="does not hold"):
+        online_tube(soft, proof)
+    still, joined = certrack.load("dual-motor-lean"), first_end_system(soft)
+    _, proof = certify_semidefinite(still)
+    with pytest.raises(NoCertificate, match="another one"):
+        tube(joined, proof)
 
 
 @pytest.mark.parametrize("moving", [True, False])

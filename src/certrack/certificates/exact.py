@@ -198,6 +198,8 @@ def failed_condition(problem: ErrorProblem, proof: Proof, target: int = 0) -> st
 def squared_bound(problem: ErrorProblem, proof: Proof, target: int = 0) -> Any:
     """2 Delta/alpha as an exact rational, or None if a condition fails."""
     P, lam, nu, k, alpha, _ = _exact_numbers(proof)
+    if P.shape != (problem.n,) * 2 or (len(lam), len(nu), len(k)) != problem.counts:
+        return None
     leak = problem.leakage(alpha)
     floor = P.copy()
     floor[target, target] -= 1

@@ -70,6 +70,8 @@ def input_problem(system: System) -> InputProblem:
     NoCertificate
         If the law is not linear, or the error system is not covered.
     """
+    if system.law.online is not None:
+        raise NoCertificate("of gains that stand still only, and law.online moves them")
     exact = error_problem(system, rational)
     if exact.adaptation is not None:
         raise NoCertificate("of a law of known parameters only: with estimates u is not linear")

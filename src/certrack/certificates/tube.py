@@ -164,8 +164,8 @@ def tube(
     InputError
         If the box does not fit the plant or has too many corners, or the proof is by cells.
     NoCertificate
-        If a stage of a cascade has the bound 0, or each start of the box has a reference of its
-        own (a soft start).
+        If the proof is of another system, a stage of a cascade has the bound 0, or each start of
+        the box has a reference of its own (a soft start).
 
     Examples
     --------
@@ -200,7 +200,8 @@ def single_stage(
 ) -> tuple[float, float, float]:
     """2 V(0), 2 Delta/alpha and alpha of one stage."""
     square = squared_bound(problem, proof, target)
-    assert square is not None
+    if square is None:
+        raise NoCertificate("the proof does not hold for this system: it is of another one")
     P = np.array([[from_text(v) for v in row] for row in proof.P], dtype=object)
     energy = starting_energy(system, problem, P, starts)
     floor = float_up(square) * TUBE_ROUNDING

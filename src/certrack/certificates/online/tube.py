@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from certrack.certificates.arithmetic import rational, solve
+from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, float_down, float_up, from_text
 from certrack.certificates.formulation import error_coordinates
-from certrack.certificates.online.certify import OnlineProof
+from certrack.certificates.online.certify import OnlineProof, failed_online
 from certrack.certificates.online.ends import end_problems
 from certrack.certificates.start import starting_energy
 from certrack.certificates.stated import first_end_system
@@ -38,8 +39,11 @@ def online_tube(
     InputError
         If the box does not fit the plant or has too many corners.
     NoCertificate
-        If each start of the box has a reference of its own (a soft start).
+        If the proof is of another system, or each start of the box has a reference of its own (a
+        soft start).
     """
+    if reason := failed_online(system, proof):
+        raise NoCertificate(f"the proof does not hold for this system: {reason}")
     problems, first = end_problems(system), first_end_system(system)
     starts, verified = starts_of(system, box)
     states = system.controller.states
