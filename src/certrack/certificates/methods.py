@@ -92,7 +92,7 @@ class Methods:
     @property
     def stages(self) -> tuple[Proof, ...] | tuple[OnlineProof, ...]:
         """The same of those from which a tube follows: one to three stages, or of moving gains."""
-        moving = self.proofs[ONLINE]
+        moving = self.proofs.get(ONLINE, ())
         return tuple(p for p in moving if isinstance(p, OnlineProof)) or _quadratic(
             self._tightest(QUADRATIC_KINDS)
         )
