@@ -152,7 +152,7 @@ def test_no_field_of_a_table_is_without_its_key():
         assert names - set(keys_of(owner)) == without.get(owner, set())
     for law in LAWS.values():
         names = {entry.name for entry in dataclasses.fields(law) if entry.init}
-        assert names - set(keys_of(law)) == {"observer"}  # a table of its own
+        assert names - set(keys_of(law)) == {"observer", "online"}  # tables of their own
 
 
 @pytest.mark.parametrize("kind", REFERENCE_KINDS)
