@@ -139,7 +139,8 @@ def test_of_which_proof_the_tube_is(monkeypatch):
     monkeypatch.setattr(certify_module, "range_tube", lambda system, proof: ("ranges", proof))
     monkeypatch.setattr(certify_module, "has_ranges", lambda system: system.ranged)
     monkeypatch.setattr(certify_module, "certify_semidefinite", lambda system: (None, system.own))
-    plain = SimpleNamespace(ranged=False)
+    fixed = SimpleNamespace(online=None)
+    plain = SimpleNamespace(ranged=False, law=fixed)
     plain.long_run = plain
     assert certify_module._tube(plain, ("a", "b"), None) == ("tube", ("a", "b"))
     assert certify_module._tube(plain, (), None) is None
@@ -149,8 +150,13 @@ def test_of_which_proof_the_tube_is(monkeypatch):
         (False, None, None),
         (True, "mine", None),
     ):
-        soft = SimpleNamespace(ranged=ranged, long_run=plain, own=own)
+        soft = SimpleNamespace(ranged=ranged, long_run=plain, own=own, law=fixed)
         assert certify_module._tube(soft, ("a",), "v") == expected
+    moving = SimpleNamespace(ranged=False, law=SimpleNamespace(online="between two ends"))
+    monkeypatch.setattr(certify_module, "online_tube", lambda system, proof: ("online", proof))
+    for proofs, expected in ((("p",), ("online", "p")), ((), None)):
+        monkeypatch.setattr(certify_module, "certify_online", lambda system, p=proofs: (None, p))
+        assert certify_module._tube(moving, ("a",), None) == expected
 
 
 @pytest.mark.parametrize(
