@@ -135,7 +135,8 @@ def test_a_loop_that_begins_softly_is_proven_for_its_start_and_for_later(monkeyp
 
 
 def test_of_which_proof_the_tube_is(monkeypatch):
-    monkeypatch.setattr(certify_module, "tube", lambda system, proof: ("tube", proof))
+    for name in ("tube", "tube_of"):
+        monkeypatch.setattr(certify_module, name, lambda system, proof: ("tube", proof))
     monkeypatch.setattr(certify_module, "range_tube", lambda system, proof: ("ranges", proof))
     monkeypatch.setattr(certify_module, "has_ranges", lambda system: system.ranged)
     monkeypatch.setattr(certify_module, "certify_semidefinite", lambda system: (None, system.own))

@@ -125,7 +125,7 @@ def test_rates_of_the_published_bound_are_the_smallest_of_all():
 
 def test_a_cover_has_a_largest_number_of_cells(monkeypatch):
     body = dict.fromkeys(DOCUMENT_KEYS[FORMAT], "") | {"format": FORMAT}
-    monkeypatch.setattr(document, "_cell", lambda entries: 1 / 0)
+    monkeypatch.setattr(document, "cell_record", lambda entries: 1 / 0)
     for count, error in ((MAX_PROOF_CELLS, ZeroDivisionError), (MAX_PROOF_CELLS + 1, InputError)):
         with pytest.raises(error):
             document._verify_cover(body | {"proof": [{}] * count})

@@ -18,7 +18,7 @@ import click
 )
 @click.option("--no-browser", is_flag=True, help="Print the address only.")
 def app(file: str | None, port: int, host: str, no_browser: bool) -> None:
-    """Open the designer: gains as sliders, guarantees live, in the browser.
+    """Open the designer in the browser, with live guarantees.
 
     FILE is a system file or the name of a shipped system; without it the shipped ones and an empty
     plant are offered. Files are read and written in the folder of FILE, else in the present one,
