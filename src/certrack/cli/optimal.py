@@ -36,7 +36,7 @@ OPTIMAL_OPTIONS = ("objective", "squared_error", "energy", "peak_input", "horizo
 def optimal(
     files: tuple[str, ...], plot: Path | None, as_json: bool, objective: str | None, **wanted: Any
 ) -> None:
-    """Find the best possible trajectory, and how far the law is from it.
+    """Find how good any law could be: the best trajectory.
 
     The trajectory is that of the true plant from the file's start, under the file's disturbance,
     which it knows beforehand as it knows the reference. Without --objective the law is judged:
