@@ -408,7 +408,7 @@ def test_a_run_beyond_its_tube_without_a_broken_premise_is_a_defect(monkeypatch)
     assert alarm(LEAN, LEAN, run, wrong, found.quadratic).kind == "defect"
     false = replace(found.semidefinite, bound=found.semidefinite.bound / 10)
     assert alarm(LEAN, LEAN, run, false, found.quadratic) is None  # below the true tube
-    constant = "certrack.studies.falsifier.alarm.tube"
+    constant = "certrack.studies.falsifier.alarm.tube_of"
     monkeypatch.setattr(constant, lambda *_: lambda t: np.full(len(t), false.bound))
     raised = alarm(LEAN, LEAN, run, false, found.quadratic)
     assert raised.kind == "defect" and "report" in raised.reason
