@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from fuzz import KINDS, fuzzer
-from fuzz.runner import MAX_MEGABYTES, Finding, outcome, run
+from fuzz.runner import MAX_MEGABYTES, Finding, outcome, peak_megabytes, run
 
 CORPUS = Path(__file__).parent / "data" / "corpus"
 
@@ -67,6 +67,28 @@ def test_the_runner_finds_each_kind_of_fault_once(monkeypatch, tmp_path):
     assert kinds == ["ZeroDivisionError", "a", "hangs"]
     assert sorted(path.read_bytes() for path in tmp_path.iterdir()) == [b"crash", b"hang", b"wrong"]
     assert report.counts["fine"] > 0
+
+
+class Hungry(Faulty):
+    """A fuzzer of a product that takes memory."""
+
+    def make(self, rng):
+        return b"100" if rng.random() < 0.5 else b"1"
+
+    def examine(self, data):
+        bytearray(10**6 * int(data))
+        return data.decode()
+
+
+def test_memory_counts_from_where_an_input_begins(monkeypatch, tmp_path):
+    """Whatever the process, which has run other tests, had taken before."""
+    if not peak_megabytes():
+        pytest.skip("the system does not say how much memory a process has")
+    monkeypatch.setattr("fuzz.runner.MAX_MEGABYTES", 50)
+    held = bytearray(60 * 10**6)
+    report = run(Hungry(), 0, 20, tmp_path)
+    assert list(report.findings) == ["FINDING: memory"] and report.counts["1"] > 0
+    assert 90 < report.megabytes < 130 and len(held) == 60 * 10**6
 
 
 class Judged(Faulty):

@@ -26,7 +26,7 @@ try:
 except ImportError:  # Windows
     resource = None
 
-#: No input may take longer, s, or the process more memory, MB.
+#: No input may take longer, s, or more memory than the process has when it begins, MB.
 MAX_SECONDS, MAX_MEGABYTES = 2.0, 1000
 
 #: An input is broken off after so many times the limit.
@@ -84,10 +84,12 @@ def run(fuzzer: Fuzzer, seed: int, count: int, keep: Path | None = None) -> Repo
     begin = time.monotonic()
     for i in range(count):
         data = fuzzer.make(random.Random(f"{fuzzer.name} {seed} {i}"))
+        resting = forget_peak()
         word, spent = outcome(fuzzer, data)
+        taken = peak_megabytes() - resting
         report.slowest = max(report.slowest, spent)
-        report.megabytes = max(report.megabytes, peak_megabytes())
-        if peak_megabytes() > MAX_MEGABYTES:
+        report.megabytes = max(report.megabytes, taken)
+        if taken > MAX_MEGABYTES:
             word = "FINDING: memory"
         report.counts[word.partition(":")[0]] += 1
         if word.startswith("FINDING") and word not in report.findings:
@@ -103,7 +105,6 @@ def run(fuzzer: Fuzzer, seed: int, count: int, keep: Path | None = None) -> Repo
 
 def outcome(fuzzer: Fuzzer, data: bytes) -> tuple[str, float]:
     """The word for what happened to one input, and the processor time that the product took, s."""
-    forget_peak()
     begin, spent = time.process_time(), None
     try:
         with alarm(PATIENCE * MAX_SECONDS):
@@ -157,10 +158,14 @@ class alarm:
 STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
-def forget_peak() -> None:
-    """Measure the most memory from now on, where the system can."""
+def forget_peak() -> float:
+    """Measure the most memory from now on, where the system can; what there is now, MB.
+
+    The highest so far where the system cannot forget; 0 where it does not say.
+    """
     with suppress(OSError):
         CLEAR.write_text("5")
+    return peak_megabytes()
 
 
 def peak_megabytes() -> float:
