@@ -1,6 +1,8 @@
 """Files, requests and keys of the designer, and what a machine without its packages is told."""
 
 import asyncio
+import json
+import os
 import sys
 
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 import certrack
 from certrack.app.launch import first_design, folder_of, serve_designer
+from certrack.app.messages import parse_message
 from certrack.app.security import Access
 from certrack.app.server import AppServer, static_files
 from certrack.app.workspace import Workspace
@@ -158,3 +161,30 @@ def test_without_the_extra_one_line_says_what_to_install(package, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(certrack.MissingExtra, match=r"pip install 'certrack\[app\]'"):
         serve_designer(None, host="127.0.0.1", port=0, browser=False, say=print)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links and pipes of POSIX")
+def test_odd_entries_of_the_folder_lock_nobody_out(tmp_path):
+    """Links in a circle, pipes, hidden and deep folders, and names without end."""
+    space = Workspace(tmp_path)
+    text = '[plant]\nstates = ["x1"]\n'
+    (tmp_path / "b.toml").symlink_to("a.toml")
+    (tmp_path / "a.toml").symlink_to("b.toml")
+    os.mkfifo(tmp_path / "pipe.toml")
+    for folder in (".hidden", "one/two", "one/two/three"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "c.toml").write_text(text)
+    (tmp_path / "one" / "self").symlink_to(tmp_path)
+    (tmp_path / "fine.toml").write_text(text)
+    assert space.files() == ["fine.toml", "one/two/c.toml"]
+    for name in ("a.toml", "pipe.toml", "a/" * 500_000 + "x"):
+        with pytest.raises(InputError):
+            space.read(name)
+        with pytest.raises(InputError):
+            space.write(name, text, overwrite=True)
+
+
+def test_a_text_that_no_file_can_hold_is_refused():
+    message = json.dumps({"type": "save", "name": "a.toml", "text": "a\ud800"})
+    with pytest.raises(InputError, match="lone surrogates"):
+        parse_message(message)

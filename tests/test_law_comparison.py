@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import certrack
-from certrack.cli import main
+from certrack.cli import cli, main
 from certrack.laws.baselines.pid import Pid
 from certrack.plotting.law_comparison import law_comparison_figure
 from certrack.reports.law_comparison import law_notes, law_table
-from certrack.tuning.comparison.compare_laws import NOTHING_FOUND, compare_laws
+from certrack.tuning.comparison.compare_laws import NOTHING_FOUND, LawFigures, compare_laws
 from certrack.tuning.comparison.entrants import ENTRANTS, entrant_of, informed, most_feedforward
 from certrack.tuning.comparison.gain_search import search_gains
 from certrack.tuning.comparison.trials import (
@@ -21,7 +22,7 @@ from certrack.tuning.comparison.trials import (
     PENALTY,
     SharedLimits,
     Trials,
-    largest_reference,
+    resting_error,
     sampled,
     score,
 )
@@ -91,7 +92,7 @@ def test_a_law_that_escapes_is_lost():
 
 def test_a_search_is_never_worse_than_its_start_and_repeats(short):
     entrant, family = entrant_of(short, "lqr")
-    limits, resting = SharedLimits(16.0, 300.0, 0.006), largest_reference(short)
+    limits, resting = SharedLimits(16.0, 300.0, 0.006), resting_error(short)
     assert resting == pytest.approx(0.2, rel=1e-3)
     first = score(Trials(entrant, None), family.written(family.start), limits, resting)
     runs = [search_gains(Trials(entrant, None), family, limits, resting, 12, 3) for _ in range(2)]
@@ -160,3 +161,26 @@ def test_bad_input_is_one_line(arguments, message, capsys):
     assert end.value.code == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
+
+
+def test_options_of_the_laws_need_them():
+    result = CliRunner().invoke(cli, ["compare", "example1", "--peak-input", "3"])
+    assert result.exit_code == 2 and "--peak-input needs --laws" in result.output
+
+
+def test_a_regulator_is_held_against_an_output_that_stays_where_it_begins():
+    """With y_d = 0 the largest reference says nothing."""
+    system = certrack.load("dual-motor-lean")
+    still = system.replace(reference=certrack.SymbolicReference("0*t"))
+    assert resting_error(still) == pytest.approx(1.0)
+    assert resting_error(system) == pytest.approx(0.1, rel=1e-6)
+    at_zero = still.with_settings(x0=(0.0, 0.0, 0.0, 0.0))
+    assert resting_error(at_zero) == math.inf
+
+
+def test_bounds_of_the_continuous_loop_are_marked():
+    figures = LawFigures("paper", certrack.load("example1"), None, works=True, bound=0.0618)
+    assert replace(figures, bound_note="bootstrap").bound_is_continuous
+    assert not replace(figures, bound_note="implemented").bound_is_continuous
+    assert not replace(figures, bound=math.inf, bound_note="none").bound_is_continuous
+    assert figures.why_not != NOTHING_FOUND

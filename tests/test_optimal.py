@@ -2,6 +2,10 @@
 
 import json
 import math
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -14,8 +18,11 @@ from certrack.core.casadi_forms import casadi, casadi_callable
 from certrack.core.errors import Cancelled, InputError, MissingExtra
 from certrack.core.expressions import parse
 from certrack.core.lowering import numpy_callable
+from certrack.core.progress import silent
+from certrack.reports.optima import optima_notes
 from certrack.studies.optimal.collocation import gauss_scheme
 from certrack.studies.optimal.goal import Goal
+from certrack.studies.optimal.law_run import law_run_of
 from certrack.studies.optimal.mesh import mesh
 from certrack.studies.optimal.optimal import optimal
 from certrack.studies.optimal.replay import replay
@@ -130,17 +137,74 @@ def test_the_dual_motor_as_in_the_study():
 
 def test_the_replay_notices_another_input():
     """It integrates what it is given: a little more input is another trajectory."""
-    from certrack.core.progress import silent
-    from certrack.studies.optimal.law_run import law_run_of
-
     system = double_integrator(duration=4)
-    (converged,) = optimal(system, "squared_error", peak_input=2.0).optima
-    law_run = law_run_of(system, 4.0, silent)
-    again = replay(law_run, converged.ends, converged.inputs, arrival=False)
-    begins = again.states[:, :: (len(again.times) - 1) // (len(converged.ends) - 1)]
-    assert again.deviation(begins) == 0.0
-    other = replay(law_run, converged.ends, 1.01 * converged.inputs, arrival=False)
-    assert other.deviation(begins) > 1e-3
+    (found,) = optimal(system, "squared_error", peak_input=2.0).optima
+    run = law_run_of(system, 4.0, silent)
+    begins = found.states[:, :: (len(found.times) - 1) // (len(found.ends) - 1)]
+    assert replay(run, found.ends, found.inputs, begins, arrival=False).deviation < 1e-8
+    assert replay(run, found.ends, 1.01 * found.inputs, begins, arrival=False).deviation > 1e-5
+
+
+def test_an_unstable_plant_has_an_optimum():
+    """Open loop its rounding would grow by exp(5 t), so each element begins anew."""
+    text = DOUBLE_INTEGRATOR.format(duration=20, disturbance="0", reference="sin(t)")
+    system = certrack.loads(text.replace('drift = "0"', 'drift = "25*x1"'))
+    result = optimal(system, elements=240)
+    assert result.converged
+    for entry in result.optima:
+        assert 1.0 < result.excess(entry) < 20 and entry.deviation < 1e-4
+
+
+def test_at_rest_on_the_reference_nothing_is_left_to_gain():
+    text = DOUBLE_INTEGRATOR.format(duration=3, disturbance="0", reference="0*t")
+    system = certrack.loads(text.replace("x0 = [1, 0]", "x0 = [0, 0]"))
+    (entry,) = (result := optimal(system, "squared_error", peak_input=1.0, elements=120)).optima
+    assert result.excess(entry) is None and entry.minimum < 1e-12
+    with pytest.raises(InputError, match="begins at the reference"):
+        optimal(system, "time", peak_input=1.0)
+
+
+def test_a_slow_arrival_is_found_beyond_the_laws():
+    """The law settles long before a weak input can arrive."""
+    (found,) = optimal(double_integrator(duration=10), "time", peak_input=0.02).optima
+    assert found.cost.time == pytest.approx(2 / math.sqrt(0.02), rel=1e-3)
+
+
+def test_arrival_is_with_the_speed_of_the_reference():
+    """From x = 1 at rest to y_d = 1 + 0.5 t with |u| <= 2: full force, then full brake."""
+    system = double_integrator(duration=6, reference="1 + 0.5*t").replace()
+    (found,) = optimal(system, "time", peak_input=2.0).optima
+    assert found.cost.time == pytest.approx(0.25 + 2 * math.sqrt(0.03125), rel=1e-3)
+    assert found.states[:, -1] == pytest.approx([1 + 0.5 * found.cost.time, 0.5], rel=1e-4)
+
+
+def test_the_excess_is_of_laws_that_keep_the_limits():
+    result = optimal(double_integrator(), "squared_error", peak_input=2.0, elements=120)
+    (entry,) = result.optima
+    assert result.law.peak > 2 and result.excess(entry) is None and entry.mesh_error is None
+    lines = optima_notes(result)
+    assert any("the law exceeds |u| <= 2" in line for line in lines)
+    assert not any("needs less" in line or "still changed" in line for line in lines)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_search(tmp_path, number):
+    """CasADi swallows the exception of one that arrives in its own evaluations."""
+    program = (
+        "import certrack, sys\n"
+        "def tell(*news): print(*news, file=sys.stderr, flush=True)\n"
+        "certrack.optimal(certrack.load('dual-motor-physical'), elements=960, progress=tell)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE) as process:
+        for _ in range(12):
+            process.stderr.readline()
+        time.sleep(0.05)
+        process.send_signal(number)
+        assert process.wait(60) == (1 if number == signal.SIGINT else -signal.SIGTERM) or (
+            number == signal.SIGINT and process.returncode == -signal.SIGINT
+        )
+        assert b"searches" not in process.stderr.read()
 
 
 def test_a_disturbance_that_jumps_is_met_by_the_mesh():
@@ -148,8 +212,8 @@ def test_a_disturbance_that_jumps_is_met_by_the_mesh():
     pulse = "0.5*(sign(t - 1.03) - sign(t - 1.37))"
     system = double_integrator(duration=3, disturbance=pulse)
     (converged,) = optimal(system, "squared_error", peak_input=20.0).optima
-    for time in (1.03, 1.37):
-        assert np.abs(converged.ends - time).min() < 1e-12
+    for jump in (1.03, 1.37):
+        assert np.abs(converged.ends - jump).min() < 1e-12
     assert converged.deviation < 1e-6
 
 
@@ -214,6 +278,7 @@ def test_the_mesh_has_every_break_and_is_dense_where_the_input_moves():
     [
         ({"objective": "speed"}, "objective: must be one of squared_error, energy, peak, time"),
         ({"objective": "time"}, "peak_input: must be given for the shortest time"),
+        ({"objective": "squared_error"}, "peak_input: or energy must be given for the least"),
         ({"objective": "energy"}, "squared_error: must be given for the least integral of u"),
         ({"objective": "energy", "energy": 1.0, "squared_error": 1.0}, "energy: is what is min"),
         ({"objective": "peak", "peak_input": 1.0, "squared_error": 1.0}, "peak_input: is what"),
@@ -238,7 +303,7 @@ def test_limits_that_nothing_keeps_are_told(tmp_path):
     limits = ["--squared-error", "1e-3", "--peak-input", "1"]
     result = CliRunner().invoke(cli, ["optimal", str(path), "--objective", "energy", *limits])
     assert result.exit_code == 1
-    assert "none converged: " in result.stdout
+    assert "none found: " in result.stdout
 
 
 def test_the_shortest_time_needs_formulas_without_breaks():
@@ -253,8 +318,9 @@ def test_a_law_that_ends_early_is_told():
         optimal(system)
 
 
-def test_a_goal_without_limits_records_none():
-    assert Goal("squared_error").record() == {"minimised": "squared_error", "limits": {}}
+def test_a_goal_records_the_limits_that_are_given():
+    record = Goal("squared_error", peak=2.0).record()
+    assert record == {"minimised": "squared_error", "limits": {"peak": 2.0}}
 
 
 def test_without_casadi_there_is_a_hint(monkeypatch):

@@ -216,6 +216,10 @@ def _table(key: str, entries: Any) -> dict[str, Any]:
 def _long_text(key: str, value: Any) -> str:
     if not isinstance(value, str):
         raise InputError(key, "must be a text", value)
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise InputError(key, "must be a text without lone surrogates") from None
     return value
 
 

@@ -130,9 +130,9 @@ class AppServer:
         await socket.accept()
         session = Session(str(self.workspace.folder))
         self.hub.join(session)
-        session.send(self._greeting())
         writer = asyncio.create_task(_write(socket, session))
         try:
+            session.send(self._greeting())
             await self._listen(socket, session)
         except WebSocketDisconnect:
             pass
@@ -153,7 +153,11 @@ class AppServer:
     async def _listen(self, socket: WebSocket, session: Session) -> None:
         second, count = 0, 0
         while True:
-            text = await socket.receive_text()
+            try:
+                text = await socket.receive_text()
+            except KeyError:  # a message of bytes
+                await socket.close(1003)
+                return
             if len(text) > MAX_MESSAGE:
                 await socket.close(1009)
                 return

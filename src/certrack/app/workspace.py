@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from certrack.core.errors import InputError
 from certrack.core.files import write_text
 from certrack.systems.tables import read_bytes
 
-#: Files that a page is told of, and folders below that are looked into.
-MAX_LISTED, MAX_DEPTH = 200, 3
+#: Files that a page is told of, folders below that are looked into, and entries that are looked at.
+MAX_LISTED, MAX_DEPTH, MAX_SCANNED = 200, 3, 20_000
+
+#: Characters of a name, which is looked up part by part.
+MAX_PATH_LENGTH = 1000
 
 #: A longer text is no file for a page.
 MAX_TEXT_BYTES = 1 << 20
@@ -29,17 +34,16 @@ class Workspace:
     def files(self) -> list[str]:
         """System files in it, by their names below it."""
         names = []
-        for path in sorted(self.folder.rglob("*.toml")):
-            relative = path.relative_to(self.folder)
-            hidden = any(part.startswith(".") for part in relative.parts)
-            hidden = hidden or not path.resolve().is_relative_to(self.folder)
-            if hidden or len(relative.parts) > MAX_DEPTH or not path.is_file():
+        for path in _system_files(self.folder, MAX_DEPTH):
+            try:
+                inside = path.resolve().is_relative_to(self.folder) and path.is_file()
+            except (OSError, RuntimeError):  # links in a circle
                 continue
-            if "[plant]" in _beginning(path):
-                names.append(relative.as_posix())
+            if inside and "[plant]" in _beginning(path):
+                names.append(path.relative_to(self.folder).as_posix())
             if len(names) == MAX_LISTED:
                 break
-        return names
+        return sorted(names)
 
     def read(self, name: str) -> str:
         """The text of a file.
@@ -77,12 +81,38 @@ class Workspace:
     def _path(self, name: str) -> Path:
         """A path that is surely in the folder, links resolved."""
         outside = InputError(name, f"is not in {self.folder}", remedy="Start certrack app there")
-        if not name or "\0" in name:
+        if not name or "\0" in name or len(name) > MAX_PATH_LENGTH:
             raise outside
-        path = (self.folder / name).resolve()
+        try:
+            path = (self.folder / name).resolve()
+        except (OSError, RuntimeError):  # links in a circle
+            raise outside from None
         if not path.is_relative_to(self.folder) or path == self.folder:
             raise outside
+        if path.exists() and not path.is_file():
+            raise InputError(name, "is no file")
         return path
+
+
+def _system_files(folder: Path, depth: int) -> Iterator[Path]:
+    """System files by their names, folder by folder, without what is hidden."""
+    folders, looked = [(folder, depth)], 0
+    while folders:
+        place, left = folders.pop(0)
+        try:
+            entries = sorted(os.scandir(place), key=lambda entry: entry.name)
+        except OSError:
+            continue
+        for entry in entries:
+            looked += 1
+            if looked > MAX_SCANNED:
+                return
+            if entry.name.startswith("."):
+                continue
+            if entry.name.endswith(".toml"):
+                yield Path(entry.path)
+            elif left > 1 and entry.is_dir(follow_symlinks=False):
+                folders.append((Path(entry.path), left - 1))
 
 
 def _beginning(path: Path) -> str:

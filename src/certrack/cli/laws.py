@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from certrack.cli.base import MEMBER_SEED, naming, tell_written
 from certrack.core.errors import InputError
@@ -74,6 +75,13 @@ def law_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for option in reversed(options):
         command = option(command)
     return command
+
+
+def refuse_without_laws(context: click.Context) -> None:
+    """Refuse options that would change nothing."""
+    for name in ARGUMENTS:
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"--{name.replace('_', '-')} needs --laws", context)
 
 
 def compare_tuned_laws(file: str, plot: Path | None, as_json: bool, wanted: dict[str, Any]) -> None:

@@ -51,7 +51,9 @@ def optimal(
     from certrack.studies.optimal.optimal import optimal as search_optima
     from certrack.systems.reader import load
 
-    systems = {Path(file).stem: load(file) for file in files}
+    stems = [Path(file).stem for file in files]
+    names = [f"{name}-{i}" if stems.count(name) > 1 else name for i, name in enumerate(stems, 1)]
+    systems = {name: load(file) for name, file in zip(names, files, strict=True)}
     if objective is not None:
         objective = objective.replace("-", "_")
     results = {}

@@ -18,7 +18,7 @@ from certrack.cli.base import (
     note_unlikely,
     tell_written,
 )
-from certrack.cli.laws import compare_tuned_laws, law_options
+from certrack.cli.laws import compare_tuned_laws, law_options, refuse_without_laws
 from certrack.cli.pictures import certified_runs, draw, picture_options, show_runs
 from certrack.cli.premises import note_contradictions
 
@@ -183,6 +183,7 @@ def compare(
             raise click.UsageError(problem, click.get_current_context())
         compare_tuned_laws(files[0], plot, as_json, wanted)
         return
+    refuse_without_laws(click.get_current_context())
     from certrack.cli import console
     from certrack.reports import runs as run_report
     from certrack.simulation.simulator import simulate as run_system

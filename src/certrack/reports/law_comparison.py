@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from certrack.core.rounding import printed_bound
 from certrack.reports.tables import Table, short_number, table
 from certrack.simulation.labels import labelled, metric_labels, unit_of_input, unit_of_output
-from certrack.tuning.comparison.compare_laws import GAIN_FACTORS, NOTHING_FOUND
+from certrack.tuning.comparison.compare_laws import GAIN_FACTORS
 from certrack.tuning.runs import WORSE
 
 if TYPE_CHECKING:
@@ -44,9 +44,11 @@ def _column(figures: LawFigures) -> list[object]:
     """The figures of one law; dashes where it has no working gains."""
     metrics = figures.metrics
     if not figures.works or metrics is None:
-        return [None] * (8 + len(GAIN_FACTORS)) + [NOTHING_FOUND]
+        return [None] * (8 + len(GAIN_FACTORS)) + [figures.why_not]
     lost = [value if math.isfinite(value) else "lost" for value in figures.at_gains]
     bound = printed_bound(figures.bound, 4) if math.isfinite(figures.bound) else None
+    if bound is not None and figures.bound_is_continuous:
+        bound += " (continuous)"
     return [
         metrics.tail_error,
         "lost" if figures.worst_member is None else figures.worst_member,
@@ -76,11 +78,13 @@ def law_notes(result: LawComparison) -> list[str]:
         numbers = ", ".join(f"{name} = {_gain_text(v)}" for name, v in figures.gains().items())
         lines.append(f"{figures.name}: {figures.system.law.kind} law, {numbers}")
         if figures.works and math.isfinite(figures.bound):
-            lines.append(f"  certified by {figures.bound_note}")
+            loop = "continuous loop, not of the sampled one"
+            of = f", of the {loop}" if figures.bound_is_continuous else ""
+            lines.append(f"  certified by {figures.bound_note}{of}")
         elif figures.works:
             lines.append(f"  no certified bound: {figures.bound_note}")
         else:
-            lines.append(f"  {NOTHING_FOUND}")
+            lines.append(f"  {figures.why_not}")
     return lines
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from certrack.reports.tables import Table, short_number, table
 from certrack.simulation.labels import energy_unit, labelled, unit_of_input, unit_of_output
+from certrack.studies.optimal.optimal import LIMIT_ROUNDING, MINIMUM_CHANGE
 
 if TYPE_CHECKING:
     from certrack.studies.optimal.goal import Goal
@@ -17,14 +18,11 @@ LEAST_TEXTS = {
     "squared_error": "least int e_1^2",
     "energy": "least int u^2",
     "peak": "least peak input",
-    "time": "shortest time to e = 0",
+    "time": "shortest time to y_d",
 }
 
 #: A limit, in words.
 LIMIT_TEXTS = {"squared_error": "int e_1^2", "energy": "int u^2", "peak": "|u|"}
-
-#: The mesh or the transcription are worth a word beyond these parts.
-COARSE_MESH, DEVIATES = 0.05, 1e-2
 
 
 def optima_table(result: Optima, title: str = "") -> Table:
@@ -56,37 +54,34 @@ def optima_notes(result: Optima) -> list[str]:
     """What the numbers are, and what is to be known of them."""
     lines = [
         f"over {result.horizon:g} s; an optimum knows plant, disturbance and reference beforehand, "
-        "so no law does better from that start; converged by a local search, not proven",
+        "so no law does better from that start; found by a local search, not proven",
     ]
     if any(entry.goal.minimised == "time" for entry in result.optima):
         lines.append(
-            "time: of the law until |e_1| stays in its band, of the optimum until e = 0, its end"
+            "time: of the law until |e_1| stays in its band, of the optimum until y moves as y_d"
         )
-    return lines + [
-        line for entry in result.optima for line in _remarks(entry, result.excess(entry))
-    ]
+    return lines + [line for entry in result.optima for line in _remarks(result, entry)]
 
 
 def _excess_text(result: Optima, optimum: Optimum) -> str:
-    return f"{short_number(result.excess(optimum), 3)} times" if optimum.converged else "-"
+    excess = result.excess(optimum)
+    return "-" if excess is None else f"{short_number(excess, 3)} times"
 
 
-def _remarks(optimum: Optimum, excess: float) -> Iterator[str]:
-    goal = _goal_text(optimum.goal)
+def _remarks(result: Optima, optimum: Optimum) -> Iterator[str]:
+    goal, excess = _goal_text(optimum.goal), result.excess(optimum)
     if not optimum.converged:
-        yield f"{goal}: none converged: {optimum.reason}"
+        yield f"{goal}: none found: {optimum.reason}"
         return
-    if excess < 1.0:
-        yield f"{goal}: the law needs less: on such a mesh no better input was converged"
-    if optimum.mesh_error > COARSE_MESH:
+    for name, limit in optimum.goal.limits.items():
+        if getattr(result.law, name) > limit * (1 + LIMIT_ROUNDING):
+            yield f"{goal}: the law exceeds {LIMIT_TEXTS[name]} <= {short_number(limit, 4)}"
+    if excess is not None and excess < 1.0:
+        yield f"{goal}: the law needs less: on such a mesh no better input was found"
+    if optimum.mesh_error is not None and optimum.mesh_error > MINIMUM_CHANGE:
         yield (
-            f"{goal}: still changed by {100 * optimum.mesh_error:.0f} % from mesh to mesh: more "
+            f"{goal}: still changed by {100 * optimum.mesh_error:.2g} % from mesh to mesh: more "
             "--elements would find less"
-        )
-    if optimum.deviation > DEVIATES:
-        yield (
-            f"{goal}: the plant deviates from it by up to {100 * optimum.deviation:.1f} % of a "
-            "state's magnitude: more --elements follow it better"
         )
 
 

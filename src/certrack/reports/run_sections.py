@@ -110,7 +110,7 @@ def drive_section(evidence: DesignEvidence) -> Section | None:
         states = len(evidence.code.members)
         size = len(evidence.code.header) + len(evidence.code.source)
         lines.append(
-            f"The controller in C: {size} characters of C90 in one header and one source, "
+            f"The controller in C: {size} characters of C99 in one header and one source, "
             f"{states} real numbers of state, no memory taken while it runs."
         )
         lines.append(f"To write it with its acceptance test: {evidence.command('export c')}")

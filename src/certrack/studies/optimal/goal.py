@@ -75,6 +75,12 @@ class Goal:
                 "peak_input",
                 "must be given for the shortest time: without it any time can be undercut",
             )
+        if self.minimised == "squared_error" and self.energy is None and self.peak is None:
+            raise InputError(
+                "peak_input",
+                "or energy must be given for the least integral of e_1^2: without them more input "
+                "is always better",
+            )
         if self.minimised in ("energy", "peak") and self.squared_error is None:
             raise InputError(
                 "squared_error",

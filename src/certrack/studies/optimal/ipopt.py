@@ -5,7 +5,10 @@ Source: A. Waechter, L. T. Biegler, Mathematical Programming 106 (2006) 25-57.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +20,16 @@ from certrack.studies.optimal.program import NonlinearProgram
 #: Iterations at most, and the tolerance of the scaled program.
 MAX_IPOPT_ITERATIONS, TOLERANCE = 500, 1e-8
 
+#: Processor time of one solution at most, s: kinks of the plant may take IPOPT very long.
+MAX_SOLUTION_SECONDS = 100.0
+
 #: What IPOPT's words mean.
 MEANINGS = {
     "Infeasible_Problem_Detected": "the limits contradict each other near where it searched",
     "Maximum_Iterations_Exceeded": f"it did not settle within {MAX_IPOPT_ITERATIONS} iterations",
-    "Restoration_Failed": "it converged no way back to what the limits admit",
+    "Restoration_Failed": "it found no way back to what the limits admit",
     "Invalid_Number_Detected": "a formula leaves its domain",
+    "Maximum_CpuTime_Exceeded": f"it did not settle within {MAX_SOLUTION_SECONDS:.0f} s",
 }
 
 
@@ -60,6 +67,7 @@ def minimise(ca: Any, program: NonlinearProgram, called: Callable[[], None]) -> 
     """
     problem = {"x": program.vector, "f": program.objective, "g": program.constraints}
     raised: list[BaseException] = []
+    arrived: list[int] = []
 
     class Reporter(ca.Callback):
         def __init__(self) -> None:
@@ -90,8 +98,7 @@ def minimise(ca: Any, program: NonlinearProgram, called: Callable[[], None]) -> 
                 called()
             except BaseException as problem:
                 raised.append(problem)
-                return [1]
-            return [0]
+            return [1 if raised or arrived else 0]
 
     reporter = Reporter()
     solver = ca.nlpsol(
@@ -105,17 +112,19 @@ def minimise(ca: Any, program: NonlinearProgram, called: Callable[[], None]) -> 
                 "print_level": 0,
                 "sb": "yes",
                 "max_iter": MAX_IPOPT_ITERATIONS,
+                "max_cpu_time": MAX_SOLUTION_SECONDS,
                 "tol": TOLERANCE,
             },
         },
     )
-    answer = solver(
-        x0=program.start,
-        lbx=program.low,
-        ubx=program.high,
-        lbg=program.lower,
-        ubg=program.upper,
-    )
+    with noted_signals(arrived):
+        answer = solver(
+            x0=program.start,
+            lbx=program.low,
+            ubx=program.high,
+            lbg=program.lower,
+            ubg=program.upper,
+        )
     if raised:
         raise raised[0]
     status = solver.stats()
@@ -127,3 +136,25 @@ def minimise(ca: Any, program: NonlinearProgram, called: Callable[[], None]) -> 
         np.array(answer["x"]).reshape(-1),
         float(answer["f"]),
     )
+
+
+@contextmanager
+def noted_signals(arrived: list[int]) -> Iterator[None]:
+    """Note SIGINT and SIGTERM, and raise them again at the end.
+
+    CasADi catches the exception of a signal that arrives in its own evaluations, and goes on.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {
+        number: signal.signal(number, lambda which, _: arrived.append(which))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for which in arrived[:1]:
+            signal.raise_signal(which)

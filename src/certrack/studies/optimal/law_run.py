@@ -19,8 +19,9 @@ from certrack.core.expressions import TIME
 from certrack.core.lowering import numpy_callable
 from certrack.core.progress import Progress
 from certrack.integrators.base import Outcome
+from certrack.laws.plant_coordinates import output_derivatives
 from certrack.loops.continuous import close_loop, parameter_values
-from certrack.loops.plant import INPUT, SimulatedPlant, plant_values, simulated_plant
+from certrack.loops.plant import INPUT, SimulatedPlant, measured, plant_values, simulated_plant
 from certrack.loops.schedule import make_schedule
 from certrack.loops.time_switches import switched_loop
 from certrack.simulation.run import Run
@@ -64,10 +65,12 @@ class LawRun:
         """States at t = 0."""
         return np.array(self.system.settings.x0)
 
-    @property
-    def order(self) -> int:
-        """Derivatives of the reference in the error coordinates."""
-        return self.system.controller.coordinates.q
+    def distance(self) -> float:
+        """Largest of |y^(i) - y_d^(i)|, i < n, at the start, without w."""
+        plant = self.system.plant
+        start = measured(self.system, self.start[:, None])[:, 0]
+        Y = self.system.reference.values(np.zeros(1), plant.n - 1)[:, 0]
+        return float(np.abs(output_derivatives(plant) @ start - Y).max())
 
     def states(self, t: Array) -> Array:
         """States of the simulated plant in the law's run at times, shape (S, N)."""
@@ -78,8 +81,8 @@ class LawRun:
         return self.run.input_of(t, self.run.trajectory.interpolate(t))
 
     def reference(self, t: Array) -> Array:
-        """y_d and its derivatives up to :attr:`order` at times, a row each."""
-        return self.system.reference.values(t, self.order)
+        """y_d at times, in a row."""
+        return self.system.reference.values(t, 0)
 
     def rates(self) -> Callable[[float, Array, float], list[Any]]:
         """x' = f(t, x, u) in floats."""

@@ -12,9 +12,6 @@ EVEN_SHARE = 0.4
 #: Points at which a run's input is looked at.
 MESH_SAMPLES = 4001
 
-#: Two ends closer than this part of the horizon are one.
-BLUR = 1e-9
-
 
 def mesh(times: Array, inputs: Array, elements: int, breaks: Array) -> Array:
     """Ends of elements from 0 to the last of the times.

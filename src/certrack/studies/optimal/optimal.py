@@ -18,6 +18,7 @@ import numpy as np
 from certrack.core import checks
 from certrack.core.arrays import Array
 from certrack.core.casadi_forms import casadi
+from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
 from certrack.loops.plant import measured
 from certrack.simulation.run import Run
@@ -34,7 +35,7 @@ from certrack.studies.optimal.program import (
     solution,
     transcribe,
 )
-from certrack.studies.optimal.replay import replay
+from certrack.studies.optimal.replay import Replay, replay
 from certrack.systems.system import System, require_system
 
 #: Elements of the first mesh, and the most of the last one: from mesh to mesh they double.
@@ -42,6 +43,18 @@ FIRST_ELEMENTS, ELEMENTS = 120, 960
 
 #: The most that may be asked for.
 MAX_ELEMENTS = 20_000
+
+#: Nearer than this the start counts as at the reference.
+AT_REFERENCE = 1e-9
+
+#: A law keeps a limit that it exceeds by this part.
+LIMIT_ROUNDING = 1e-6
+
+#: An optimum is none if the plant deviates from it by more than this part of a state's magnitude.
+FOLLOWED = 1e-3
+
+#: A minimum below this part of what the law needs is as good as zero.
+NEGLIGIBLE_MINIMUM = 1e-9
 
 #: A mesh is fine enough where the minimum changes by less than this part from the one before, and
 #: the plant deviates from the trajectory by less than this part of each state's magnitude.
@@ -69,11 +82,11 @@ class Optimum:
         States of the simulated plant in that integration.
     output, reference : (N,) arrays
         x_1 as it is measured, and y_d.
-    mesh_error : float
-        Relative change of the minimum from the mesh before to the last one.
+    mesh_error : float or None
+        Relative change of the minimum from the mesh before to the last one; None of a single mesh.
     deviation : float
-        Largest difference between the trajectory of the search and the integrated one, relative to
-        the largest magnitude of each state.
+        Largest defect of the trajectory at the ends of elements, relative to the largest magnitude
+        of each state.
     """
 
     goal: Goal
@@ -86,7 +99,7 @@ class Optimum:
     states: Array
     output: Array
     reference: Array
-    mesh_error: float
+    mesh_error: float | None
     deviation: float
 
     @property
@@ -133,9 +146,23 @@ class Optima:
         """Whether every optimum that was asked for was found."""
         return all(optimum.converged for optimum in self.optima)
 
-    def excess(self, optimum: Optimum) -> float:
-        """How many times the minimum the law needs of it."""
-        return float(getattr(self.law, optimum.goal.minimised)) / optimum.minimum
+    def excess(self, optimum: Optimum) -> float | None:
+        """How many times the minimum the law needs of it.
+
+        None where the law does not keep the limits, the minimum is as good as zero, or there is
+        none.
+        """
+        law = self.law
+        limits = optimum.goal.limits.items()
+        within = all(getattr(law, n) <= limit * (1 + LIMIT_ROUNDING) for n, limit in limits)
+        needed = self.law_of(optimum)
+        if not (optimum.converged and within and optimum.minimum > NEGLIGIBLE_MINIMUM * needed):
+            return None
+        return needed / optimum.minimum
+
+    def law_of(self, optimum: Optimum) -> float:
+        """What the law has of what was minimised."""
+        return float(getattr(self.law, optimum.goal.minimised))
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
@@ -149,7 +176,7 @@ class Optima:
 
     def __repr__(self) -> str:
         shown = ", ".join(
-            f"least {entry.goal.minimised} {entry.minimum:.4g} (law {self.excess(entry):.3g} times)"
+            f"least {entry.goal.minimised} {entry.minimum:.4g} (law {self.law_of(entry):.4g})"
             for entry in self.optima
         )
         return f"Optima({shown})"
@@ -168,7 +195,7 @@ def optimal(
 ) -> Optima:
     """Find the best possible trajectories of a system's true plant, and compare its law.
 
-    Of all inputs u(t), minimise one of int e_1^2 dt, int u^2 dt, max |u| and the time to e = 0,
+    Of all inputs u(t), minimise one of int e_1^2 dt, int u^2 dt, max |u| and the time to y_d,
     subject to x' = f(t, x, u) with the truth of the file, x(0), and limits of the others.
 
     Parameters
@@ -221,12 +248,16 @@ def optimal(
     ca = casadi("the search for optimal trajectories")
     law_run = law_run_of(system, horizon, silent)
     goals = _against_the_law(law_run.law, limits) if goal is None else (goal,)
-    converged = []
+    if goal is not None and goal.minimised == "time" and law_run.distance() < AT_REFERENCE:
+        raise InputError(
+            "objective", "the run begins at the reference: no time is needed to reach it", "time"
+        )
+    optima = []
     for i, one in enumerate(goals):
         progress(i, len(goals), None)
-        converged.append(_optimum(ca, law_run, one, count, _keep_calling(progress, i, len(goals))))
+        optima.append(_optimum(ca, law_run, one, count, _keep_calling(progress, i, len(goals))))
     progress(len(goals), len(goals), None)
-    return Optima(law_run.run, law_run.law, tuple(converged))
+    return Optima(law_run.run, law_run.law, tuple(optima))
 
 
 def _against_the_law(law: TrajectoryCost, limits: dict[str, float | None]) -> tuple[Goal, ...]:
@@ -246,31 +277,18 @@ def _keep_calling(progress: Progress, done: int, total: int) -> Callable[[], Non
 def _optimum(
     ca: Any, law_run: LawRun, goal: Goal, elements: int, called: Callable[[], None]
 ) -> Optimum:
-    """Search from the law's run, then from the optimum of each mesh on one twice as fine."""
-    arrival = goal.minimised == "time"
-    motion, last, change = (
-        PlantMotion(law_run.states, law_run.inputs, _first_end(law_run, goal)),
-        None,
-        1.0,
-    )
-    count = min(FIRST_ELEMENTS, elements)
-    while True:
-        search = _solve_mesh(ca, law_run, goal, count, motion, called)
-        if last is not None:
-            change = abs(last.minimum / search.minimum - 1.0)
-        if not search.answer.converged and last is not None:
-            search = last  # a coarser optimum is one, too
-        played = replay(law_run, search.ends, search.values.inputs, arrival)
-        followed = played.deviation(search.values.begins)
-        fine = change < MINIMUM_CHANGE and followed < ADMITTED_DEVIATION
-        if fine or search is last or not search.answer.converged or 2 * count > elements:
-            break
-        motion, last, count = search.motion, search, 2 * count
+    """The optimum of the finest mesh that was solved, and what the plant does with its input."""
+    search, change = _finest(ca, law_run, goal, elements, called)
+    answer, arrival = search.answer, goal.minimised == "time"
+    played = _played(law_run, search, arrival)
+    converged, reason = answer.converged, answer.reason
+    if converged and played.deviation > FOLLOWED:
+        converged, reason = False, "the plant does not follow what the program takes for its motion"
     system = law_run.system
     return Optimum(
         goal=goal,
-        converged=search.answer.converged,
-        reason=search.answer.reason,
+        converged=converged,
+        reason=reason,
         cost=played.cost,
         ends=search.ends,
         inputs=search.values.inputs,
@@ -279,8 +297,49 @@ def _optimum(
         output=measured(system, played.states)[0],
         reference=system.reference.values(played.times, 0)[0],
         mesh_error=change,
-        deviation=followed,
+        deviation=played.deviation,
     )
+
+
+def _finest(
+    ca: Any, law_run: LawRun, goal: Goal, elements: int, called: Callable[[], None]
+) -> tuple[SolvedMesh, float | None]:
+    """Search from the law's run, then from the optimum of each mesh on one twice as fine.
+
+    Also the change of the minimum with the last mesh, relative; None of a single mesh.
+    """
+    search = _coarsest(ca, law_run, goal, min(FIRST_ELEMENTS, elements), called)
+    count, change = min(FIRST_ELEMENTS, elements), None
+    while search.answer.converged and count < elements:
+        settled = change is not None and change < MINIMUM_CHANGE
+        if settled and _played(law_run, search, search.of_time).deviation < ADMITTED_DEVIATION:
+            break
+        count = min(2 * count, elements)
+        finer = _solve_mesh(ca, law_run, goal, count, search.motion, called)
+        if not finer.answer.converged:
+            break  # a coarser optimum is one, too
+        floor = max(abs(search.minimum), abs(finer.minimum), NEGLIGIBLE_MINIMUM)
+        search, change = finer, abs(finer.minimum - search.minimum) / floor
+    return search, change
+
+
+def _coarsest(
+    ca: Any, law_run: LawRun, goal: Goal, count: int, called: Callable[[], None]
+) -> SolvedMesh:
+    """The first mesh; the shortest time is sought within the law's, then within the horizon."""
+    ends = [law_run.horizon]
+    if goal.minimised == "time" and 0 < law_run.law.time < law_run.horizon:
+        ends.insert(0, law_run.law.time)
+    for end in ends:
+        motion = PlantMotion(law_run.states, law_run.inputs, end)
+        search = _solve_mesh(ca, law_run, goal, count, motion, called)
+        if search.answer.converged:
+            break
+    return search
+
+
+def _played(law_run: LawRun, search: SolvedMesh, arrival: bool) -> Replay:
+    return replay(law_run, search.ends, search.values.inputs, search.values.begins, arrival)
 
 
 @dataclass(frozen=True)
@@ -330,9 +389,3 @@ def _solve_mesh(
     stretched = CollocationGrid(grid.ends * stretch, grid.scheme)
     of_time = goal.minimised == "time"
     return SolvedMesh(answer, of_time, stretched.ends, values, motion_on(stretched, values))
-
-
-def _first_end(law_run: LawRun, goal: Goal) -> float:
-    """Where the first mesh ends: for the shortest time, where the law has settled."""
-    settled = law_run.law.time
-    return settled if goal.minimised == "time" and settled > 0 else law_run.horizon

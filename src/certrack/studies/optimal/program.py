@@ -12,6 +12,7 @@ from certrack.core.arrays import Array
 from certrack.core.casadi_forms import casadi_callable
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME
+from certrack.laws.plant_coordinates import output_derivatives
 from certrack.studies.optimal.collocation import COLLOCATION_DEGREE, CollocationGrid
 from certrack.studies.optimal.goal import Goal
 from certrack.studies.optimal.law_run import LawRun
@@ -310,12 +311,11 @@ def _squared_error(
 
 
 def _arrival(ca: Any, law_run: LawRun, state: Any, time: Any) -> Any:
-    """The error coordinates e = A x - B Y at the end, which are to be zero."""
+    """What is zero where the output moves as y_d does: y^(i) - y_d^(i), i < n, without w."""
     _, outputs = law_run.in_casadi(ca)
-    coordinates = law_run.system.controller.coordinates
     measured = ca.vertcat(*outputs(ca.vertsplit(state)))
     Y = ca.vertcat(*_reference_formulas(ca, law_run)(time))
-    return ca.mtimes(ca.DM(coordinates.A), measured) - ca.mtimes(ca.DM(coordinates.B), Y)
+    return ca.mtimes(ca.DM(output_derivatives(law_run.system.plant)), measured) - Y
 
 
 def _reference_formulas(ca: Any, law_run: LawRun) -> Callable[[Any], list[Any]]:
@@ -328,6 +328,14 @@ def _reference_formulas(ca: Any, law_run: LawRun) -> Callable[[Any], list[Any]]:
             "time",
             "Minimise the squared error under a limit of the peak input instead",
         )
+    if reference.order < law_run.system.plant.n - 1:
+        raise InputError(
+            "objective",
+            f"the shortest time needs {law_run.system.plant.n - 1} derivatives of the reference, "
+            "which it reaches with the output",
+            "time",
+        )
     known = dict(zip(reference.parameter_symbols, reference.parameter_values, strict=True))
-    formulas = [formula.xreplace(known) for formula in reference.formulas(law_run.order)]
+    order = law_run.system.plant.n - 1
+    formulas = [formula.xreplace(known) for formula in reference.formulas(order)]
     return casadi_callable(ca, [TIME], formulas)

@@ -1,4 +1,9 @@
-"""An optimum's input on the plant itself, integrated by another method."""
+"""An optimum's input on the plant itself, integrated by another method, element by element.
+
+Every element begins at the state that the program has there, and what it ends at is held against
+the next. One integration over all of the run would say nothing of an unstable plant, on which any
+rounding grows without bound where no law holds it back.
+"""
 
 from __future__ import annotations
 
@@ -29,29 +34,20 @@ class Replay:
         Its cost; the integral by the integrator itself.
     times : (N,) array, s
     states : (S, N) array
-        NaN from where the integrator gave up.
+        NaN where the integrator gave up.
+    deviation : float
+        Largest difference between the end of an element and the begin of the next, over the
+        largest magnitude of each state.
     """
 
     cost: TrajectoryCost
     times: Array
     states: Array
-
-    def deviation(self, begins: Array) -> float:
-        """Largest difference from states at the ends of the elements, over that of each state.
-
-        Parameters
-        ----------
-        begins : (S, E + 1) array
-        """
-        at_ends = self.states[:, ::SAMPLES_PER_ELEMENT]
-        if at_ends.shape != begins.shape or not np.isfinite(at_ends).all():
-            return math.inf
-        largest = np.abs(begins).max(axis=1, keepdims=True)
-        return float((np.abs(at_ends - begins) / np.where(largest > 0, largest, 1.0)).max())
+    deviation: float
 
 
-def replay(law_run: LawRun, ends: Array, inputs: Array, arrival: bool) -> Replay:
-    """Integrate the plant element by element.
+def replay(law_run: LawRun, ends: Array, inputs: Array, begins: Array, arrival: bool) -> Replay:
+    """Integrate the plant over each element.
 
     Parameters
     ----------
@@ -60,6 +56,8 @@ def replay(law_run: LawRun, ends: Array, inputs: Array, arrival: bool) -> Replay
         Of the elements.
     inputs : (2, E) array
         At their begins and ends, straight between.
+    begins : (S, E + 1) array
+        States at the ends.
     arrival : bool
         Whether the end is a time of arrival.
     """
@@ -71,16 +69,19 @@ def replay(law_run: LawRun, ends: Array, inputs: Array, arrival: bool) -> Replay
         error = float(output(z[:-1])[0]) - float(reference.values(np.array([t]), 0)[0, 0])
         return np.array([*rates(t, z[:-1], u), error**2], dtype=float)
 
-    z = np.append(law_run.start, 0.0)
-    times, table = [ends[:1]], [z[:, None]]
-    for begin, end, first, last in zip(ends[:-1], ends[1:], *inputs, strict=True):
+    largest = np.abs(begins).max(axis=1)
+    scale = np.where(largest > 0, largest, 1.0)
+    times, table, squared, deviation = [ends[:1]], [law_run.start[:, None]], 0.0, 0.0
+    states = law_run.start
+    for k, (begin, end) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+        first, last = inputs[:, k]
         at = np.linspace(begin, end, SAMPLES_PER_ELEMENT + 1)[1:]
         inside = np.append(at[:-1], np.nextafter(end, begin))  # what jumps at the end jumps later
         with np.errstate(all="ignore"):
             piece = solve_ivp(
                 right_side,
                 (begin, inside[-1]),
-                z,
+                np.append(states, 0.0),
                 method="DOP853",
                 t_eval=inside,
                 args=(begin, first, (last - first) / (end - begin)),
@@ -89,15 +90,17 @@ def replay(law_run: LawRun, ends: Array, inputs: Array, arrival: bool) -> Replay
             )
         times.append(at)
         if not piece.success:
-            table.append(np.full((len(z), SAMPLES_PER_ELEMENT), np.nan))
+            table.append(np.full((len(scale), SAMPLES_PER_ELEMENT), np.nan))
+            deviation = math.inf
             break
-        table.append(piece.y)
-        z = piece.y[:, -1]
-    states = np.concatenate(table, axis=1)
+        table.append(piece.y[:-1])
+        squared += float(piece.y[-1, -1])
+        defect = np.abs(piece.y[:-1, -1] - begins[:, k + 1]) / scale
+        deviation, states = max(deviation, float(defect.max())), begins[:, k + 1]
     cost = TrajectoryCost(
-        squared_error=float(states[-1, -1]),
+        squared_error=squared,
         energy=float(np.diff(ends) @ (inputs[0] ** 2 + inputs[0] * inputs[1] + inputs[1] ** 2)) / 3,
         peak=float(np.abs(inputs).max()),
         time=float(ends[-1]) if arrival else math.nan,
     )
-    return Replay(cost, np.concatenate(times), states[:-1])
+    return Replay(cost, np.concatenate(times), np.concatenate(table, axis=1), deviation)

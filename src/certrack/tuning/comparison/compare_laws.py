@@ -25,7 +25,7 @@ from certrack.tuning.comparison.trials import (
     PEAK,
     SharedLimits,
     Trials,
-    largest_reference,
+    resting_error,
     sampled,
 )
 from certrack.tuning.runs import WORSE
@@ -50,6 +50,12 @@ AS_STATED = "as stated"
 
 #: What a law without working gains is said to have.
 NOTHING_FOUND = "no stabilising gains found"
+
+#: What is said instead of a law whose gains are the file's.
+DOES_NOT_FOLLOW = "follows no better than an output at rest"
+
+#: Kind of the certificate of the loop as it is sampled; all others are of the continuous one.
+OF_THE_SAMPLED_LOOP = "implemented"
 
 
 @dataclass(frozen=True)
@@ -103,6 +109,16 @@ class LawFigures:
         tail = self.members.statistics.metrics["tail_error"].summary()
         return None if tail["missing"] else tail["max"]
 
+    @property
+    def why_not(self) -> str:
+        """What is said where it does not work."""
+        return DOES_NOT_FOLLOW if self.searched is None else NOTHING_FOUND
+
+    @property
+    def bound_is_continuous(self) -> bool:
+        """Whether the bound is of the loop in continuous time, not of the sampled one."""
+        return math.isfinite(self.bound) and self.bound_note != OF_THE_SAMPLED_LOOP
+
     def gains(self) -> dict[str, Any]:
         """The law's numbers, by key."""
         return {
@@ -114,7 +130,7 @@ class LawFigures:
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
         if not self.works or self.metrics is None:
-            return {"note": NOTHING_FOUND, "gains": self._plain_gains()}
+            return {"note": self.why_not, "gains": self._plain_gains()}
         members = self.members
         statistics = {} if members is None else members.statistics.metrics["tail_error"].summary()
         return {
@@ -129,6 +145,7 @@ class LawFigures:
             "at_gains": dict(zip(map(str, GAIN_FACTORS), self.at_gains, strict=True)),
             "bound": self.bound,
             "bound_note": self.bound_note,
+            "bound_of_continuous_loop": self.bound_is_continuous,
             "exceeded": list(self.exceeded),
             "gains": self._plain_gains(),
             "evaluations": None if self.searched is None else self.searched.evaluations,
@@ -263,7 +280,7 @@ class _Measure:
         self._box: np.ndarray | None = None
         if population is not None and population.x0 is not None:
             self._box = np.array([(entry.low, entry.high) for entry in population.x0], dtype=float)
-        self.resting = largest_reference(system)
+        self.resting = resting_error(system)
 
     def trials_of(self, system: System) -> Trials:
         """The runs of one law."""

@@ -11,6 +11,7 @@ import numpy as np
 from certrack.core.errors import CertrackError
 from certrack.integrators.base import Outcome
 from certrack.laws.base import Law
+from certrack.loops.plant import measured
 from certrack.model.implementation import Implementation
 from certrack.simulation.metrics import REFERENCE_POINTS, Metrics
 from certrack.simulation.simulator import Simulator
@@ -115,10 +116,12 @@ class Trials:
         self.starts.sort(key=lambda start: -size(start))
 
 
-def largest_reference(system: System) -> float:
-    """The largest |y_d| of the run: the error of an output that stays at zero."""
+def resting_error(system: System) -> float:
+    """The largest error of an output that stays at zero; of y_d = 0, one that stays at y(0)."""
     times = np.linspace(0.0, system.settings.duration, REFERENCE_POINTS)
-    return float(np.abs(system.reference.values(times, 0)[0]).max())
+    begin = measured(system, np.array(system.settings.x0)[:, None])[0, 0]
+    largest = np.abs(system.reference.values(times, 0)[0]).max()
+    return float(largest or abs(begin) or math.inf)
 
 
 #: What a run that is lost counts, as a logarithm, and one that finishes and does not follow; the
