@@ -150,6 +150,7 @@ def noted_signals(arrived: list[int]) -> Iterator[None]:
     before = {
         number: signal.signal(number, lambda which, _: arrived.append(which))
         for number in (signal.SIGINT, signal.SIGTERM)
+        if signal.getsignal(number) is not signal.SIG_IGN
     }
     try:
         yield
