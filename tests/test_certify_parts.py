@@ -153,11 +153,14 @@ def test_of_which_proof_the_tube_is(monkeypatch):
     ):
         soft = SimpleNamespace(ranged=ranged, long_run=plain, own=own, law=fixed)
         assert certify_module._tube(soft, ("a",), "v") == expected
-    moving = SimpleNamespace(ranged=False, law=SimpleNamespace(online="between two ends"))
+    online = SimpleNamespace(online="between two ends")
+    moving = SimpleNamespace(ranged=False, law=online, long_run=plain)
     monkeypatch.setattr(certify_module, "online_tube", lambda system, proof: ("online", proof))
     for proofs, expected in ((("p",), ("online", "p")), ((), None)):
         monkeypatch.setattr(certify_module, "certify_online", lambda system, p=proofs: (None, p))
         assert certify_module._tube(moving, ("a",), None) == expected
+    moving.long_run = moving  # what was proven serves the tube, too
+    assert certify_module._tube(moving, ("a",), None) == ("tube", ("a",))
 
 
 @pytest.mark.parametrize(

@@ -298,10 +298,10 @@ def _tube(
     A soft start is part of what happens from a start, so there it is of a certificate that counts
     it, too.
     """
-    if system.law.online is not None:
-        _, moving = certify_online(system)
-        return online_tube(system, moving[0]) if moving else None
     if system.long_run is not system:
+        if system.law.online is not None:
+            _, moving = certify_online(system)
+            return online_tube(system, moving[0]) if moving else None
         proof = None if has_ranges(system) else certify_semidefinite(system)[1]
         return None if proof is None else tube(system, proof)
     if vertex_proof is not None:

@@ -92,13 +92,14 @@ class LawRun:
         """The measured output x_1 in floats."""
         return numpy_callable([self.plant.states], self._numeric(self.plant.outputs[:1]))
 
-    def in_casadi(self, module: Any) -> tuple[Callable[..., list[Any]], Callable[..., list[Any]]]:
-        """f(t, x, u) and the measured states of x, for CasADi's symbols."""
-        rates = casadi_callable(
-            module, [TIME, self.plant.states, INPUT], self._numeric(self.plant.rates)
-        )
-        outputs = casadi_callable(module, [self.plant.states], self._numeric(self.plant.outputs))
-        return rates, outputs
+    def rates_in_casadi(self, module: Any) -> Callable[..., list[Any]]:
+        """f(t, x, u) of CasADi's symbols."""
+        formulas = self._numeric(self.plant.rates)
+        return casadi_callable(module, [TIME, self.plant.states, INPUT], formulas)
+
+    def outputs_in_casadi(self, module: Any) -> Callable[..., list[Any]]:
+        """The measured states, of CasADi's symbols of x."""
+        return casadi_callable(module, [self.plant.states], self._numeric(self.plant.outputs))
 
     def _numeric(self, formulas: Any) -> list[Any]:
         """The plant's formulas with its numbers."""

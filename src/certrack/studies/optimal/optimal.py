@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -255,7 +256,8 @@ def optimal(
     optima = []
     for i, one in enumerate(goals):
         progress(i, len(goals), None)
-        optima.append(_optimum(ca, law_run, one, count, _keep_calling(progress, i, len(goals))))
+        called = partial(progress, i, len(goals), None)
+        optima.append(_optimum(ca, law_run, one, count, called))
     progress(len(goals), len(goals), None)
     return Optima(law_run.run, law_run.law, tuple(optima))
 
@@ -270,18 +272,12 @@ def _against_the_law(law: TrajectoryCost, limits: dict[str, float | None]) -> tu
     )
 
 
-def _keep_calling(progress: Progress, done: int, total: int) -> Callable[[], None]:
-    return lambda: progress(done, total, None)
-
-
 def _optimum(
     ca: Any, law_run: LawRun, goal: Goal, elements: int, called: Callable[[], None]
 ) -> Optimum:
     """The optimum of the finest mesh that was solved, and what the plant does with its input."""
     search, change = _finest(ca, law_run, goal, elements, called)
-    answer, arrival = search.answer, goal.minimised == "time"
-    played = _played(law_run, search, arrival)
-    converged, reason = answer.converged, answer.reason
+    played, converged, reason = search.played, search.answer.converged, search.answer.reason
     if converged and played.deviation > FOLLOWED:
         converged, reason = False, "the plant does not follow what the program takes for its motion"
     system = law_run.system
@@ -308,11 +304,11 @@ def _finest(
 
     Also the change of the minimum with the last mesh, relative; None of a single mesh.
     """
-    search = _coarsest(ca, law_run, goal, min(FIRST_ELEMENTS, elements), called)
-    count, change = min(FIRST_ELEMENTS, elements), None
+    count, change = FIRST_ELEMENTS, None
+    search = _coarsest(ca, law_run, goal, count, called)
     while search.answer.converged and count < elements:
         settled = change is not None and change < MINIMUM_CHANGE
-        if settled and _played(law_run, search, search.of_time).deviation < ADMITTED_DEVIATION:
+        if settled and search.played.deviation < ADMITTED_DEVIATION:
             break
         count = min(2 * count, elements)
         finer = _solve_mesh(ca, law_run, goal, count, search.motion, called)
@@ -338,16 +334,13 @@ def _coarsest(
     return search
 
 
-def _played(law_run: LawRun, search: SolvedMesh, arrival: bool) -> Replay:
-    return replay(law_run, search.ends, search.values.inputs, search.values.begins, arrival)
-
-
 @dataclass(frozen=True)
 class SolvedMesh:
     """A solved program.
 
     Attributes
     ----------
+    law_run : LawRun
     answer : SolverAnswer
     of_time : bool
         Whether the time was minimised.
@@ -358,6 +351,7 @@ class SolvedMesh:
         The same as functions of the time.
     """
 
+    law_run: LawRun
     answer: SolverAnswer
     of_time: bool
     ends: Array
@@ -368,6 +362,12 @@ class SolvedMesh:
     def minimum(self) -> float:
         """What was minimised, over a unit of its own; the time itself."""
         return self.motion.end if self.of_time else self.answer.minimum
+
+    @cached_property
+    def played(self) -> Replay:
+        """What the plant does with the input found."""
+        values = self.values
+        return replay(self.law_run, self.ends, values.inputs, values.begins, self.of_time)
 
 
 def _solve_mesh(
@@ -388,4 +388,5 @@ def _solve_mesh(
     values, stretch = solution(guess, answer.vector)
     stretched = CollocationGrid(grid.ends * stretch, grid.scheme)
     of_time = goal.minimised == "time"
-    return SolvedMesh(answer, of_time, stretched.ends, values, motion_on(stretched, values))
+    motion = motion_on(stretched, values)
+    return SolvedMesh(law_run, answer, of_time, stretched.ends, values, motion)

@@ -265,7 +265,7 @@ def _motion(
     stretch: Any,
 ) -> list[Any]:
     """What vanishes for a motion of the plant: at the Gauss points, and between the elements."""
-    rates, _ = law_run.in_casadi(ca)
+    rates = law_run.rates_in_casadi(ca)
     t, x, u = ca.SX.sym("t"), ca.SX.sym("x", law_run.plant.n), ca.SX.sym("u")
     one = ca.Function("rates", [t, x, u], [ca.vertcat(*rates(t, ca.vertsplit(x), u))])
     on_all, scheme = one.map(grid.elements), grid.scheme
@@ -293,7 +293,7 @@ def _squared_error(
     stretch: Any,
 ) -> Any:
     """The integral of e_1^2."""
-    _, outputs = law_run.in_casadi(ca)
+    outputs = law_run.outputs_in_casadi(ca)
     x = ca.SX.sym("x", law_run.plant.n)
     output = ca.Function("output", [x], [outputs(ca.vertsplit(x))[0]]).map(grid.elements)
     if goal.minimised == "time":
@@ -312,7 +312,7 @@ def _squared_error(
 
 def _arrival(ca: Any, law_run: LawRun, state: Any, time: Any) -> Any:
     """What is zero where the output moves as y_d does: y^(i) - y_d^(i), i < n, without w."""
-    _, outputs = law_run.in_casadi(ca)
+    outputs = law_run.outputs_in_casadi(ca)
     measured = ca.vertcat(*outputs(ca.vertsplit(state)))
     Y = ca.vertcat(*_reference_formulas(ca, law_run)(time))
     return ca.mtimes(ca.DM(output_derivatives(law_run.system.plant)), measured) - Y
