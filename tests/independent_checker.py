@@ -732,7 +732,9 @@ def check(document, stated_bounds=None):
     demand(isinstance(document, dict), "the file is no object")
     basis = FORMATS.get(document.get("format"))
     keys = {"format", "made_by", "claim", "system", "proof", "sha256", basis}
-    demand(basis is not None and set(document) == keys, "the file has other keys or formats")
+    optional = {"region"} if basis == "premises" else set()
+    given = set(document) - optional
+    demand(basis is not None and given == keys, "the file has other keys or formats")
     texts = ("made_by", "claim", "system", "sha256")
     demand(all(isinstance(document[key], str) for key in texts), "a text is missing")
     body = {key: value for key, value in document.items() if key != "sha256"}
@@ -762,11 +764,11 @@ def check(document, stated_bounds=None):
         numbers_of(stage)
         centre = len(proof) == 3 and i == 1
         demand(centre or stage["shift"] == "0", "only a centred stage has a shift")
-    claim = f"limsup |e_1(t)| <= {proof[-1]['bound']}"
+    claim = f"limsup |e_1(t)| <= {proof[-1]['bound']}" + of_start(document)
     demand(document["claim"] == claim, "the claim is not that of the proof")
     system = System(document["system"], stated_bounds)
     if basis == "premises":
-        check_premises(document["premises"], system, tomllib.loads(document["system"]))
+        check_premises_of(document, system)
     else:
         demand(all(isinstance(text, str) for text in document["assumptions"]), "no texts")
     adaptive = (lambda alpha: system.leakage(alpha, Q(0))) if system.adaptive else None
@@ -790,13 +792,14 @@ def check_bootstrap(document, stated_bounds):
     demand(len(stages) <= 64 and first["shift"] == "0", "too many stages, or a shift")
     system = System(document["system"], stated_bounds)
     demand(system.adaptive, "the bootstrap is for the adaptive law")
-    check_premises(document["premises"], system, tomllib.loads(document["system"]))
+    check_premises_of(document, system)
     leakage = partial(system.leakage, shift=Q(0))
     parts = (system.a, system.b, system.y, leakage, system.selections)
     E, P = check_stage(first, Problem(system.M, system.A_inverse, *parts), system.n - 1)
     bound = check_stages(system, E, P, stages)
     claims = [c["bound"] for s in stages for f in s["functions"] for c in f["claims"]]
-    texts = {f"limsup |e_1(t)| <= {text}" for text in claims if decimal(text) == bound}
+    start = of_start(document)
+    texts = {f"limsup |e_1(t)| <= {text}{start}" for text in claims if decimal(text) == bound}
     demand(document["claim"] in texts, "the claim is not that of the proof")
     return bound
 
@@ -817,6 +820,7 @@ def check_sampled(document, stated_bounds):
     """The implemented loop; its arithmetic is in a file of its own."""
     import independent_sampled
 
+    demand("region" not in document, "the implemented loop has no such region")
     table = tomllib.loads(document["system"])
     ranged = any("cell" in entry for entry in document["proof"])
     if ranged:
@@ -852,7 +856,20 @@ def known_rates(u):
     ]
 
 
-def check_premises(premises, system, table, sampled=False, slow=False):
+def of_start(document):
+    return " from simulation.x0" if "region" in document else ""
+
+
+def check_premises_of(document, system):
+    """Those of a continuous loop, and the region that some may need."""
+    from independent_region import check_region
+
+    table = tomllib.loads(document["system"])
+    check_premises(document["premises"], system, table, regional="region" in document)
+    check_region(document, system, table)
+
+
+def check_premises(premises, system, table, sampled=False, slow=False, regional=False):
     """Step 11: names, their order, and that none is contradicted."""
     demand(isinstance(premises, list), "the premises are no list")
     names = []
@@ -862,7 +879,9 @@ def check_premises(premises, system, table, sampled=False, slow=False):
         demand(record["status"] != "contradicted", f"{record['name']} is contradicted")
         demand(record["witness"] is None, "a premise that holds has a witness")
         demand(isinstance(record["detail"], str) and isinstance(record["remedy"], str), "no text")
-        names.append(record["name"].removesuffix(IN_REGION) if sampled else record["name"])
+        names.append(
+            record["name"].removesuffix(IN_REGION) if sampled or regional else record["name"]
+        )
     own = "states" in table["truth"]
     regressor = bool(table["plant"].get("regressor"))
     expected = ["plant"]

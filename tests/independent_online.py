@@ -27,6 +27,7 @@ RULE = {"rate", "threshold", "rise", "fall", "schedule"}
 
 def check_online(document, stated_bounds):
     """The proven bound on limsup |e_1| for every motion of the gains."""
+    demand("region" not in document, "gains that move have no region")
     (entry,) = document["proof"]
     demand(set(entry) == {"bound", "ends"}, "the proof has other keys")
     stages = entry["ends"]

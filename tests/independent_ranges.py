@@ -986,12 +986,15 @@ def check_cells(document, stated_bounds=None):
             demand(stage["shift"] == "0", "only a centred stage has a shift")
     bounds = [base.decimal(entry["bound"]) for entry in proof]
     largest = [entry["bound"] for entry, b in zip(proof, bounds, strict=True) if b == max(bounds)]
-    claims = {f"limsup |e_1(t)| <= {text}" for text in largest}
+    claims = {f"limsup |e_1(t)| <= {text}{base.of_start(document)}" for text in largest}
     demand(document["claim"] in claims, "the claim is not that of the proof")
     system = RangedSystem(document["system"], stated_bounds, slopes=True)
     if len(cells[0]) == system.ranged:  # every nonlinear term is a b-input
         system = RangedSystem(document["system"], stated_bounds)
-    base.check_premises(document["premises"], system, system.table)
+    if "region" in document:  # then nothing has a range
+        base.check_premises_of(document, base.System(document["system"], stated_bounds))
+    else:
+        base.check_premises(document["premises"], system, system.table)
     if system.plant.get("uncertainty", {}).get("constants_vary", False):
         demand(len(cells) == 1 and not system.adaptive, "constants that vary need one cell")
     demand(all(len(cell) == system.width for cell in cells), "a cell has another dimension")

@@ -24,14 +24,7 @@ from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.lags import lag_gains
 from certrack.certificates.implemented.polytope import Polytope, _cut, common, half_spaces
 from certrack.certificates.implemented.rates_used import rates_unused
-from certrack.certificates.implemented.region import (
-    IN_REGION,
-    _within,
-    is_only_in_region,
-    region_of_runs,
-    while_within,
-    without_polytopes,
-)
+from certrack.certificates.implemented.region import region_of_runs, without_polytopes
 from certrack.certificates.implemented.regional import (
     descend,
     in_the_long_run,
@@ -39,6 +32,7 @@ from certrack.certificates.implemented.regional import (
     not_reached,
 )
 from certrack.certificates.implemented.timing import TimedBounds, _crosses, _in_cell_pulse
+from certrack.certificates.region import IN_REGION, _within, is_only_in_region, while_within
 from certrack.certificates.sampling import Points
 from certrack.core.errors import InputError
 

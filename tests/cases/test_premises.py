@@ -126,7 +126,7 @@ def test_a_domain_that_holds_is_proven(tmp_path):
 @pytest.mark.parametrize("verb", ["simulate", "compare"])
 def test_runs_say_once_that_no_certificate_covers_them(capfd, verb):
     _, _, err = invoke(capfd, verb, str(path("viol.toml")), "--json")
-    assert err.count("no certificate covers this") == 1
+    assert err.count("no certificate covers every start") == 1
     assert "widen beta[1] to 0.5" in err
 
 

@@ -135,6 +135,9 @@ def _facts(system: System, results: Certificates) -> list[tuple[str, str]]:
         seconds = results.tube.settling_time(band)
         when = "never" if math.isinf(seconds) else f"after {printed_bound(seconds, 3)} s"
         facts.append((f"within \N{PLUS-MINUS SIGN}{band:g}{unit}, proven", when))
+    if results.starts_box is not None:
+        box = f"x0 \N{PLUS-MINUS SIGN} {rounded_down(results.starts_box, 3)}"
+        facts.append(("holds from starts in", box))
     scale = results.critical_semidefinite
     if scale:
         text = (

@@ -192,7 +192,7 @@ class UncertainTerm:
         """The same for all states with |x_i| <= region_i; for all if there is none."""
         if self.zero:
             return True
-        if not always_defined(self.formula, self.states):
+        if not always_defined(self.formula, self.states, region):
             return False
         norm = Fraction(0)
         if region is not None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from certrack.certificates.certificate import Certificate
+from certrack.certificates.document import Stage
 from certrack.certificates.estimates.estimate import BoundEstimate
 from certrack.certificates.exact import Proof
 from certrack.certificates.implemented.certify import (
@@ -18,13 +19,14 @@ from certrack.certificates.implemented.certify import (
 from certrack.certificates.implemented.drive import NO_IMPLEMENTATION
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
-from certrack.certificates.implemented.region import is_only_in_region
 from certrack.certificates.implemented.regional import is_of_starts
+from certrack.certificates.level_set import KeptRegion, kept_region, largest_box, premises_from_x0
 from certrack.certificates.methods import (
     METHOD_STEPS,
     NOMINAL_KINDS,
     QUADRATIC_KINDS,
     RANGE_KINDS,
+    Methods,
     Proofs,
     certify_semidefinite,
     every_certificate,
@@ -39,6 +41,7 @@ from certrack.certificates.ranges.costs import ConstantCost
 from certrack.certificates.ranges.proofs import CellProof
 from certrack.certificates.ranges.strength import RangeStrength
 from certrack.certificates.ranges.tube import range_tube
+from certrack.certificates.region import is_only_in_region
 from certrack.certificates.scope import has_ranges
 from certrack.certificates.strength import critical_semidefinite
 from certrack.certificates.tube import Tube, tube
@@ -99,6 +102,13 @@ class Certificates(ShownInNotebooks):
         What the best of it rests on, and whether the system's own truth keeps it. Where it breaks
         one, nothing is verified and there is no tube: bounds are those of the design that the truth
         leaves.
+    region : KeptRegion or None
+        The stage whose level set keeps the states where the premises hold, if they do not hold
+        everywhere; the bounds of the continuous loop are from x0 then.
+    starts_box : float or None
+        Where a premise of the continuous loop holds only in the region that the states keep from
+        x0: the bounds hold from every start with |x_i - x0_i| <= starts_box, in the states' units.
+        None where they hold from every start.
     """
 
     published: Certificate
@@ -124,6 +134,8 @@ class Certificates(ShownInNotebooks):
     implemented_proof: tuple[ImplementedProof, ...] = ()
     constants: tuple[ConstantCost, ...] = ()
     critical_ranges: RangeStrength | None = None
+    region: KeptRegion | None = None
+    starts_box: float | None = None
 
     def __repr__(self) -> str:
         entries = [getattr(self, entry.name) for entry in fields(self)]
@@ -154,12 +166,15 @@ class Certificates(ShownInNotebooks):
         return self.best.verified and not self.contradicted
 
     @property
-    def stages(self) -> Proofs | tuple[ImplementedProof, ...]:
+    def stages(self) -> tuple[Stage, ...]:
         """Proof of the best: of the implemented loop; else of the tightest that a file holds.
 
-        Empty where there is none, and where a premise is contradicted.
+        Before it the region that the states keep, if a premise holds there only. Empty where there
+        is no proof, and where a premise is contradicted.
         """
-        return () if self.contradicted else self.implemented_proof or self.tightest
+        if self.contradicted or self.implemented_proof or not self.tightest:
+            return () if self.contradicted else self.implemented_proof
+        return self.tightest if self.region is None else (self.region, *self.tightest)
 
     @property
     def tube_kind(self) -> str:
@@ -246,10 +261,14 @@ def certify(
     later = system.long_run
     as_run = system if is_of_starts(system) else later
     rests_on = everywhere = premises(as_run if implemented.verified else later)
+    region = None
     if implemented.verified:
         rests_on = premises_as_implemented(as_run, implemented_proof)
-    if is_only_in_region(rests_on):
-        implemented, implemented_proof = from_x0_only(implemented, implemented_proof)
+        if is_only_in_region(rests_on):
+            implemented, implemented_proof = from_x0_only(implemented, implemented_proof)
+    else:
+        region = kept_region(system, _in_all_errors(methods))  # counts a soft start
+        rests_on = everywhere = premises_from_x0(later, region)
     result = Certificates(
         **methods.certificates,
         proof=next(iter(methods.stages_of("semidefinite")), None),
@@ -267,6 +286,8 @@ def certify(
         implemented_proof=implemented_proof,
         constants=methods.ranges.constants,
         critical_ranges=methods.ranges.strength,
+        region=region,
+        starts_box=None if region is None else largest_box(later, region),
     )
     progress(STEPS, STEPS, None)
     broken = contradicted(everywhere)
@@ -274,6 +295,11 @@ def certify(
         others = replace(result, proof=None, cascade_proof=None, tightest=())
         return replace(_unverified(others, broken[0]), implemented=implemented)
     return _unverified(result, broken[0]) if result.contradicted else result
+
+
+def _in_all_errors(methods: Methods) -> tuple[Proof, ...]:
+    """Stages whose quadratic function is of all errors: of e_1, and the first of a cascade."""
+    return (*methods.stages_of("semidefinite")[:1], *methods.stages_of("cascade")[:1])
 
 
 def _implemented(

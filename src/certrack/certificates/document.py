@@ -32,21 +32,23 @@ from certrack.certificates.implemented.document import (
 )
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.proof import ImplementedProof
-from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
+from certrack.certificates.implemented.region import without_polytopes
 from certrack.certificates.implemented.regional import is_of_starts
 from certrack.certificates.layout import (
     FORMAT,
     FORMAT_1,
     MAX_CERTIFICATE_BYTES,
+    REGION_KEY,
     check_layout,
     read_document,
 )
+from certrack.certificates.level_set import KeptRegion, premises_from_x0
 from certrack.certificates.online.certify import OnlineProof, failed_online
 from certrack.certificates.premise import Premise, contradicted
-from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.certify import cover_bound
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, CellProof, check_cells
 from certrack.certificates.records import cell_record, online_record, stage_record
+from certrack.certificates.region import claim_text, is_only_in_region
 from certrack.core.budget import within_budget
 from certrack.core.errors import CertrackError, InputError
 from certrack.core.files import write_text
@@ -91,7 +93,7 @@ class Verdict:
 
 
 #: What a document holds: a stage, a cell, that of moving gains, or the proof for one delay.
-Stage = Proof | CellProof | OnlineProof | ImplementedProof | BootstrapStage
+Stage = Proof | CellProof | OnlineProof | ImplementedProof | BootstrapStage | KeptRegion
 
 
 def to_document(system: System, *stages: Stage) -> dict[str, Any]:
@@ -102,7 +104,8 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     system : System
     *stages : Proof
         One for a semidefinite bound, two or three for a cascade, the cells that fill the
-        ranges of constants, or the proofs of the implemented loop.
+        ranges of constants, or the proofs of the implemented loop; and the region that the states
+        keep, where a premise holds there only.
 
     Returns
     -------
@@ -121,12 +124,17 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     >>> certrack.certificates.to_document(system, *found.stages)["format"]
     'certrack-certificate/2'
     """
+    region = next((stage for stage in stages if isinstance(stage, KeptRegion)), None)
+    stages = tuple(stage for stage in stages if not isinstance(stage, KeptRegion))
     if not stages:
         raise InputError("stages", "there is no proof to save")
     cells = tuple(stage for stage in stages if isinstance(stage, CellProof))
     sampled = tuple(stage for stage in stages if isinstance(stage, ImplementedProof))
     system = system if sampled and is_of_starts(system) else system.long_run
-    rests_on = premises_as_implemented(system, sampled) if sampled else premises(system)
+    if sampled:
+        rests_on = premises_as_implemented(system, sampled)
+    else:
+        rests_on = premises_from_x0(system, region)
     if broken := contradicted(rests_on):
         raise InputError("premises", f"the truth contradicts one: {broken[0]}")
     grounded = tuple(stage for stage in stages if isinstance(stage, BootstrapStage))
@@ -139,11 +147,15 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
-        "claim": claim_of(system, bound, rests_on) if sampled else f"limsup |e_1(t)| <= {bound}",
+        "claim": claim_of(system, bound, rests_on)
+        if sampled
+        else claim_text(bound, is_only_in_region(rests_on)),
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system.replace(law=system.law.settled(system.plant))),
         "proof": [json.loads(json.dumps(record_of(stage))) for stage in stages],
     }
+    if region is not None:
+        body[REGION_KEY] = json.loads(json.dumps(record_of(region.stage)))
     return body | {"sha256": _digest(body)}
 
 
@@ -248,7 +260,10 @@ def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
 
 
 def _verified(
-    body: dict[str, Any], bound: str, shifts: Iterable[str], failed: Callable[[System], str]
+    body: dict[str, Any],
+    bound: str,
+    shifts: Iterable[str],
+    failed: Callable[[System], str],
 ) -> Verdict:
     """Check a well formed proof of the continuous law.
 
@@ -258,12 +273,20 @@ def _verified(
         return Verdict(False, bound, "the file was changed after it was made")
     if any(shift != NO_SHIFT for shift in shifts):
         return Verdict(False, bound, "a shift stands in a stage that does not use it")
-    if body["claim"] != f"limsup |e_1(t)| <= {bound}":
+    if body["claim"] not in (claim_text(bound, False), claim_text(bound, True)):
         return Verdict(False, bound, "the claim is not that of the proof")
     system = loads(body["system"], "system")
     if reason := _left_open(system) or failed(system):
         return Verdict(False, bound, reason)
-    return _rests_on(body, bound, premises(system), assumptions(system))
+    region = KeptRegion(stage_record(body[REGION_KEY])) if REGION_KEY in body else None
+    rests_on = premises_from_x0(system, region)
+    if region is not None and not is_only_in_region(rests_on):
+        return Verdict(
+            False, bound, "a region stands there that no premise needs, or that is not kept"
+        )
+    if body["claim"] != claim_text(bound, is_only_in_region(rests_on)):
+        return Verdict(False, bound, "the claim is of other starts than the premises allow")
+    return _rests_on(body, bound, rests_on, assumptions(system))
 
 
 def _left_open(system: System) -> str:
@@ -335,6 +358,8 @@ def _verify_implemented(body: dict[str, Any]) -> Verdict:
     check_layout(body)
     if body["format"] != FORMAT:
         raise InputError("format", f"must be {FORMAT} for an implemented loop", body["format"])
+    if REGION_KEY in body:
+        raise InputError(REGION_KEY, "is of a continuous law only")
     proofs = implemented_proofs(body["proof"])
     bound = largest_bound(proofs)
     if body["sha256"] != _digest(body):

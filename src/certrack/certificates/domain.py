@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 import sympy
@@ -46,9 +47,11 @@ class Condition:
     def __str__(self) -> str:
         return f"{self.inside} must be {self.must_be} in {self.part}"
 
-    def proven(self, states: Sequence[sympy.Symbol]) -> bool:
-        """Whether intervals prove it for all states and t >= 0."""
-        low, high = interval_ends(self.inside, whole_space(states))
+    def proven(
+        self, states: Sequence[sympy.Symbol], region: Sequence[Fraction] | None = None
+    ) -> bool:
+        """Whether intervals prove it for all states, or |x_i| <= region_i, and t >= 0."""
+        low, high = interval_ends(self.inside, whole_space(states, region))
         if self.must_be == NONNEGATIVE:
             return low >= 0
         return low > 0 or (self.must_be == NONZERO and high < 0)
@@ -131,9 +134,13 @@ def _conditions(f: sympy.Expr) -> Iterator[Condition]:
             yield Condition(f, base, NONNEGATIVE if exponent > 0 else POSITIVE)
 
 
-def always_defined(formula: sympy.Expr, states: Sequence[sympy.Symbol]) -> bool:
-    """Whether intervals prove that the formula has a value for all states and t >= 0."""
-    return all(condition.proven(states) for condition in conditions(formula))
+def always_defined(
+    formula: sympy.Expr,
+    states: Sequence[sympy.Symbol],
+    region: Sequence[Fraction] | None = None,
+) -> bool:
+    """Whether intervals prove a value for all states, or |x_i| <= region_i, and t >= 0."""
+    return all(condition.proven(states, region) for condition in conditions(formula))
 
 
 def undefined_at(

@@ -22,6 +22,9 @@ DOCUMENT_KEYS = {
     FORMAT_1: ("format", "made_by", "claim", "assumptions", "system", "proof", "sha256"),
 }
 
+#: There only where a premise holds in the region that this stage keeps.
+REGION_KEY = "region"
+
 
 def read_document(path: Path) -> dict[str, Any]:
     """The JSON object of a file; no key may stand twice, and no number be infinite."""
@@ -64,7 +67,8 @@ def check_layout(body: dict[str, Any]) -> None:
     if body["format"] not in DOCUMENT_KEYS:
         raise InputError("format", f"must be {FORMAT} or {FORMAT_1}", body["format"])
     keys = DOCUMENT_KEYS[body["format"]]
-    if sorted(map(str, body)) != sorted(keys):
+    optional = {REGION_KEY} if body["format"] == FORMAT else set()
+    if sorted(map(str, set(body) - optional)) != sorted(keys):
         raise InputError("", "is not a certificate: it must have " + ", ".join(keys))
     if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
         raise InputError("", "is not a certificate: texts expected")

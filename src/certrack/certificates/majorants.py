@@ -43,9 +43,15 @@ ROOT_FACTORS: dict[Any, Fraction] = {
 }
 
 
-def whole_space(states: Sequence[sympy.Symbol]) -> dict[sympy.Symbol, Any]:
-    """All states and all t >= 0, as intervals."""
-    return {TIME: iv.mpf([0, "inf"]), **{x: iv.mpf(["-inf", "inf"]) for x in states}}
+def whole_space(
+    states: Sequence[sympy.Symbol], region: Sequence[Fraction] | None = None
+) -> dict[sympy.Symbol, Any]:
+    """All states, or those with |x_i| <= region_i, and all t >= 0, as intervals."""
+    if region is None:
+        sizes = [iv.mpf(["-inf", "inf"])] * len(states)
+    else:
+        sizes = [iv.mpf([-1, 1]) * r.numerator / r.denominator for r in region]
+    return {TIME: iv.mpf([0, "inf"]), **dict(zip(states, sizes, strict=True))}
 
 
 def interval_ends(

@@ -313,16 +313,21 @@ def _number(value: Fraction) -> str:
     return f"{float(value):.6g}"
 
 
-def _domain(system: System, points: Points) -> Premise:
+def formulas_of_states(system: System) -> tuple[dict[str, sympy.Expr], str]:
+    """What must have a value wherever the states are, by its key, and all of it in words."""
     plant, online = system.plant, system.law.online
     formulas, named = {"plant.drift": plant.drift.expr}, "drift and regressor"
     formulas |= {f"plant.regressor[{i}]": v.expr for i, v in enumerate(plant.regressor)}
     if online is not None and online.schedule is not None:
         formulas["law.online.schedule"] = online.formula(plant)
         named = "drift, regressor and schedule"
-    unproven = False
-    for key, formula in formulas.items():
-        exact = _numeric(formula, plant)
+    return {key: _numeric(formula, plant) for key, formula in formulas.items()}, named
+
+
+def _domain(system: System, points: Points) -> Premise:
+    plant, unproven = system.plant, False
+    formulas, named = formulas_of_states(system)
+    for key, exact in formulas.items():
         undefined = undefined_at(exact, plant.symbols, points)
         if undefined is not None:
             condition, where = undefined

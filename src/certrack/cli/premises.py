@@ -19,12 +19,14 @@ def say_contradicted(broken: Sequence[Premise]) -> None:
 
 
 def note_contradictions(system: System, file: str, *, replaced: bool = False) -> None:
-    """Say, once, that no certificate covers the runs of a file whose truth breaks a premise.
+    """Say, once, that no certificate covers all runs of a file whose truth breaks a premise.
+
+    Where it breaks it far away only, `certify` may have one from x0.
 
     With `replaced`, omega does not matter: the runs have other disturbances.
     """
     from certrack.certificates.premise import contradicted
-    from certrack.certificates.premises_of_truth import premises
+    from certrack.certificates.premises_of_truth import DOMAIN, premises
 
     if system.law.no_certificate:
         return
@@ -32,9 +34,11 @@ def note_contradictions(system: System, file: str, *, replaced: bool = False) ->
     if replaced:
         broken = tuple(p for p in broken if not p.name.startswith("w_"))
     if broken:
+        far = broken[0].name.startswith("w_") or broken[0].name == DOMAIN
+        what = "every start" if far else "this"
         more = f" (and {len(broken) - 1} more, see: certrack check)" if len(broken) > 1 else ""
         click.echo(
-            f"certrack: note: {file}: no certificate covers this: {_one(broken[0])}{more}",
+            f"certrack: note: {file}: no certificate covers {what}: {_one(broken[0])}{more}",
             err=True,
         )
 

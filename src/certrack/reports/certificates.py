@@ -38,6 +38,7 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
         "attainable": results.attainable,
         "verified": results.verified,
         "best": _best(results),
+        "starts_box": results.starts_box,
         "critical_strength": {
             "published": min(results.critical_published, LARGEST_STRENGTH),
             "semidefinite": min(results.critical_semidefinite, LARGEST_STRENGTH),
@@ -55,6 +56,14 @@ def certificates_summary(results: Certificates) -> dict[str, Any]:
         },
         "premises": [premise.record() for premise in results.premises],
     }
+
+
+def certified_starts(results: Certificates) -> str:
+    """From which starts the bounds of the continuous loop hold, in words; nothing for all."""
+    if results.starts_box is None:
+        return ""
+    box = rounded_down(results.starts_box, 3)
+    return f" from simulation.x0 and every start with |x_i - x0_i| <= {box}"
 
 
 def _best(results: Certificates) -> dict[str, Any] | None:
@@ -112,6 +121,10 @@ def certificates_notes(results: Certificates) -> list[str]:
             f"{_strength_text(results.critical_semidefinite)}"
         ]
     lines = [*implemented_notes(results.implemented, BOUND_TEXT_DIGITS), *lines]
+    if results.starts_box is not None:
+        lines.insert(
+            0, f"a premise holds in a region only, so the bounds hold{certified_starts(results)}"
+        )
     if results.tube is not None:
         lines.append(_of_tube(results, results.tube))
     return lines

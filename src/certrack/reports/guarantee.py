@@ -9,7 +9,7 @@ from certrack.core.rounding import printed_bound, rounded_up
 from certrack.plotting.shared import as_svg
 from certrack.plotting.starts import starts_figure
 from certrack.plotting.tubes import tube_figure
-from certrack.reports.certificates import certificates_notes, certificates_table
+from certrack.reports.certificates import certificates_notes, certificates_table, certified_starts
 from certrack.reports.evidence import DesignEvidence
 from certrack.reports.premises import premise_rows
 from certrack.reports.ranges import costs_table, strength_line
@@ -57,6 +57,8 @@ def _guaranteed(evidence: DesignEvidence) -> str:
         loop = f", of the loop as the drive runs it{for_starts(results.implemented)}"
     elif evidence.system.implementation is not None:
         loop = ", of the continuous law; nothing is verified of the loop as the drive runs it"
+    if best is not results.implemented:
+        loop += certified_starts(results)
     checked = "verified exactly" if best.verified else "NOT verified"
     return f"limsup |e_1| <= {bound}, {checked} ({best.kind}{loop})"
 

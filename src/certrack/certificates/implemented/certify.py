@@ -36,10 +36,11 @@ from certrack.certificates.implemented.proof import (
 )
 from certrack.certificates.implemented.ranged import RangedPlant
 from certrack.certificates.implemented.rates_used import rated_terms, rates_unused
-from certrack.certificates.implemented.region import is_only_in_region, without_polytopes
+from certrack.certificates.implemented.region import without_polytopes
 from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.implemented.start_proof import X0
 from certrack.certificates.premise import Premise
+from certrack.certificates.region import claim_text, is_only_in_region
 from certrack.core.errors import InputError
 from certrack.core.progress import Progress, silent
 from certrack.core.rounding import rounded_up
@@ -268,9 +269,8 @@ def largest_bound(proofs: Sequence[ImplementedProof]) -> str:
 
 def claim_of(system: System, bound: str, rests_on: Sequence[Premise] = ()) -> str:
     """What a certificate file claims; of the file's own start where it is not of all."""
-    claim = f"limsup |e_1(t)| <= {bound}"
     partly = is_limited(system) or is_regional(system) or is_only_in_region(rests_on)
-    return f"{claim} from simulation.x0" if partly else claim
+    return claim_text(bound, partly)
 
 
 def failed_cover(system: System, proofs: Sequence[ImplementedProof]) -> str:

@@ -11,14 +11,11 @@ from certrack.certificates.implemented.drive import nominal_drive
 from certrack.certificates.implemented.input_limits import is_limited
 from certrack.certificates.implemented.proof import ImplementedProof
 from certrack.certificates.implemented.rate_premise import rate_premises
-from certrack.certificates.implemented.region import (
-    in_region,
-    region_of_runs,
-    while_within,
-)
+from certrack.certificates.implemented.region import region_of_runs
 from certrack.certificates.implemented.regional import is_regional
 from certrack.certificates.premise import ASSUMED, CHECKED, PROVEN, Premise
 from certrack.certificates.premises_of_truth import CONTINUOUS_LAW, premises
+from certrack.certificates.region import in_region, while_within
 from certrack.core.rounding import rounded_up
 from certrack.laws.observer import DOB
 from certrack.model.implementation import Implementation
@@ -55,7 +52,7 @@ def premises_as_implemented(
     """
     drive = system.implementation
     assert drive is not None
-    rests_on = in_region(system, premises(system), proofs)
+    rests_on = in_region(system, premises(system), region_of_runs(proofs))
     others = [premise for premise in rests_on if premise.name != CONTINUOUS_LAW]
     added = [
         Premise(SAMPLED_LOOP, PROVEN, _covered(system, drive)),
