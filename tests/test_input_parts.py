@@ -132,7 +132,7 @@ def test_the_constant_is_what_cancels_the_drift_at_rest():
 
 
 def test_the_programs_find_what_their_proofs_give(bounded):
-    """The value of the energy is the largest V(0), that of the peak the larger of V(0), Delta/alpha."""
+    """The value of the energy is the largest V(0), that of the peak max(V(0), Delta/alpha)."""
     system, _ = bounded
     exact = input_problem(system)
     starts, _ = starts_of(system, None)
@@ -203,7 +203,7 @@ def test_the_bounds_are_what_their_proofs_give(bounded):
         zero = rational(0)
         return nu, k, sum(nu, zero), starting_energy(system, exact.problem, P, starts)
 
-    nu, k, total, V = numbers(found.energy)
+    _, k, total, V = numbers(found.energy)
     energy = V + rational(T) * (total + sum((a * b for a, b in zip(k, shares, strict=True)), 0))
     _, k, total, _ = numbers(found.rms)
     rms = total + sum(k, rational(0))
@@ -270,7 +270,9 @@ def test_a_proof_needs_its_shape_its_signs_and_its_rate(bounded):
         for group in ("nu", "k", "lam"):
             texts = getattr(proof, group)
             assert value(replace(proof, **{group: ("-1e-30", *texts[1:])})) is None
-    assert energy_bound(system, input_problem(shifted()), found.energy.proof, (), 10.0, ones) is None
+    assert (
+        energy_bound(system, input_problem(shifted()), found.energy.proof, (), 10.0, ones) is None
+    )
 
 
 def test_without_starts_nothing_is_added():
