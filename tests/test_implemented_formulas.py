@@ -24,6 +24,7 @@ from certrack.certificates.implemented.gains import (
     upper_number,
 )
 from certrack.certificates.implemented.growing import GrowingBound
+from certrack.certificates.implemented.levels import Level, reference_columns
 from certrack.certificates.implemented.outputs import output_rows
 from certrack.certificates.implemented.period import gamma, one_period, shift
 from certrack.certificates.implemented.start import (
@@ -45,6 +46,64 @@ def exact_period(Ly, parts, n=1, lipschitz=0.01):
     W = [[0]] * (n - 1) + [[1]]
     Y = [1.0] * len(Ly)
     return one_period(bare_drive(A, b, W, Ly, 0.1, Y, lipschitz, [UNIT_W][:1]), parts)
+
+
+@pytest.mark.parametrize("lipschitz", [0.01, None])
+@pytest.mark.parametrize("phase", [1, 2, 3])
+@pytest.mark.parametrize("q", [0, 1, 2, 4])
+def test_what_is_seen_of_the_reference_by_levels_is_the_definition(q, phase, lipschitz):
+    """k_r = spread - E Pi' Gamma(age) of each cell, newest first, its second derivatives, and E D.
+
+    Each cell has a Pi' of its own at its end, which is not that of its beginning.
+    """
+    rng = np.random.default_rng(q)
+
+    def some(columns):
+        return flint.arb_mat(rng.integers(-9, 9, (period.size, columns)).tolist())
+
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, *range(2, q + 3)], (1, 3), lipschitz=lipschitz)
+        J = len(period.cells)
+        levels = [
+            Level(tuple(some(q + 1) for _ in range(J + 1)), tuple(some(q + 1) for _ in range(J)))
+            for _ in range(2)
+        ]
+        found, over = reference_columns(period, levels, phase), period.since_jump(phase)
+        entire = phase == J and lipschitz is not None
+        spread = over[-1] * column(period.reference, q + 1) / flint.arb(period.drive.T)
+        nodes, samples, bends, weights = [], [], [], []
+        for back in range(phase):
+            p, matrix = phase - 1 - back, over[back]
+            h = period.cells[p].length
+            for age in (flint.fmpq(0), h):
+                for level in levels:
+                    kernel = -matrix * (level.Pi[p + 1] * gamma(q, age))
+                    nodes.append(kernel + spread if entire else kernel)
+            samples += [matrix * level.residual[p] for level in levels]
+            for level in levels:
+                for j in range(q - 1):
+                    bends.append(matrix * column(level.Pi[p + 1], j))
+                    power = float(h) ** (q - 2 - j) / math.factorial(q - 2 - j)
+                    weights.append(power * float(h) ** 3 / 12)
+
+        def same(matrix, parts):
+            entries = [[v for part in parts for v in part.tolist()[i]] for i in range(period.size)]
+            assert [len(row) for row in matrix.tolist()] == [len(row) for row in entries]
+            for row, other in zip(matrix.tolist(), entries, strict=True):
+                assert all(
+                    abs(float((a - b).mid())) < 1e-12 for a, b in zip(row, other, strict=True)
+                )
+
+        same(found.nodes, nodes)
+        same(found.samples, samples)
+        assert (found.bends is None) == (not bends)
+        if bends:
+            same(found.bends, bends)
+        assert found.bend_weights == pytest.approx(np.array(weights), rel=1e-12)
+        assert (found.bend_weights >= np.array(weights) * (1 - 1e-15)).all()
+        h = float(period.cells[0].length)
+        assert found.lengths == pytest.approx([h, 0.0] * (phase - 1) + [h], rel=1e-15)
+        assert found.curvature.shape == (period.size, 0)
 
 
 @pytest.mark.parametrize("smeared", [True, False])

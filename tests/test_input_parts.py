@@ -3,6 +3,7 @@
 from dataclasses import replace
 from fractions import Fraction
 
+import flint
 import numpy as np
 import pytest
 from test_input_bounds import lean
@@ -312,6 +313,15 @@ def test_a_solution_gives_way_by_the_same_part_more_and_more():
         np.testing.assert_allclose(lam, solution.lam * (1 + slack), rtol=1e-6, atol=2e-12)
 
 
+def test_multipliers_that_are_all_zero_give_way_by_a_part_of_the_value():
+    system = plain()
+    solution = InputProgram(input_problem(system).in_floats()).peak(0.5)
+    none = replace(solution, nu=0 * solution.nu, k=0 * solution.k, value=4.0)
+    for slack, proof in zip(room.BACK_OFF, room._as_proofs(none), strict=True):
+        for text in (*proof.nu, *proof.k):
+            assert float(text) == pytest.approx(4e-12 * slack, rel=1e-12, abs=0)
+
+
 def test_the_best_rate_of_those_tried_counts(monkeypatch):
     """The program of each, the smallest value first."""
     system = plain()
@@ -395,6 +405,18 @@ def test_the_mean_of_a_ramp_is_known():
     above = sum((i + 1) ** 2 for i in range(N)) / N**3 * (2e-3) ** 2
     assert values[0] == pytest.approx(above, rel=1e-5)
     assert float(Fraction(1, 3)) * (2e-3) ** 2 < values[0]
+
+
+def test_a_reference_without_a_rule_counts_as_if_it_were_at_its_bounds(monkeypatch):
+    """And the precision of the balls is what it was."""
+
+    def refuse(*_):
+        raise ValueError("no rule")
+
+    before = flint.ctx.prec
+    monkeypatch.setattr("certrack.certificates.mean_squares._mean", refuse)
+    assert mean_squares(plain(), 3, 10.0).tolist() == [1, 1, 1, 1]
+    assert flint.ctx.prec == before
 
 
 def test_a_reference_that_rests_at_its_bound_has_a_mean_of_one():

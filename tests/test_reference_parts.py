@@ -506,6 +506,43 @@ def test_a_soft_start_joins_its_target():
         SoftStart(soft, 0.5)
 
 
+def up_to_one(time, last):
+    """It rises to 1 until a time, and rests there."""
+    return PiecewiseReference((0.0, time, last), ((0, 1 / time, 0, 0), (1, 0, 0, 0)), 1)
+
+
+@pytest.mark.parametrize("end", [0.3, 1.0, 4.0, 1000.0])
+def test_breaks_at_the_ends_of_a_run_but_for_rounding_are_none(end):
+    """Times are the same within 1e-12 of the larger of 1 and the run's end."""
+    same = 1e-12 * max(1.0, end)
+    for part, counted in ((0.7, False), (1.4, True)):
+        knot = end - part * same
+        for found in (
+            up_to_one(knot, 3000.0),
+            SoftStart(certrack.SymbolicReference("sin(2*t)"), knot).joined((1.0,)),
+        ):
+            assert len(found.breaks(0.0, end)) == counted
+            assert len(found.breaks(end, 2 * end)) == 0
+            assert len(found.breaks(knot - part * same, knot + 2 * same)) == counted
+    corner = up_to_one(end, 3000.0)  # and one that is nearly the end of the transient
+    for part, both in ((0.7, 1), (1.4, 2)):
+        soft = SoftStart(corner, end + part * same).joined((1.0,))
+        assert len(soft.breaks(0.0, end + 3 * same)) == both
+
+
+@pytest.mark.parametrize("time", [0.3, 1.0, 1000.0])
+@pytest.mark.parametrize("last", [2000.0, 3000.0])
+def test_a_piece_begins_a_rounding_before_its_time(time, last):
+    """Within 1e-12 of the largest of 1, t and the whole span; a soft start's end without that."""
+    bent, same = up_to_one(time, last), 1e-12 * last
+    assert bent.piece_values(time - 0.7 * same)[1] == 1
+    assert bent.piece_values(time - 1.4 * same)[1] == 0
+    soft = SoftStart(certrack.SymbolicReference("sin(2*t)"), time).joined((1.0,))
+    same = 1e-12 * max(1.0, time)
+    assert soft.piece_values(time - 0.7 * same)[-1] == 0
+    assert soft.piece_values(time - 1.4 * same)[-1] == 1
+
+
 def test_a_soft_start_of_a_target_with_corners_has_no_more_derivatives():
     soft = SoftStart(triangle(0.5, 2.0), 0.3).joined((1.0, 2.0, 3.0))
     assert soft.start == (1.0,) and soft.order == 1

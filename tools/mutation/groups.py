@@ -50,7 +50,7 @@ GROUPS = {
         "certificates/input_* certificates/mean_squares", "input_bounds input_parts"
     ),
     "online": Group("certificates/online/* laws/online", "online online_parts"),
-    "bootstrap": Group("certificates/bootstrap/*", "bootstrap polynomials"),
+    "bootstrap": Group("certificates/bootstrap/*", "bootstrap polynomials bootstrap_parts"),
     "ranges": Group(
         "certificates/ranges/*",
         "range_algebra range_parts kernel_parts prover_parts attainable ranges independent_ranges"
