@@ -21,6 +21,7 @@ from certrack.certificates.bootstrap.box import interval_of
 from certrack.certificates.bootstrap.certify import _first_proof, certify_bootstrap
 from certrack.certificates.bootstrap.check import bounds_error, claimed_bound
 from certrack.certificates.bootstrap.conditions import Polynomials, layout_of, sums_of_squares
+from certrack.certificates.bootstrap.document import bootstrap_stages, is_bootstrap
 from certrack.certificates.bootstrap.forms import forms_of, scaled_ubar
 from certrack.certificates.bootstrap.inequality import (
     Unknowns,
@@ -34,7 +35,12 @@ from certrack.certificates.bootstrap.monomials import monomials
 from certrack.certificates.bootstrap.polynomial_stages import RowSolver, shrunk
 from certrack.certificates.bootstrap.program import BootstrapProgram
 from certrack.certificates.bootstrap.proof import failed_part, prove_function, row_over_box
-from certrack.certificates.bootstrap.ranges import Ranges, _decimal_of
+from certrack.certificates.bootstrap.ranges import (
+    Combination,
+    Ranges,
+    _decimal_of,
+    largest_reach,
+)
 from certrack.certificates.bootstrap.rates import Rate, best_of_rates
 from certrack.certificates.bootstrap.regions import (
     Reached,
@@ -46,10 +52,13 @@ from certrack.certificates.bootstrap.regions import (
     remainder_of,
     rows_of,
 )
+from certrack.certificates.bootstrap.tape import Tape
 from certrack.certificates.bootstrap.variables import knows_reference, with_reference
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import from_text
 from certrack.certificates.formulation import error_problem
+from certrack.core.errors import InputError
+from certrack.core.expressions import parse
 
 ONE = """
 [plant]
@@ -651,6 +660,54 @@ def test_a_sweep_is_gone_on_from_its_best():
     assert rate.alpha < 4.0  # there the bound rises
 
 
+# What a file may hold -----------------------------------------------------------------------------
+
+
+@cache
+def small_document():
+    system = SYSTEMS["gain"]
+    _, proof = certify_bootstrap(system)
+    return json.loads(json.dumps(to_document(system, *proof)))
+
+
+def test_a_file_holds_as_many_parts_as_it_may_and_no_more():
+    """Stages, functions, claims, and entries of a list; each limit is admitted, one more is not."""
+    stage = small_document()["proof"][1]
+    assert len(bootstrap_stages([stage] * 64)) == 64
+    with pytest.raises(InputError, match="at most 64 stages"):
+        bootstrap_stages([stage] * 65)
+    function = stage["functions"][0]
+    for most, changed in (
+        (256, lambda k: stage | {"functions": [function] * k}),
+        (256, lambda k: of_function(claims=[function["claims"][0]] * k)),
+        (2000, lambda k: of_function(mu=["0"] * k)),
+        (2000, lambda k: of_function(G=[["0"]] * k)),
+        (2000, lambda k: of_function(G=[["0"] * k])),
+        (2000, lambda k: stage | {"region": stage["region"] | {"reach": ["1"] * k}}),
+    ):
+
+        def of_function(**changes):
+            return stage | {"functions": [function | changes]}
+
+        (found,) = bootstrap_stages([changed(most)])
+        assert found.region.box == tuple(map(tuple, stage["region"]["box"]))
+        with pytest.raises(InputError, match="too long"):
+            bootstrap_stages([changed(most + 1)])
+    for pair in (["1"], ["1", "2", "3"], "12", 1):
+        with pytest.raises(InputError, match="proof"):
+            bootstrap_stages([stage | {"region": stage["region"] | {"drift": pair}}])
+
+
+def test_what_a_file_says_is_what_was_proven():
+    system = SYSTEMS["gain"]
+    _, proof = certify_bootstrap(system)
+    assert bootstrap_stages(small_document()["proof"][1:]) == proof[1:]
+    assert is_bootstrap({"proof": small_document()["proof"]})
+    for other in ([], [{}], [{}, {}], [{}, {"region": 1}, 3], {"region": 1}, None):
+        assert not is_bootstrap({"proof": other})
+    assert not is_bootstrap([]) and is_bootstrap({"proof": [{}, {"region": 1}]})
+
+
 # Formulas -----------------------------------------------------------------------------------------
 
 
@@ -661,6 +718,77 @@ def test_short_decimals_are_their_own_texts():
     assert _decimal_of(sympy.Rational(1, 3)) is None
     assert _decimal_of(sympy.pi) is None
     assert _decimal_of(sympy.Symbol("x")) is None
+
+
+@pytest.mark.parametrize("formula", ["x1**2 - x1", "sin(3*x1)", "tanh(x1)", "abs(x1 - 0.3)"])
+def test_bounds_on_a_box_hold_and_are_near(formula):
+    """Over e in [-1, 2] and y_d in [-0.2, 0.2]: x_1 = e + y_d; the slope and a constant are in."""
+    stage = first_stage("plain")
+    x1 = formulas_of(stage.system).states[0]
+    expr = parse("", formula, ["x1"]).expr
+    ranges = Ranges(SimpleNamespace(states=(x1,), drift=expr, regressor=()), stage.loop)
+    place = np.array([[-1.0, 2.0], [-0.2, 0.2]])
+    x = np.linspace(-1.2, 2.2, 4001)
+    for slope, constant in ((0, 0), (1, 2)):
+        chosen = Combination((rational(1),), (rational(slope),), rational(constant))
+        values = sympy.lambdify(x1, expr)(x) - slope * x + constant
+        low, high = ranges.bounds(chosen, place)
+        room = 0.03 * (values.max() - values.min())
+        assert values.min() - room <= low <= values.min() + 1e-6
+        assert values.max() - 1e-6 <= high <= values.max() + room
+        assert ranges.within(chosen, place, low, high)
+        assert ranges.within(chosen, place, low - 1, high + 1)
+        assert not ranges.within(chosen, place, values.min() + room, high)
+        assert not ranges.within(chosen, place, low, values.max() - room)
+        third = Combination((rational("0.5"),), (rational(0),), rational(0))
+        half = ranges.bounds(third, place)
+        plain = sympy.lambdify(x1, expr)(x)
+        assert half[1] == pytest.approx(plain.max() / 2, abs=0.03 * np.ptp(plain))
+    fitted = ranges.fitted_slope(place, 400)
+    points = np.random.default_rng(0).uniform(*place.T, (4000, 2)).sum(axis=1)
+    expected = np.polyfit(points, sympy.lambdify(x1, expr)(points), 1)[0]
+    assert fitted == pytest.approx([expected], abs=0.05)
+
+
+def test_the_largest_reach_is_at_a_corner(stage):
+    """||S_k x||, by all corners and, with too many of them, by each entry."""
+    place = box_of_states(stage.loop, stage.numbers.box)
+    through = np.hstack([stage.loop.Xe, stage.loop.AB]).astype(float)
+    corners = np.array(list(itertools.product(*place)))
+    for S, reach in zip(stage.loop.selections, largest_reach(stage.loop, place), strict=True):
+        largest = np.linalg.norm(corners @ (S.astype(float) @ through).T, axis=1).max()
+        assert largest <= reach <= largest * (1 + 1e-10)
+
+
+def test_the_reach_of_many_corners_is_above_that_of_each(monkeypatch):
+    stage = first_stage("order two")
+    place = box_of_states(stage.loop, stage.numbers.box)
+    exact = largest_reach(stage.loop, place)
+    monkeypatch.setattr("certrack.certificates.bootstrap.ranges.MOST_BOX_CORNERS", 1)
+    rough = largest_reach(stage.loop, place)
+    through = np.hstack([stage.loop.Xe, stage.loop.AB]).astype(float)
+    for S, reach, least in zip(stage.loop.selections, rough, exact, strict=True):
+        rows = S.astype(float) @ through
+        entries = np.abs(rows @ place.mean(axis=1)) + np.abs(rows) @ (np.diff(place)[:, 0] / 2)
+        assert reach >= least * (1 - 1e-12)
+        assert np.linalg.norm(entries) <= reach <= np.linalg.norm(entries) * (1 + 1e-10)
+
+
+def test_a_tape_gives_the_values_of_its_formulas():
+    x, y = sympy.symbols("x y", real=True)
+    formulas = [x * sympy.sin(y) + 2, sympy.tanh(x * sympy.sin(y)), sympy.Integer(3), x]
+    tape = Tape(formulas, [x, y])
+    values = [float(v.mid()) for v in tape([flint.arb(0.5), flint.arb(1.25)])]
+    expected = [float(f.subs({x: 0.5, y: 1.25})) for f in formulas]
+    assert values == pytest.approx(expected, rel=1e-12)
+    for function, end in (
+        (sympy.tanh, 1.0),
+        (sympy.atan, math.pi / 2),
+        (sympy.sinh, math.sinh(40)),
+    ):
+        (wide,) = Tape([function(x)], [x])([flint.arb(0, 40)])
+        assert float(wide.upper()) == pytest.approx(end, rel=0.03)
+        assert float(wide.lower()) == pytest.approx(-end, rel=0.03)
 
 
 def test_both_sides_of_the_error_must_be_bounded():

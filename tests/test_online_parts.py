@@ -476,6 +476,27 @@ def test_states_and_numbers_of_a_rule():
     assert plain.formula(certrack.load("example1").plant) == TIME / (1 + TIME)
 
 
+@pytest.mark.parametrize(
+    "name", ["c_n", "gain_rate", "leak_gain", "leak_theta", "rate", "threshold", "rise", "fall"]
+)
+@pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
+def test_numbers_that_are_not_positive_are_refused(name, value):
+    stated = {"c_n": 3.0, "rate": 9.0, **RULE, name: value}
+    with pytest.raises(InputError) as caught:
+        Online(**stated)
+    assert caught.value.key == f"law.online.{name}"
+
+
+@pytest.mark.parametrize("name", ["c", "Gamma"])
+def test_lists_of_numbers_that_are_not_positive_are_refused(name):
+    for value in (0.0, -1.0):
+        with pytest.raises(InputError) as caught:
+            Online(**{name: (1.0, value)}, rate=9.0, **RULE)
+        assert caught.value.key == f"law.online.{name}[1]"
+    assert getattr(Online(**{name: (1.0, 1e-9)}, rate=9.0, **RULE), name) == (1.0, 1e-9)
+    assert Online(K=(0.0, -1.0), r=-2.0, **RULE).K == (0.0, -1.0)
+
+
 def test_a_rule_may_be_as_fast_as_the_rate_and_no_faster():
     assert Online(c_n=3.0, **RULE, rate=RULE["rise"]).rate == RULE["rise"]
     for name in ("rise", "fall"):
