@@ -10,10 +10,13 @@ from certrack.simulation.metrics import (
     _crossing,
     _integral_of_magnitude,
     _interpolate,
+    _most_promising,
+    _tail_candidates,
     measure,
     settling_band,
     supremum,
 )
+from certrack.simulation.refine import Candidates
 
 
 def order(error, counts=(200, 400, 800)):
@@ -127,6 +130,47 @@ def test_a_value_between_samples_is_exact_for_cubics(count):
     few, twice = np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 1.0, 2.0])
     assert _interpolate(few, few**2, 1.5, 2) == 2.5  # by the line
     assert _interpolate(twice, twice**2, 1.5, 3) == 2.5
+
+
+PEAKS = Candidates(
+    begins=np.array([0.0, 2.0, 4.0]),
+    ends=np.array([1.0, 3.0, 5.0]),
+    signs=np.array([1.0, -1.0, 1.0]),
+    sampled=np.array([0.9, 0.8, 0.5]),
+    estimates=np.array([0.94, 0.96, 0.99]),
+)
+
+
+@pytest.mark.parametrize(
+    ("start", "kept"), [(0.0, [1, 2]), (2.5, [1, 2]), (3.0, [2]), (4.5, [2]), (5.0, [])]
+)
+def test_peaks_of_the_tail_that_may_exceed_its_samples_are_refined(monkeypatch, start, kept):
+    """Twice the gain of the parabola must reach beyond the largest sample: 0.98, 1.12, 1.48."""
+    monkeypatch.setattr("certrack.simulation.metrics.candidates", lambda *_: PEAKS)
+    t = np.linspace(0.0, 6.0, 7)
+    best, late = _tail_candidates(t, np.array([3.0, 0, 0, 0, 0, 1, -1]), start, 3)
+    best_of_all = 3.0 if start == 0 else 1.0
+    assert best == best_of_all
+    if start == 0:
+        assert len(late.begins) == 0  # none reaches 3
+        best, late = _tail_candidates(t, np.array([1.0, 0, 0, 0, 0, 1, -1]), start, 3)
+        assert best == 1.0
+    assert late.estimates.tolist() == PEAKS.estimates[kept].tolist()
+    assert late.begins.tolist() == np.maximum(PEAKS.begins[kept], start).tolist()
+    assert late.ends.tolist() == PEAKS.ends[kept].tolist()
+
+
+def test_beyond_the_run_there_is_no_tail(monkeypatch):
+    monkeypatch.setattr("certrack.simulation.metrics.candidates", lambda *_: PEAKS)
+    best, late = _tail_candidates(np.linspace(0, 6, 7), np.zeros(7), 6.5, 3)
+    assert math.isnan(best) and len(late.begins) == 0
+
+
+def test_the_most_promising_are_those_of_the_largest_merit():
+    merit = np.array([0.2, 0.9, 0.5])
+    assert _most_promising(PEAKS, merit, 2).estimates.tolist() == [0.96, 0.99]
+    assert _most_promising(PEAKS, merit, 1).estimates.tolist() == [0.96]
+    assert _most_promising(PEAKS, merit, 4) is PEAKS
 
 
 @pytest.mark.parametrize("order", [1, -1])
