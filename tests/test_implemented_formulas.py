@@ -24,8 +24,8 @@ from certrack.certificates.implemented.gains import (
     upper_number,
 )
 from certrack.certificates.implemented.growing import GrowingBound
-from certrack.certificates.implemented.levels import Level, reference_columns
-from certrack.certificates.implemented.outputs import output_rows
+from certrack.certificates.implemented.levels import Level, _still, reference_columns
+from certrack.certificates.implemented.outputs import InCell, Row, output_rows
 from certrack.certificates.implemented.period import gamma, one_period, shift
 from certrack.certificates.implemented.start import (
     Later,
@@ -104,6 +104,50 @@ def test_what_is_seen_of_the_reference_by_levels_is_the_definition(q, phase, lip
         h = float(period.cells[0].length)
         assert found.lengths == pytest.approx([h, 0.0] * (phase - 1) + [h], rel=1e-15)
         assert found.curvature.shape == (period.size, 0)
+
+
+def test_what_stands_still_of_a_level_is_its_difference_from_the_reference():
+    """|row Pi_p - of_Y| Y, of the Pi of the row's own cell."""
+    rng = np.random.default_rng(11)
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 2, 3], (1, 2))
+        levels = [
+            Level(
+                tuple(
+                    flint.arb_mat(rng.integers(-9, 9, (period.size, 2)).tolist()) for _ in range(3)
+                ),
+                (),
+            )
+            for _ in range(2)
+        ]
+        nothing = InCell((), flint.arb(0), (), flint.arb(0))
+        rows = [
+            Row(0, phase, tuple(map(int, rng.integers(-9, 9, period.size))), (5, -3), 0, nothing)
+            for phase in (1, 0, 1)
+        ]
+        found = _still(period, levels, rows)
+    for row, values in zip(rows, found, strict=True):
+        for level, value in zip(levels, values, strict=True):
+            Pi = np.array([[float(v) for v in line] for line in level.Pi[row.phase].tolist()])
+            expected = np.abs(np.array(row.row) @ Pi - [5, -3]).sum()  # Y = (1, 1)
+            assert value >= expected and value == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_last_rows_are_the_newest_input_and_its_step():
+    """u_k is the entry `command` of chi and u_{k-1} the next one, right after the jump."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 2, 3], (1, 2), n=2)
+        *others, newest, step = output_rows(period)
+    n = period.drive.n
+    assert (newest.output, step.output) == (n + 1, n + 2)
+    assert {row.output for row in others} == set(range(n + 1))
+    for row, entries in ((newest, {0: 1}), (step, {0: 1, 1: -1})):
+        expected = [entries.get(i - period.command, 0) for i in range(period.size)]
+        assert [float(v) for v in row.row] == expected
+        assert (row.phase, row.share) == (0, 0)
+        assert [float(v) for v in row.of_Y] == [0, 0]
+        parts = (*row.in_cell.w, row.in_cell.r, *row.in_cell.x, row.in_cell.u)
+        assert [float(v) for v in parts] == [0] * len(parts)
 
 
 @pytest.mark.parametrize("smeared", [True, False])

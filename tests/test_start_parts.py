@@ -9,7 +9,7 @@ from test_fixed_point_parts import q
 from test_slow_parts import no_less
 
 from certrack.certificates.certificate import NoCertificate
-from certrack.certificates.implemented import start
+from certrack.certificates.implemented import start, start_proof
 from certrack.certificates.implemented.enclosed import Enclosed
 from certrack.certificates.implemented.start import FromStarts
 
@@ -154,7 +154,8 @@ def test_periods_follow_one_after_the_other(size):
         values = base + made._of_u * U + made._running_w[:, 0] * size_of(X[k]) + made._of_x @ X[k]
         expected = made.largest(values)
         assert (run.bounds[k] >= expected).all()
-        assert run.bounds[k] == pytest.approx(expected, rel=1e-7)
+        assert run.bounds[k, [0, 3, 4]] == pytest.approx(expected[[0, 3, 4]], rel=1e-7)
+        assert (X[k] <= 1.05 * expected[1:3]).all()  # where the iteration stops
         assert (X[k] > expected[1:3]).all()
 
 
@@ -236,3 +237,43 @@ def test_what_a_start_adds_to_the_rows(known):
     (zeta,) = seen
     start_free = noise if known else noise + reference
     assert no_less(zeta, np.abs(fixed + 2 * Z) + Z + start_free)
+
+
+def test_what_is_left_to_the_limits_of_the_input_and_of_its_steps(monkeypatch):
+    """end - sign fixed - forced of every period, with forced of the run, free and its error off."""
+    rng = np.random.default_rng(9)
+    K, n = 3, 2
+    of_x0 = Enclosed(rng.normal(size=(K, 6, n)), rng.uniform(0, 1e-3, (K, 6, n)))
+    fixed = Enclosed(rng.normal(size=(K, 6)), rng.uniform(0.1, 1, (K, 6)))
+    transient = SimpleNamespace(of_x0=of_x0, fixed=fixed, free=rng.uniform(0, 1, (K, 6)))
+    run = SimpleNamespace(forced=rng.uniform(0, 1, (K, 2)))
+    frame = SimpleNamespace(begins=np.array([0, 2, 3, 4, 5]))
+    limits = SimpleNamespace(low=q(-7), high=q(9), step=q(4))
+    evidence = SimpleNamespace(run=run, transient=transient, frame=frame)
+    within = [True]
+    prover = SimpleNamespace(
+        system=SimpleNamespace(plant=SimpleNamespace(states=("x1", "x2"))),
+        drive=SimpleNamespace(sized=n),
+        evidence=lambda proof: evidence,
+        within_later=lambda found: within[0],
+    )
+    monkeypatch.setattr(start_proof, "input_limits", lambda system, drive: limits)
+    monkeypatch.setattr(start_proof, "half_spaces", lambda *parts: parts)
+    monkeypatch.setattr(start_proof, "Polytope", lambda *parts: parts)
+    proof = SimpleNamespace(region=((q(-1), q(1)), (q(-2), q(3))))
+    table, off, room, region, pairs, states = start_proof.polytope_of(prover, proof)
+    assert region.tolist() == [[-1, 1], [-2, 3]]
+    assert (pairs, states) == (((-1.0, 1.0), (-2.0, 3.0)), ("x1", "x2"))
+    cases = [(0, 4, 1, 9.0), (0, 4, -1, 7.0), (1, 5, 1, 4.0), (1, 5, -1, 4.0)]
+    for k, (output, at, sign, end) in enumerate(cases):
+        part = slice(k * K, (k + 1) * K)
+        assert (table[part] == sign * of_x0.value[:, at]).all()
+        assert (off[part] == of_x0.error[:, at]).all()
+        forced = run.forced[:, output] + transient.free[:, at] + fixed.error[:, at]
+        left = end - sign * fixed.value[:, at] - forced
+        assert (room[part] < left).all()
+        assert room[part] == pytest.approx(left, abs=1e-12)
+    assert len(table) == len(off) == len(room) == 4 * K
+    within[0] = False
+    with pytest.raises(NoCertificate, match="in the long run"):
+        start_proof.polytope_of(prover, proof)
