@@ -16,6 +16,7 @@ from test_bootstrap import RANGED, ErrorsByHand, vector_of
 import certrack
 from certrack.certificates import to_document, verify
 from certrack.certificates.arithmetic import rational
+from certrack.certificates.bootstrap import polynomial_stages as polynomial_stages_room
 from certrack.certificates.bootstrap import search
 from certrack.certificates.bootstrap.box import interval_of
 from certrack.certificates.bootstrap.certify import _first_proof, certify_bootstrap
@@ -32,7 +33,11 @@ from certrack.certificates.bootstrap.inequality import (
 )
 from certrack.certificates.bootstrap.loop import adaptive_loop, formulas_of
 from certrack.certificates.bootstrap.monomials import monomials
-from certrack.certificates.bootstrap.polynomial_stages import RowSolver, shrunk
+from certrack.certificates.bootstrap.polynomial_stages import (
+    RowSolver,
+    polynomial_stages,
+    shrunk,
+)
 from certrack.certificates.bootstrap.program import BootstrapProgram
 from certrack.certificates.bootstrap.proof import failed_part, prove_function, row_over_box
 from certrack.certificates.bootstrap.ranges import (
@@ -537,6 +542,38 @@ def test_a_quartic_on_a_first_box_is_proven_and_better():
     assert bounds[0] < float(high)
 
 
+def test_stages_with_polynomials_go_on_from_what_is_known(monkeypatch):
+    """The first without the reference, the others with it; each makes the box smaller."""
+    stage, told = first_stage("plain"), []
+    monkeypatch.setattr(polynomial_stages_room, "MOST_STAGES_OF_POLYNOMIALS", 2)
+
+    def progress(*parts):
+        told.append(parts[-1])
+
+    found = polynomial_stages(stage.loop, stage.ranges, stage.known, (1.5, 3.0), progress)
+    assert [{f.reference for f in part.functions} for part in found] == [{False}, {True}]
+    known = stage.known
+    for part in found:
+        numbers = part.region.numbers()
+        assert failed_region(stage.loop, stage.ranges, known, part.region) == ""
+        later = after(known, part.functions, rows_of(stage.loop, numbers))
+        assert shrunk(known, later) > 0.02
+        claimed = [(c.error, c.side) for f in part.functions for c in f.claims]
+        assert len(set(claimed)) == len(claimed) >= 2 * stage.loop.size
+        known = later
+    assert told == sorted(told, reverse=True)
+    assert told[-1] == pytest.approx(float(np.abs(known.box[0].astype(float)).max()))
+    assert len(told) == 2 * len(stage.forms.sectors) * len(found)
+    monkeypatch.setattr(polynomial_stages_room, "MOST_SOLVED", 1)
+    assert polynomial_stages(stage.loop, stage.ranges, stage.known, (1.5,), progress) == []
+
+
+def test_monomials_of_a_gram_matrix_are_counted():
+    for count in range(1, 6):
+        assert polynomial_stages_room._monomials(count) == len(monomials(count, 2))
+    assert polynomial_stages_room._solvable(6) and not polynomial_stages_room._solvable(7)
+
+
 # The program --------------------------------------------------------------------------------------
 
 
@@ -650,6 +687,33 @@ def test_the_best_alpha_is_found_from_either_side(start):
     assert rate.alpha == pytest.approx(3.0, rel=0.1)
     assert len(program.asked) == 14
     assert best_of_rates(Parabola(3.0, 0.0), np.zeros((1, 2)), Rate(start), 3) is None
+
+
+@pytest.mark.parametrize("start", [0.01, 200.0])
+def test_rates_without_a_bound_are_left_behind(start):
+    """There is one between 1 and 50 only: it is found, and then not left again."""
+
+    class Window(Parabola):
+        def solve(self, alpha, rows):
+            return None if alpha < 1 else super().solve(alpha, rows)
+
+    program, rate = Window(3.0, 50.0), Rate(start)
+    found = best_of_rates(program, np.zeros((1, 2)), rate, 24)
+    assert found.bounds[0] == pytest.approx(1, abs=1e-2)
+    assert 1 < rate.alpha < 50
+    both = Rate(10.0)
+    both.met(-1.0)  # it still falls there
+    assert both.alpha == pytest.approx(25.0)
+    both.met(None)
+    assert both.surrounded and 10 < both.alpha < 25
+    other = Rate(10.0)
+    other.met(1.0)
+    assert other.alpha == pytest.approx(4.0)
+    other.met(None)
+    assert other.surrounded and 4 < other.alpha < 10
+    other.met(None)  # slower still has none: the best is between this one and 10
+    least = other.alpha
+    assert least > math.sqrt(4.0 * 10.0)
 
 
 def test_a_sweep_is_gone_on_from_its_best():
