@@ -39,7 +39,12 @@ from certrack.certificates.bootstrap.polynomial_stages import (
     shrunk,
 )
 from certrack.certificates.bootstrap.program import BootstrapProgram
-from certrack.certificates.bootstrap.proof import failed_part, prove_function, row_over_box
+from certrack.certificates.bootstrap.proof import (
+    failed_part,
+    prove_function,
+    proven_definite,
+    row_over_box,
+)
 from certrack.certificates.bootstrap.ranges import (
     Combination,
     Ranges,
@@ -612,6 +617,25 @@ def test_one_function_for_two_rows_is_no_better_than_one_for_each(stage):
     each = [alone.solve(1.0, row[None]).bounds[0] for row in asked]
     assert sum(each) <= both.bounds.sum() * (1 + 1e-5)
     assert both.bounds.sum() <= 2.5 * max(each)
+
+
+def test_a_matrix_that_only_floats_take_for_definite_is_not_proven():
+    """[[1, b], [b, c]], b = 1 + 2^-53 and c = 1 + 2^-52: det = -2^-106; b is 1 in floats."""
+    tiny = flint.fmpq(1, 2**53)
+    one, zero = flint.fmpq(1), flint.fmpq(0)
+    b = one + tiny
+    for c, definite in ((one + 2 * tiny, False), (one + 4 * tiny, True)):
+        for size in (2, 4):  # beside a part that is definite, before it and behind it
+            for first in (0, size - 2):
+                matrix = np.full((size, size), zero, dtype=object)
+                matrix[range(size), range(size)] = one
+                i, j = first, first + 1
+                matrix[i, j] = matrix[j, i] = b
+                matrix[j, j] = c
+                np.linalg.cholesky(matrix.astype(float))
+                assert proven_definite(matrix) == definite
+    assert not proven_definite(np.array([[-one]], dtype=object))
+    assert proven_definite(np.array([[tiny]], dtype=object))
 
 
 # The search ---------------------------------------------------------------------------------------

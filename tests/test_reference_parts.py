@@ -506,6 +506,19 @@ def test_a_soft_start_joins_its_target():
         SoftStart(soft, 0.5)
 
 
+@pytest.mark.parametrize("signal", ["abs(sin(t))", "sin(t)", "asin(sin(t))/2"])
+def test_a_bound_of_the_sum_is_held_against_the_slope(signal):
+    """Also where y_d' is the last derivative that there is: |y_d| + |y_d'| reaches more."""
+    t = np.linspace(0, 7, 7001)
+    values = certrack.SymbolicReference(signal).values(t, 1)
+    largest = np.abs(values).sum(axis=0).max()
+    assert largest > 1.05 * np.abs(values[0]).max()
+    with pytest.raises(InputError, match=r"reference.bound: must bound \|y_d\| \+ \|y_d'\|"):
+        certrack.SymbolicReference(signal, bound=0.97 * largest)
+    stated = certrack.SymbolicReference(signal, bound=1.001 * largest)
+    assert stated.declared_bound == 1.001 * largest
+
+
 def up_to_one(time, last):
     """It rises to 1 until a time, and rests there."""
     return PiecewiseReference((0.0, time, last), ((0, 1 / time, 0, 0), (1, 0, 0, 0)), 1)
