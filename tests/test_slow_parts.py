@@ -252,6 +252,18 @@ def test_a_z_that_ends_where_the_response_does():
     assert found == pytest.approx(g, abs=1e-7)
 
 
+def test_differences_of_a_response_and_z_lose_by_the_size_of_both(monkeypatch):
+    """As if the roundings of g - z were large: they count as an error of g would."""
+    step, z, old = responses(), np.array([2.0, -1.0, 0.5]), np.array([0.5, 0.75])
+    _, area, jumps = step.measures(0, z, old, 1)
+    monkeypatch.setattr(slow_terms, "ROUNDOFF", 0.01)
+    variation, more_area, more_jumps = step.measures(0, z, old, 1)
+    off = 4 * 0.01 * (2.0 + np.abs(step.end[..., 0]).max())
+    assert more_area - area == pytest.approx(off * step.lengths.sum(axis=(1, 2)), rel=1e-9)
+    assert more_jumps - jumps == pytest.approx(off * np.array([3, 3]), rel=1e-9)
+    assert variation == pytest.approx(step.measures(0, z, old, 0)[0])
+
+
 # what is said of a rate
 
 
