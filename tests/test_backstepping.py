@@ -14,8 +14,10 @@ from certrack.core.errors import DesignError, InputError
 from certrack.core.expressions import TIME, symbol
 from certrack.laws import Adaptive, Robust
 from certrack.laws.backstepping import Gains
+from certrack.laws.integral import longer_chain, of_the_chain
+from certrack.laws.plant_coordinates import balancing_feedforward, plant_coordinates
 from certrack.laws.recursion import recursion
-from certrack.model.plant import Plant
+from certrack.model.plant import MAX_ORDER, Plant
 from certrack.testing import LawConformance
 
 # Theory: Actuators 14:367, Examples 1 and 2, recomputed to 8 decimals.
@@ -263,3 +265,142 @@ def test_the_errors_of_perfect_tracking_are_zero(n, coupling):
         states[i + 1] = (derivative - b[i, : i + 1] @ states[: i + 1]) / g[i]
     errors = design.A @ states - design.B
     assert np.abs(errors).max() < 1e-12 * np.abs(design.A).max() * np.abs(states).max()
+
+
+def random_chain(n, seed):
+    """g and b of n states, and gains."""
+    rng = np.random.default_rng(seed)
+    g = rng.uniform(0.5, 2, n - 1) * rng.choice([-1, 1], n - 1)
+    return g, np.tril(rng.normal(size=(n, n)))[: n - 1], tuple(rng.uniform(1, 3, n)), rng
+
+
+@pytest.mark.parametrize("coupling", [None, 0.6])
+@pytest.mark.parametrize("n", [1, 2, 4])
+def test_integral_action_closes_the_chain_with_its_own_state(n, coupling):
+    """e_0' = x_1 - y_d = e_1 - c_0 e_0; (e_0, e)' = M (e_0, e) - R y_d^(q+1), with nu as stated."""
+    g, b, c, rng = random_chain(n, n)
+    gains = Gains(c, coupling=coupling, integral=1.7)
+    for q in range(n):
+        found = recursion(g, b, gains, q)
+        part = found.integral
+        assert (found.n, found.q, part.gain) == (n, q, 1.7)
+        assert tuple(found.c) == c
+        assert found.error_matrix is part.error_matrix
+        assert found.error_matrix.shape == (n + 1, n + 1)
+        x, Y, e_0 = rng.normal(size=n), rng.normal(size=q + 2), rng.normal()
+        e = found.A @ x - found.B @ Y[:-1] + part.column * e_0
+        assert x[0] - Y[0] == pytest.approx(e[0] - part.gain * e_0, abs=1e-12)
+        x_dot = np.append(found.F @ x, found.nu_x @ x + found.nu_Y @ Y + part.nu * e_0)
+        e_dot = found.A @ x_dot - found.B @ Y[1:] + part.column * (x[0] - Y[0])
+        expected = found.error_matrix @ np.append(e_0, e)
+        assert x[0] - Y[0] == pytest.approx(expected[0], abs=1e-12)
+        scale = np.abs(found.A).max() * np.abs(found.nu_x).max()
+        assert e_dot + found.R * Y[-1] == pytest.approx(expected[1:], abs=1e-12 * scale)
+
+
+@pytest.mark.parametrize("coupling", [None, 0.6])
+def test_the_longer_chain_comes_back(coupling):
+    """What `of_the_plant` leaves out, `of_the_chain` restores; a plain design stays itself."""
+    g, b, c, _ = random_chain(3, 5)
+    longer_g, longer_b, longer_c = longer_chain(g, b, np.array(c), 1.7)
+    assert longer_g.tolist() == [1.0, *g]
+    assert longer_c.tolist() == [1.7, *c]
+    assert (longer_b[0] == 0).all() and (longer_b[:, 0] == 0).all()
+    assert (longer_b[1:, 1:] == b).all()
+    expected = recursion(longer_g, longer_b, Gains(tuple(longer_c), coupling=coupling), 2)
+    found = of_the_chain(recursion(g, b, Gains(c, coupling=coupling, integral=1.7), 1))
+    for name in ("A", "B", "F", "c", "kappa", "g", "nu_x", "nu_Y", "error_matrix"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
+    if coupling is None:
+        assert found.weights is None
+    else:
+        np.testing.assert_allclose(found.weights, expected.weights, rtol=1e-12)
+    plain = recursion(g, b, Gains(c), 1)
+    assert of_the_chain(plain) is plain
+
+
+@pytest.mark.parametrize("name", ["integral", "coupling"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, "x", True])
+def test_a_gain_that_is_no_positive_number_is_refused(name, value):
+    with pytest.raises(InputError) as caught:
+        Gains((1, 1), **{name: value})
+    assert caught.value.key == f"law.{name}"
+
+
+@pytest.mark.parametrize("name", ["integral", "coupling"])
+def test_damping_goes_with_neither_integral_nor_coupling(name):
+    """One finite k or p is damping."""
+    for damping in ({"k": [[1, math.inf], [math.inf] * 4]}, {"p": [1]}):
+        assert not Gains((1, 1), **damping).is_lean
+        with pytest.raises(InputError, match=f"law.{name}: needs k and p to be inf"):
+            Gains((1, 1), **damping, **{name: 1.0})
+    assert Gains((1, 1), k=[[math.inf] * 2, [math.inf] * 4], p=[math.inf], **{name: 1}).is_lean
+    assert getattr(Gains((1, 1), **{name: 2}), name) == 2.0
+    assert isinstance(getattr(Gains((1, 1), **{name: 2}), name), float)
+
+
+def test_feedforward_is_0_by_default_and_ends_with_the_order():
+    """A sampled loop may go beyond, to the derivatives that any plant may have."""
+    g, b, c, _ = random_chain(3, 7)
+    assert recursion(g, b, Gains(c)).q == 0
+    for q in range(3):
+        assert recursion(g, b, Gains(c), q).q == q
+    for q in (-1, 3):
+        with pytest.raises(InputError, match="law.feedforward: must be a whole number from 0 to 2"):
+            recursion(g, b, Gains(c), q)
+    for q in (3, MAX_ORDER - 1):
+        beyond = recursion(g, b, Gains(c), q, beyond=True)
+        assert beyond.q == q
+        assert np.abs(beyond.B[:, 3:]).max() == 0  # the recursion has no use for them
+    for q in (-1, MAX_ORDER):
+        with pytest.raises(InputError, match=f"from 0 to {MAX_ORDER - 1}"):
+            recursion(g, b, Gains(c), q, beyond=True)
+
+
+@pytest.mark.parametrize("coupling", [None, 0.6])
+def test_the_input_feedback_is_what_the_terms_that_cancel_leave(coupling):
+    """v = -k e with k = (0 ... c_n + kappa_n): the last row of M is -k beside the skew part."""
+    g, b, c, _ = random_chain(3, 3)
+    found = recursion(g, b, Gains(c, coupling=coupling), 1)
+    weights = np.ones(3) if coupling is None else found.weights
+    S = np.diag(weights**2) @ found.error_matrix
+    symmetric = (S + S.T) / 2
+    assert found.input_feedback.tolist() == [0, 0, pytest.approx(c[2])]
+    assert -symmetric[-1] / weights[-1] ** 2 == pytest.approx(found.input_feedback, abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 2, 4])
+def test_the_coordinates_of_the_plant_are_those_of_every_law(n):
+    """xi' = [F; K] xi - R y_d^(q+1), in exact numbers; a lean design is one K and one r of them."""
+    g, b, c, rng = random_chain(n, 20 + n)
+    for q in range(n):
+        K, r = rng.normal(size=n), rng.normal()
+        found = plant_coordinates(g, b, K, r, q)
+        x, Y = rng.normal(size=n), rng.normal(size=q + 2)
+        xi = x - found.B @ Y[:-1]
+        x_dot = np.append(found.F @ x, found.nu_x @ x + found.nu_Y @ Y)
+        xi_dot = x_dot - found.B @ Y[1:]
+        loop = np.vstack([found.F, K])
+        assert xi_dot == pytest.approx(loop @ xi - found.R * Y[-1], abs=1e-11)
+        assert (found.error_matrix == loop).all()
+        assert (found.input_feedback == -K).all()
+        assert (np.eye(n) == found.A).all() and (found.c == 0).all() and (found.kappa == 0).all()
+        assert found.B[0].tolist() == [1.0] + [0.0] * q
+        lean = recursion(g, b, Gains(c), q)
+        same = plant_coordinates(g, b, lean.nu_x, lean.nu_Y[-1], q)
+        assert same.nu_Y == pytest.approx(lean.nu_Y, abs=1e-9)
+        assert np.linalg.solve(lean.A, lean.B) == pytest.approx(same.B, abs=1e-9)
+
+
+def test_the_balancing_feedforward_leaves_no_error_of_a_constant_derivative():
+    """x_1 - y_d at rest of xi' = [F; K] xi - R v is zero; with all derivatives r = Pi_nq."""
+    g, b, c, _ = random_chain(3, 40)
+    K = recursion(g, b, Gains(c)).nu_x
+    for q in range(3):
+        r = balancing_feedforward(g, b, K, q)
+        found = plant_coordinates(g, b, K, r, q)
+        rest = np.linalg.solve(found.error_matrix, found.R)
+        assert rest[0] == pytest.approx(0, abs=1e-12)
+        assert np.linalg.solve(found.error_matrix, found.R + np.eye(3)[2])[0] != 0
+    assert r == pytest.approx(found.B[-1, 2])
+    assert pytest.approx(np.append(found.B[:-1, 2], 0), abs=1e-12) == found.R

@@ -20,6 +20,7 @@ from certrack.certificates.implemented.fixed_point import (
     OutputBounds,
     uncertain_size,
 )
+from certrack.certificates.implemented.float_image import FloatImage
 from certrack.certificates.implemented.gains import output_gains
 from certrack.certificates.implemented.lags import lag_gains
 from certrack.certificates.implemented.polytope import Polytope, _cut, common, half_spaces
@@ -477,3 +478,64 @@ def test_nothing_is_said_of_other_starts():
     x0, box = SimpleNamespace(of="x0"), SimpleNamespace(of="polytope")
     found = without_polytopes((WithStarts((x0, box)), WithStarts((box,)), WithStarts((x0,))))
     assert [proof.starts for proof in found] == [(x0,), (), (x0,)]
+
+
+# F in floats
+
+
+class Product:
+    """0.3 x_1 x_2 + 0.5 ||S x||, in the place of a formula."""
+
+    def largest_float(self, X, norm):
+        return 0.3 * X[0] * X[1] + 0.5 * norm
+
+
+def float_image():
+    """Outputs e_1 (two rows), x_1, x_2, u (two rows) and its step; two terms, one a formula."""
+    rng = np.random.default_rng(12)
+    plain = SimpleNamespace(
+        gamma=q("0.2"), beta=q("0.1"), weights=(q(1), q(3)), Delta=(q("0.4"), q(0)), growing=None
+    )
+    grown = SimpleNamespace(
+        gamma=q(0), beta=q(0), weights=(q(2), q(1)), Delta=(q(0), q(0)), growing=Product()
+    )
+    outputs = np.array([0, 0, 1, 2, 3, 3, 4])
+    return FloatImage(
+        outputs,
+        rng.uniform(0, 1, 7),
+        rng.uniform(0, 1, (7, 2)),
+        rng.uniform(0, 1, (7, 3)),
+        (plain, grown),
+    )
+
+
+def test_the_image_in_floats_is_its_formula():
+    image, v = float_image(), np.array([0.5, 2.0, 3.0])
+    sizes = [
+        0.2 * np.hypot(0.5, 3 * 2.0) + 0.4 * 0.5 + 0.1,
+        0.3 * 0.5 * 2.0 + 0.5 * np.hypot(2 * 0.5, 2.0),
+    ]
+    expected = image.constant + image.by_w @ sizes + image.by_v @ v
+    assert image.values(v) == pytest.approx(expected, rel=1e-14)
+    rows = image.largest_rows(v)
+    assert image.outputs[rows].tolist() == [0, 1, 2, 3, 4]
+    for k, row in enumerate(rows):
+        assert expected[row] == expected[image.outputs == k].max()
+
+
+@pytest.mark.parametrize("v", [(0.5, 2.0, 3.0), (4.0, 0.1, 0.0), (1e-3, 7.0, 1.0)])
+def test_the_derivative_of_the_image_is_that_of_its_values(v):
+    image, v, rows = float_image(), np.array(v), np.array([1, 2, 3, 5, 6])
+    found, step = image.derivative(v, rows), 1e-6
+    for i, unit in enumerate(np.eye(3)):
+        ends = [image.values(v + sign * step * unit)[rows] for sign in (1, -1)]
+        assert found[:, i] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-6)
+
+
+def test_where_nothing_moves_the_slopes_are_finite():
+    """At x = 0 the norm has no slope, and a formula no step."""
+    image, rows = float_image(), np.arange(7)
+    found = image.derivative(np.zeros(3), rows)
+    expected = image.by_v.copy()
+    expected[:, 0] += image.by_w[:, 0] * 0.4
+    assert found == pytest.approx(expected)

@@ -27,7 +27,8 @@ DECAY = (fmpq(0), fmpq(-1))
 
 def term(span, *terms):
     """The sum of factor t^k e^(r t)."""
-    return GrowthEnclosure(span, {(fmpq(k), fmpq(*r)): fmpq(*f) for k, r, f in terms})
+    powers = [(k if isinstance(k, tuple) else (k, 1), r, f) for k, r, f in terms]
+    return GrowthEnclosure(span, {(fmpq(*k), fmpq(*r)): fmpq(*f) for k, r, f in powers})
 
 
 def ends(value):
@@ -206,6 +207,16 @@ def test_exponentials():
     growing = term(ENDLESS, (2, (0, 1), (1, 1))).exp()
     assert ends(growing)[1] == math.inf
     close(ends(term(SHORT, (2, (0, 1), (-1, 1))).exp()), math.exp(-9), math.exp(-1))
+
+
+def test_an_exponential_is_positive_whatever_its_argument_falls_to():
+    """Of -sqrt(t), which falls more slowly than every line."""
+    slow = term(ENDLESS, ((1, 2), (0, 1), (-1, 1)))
+    low, high = ends(slow.exp())
+    assert low == pytest.approx(0, abs=1e-8)
+    assert high == pytest.approx(math.exp(-1)) and high >= math.exp(-1)
+    both = term(ENDLESS, ((1, 2), (0, 1), (-1, 1)), (0, (0, 1), (3, 1))).exp()
+    close(ends(both), 0, math.exp(2))
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -24,7 +24,8 @@ from certrack.certificates.implemented.gains import (
     upper_number,
 )
 from certrack.certificates.implemented.growing import GrowingBound
-from certrack.certificates.implemented.outputs import output_rows
+from certrack.certificates.implemented.levels import Level, _still, reference_columns
+from certrack.certificates.implemented.outputs import InCell, Row, output_rows
 from certrack.certificates.implemented.period import gamma, one_period, shift
 from certrack.certificates.implemented.start import (
     Later,
@@ -45,6 +46,108 @@ def exact_period(Ly, parts, n=1, lipschitz=0.01):
     W = [[0]] * (n - 1) + [[1]]
     Y = [1.0] * len(Ly)
     return one_period(bare_drive(A, b, W, Ly, 0.1, Y, lipschitz, [UNIT_W][:1]), parts)
+
+
+@pytest.mark.parametrize("lipschitz", [0.01, None])
+@pytest.mark.parametrize("phase", [1, 2, 3])
+@pytest.mark.parametrize("q", [0, 1, 2, 4])
+def test_what_is_seen_of_the_reference_by_levels_is_the_definition(q, phase, lipschitz):
+    """k_r = spread - E Pi' Gamma(age) of each cell, newest first, its second derivatives, and E D.
+
+    Each cell has a Pi' of its own at its end, which is not that of its beginning.
+    """
+    rng = np.random.default_rng(q)
+
+    def some(columns):
+        return flint.arb_mat(rng.integers(-9, 9, (period.size, columns)).tolist())
+
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, *range(2, q + 3)], (1, 3), lipschitz=lipschitz)
+        J = len(period.cells)
+        levels = [
+            Level(tuple(some(q + 1) for _ in range(J + 1)), tuple(some(q + 1) for _ in range(J)))
+            for _ in range(2)
+        ]
+        found, over = reference_columns(period, levels, phase), period.since_jump(phase)
+        entire = phase == J and lipschitz is not None
+        spread = over[-1] * column(period.reference, q + 1) / flint.arb(period.drive.T)
+        nodes, samples, bends, weights = [], [], [], []
+        for back in range(phase):
+            p, matrix = phase - 1 - back, over[back]
+            h = period.cells[p].length
+            for age in (flint.fmpq(0), h):
+                for level in levels:
+                    kernel = -matrix * (level.Pi[p + 1] * gamma(q, age))
+                    nodes.append(kernel + spread if entire else kernel)
+            samples += [matrix * level.residual[p] for level in levels]
+            for level in levels:
+                for j in range(q - 1):
+                    bends.append(matrix * column(level.Pi[p + 1], j))
+                    power = float(h) ** (q - 2 - j) / math.factorial(q - 2 - j)
+                    weights.append(power * float(h) ** 3 / 12)
+
+        def same(matrix, parts):
+            entries = [[v for part in parts for v in part.tolist()[i]] for i in range(period.size)]
+            assert [len(row) for row in matrix.tolist()] == [len(row) for row in entries]
+            for row, other in zip(matrix.tolist(), entries, strict=True):
+                assert all(
+                    abs(float((a - b).mid())) < 1e-12 for a, b in zip(row, other, strict=True)
+                )
+
+        same(found.nodes, nodes)
+        same(found.samples, samples)
+        assert (found.bends is None) == (not bends)
+        if bends:
+            same(found.bends, bends)
+        assert found.bend_weights == pytest.approx(np.array(weights), rel=1e-12)
+        assert (found.bend_weights >= np.array(weights) * (1 - 1e-15)).all()
+        h = float(period.cells[0].length)
+        assert found.lengths == pytest.approx([h, 0.0] * (phase - 1) + [h], rel=1e-15)
+        assert found.curvature.shape == (period.size, 0)
+
+
+def test_what_stands_still_of_a_level_is_its_difference_from_the_reference():
+    """|row Pi_p - of_Y| Y, of the Pi of the row's own cell."""
+    rng = np.random.default_rng(11)
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 2, 3], (1, 2))
+        levels = [
+            Level(
+                tuple(
+                    flint.arb_mat(rng.integers(-9, 9, (period.size, 2)).tolist()) for _ in range(3)
+                ),
+                (),
+            )
+            for _ in range(2)
+        ]
+        nothing = InCell((), flint.arb(0), (), flint.arb(0))
+        rows = [
+            Row(0, phase, tuple(map(int, rng.integers(-9, 9, period.size))), (5, -3), 0, nothing)
+            for phase in (1, 0, 1)
+        ]
+        found = _still(period, levels, rows)
+    for row, values in zip(rows, found, strict=True):
+        for level, value in zip(levels, values, strict=True):
+            Pi = np.array([[float(v) for v in line] for line in level.Pi[row.phase].tolist()])
+            expected = np.abs(np.array(row.row) @ Pi - [5, -3]).sum()  # Y = (1, 1)
+            assert value >= expected and value == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_last_rows_are_the_newest_input_and_its_step():
+    """u_k is the entry `command` of chi and u_{k-1} the next one, right after the jump."""
+    with flint.ctx.workprec(DRIVE_BITS):
+        period = exact_period([1, 2, 3], (1, 2), n=2)
+        *others, newest, step = output_rows(period)
+    n = period.drive.n
+    assert (newest.output, step.output) == (n + 1, n + 2)
+    assert {row.output for row in others} == set(range(n + 1))
+    for row, entries in ((newest, {0: 1}), (step, {0: 1, 1: -1})):
+        expected = [entries.get(i - period.command, 0) for i in range(period.size)]
+        assert [float(v) for v in row.row] == expected
+        assert (row.phase, row.share) == (0, 0)
+        assert [float(v) for v in row.of_Y] == [0, 0]
+        parts = (*row.in_cell.w, row.in_cell.r, *row.in_cell.x, row.in_cell.u)
+        assert [float(v) for v in parts] == [0] * len(parts)
 
 
 @pytest.mark.parametrize("smeared", [True, False])

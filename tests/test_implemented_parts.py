@@ -34,7 +34,10 @@ from certrack.certificates.implemented.document import (
     record_of,
 )
 from certrack.certificates.implemented.drive import drive_of
-from certrack.certificates.implemented.estimate import estimate_implemented
+from certrack.certificates.implemented.estimate import (
+    estimate_implemented,
+    estimate_nearby,
+)
 from certrack.certificates.implemented.fixed_point import uncertain_size
 from certrack.certificates.implemented.input_limits import (
     NO_LIMIT,
@@ -92,6 +95,25 @@ def test_an_estimate_is_near_what_is_proven(calm):
     assert guess.peak_input == pytest.approx(one.peak_input, rel=1e-3)
     late = estimate_implemented(system, rational(1))
     assert late.bound > guess.bound
+
+
+def test_a_loop_nearby_is_estimated_to_first_order(calm):
+    """The same loop has its own bounds; another's are wrong by the square of what it differs by."""
+    system, *_ = calm
+    known = estimate_implemented(system)
+    same = estimate_nearby(system, known)
+    assert same.bound == pytest.approx(known.bound, rel=1e-6)
+    assert same.peak_input == pytest.approx(known.peak_input, rel=1e-6)
+    errors = []
+    for part in (0.02, 0.01):
+        drive = system.implementation
+        slower = system.replace(implementation=replace(drive, period=drive.period * (1 + part)))
+        near, there = estimate_nearby(slower, known), estimate_implemented(slower)
+        assert there.bound != pytest.approx(known.bound, rel=1e-5)
+        moved = abs(there.bound - known.bound)
+        errors.append(abs(near.bound - there.bound))
+        assert errors[-1] < 0.1 * moved
+        assert near.peak_input == pytest.approx(there.peak_input, rel=1e-2 * part)
 
 
 def test_nothing_is_proven_where_the_term_drives_the_loop_apart():

@@ -1,7 +1,7 @@
 """Laws by their formulas: signals, what a law states of its errors, leakage, numbers, names."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -25,6 +25,7 @@ from certrack.laws.leakage import (
     longest_euler_period,
 )
 from certrack.laws.numbers import metric, vector
+from certrack.laws.online import Online
 from certrack.laws.recursion import recursion
 from certrack.laws.registry import known_laws, register_law
 from certrack.laws.signals import Signals, dot
@@ -298,3 +299,43 @@ def test_laws_that_cannot_be_registered():
         with pytest.raises(InputError, match=where):
             register_law(law)
     assert certrack.laws.known_laws().get("two words") is None
+
+
+# gains that move
+
+
+class ByAConstant(Robust):
+    """With a constant of the plant in its input, which no signal stands for."""
+
+    def equations(self, s):
+        equations = super().equations(s)
+        return replace(equations, u=equations.u + symbol("J") * 0.1)
+
+
+CONSTANT = Plant(states=("x1",), chain=(), drift="-x1", input_gain=1, constants={"J": 2.0})
+
+
+def test_constants_of_the_plant_are_known_to_a_schedule_and_to_no_law():
+    """A schedule is a formula of the file, where constants have their names."""
+    online = Online(c=(3.0,), schedule="0.5 + 0.5*tanh(J*x1)")
+    runs = Robust(c=(2.0,), online=online).design(CONSTANT)
+    assert symbol("J") in runs.equations.u.free_symbols
+    with pytest.raises(InputError, match="u contains unknown symbols; got J"):
+        ByAConstant(c=(2.0,)).design(CONSTANT)
+    still = Robust(c=(2.0,)).design(CONSTANT)
+    assert not still.states
+    rule = Online(c=(3.0,), threshold=0.1, rise=2.0, fall=1.0)
+    moving = Robust(c=(2.0,), online=rule).design(CONSTANT)
+    assert [str(z) for z in moving.states] == ["online_level"]
+
+
+def test_numbers_of_both_ends_stand_beside_each_other_where_gains_move():
+    rule = Online(c=(3.0,), threshold=0.1, rise=2.0, fall=1.0)
+    moving = Robust(c=(2.0,), online=rule).numbers(CONSTANT)
+    still, other = (Robust(c=(v,)).numbers(CONSTANT) for v in (2.0, 3.0))
+    assert not any(name.startswith("other_") for name in still)
+    for name, value in still.items():
+        assert np.all(moving[name] == value)
+        assert np.all(moving[f"other_{name}"] == other[name])
+    rest = {k: v for k, v in moving.items() if k.startswith("online_")}
+    assert rest == {"online_threshold": 0.1, "online_rise": 2.0, "online_fall": 1.0}

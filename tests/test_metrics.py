@@ -9,10 +9,14 @@ import certrack
 from certrack.simulation.metrics import (
     _crossing,
     _integral_of_magnitude,
+    _interpolate,
+    _most_promising,
+    _tail_candidates,
     measure,
     settling_band,
     supremum,
 )
+from certrack.simulation.refine import Candidates
 
 
 def order(error, counts=(200, 400, 800)):
@@ -101,6 +105,72 @@ def test_a_crossing_between_samples_that_do_not_fall_is_that_of_the_line():
     t, zero = np.arange(4.0), (math.sqrt(2) - 1) / 0.2
     f = 2.5 - t - 0.1 * t**2  # and otherwise of a cubic, t as a function of f
     assert abs(_crossing(t, f, 2) - zero) < 1e-3 < abs(2 + f[2] / (f[2] - f[3]) - zero)
+
+
+@pytest.mark.parametrize("count", [4, 5, 9])
+def test_a_crossing_is_exact_where_t_is_a_cubic_of_f(count):
+    """Wherever among the samples it lies, also between the first two and the last two."""
+    for i in range(count - 1):
+        f = 1.7 * np.arange(i, i - count, -1.0) + 0.6 + 0.1 * np.cos(np.arange(count))
+        f -= f[i] - 0.7  # above zero at i alone of i and i + 1
+        t = 3.0 - 1.3 * f + 0.02 * f**2 - 0.005 * f**3
+        assert f[i] > 0 > f[i + 1] and (np.diff(t) > 0).all()
+        assert _crossing(t, f, i) == pytest.approx(3.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [4, 5, 9])
+def test_a_value_between_samples_is_exact_for_cubics(count):
+    """Just before any sample, also before the first ones and the last."""
+    t = np.cumsum(1 + 0.3 * np.cos(np.arange(count)))
+    f = 2 - t + 0.3 * t**2 - 0.05 * t**3
+    for i in range(1, count):
+        at = t[i] - 0.4
+        expected = 2 - at + 0.3 * at**2 - 0.05 * at**3
+        assert _interpolate(t, f, at, i) == pytest.approx(expected, rel=1e-11, abs=1e-11)
+    few, twice = np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 1.0, 2.0])
+    assert _interpolate(few, few**2, 1.5, 2) == 2.5  # by the line
+    assert _interpolate(twice, twice**2, 1.5, 3) == 2.5
+
+
+PEAKS = Candidates(
+    begins=np.array([0.0, 2.0, 4.0]),
+    ends=np.array([1.0, 3.0, 5.0]),
+    signs=np.array([1.0, -1.0, 1.0]),
+    sampled=np.array([0.9, 0.8, 0.5]),
+    estimates=np.array([0.94, 0.96, 0.99]),
+)
+
+
+@pytest.mark.parametrize(
+    ("start", "kept"), [(0.0, [1, 2]), (2.5, [1, 2]), (3.0, [2]), (4.5, [2]), (5.0, [])]
+)
+def test_peaks_of_the_tail_that_may_exceed_its_samples_are_refined(monkeypatch, start, kept):
+    """Twice the gain of the parabola must reach beyond the largest sample: 0.98, 1.12, 1.48."""
+    monkeypatch.setattr("certrack.simulation.metrics.candidates", lambda *_: PEAKS)
+    t = np.linspace(0.0, 6.0, 7)
+    best, late = _tail_candidates(t, np.array([3.0, 0, 0, 0, 0, 1, -1]), start, 3)
+    best_of_all = 3.0 if start == 0 else 1.0
+    assert best == best_of_all
+    if start == 0:
+        assert len(late.begins) == 0  # none reaches 3
+        best, late = _tail_candidates(t, np.array([1.0, 0, 0, 0, 0, 1, -1]), start, 3)
+        assert best == 1.0
+    assert late.estimates.tolist() == PEAKS.estimates[kept].tolist()
+    assert late.begins.tolist() == np.maximum(PEAKS.begins[kept], start).tolist()
+    assert late.ends.tolist() == PEAKS.ends[kept].tolist()
+
+
+def test_beyond_the_run_there_is_no_tail(monkeypatch):
+    monkeypatch.setattr("certrack.simulation.metrics.candidates", lambda *_: PEAKS)
+    best, late = _tail_candidates(np.linspace(0, 6, 7), np.zeros(7), 6.5, 3)
+    assert math.isnan(best) and len(late.begins) == 0
+
+
+def test_the_most_promising_are_those_of_the_largest_merit():
+    merit = np.array([0.2, 0.9, 0.5])
+    assert _most_promising(PEAKS, merit, 2).estimates.tolist() == [0.96, 0.99]
+    assert _most_promising(PEAKS, merit, 1).estimates.tolist() == [0.96]
+    assert _most_promising(PEAKS, merit, 4) is PEAKS
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -1,5 +1,6 @@
 """The printed monitors, word for word: a change of them is a change of these files."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ from test_monitor import FREE, FULL
 
 from certrack.core.select import Select, clamp, larger, magnitude, smaller
 from certrack.export.c.export import controller_files
-from certrack.export.c.monitor_checks import monitor_checks
-from certrack.export.c.printer import CPrinter
+from certrack.export.c.monitor import monitored
+from certrack.export.c.monitor_checks import _probe_table, monitor_checks
+from certrack.export.c.printer import CPrinter, c_literal
 from certrack.export.c.source import c_code
 from certrack.export.fmu.monitored import monitored_header, monitored_variables
 from certrack.export.monitor import Flag, Within
@@ -32,18 +34,23 @@ def printed(name, language):
     return controller_files(c_code(system, "drive", real=real, monitor=monitor))["drive_monitor.h"]
 
 
-def two_probes(system, program, monitor, vectors, real):
+def probes(count, program, monitor):
     """Samples of short numbers that all differ, in the place of those of the acceptance test."""
 
     def numbers(rows, first):
-        return first + np.arange(2.0 * rows).reshape(rows, 2) / 4
+        return first + np.arange(float(count * rows)).reshape(rows, count) / 4
 
-    expected = np.array([[i % 3, (i + 1) % 3] for i in range(len(monitor.flags))])
+    expected = np.array([[(i + k) % 3 for k in range(count)] for i in range(len(monitor.flags))])
     x, Y, states = (
         numbers(len(part), first)
         for part, first in ((program.measured, 100), (program.Y, 200), (program.states, 300))
     )
-    return MonitorProbes(x, Y, states, np.array([-1.25, 7.5]), expected)
+    before = np.linspace(-1.25, 7.5, count)
+    return MonitorProbes(x, Y, states, before, expected)
+
+
+def two_probes(system, program, monitor, vectors, real):
+    return probes(2, program, monitor)
 
 
 def printed_around(name, language, monkeypatch):
@@ -62,6 +69,24 @@ def printed_around(name, language, monkeypatch):
 def test_the_text_around_a_monitor(name, language, monkeypatch):
     kept = TEXTS / f"{name}.{language}.txt"
     assert printed_around(name, language, monkeypatch) == kept.read_text()
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_every_probe_has_its_initialiser(count):
+    """However many there are of each signal: state, input before, measured, reference, flags."""
+    limits, monitor = FULL
+    code = c_code(sampled("example1", **limits), "drive", monitor=monitor)
+    made = probes(count, code.program, monitored(code))
+    rows = re.findall(r"\{[^{}]*\}", _probe_table(code, made))
+    assert len(rows) == 4 * count
+    for k in range(count):
+        states, x, Y, expected = rows[4 * k : 4 * k + 4]
+        for row, part in ((states, made.states), (x, made.x), (Y, made.Y)):
+            numbers = [float(v) for v in row.strip("{}").split(",")]
+            assert numbers == part[:, k].tolist()
+        assert [int(v) for v in expected.strip("{}").split(",")] == made.expected[:, k].tolist()
+    text = _probe_table(code, made)
+    assert [text.count(c_literal(float(v), "double")) > 0 for v in made.before] == [True] * count
 
 
 def test_without_a_monitor_an_fmu_has_no_variable_of_it():

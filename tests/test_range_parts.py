@@ -1,5 +1,6 @@
 """Parts of the proofs for ranges, against closed forms and with provers that are known."""
 
+import itertools
 import math
 import re
 from dataclasses import replace
@@ -474,7 +475,18 @@ def test_cells_that_fill_a_box():
     assert not cells_fill([box((0, 1), (0, 2)), box((1, 2), (0, exact("1.999")))], whole)
     assert not cells_fill([], whole)
     brick = [box((0, 1), (0, 1)), box((0, 1), (1, 2)), box((1, 2), (0, exact("0.5")))]
-    assert cells_fill([*brick, box((1, 2), (exact("0.5"), 2))], whole)
+    full = [*brick, box((1, 2), (exact("0.5"), 2))]
+    assert cells_fill(full, whole)
+    beside = [box((2, 4), (0, 2)), box((-2, 0), (0, 2)), box((0, 2), (2, 3)), box((0, 2), (-1, 0))]
+    for cells in (quarters, full):  # in any order, and whatever lies beside the box
+        for order in itertools.permutations(cells):
+            assert cells_fill(order, whole)
+            assert not cells_fill(order[1:], whole)
+        for other in beside:
+            assert cells_fill([other, *cells], whole)
+            assert not cells_fill([other, *cells[1:]], whole)
+        assert cells_fill([*beside, *cells], whole)
+    assert not cells_fill(beside, whole)
 
 
 def test_texts_of_cells_are_fractions():

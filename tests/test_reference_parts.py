@@ -11,8 +11,8 @@ from flint import fmpq, fmpq_poly
 
 import certrack
 from certrack.core.errors import InputError
-from certrack.core.expressions import TIME, parse
-from certrack.references import samples, triangle
+from certrack.core.expressions import TIME, parse, symbol
+from certrack.references import polynomials, samples, triangle
 from certrack.references.base import (
     Bounds,
     Reference,
@@ -39,7 +39,12 @@ from certrack.references.polynomials import (
 from certrack.references.rests import MoveTimes, moves_of
 from certrack.references.smoothness import smoothness
 from certrack.references.soft_start import SoftStart, long_run, vanishing
-from certrack.references.supremum import is_sum_of_sinusoids, sinusoid_supremum
+from certrack.references.supremum import (
+    MAX_SINUSOIDS,
+    _terms,
+    is_sum_of_sinusoids,
+    sinusoid_supremum,
+)
 
 # numbers
 
@@ -154,6 +159,38 @@ def test_bounds_by_control_points_that_need_halving():
     assert largest_by_control_points(two, np.array([1.0, 5.0])) == pytest.approx(1, abs=1e-7)
 
 
+def test_every_rounding_of_the_control_points_is_in_the_bound(monkeypatch):
+    """As if a rounding were large: the first points lose of all terms, each halving of the largest.
+
+    A point is a sum of degree + 1 products and a halving a mean of two; degree + 4 covers both.
+    """
+    first, _ = rows = np.array([[0.0, 4.0, -4.0, 0.5, 0.0], [0.3, 0.0, 0.0, 0.0, 0.0]])
+    widths, degree, counted = np.array([1.25, 1.0]), 4, []
+
+    def halved(points):
+        counted.append(float(np.abs(points).max()))
+        return _halved(points)
+
+    monkeypatch.setattr(polynomials, "_halved", halved)
+    monkeypatch.setattr(polynomials, "ROUNDINGS", 0.0)
+    exact_ = largest_by_control_points(rows, widths)
+    halvings, size = len(counted), counted[0]
+    assert halvings > 5
+    part = 1e-6
+    monkeypatch.setattr(polynomials, "ROUNDINGS", part)
+    terms = np.abs(first) @ widths[0] ** np.arange(degree + 1)
+    lost = part * (degree + 4) * (terms + halvings * size)
+    assert largest_by_control_points(rows, widths) == pytest.approx(
+        (exact_ + lost) * (1 + part), rel=1e-12
+    )
+    above = value_above(rows, np.array([0.1, 0.2]))
+    exact_values = np.abs(evaluate(rows, np.array([0.1, 0.2])))
+    sizes = evaluate(np.abs(rows), np.array([0.1, 0.2]))
+    assert above == pytest.approx(exact_values + part * sizes, rel=1e-14)
+    ends = largest_slope(np.array([[0.0, -0.4, 0.0, 0.0]]), 1, np.ones(1))
+    assert ends == pytest.approx(0.4 * (1 + part), rel=1e-14)
+
+
 @pytest.mark.parametrize(("smoothness", "taken"), [(1, True), (3, True), (4, False), (0, False)])
 def test_pieces_have_as_many_derivatives_as_their_degree_at_most(smoothness, taken):
     still = ((1.0, 0.0, 0.0, 0.0),)
@@ -207,6 +244,42 @@ def test_expanding_is_not_tried_where_it_takes_long():
     assert is_sum_of_sinusoids((sympy.sin(t) + sympy.cos(2 * t)) ** 7)
     assert not is_sum_of_sinusoids((sympy.sin(t) + sympy.cos(2 * t)) ** 8)
     assert not is_sum_of_sinusoids(sympy.sin(t) * sympy.exp(t))
+
+
+def test_terms_of_an_expansion_are_counted_each_once():
+    """A constant is one, so are factors of it; powers and products multiply, sums add."""
+    t, a = TIME, symbol("a")
+    waves = [sympy.sin(k * t) for k in range(1, 4)]
+    for expr, count in (
+        (sympy.Integer(3), 1),
+        (a + 1, 1),
+        (2 * a * sympy.cos(t), 1),
+        (waves[0] + 3, 2),
+        (sum(waves), 3),
+        (sum(waves) + a, 4),
+        ((waves[0] + 1) * sum(waves), 6),
+        (sympy.sin(t) ** 2, 4),  # a constant and a sinusoid from each of two exponentials at most
+        ((waves[0] + 1) ** 5, 32),
+        (sum(waves) ** 3, 27),
+        (sympy.sin(t) ** 16, 2**16),
+        (sympy.sin(t) ** 17, 0),
+        (1 / sympy.sin(t), 0),
+        (sympy.sqrt(sympy.sin(t)), 0),
+        (t, 0),
+        (t + sympy.sin(t), 0),
+        (t * sympy.sin(t), 0),
+        (sympy.sin(sympy.exp(t)), 0),
+        (sympy.sin(sympy.exp(t)) ** 2, 0),
+        (sympy.exp(sympy.sin(t)), 0),
+    ):
+        assert _terms(expr) == count, expr
+
+
+@pytest.mark.parametrize(("count", "quick"), [(1, True), (MAX_SINUSOIDS, True), (201, False)])
+def test_as_many_sinusoids_as_are_expanded(count, quick):
+    assert (
+        is_sum_of_sinusoids(sympy.Add(*(sympy.sin(k * TIME) for k in range(1, count + 1)))) is quick
+    )
 
 
 # kinks
@@ -431,6 +504,56 @@ def test_a_soft_start_joins_its_target():
     assert still.bound_of(0) == (round_up(1.0), bound_of(target, 0)[1])
     with pytest.raises(InputError, match="must not be stated twice"):
         SoftStart(soft, 0.5)
+
+
+@pytest.mark.parametrize("signal", ["abs(sin(t))", "sin(t)", "asin(sin(t))/2"])
+def test_a_bound_of_the_sum_is_held_against_the_slope(signal):
+    """Also where y_d' is the last derivative that there is: |y_d| + |y_d'| reaches more."""
+    t = np.linspace(0, 7, 7001)
+    values = certrack.SymbolicReference(signal).values(t, 1)
+    largest = np.abs(values).sum(axis=0).max()
+    assert largest > 1.05 * np.abs(values[0]).max()
+    with pytest.raises(InputError, match=r"reference.bound: must bound \|y_d\| \+ \|y_d'\|"):
+        certrack.SymbolicReference(signal, bound=0.97 * largest)
+    stated = certrack.SymbolicReference(signal, bound=1.001 * largest)
+    assert stated.declared_bound == 1.001 * largest
+
+
+def up_to_one(time, last):
+    """It rises to 1 until a time, and rests there."""
+    return PiecewiseReference((0.0, time, last), ((0, 1 / time, 0, 0), (1, 0, 0, 0)), 1)
+
+
+@pytest.mark.parametrize("end", [0.3, 1.0, 4.0, 1000.0])
+def test_breaks_at_the_ends_of_a_run_but_for_rounding_are_none(end):
+    """Times are the same within 1e-12 of the larger of 1 and the run's end."""
+    same = 1e-12 * max(1.0, end)
+    for part, counted in ((0.7, False), (1.4, True)):
+        knot = end - part * same
+        for found in (
+            up_to_one(knot, 3000.0),
+            SoftStart(certrack.SymbolicReference("sin(2*t)"), knot).joined((1.0,)),
+        ):
+            assert len(found.breaks(0.0, end)) == counted
+            assert len(found.breaks(end, 2 * end)) == 0
+            assert len(found.breaks(knot - part * same, knot + 2 * same)) == counted
+    corner = up_to_one(end, 3000.0)  # and one that is nearly the end of the transient
+    for part, both in ((0.7, 1), (1.4, 2)):
+        soft = SoftStart(corner, end + part * same).joined((1.0,))
+        assert len(soft.breaks(0.0, end + 3 * same)) == both
+
+
+@pytest.mark.parametrize("time", [0.3, 1.0, 1000.0])
+@pytest.mark.parametrize("last", [2000.0, 3000.0])
+def test_a_piece_begins_a_rounding_before_its_time(time, last):
+    """Within 1e-12 of the largest of 1, t and the whole span; a soft start's end without that."""
+    bent, same = up_to_one(time, last), 1e-12 * last
+    assert bent.piece_values(time - 0.7 * same)[1] == 1
+    assert bent.piece_values(time - 1.4 * same)[1] == 0
+    soft = SoftStart(certrack.SymbolicReference("sin(2*t)"), time).joined((1.0,))
+    same = 1e-12 * max(1.0, time)
+    assert soft.piece_values(time - 0.7 * same)[-1] == 0
+    assert soft.piece_values(time - 1.4 * same)[-1] == 1
 
 
 def test_a_soft_start_of_a_target_with_corners_has_no_more_derivatives():

@@ -8,11 +8,12 @@ import pytest
 from test_slow_signals import loop
 
 from certrack.certificates.certificate import NoCertificate
+from certrack.certificates.implemented import rate_premise, step_search
 from certrack.certificates.implemented import slow as slow_terms
-from certrack.certificates.implemented import step_search
 from certrack.certificates.implemented.drive import DRIVE_BITS
 from certrack.certificates.implemented.slow import SlowTerms, StepResponses, as_function
 from certrack.certificates.implemented.superposition import speeds_of_states
+from certrack.certificates.premise import ASSUMED, PROVEN
 
 
 def no_less(found, expected):
@@ -249,3 +250,38 @@ def test_a_z_that_ends_where_the_response_does():
     g, weights = np.array([0.0, 2.0, 2.0]), np.array([1.0, 1.0, 1.0])
     found = step_search._least(g, weights, 2.0, (1.0, 0.5, 0.0), None)
     assert found == pytest.approx(g, abs=1e-7)
+
+
+def test_differences_of_a_response_and_z_lose_by_the_size_of_both(monkeypatch):
+    """As if the roundings of g - z were large: they count as an error of g would."""
+    step, z, old = responses(), np.array([2.0, -1.0, 0.5]), np.array([0.5, 0.75])
+    _, area, jumps = step.measures(0, z, old, 1)
+    monkeypatch.setattr(slow_terms, "ROUNDOFF", 0.01)
+    variation, more_area, more_jumps = step.measures(0, z, old, 1)
+    off = 4 * 0.01 * (2.0 + np.abs(step.end[..., 0]).max())
+    assert more_area - area == pytest.approx(off * step.lengths.sum(axis=(1, 2)), rel=1e-9)
+    assert more_jumps - jumps == pytest.approx(off * np.array([3, 3]), rel=1e-9)
+    assert variation == pytest.approx(step.measures(0, z, old, 0)[0])
+
+
+# what is said of a rate
+
+
+def test_a_rate_is_stated_in_words_and_proven_of_nothing():
+    """Of a term that is zero it holds; of a truth with states of its own it is not seen."""
+    slowness = SimpleNamespace(rate=0.5, by_states=(2, 0), jump=0, dwell=0, fast=0)
+    system = SimpleNamespace(plant=SimpleNamespace(states=("a", "b")))
+    rate = rate_premise._Rate(system, 1, slowness, of_states=False)
+    assert rate.stated == "w_2 changes by at most 0.5 dt + 2 |da|"
+    unseen = rate.premise(None, None)
+    assert (unseen.name, unseen.status) == ("rate of w_2", ASSUMED)
+    assert unseen.remedy == rate_premise.NOT_SEEN
+    still = rate.premise(SimpleNamespace(zero=True), None)
+    assert (still.status, still.remedy, still.detail) == (PROVEN, "", rate.stated)
+    jumping = SimpleNamespace(rate=0.5, by_states=(0, 0), jump=3, dwell=0.25, fast=0.1)
+    rate = rate_premise._Rate(system, 0, jumping, of_states=True)
+    assert rate.stated == (
+        "w_1 is a function of t and x, without hysteresis, that changes by at most 0.5 dt, but for "
+        "jumps of at most 3, at least 0.25 s apart, and a part of at most 0.1 of any speed, "
+        "without which w_1 stays so much below its bound"
+    )
