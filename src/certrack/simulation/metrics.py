@@ -194,12 +194,12 @@ def measure_series(
     span = trajectory.end
     if trajectory.parts != PARTS:
         return None
-    found = signals.measure(
+    numbers = signals.measure(
         series, span, INTEGRAL_SCALE, band, tail_start, smooth=smooth, most=MAX_EXTREMES
     )
-    if found is None:
+    if numbers is None:
         return None
-    settling, tail, magnitude, peak, variation, u2, e2 = found
+    settling, tail, magnitude, peak, variation, u2, e2 = numbers
     return Metrics(
         *(settling, tail, math.sqrt(e2 / span), magnitude, e2, peak, u2, variation),
         *(band, tail_start),

@@ -115,11 +115,11 @@ class Run(ShownInNotebooks):
         if isinstance(dense, SampledSolution):
             return measure_steps(dense, band, settings.tail_start)
         if self.signals is not None and isinstance(dense, TaylorSeries):
-            found = measure_series(
+            measured_in_c = measure_series(
                 self.trajectory, dense, self.signals, band, settings.tail_start, self.smooth_steps
             )
-            if found is not None:
-                return found
+            if measured_in_c is not None:
+                return measured_in_c
         integrals = self._states[-len(INTEGRALS) :] * INTEGRAL_SCALE
         error = self.x[0] - self.y_d
         return measure(

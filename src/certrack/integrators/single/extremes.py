@@ -33,13 +33,13 @@ OPERATIONS = (
     "tanh",
 )
 CODES = {name: code for code, name in enumerate(OPERATIONS)}
-FUNCTIONS = frozenset(OPERATIONS[CODES["atan2"] :])
+NAMED_OPERATIONS = frozenset(OPERATIONS[CODES["atan2"] :])
 
 #: Numbers that extremes.c returns.
-RESULTS = 7
+RESULT_COUNT = 7
 
 #: Where on a step its samples lie.
-SAMPLES = fractions(PARTS)
+STEP_SAMPLES = fractions(PARTS)
 
 assert INTEGRALS == ("integral_u2", "integral_e2", "integral_e")  # as extremes.c takes them
 
@@ -140,7 +140,7 @@ class _Writer:
             return reduce(lambda a, b: self._add(name, a, b), parts)
         if isinstance(expr, Select):
             return self._add("choose", self._add("above", *parts[:2]), *parts[2:])
-        if type(expr).__name__ not in FUNCTIONS or not isinstance(expr, sympy.Function):
+        if type(expr).__name__ not in NAMED_OPERATIONS or not isinstance(expr, sympy.Function):
             raise NotImplementedError
         return self._add(type(expr).__name__, *parts)
 
@@ -166,7 +166,7 @@ class _Writer:
         return "result", len(self.operations) - 1
 
 
-class _Task(ctypes.Structure):
+class _ExtremesTask(ctypes.Structure):
     """``Task`` of extremes.c."""
 
     _fields_ = [
@@ -258,10 +258,10 @@ class SeriesSignals:
         if program.pieces:
             middles = (starts + np.append(starts[1:], end)) / 2
             held = np.ascontiguousarray(self.pieces_at(middles).T)
-        results = np.empty(RESULTS)
-        task = _Task(
+        results = np.empty(RESULT_COUNT)
+        task = _ExtremesTask(
             *(steps, states, orders, starts.ctypes.data, table.ctypes.data, end),
-            *(SAMPLES.ctypes.data, len(program.which), program.which.ctypes.data),
+            *(STEP_SAMPLES.ctypes.data, len(program.which), program.which.ctypes.data),
             *(len(values), program.pieces, values.ctypes.data),
             *(held if held is None else held.ctypes.data, len(program.code)),
             *(program.code.ctypes.data, program.outputs),
