@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import sympy
@@ -23,6 +24,11 @@ from certrack.core.heyoka import has_heyoka
 from certrack.core.lowering import NumpyFunction, numpy_callable, rows
 from certrack.core.progress import Progress, silent
 from certrack.integrators.base import Integrator, Outcome, Problem, Trajectory
+from certrack.integrators.single.extremes import (
+    SeriesSignals,
+    SignalProgram,
+    signal_program,
+)
 from certrack.integrators.single.scipy import ScipyIntegrator
 from certrack.integrators.single.sliding import SlidingIntegrator
 from certrack.integrators.single.taylor import TaylorIntegrator
@@ -86,6 +92,11 @@ class ContinuousSimulator:
             (u,) = self._switching.resolved([u])
         self._input = numpy_callable(arguments, [u])
 
+    @cached_property
+    def _program(self) -> SignalProgram | None:
+        """Error and input for the metrics; none where they depend on the sides of a run."""
+        return signal_program(self._switched) if self._switching is None else None
+
     def run(self, system: System, progress: Progress = silent) -> Run:
         """Simulate a system whose loop is the compiled one in other numbers."""
         settings = system.settings
@@ -127,7 +138,10 @@ class ContinuousSimulator:
             notes += sticking_notes(modes, trajectory.end)
         progress(settings.duration, settings.duration, None)
         smooth = method == "taylor" or not self._has_kinks
-        return Run(system, trajectory, inputs, tuple(notes), smooth)
+        signals, program = None, self._program
+        if program is not None:
+            signals = SeriesSignals(program, parameters, schedule.pieces_at)
+        return Run(system, trajectory, inputs, tuple(notes), smooth, signals)
 
     def _choose_method(self, system: System) -> tuple[str, list[str]]:
         """Method for `system`, and why if it is not the usual one."""

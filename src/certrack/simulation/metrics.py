@@ -13,6 +13,11 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from certrack.core.memo import remembered
+from certrack.integrators.base import PARTS, Trajectory
+from certrack.integrators.single.extremes import SeriesSignals
+from certrack.integrators.single.taylor import TaylorSeries
+from certrack.loops.continuous import INTEGRAL_SCALE
 from certrack.references import Reference
 from certrack.simulation.refine import (
     MAX_REFINED,
@@ -98,7 +103,13 @@ def settling_band(settings: Settings, reference: Reference) -> float:
     """
     if settings.band is not None:
         return settings.band
-    times = np.linspace(0.0, settings.duration, REFERENCE_POINTS)
+    return _band_of(reference, settings.duration)
+
+
+@remembered
+def _band_of(reference: Reference, duration: float) -> float:
+    """The share of the largest reference: the same for all runs of a sweep."""
+    times = np.linspace(0.0, duration, REFERENCE_POINTS)
     largest = float(np.abs(reference.values(times, 0)[0]).max())
     return SETTLING_SHARE * largest or SETTLING_SHARE
 
@@ -152,6 +163,46 @@ def measure(
         input_variation=input_variation,
         band=band,
         tail_start=tail_start,
+    )
+
+
+def measure_series(
+    trajectory: Trajectory,
+    series: TaylorSeries,
+    signals: SeriesSignals,
+    band: float,
+    tail_start: float,
+    smooth: bool,
+) -> Metrics | None:
+    """The same from the Taylor series of a run, in compiled C; None where it cannot be done there.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    series : TaylorSeries
+        Its dense output.
+    signals : SeriesSignals
+    band, tail_start : float
+        See :class:`Metrics`.
+    smooth : bool
+        Whether no kink lies inside a step.
+
+    Returns
+    -------
+    Metrics or None
+    """
+    span = trajectory.end
+    if trajectory.parts != PARTS:
+        return None
+    numbers = signals.measure(
+        series, span, INTEGRAL_SCALE, band, tail_start, smooth=smooth, most=MAX_EXTREMES
+    )
+    if numbers is None:
+        return None
+    settling, tail, magnitude, peak, variation, u2, e2 = numbers
+    return Metrics(
+        *(settling, tail, math.sqrt(e2 / span), magnitude, e2, peak, u2, variation),
+        *(band, tail_start),
     )
 
 

@@ -17,12 +17,13 @@ from certrack.core.notebook import ShownInNotebooks
 from certrack.core.version import version
 from certrack.integrators.base import Outcome, Trajectory, subdivide
 from certrack.integrators.sampled.solution import SampledSolution
+from certrack.integrators.single.extremes import SeriesSignals
 from certrack.integrators.single.taylor import TaylorSeries
 from certrack.loops.continuous import INTEGRAL_SCALE, INTEGRALS
 from certrack.loops.plant import measured
 from certrack.references.rests import moves_of
 from certrack.simulation.messages import outcome_message
-from certrack.simulation.metrics import Metrics, measure, settling_band
+from certrack.simulation.metrics import Metrics, measure, measure_series, settling_band
 from certrack.simulation.moves import MoveMetrics, measure_moves
 from certrack.simulation.step_metrics import measure_steps
 from certrack.systems.reader import loads
@@ -48,6 +49,8 @@ class Run(ShownInNotebooks):
         What the user should know of how the run was carried out.
     smooth_steps : bool
         Whether no kink lies inside a step, so that peaks may be refined there.
+    signals : SeriesSignals, optional
+        Error and input for the metrics in compiled C.
     """
 
     system: System
@@ -55,6 +58,7 @@ class Run(ShownInNotebooks):
     input_of: Callable[[np.ndarray, np.ndarray], np.ndarray]
     notes: tuple[str, ...] = ()
     smooth_steps: bool = True
+    signals: SeriesSignals | None = None
 
     @property
     def outcome(self) -> Outcome:
@@ -110,6 +114,12 @@ class Run(ShownInNotebooks):
         band = settling_band(settings, self.system.reference)
         if isinstance(dense, SampledSolution):
             return measure_steps(dense, band, settings.tail_start)
+        if self.signals is not None and isinstance(dense, TaylorSeries):
+            measured_in_c = measure_series(
+                self.trajectory, dense, self.signals, band, settings.tail_start, self.smooth_steps
+            )
+            if measured_in_c is not None:
+                return measured_in_c
         integrals = self._states[-len(INTEGRALS) :] * INTEGRAL_SCALE
         error = self.x[0] - self.y_d
         return measure(
