@@ -195,13 +195,13 @@ def checked_out(folder: Path, commit: str) -> Iterator[Path]:
     if (folder / "src").is_dir():
         yield folder
         return
-    made = HERE / "build" / "bench-base"
+    checkout = HERE / "build" / "bench-base"
     git = ["git", "-C", str(HERE), "worktree"]
-    subprocess.run([*git, "add", "--force", "--detach", str(made), commit], check=True)
+    subprocess.run([*git, "add", "--force", "--detach", str(checkout), commit], check=True)
     try:
-        yield made
+        yield checkout
     finally:
-        subprocess.run([*git, "remove", "--force", str(made)], check=True)
+        subprocess.run([*git, "remove", "--force", str(checkout)], check=True)
 
 
 def compared_bounds(base: Path, effort: str) -> bool:

@@ -174,9 +174,9 @@ class SemidefiniteProgram:
         for one in np.eye(na):
             base.append(svec(self._scaled.inequality(zero, one, nu, k, 0.0)))
         for place in range(n + na, size):  # each nu and k in its own place alone
-            own = np.zeros((size, size))
-            own[place, place] = -1.0
-            base.append(svec(own))
+            alone = np.zeros((size, size))
+            alone[place, place] = -1.0
+            base.append(svec(alone))
         slope += [np.zeros(size * (size + 1) // 2)] * (na + nb + ny)
         return np.array(base).T, np.array(slope).T
 
