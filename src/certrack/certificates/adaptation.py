@@ -11,7 +11,7 @@ is the leakage towards the prior guesses, whose cost is q(alpha) below, for s = 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 from typing import Any
 
@@ -60,6 +60,16 @@ class Adaptation:
         """Pairs |g_n|, (1 - shift) delta - delta_0."""
         return [(g, (1 - self.shift) * self.gain_sign / g - self.delta0) for g in self.gains]
 
+    @cached_property
+    def _is_diagonal(self) -> bool:
+        """Whether each coordinate of theta has a rate of its own."""
+        return not ((self.Gamma - np.diag(np.diag(self.Gamma))) != 0).any()
+
+    @cached_property
+    def _own_offsets(self) -> list[np.ndarray]:
+        """Of theta_offsets, those around theta_0."""
+        return self.theta_offsets()
+
     def theta_offsets(self, origin: np.ndarray | None = None) -> list[np.ndarray]:
         """Values (1 + shift) theta - theta_0 at the corners of the box that can be worst.
 
@@ -70,8 +80,7 @@ class Adaptation:
         """
         centre = self.theta0 if origin is None else origin
         box = [((1 + self.shift) * low, (1 + self.shift) * high) for low, high in self.theta_box]
-        off_diagonal = self.Gamma - np.diag(np.diag(self.Gamma))
-        if not (off_diagonal != 0).any():
+        if self._is_diagonal:
             worst = [
                 max(pair, key=partial(_distance, c)) for pair, c in zip(box, centre, strict=True)
             ]
@@ -119,10 +128,15 @@ class Adaptation:
             return 0
         if not self.gamma_is_positive_definite():
             return None
+        if self._is_diagonal:
+            weights = leak - alpha / 2 / np.diag(self.Gamma)
+            if not (weights > 0).all():
+                return None
+            return leak**2 * max((v**2 / weights).sum() for v in self._own_offsets) / 4
         W = leak * np.eye(r, dtype=dtype) - alpha / 2 * solve(self.Gamma, np.eye(r, dtype=dtype))
         if not positive_definite(W):
             return None
-        return leak**2 * max(v @ solve(W, v) for v in self.theta_offsets()) / 4
+        return leak**2 * max(v @ solve(W, v) for v in self._own_offsets) / 4
 
     def energy(self, estimates: np.ndarray) -> Any:
         """The estimates' part of V for s = 1, worst over the ranges.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -50,6 +51,7 @@ class Points:
         return Points(self.t[chosen], self.x[:, chosen])
 
 
+@lru_cache(maxsize=2)
 def random_points(n: int, duration: float, seed: int) -> Points:
     """Times of the run, and states of all magnitudes, in random directions and along the axes.
 
@@ -70,6 +72,7 @@ def random_points(n: int, duration: float, seed: int) -> Points:
     t[:start] = 0.0
     t[start : start + late] = duration * np.geomspace(1.0, LATEST, late)
     x[:, :: int(1 / ORIGIN_SHARE)] = 0.0
+    t.flags.writeable = x.flags.writeable = False  # the next one with this seed gets the same
     return Points(t, x)
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Protocol, TypeVar
 
 import clarabel
@@ -162,22 +162,22 @@ class SemidefiniteProgram:
 
     def _columns(self) -> tuple[np.ndarray, np.ndarray]:
         """svec of the inequality for each variable: the part without alpha and its slope."""
-        na, nb, ny = self._na, self._nb, self._ny
-        zero = np.zeros((self.problem.n, self.problem.n))
+        n, na, nb, ny = self.problem.n, self._na, self._nb, self._ny
+        zero, size = np.zeros((n, n)), n + na + nb + ny
         lam, nu, k = (np.zeros(count) for count in (na, nb, ny))
         base, slope = [], []
+        half = np.zeros((size, size))
         for matrix in self._units():
-            first = self._scaled.inequality(matrix, lam, nu, k, 0.0)
-            second = self._scaled.inequality(matrix, lam, nu, k, 1.0)
-            base.append(svec(first))
-            slope.append(svec(second - first))
-        for group, count in enumerate((na, nb, ny)):
-            for index in range(count):
-                weights = (np.zeros(na), np.zeros(nb), np.zeros(ny))
-                weights[group][index] = 1.0
-                column = svec(self._scaled.inequality(zero, *weights, 0.0))
-                base.append(column)
-                slope.append(np.zeros_like(column))
+            base.append(svec(self._scaled.inequality(matrix, lam, nu, k, 0.0)))
+            half[:n, :n] = matrix / 2  # alpha/2 P
+            slope.append(svec(half))
+        for one in np.eye(na):
+            base.append(svec(self._scaled.inequality(zero, one, nu, k, 0.0)))
+        for place in range(n + na, size):  # each nu and k in its own place alone
+            alone = np.zeros((size, size))
+            alone[place, place] = -1.0
+            base.append(svec(alone))
+        slope += [np.zeros(size * (size + 1) // 2)] * (na + nb + ny)
         return np.array(base).T, np.array(slope).T
 
     @property
@@ -300,9 +300,8 @@ def _clarabel(
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = MAX_ITERATIONS
-    quadratic = sparse.csc_matrix((len(cost), len(cost)))
     columns = sparse.csc_matrix(matrix)
-    solver = clarabel.DefaultSolver(quadratic, cost, columns, right, cones, settings)
+    solver = clarabel.DefaultSolver(_no_quadratic(len(cost)), cost, columns, right, cones, settings)
     result = solver.solve()
     usable = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
     return result if result.status in usable else None
@@ -388,7 +387,21 @@ def upper_entries(n: int) -> list[tuple[int, int]]:
 
 def svec(matrix: np.ndarray) -> np.ndarray:
     """Upper triangle, column by column, off-diagonals times sqrt 2 (Clarabel's convention)."""
-    rows, columns = np.tril_indices(len(matrix))  # (j, i) of the upper triangle, by columns
-    entries: np.ndarray = matrix[columns, rows].copy()
-    entries[rows != columns] *= math.sqrt(2)
+    places, weights = _triangle(len(matrix))
+    entries: np.ndarray = matrix.ravel()[places] * weights
     return entries
+
+
+@lru_cache(maxsize=64)
+def _triangle(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the upper triangle's entries, column by column, and their weights in svec."""
+    rows, columns = np.tril_indices(size)  # (j, i) of the upper triangle, by columns
+    places, weights = columns * size + rows, np.where(rows == columns, 1.0, math.sqrt(2))
+    places.flags.writeable = weights.flags.writeable = False
+    return places, weights
+
+
+@lru_cache(maxsize=64)
+def _no_quadratic(count: int) -> Any:
+    """The quadratic cost of a program that has none."""
+    return sparse.csc_matrix((count, count))

@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from certrack.certificates.arithmetic import positive_definite, rational
+from certrack.certificates.arithmetic import exact_float, positive_definite, rational
 from certrack.certificates.balls import ball_of, ball_precision
 from certrack.certificates.cascade import head_problem
 from certrack.certificates.centred import RemainderBound, centred_problem
@@ -239,7 +239,7 @@ def _cascade_tube(
 
 def _level(square: Any, share: Any, ratio: float) -> float:
     """2 Delta/alpha, rounded up, with one input's share of it scaled by `ratio`."""
-    return float_up(square + share * (rational(Fraction(ratio)) - 1)) * TUBE_ROUNDING
+    return float_up(square + share * (exact_float(ratio, rational) - 1)) * TUBE_ROUNDING
 
 
 def _later(square: float, floor: float, alpha: float, lapsed: float) -> float:
@@ -262,11 +262,11 @@ def _fall(
     if not limit > floor:
         raise NoCertificate("a tube needs bounds of the stages above what their inequalities give")
     gap = (limit - floor) / limit
-    excess = (rational(Fraction(start)) - floor) / limit
-    time, steps, part = begin, [], rational(Fraction(PIECE_RATIO))
+    excess = (exact_float(start, rational) - floor) / limit
+    time, steps, part = begin, [], exact_float(PIECE_RATIO, rational)
     while excess > gap:
         steps.append((time, float_up(floor / limit + excess)))
-        excess = rational(Fraction(float_up(excess * part)))
+        excess = exact_float(float_up(excess * part), rational)
         time += -math.log(PIECE_RATIO) / alpha * TUBE_ROUNDING
     return [*steps, (time, 1.0)]
 
@@ -290,7 +290,7 @@ def _centred_steps(
     growths = _growths(RemainderBound(system, problem), reached, steps) if has_zeta else repeat(1.0)
     result: Steps = []
     for ((time, ratio), (end, _)), growth in zip(pairwise(steps), growths, strict=False):
-        level2 = rational(Fraction(ratio)) * bound2  # 2 V_1 from here on
+        level2 = exact_float(ratio, rational) * bound2  # 2 V_1 from here on
         square = min(square, allowed(level2))
         if math.isfinite(growth):
             level = _level(floor, share, growth)
@@ -298,7 +298,7 @@ def _centred_steps(
         else:  # zeta has no bound on so large a set
             after = math.inf
         largest = min(float_up(level2), max(square, after))
-        result.append((time, float_up(rational(Fraction(largest)) / limit)))
+        result.append((time, float_up(exact_float(largest, rational) / limit)))
         square = after
     time = steps[-1][0]
     square = min(square, allowed(bound2))
@@ -311,12 +311,12 @@ def _centred_steps(
 def _growths(zeta: RemainderBound, reached: Proof, steps: Steps) -> Iterator[float]:
     """The square of zeta on each step's set, as a multiple of that on the smallest; inf without."""
     bound2, smallest = from_text(reached.bound) ** 2, zeta(reached)
-    squares = [rational(Fraction(ratio)) * bound2 for _, ratio in steps[:-1]]
+    squares = [exact_float(ratio, rational) * bound2 for _, ratio in steps[:-1]]
     sizes = zeta.in_floats(reached, np.array(list(map(float_up, squares))))
     for square, size in zip(squares, sizes.tolist(), strict=True):
         try:
             if math.isfinite(size):
-                largest = rational(Fraction(size))
+                largest = exact_float(size, rational)
             else:  # other intervals may know more
                 largest = zeta(replace(reached, bound=root_up(square)))
         except NoCertificate:
@@ -335,7 +335,7 @@ def _allowed(problem: ErrorProblem, inner: Sequence[Proof]) -> Callable[[Any], f
     assert law is not None
     P, Q = (np.array([[from_text(v) for v in row] for row in proof.P]) for proof in inner)
     guess = np.linalg.eigvals(np.linalg.solve(P.astype(float), Q.astype(float))).real.max()
-    mu = rational(Fraction(float(guess) * (1 + 1e-9)))
+    mu = exact_float(float(guess) * (1 + 1e-9), rational)
     while not positive_definite(mu * P - Q):
         mu *= 2
     zero = np.zeros(1 + len(law.Gamma), dtype=object) + rational(0)

@@ -153,7 +153,14 @@ def save_figure(drawing: Figure, folder: Path, name: str) -> list[Path]:
     >>> [path.name for path in certrack.plotting.save_figure(drawing, Path("pictures"), "run")]
     ['run.png', 'run.svg', 'run.pdf']
     """
-    pictures = {f"{name}.{kind}": _written(drawing, kind) for kind in STAMPS}
+    engine = drawing.get_layout_engine()
+    pictures = {}
+    try:
+        for kind in STAMPS:
+            pictures[f"{name}.{kind}"] = _written(drawing, kind)
+            drawing.set_layout_engine(None)  # laid out by the first, which takes as long as a file
+    finally:
+        drawing.set_layout_engine(engine)
     return list(write_folder(folder, pictures))
 
 

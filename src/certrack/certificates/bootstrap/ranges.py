@@ -15,6 +15,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -62,6 +63,12 @@ class Combination:
     slope: tuple[Any, ...]
     constant: Any
 
+    @cached_property
+    def balls(self) -> tuple[list[tuple[int, Any]], list[Any], Any]:
+        """The weights that are not zero with their places, the slope and the constant as balls."""
+        weights = [(i, flint.arb(w)) for i, w in enumerate(self.weights) if w != 0]
+        return weights, [flint.arb(k) for k in self.slope], flint.arb(self.constant)
+
 
 class Ranges:
     """Drift and regressor on boxes of (e, y_d ... y_d^(q)).
@@ -81,7 +88,8 @@ class Ranges:
     def __init__(self, formulas: Formulas, loop: AdaptiveLoop) -> None:
         exact = np.hstack([loop.Xe, loop.AB])
         self._through = exact.astype(float)
-        self._balls = [[flint.arb(v) for v in row] for row in exact]
+        self._reach = np.abs(self._through).sum(axis=0)
+        self._balls = flint.arb_mat([[flint.arb(v) for v in row] for row in exact])
         known = (formulas.drift, *formulas.regressor)
         self.constants = tuple(map(_decimal_of, formulas.regressor))
         try:
@@ -90,26 +98,36 @@ class Ranges:
             raise NoCertificate(f"no bounds of the drift or regressor: {problem}") from None
         self._slopes = [_slopes(formula, formulas.states) for formula in known]
 
+    def _states(self, balls: list[Any]) -> list[Any]:
+        """Balls of x for balls of (e, Y)."""
+        x: list[Any] = (self._balls * flint.arb_mat([[ball] for ball in balls])).entries()
+        return x
+
+    def _value(self, chosen: Combination, x: list[Any]) -> Any:
+        """The ball of a combination for balls of x."""
+        values, (weights, slope, total) = self._values(x), chosen.balls
+        for i, w in weights:
+            total = total + w * values[i]
+        for k, v in zip(slope, x, strict=True):
+            total = total - k * v
+        return total
+
+    def _middle_value(self, chosen: Combination, point: np.ndarray) -> float:
+        """The value at a point of (e, Y), as far as floats tell; nan where it has none."""
+        ball = self._value(chosen, self._states(list(map(flint.arb, point.tolist()))))
+        return float(ball.mid()) if ball.is_finite() else np.nan
+
     def _on(
         self, chosen: Combination, middle: np.ndarray, width: np.ndarray
     ) -> tuple[float, float, float, np.ndarray]:
         """Bounds on a part, a value in its middle, and what each direction adds."""
-        at = _combined(self._balls, [flint.arb(float(m)) for m in middle])
-        box = _combined(
-            self._balls,
-            [flint.arb(float(m), float(w)) for m, w in zip(middle, width, strict=True)],
-        )
-        weights = [(i, flint.arb(w)) for i, w in enumerate(chosen.weights) if w != 0]
-        slope = [flint.arb(k) for k in chosen.slope]
-
-        def value_at(x: list[Any]) -> Any:
-            values = self._values(x)
-            total = sum((w * values[i] for i, w in weights), flint.arb(chosen.constant))
-            return total - sum((k * v for k, v in zip(slope, x, strict=True)), ZERO_BALL)
-
-        centre, on_part = value_at(at), value_at(box)
+        middles, widths = middle.tolist(), width.tolist()
+        box = self._states(list(map(flint.arb, middles, widths)))
+        weights, slope, _ = chosen.balls
+        centre = self._value(chosen, self._states(list(map(flint.arb, middles))))
+        on_part = self._value(chosen, box)
         low, high = _float_ends(on_part)
-        share = np.abs(self._through).sum(axis=0) * width
+        share = self._reach * width
         bounded = centre.is_finite() and on_part.is_finite()  # no pole inside, so it is continuous
         if bounded and all(self._slopes[i] is not None for i, _ in weights):
             gradient = [-k for k in slope]
@@ -117,16 +135,8 @@ class Ranges:
                 tape = self._slopes[i]
                 assert tape is not None
                 gradient = [g + w * v for g, v in zip(gradient, tape(box), strict=True)]
-            parts = [
-                abs(
-                    sum(
-                        (g * row[i] for g, row in zip(gradient, self._balls, strict=True)),
-                        ZERO_BALL,
-                    )
-                )
-                * flint.arb(float(w))
-                for i, w in enumerate(width)
-            ]
+            through = (flint.arb_mat([gradient]) * self._balls).entries()
+            parts = [abs(g) * w for g, w in zip(through, map(flint.arb, widths), strict=True)]
             total = sum(parts, ZERO_BALL)
             if total.is_finite():
                 share = np.array([float(part.abs_upper()) for part in parts])
@@ -138,7 +148,7 @@ class Ranges:
         """Lower and upper bound on a box, rows (low, high) of (e, Y) as floats."""
         middle, width = _middle_and_width(box)
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (SAMPLES, len(box)))
-        values = [self._on(chosen, middle + sign * width, 0 * width)[2] for sign in signs]
+        values = [self._middle_value(chosen, middle + sign * width) for sign in signs]
         first, last = float(np.nanmin(values)), float(np.nanmax(values))
         near = ENOUGH * (last - first)
         low = self._end(chosen, box, -1.0, -first + near, MOST_PARTS)
@@ -237,10 +247,6 @@ def largest_reach(loop: AdaptiveLoop, box: np.ndarray) -> list[float]:
         wide = np.abs(S.astype(float)) @ np.abs(through) @ (np.abs(middle) + width)
         limits.append(largest + FLOAT_SUM * float(np.linalg.norm(wide)) + FLOAT_SUM * largest)
     return limits
-
-
-def _combined(rows: Sequence[Sequence[Any]], values: Sequence[Any]) -> list[Any]:
-    return [sum((a * v for a, v in zip(row, values, strict=True)), ZERO_BALL) for row in rows]
 
 
 def _float_ends(ball: Any) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from certrack.certificates.centred import CentredProblems
+from certrack.certificates.scaling import Scaling
 from certrack.certificates.search.descent import quasi_newton
 from certrack.certificates.semidefinite import ProgramPoint, SemidefiniteProgram
 
@@ -50,13 +51,13 @@ def best_shifts(centred: CentredProblems, alpha: float, target: int) -> list[tup
     for kappa in (sign * shift for shift in SHIFTS for sign in (1, -1)):
         program, point = _solved(centred, kappa, alpha, target)
         if point is not None:
-            starts.append((program.solution(point, alpha).bound, kappa))
+            starts.append((program.solution(point, alpha).bound, kappa, program.scaling))
     if not starts:
         return []
-    first = min(starts)[1]
+    _, first, scaling = min(starts, key=lambda start: start[:2])
 
     def at(x: np.ndarray) -> _ShiftedPoint | None:
-        return _point(centred, first, x, target)
+        return _point(centred, first, x, target, scaling)
 
     lowest = quasi_newton(at, np.array([math.log(alpha), 1.0]), SHIFT_ACCURACY)
     if lowest is None:
@@ -65,19 +66,23 @@ def best_shifts(centred: CentredProblems, alpha: float, target: int) -> list[tup
 
 
 def _solved(
-    centred: CentredProblems, kappa: float, alpha: float, target: int
+    centred: CentredProblems,
+    kappa: float,
+    alpha: float,
+    target: int,
+    scaling: Scaling | None = None,
 ) -> tuple[SemidefiniteProgram, ProgramPoint | None]:
-    program = SemidefiniteProgram(centred.at(kappa), target)
+    program = SemidefiniteProgram(centred.at(kappa), target, scaling)
     return program, program.point(alpha) if alpha < program.fastest else None
 
 
 def _point(
-    centred: CentredProblems, first: float, x: np.ndarray, target: int
+    centred: CentredProblems, first: float, x: np.ndarray, target: int, scaling: Scaling
 ) -> _ShiftedPoint | None:
     alpha, kappa = math.exp(x[0]), first * float(x[1])
     if not x[1] > 0:
         return None
-    program, point = _solved(centred, kappa, alpha, target)
+    program, point = _solved(centred, kappa, alpha, target, scaling)
     if point is None:
         return None
     solution = program.solution(point, alpha)

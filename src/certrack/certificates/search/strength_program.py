@@ -91,12 +91,15 @@ def _edge_of_existence(problem: ErrorProblem, alpha: float) -> Strongest | None:
     A = scaled.M + scaling.rate(alpha) / 2 * np.eye(n)
     B, C = scaled.Ua @ scaled.Ua.T / 2, 2 * scaled.Xe.T @ scaled.Xe
 
+    # without C the equation is linear in what drives it
+    alone, roomy = (smallest_solution(A, drive, 0 * C) for drive in (B, np.eye(n)))
+    if roomy is None:
+        return None
+    by_input = np.zeros(n) if alone is None else np.diagonal(alone[0])
+
     def solved(strength: float, room: float) -> np.ndarray | None:
-        free = smallest_solution(A, strength**2 * B + room * np.eye(n), 0 * C)
-        if free is None:
-            return None
-        more = strength**2 * B + room * np.diag(np.diagonal(free[0]))
-        exists = smallest_solution(A, more, C)
+        free = strength**2 * by_input + room * np.diagonal(roomy[0])
+        exists = smallest_solution(A, strength**2 * B + room * np.diag(free), C)
         return None if exists is None else exists[0]
 
     low, high = 0.0, _guess(scaled) * (1 + EXISTENCE_ACCURACY)
