@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -21,9 +20,6 @@ from certrack.cli.base import (
     tell_written,
 )
 from certrack.core.errors import InputError
-
-if TYPE_CHECKING:
-    from certrack.core.progress import Progress
 
 
 def _number(name: str, text: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -105,19 +101,14 @@ def _tuned(
     if plot is not None and wanted["front"] is None:
         raise InputError("--plot", "draws a front, and none is asked for", remedy="Add --front")
     wanted["box"] = _box_of(wanted["box"])
-    with options_named(TUNE_OPTIONS), naming(file, "law", "tune"), ExitStack() as bars:
-        then = "" if system.implementation is None else "now as the drive runs it"
-        bar = bars.enter_context(console.progress("Tuning, starts", "best", then))
-        second: list[Progress] = []
-
-        def proving(done: float, total: float | None, bound: float | None, /) -> None:
-            if not second:  # the search is over: its bar goes
-                bars.close()
-                what = "Search over, certifying and measuring, steps"
-                second.append(bars.enter_context(console.progress(what, "bound")))
-            second[0](done, total, bound)
-
-        result = search_gains(system, progress=bar, proving=proving, **wanted)
+    then = "" if system.implementation is None else "now as the drive runs it"
+    with options_named(TUNE_OPTIONS), naming(file, "law", "tune"), console.phases() as bars:
+        result = search_gains(
+            system,
+            progress=bars.phase("Tuning, starts", "best", then),
+            proving=bars.phase("Search over, certifying and measuring, steps", "bound"),
+            **wanted,
+        )
     if as_json:
         click.echo(console.to_json(result.summary()))
     else:
