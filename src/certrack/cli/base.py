@@ -126,7 +126,10 @@ def diagnose(runs: Mapping[str, Run]) -> None:
         of = f"{name}: " if len(runs) > 1 else ""
         for note in run.notes:
             click.echo(f"certrack: note: {of}{note}", err=True)
-        if any(note.startswith("Stuck at ") for note in run.notes) and run.system.law.observer is None:
+        if (
+            any(note.startswith("Stuck at ") for note in run.notes)
+            and run.system.law.observer is None
+        ):
             click.echo(
                 f"certrack: note: {of}an observer that estimates the friction takes most of its "
                 "error off: [law.observer] of kind dob or eso, see docs/observers.md",

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from certrack.core.rounding import printed_bound
 from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, short_number, table
-from certrack.simulation.labels import labelled, metric_labels, move_labels, unit_of_output, with_unit
+from certrack.simulation.labels import (
+    labelled,
+    metric_labels,
+    move_labels,
+    unit_of_output,
+    with_unit,
+)
 from certrack.simulation.metrics import SETTLING_SHARE
 from certrack.simulation.moves import MOVE_LABELS
 
@@ -54,7 +60,7 @@ def moves_table(moves: Sequence[Mapping[str, Any]], units: Sequence[str] | None 
 
 def _within(moves: Sequence[Mapping[str, Any]], units: Sequence[str] | None) -> str:
     """The band that settling after a move refers to."""
-    bands = {move.get("band") for move in moves} - {None}
+    bands = {float(move["band"]) for move in moves if move.get("band") is not None}
     if not bands:
         return ""
     if len(bands) > 1:

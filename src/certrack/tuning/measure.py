@@ -96,7 +96,9 @@ def figures_of(
 ) -> Measured:
     """The figures of a system; `progress` gets steps, their number and the bound so far."""
     best, reason = certified_or_why(
-        system, effort=effort, progress=lambda step, _, bound: progress(step, MEASURING_STEPS, bound)
+        system,
+        effort=effort,
+        progress=lambda step, _, bound: progress(step, MEASURING_STEPS, bound),
     )
     bound = best.bound if best.exists else None
     progress(STEPS, MEASURING_STEPS, bound)

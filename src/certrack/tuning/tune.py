@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 
-import numpy as np
-
 from certrack.certificates.certify import EFFORTS
 from certrack.core import checks
 from certrack.core.errors import Cancelled
@@ -197,9 +195,7 @@ def tune(
     )
 
 
-def _figures(
-    measured: Callable[..., Measured], progress: Progress, search: GainSearch
-) -> Measured:
+def _figures(measured: Callable[..., Measured], progress: Progress, search: GainSearch) -> Measured:
     """The figures of a design; none where the user ends that, who then has the design at least."""
     if search.state.hurried:
         return UNMEASURED

@@ -239,9 +239,11 @@ def falsify(
         best = min(candidates, key=lambda point: float(search.scores(point[:, None])[0]))
         cases, evaluations = {SEARCH: search.loop.case(best)} | cases, search.evaluations
     runs: dict[str, Run] = {}
-    for origin, case in cases.items():  # each may take seconds, where it sticks
-        progress(min(evaluations, budget), budget, max(map(tail_error, runs.values()), default=None))
-        runs[origin] = simulate(case)
+    for origin, written in cases.items():  # each may take seconds, where it sticks
+        progress(
+            min(evaluations, budget), budget, max(map(tail_error, runs.values()), default=None)
+        )
+        runs[origin] = simulate(written)
     if linear is not None:
         cases[KERNELS], runs[KERNELS] = linear.system, linear.run
     if linear is None or is_estimated(system):
