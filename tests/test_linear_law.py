@@ -356,8 +356,8 @@ def test_integral_action_has_the_cost_and_margins_of_the_longer_chain(coupling):
     residual = M.T @ X + X @ M - X @ last @ last.T @ X / cost.input + np.diag(cost.state)
     assert np.abs(residual).max() < 1e-9 * np.abs(M.T @ X).max()
     np.testing.assert_allclose(X[-1] / cost.input, k, rtol=1e-9)
-    assert "e_0^2 + " in str(shown) and "what the law adds to e_4' besides" in " ".join(shown)
-    assert "in (e_0, x - x_d) the weights" in " ".join(shown)
+    assert "e_0^2 + " in str(shown) and "what the law adds to e_4' besides" in str(shown)
+    assert "in (e_0, x - x_d) the weights" in str(shown)
     found = shown.optimality.at_u
     plant = np.vstack([longer.F, np.insert(SLOPES, 0, 0.0)])
     feedback = plant[-1] - longer.nu_x  # u = -k x of the whole input

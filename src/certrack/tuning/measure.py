@@ -102,14 +102,14 @@ def figures_of(
     )
     bound = best.bound if best.exists else None
     progress(STEPS, MEASURING_STEPS, bound)
-    found = _falsified(system, seed, best.kind == KIND)
+    worst = _falsified(system, seed, best.kind == KIND)
     progress(STEPS + 1, MEASURING_STEPS, bound)
     metrics = simulate(system).metrics
     candidate = _Fixed(system)
     return Measured(
         certified=best.bound if best.verified else math.inf,
         method=best.kind if best.verified else "",
-        worst_found=found,
+        worst_found=worst,
         tail_error=metrics.tail_error,
         peak_input=metrics.peak_input if box is None else box_peak(system, box, seed),
         energy=metrics.input_energy,
