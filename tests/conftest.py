@@ -64,6 +64,7 @@ SHIPPED = (
     "example1",
     "example1-classic",
     "flexible-joint",
+    "motor-shaft-load",
     "point-to-point",
     "stiction",
     "theorem1-counterexample",

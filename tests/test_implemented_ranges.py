@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import flint
@@ -25,6 +26,7 @@ from certrack.certificates.implemented.proof import cells_of, prove_implemented
 from certrack.loops.stability import linear_loop
 from certrack.model.implementation import Implementation
 from certrack.studies.ensembles.error_limit import tail_error_limit
+from certrack.systems.reader import loads
 
 #: Step of a 12-bit encoder, rad.
 ENCODER = 2 * math.pi / 2**12
@@ -221,10 +223,82 @@ def test_refusals_name_the_cell():
     system = joint(0.03)
     found, proofs = certify_implemented(system)
     assert not found.exists and not proofs
-    assert "c0 in [" in found.reason and "cells of plant.ranges" in found.reason
+    assert "the nominal ones: the sampled loop is unstable" in found.reason
+    lost = cover._lost_corner(ranged_room.RangedPlant(joint(0.018)), cover.rational(0.5))
+    assert lost.startswith("at c0 = 0.79184 the sampled loop is unstable")
+    assert not cover._lost_corner(ranged_room.RangedPlant(joint()), cover.rational(0.5))
     nonlinear = replace(system.plant, drift="-Beff/Jeq*j - c0/Jeq*(a-10*phi) + (c0-0.9898)*sin(a)")
     found, _ = certify_implemented(joint().replace(plant=nonlinear))
     assert "linear" in found.reason
+
+
+def two_masses(half=0.3):
+    """A motor and a load on a shaft; of 30 % one cell has no bound."""
+    return loads(TWO_MASSES.replace('"0.7*', f'"{1 - half}*').replace('"1.3*', f'"{1 + half}*'))
+
+
+TWO_MASSES = """
+[plant]
+states = ["q", "v", "twist", "rate"]
+chain = [1, "K/JL", 1]
+drift = "-b/JM*(v + rate) - (1/JM + 1/JL)*(K*twist + D*rate)"
+input_gain = "1/JM"
+gain_sign = 1
+[plant.constants]
+JM = 0.0008
+JL = 0.0012
+K = 35
+D = 0.02
+b = 0.003
+[plant.ranges]
+K = ["0.7*35", "1.3*35"]
+JL = ["0.7*0.0012", "1.3*0.0012"]
+[plant.uncertainty]
+tau = [0, 1, 0, 1]
+gamma = [0, 0, 0, 0]
+beta = [0, 0, 0, 12.5]
+Delta = [[0, 0, 0, 0], [0, 0, 0, "D/0.00084"], [0, 0, 0, 0], [0, 0, 0, 0]]
+[truth]
+input_gain = "1/JM"
+omega = [0, "D/JL*rate", 0, "12*sin(30*t)"]
+[reference]
+signal = "0.5*sin(2*t)"
+[law]
+kind = "robust"
+c = [60, 60, 250, 250]
+coupling = 0.5
+feedforward = 3
+[simulation]
+x0 = [0, 0, 0, 0]
+duration = 4
+[implementation]
+period = 0.00025
+delay = 0.5
+measurement_quantum = [1.0e-5, 0, 2.0e-5, 0]
+"""
+
+
+def test_a_refusal_blames_the_ranges_where_they_are_the_cause(monkeypatch):
+    """And what it offers helps: cells have a bound, and so have the narrower ranges in one cell."""
+    found, _ = certify_implemented(two_masses(), effort="fast")
+    assert not found.exists and "--effort default" in found.reason
+    assert "gamma" not in found.reason and "uncertain terms" not in found.reason
+    (share,) = re.findall(r"with (\d+) % of their widths", found.reason)
+    half = 0.3 * int(share) / 100
+    narrow = two_masses(half=half)
+    assert certify_implemented(narrow, effort="fast")[0].verified
+    monkeypatch.setitem(cover.MOST_SAMPLED_CELLS, "default", 16)
+    assert certify_implemented(two_masses())[0].verified
+
+
+def test_a_refusal_blames_the_growth_where_that_is_the_cause():
+    """With the nominal constants, too, nothing is proven."""
+    system = two_masses()
+    strong = replace(system.plant.uncertainty, gamma=(0.0, 0.0, 0.0, 400.0))
+    found, _ = certify_implemented(
+        system.replace(plant=replace(system.plant, uncertainty=strong)), effort="fast"
+    )
+    assert "nominal" in found.reason and "lower gamma" in found.reason
 
 
 def test_the_region_of_several_polytopes_is_in_all_of_theirs():

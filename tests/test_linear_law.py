@@ -214,7 +214,7 @@ def test_margins_at_the_input_end_where_the_loop_does():
 def test_the_design_prints_them():
     text, record = str(LEAN.design()), LEAN.design().summary()
     assert "12 e_1^2 + 12 e_2^2 + 12 e_3^2 + 6 e_4^2 + 0.1667 v^2" in text
-    assert "margins at v: gain 0 to inf" in text
+    assert "margins at v, what the law adds to the last e': gain 0 to inf" in text
     assert "margins at u: gain 0.2578 to inf, phase 58.06 degrees" in text
     A = np.array(record["A"])
     expected = A.T @ np.diag([12, 12, 12, 6]) @ A
@@ -356,7 +356,8 @@ def test_integral_action_has_the_cost_and_margins_of_the_longer_chain(coupling):
     residual = M.T @ X + X @ M - X @ last @ last.T @ X / cost.input + np.diag(cost.state)
     assert np.abs(residual).max() < 1e-9 * np.abs(M.T @ X).max()
     np.testing.assert_allclose(X[-1] / cost.input, k, rtol=1e-9)
-    assert "e_0^2 + " in str(shown) and "what it adds to e_4'; in (e_0, x - x_d)" in str(shown)
+    assert "e_0^2 + " in str(shown) and "what the law adds to e_4' besides" in str(shown)
+    assert "in (e_0, x - x_d) the weights" in str(shown)
     found = shown.optimality.at_u
     plant = np.vstack([longer.F, np.insert(SLOPES, 0, 0.0)])
     feedback = plant[-1] - longer.nu_x  # u = -k x of the whole input

@@ -218,5 +218,6 @@ def test_tables_have_the_units_of_the_plant():
 
     for label in ("tail error [rad]", "integral of |e_1| [rad s]", "input energy [(N m)^2 s]"):
         assert label in labels(units)
-    assert labels(None)[:-2] == list(METRIC_LABELS.values())
+    assert labels(None)[1] == "settled within"
+    assert [labels(None)[0], *labels(None)[2:-2]] == list(METRIC_LABELS.values())
     assert shared_units([units, units]) == units and shared_units([units, None]) is None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,13 +117,26 @@ def note_unlikely(system: System) -> None:
         click.echo(f"certrack: note: {note}", err=True)
 
 
-def diagnose(*runs: Run) -> None:
-    """Notes of all runs to standard error; exit code 1 if one of them did not finish."""
-    for run in runs:
+def diagnose(runs: Mapping[str, Run]) -> None:
+    """Notes of all runs to standard error; exit code 1 if one of them did not finish.
+
+    Of several runs each note says whose it is.
+    """
+    for name, run in runs.items():
+        of = f"{name}: " if len(runs) > 1 else ""
         for note in run.notes:
-            click.echo(f"certrack: note: {note}", err=True)
+            click.echo(f"certrack: note: {of}{note}", err=True)
+        if (
+            any(note.startswith("Stuck at ") for note in run.notes)
+            and run.system.law.observer is None
+        ):
+            click.echo(
+                f"certrack: note: {of}an observer that estimates the friction takes most of its "
+                "error off: [law.observer] of kind dob or eso, see docs/observers.md",
+                err=True,
+            )
         if run.outcome.name != "finished":
             t = run.trajectory.end
-            click.echo(f"certrack: stopped at t = {t:.6g} s: {run.message}", err=True)
-    if any(run.outcome.name != "finished" for run in runs):
+            click.echo(f"certrack: {of}stopped at t = {t:.6g} s: {run.message}", err=True)
+    if any(run.outcome.name != "finished" for run in runs.values()):
         raise click.exceptions.Exit(1)

@@ -7,7 +7,7 @@ import math
 import textwrap
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -171,6 +171,32 @@ def progress(what: str, extreme: str = "worst", then: str = "") -> Iterator[Prog
             bar.update(task, completed=done, total=total, description=shown)
 
         yield advance
+
+
+class Phases:
+    """Progress of a call whose parts follow each other: each has its bar when it first reports."""
+
+    def __init__(self, bars: ExitStack) -> None:
+        self._bars = bars
+        self._shown: tuple[str, Progress] | None = None
+
+    def phase(self, what: str, extreme: str = "worst", then: str = "") -> Progress:
+        """The `progress` of a part; its arguments are those of :func:`progress`."""
+
+        def advance(done: float, total: float | None, best: float | None, /) -> None:
+            if self._shown is None or self._shown[0] != what:
+                self._bars.close()
+                self._shown = what, self._bars.enter_context(progress(what, extreme, then))
+            self._shown[1](done, total, best)
+
+        return advance
+
+
+@contextmanager
+def phases() -> Iterator[Phases]:
+    """The bars of a call whose parts follow each other."""
+    with ExitStack() as bars:
+        yield Phases(bars)
 
 
 @contextmanager

@@ -60,7 +60,7 @@ def optimal(
     for name, system in systems.items():
         with (
             options_named(OPTIMAL_OPTIONS),
-            console.progress(f"Optima of {name}, searches") as advance,
+            console.progress(f"Optima of {name}, searches", "iterations") as advance,
         ):
             results[name] = search_optima(system, objective, progress=advance, **wanted)
     pictures: list[Path] = []

@@ -243,8 +243,14 @@ def falsify(file: str, out: Path | None, budget: int, seed: int, as_json: bool) 
     keep_source(file, *filter(None, [out, beside]))
     note_engine(compiled=False)
     note_contradictions(system, file)
-    with console.progress("Searching") as advance:
-        result = search(system, budget=budget, seed=seed, progress=advance)
+    with console.phases() as bars:
+        result = search(
+            system,
+            budget=budget,
+            seed=seed,
+            progress=bars.phase("Searching, runs"),
+            certifying=bars.phase("Certifying what the search is held against, steps", "bound"),
+        )
     drive = result.drive
     if drive is None:
         note_implementation(system)

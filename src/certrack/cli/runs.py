@@ -145,7 +145,7 @@ def simulate(
     tell_written(as_json, *pictures)
     if in_window:
         show_runs(runs, system.title, appearance, certified)
-    diagnose(run)
+    diagnose({file: run})
 
 
 @click.command()
@@ -204,7 +204,7 @@ def compare(
         units = run_report.shared_units(system.plant.units for system in systems.values())
         console.print_wide_table(run_report.metrics_table(summaries, units))
     tell_written(as_json, *pictures)
-    diagnose(*runs.values())
+    diagnose(runs)
 
 
 @click.command()
@@ -281,6 +281,7 @@ def ensemble(
     from certrack.studies.ensembles import workers
     from certrack.studies.ensembles.all_lost import AllMembersLost
     from certrack.studies.ensembles.ensemble import ensemble as run_ensemble
+    from certrack.studies.ensembles.error_limit import limit_and_starts
     from certrack.systems.reader import load
 
     if keep and out is None:
@@ -291,6 +292,8 @@ def ensemble(
     note_contradictions(system, file, replaced=system.varied.disturbance != "file")
     note_unlikely(system)
     note_engine(alone=system.implementation is None)
+    with console.progress("Certifying the limit of the tail error"):
+        limit_and_starts(system, limit)  # it is remembered
     try:
         with (
             workers.connect(cluster) if cluster is not None else nullcontext() as client,

@@ -54,6 +54,14 @@ def _number(name: str, text: str) -> Callable[[Callable[..., Any]], Callable[...
     help="Searches, from the file's gains and from random ones; default: 8, nonlinear loops 2.",
 )
 @click.option("--seed", type=MEMBER_SEED, default=0, show_default=True, help="Seed of the starts.")
+@click.option(
+    "--effort",
+    type=click.Choice(["fast", "default", "high"]),
+    default="fast",
+    show_default=True,
+    help="Of the proofs of both designs when the search is over: fast takes seconds, the others "
+    "are those of certify and may take minutes.",
+)
 @click.option("--front", metavar="LIMIT", help="Sweep this limit too, such as period.")
 @click.option("--plot", type=FOLDER, help="Folder for the picture of the front.")
 @click.option("--out", type=NEW_FILE, help="File for the tuned system (TOML).")
@@ -93,12 +101,14 @@ def _tuned(
     if plot is not None and wanted["front"] is None:
         raise InputError("--plot", "draws a front, and none is asked for", remedy="Add --front")
     wanted["box"] = _box_of(wanted["box"])
-    with (
-        options_named(TUNE_OPTIONS),
-        naming(file, "law", "tune"),
-        console.progress("Tuning, starts", "best", "now finished and certified") as bar,
-    ):
-        result = search_gains(system, progress=bar, **wanted)
+    then = "" if system.implementation is None else "now as the drive runs it"
+    with options_named(TUNE_OPTIONS), naming(file, "law", "tune"), console.phases() as bars:
+        result = search_gains(
+            system,
+            progress=bars.phase("Tuning, starts", "best", then),
+            proving=bars.phase("Search over, certifying and measuring, steps", "bound"),
+            **wanted,
+        )
     if as_json:
         click.echo(console.to_json(result.summary()))
     else:
@@ -154,7 +164,7 @@ def _box_of(text: str | None) -> list[tuple[float, float]] | None:
 #: Arguments of certrack.tune that are options of the verb.
 TUNE_OPTIONS = (
     *("objective", "error", "peak_input", "energy", "period", "delay_margin", "noise"),
-    *("feedforward", "box", "starts", "seed", "front"),
+    *("feedforward", "box", "starts", "seed", "effort", "front"),
 )
 
 

@@ -43,6 +43,8 @@ def rounded_range(low: float, high: float, digits: int = 6) -> str:
 
     >>> rounded_range(0.3, 2.00000001)
     '[0.3, 2.00001]'
+    >>> rounded_range(-0.0, 1.0)
+    '[0, 1]'
     """
     floor, ceiling = (
         str(Context(prec=EXACT_DIGITS, rounding=rounding).divide(*map(Decimal, exact_pair(end))))
@@ -62,6 +64,7 @@ def _short_text(value: float | str, digits: int, rounding: str) -> str:
     if not exact.is_finite():
         return str(float(value))
     short = Context(prec=digits, rounding=rounding).plus(exact).normalize()
+    short = short or Decimal(0)  # not -0
     in_full = not short or -4 <= short.adjusted() < max(digits, 6)
     return f"{short:f}" if in_full else f"{short:e}".replace("e+", "e")
 

@@ -144,6 +144,13 @@ def _of_tube(results: Certificates, tube: Tube) -> str:
         if math.isfinite(bound):
             later = f"; it counts a soft start for ever, the bound of {results.tube_kind} does not"
     start = printed_bound(float(tube(0.0)), BOUND_TEXT_DIGITS)
+    if tube.settling_time(level) == 0:  # as it begins, and so ever after
+        lasting = printed_bound(level, BOUND_TEXT_DIGITS)
+        verified = "" if tube.verified else " (the start is not verified)"
+        return (
+            f"tube from x0: |e_1| <= {start} at t = 0, and |e_1| <= {lasting} at all times, "
+            f"{100 * SETTLED_MARGIN:g} % above {where}{later}{verified}"
+        )
     settled = printed_bound(tube.settling_time(level), BOUND_TEXT_DIGITS)
     verified = "" if tube.verified else " (the start is not verified)"
     return (

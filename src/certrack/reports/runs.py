@@ -6,8 +6,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from certrack.core.rounding import printed_bound
-from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, table
-from certrack.simulation.labels import metric_labels, move_labels, unit_of_output, with_unit
+from certrack.reports.tables import BOUND_TEXT_DIGITS, Table, short_number, table
+from certrack.simulation.labels import (
+    labelled,
+    metric_labels,
+    move_labels,
+    unit_of_output,
+    with_unit,
+)
+from certrack.simulation.metrics import SETTLING_SHARE
 from certrack.simulation.moves import MOVE_LABELS
 
 if TYPE_CHECKING:
@@ -28,6 +35,9 @@ def metrics_table(
     rows = [
         [label, *(summary[key] for summary in summaries.values())] for key, label in labels.items()
     ]
+    y = unit_of_output(units)
+    bands = [summary.get("band") for summary in summaries.values()]
+    rows.insert(1, [labelled("settled within", y), *bands])
     rows.append(["outcome", *(summary["outcome"] for summary in summaries.values())])
     rows.append(["integrator", *(summary["integrator"] for summary in summaries.values())])
     return table("", ["metric", *summaries], rows)
@@ -45,7 +55,17 @@ def moves_table(moves: Sequence[Mapping[str, Any]], units: Sequence[str] | None 
             max((m[key] for m in moves if m[key] is not None), default=None) for key in MOVE_LABELS
         ]
         rows.append([f"largest of {len(moves)}", "", "", "", *last[4:]])
-    return table("moves", list(move_labels(units).values()), rows, digits=4)
+    return table(f"moves{_within(moves, units)}", list(move_labels(units).values()), rows, digits=4)
+
+
+def _within(moves: Sequence[Mapping[str, Any]], units: Sequence[str] | None) -> str:
+    """The band that settling after a move refers to."""
+    bands = {float(move["band"]) for move in moves if move.get("band") is not None}
+    if not bands:
+        return ""
+    if len(bands) > 1:
+        return f", settled within {100 * SETTLING_SHARE:g} % of each"
+    return f", settled within {with_unit(short_number(bands.pop()), unit_of_output(units))}"
 
 
 def ensemble_table(ensemble: Ensemble) -> Table:

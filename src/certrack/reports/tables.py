@@ -32,12 +32,17 @@ def _cell(value: object, digits: int) -> str:
     return str(value)
 
 
+#: What is smaller is dust of a division, such as of an interpolated quantile of zeros.
+SMALLEST_SHOWN = 1e-300
+
+
 def short_number(value: float, digits: int = 5) -> str:
     """A number with a short exponent, if any.
 
-    >>> [short_number(value, 4) for value in (804940.0, 0.00012344, 0.5)]
-    ['8.049e5', '1.234e-4', '0.5']
+    >>> [short_number(value, 4) for value in (804940.0, 0.00012344, 0.5, -0.0)]
+    ['8.049e5', '1.234e-4', '0.5', '0']
     """
+    value = 0.0 if abs(value) < SMALLEST_SHOWN else value  # of -0, too
     text = f"{value:.{digits}g}" if abs(value) >= 1e-3 or not value else f"{value:.{digits - 1}e}"
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}" if mark else text

@@ -99,6 +99,11 @@ def warnings(result: Tuned) -> list[str]:
     lines += result.broken
     if result.objective == "error" and result.after.certified >= result.before.certified:
         lines.append("the certified error is not better than the file's, within these limits")
+    if result.after.method and result.after.continuous_only:
+        lines.append(
+            "what is certified is the continuous law, not the loop as [implementation] runs it: "
+            + result.after.continuous_only
+        )
     if not math.isfinite(result.after.certified):
         lines.append("nothing is verified of the tuned design")
     drive, edge = result.system.implementation, result.after.period

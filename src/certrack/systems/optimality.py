@@ -61,16 +61,17 @@ class Optimality:
             first = 0 if self.has_integral else 1
             terms = [f"{_short(v)} e_{i}^2" for i, v in enumerate(weights, first) if v]
             integrand = " + ".join([*terms, f"{_short(self.cost.input)} v^2"])
+            states = "(e_0, x - x_d)" if self.has_integral else "x - x_d"
             shown += [
                 f"with known parameters and w = 0 it minimises int ({integrand}) dt,",
-                f"where v is what it adds to e_{first + len(weights) - 1}'; in "
-                f"{'(e_0, x - x_d)' if self.has_integral else 'x - x_d'} the weights of e are",
+                f"where v is what the law adds to e_{first + len(weights) - 1}' besides cancelling "
+                f"terms of the plant; in {states} the weights of e are",
                 *(f"  [{', '.join(map(_short, row))}]" for row in self.cost.of_states.tolist()),
             ]
         if self.at_v is not None:
-            shown.append(f"margins at v: {_words(self.at_v)}")
+            shown.append(f"margins at v, what the law adds to the last e': {_words(self.at_v)}")
         if self.at_u is not None:
-            shown.append(f"margins at u: {_words(self.at_u)}")
+            shown.append(f"margins at u, the input of the plant: {_words(self.at_u)}")
         return shown
 
 
@@ -117,4 +118,4 @@ def _words(margins: LoopMargins) -> str:
 
 
 def _short(value: float) -> str:
-    return f"{value:.{SHOWN_DIGITS}g}"
+    return f"{value + 0.0:.{SHOWN_DIGITS}g}"  # -0 is 0

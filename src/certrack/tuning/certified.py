@@ -9,28 +9,58 @@ from certrack.certificates.implemented.certify import KIND
 from certrack.certificates.methods import smallest
 from certrack.certificates.ranges.certify import certify_ranges
 from certrack.certificates.scope import has_ranges
+from certrack.core.progress import Progress, silent
 from certrack.systems.system import System
 
 
-def certified(system: System, *, bootstrap: bool = True) -> Certificate:
-    """The best certificate of a system: that of the loop as implemented, else the smallest.
+def certified(
+    system: System,
+    *,
+    bootstrap: bool = True,
+    effort: str = "fast",
+    progress: Progress = silent,
+) -> Certificate:
+    """The best certificate of a system: that of the loop as implemented, else the smallest."""
+    return certified_or_why(system, bootstrap=bootstrap, effort=effort, progress=progress)[0]
 
-    Ranges are cut into cells, which takes seconds: gains that were searched for the corners may be
-    too sharp for one proof of the whole box. The loop as implemented, of which the cells take
-    a minute or more, is tried for the whole box only.
+
+def certified_or_why(
+    system: System,
+    *,
+    bootstrap: bool = True,
+    effort: str = "fast",
+    progress: Progress = silent,
+) -> tuple[Certificate, str]:
+    """The best certificate, and why there is none of the loop as implemented.
+
+    With the effort ``fast`` ranges are cut into cells, which takes seconds: gains that were
+    searched for the corners may be too sharp for one proof of the whole box. The loop as
+    implemented, of which the cells take minutes, is tried for the whole box only.
 
     Parameters
     ----------
     system : System
     bootstrap : bool
-        Whether the bootstrap, which takes a second or two, may be it.
+        Whether the bootstrap, which takes a second or two, may be it with the effort ``fast``.
+    effort : {"fast", "default", "high"}
+        Others than ``fast`` as :func:`~certrack.certify` has them.
+    progress : callable
+        Gets what :func:`~certrack.certify` reports.
+
+    Returns
+    -------
+    certificate : Certificate
+    reason : str
+        Empty where there is no ``[implementation]``, or a verified bound of the loop that it makes.
     """
-    result = certify(system, "fast")
-    if result.best.kind == KIND or result.contradicted:
-        return result.best
+    result = certify(system, effort, progress)
+    missing = system.implementation is not None and not result.implemented.verified
+    reason = result.implemented.reason if missing else ""
+    if effort != "fast" or result.best.kind == KIND or result.contradicted:
+        return result.best, reason
     later, others = system.long_run, []
     if has_ranges(system):
         others.append(certify_ranges(later).best)
     elif bootstrap and result.cascade_proof is not None:
         others.append(certify_bootstrap(later, first=result.cascade_proof[0])[0])
-    return smallest((*others, result.best)) or result.best
+    return smallest((*others, result.best)) or result.best, reason

@@ -56,6 +56,15 @@ class DriveFamily(Family):
         """Of the laws."""
         return self.inner.kind
 
+    @property
+    def own_keys(self) -> tuple[str, ...]:
+        """Keys of the numbers that it has besides those of the plain laws."""
+        keys = []
+        if self._observer is not None:
+            weighted = self._observer.weights is not None
+            keys.append("law.observer." + ("weights" if weighted else "bandwidth"))
+        return (*keys, *(["law.integral"] if self._integral is not None else []))
+
     def law(self, v: np.ndarray) -> Law:
         return self._joined(self.inner.law(v[: self._count]), np.exp(v[self._count :]))
 

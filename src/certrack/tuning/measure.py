@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from certrack.certificates.certify import STEPS
 from certrack.certificates.implemented.certify import KIND
 from certrack.core.errors import InputError
+from certrack.core.progress import Progress, silent
 from certrack.loops.stability import linear_loop
 from certrack.model.distribution import Distribution
 from certrack.model.implementation import Implementation
@@ -18,7 +20,7 @@ from certrack.studies.ensembles.ensemble import ensemble
 from certrack.studies.falsifier.falsify import falsify
 from certrack.systems.system import System
 from certrack.tuning.candidate import Candidate
-from certrack.tuning.certified import certified
+from certrack.tuning.certified import certified_or_why
 from certrack.tuning.companion import companion, is_memoryless
 from certrack.tuning.quantities import NoiseGain
 from certrack.tuning.responses import Grid
@@ -29,6 +31,9 @@ from certrack.tuning.stability import StabilityEdge
 #: Runs of the falsifier; members of the ensemble that looks for a larger peak than the corners';
 #: grid of the exact peak, over that of the search.
 FALSIFIED_RUNS, PEAK_MEMBERS, REFINED = 200, 200, 4
+
+#: Steps that a measurement reports: those of the certificate, the falsifier, and what is simulated.
+MEASURING_STEPS = STEPS + 2
 
 #: What a peak input is: computed for all starts, the largest that was found, or of one run.
 COMPUTED, FOUND, SIMULATED = (
@@ -56,6 +61,8 @@ class Measured:
         Largest |u| from the box of starts, or from the file's start where there is none.
     peak_is : str
         :data:`COMPUTED`, :data:`FOUND` or :data:`SIMULATED`.
+    continuous_only : str
+        With ``[implementation]``: why the certificate is of the continuous law; empty if it is not.
     noise : float
         ||dK_u/dx||.
     period : float or None
@@ -72,6 +79,7 @@ class Measured:
     noise: float
     period: float | None
     peak_is: str
+    continuous_only: str = ""
 
     def summary(self) -> dict[str, Any]:
         """Ready for JSON."""
@@ -79,15 +87,29 @@ class Measured:
         return {"found" if name == "worst_found" else name: v for name, v in entries.items()}
 
 
-def figures_of(system: System, box: np.ndarray | None, seed: int) -> Measured:
-    """The figures of a system."""
-    best = certified(system)
+def figures_of(
+    system: System,
+    box: np.ndarray | None,
+    seed: int,
+    effort: str = "fast",
+    progress: Progress = silent,
+) -> Measured:
+    """The figures of a system; `progress` gets steps, their number and the bound so far."""
+    best, reason = certified_or_why(
+        system,
+        effort=effort,
+        progress=lambda step, _, bound: progress(step, MEASURING_STEPS, bound),
+    )
+    bound = best.bound if best.exists else None
+    progress(STEPS, MEASURING_STEPS, bound)
+    worst = _falsified(system, seed, best.kind == KIND)
+    progress(STEPS + 1, MEASURING_STEPS, bound)
     metrics = simulate(system).metrics
     candidate = _Fixed(system)
     return Measured(
         certified=best.bound if best.verified else math.inf,
         method=best.kind if best.verified else "",
-        worst_found=_falsified(system, seed, best.kind == KIND),
+        worst_found=worst,
         tail_error=metrics.tail_error,
         peak_input=metrics.peak_input if box is None else box_peak(system, box, seed),
         energy=metrics.input_energy,
@@ -95,6 +117,7 @@ def figures_of(system: System, box: np.ndarray | None, seed: int) -> Measured:
         noise=NoiseGain(system).value(candidate),
         period=_exact_edge(system, candidate),
         peak_is=SIMULATED if box is None else COMPUTED if input_plant(system) else FOUND,
+        continuous_only=reason,
     )
 
 

@@ -47,6 +47,20 @@ class GainStage:
         added = len(self.family.start) - len(v)
         return np.append(v, self.family.start[-added:]) if added else v
 
+    def left_alone(self) -> list[str]:
+        """What of the law is not tuned, in words; empty if everything is."""
+        names = list(getattr(self.complete, "own_keys", ()))
+        if self.family is self.complete or not names:
+            return []
+        system = self.problem.system
+        if system.implementation is None:
+            why = "their certificate is that of the loop as implemented: state [implementation]"
+        elif has_ranges(system):
+            why = "constants have ranges, for which the continuous loop is tuned: try other values"
+        else:
+            why = "the loop is nonlinear, and its continuous form is tuned: try other values"
+        return [f"not tuned, as in the file: {', '.join(names)}; {why}"]
+
     def written(self, v: np.ndarray) -> Law:
         """The law of a point, as the file states it."""
         complete = self.complete

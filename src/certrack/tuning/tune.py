@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
-import numpy as np
-
+from certrack.certificates.certify import EFFORTS
 from certrack.core import checks
 from certrack.core.errors import Cancelled
 from certrack.core.progress import Progress, silent
@@ -21,7 +21,7 @@ from certrack.tuning.companion import with_law_of
 from certrack.tuning.conflict import conflict
 from certrack.tuning.exceeded import broken_limits
 from certrack.tuning.front import limits_named, sweep
-from certrack.tuning.measure import UNMEASURED, Measured, figures_of
+from certrack.tuning.measure import MEASURING_STEPS, UNMEASURED, Measured, figures_of
 from certrack.tuning.problem import OBJECTIVES, Requirements
 from certrack.tuning.result import ActiveLimit, Front, Tuned
 from certrack.tuning.search import GainSearch, prices, random_starts
@@ -56,7 +56,9 @@ def tune(
     starts: int | None = None,
     seed: int = 0,
     front: str | None = None,
+    effort: str = "fast",
     progress: Progress = silent,
+    proving: Progress = silent,
 ) -> Tuned:
     """Choose the gains of a system's law.
 
@@ -93,10 +95,16 @@ def tune(
         Of these. The same seed gives the same design.
     front : str, optional
         Name of a limit to sweep: ``period``, ``peak-input``, ``energy``, ``noise`` or ``error``.
+    effort : {"fast", "default", "high"}
+        Of the certificates of both designs, before and after. ``fast`` proves the loop as
+        implemented for all ranges at once; the others cut them into cells, which takes minutes.
     progress : callable
         Gets the starts done, their number and the best objective so far. KeyboardInterrupt, and
         :class:`~certrack.core.errors.Cancelled`, end the search and keep the best; with the
         argument :data:`~certrack.core.progress.AT_ONCE` nothing is measured either.
+    proving : callable
+        Gets, when the search is over, the steps done of certifying and measuring both designs,
+        their number and the bound so far.
 
     Returns
     -------
@@ -117,6 +125,7 @@ def tune(
     """
     require_system(system)
     checks.choice("objective", objective, OBJECTIVES)
+    checks.choice("effort", effort, EFFORTS)
     if starts is not None:
         checks.integer("starts", starts, 1, MAX_STARTS)
     checks.integer("seed", seed, 0, 2**63 - 1)
@@ -158,8 +167,17 @@ def tune(
         curve = sweep(used.problem, used.family, best, front, progress)
     finished = with_law_of(system, last.written(best.v))
     starts_box = first.problem.box
-    after = _figures(finished, starts_box, seed, search)
-    before = _figures(system, starts_box, seed, search)
+    notes += last.left_alone()
+
+    def figures(of: System, number: int) -> Measured:
+        begun, total = number * MEASURING_STEPS, 2 * MEASURING_STEPS
+        return _figures(
+            partial(figures_of, of, starts_box, seed, effort),
+            lambda done, _, bound: proving(begun + done, total, bound),
+            search,
+        )
+
+    after, before = figures(finished, 0), figures(system, 1)
     return Tuned(
         system=finished,
         objective=objective,
@@ -177,12 +195,12 @@ def tune(
     )
 
 
-def _figures(system: System, box: np.ndarray | None, seed: int, search: GainSearch) -> Measured:
-    """The figures of a system; none where the user ends that, who then has the design at least."""
+def _figures(measured: Callable[..., Measured], progress: Progress, search: GainSearch) -> Measured:
+    """The figures of a design; none where the user ends that, who then has the design at least."""
     if search.state.hurried:
         return UNMEASURED
     try:
-        return figures_of(system, box, seed)
+        return measured(progress=progress)
     except (KeyboardInterrupt, Cancelled) as signal:
         search.state.ended_by(signal)
         return UNMEASURED

@@ -13,6 +13,7 @@ from typing import Any
 
 import flint
 
+from certrack.certificates.arithmetic import rational
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import float_up, from_text
 from certrack.certificates.implemented.drive import DRIVE_BITS
@@ -24,8 +25,8 @@ from certrack.certificates.implemented.proof import (
     prove_implemented,
 )
 from certrack.certificates.implemented.ranged import RangedPlant
-from certrack.certificates.ranges.boxes import names
-from certrack.certificates.ranges.cells import Cell, divided
+from certrack.certificates.ranges.boxes import names, scaled
+from certrack.certificates.ranges.cells import Cell, corners_of, divided
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, cells_fill, numbers
 from certrack.certificates.ranges.search import WORTHWHILE
 from certrack.core.progress import Progress, silent
@@ -37,6 +38,9 @@ MOST_SAMPLED_CELLS = {"fast": 1, "default": 48, "high": 192}
 
 #: What all tables of the cells for one delay may hold, by effort: about a minute, or four.
 MOST_WORK = {"fast": 2e9, "default": 2e9, "high": 8e9}
+
+#: Parts of the ranges' widths that are tried in one cell, to tell which would have a bound.
+NARROWER = (0.5, 0.2, 0.05)
 
 #: A proof and what its bound is made of.
 Proven = tuple[ImplementedProof, dict[str, float]]
@@ -87,7 +91,7 @@ def prove_cells(
     for cell in sorted(cells):
         proven = tried[cell]
         if isinstance(proven, NoCertificate):
-            raise NoCertificate(_no_bound_for(plant, cell, len(cells), str(proven)))
+            raise NoCertificate(_no_bound_for(system, plant, delay, cells, cell, effort))
         proofs.append(proven)
     return proofs
 
@@ -126,19 +130,61 @@ def _report(bound: Callable[[Cell], float], progress: Progress, cells: list[Cell
     progress(len(cells), None, largest if math.isfinite(largest) else None)
 
 
-def _no_bound_for(plant: RangedPlant, cell: Cell, count: int, reason: str) -> str:
-    """Why there is no bound for all of the ranges."""
+def _no_bound_for(
+    system: System, plant: RangedPlant, delay: Any, cells: Sequence[Cell], failed: Cell, effort: str
+) -> str:
+    """Why there is no bound for all of the ranges: what it takes is tried, not guessed."""
+
+    def reason_of(cell: Cell) -> str:
+        try:
+            prove_implemented(system, delay, cell, plant)
+        except NoCertificate as refusal:
+            return str(refusal)
+        return ""
+
+    if reason := reason_of(scaled(plant.loop, rational(0))):
+        return f"no bound even where the constants of plant.ranges are the nominal ones: {reason}"
+    if lost := _lost_corner(plant, delay):
+        return f"plant.ranges are too wide: {lost}; narrow them, or choose other gains"
     ends = ", ".join(
         f"{name} in {rounded_range(float(low), float(high))}"
-        for name, (low, high) in zip(names(plant.loop), cell, strict=True)
+        for name, (low, high) in zip(names(plant.loop), failed, strict=True)
+    )
+    share = next((s for s in NARROWER if not reason_of(scaled(plant.loop, rational(s)))), None)
+    narrower = "narrow plant.ranges" + (
+        "" if share is None else f" (proven in one cell: with {100 * share:.0f} % of their widths)"
     )
     if plant.varies:
-        return f"no bound for constants that vary in all of plant.ranges ({ends}): {reason}"
+        return (
+            f"plant.ranges are too wide for constants that vary in all of them ({ends}), and known "
+            f"constants have a bound; {narrower}, or state that they stand still (constants_vary)"
+        )
+    if effort == "fast":
+        return (
+            "plant.ranges are too wide for one proof of all of them, and known constants have a "
+            f"bound; take --effort default, which cuts the ranges into cells, or {narrower}"
+        )
+    higher = ", or take --effort high (more cells)" if effort == "default" else ""
     return (
-        f"no bound for {ends}, the worst of {count} {'cell' if count == 1 else 'cells'} of "
-        f"plant.ranges, and there may not be more: {reason}; narrow plant.ranges, or take a higher "
-        "--effort"
+        f"plant.ranges are too wide: none for {ends}, the worst of {len(cells)} cells, and known "
+        f"constants have a bound; {narrower}{higher}, or raise c"
     )
+
+
+def _lost_corner(plant: RangedPlant, delay: Any) -> str:
+    """The corner of the ranges where the sampled loop is unstable, or nearly, and so no cell helps;
+    empty if none was found.
+    """
+    for corner in corners_of(plant.box):
+        drive = plant.drive(tuple((value, value) for value in corner), delay)
+        with flint.ctx.workprec(DRIVE_BITS):
+            try:
+                periods_needed(one_period(drive, cells_of(drive)))
+            except NoCertificate as refusal:
+                pairs = zip(names(plant.loop), corner, strict=False)
+                where = ", ".join(f"{name} = {float(value):.6g}" for name, value in pairs)
+                return f"at {where} {refusal}"
+    return ""
 
 
 def failed_cells(proofs: Sequence[ImplementedProof], plant: RangedPlant | None) -> str:

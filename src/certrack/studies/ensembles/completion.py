@@ -36,7 +36,12 @@ def complete(
         results = workers.on_cluster(plan, missing, client)
     else:
         parts = missing if checkpoints else list(probe_first(missing))
-        results = workers.in_this_process(engine, parts, total if checkpoints is None else None)
+        results = workers.in_this_process(
+            engine,
+            parts,
+            total if checkpoints is None else None,
+            lambda part: progress(total.members + part, members, _largest(total)),
+        )
     for span, statistics, spent in results if missing else ():
         if statistics is not total:
             total.merge(statistics)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -39,13 +40,21 @@ class Engine:
         self._problem = EnsembleProblem(plan.system, plan.seed, plan.tolerance)
         self.method = create_method(plan.method, self._problem, threads)
 
-    def compute(self, begin: int, end: int, total: Statistics | None = None) -> Statistics:
+    def compute(
+        self,
+        begin: int,
+        end: int,
+        total: Statistics | None = None,
+        ran: Callable[[int], None] | None = None,
+    ) -> Statistics:
         """Statistics of the members begin ... end-1; added to those of others, if given.
 
+        Members that are run one by one, which may take a second each, are told to `ran`: it gets
+        how many of the range are done.
         A fresh table of counts costs as much as a thousand members.
         """
         statistics = self.plan.empty() if total is None else total
-        metrics, outcomes = self.metrics_and_outcomes(begin, end, statistics.bands)
+        metrics, outcomes = self.metrics_and_outcomes(begin, end, statistics.bands, ran)
         statistics.members += end - begin
         for outcome, count in zip(OUTCOME_CODES, np.bincount(outcomes).tolist(), strict=False):
             if count:
@@ -62,7 +71,11 @@ class Engine:
         return statistics
 
     def metrics_and_outcomes(
-        self, begin: int, end: int, bands: Bands
+        self,
+        begin: int,
+        end: int,
+        bands: Bands,
+        ran: Callable[[int], None] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute members and count their signals in the bands.
 
@@ -79,7 +92,10 @@ class Engine:
         early = results.ends < self._problem.end
         metrics[:, early] = np.nan
         outcomes[early & ~results.run_alone] = OUTCOME_CODES[Outcome.escaped]
-        for i in np.flatnonzero(results.run_alone).tolist():
+        alone = np.flatnonzero(results.run_alone).tolist()
+        for count, i in enumerate(alone):
+            if ran is not None:
+                ran(end - begin - len(alone) + count)
             run = self._problem.members.run(begin + i)
             outcomes[i] = OUTCOME_CODES[run.outcome]
             if run.outcome is Outcome.finished:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -30,12 +30,18 @@ def cores() -> int:
 
 
 def in_this_process(
-    engine: Engine, chunks: Iterable[Range], total: Statistics | None
+    engine: Engine,
+    chunks: Iterable[Range],
+    total: Statistics | None,
+    ran: Callable[[int], None] | None = None,
 ) -> Iterator[ChunkResult]:
-    """Compute here; the statistics are added to `total`, or each chunk's are its own."""
+    """Compute here; the statistics are added to `total`, or each chunk's are its own.
+
+    `ran` gets how many of a chunk are done, where members are run one by one.
+    """
     for begin, end in chunks:
         clock = time.perf_counter()
-        statistics = engine.compute(begin, end, total)
+        statistics = engine.compute(begin, end, total, ran)
         yield (begin, end), statistics, time.perf_counter() - clock
 
 

@@ -20,7 +20,7 @@ from certrack.certificates.certify import EFFORTS
 from certrack.certificates.implemented.certify import certify_implemented
 from certrack.certificates.implemented.premises import premises_as_implemented
 from certrack.certificates.implemented.regional import is_regional
-from certrack.certificates.methods import Methods, every_certificate
+from certrack.certificates.methods import METHOD_STEPS, Methods, every_certificate
 from certrack.certificates.premise import contradicted
 from certrack.certificates.premises_of_truth import premises
 from certrack.core import checks
@@ -163,6 +163,7 @@ def falsify(
     seed: int = 0,
     effort: str = "default",
     progress: Progress = silent,
+    certifying: Progress = silent,
 ) -> Falsification:
     """Search the worst admissible case of `system`; its own run is always a candidate.
 
@@ -179,6 +180,9 @@ def falsify(
         Of the certificates that the worst case is held against, as of :func:`certrack.certify`.
     progress : callable
         Gets the runs so far, the budget and the worst error so far.
+    certifying : callable
+        Gets, before the search, the steps done of certifying what it is held against, their number
+        and the bound so far.
 
     Returns
     -------
@@ -207,17 +211,20 @@ def falsify(
             "falsify searches disturbances of the design's plant, not of one with own states",
             remedy="Give the truth in the design's form, or vary it by certrack ensemble",
         )
-    progress(0, budget, None)
     system = system.long_run  # a soft start has vanished where the worst error is sought
-    methods = every_certificate(system, effort)
+    steps = METHOD_STEPS + (system.implementation is not None)
+    methods = every_certificate(system, effort, lambda k, _, bound: certifying(k, steps, bound))
     bounds = tuple(reference_bounds(system, system.controller.coordinates.q + 1))
     left_out: dict[str, str] = {}
     drive = linear = None
     if system.implementation is not None:
         try:
-            drive = _of_drive(system, bounds, effort)
+            drive = _of_drive(
+                system, bounds, effort, lambda _, __, bound: certifying(METHOD_STEPS, steps, bound)
+            )
         except NothingTried as refusal:
             left_out["drive"] = str(refusal)
+    progress(0, budget, None)
     system = system.replace(implementation=None)
     try:
         case = estimated_case if is_estimated(system) else continuous_case
@@ -231,7 +238,12 @@ def falsify(
         candidates = (evolved, search.polish(evolved, budget))
         best = min(candidates, key=lambda point: float(search.scores(point[:, None])[0]))
         cases, evaluations = {SEARCH: search.loop.case(best)} | cases, search.evaluations
-    runs = {origin: simulate(case) for origin, case in cases.items()}
+    runs: dict[str, Run] = {}
+    for origin, written in cases.items():  # each may take seconds, where it sticks
+        progress(
+            min(evaluations, budget), budget, max(map(tail_error, runs.values()), default=None)
+        )
+        runs[origin] = simulate(written)
     if linear is not None:
         cases[KERNELS], runs[KERNELS] = linear.system, linear.run
     if linear is None or is_estimated(system):
@@ -292,10 +304,12 @@ def _worst_member(system: System, linear: LinearCase | None) -> System:
     return system.replace(truth=truth)
 
 
-def _of_drive(system: System, bounds: tuple[float, ...], effort: str) -> DriveFalsification:
+def _of_drive(
+    system: System, bounds: tuple[float, ...], effort: str, certifying: Progress
+) -> DriveFalsification:
     """The worst case of the loop as it is implemented, and its certificate."""
     case = sampled_case(system, bounds)
-    implemented, proofs = certify_implemented(system, effort=effort)
+    implemented, proofs = certify_implemented(system, effort=effort, progress=certifying)
     certificate: Certificate = implemented
     broken = contradicted(premises_as_implemented(system, proofs) if proofs else premises(system))
     if broken and certificate.exists:

@@ -9,9 +9,10 @@ another method. It is a local optimum, found and not proven.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -213,7 +214,8 @@ def optimal(
     elements : int
         Of the last mesh at most: on each the input is a line.
     progress : callable
-        Called as ``progress(done, total, None)`` with the searches that are done.
+        Called as ``progress(done, total, iterations)`` with the searches that are done, and the
+        iterations of the one that goes on.
 
     Returns
     -------
@@ -256,7 +258,11 @@ def optimal(
     optima = []
     for i, one in enumerate(goals):
         progress(i, len(goals), None)
-        called = partial(progress, i, len(goals), None)
+        iterations = itertools.count(1)
+
+        def called(i: int = i, iterations: Iterator[int] = iterations) -> None:
+            progress(i, len(goals), next(iterations))
+
         optima.append(_optimum(ca, law_run, one, count, called))
     progress(len(goals), len(goals), None)
     return Optima(law_run.run, law_run.law, tuple(optima))

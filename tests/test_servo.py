@@ -1,0 +1,143 @@
+"""What a servo engineer reads on the way from a blank file to a tuned design of two masses."""
+
+import re
+
+import pytest
+from click.testing import CliRunner
+
+import certrack
+from certrack.cli import cli, console
+from certrack.core.rounding import rounded_range
+from certrack.reports.certificates import certificates_notes
+from certrack.reports.tables import short_number
+from certrack.tuning import tune as tune_room
+from certrack.tuning.measure import MEASURING_STEPS
+
+
+def run(*arguments):
+    return CliRunner().invoke(cli, list(arguments))
+
+
+def test_tolerance_and_drive_of_the_starter_file_need_their_marks_off_only():
+    text = certrack.starter()
+    text = re.sub(r"^input_gain = \[.*\n", "", text, flags=re.M).replace("# J = [", "J = [")
+    before, mark, drive = text.partition("# [implementation]")
+    system = certrack.loads(before + re.sub(r"^# ", "", mark + drive, flags=re.M))
+    assert system.plant.constant_boxes == {"J": (0.4, 0.6)}
+    assert system.implementation.period == 0.00025 and system.implementation.delay == 0.5
+    assert certrack.simulate(system.with_settings(duration=0.2)).outcome.name == "finished"
+
+
+def test_bounds_by_a_constant_with_a_range_are_refused():
+    text = certrack.starter("motor-shaft-load").replace('"D/(0.85*0.0012)"', '"D/JL"')
+    with pytest.raises(certrack.InputError, match="must not depend on a constant with a range"):
+        certrack.loads(text)
+
+
+def test_a_tube_that_begins_within_its_bound_says_so():
+    result = certrack.certify(certrack.load("motor-shaft-load"), "fast")
+    assert result.implemented.verified and result.implemented.cells == 1
+    (line,) = (line for line in certificates_notes(result) if line.startswith("tube"))
+    assert "after 0 s" not in line and "at all times" in line
+    level = float(re.search(r"\|e_1\| <= ([\d.]+) at all times", line)[1])
+    assert result.tube.settling_time(level) == 0 and level >= 1.1 * result.vertices.bound
+
+
+def test_tune_reports_its_proofs_and_their_effort(monkeypatch):
+    seen, efforts = [], []
+    certify = tune_room.figures_of
+
+    def noted(system, box, seed, effort, progress):
+        efforts.append(effort)
+        return certify(system, box, seed, "fast", progress)
+
+    monkeypatch.setattr(tune_room, "figures_of", noted)
+    system = certrack.load("axis")
+    certrack.tune(system, starts=1, effort="high", proving=lambda *news: seen.append(news))
+    assert efforts == ["high", "high"]
+    done = [news[0] for news in seen]
+    assert done == sorted(done) and {news[1] for news in seen} == {2 * MEASURING_STEPS}
+    with pytest.raises(certrack.InputError, match="effort"):
+        certrack.tune(system, effort="best")
+
+
+def test_phases_follow_each_other(monkeypatch):
+    opened = []
+
+    class Bar:
+        def __init__(self, what):
+            self.what = what
+
+        def __enter__(self):
+            opened.append(f"+{self.what}")
+            return lambda *news: opened.append(news)
+
+        def __exit__(self, *_):
+            opened.append(f"-{self.what}")
+
+    monkeypatch.setattr(console, "progress", lambda what, *_: Bar(what))
+    with console.phases() as bars:
+        first, second = bars.phase("one"), bars.phase("two")
+        first(0, 2, None)
+        first(1, 2, None)
+        second(0, 1, None)
+    assert opened == ["+one", (0, 2, None), (1, 2, None), "-one", "+two", (0, 1, None), "-two"]
+
+
+def test_what_is_not_tuned_is_said():
+    """Where constants have ranges the observer stays as in the file."""
+    text = certrack.starter("motor-shaft-load").replace(
+        "\n[simulation]", '\n[law.observer]\nkind = "eso"\nbandwidth = 2000\n\n[simulation]'
+    )
+    stages = tune_room.searches_of(
+        certrack.loads(text), tune_room.Requirements(), "error", None, None
+    )
+    (note,) = stages[-1].left_alone()
+    assert "law.observer.bandwidth" in note and "ranges" in note
+    free = re.sub(r"\[plant.ranges\][^\[]*\[[^\[]*\[[^\[]*\[", "[", text)
+    assert not certrack.loads(free).plant.constant_boxes
+    stages = tune_room.searches_of(
+        certrack.loads(free), tune_room.Requirements(), "error", None, None
+    )
+    assert stages[-1].left_alone() == []
+
+
+def test_notes_of_a_comparison_say_whose_they_are(tmp_path):
+    for name in ("one", "two"):
+        text = certrack.starter("stiction").replace("duration = 20", "duration = 3")
+        (tmp_path / f"{name}.toml").write_text(text.replace("tail = 10", "tail = 2"))
+    one, two = (str(tmp_path / f"{name}.toml") for name in ("one", "two"))
+    done = run("compare", one, two)
+    assert f"note: {one}: Stuck at v = 0" in done.output
+    assert f"note: {two}: Stuck at v = 0" in done.output
+    assert "docs/observers.md" in done.output and "settled within [m]" in done.output
+    assert "note: Stuck at v = 0" in run("simulate", one).output
+
+
+def test_members_that_run_alone_are_counted_one_by_one():
+    text = certrack.starter("stiction").replace("sign(v)", "sign(v + 0.2*q)")
+    system = certrack.loads(text.replace("tail = 10", "tail = 2"))
+    seen = []
+    certrack.ensemble(
+        system.with_settings(duration=3.0),
+        members=5,
+        limit=float("inf"),
+        progress=lambda done, total, _: seen.append((done, total)),
+    )
+    assert {(k, 5) for k in range(6)} <= set(seen)
+
+
+def test_the_search_of_a_worst_case_certifies_first_and_says_so():
+    steps, runs = [], []
+    certrack.falsify(
+        certrack.load("axis"),
+        budget=60,
+        progress=lambda *news: runs.append(news),
+        certifying=lambda *news: steps.append((len(runs), *news)),
+    )
+    assert steps and all(count == 0 for count, *_ in steps) and runs
+
+
+def test_no_zero_is_negative():
+    assert rounded_range(-0.0, 1.0) == "[0, 1]"
+    assert short_number(-0.0) == "0" and short_number(1e-311) == "0"
