@@ -76,6 +76,11 @@ export class Gains {
     this.on.moved(event);
   }
 
+  /** All numbers by their paths. */
+  all() {
+    return Object.fromEntries([...this.sliders].map(([path, slider]) => [path, slider.value]));
+  }
+
   /** The numbers that differ from those of the text. */
   values(system) {
     const changed = {};

@@ -49,13 +49,16 @@ function arrows(event, panel) {
 
 const item = (text, detail, work) => element("button", { class: "item", onclick: () => { closeMenu(); work(); } }, element("span", {}, text), detail ? element("small", {}, detail) : null);
 
-/** Shipped systems and files; `on`: open(source, name), saveAs(name), save(), upload(text, name). */
+/** Shipped systems and files; `on`: open(source, name), saveAs(name), upload(text, name), link(address), recent(). */
 export function fileMenu(greeting, state, on) {
   const name = element("input", { "aria-label": "Name to save as", value: (state.name || "my-drive.toml").replace(/^.*\//, ""), autocomplete: "off", spellcheck: "false" });
   const save = () => { closeMenu(); on.saveAs(name.value); };
   name.addEventListener("keydown", (event) => event.key === "Enter" && save());
   const pick = element("input", { type: "file", accept: ".toml,text/plain", class: "vh", tabindex: -1, "aria-hidden": "true" });
   pick.onchange = async () => pick.files[0] && (closeMenu(), on.upload(await pick.files[0].text(), pick.files[0].name));
+  const linked = element("input", { "aria-label": "From a link", placeholder: "From a link: paste it here", autocomplete: "off", spellcheck: "false" });
+  const follow = () => { closeMenu(); on.link(linked.value); };
+  linked.addEventListener("keydown", (event) => event.key === "Enter" && follow());
   const recent = on.recent().filter((file) => greeting.files.includes(file));
   below(
     byId("file"), "Files",
@@ -65,6 +68,7 @@ export function fileMenu(greeting, state, on) {
     ...greeting.files.map((file) => item(file, "", () => on.open("file", file))),
     greeting.files.length ? null : element("p", { class: "sub" }, "none yet"),
     item("From elsewhere on this computer …", "a copy of the text", () => pick.click()), pick,
+    element("div", { class: "save" }, linked, element("button", { onclick: follow }, "Open")),
     item("Empty plant", "a commented file to begin with", () => on.open("empty", "")),
     element("h3", {}, "Shipped systems"), ...Object.entries(greeting.catalog).map(([key, title]) => item(key, title, () => on.open("catalog", key))),
   );
@@ -96,6 +100,13 @@ export function startPage(parent, greeting, open) {
     element("div", { class: "start-side" }, element("h2", {}, "Begin with"), element("button", { class: "item strong", onclick: () => open("empty", "") }, element("span", {}, "Empty plant"), element("small", {}, "a commented file, ready to be filled in")), files.length ? element("h2", {}, "Files in this folder") : null, element("ul", {}, ...files), element("h2", {}, "Three things to try"), tryList()),
     element("div", {}, element("h2", {}, "Shipped systems"), element("ul", {}, ...list)),
   );
+}
+
+/** Another file lies where the design is to be saved; `on`: replace(), open(), other(). */
+export function askConflict({ name, reason }, on) {
+  closeMenu();
+  const choice = (text, work, kind = null) => element("button", { class: kind, onclick: () => { closeMenu(); work(); } }, text);
+  below(byId("file"), "Not saved", element("p", {}, `Not saved: ${name} ${reason}.`), element("div", { class: "actions" }, choice("Save under another name", on.other, "primary"), choice("Replace it", on.replace), choice("Open what is there", on.open)));
 }
 
 /** Ask about unsaved changes beside the file's name; `leave` goes on without saving. */

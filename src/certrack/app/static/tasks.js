@@ -8,11 +8,15 @@ import { Tuning } from "./tuning.js";
 const NAMES = { falsify: "Falsify", ensemble: "Ensemble", margins: "Margins", tune: "Tune", compare: "Compare", export: "Export" };
 
 export class Tasks {
-  /** `on`: start(task, options), cancel(), apply(gains), restore(pin), behind(pin), openText(text, name), download(name, text), redraw(), note(text). */
+  /**
+   * `on`: start(task, options), cancel(), apply(gains), restore(pin), behind(pin), edit(path, value), openText(text, name),
+   * download(name, text), snapshot(), goBack(snapshot), redraw(), note(text).
+   */
   constructor(state, on) {
     this.state = state;
     this.on = on;
     this.running = null;
+    this.made = null;
     this.drawer = new Drawer(byId("drawer"));
     this.fan = new Fan(state, this.drawer);
     this.tuning = new Tuning(this.drawer, { start: (options) => this.start("tune", options), apply: on.apply, note: on.note });
@@ -35,7 +39,11 @@ export class Tasks {
       this.on.note("One long computation at a time: wait for it or cancel it.");
       return;
     }
-    this.on.start(task, options);
+    if (!this.on.start(task, options)) {
+      this.on.note("Not begun: the server is not there.");
+      return;
+    }
+    this.made = { ...this.on.snapshot(), at: new Date().toLocaleTimeString() };
     this.begin(task);
   }
 
@@ -67,12 +75,29 @@ export class Tasks {
       this.progress(header);
       return;
     }
-    if (header.state !== "early") this.stop();
     if (header.state === "cancelled") {
-      this.on.note("Cancelled.");
+      if (this.running) this.on.note("Cancelled.");
+      this.stop();
       return;
     }
+    if (header.state !== "early") this.stop();
     this[header.task]?.(header, rows, design);
+    this.drawer.label(this.made, (made) => this.on.goBack(made));
+    this.freshen();
+  }
+
+  /** It ended without a result. */
+  failed(message) {
+    this.stop();
+    if (!this.drawer.root.hidden) this.drawer.remark(message);
+  }
+
+  /** Say beside a result that the design has changed since, as soon as it has. */
+  freshen() {
+    const { made } = this.drawer;
+    if (!made) return;
+    const { base, values } = this.on.snapshot();
+    this.drawer.outdated(base !== made.base || JSON.stringify(values) !== JSON.stringify(made.values));
   }
 
   progress({ task, done, total, best }) {
