@@ -119,6 +119,7 @@ export class Designs {
     write(byId("title"), header.title);
     document.title = `${header.name.replace(/\.toml$/, "")} · certrack`;
     const bases = another ? null : gains.bases();
+    if (another) gains.same = null;
     gains.build(header);
     form.build(header);
     if (draft === null) editor.show(header.text, gains.all());

@@ -323,4 +323,4 @@ addEventListener("resize", settled(() => {
 
 addEventListener("hashchange", () => state.greeting && designs.follow(files.linked()));
 document.fonts?.ready.then(() => responses.plots.forEach((plot) => plot.plot.redraw(false)));
-window.lab = { state, texts, tasks, paints, gains, history, flight: requests.flight, responses };
+window.lab = { state, texts, tasks, received, paints, gains, history, flight: requests.flight, responses };

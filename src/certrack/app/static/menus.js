@@ -47,18 +47,21 @@ function arrows(event, panel) {
   items.at((now + by) % items.length)?.focus();
 }
 
+/** Enter in a field does it; it must not press the button as well that has the focus afterwards. */
+const onEnter = (field, work) => field.addEventListener("keydown", (event) => event.key === "Enter" && (event.preventDefault(), work()));
+
 const item = (text, detail, work) => element("button", { class: "item", onclick: () => { closeMenu(); work(); } }, element("span", {}, text), detail ? element("small", {}, detail) : null);
 
 /** Shipped systems and files; `on`: open(source, name), saveAs(name), upload(text, name), link(address), recent(). */
 export function fileMenu(greeting, state, on) {
   const name = element("input", { "aria-label": "Name to save as", value: (state.name || "my-drive.toml").replace(/^.*\//, ""), autocomplete: "off", spellcheck: "false" });
   const save = () => { closeMenu(); on.saveAs(name.value); };
-  name.addEventListener("keydown", (event) => event.key === "Enter" && save());
+  onEnter(name, save);
   const pick = element("input", { type: "file", accept: ".toml,text/plain", class: "vh", tabindex: -1, "aria-hidden": "true" });
   pick.onchange = async () => pick.files[0] && (closeMenu(), on.upload(await pick.files[0].text(), pick.files[0].name));
   const linked = element("input", { "aria-label": "From a link", placeholder: "From a link: paste it here", autocomplete: "off", spellcheck: "false" });
   const follow = () => { closeMenu(); on.link(linked.value); };
-  linked.addEventListener("keydown", (event) => event.key === "Enter" && follow());
+  onEnter(linked, follow);
   const recent = on.recent().filter((file) => greeting.files.includes(file));
   below(
     byId("file"), "Files",
