@@ -511,6 +511,54 @@ def test_a_result_says_that_the_design_has_changed_since(shown, server):
     wait(page, "document.querySelector('#note').textContent.includes('start it again')")
 
 
+def test_limits_are_moved_where_they_are_drawn_and_an_optimum_is_laid_behind(shown):
+    page = shown()
+    opened(page, "dual-motor-drive")
+    grip = page.locator('[data-handle="saturation-1"]')
+    assert grip.get_attribute("aria-valuenow") == "15"
+    grip.focus()
+    page.keyboard.press("PageUp")
+    wait(page, "lab.state.system.limits[1] === 16.5")
+    assert page.evaluate("lab.state.system.limits[0]") == -16.5
+    saturation = certrack.loads(page.evaluate("lab.state.base")).implementation.saturation
+    assert saturation == (-16.5, 16.5)
+    at_rest(page)
+    box = page.locator('[data-handle="saturation-0"]').bounding_box()
+    page.mouse.move(box["x"] + 12, box["y"] + 7)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 12, box["y"] - 3, steps=3)
+    page.mouse.up()
+    wait(page, "lab.state.system.limits[0] > -16.5")
+    page.locator("body").press("Control+z")
+    wait(page, "lab.state.system.limits[0] === -16.5")
+    opened(page, "dual-motor-lean")
+    page.keyboard.press("u")
+    tune = page.locator('[data-handle="tune-peak_input"]')
+    before = float(tune.get_attribute("aria-valuenow"))
+    assert page.input_value("input[name=peak_input]") == ""
+    tune.focus()
+    page.keyboard.press("ArrowUp")
+    value = float(page.input_value("input[name=peak_input]"))
+    assert value == pytest.approx(1.01 * before, rel=2e-3)
+    page.fill("input[name=peak_input]", "21")
+    assert tune.get_attribute("aria-valuenow") == "21"
+    tune.focus()
+    page.keyboard.press("Delete")
+    assert page.input_value("input[name=peak_input]") == ""
+    page.keyboard.press("Escape")
+    assert page.locator('[data-handle^="tune"]').count() == 0
+    page.keyboard.press("o")
+    wait(page, "lab.state.optima !== null && document.querySelector('#work').hidden")
+    found = certrack.optimal(certrack.load("dual-motor-lean"), elements=240)
+    rows = page.locator(".result.optima tbody tr").all_inner_texts()
+    from certrack.reports.optima import optima_table
+
+    printed = optima_table(found).rows
+    assert [row.split("\t")[1:] for row in rows] == [list(row[1:]) for row in printed]
+    curve = page.evaluate("Array.from(lab.state.optima.curves[0].u)")
+    assert max(map(abs, curve)) == pytest.approx(found.optima[0].cost.peak, rel=0.02)
+
+
 def test_a_name_of_the_user_is_text_on_the_page(shown, server):
     evil = certrack.starter("example1").replace(
         'title = "Second', 'title = "<img src=x onerror=window.pwned=1>Second'

@@ -89,6 +89,7 @@ export class Designs {
     state.textProblem = problem;
     this.editor.mark(problem);
     this.form.mark(problem);
+    this.responses.undrag();
     this.guarantee.badge(state.system ? "text" : "waiting");
     this.files.showEdited();
     this.files.keep();

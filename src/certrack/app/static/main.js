@@ -44,7 +44,7 @@ const opening = new Opening({ ask: (message, restoring) => texts.ask(message, re
 const openAsked = (source, name) => opening.ask(() => opening.open(source, name));
 const editor = new Editor({ text: (text) => texts.text(text), typed: () => files.showEdited() });
 const form = new Form(byId("form"), { edit });
-const responses = new Responses(byId("plots"), state, { zoom });
+const responses = new Responses(byId("plots"), state, { zoom, edit, limit: (name, value) => tasks.tuning.limit(name, value) });
 const guarantee = new Guarantee(state, { edit });
 const tasks = new Tasks(state, {
   start: (task, options) => send({ type: "task", task, options, ...shown() }),
@@ -61,7 +61,7 @@ const tasks = new Tasks(state, {
   },
   openText: (text, name) => opening.ask(() => opening.text(text, name)),
   download: (name, text) => files.download(name, text),
-  redraw: frame,
+  redraw: () => (responses.redraw(), frame()),
   note,
 });
 const designs = new Designs({ gains, editor, form, files, texts, opening, requests, responses, guarantee, history, tasks, snapshot, outdate, changed: showHistory, tabShown });

@@ -2,10 +2,10 @@
 import { byId, element, write } from "./dom.js";
 import { Drawer, sentence, table } from "./drawer.js";
 import { Fan } from "./fan.js";
-import { format } from "./numbers.js";
+import { format, typed } from "./numbers.js";
 import { Tuning } from "./tuning.js";
 
-const NAMES = { falsify: "Falsify", ensemble: "Ensemble", margins: "Margins", tune: "Tune", compare: "Compare", export: "Export" };
+const NAMES = { falsify: "Falsify", ensemble: "Ensemble", margins: "Margins", tune: "Tune", optimum: "Optimum", compare: "Compare", export: "Export" };
 
 export class Tasks {
   /**
@@ -19,7 +19,7 @@ export class Tasks {
     this.made = null;
     this.drawer = new Drawer(byId("drawer"));
     this.fan = new Fan(state, this.drawer);
-    this.tuning = new Tuning(this.drawer, { start: (options) => this.start("tune", options), apply: on.apply, note: on.note });
+    this.tuning = new Tuning(this.drawer, { start: (options) => this.start("tune", options), apply: on.apply, note: on.note, limits: (limits) => this.limits(limits) });
     byId("tasks").addEventListener("click", (event) => {
       const task = event.target.dataset?.task;
       if (task) this.press(task);
@@ -138,6 +138,37 @@ export class Tasks {
 
   tune(header) {
     this.tuning.done(header);
+  }
+
+  /** Limits of tuning are shown as lines while its form is open. */
+  limits(limits) {
+    this.state.tuneLimits = limits;
+    this.on.redraw();
+  }
+
+  /** Optima of the plant from the same start: each can be laid behind the curves. */
+  optimum(header, rows, design) {
+    const { state } = this, curves = header.optima.map((_, k) => ({ t: rows[3 * k], e: rows[3 * k + 1], u: rows[3 * k + 2] }));
+    const first = header.found.indexOf(true);
+    state.optima = { design, curves, shown: first };
+    const choices = [["-1", "none"], ...header.optima.map((text, k) => [String(k), `${text}: ${header.table[0][k + 2]}`])].filter(([k]) => k === "-1" || header.found[Number(k)]);
+    const pick = element("select", {}, ...choices.map(([value, text]) => element("option", { value, selected: value === String(first) }, text)));
+    pick.onchange = () => {
+      state.optima = { ...state.optima, shown: Number(pick.value) };
+      this.on.redraw();
+    };
+    const horizon = element("input", { value: String(header.horizon), inputmode: "decimal", autocomplete: "off" });
+    const again = element("button", { onclick: () => this.again(horizon.value) }, "Search again");
+    const form = element("div", { class: "tune-form" }, element("label", { class: "inline" }, "behind the curves", pick), element("label", { class: "inline" }, "horizon, s", horizon), again);
+    this.drawer.open("Optimum: how good any law could be", [form, table(header.columns, header.table, "optima"), ...header.notes.map(sentence)]);
+    this.on.note("Optima are done.");
+    this.on.redraw();
+  }
+
+  again(text) {
+    const horizon = typed(text);
+    if (horizon > 0) this.start("optimum", { horizon });
+    else this.on.note(`horizon: must be a number of seconds above 0, got ${text}`);
   }
 
   margins(header) {
