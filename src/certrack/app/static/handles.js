@@ -6,7 +6,7 @@ const STEPS = { ArrowUp: 0.01, ArrowDown: -0.01, PageUp: 0.1, PageDown: -0.1 }, 
 const rounded = (value) => Number(value.toPrecision(DIGITS));
 
 export class Handles {
-  /** `plot` has box, plot (uPlot) and spec.handles() [{id, y, label, unit, help, drag(y), done(y), remove()}]. */
+  /** `plot` has root, box, plot (uPlot) and spec.handles() [{id, y, label, unit, help, drag(y), done(y), remove()}]. */
   constructor(plot) {
     this.plot = plot;
     this.made = new Map();
@@ -21,11 +21,11 @@ export class Handles {
       this.made.delete(id);
     }
     for (const handle of wanted) {
-      const entry = this.made.get(handle.id) ?? this.make(handle.id), { over } = u;
+      const entry = this.made.get(handle.id) ?? this.make(handle.id), { over } = u, { box } = this.plot;
       entry.handle = handle;
       const at = Math.min(over.clientHeight - HALF, Math.max(HALF, u.valToPos(handle.y, "y")));
-      entry.grip.style.top = `${over.offsetTop + (Number.isFinite(at) ? at : HALF)}px`;
-      entry.grip.style.left = `${over.offsetLeft + over.clientWidth - WIDTH}px`;
+      entry.grip.style.top = `${box.offsetTop + over.offsetTop + (Number.isFinite(at) ? at : HALF)}px`;
+      entry.grip.style.left = `${box.offsetLeft + over.offsetLeft + over.clientWidth - WIDTH}px`;
       entry.grip.className = handle.idle ? "limit-grip idle" : "limit-grip";
       entry.grip.title = `${handle.label} ${format(handle.y, DIGITS)} ${handle.unit}\n${handle.help}`;
       entry.grip.setAttribute("aria-label", handle.label);
@@ -42,7 +42,7 @@ export class Handles {
     ownGesture(grip);
     grip.addEventListener("pointerdown", (event) => this.press(event, entry));
     grip.addEventListener("keydown", (event) => this.key(event, entry));
-    this.plot.box.append(grip);
+    this.plot.root.append(grip);
     this.made.set(id, entry);
     return entry;
   }

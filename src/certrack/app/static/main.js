@@ -9,7 +9,7 @@ import { Guarantee } from "./guarantee.js";
 import { History } from "./history.js";
 import { bindKeys, setSingleKeys, singleKeys } from "./keys.js";
 import { KIND, Link, sessionKey } from "./link.js";
-import { askConflict, closeMenu, exportMenu, fileMenu, helpMenu } from "./menus.js";
+import { askConflict, closeMenu, exportMenu, fileMenu, firstVisit, helpMenu } from "./menus.js";
 import { note, status } from "./notes.js";
 import { Opening } from "./opening.js";
 import { Paints } from "./paints.js";
@@ -307,6 +307,7 @@ const actions = {
 };
 for (const [id, work] of Object.entries(actions)) byId(id).onclick = work;
 bindTabs(tabShown);
+firstVisit(byId("first"));
 bindKeys({
   ...actions,
   save: () => state.system && files.save(state.name),

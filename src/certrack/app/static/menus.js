@@ -5,6 +5,8 @@ const EXPORTS = [["toml", "System file (TOML)"], ["certificate", "Certificate (J
 export const KEYS = [["F E M U O C", "falsify, ensemble, margins, tune, optimum, compare"], ["P T L", "pin, theme, lock the focused gain"], ["1 2 3", "axis of the error"], ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"], ["Ctrl+S, Ctrl+O, Ctrl+E", "save, open, export"], ["arrows, PgUp, PgDn", "on a slider: 1 %, 10 %; with Shift a tenth"], ["Home, End, Delete", "on a slider: ends of the range, baseline"], ["arrows, + −, Esc", "on a plot: cursor, zoom, whole run"], ["arrows, PgUp, Delete", "on the grip of a limit: move it, take it away"], ["Shift, drag", "on a slider: fine; on a plot: move the window"], ["?", "this list"]];
 export const TRY = [["Move ", "bandwidth", " and watch the bound."], ["Press ", "F", " to search the worst case."], ["Open ", "File", " and raise gamma."]];
 
+const VISITED = "certrack-visited";
+
 let closeOpen = null;
 
 /** Close what is open; whether something was. */
@@ -92,6 +94,17 @@ export function helpMenu(on) {
 
 export function tryList() {
   return element("ol", { class: "try" }, ...TRY.map(([before, what, after]) => element("li", {}, before, element("b", {}, what), after)));
+}
+
+/** Beside the gains until they were read once: what one may try first. */
+export function firstVisit(box) {
+  if (localStorage.getItem(VISITED)) return;
+  const done = () => {
+    localStorage.setItem(VISITED, "yes");
+    box.hidden = true;
+  };
+  box.append(tryList(), element("button", { class: "small", onclick: done }, "Hide this"));
+  box.hidden = false;
 }
 
 /** What a page shows that has nothing open. */

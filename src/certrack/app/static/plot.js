@@ -77,7 +77,7 @@ export class Plot {
         scales: { x: { time: false, range: () => this.on.window() }, y: this.scale() },
         axes: [
           { ...axis, size: spec.last ? 32 : 0, gap: 3, ticks: { ...axis.ticks, show: Boolean(spec.last) }, values: (u, splits) => (spec.last ? splits.map((value, i) => (i === splits.length - 1 ? `${tick(value)} s` : tick(value))) : []) },
-          { ...axis, scale: "y", size: LEFT, gap: 6, space: 18, values: (u, splits) => this.labels(splits), ...logarithmic, ...signed },
+          { ...axis, scale: "y", size: LEFT, gap: 6, space: (u, i, low, high, size) => Math.max(18, size / 12), values: (u, splits) => this.labels(splits), ...logarithmic, ...signed },
         ],
         cursor: { sync: { key: spec.alone ? `alone-${spec.id}` : CURSOR, setSeries: false, scales: ["x", null] }, points: { size: 5 }, y: false, drag: { x: !spec.alone, y: false, setScale: false } },
         hooks: {

@@ -4,6 +4,7 @@ import { format, nameParts } from "./numbers.js";
 import { Plot } from "./plot.js";
 
 const LINES = ["--line-1", "--line-2", "--line-3", "--line-4"], DASHES = [undefined, [6, 3], [2, 3], [8, 3, 2, 3]];
+const TWO_COLUMNS = matchMedia("(min-width: 2400px)");
 export const ERROR_MODES = [
   ["log", "|e| log", "Size of the error, logarithmic: start, decay and bound in one view"],
   ["sym", "± sym", "Signed: linear within the bound, logarithmic outside"],
@@ -31,6 +32,7 @@ export class Responses {
     this.on = on;
     this.plots = [];
     this.dragged = null;
+    TWO_COLUMNS.addEventListener("change", () => (this.axes(), this.draw()));
   }
 
   build(system) {
@@ -51,11 +53,20 @@ export class Responses {
       const known = system.estimated.some((entry) => entry.value !== null);
       this.add({ id: "estimates", title: "Estimates", unit: "", note: known ? "true value dashed" : "", end, series: system.estimates.slice(0, 4).map((name, j) => ({ label: name, name: true, color: LINES[j] })), limits: () => this.trueValues() }, (t) => [t, ...system.estimates.slice(0, 4).map((_, k) => rows.z(k))]);
     }
-    const last = this.plots.at(-1);
-    last.spec.last = true;
-    last.root.classList.add("last");
-    last.build();
+    this.plots.at(-1).root.classList.add("last");
+    this.axes();
     for (const plot of this.plots) plot.spec.id = plot.spec.id ?? plot.spec.title;
+  }
+
+  /** The lowest plot carries the axis of time; in two columns the lowest of each. */
+  axes() {
+    const lowest = TWO_COLUMNS.matches ? 2 : 1;
+    this.plots.forEach((plot, k) => {
+      const last = k >= this.plots.length - lowest;
+      if (last === Boolean(plot.spec.last)) return;
+      plot.spec.last = last;
+      plot.build();
+    });
   }
 
   add(spec, data) {
