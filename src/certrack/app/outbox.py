@@ -25,7 +25,7 @@ class Outbox:
         self._frames: deque[bytes] = deque()
         self._filled = asyncio.Event()
 
-    def put(self, frame: bytes) -> None:
+    def add(self, frame: bytes) -> None:
         """Queue a frame."""
         if len(self._frames) >= QUEUE:
             passing = (k for k, f in enumerate(self._frames) if frame_prefix(f).kind in PASSING)

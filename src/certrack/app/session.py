@@ -220,7 +220,7 @@ class Session:
 
     def send(self, frame: bytes) -> None:
         """Queue a frame."""
-        self.outgoing.put(frame)
+        self.outgoing.add(frame)
 
     # mailbox
 

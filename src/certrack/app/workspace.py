@@ -71,8 +71,8 @@ class Workspace:
         """System files in it, by their names below it; of a huge folder those found in time."""
         names = []
         end = time.monotonic() + LONGEST_LISTING
-        found = _system_files(self.folder, MAX_DEPTH, end)
-        for path in itertools.islice(found, MAX_LOOKED_INTO):
+        candidates = _system_files(self.folder, MAX_DEPTH, end)
+        for path in itertools.islice(candidates, MAX_LOOKED_INTO):
             if time.monotonic() > end:
                 break
             try:
