@@ -69,7 +69,7 @@ def server(tmp_path_factory):
 def test_many_pages_move_gains_at_once(server, report):
     async def client(k, replies, counts):
         async with page(server) as moving:
-            await moving.send("open", source="file", name="robust-4.toml", design=1)
+            await moving.send("open", source="file", name="robust-4.toml")
             await moving.receive("SYSTEM")
             design, sent, bounds = 1, 0.0, 0
             end = time.monotonic() + CLIENT_SECONDS
@@ -88,7 +88,7 @@ def test_many_pages_move_gains_at_once(server, report):
     async def all_of_them():
         replies, counts = [], []
         async with page(server) as first:  # every worker has computed once
-            await first.send("open", source="file", name="robust-4.toml", design=1)
+            await first.send("open", source="file", name="robust-4.toml")
             await first.receive("SYSTEM")
             await first.move(2)
             await first.receive("EXACT")

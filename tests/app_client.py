@@ -93,8 +93,14 @@ class Page:
     def __init__(self, connection):
         self.connection = connection
         self.frames = []
+        self.revision = 0
 
     async def send(self, kind, **values):
+        """A message; a text is a new revision, anything else is of the newest one."""
+        if kind in ("open", "text", "edit"):
+            self.revision += 1
+        if kind in ("open", "text", "edit", "set", "task", "export"):
+            values.setdefault("revision", self.revision)
         await self.connection.send(json.dumps({"type": kind, **values}))
 
     async def receive(self, *kinds, where=lambda header: True):
@@ -106,20 +112,19 @@ class Page:
             if prefix.kind.name in kinds and where(header):
                 return prefix, header, frame_arrays(data)
 
-    async def open(self, name, design=1):
+    async def open(self, name):
         """Open a shipped system."""
-        await self.send("open", source="catalog", name=name, design=design)
+        await self.send("open", source="catalog", name=name)
         return (await self.receive("SYSTEM"))[1]
 
-    async def move(self, design, gains=None, view=0, window=None, resting=False, pixels=400):
+    async def move(self, design, gains=None, view=0, window=None, **more):
         await self.send(
             "set",
             design=design,
             view=view,
             gains=gains or {},
             window=window,
-            pixels=pixels,
-            resting=resting,
+            **{"pixels": 400, **more},
         )
 
 

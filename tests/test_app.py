@@ -12,13 +12,22 @@ from certrack.app.frames import (
     frame_arrays,
     frame_header,
     frame_prefix,
+    of_revision,
     pack_frame,
 )
-from certrack.app.messages import MAX_MESSAGE, GainMove, parse_message
-from certrack.app.session import MAX_WAITING, QUEUE, Session
+from certrack.app.messages import MAX_MESSAGE, MAX_TEXT_BYTES, GainMove, parse_message
+from certrack.app.outbox import QUEUE
+from certrack.app.session import Session
 from certrack.core.errors import InputError
 
-SET = {"type": "set", "design": 1, "view": 0, "gains": {"law.c[0]": 2}, "pixels": 300}
+SET = {
+    "type": "set",
+    "design": 1,
+    "view": 0,
+    "revision": 1,
+    "gains": {"law.c[0]": 2},
+    "pixels": 300,
+}
 
 
 # frames
@@ -28,7 +37,9 @@ def test_a_frame_gives_back_what_was_packed():
     rows = [np.array([0.0, 1.5, -2.25]), np.arange(5.0)]
     header = {"bound": math.inf, "text": "\N{GREEK SMALL LETTER THETA}", "list": (1, math.nan)}
     data = pack_frame(FrameKind.RUN, header, rows, design=70_000, view=9, data=b"abc")
+    data = of_revision(data, 4_000_000_000)
     prefix = frame_prefix(data)
+    assert prefix.revision == 4_000_000_000
     assert (prefix.kind, prefix.design, prefix.view) == (FrameKind.RUN, 70_000, 9)
     assert prefix.header_bytes % 4 == 0 and data[:4] == b"CTR1"
     shown = frame_header(data)
@@ -60,7 +71,8 @@ def test_decimation_keeps_a_peak_of_one_sample_and_the_order_of_extremes():
         ("[" * 10_000, "is not JSON"),
         ("[]", "must be an object"),
         ('{"type": "shell"}', "must be one of"),
-        ('{"type": "set", "design": 1, "view": 0}', "message.pixels: is missing"),
+        ('{"type": "set", "design": 1, "view": 0, "revision": 1}', "message.pixels: is missing"),
+        ('{"type": "set", "design": 1, "view": 0}', "message.revision: is missing"),
         (json.dumps(SET | {"design": -1}), "whole number"),
         (json.dumps(SET | {"design": 2**32}), "whole number"),
         (json.dumps(SET | {"pixels": 10**9}), "whole number"),
@@ -69,10 +81,12 @@ def test_decimation_keeps_a_peak_of_one_sample_and_the_order_of_extremes():
         (json.dumps(SET | {"gains": {"law.c[0]": 1e400}}).replace("Infinity", "1e400"), "law.c[0]"),
         (json.dumps(SET | {"gains": {str(i): 1 for i in range(3000)}}), "at most"),
         (json.dumps(SET | {"window": [2, 1]}), "low must be less"),
-        ('{"type": "open", "source": "url", "name": "x", "design": 1}', "must be one of"),
-        ('{"type": "task", "task": "rm", "design": 1}', "must be one of"),
+        ('{"type": "open", "source": "url", "name": "x", "revision": 1}', "must be one of"),
+        ('{"type": "task", "task": "rm", "revision": 1}', "must be one of"),
         ('{"type": "save", "name": "a\\nb", "text": ""}', "printable"),
         ("x" * (MAX_MESSAGE + 1), "longer than"),
+        ("\N{GREEK SMALL LETTER THETA}" * (MAX_MESSAGE // 2 + 1), "longer than"),
+        (json.dumps({"type": "save", "name": "a", "text": "x" * (MAX_TEXT_BYTES + 1)}), "512 kB"),
     ],
 )
 def test_a_message_that_is_none_is_refused_in_words(text, says):
@@ -83,7 +97,7 @@ def test_a_message_that_is_none_is_refused_in_words(text, says):
 
 def test_a_move_is_read():
     move = parse_message(json.dumps(SET | {"window": [1, 2.5], "resting": True}))
-    assert move == GainMove(1, 0, {"law.c[0]": 2.0}, (1.0, 2.5), 300, resting=True)
+    assert move == GainMove(1, 0, 1, {"law.c[0]": 2.0}, (1.0, 2.5), 300, resting=True)
 
 
 # a session's mailbox
@@ -91,12 +105,15 @@ def test_a_move_is_read():
 
 def opened_session(drive=False):
     session = Session()
-    data = pack_frame(
-        FrameKind.SYSTEM, {"text": "t", "name": "n", "problem": None, "drive": drive}, design=1
-    )
-    session.answered({"do": "describe", "design": 1}, data)
-    session.outgoing.get_nowait()
+    data = pack_frame(FrameKind.SYSTEM, {"text": "t", "name": "n", "problem": None, "drive": drive})
+    session.opened(parse_message(text_message(1)))
+    session.answered(session.next_job("run", 0.0), data)
+    session.outgoing.take()
     return session
+
+
+def text_message(revision, text="t"):
+    return json.dumps({"type": "text", "revision": revision, "text": text, "name": "n"})
 
 
 def moved(design, **changes):
@@ -126,10 +143,10 @@ def test_an_outdated_proof_is_dropped_and_a_fast_one_is_refined():
     session.moved(moved(3))
     assert session.outdated(work)
     session.answered(work, pack_frame(FrameKind.EXACT, {"bound": 1}, design=2))
-    assert session.outgoing.empty()
+    assert len(session.outgoing) == 0
     work = session.next_job("exact", math.inf)
     session.answered(work, pack_frame(FrameKind.EXACT, {"bound": 1}, design=3))
-    assert session.outgoing.qsize() == 1
+    assert len(session.outgoing) == 1
     assert session.next_job("exact", math.inf)["effort"] == "default"
     assert session.next_job("exact", math.inf) is None
 
@@ -144,13 +161,95 @@ def test_a_view_alone_asks_for_no_bound_and_a_drive_is_run_as_it_is_at_rest():
     assert session.next_job("run", math.inf)["view"] == 7
 
 
-def test_a_page_that_does_not_read_loses_frames_and_one_that_floods_is_refused():
+def test_a_page_that_does_not_read_loses_curves_but_neither_the_newest_nor_a_result():
     session = opened_session()
+    session.send(pack_frame(FrameKind.TASK, {"state": "done"}))
+    for design in range(3 * QUEUE):
+        session.send(pack_frame(FrameKind.RUN, {}, design=design))
+    assert len(session.outgoing) == QUEUE
+    kept = [frame_prefix(session.outgoing.take()) for _ in range(QUEUE)]
+    assert kept[0].kind is FrameKind.TASK and kept[-1].design == 3 * QUEUE - 1
     for _ in range(3 * QUEUE):
         session.note("x")
-    assert session.outgoing.qsize() == QUEUE
-    open_message = parse_message('{"type": "text", "design": 4, "text": "a", "name": "b"}')
-    assert [session.opened(open_message) for _ in range(MAX_WAITING + 1)][-1] is False
+    assert len(session.outgoing) == QUEUE
+
+
+# texts
+
+
+def described(session, work, **header):
+    header = {"text": work["text"], "name": "n", "problem": None, "drive": False} | header
+    session.answered(work, of_revision(pack_frame(FrameKind.SYSTEM, header), work["revision"]))
+
+
+def test_gains_of_another_text_are_answered_but_not_carried_out():
+    """Otherwise a page that moves a slider while its text is read waits for ever."""
+    session = opened_session()
+    session.opened(parse_message(text_message(2, "new")))
+    session.moved(moved(2, view=3))
+    assert session.next_job("run", math.inf)["do"] == "describe"
+    old = session.next_job("run", math.inf)
+    assert old["revision"] == 1, "the text at hand is worked on while another is read"
+    described(session, {"do": "describe", "revision": 2, "text": "new"})
+    session.outgoing.take()
+    session.answered(old, pack_frame(FrameKind.RUN, {}, design=2))
+    assert len(session.outgoing) == 0, "what was computed for the old text is not sent"
+    session.moved(moved(3, view=4))
+    answer = session.outgoing.take()
+    prefix = frame_prefix(answer)
+    assert (prefix.design, prefix.view, prefix.revision) == (3, 4, 1)
+    assert frame_header(answer)["superseded"] and session.next_job("run", math.inf) is None
+    session.moved(moved(4, revision=2))
+    assert session.next_job("run", math.inf)["text"] == "new"
+
+
+def test_the_newest_text_wins_whichever_is_read_first():
+    session = opened_session()
+    session.opened(parse_message(text_message(2, "slow")))
+    slow = session.next_job("run", 0.0)
+    for revision in range(3, 9):
+        session.opened(parse_message(text_message(revision, f"text {revision}")))
+    newest = session.next_job("run", 0.0)
+    assert newest["text"] == "text 8" and session.next_job("run", 0.0) is None
+    assert session.outdated(slow) and not session.outdated(newest)
+    described(session, newest)
+    session.outgoing.take()
+    described(session, slow)
+    assert len(session.outgoing) == 0 and session.base.text == "text 8"
+    session.crashed(slow, timed_out=True, seconds=1)
+    assert len(session.outgoing) == 0
+
+
+def test_a_long_computation_of_another_text_does_not_begin():
+    session = opened_session()
+    start = {"type": "task", "task": "falsify", "design": 3, "revision": 2}
+    assert session.long_job(parse_message(json.dumps(start))) is None
+    start["revision"] = 1
+    assert session.long_job(parse_message(json.dumps(start)))["text"] == "t"
+
+
+def test_a_long_computation_whose_process_is_gone_ends_with_a_message():
+    session = opened_session()
+    work = {"do": "task", "task": "tune", "design": 4, "revision": 1, "page": session.id}
+    session.crashed(work, timed_out=False, seconds=1)
+    header = frame_header(session.outgoing.take())
+    assert (
+        header["of"] == "task"
+        and header["task"] == "tune"
+        and "start it again" in header["message"]
+    )
+
+
+def test_a_refinement_that_fails_says_of_what_it_was():
+    session = opened_session()
+    session.moved(moved(2))
+    work = session.next_job("exact", math.inf)
+    session.answered(work, pack_frame(FrameKind.EXACT, {"bound": 1}, design=2))
+    session.outgoing.take()
+    refining = session.next_job("exact", math.inf)
+    session.crashed(refining, timed_out=True, seconds=900)
+    header = frame_header(session.outgoing.take())
+    assert (header["of"], header["effort"]) == ("exact", "default") and "900 s" in header["message"]
 
 
 def test_a_job_that_ends_its_worker_twice_is_not_tried_again():
@@ -162,5 +261,5 @@ def test_a_job_that_ends_its_worker_twice_is_not_tried_again():
     assert session.next_job("run", math.inf) == work
     session.crashed(work, timed_out=False, seconds=20)
     assert session.next_job("run", math.inf) is None
-    kinds = [frame_prefix(session.outgoing.get_nowait()).kind for _ in range(3)]
+    kinds = [frame_prefix(session.outgoing.take()).kind for _ in range(3)]
     assert kinds == [FrameKind.NOTE, FrameKind.NOTE, FrameKind.PROBLEM]

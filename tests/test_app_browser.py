@@ -328,6 +328,237 @@ def test_files_are_opened_and_saved_in_the_folder_only(shown, server):
     assert certrack.load(server.folder / "mine.toml").law.c == (6.6, 6.6, 6.6, 6.6)
 
 
+def test_a_slider_moves_while_a_text_is_read_and_both_stay(shown):
+    page = shown()
+    page.click("#tab-file")
+    text = page.input_value("#text")
+    page.fill("#text", text.replace("duration = 20", "duration = 14"))
+    page.click("#tab-gains")
+    slider = page.locator('[data-path="law.c[0]"]')
+    slider.focus()
+    end = time.monotonic() + PATIENCE
+    while page.evaluate("lab.state.system.duration") == 20 and time.monotonic() < end:
+        page.keyboard.press("ArrowRight")
+    at_rest(page)
+    value = float(slider.get_attribute("aria-valuenow"))
+    assert page.evaluate("lab.state.system.duration") == 14 and value > 1
+    page.keyboard.press("ArrowRight")
+    at_rest(page)
+    assert float(slider.get_attribute("aria-valuenow")) > value
+    wait(page, "lab.state.textOf === lab.state.design")
+    loaded = certrack.loads(page.evaluate("lab.state.text"))
+    assert loaded.settings.duration == 14 and loaded.law.c[0] == pytest.approx(
+        1.01 * value, rel=1e-3
+    )
+
+
+def test_what_is_typed_while_a_text_is_read_is_not_lost(shown):
+    page = shown()
+    page.click("#tab-file")
+    page.focus("#text")
+    page.keyboard.press("Control+End")
+    for k in range(6):
+        page.keyboard.type(f"# line {k}\n")
+        time.sleep(0.3)
+    wait(page, "lab.state.text.endsWith('# line 5\\n') && lab.texts.pending === null")
+    assert page.input_value("#text").count("# line") == 6
+    path = '[data-path="simulation.duration"]'
+    page.click("#tab-system")
+    page.locator("summary", has_text="Run").click()
+    for name, value in (("duration", "12"), ("band", "0.04")):
+        page.evaluate(
+            "([path, value]) => { const f = document.querySelector(path); f.value = value;"
+            " f.dispatchEvent(new Event('change')); }",
+            [path.replace("duration", name), value],
+        )
+    wait(page, "lab.texts.pending === null && lab.state.system.duration === 12")
+    settings = certrack.loads(page.evaluate("lab.state.text")).settings
+    assert (settings.duration, settings.band) == (12, 0.04)
+
+
+def test_a_file_that_changed_on_the_disk_is_not_replaced_unasked(shown, server):
+    path = server.folder / "shared.toml"
+    path.write_text(certrack.starter("dual-motor-lean"))
+    page = shown()
+    page.reload()
+    wait(page, EXACT)
+    opened(page, "shared")
+    page.locator('[data-path="bandwidth"]').focus()
+    page.keyboard.press("PageUp")
+    other = path.read_text().replace("duration = 20", "duration = 18")
+    path.write_text(other)
+    page.keyboard.press("Control+s")
+    wait(page, "document.querySelector('.menu')?.textContent.includes('changed on the disk')")
+    assert path.read_text() == other and page.locator("#edited").is_visible()
+    page.click("text=Replace it")
+    wait(page, "document.querySelector('#edited').hidden")
+    assert certrack.load(path).law.c == (6.6, 6.6, 6.6, 6.6)
+    assert certrack.load(path).settings.duration == 20
+    path.write_text("[plant")
+    page.locator('[data-path="bandwidth"]').focus()
+    page.keyboard.press("PageUp")
+    at_rest(page)
+    page.click("#file")
+    page.locator(".menu .item", has_text="shared").first.click()
+    page.click("text=Discard them")
+    wait(page, "document.querySelector('#note').textContent.includes('shared.toml: ')")
+    wait(page, "lab.texts.pending === null")
+    state = page.evaluate("[lab.state.name, lab.state.file.name, lab.state.restoring]")
+    assert state == ["shared.toml", "shared.toml", None]
+    assert page.locator("#edited").is_visible()
+    page.keyboard.press("Control+s")
+    wait(page, "document.querySelector('.menu')?.textContent.includes('changed on the disk')")
+    assert path.read_text() == "[plant"
+
+
+def test_unsaved_changes_are_saved_before_another_is_opened(shown, server):
+    path = server.folder / "first.toml"
+    path.write_text(certrack.starter("dual-motor-lean"))
+    page = shown()
+    opened(page, "first")
+    page.locator('[data-path="bandwidth"]').focus()
+    page.keyboard.press("PageUp")
+    page.click("#file")
+    page.locator(".menu .item", has_text="example1").first.click()
+    page.locator(".menu .primary", has_text="Save").click()
+    wait(page, "lab.state.name === 'example1.toml'")
+    assert certrack.load(path).law.c == (6.6, 6.6, 6.6, 6.6)
+
+
+def test_a_link_opens_the_design_in_another_tab_and_in_this_one(shown, server):
+    page = shown()
+    page.locator('[data-path="law.c[0]"]').focus()
+    page.keyboard.press("PageUp")
+    at_rest(page)
+    page.evaluate("navigator.clipboard.writeText = async (text) => { window.copied = text; }")
+    page.click("#export")
+    page.locator(".menu .item", has_text="Link with the whole").click()
+    wait(page, "window.copied")
+    link = page.evaluate("window.copied")
+    assert "t=" not in link and link.startswith(server.origin)
+    other = page.context.new_page()
+    other.goto(link)
+    wait(other, EXACT)
+    assert other.evaluate("lab.state.name") == "linked.toml"
+    assert other.locator('[data-path="law.c[0]"]').get_attribute("aria-valuenow") == "1.1"
+    opened(other, "dual-motor-lean")
+    other.evaluate("(link) => { location.hash = new URL(link).hash; }", link)
+    wait(other, "lab.state.name === 'linked.toml'")
+    opened(other, "dual-motor-lean")
+    other.click("#file")
+    other.get_by_label("From a link").fill(link[:-40] + "%%%")
+    other.get_by_label("From a link").press("Enter")
+    wait(other, "document.querySelector('#note').textContent.includes('damaged')")
+    other.click("#file")
+    other.get_by_label("From a link").fill(link)
+    other.get_by_label("From a link").press("Enter")
+    wait(other, "lab.state.name === 'linked.toml'")
+
+
+def test_a_link_waits_for_the_key_of_a_server_that_was_started_again(chromium, server, tmp_path):
+    context = chromium.new_context()
+    page = context.new_page()
+    with running("example1", folder=tmp_path, key="one-key") as first:
+        page.goto(first.address)
+        wait(page, EXACT)
+        port = int(first.host.split(":")[1])
+        page.evaluate("lab.state.text.length")
+        code = page.evaluate(
+            "btoa(lab.state.text.replace('c = [1,', 'c = [1.3,').replace(/[^ -~\\n]/g, '?'))"
+        )
+        page.goto("about:blank")
+    with running("example1", folder=tmp_path, port=port, key="another-key") as second:
+        page.goto(f"{second.origin}/#design={code}")
+        wait(page, "document.querySelector('#linked')?.hidden === false")
+        page.goto(second.address)
+        wait(page, EXACT)
+        assert page.evaluate("lab.state.name") == "linked.toml"
+        assert page.locator('[data-path="law.c[0]"]').get_attribute("aria-valuenow") == "1.3"
+    context.close()
+
+
+def test_a_refinement_that_fails_leaves_what_is_proven(shown):
+    page = shown()
+    wait(page, "lab.state.bound.effort === 'default'")
+    page.evaluate(
+        "lab.received({ kind: 5, rows: [], view: 0,"
+        " header: { of: 'exact', effort: 'default', message: 'It took too long.' },"
+        " design: lab.state.design, revision: lab.state.revision })"
+    )
+    wait(page, "document.querySelector('#meaning').textContent.includes('It took too long.')")
+    assert page.inner_text("#badge") == "exact"
+    assert float(page.inner_text("#bound .num")) > 0
+
+
+def test_a_result_says_that_the_design_has_changed_since(shown, server):
+    page = shown()
+    page.keyboard.press("f")
+    wait(page, "lab.state.worst !== null")
+    assert page.inner_text("#drawer .made") == "of the present design"
+    page.locator('[data-path="law.c[0]"]').focus()
+    page.keyboard.press("PageUp")
+    at_rest(page)
+    assert "it has changed since" in page.inner_text("#drawer .made")
+    page.click("text=Back to it")
+    at_rest(page)
+    wait(page, "document.querySelector('#drawer .made').textContent === 'of the present design'")
+    assert page.locator('[data-path="law.c[0]"]').get_attribute("aria-valuenow") == "1"
+    page.keyboard.press("Escape")
+    page.keyboard.press("e")
+    wait(page, "document.querySelector('#work-text').textContent.includes(' of ')")
+    os.kill(server.workers()["task"], 9)
+    wait(page, "document.querySelector('#work').hidden")
+    wait(page, "document.querySelector('#note').textContent.includes('start it again')")
+
+
+def test_limits_are_moved_where_they_are_drawn_and_an_optimum_is_laid_behind(shown):
+    page = shown()
+    opened(page, "dual-motor-drive")
+    grip = page.locator('[data-handle="saturation-1"]')
+    assert grip.get_attribute("aria-valuenow") == "15"
+    grip.focus()
+    page.keyboard.press("PageUp")
+    wait(page, "lab.state.system.limits[1] === 16.5")
+    assert page.evaluate("lab.state.system.limits[0]") == -16.5
+    saturation = certrack.loads(page.evaluate("lab.state.base")).implementation.saturation
+    assert saturation == (-16.5, 16.5)
+    at_rest(page)
+    box = page.locator('[data-handle="saturation-0"]').bounding_box()
+    page.mouse.move(box["x"] + 12, box["y"] + 7)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 12, box["y"] - 3, steps=3)
+    page.mouse.up()
+    wait(page, "lab.state.system.limits[0] > -16.5")
+    page.locator("body").press("Control+z")
+    wait(page, "lab.state.system.limits[0] === -16.5")
+    opened(page, "dual-motor-lean")
+    page.keyboard.press("u")
+    tune = page.locator('[data-handle="tune-peak_input"]')
+    before = float(tune.get_attribute("aria-valuenow"))
+    assert page.input_value("input[name=peak_input]") == ""
+    tune.focus()
+    page.keyboard.press("ArrowUp")
+    value = float(page.input_value("input[name=peak_input]"))
+    assert value == pytest.approx(1.01 * before, rel=2e-3)
+    page.fill("input[name=peak_input]", "21")
+    assert tune.get_attribute("aria-valuenow") == "21"
+    tune.focus()
+    page.keyboard.press("Delete")
+    assert page.input_value("input[name=peak_input]") == ""
+    page.keyboard.press("Escape")
+    assert page.locator('[data-handle^="tune"]').count() == 0
+    page.keyboard.press("o")
+    wait(page, "lab.state.optima !== null && document.querySelector('#work').hidden")
+    found = certrack.optimal(certrack.load("dual-motor-lean"), elements=240)
+    rows = page.locator(".result.optima tbody tr").all_inner_texts()
+    from certrack.reports.optima import optima_table
+
+    printed = optima_table(found).rows
+    assert [row.split("\t")[1:] for row in rows] == [list(row[1:]) for row in printed]
+    curve = page.evaluate("Array.from(lab.state.optima.curves[0].u)")
+    assert max(map(abs, curve)) == pytest.approx(found.optima[0].cost.peak, rel=0.02)
+
+
 def test_a_name_of_the_user_is_text_on_the_page(shown, server):
     evil = certrack.starter("example1").replace(
         'title = "Second', 'title = "<img src=x onerror=window.pwned=1>Second'

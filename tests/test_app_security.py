@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 import certrack
 from certrack.app.launch import first_design, folder_of, serve_designer
-from certrack.app.messages import parse_message
+from certrack.app.messages import MAX_TEXT_BYTES, parse_message
 from certrack.app.security import Access
 from certrack.app.server import AppServer, static_files
-from certrack.app.workspace import Workspace
+from certrack.app.workspace import FileChanged, Workspace
 from certrack.core.errors import InputError
 
 # files and security
@@ -27,7 +27,7 @@ def test_no_file_outside_the_folder_is_read_or_written(tmp_path):
     (inside / "link.toml").symlink_to(outside)
     (inside / "mine.toml").write_text("[plant]\n")
     space = Workspace(inside)
-    assert space.files() == ["mine.toml"] and space.read("mine.toml") == "[plant]\n"
+    assert space.files() == ["mine.toml"] and space.read("mine.toml").text == "[plant]\n"
     names = [
         "../outside.toml",
         str(outside),
@@ -41,11 +41,52 @@ def test_no_file_outside_the_folder_is_read_or_written(tmp_path):
         with pytest.raises(InputError, match="is not in"):
             space.read(name)
         with pytest.raises(InputError, match="is not in"):
-            space.write(name, "x", overwrite=True)
+            space.write(name, "x", known="")
     assert outside.read_text() == "[plant]\n"
-    assert space.write("new", "text", overwrite=False) == "new.toml"
-    with pytest.raises(InputError, match="exists already"):
-        space.write("new.toml", "other", overwrite=False)
+    assert space.write("new", "text", known="")[0] == "new.toml"
+    with pytest.raises(FileChanged, match="exists already"):
+        space.write("new.toml", "other", known="")
+
+
+def test_a_file_that_has_changed_on_the_disk_is_not_replaced(tmp_path):
+    space = Workspace(tmp_path)
+    _, first = space.write("mine.toml", "one", known="")
+    assert space.read("mine.toml").digest == first
+    _, second = space.write("mine.toml", "two", known=first)
+    (tmp_path / "mine.toml").write_text("by another hand")
+    with pytest.raises(FileChanged, match="has changed on the disk") as change:
+        space.write("mine.toml", "three", known=second)
+    assert (tmp_path / "mine.toml").read_text() == "by another hand"
+    space.write("mine.toml", "three", known=change.value.digest)
+    assert (tmp_path / "mine.toml").read_text() == "three"
+    (tmp_path / "mine.toml").unlink()
+    space.write("mine.toml", "four", known=second)
+    assert (tmp_path / "mine.toml").read_text() == "four"
+
+
+def test_texts_have_one_limit_wherever_they_come_from(tmp_path):
+    space, text = Workspace(tmp_path), "x" * MAX_TEXT_BYTES
+    space.write("fits.toml", text, known="")
+    assert space.read("fits.toml").text == text
+    (tmp_path / "long.toml").write_text(text + "x")
+    with pytest.raises(InputError, match="larger than 512 kB"):
+        space.read("long.toml")
+    with pytest.raises(InputError, match="larger than 512 kB"):
+        space.write("longer.toml", text + "x", known="")
+    for kind, more in (("text", {}), ("edit", {"entries": {}}), ("save", {})):
+        message = {"type": kind, "name": "a", "revision": 1} | more
+        parse_message(json.dumps(message | {"text": text}))
+        with pytest.raises(InputError, match="larger than 512 kB"):
+            parse_message(json.dumps(message | {"text": text + "x"}))
+
+
+def test_a_folder_without_end_is_listed_in_time(tmp_path, monkeypatch):
+    monkeypatch.setattr("certrack.app.workspace.MAX_SCANNED", 50)
+    for k in range(200):
+        (tmp_path / f"{k:03}.toml").write_text("[plant]\n")
+    assert len(Workspace(tmp_path).files()) == 50
+    monkeypatch.setattr("certrack.app.workspace.LONGEST_LISTING", 0.0)
+    assert Workspace(tmp_path).files() == []
 
 
 def test_the_first_design_is_a_file_of_the_folder_or_a_shipped_system(tmp_path, monkeypatch):
@@ -145,7 +186,7 @@ def test_the_licences_of_what_is_vendored_are_there():
     files = static_files()
     assert b"MIT" in files["vendor/uPlot-LICENSE.txt"]
     assert b"Open Font License" in files["vendor/inter-LICENSE.txt"]
-    assert sum(map(len, files.values())) < 400_000
+    assert sum(map(len, files.values())) < 420_000
 
 
 @given(st.binary(min_size=0, max_size=40))
@@ -181,7 +222,7 @@ def test_odd_entries_of_the_folder_lock_nobody_out(tmp_path):
         with pytest.raises(InputError):
             space.read(name)
         with pytest.raises(InputError):
-            space.write(name, text, overwrite=True)
+            space.write(name, text, known="")
 
 
 def test_a_text_that_no_file_can_hold_is_refused():

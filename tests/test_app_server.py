@@ -55,7 +55,7 @@ def test_who_is_not_our_page_is_refused(server):
 def test_a_message_that_is_too_long_closes_the_connection_and_others_live(server):
     async def talk():
         async with page(server) as other, page(server) as client:
-            await client.send("text", design=1, text="x" * (2 << 20), name="n")
+            await client.send("text", text="x" * (2 << 20), name="n")
             with pytest.raises(websockets.ConnectionClosed) as closed:
                 await client.receive("SYSTEM")
             assert closed.value.rcvd.code == 1009
@@ -113,12 +113,12 @@ def test_hostile_texts_are_told_and_the_server_lives(server):
     async def talk():
         problems = []
         async with page(server) as client:
-            for k, text in enumerate(bombs):
-                await client.send("text", design=k + 1, text=text, name="bomb.toml")
+            for text in bombs:
+                await client.send("text", text=text, name="bomb.toml")
                 problems.append((await client.receive("SYSTEM"))[1]["problem"])
             await client.send("nonsense")
             await client.receive("PROBLEM")
-            assert (await client.open("dual-motor-lean", design=50))["problem"] is None
+            assert (await client.open("dual-motor-lean"))["problem"] is None
         return problems
 
     problems = asyncio.run(talk())
@@ -166,6 +166,88 @@ def test_long_computations_report_end_and_are_cancelled(server):
             options = {"starts": 1, "objective": "x"}
             await client.send("task", task="tune", options=options, design=2)
             assert "must be one of" in (await client.receive("PROBLEM"))[1]["message"]
+
+    asyncio.run(talk())
+
+
+def test_a_long_computation_whose_process_is_killed_ends_and_the_next_one_begins(server):
+    async def talk():
+        async with page(server) as client:
+            await client.open("dual-motor-lean")
+            await client.move(2)
+            await client.send("task", task="ensemble", options={"members": 100_000}, design=2)
+            await client.receive("TASK", where=lambda h: h["state"] == "running")
+            os.kill(server.workers()["task"], signal.SIGKILL)
+            _, header, _ = await client.receive("PROBLEM", where=lambda h: h["of"] == "task")
+            assert header["task"] == "ensemble" and "start it again" in header["message"]
+            await client.send("cancel")
+            await client.receive("TASK", where=lambda h: h["state"] == "cancelled")
+            await client.send("task", task="falsify", options={"budget": 200}, design=2)
+            await client.receive("TASK", where=lambda h: h["state"] == "done")
+
+    asyncio.run(talk())
+
+
+def test_a_move_while_a_text_is_read_is_answered_and_the_page_goes_on(server):
+    async def talk():
+        async with page(server) as client:
+            text = (await client.open("dual-motor-lean"))["text"]
+            for k in range(5):
+                changed = text.replace("duration = 20", f"duration = {19 - k}")
+                await client.send("text", text=changed, name="a.toml")
+                for j in range(3):
+                    await client.move(
+                        10 * k + j + 2, {"law.c[0]": 6.5}, revision=client.revision - 1
+                    )
+            prefix, system, _ = await client.receive("SYSTEM")
+            assert (prefix.revision, system["duration"]) == (client.revision, 15)
+            await client.move(99, {"law.c[0]": 7.0}, revision=client.revision - 1)
+            prefix, _, _ = await client.receive("PROBLEM", where=lambda h: h["superseded"])
+            while prefix.design != 99:
+                prefix, _, _ = await client.receive("PROBLEM")
+            await client.move(100, {"law.c[0]": 7.0})
+            prefix, _, _ = await client.receive("RUN")
+            assert (prefix.design, prefix.revision) == (100, client.revision)
+
+    asyncio.run(talk())
+
+
+def test_a_text_that_takes_long_does_not_hold_up_a_newer_one(server):
+    """Its worker is ended after a second, and the newer text is read by another."""
+
+    async def talk():
+        async with page(server) as client:
+            text = (await client.open("dual-motor-lean"))["text"]
+            os.kill(server.workers()["run"], signal.SIGSTOP)  # it reads for ever
+            await client.send("text", text=text + "\n", name="slow.toml")
+            await asyncio.sleep(0.2)
+            await client.send("text", text=text, name="a.toml")
+            prefix, system, _ = await client.receive("SYSTEM")
+            assert prefix.revision == client.revision and system["problem"] is None
+
+    asyncio.run(talk())
+
+
+def test_files_are_saved_over_what_is_known_only(server, tmp_path_factory):
+    async def talk():
+        async with page(server) as client:
+            text = (await client.open("dual-motor-lean"))["text"]
+            saved = {"name": "mine.toml", "text": text}
+            await client.send("save", **saved)
+            first = (await client.receive("NOTE", where=lambda h: "saved" in h))[1]
+            await client.send("open", source="file", name="mine.toml")
+            _, system, _ = await client.receive("SYSTEM")
+            assert system["file"] == {"name": "mine.toml", "digest": first["digest"]}
+            await client.send("save", **saved | {"text": text + "\n"}, known=first["digest"])
+            await client.receive("NOTE", where=lambda h: "saved" in h)
+            await client.send("save", **saved, known=first["digest"])
+            change = (await client.receive("NOTE", where=lambda h: "conflict" in h))[1]["conflict"]
+            assert "has changed on the disk" in change["reason"]
+            await client.send("save", **saved, known=change["digest"])
+            await client.receive("NOTE", where=lambda h: "saved" in h)
+            await client.send("open", source="file", name="nothing.toml")
+            prefix, problem, _ = await client.receive("PROBLEM")
+            assert problem["of"] == "open" and prefix.revision == client.revision
 
     asyncio.run(talk())
 
@@ -236,13 +318,42 @@ def test_a_thousand_connections_hold_neither_up_a_page_nor_the_server(server):
             )
             await client.move(2, {"law.c[0]": 6.5})
             assert (await client.receive("RUN"))[0].design == 2
+            async with page(server) as another:  # while all the others are still there
+                assert (await another.open("dual-motor-lean"))["title"]
             for entry in held:
                 if not isinstance(entry, BaseException):
                     entry[1].close()
-        async with page(server) as client:
-            assert (await client.open("dual-motor-lean"))["title"]
 
     asyncio.run(talk())
+
+
+def test_a_request_that_never_ends_is_closed(server):
+    """One byte of a header now and then, and a second request that is begun only."""
+    from certrack.app.connections import REQUEST_DEADLINE
+
+    host, port = server.host.split(":")
+    with (
+        socket.create_connection((host, int(port)), PATIENCE) as slow,
+        socket.create_connection((host, int(port)), PATIENCE) as second,
+    ):
+        second.sendall(f"GET /icon.svg HTTP/1.1\r\nHost: {server.host}\r\n\r\n".encode())
+        assert second.recv(1 << 16).startswith(b"HTTP/1.1 200")
+        begin = time.monotonic()
+        for connection in (slow, second):
+            connection.settimeout(0.5)
+            connection.sendall(b"GET / HTTP/1.1\r\nX: ")
+        open_ones = [slow, second]
+        while open_ones and time.monotonic() - begin < REQUEST_DEADLINE + 20:
+            for connection in list(open_ones):
+                try:
+                    connection.sendall(b"x")
+                    if connection.recv(1000) == b"":
+                        open_ones.remove(connection)
+                except TimeoutError:
+                    continue
+                except OSError:
+                    open_ones.remove(connection)
+        assert not open_ones and time.monotonic() - begin > REQUEST_DEADLINE / 2
 
 
 @pytest.mark.parametrize("method", ["GET", "POST"])

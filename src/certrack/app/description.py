@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from certrack.app.form import form_of
@@ -15,7 +16,9 @@ from certrack.simulation.metrics import METRIC_LABELS, settling_band
 from certrack.systems.system import System
 
 
-def system_frame(system: System, text: str, name: str, design: int) -> bytes:
+def system_frame(
+    system: System, text: str, name: str, file: Mapping[str, str] | None = None
+) -> bytes:
     """All that the page shows of a text that loads.
 
     Parameters
@@ -23,12 +26,14 @@ def system_frame(system: System, text: str, name: str, design: int) -> bytes:
     system : System
     text, name : str
         Its file.
-    design : int
+    file : mapping, optional
+        ``name`` and ``digest`` of what it was read from, below the folder of the server.
     """
     plant, settings, drive = system.plant, system.settings, system.implementation
     units = list(plant.units or ("",) * (plant.n + 1))
     header = {
         "name": name,
+        "file": file,
         "title": system.title,
         "text": text,
         "problem": None,
@@ -50,15 +55,18 @@ def system_frame(system: System, text: str, name: str, design: int) -> bytes:
         "form": form_of(text),
         "reference": reference_record(system, text),
     }
-    return pack_frame(FrameKind.SYSTEM, header, design=design)
+    return pack_frame(FrameKind.SYSTEM, header)
 
 
-def refusal_frame(problem: CertrackError, text: str, design: int) -> bytes:
+def refusal_frame(
+    problem: CertrackError, text: str, file: Mapping[str, str] | None = None
+) -> bytes:
     """What is wrong with a text, where it is known with its line and key."""
     line = problem.line if isinstance(problem, InputError) else None
     key = problem.key if isinstance(problem, InputError) else ""
-    header = {"text": text, "problem": {"message": str(problem), "line": line, "key": key}}
-    return pack_frame(FrameKind.SYSTEM, header, design=design)
+    problem_record = {"message": str(problem), "line": line, "key": key}
+    header = {"text": text, "file": file, "problem": problem_record}
+    return pack_frame(FrameKind.SYSTEM, header)
 
 
 def feedforward_of(system: System) -> dict[str, Any] | None:

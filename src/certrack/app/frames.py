@@ -1,8 +1,12 @@
 """What a page gets: binary frames with a JSON header and curves as Float32.
 
-Little-endian: the magic word, u16 kind, u16 view, u32 design, u32 n; n bytes of JSON, padded by
-blanks to a multiple of 4; the arrays, whose lengths are ``lengths`` of the header; and bytes of a
-file, ``bytes`` of the header says how many. A page reads the arrays without copying them.
+Little-endian: the magic word, u16 kind, u16 view, u32 design, u32 n, u32 revision; n bytes of
+JSON, padded by blanks to a multiple of 4; the arrays, whose lengths are ``lengths`` of the header;
+and bytes of a file, ``bytes`` of the header says how many. A page reads arrays without a copy.
+
+Three counters of the page say what a frame is the answer to: ``revision`` rises with every text
+that the page sends, ``design`` with every change of gains or text, ``view`` with every
+window of time. Gains are those of a text, so that they are carried out for it or not at all.
 """
 
 from __future__ import annotations
@@ -18,15 +22,17 @@ if TYPE_CHECKING:
     import numpy as np
 
 #: Another number on either side means that the page must be loaded again.
-PROTOCOL_NUMBER = 1
+PROTOCOL_NUMBER = 2
 
 MAGIC = b"CTR1"
 
-#: Magic word, kind, view, design, length of the header.
-_PREFIX = struct.Struct("<4sHHII")
+#: Magic word, kind, view, design, length of the header, revision; and where the last stands.
+_PREFIX, _REVISION = struct.Struct("<4sHHIII"), struct.Struct("<I")
+_REVISION_AT = _PREFIX.size - _REVISION.size
 
 #: The counters as they fit into a frame.
 MAX_VIEW, MAX_DESIGN = 2**16 - 1, 2**32 - 1
+MAX_REVISION = MAX_DESIGN
 
 
 class FrameKind(IntEnum):
@@ -44,12 +50,13 @@ class FrameKind(IntEnum):
 
 
 class FramePrefix(NamedTuple):
-    """The first 16 bytes of a frame."""
+    """The first bytes of a frame."""
 
     kind: FrameKind
     view: int
     design: int
     header_bytes: int
+    revision: int
 
 
 def pack_frame(
@@ -59,6 +66,7 @@ def pack_frame(
     *,
     design: int = 0,
     view: int = 0,
+    revision: int = 0,
     data: bytes = b"",
 ) -> bytes:
     """One frame.
@@ -69,7 +77,7 @@ def pack_frame(
     header : mapping
         Ready for JSON, but for numbers that are not finite: they become null.
     arrays : sequence of (N,) arrays
-    design, view : int
+    design, view, revision : int
         Counters of the page, whose answer this is.
     data : bytes
         Of a file.
@@ -80,14 +88,21 @@ def pack_frame(
         json_ready({**header, **lengths}), separators=(",", ":"), allow_nan=False
     ).encode()
     text += b" " * (-len(text) % 4)
-    prefix = _PREFIX.pack(MAGIC, kind, view & MAX_VIEW, design & MAX_DESIGN, len(text))
+    counters = view & MAX_VIEW, design & MAX_DESIGN
+    prefix = _PREFIX.pack(MAGIC, kind, *counters, len(text), revision & MAX_REVISION)
     return b"".join([prefix, text, *(a.astype("<f4").tobytes() for a in arrays), data])
 
 
 def frame_prefix(data: bytes) -> FramePrefix:
     """Kind and counters of a frame."""
-    _, kind, view, design, length = _PREFIX.unpack_from(data)
-    return FramePrefix(FrameKind(kind), view, design, length)
+    _, kind, view, design, length, revision = _PREFIX.unpack_from(data)
+    return FramePrefix(FrameKind(kind), view, design, length, revision)
+
+
+def of_revision(data: bytes, revision: int) -> bytes:
+    """The same frame as the answer to a text."""
+    mark = _REVISION.pack(revision & MAX_REVISION)
+    return data[:_REVISION_AT] + mark + data[_PREFIX.size :]
 
 
 def frame_header(data: bytes) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.processes import WorkerProcess
-from certrack.app.session import ROLES, Session
+from certrack.app.session import READING, ROLES, Session
 
 #: Longest time for a job, s: a worker that takes longer is ended and started again.
 TIME_LIMITS = {
@@ -30,6 +30,9 @@ WATCH_INTERVAL = 0.25
 
 #: Long computations at the same time, of all pages.
 MAX_TASKS = 2
+
+#: A text that nobody waits for any more is read for so long, s, then its worker is ended.
+SUPERSEDED_READING = 1.0
 
 #: A worker that ends this soon after its start, s, is started again after that time.
 SOONEST_RESTART = 1.0
@@ -112,22 +115,25 @@ class Hub:
             return "One long computation at a time: wait for it or cancel it."
         if sum(worker.role == "task" for worker in self.workers) >= MAX_TASKS:
             return "The machine is busy with long computations of other pages."
-        worker = await self._start("task")
+        try:
+            worker = await self._start("task")
+        except OSError as problem:
+            return f"No process could be started: {problem.strerror or problem}."
         worker.work_on(job | {"job": next(self._jobs)})
         return ""
 
-    def cancel_task(self, session: Session) -> bool:
-        """End the long computation of a page; whether there was one."""
+    def cancel_task(self, session: Session) -> None:
+        """End the long computation of a page, which is told so whether there was one or not."""
         worker = self._task_of(session)
-        if worker is None or worker.job is None:
-            return False
-        task = worker.job.get("task")
-        worker.job = None
-        self.workers.remove(worker)
-        worker.kill()
-        header = {"task": task, "state": "cancelled"}
-        session.send(pack_frame(FrameKind.TASK, header, design=session.design))
-        return True
+        header = {"task": None, "state": "cancelled"}
+        counters: dict[str, Any] = {"design": session.design, "revision": 0}
+        if worker is not None and worker.job is not None:
+            header["task"] = worker.job.get("task")
+            counters["revision"] = worker.job["revision"]
+            worker.job = None
+            self.workers.remove(worker)
+            worker.kill()
+        session.send(pack_frame(FrameKind.TASK, header, **counters))
 
     def _task_of(self, session: Session) -> WorkerProcess | None:
         for worker in self.workers:
@@ -141,18 +147,23 @@ class Hub:
     async def _start(self, role: str) -> WorkerProcess:
         worker = WorkerProcess(role, self._on_frame, self._on_end)
         self.workers.append(worker)
-        await worker.start()
+        try:
+            await worker.start()
+        except OSError:
+            self.workers.remove(worker)
+            raise
         if role != "task" and self._first is not None:
-            warm = {"do": "warm", "role": role, "page": 0, "job": next(self._jobs)}
+            warm = {"do": "warm", "role": role, "page": 0, "job": next(self._jobs), "revision": 0}
             worker.work_on(warm | dict(self._first))
         return worker
 
     def _on_frame(self, worker: WorkerProcess, page: int, frame: bytes, last: bool) -> None:
+        if worker not in self.workers:  # cancelled: what was on its way is of no use
+            return
         session = self.sessions.get(page)
         job = worker.finished
         if last and worker.role == "task":
-            if worker in self.workers:
-                self.workers.remove(worker)
+            self.workers.remove(worker)
             worker.kill()
         if session is not None:
             if last and job is not None and worker.role != "task":
@@ -179,9 +190,14 @@ class Hub:
     async def _restart(self, worker: WorkerProcess) -> None:
         if time.monotonic() - worker.since < SOONEST_RESTART:
             await asyncio.sleep(SOONEST_RESTART)
-        if not self._stopping:
-            await self._start(worker.role)
+        while not self._stopping:
+            try:
+                await self._start(worker.role)
+            except OSError:  # no process or no memory at the moment
+                await asyncio.sleep(SOONEST_RESTART)
+                continue
             self.pump()
+            return
 
     async def _watch_time(self) -> None:
         while True:
@@ -189,7 +205,16 @@ class Hub:
             now = time.monotonic()
             for worker in self.workers:
                 job = worker.job
-                if job is not None and now - worker.since > TIME_LIMITS[job["do"]]:
+                if job is None:
+                    continue
+                if now - worker.since > TIME_LIMITS[job["do"]]:
                     worker.timed_out = True
                     worker.kill()
+                elif now - worker.since > SUPERSEDED_READING and self._is_superseded(job):
+                    worker.kill()
             self.pump()
+
+    def _is_superseded(self, job: Mapping[str, Any]) -> bool:
+        """Whether a text is read that nobody waits for any more."""
+        session = self.sessions.get(job["page"])
+        return job["do"] in READING and (session is None or session.outdated(dict(job)))

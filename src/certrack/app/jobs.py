@@ -11,6 +11,7 @@ from certrack.app.description import refusal_frame, system_frame
 from certrack.app.form import with_entries, with_numbers, with_reference_table
 from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.guarantee import certificates_frame, estimate_frame
+from certrack.app.messages import require_text_size
 from certrack.app.open_design import Designs, OpenDesign, continuous_law
 from certrack.app.profiles import REFERENCE_TEMPLATES, reference_of_kind
 from certrack.app.responses import run_frame
@@ -92,16 +93,19 @@ def _describe(context: JobContext, job: Job, began: float, send: Sender, progres
     try:
         if job.get("entries"):
             text = _edited(context, job)
+        require_text_size(job["name"], text.encode())
         design = context.open({**job, "text": text})
     except CertrackError as problem:
-        return refusal_frame(problem, text, job["design"])
-    return system_frame(design.system, text, job["name"], job["design"])
+        return refusal_frame(problem, text, job.get("file"))
+    return system_frame(design.system, text, job["name"], job.get("file"))
 
 
 def _edited(context: JobContext, job: Job) -> str:
     """The text with entries changed; another kind of reference brings entries of its own."""
     entries = dict(job["entries"])
     text: str = job["text"]
+    if job["gains"]:
+        text = with_numbers(text, job["gains"])
     kind = entries.pop("reference.kind", None)
     if kind is not None:
         kind = checks.choice("reference.kind", kind, REFERENCE_TEMPLATES)

@@ -19,9 +19,6 @@ from certrack.systems.shipped import catalog, shipped_text
 #: A key to be used in the place of a new one, so that a page finds a server that was started anew.
 KEY_VARIABLE = "CERTRACK_APP_KEY"
 
-#: Open connections, of all kinds.
-MAX_CONNECTIONS = 256
-
 #: Seconds that pages have to say good-bye.
 GOODBYE = 1
 
@@ -90,6 +87,7 @@ def serve_designer(
         from starlette import applications as applications
     except ImportError:
         raise MissingExtra("starlette, uvicorn or websockets", "app", "the designer") from None
+    from certrack.app.connections import BoundedProtocol
     from certrack.app.hub import Hub
     from certrack.app.security import LOOPBACK, Access
     from certrack.app.server import AppServer
@@ -111,12 +109,12 @@ def serve_designer(
         config = uvicorn.Config(
             server.application(),
             loop="asyncio",
+            http=BoundedProtocol,
             ws="websockets-sansio",
             ws_max_size=_message_limit(),
             ws_per_message_deflate=False,
             log_level="warning",
             access_log=False,
-            limit_concurrency=MAX_CONNECTIONS,
             timeout_graceful_shutdown=GOODBYE,
             server_header=False,
         )
@@ -129,7 +127,7 @@ def _opened_first(first: str, workspace: Workspace) -> dict[str, Any] | None:
     source, _, name = first.partition(" ")
     if not source:
         return None
-    text = shipped_text(name) if source == "catalog" else workspace.read(name)
+    text = shipped_text(name) if source == "catalog" else workspace.read(name).text
     file = f"{name}.toml" if source == "catalog" else name
     return {"text": text, "name": file, "folder": str(workspace.folder)}
 

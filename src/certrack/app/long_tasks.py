@@ -12,6 +12,7 @@ import numpy as np
 from certrack.app.decimation import decimate
 from certrack.app.frames import FrameKind, pack_frame
 from certrack.app.gains import movable_gains
+from certrack.app.optimum import optimum_result
 from certrack.app.responses import curves, number_text
 from certrack.core import checks
 from certrack.core.progress import Progress
@@ -64,7 +65,8 @@ def run_task(
         The frame of the result.
     """
     report = reporter(task, design, send)
-    work = {"falsify": _falsify, "ensemble": _ensemble, "margins": _margins, "tune": _tune}[task]
+    works = {"falsify": _falsify, "ensemble": _ensemble, "margins": _margins, "tune": _tune}
+    work = (works | {"optimum": optimum_result})[task]
 
     def frame(result: TaskResult, state: str) -> bytes:
         header, arrays = result

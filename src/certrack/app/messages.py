@@ -7,12 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from certrack.app.frames import MAX_DESIGN, MAX_VIEW
+from certrack.app.frames import MAX_DESIGN, MAX_REVISION, MAX_VIEW
 from certrack.core import checks
 from certrack.core.errors import InputError
 
 #: Bytes of a message; a longer one closes the connection.
 MAX_MESSAGE = 1 << 20
+
+#: Bytes of the text of a system, wherever it comes from: a message has room for it and its escapes.
+MAX_TEXT_BYTES = MAX_MESSAGE // 2
 
 #: Gains, and entries of a form, that one message may change.
 MAX_ENTRIES_CHANGED = 2000
@@ -22,7 +25,7 @@ LEAST_PIXELS, MOST_PIXELS = 50, 8000
 
 #: The long computations that a page may start, and the formats it may have; those of the dossier
 #: with the ending of its file.
-TASKS = ("falsify", "ensemble", "margins", "tune")
+TASKS = ("falsify", "ensemble", "margins", "tune", "optimum")
 REPORTS = {"report": ".html", "report-pdf": ".pdf", "report-md": ".md", "report-tex": ".tex"}
 EXPORTS = ("toml", "certificate", *REPORTS, "c", "st", "fmu", "netcdf", "png", "svg", "pdf")
 
@@ -42,8 +45,10 @@ class GainMove:
     ----------
     design, view : int
         Counters: of every change of gains or text, and of every change of the window.
+    revision : int
+        The text that the gains are of.
     gains : mapping of paths to numbers
-        What differs from the text.
+        What differs from that text.
     window : (low, high) or None, s
         None for the whole run.
     pixels : int
@@ -54,6 +59,7 @@ class GainMove:
 
     design: int
     view: int
+    revision: int
     gains: Mapping[str, float]
     window: tuple[float, float] | None
     pixels: int
@@ -64,7 +70,7 @@ class GainMove:
 class Open:
     """A system: a shipped one, a file of the folder, or the commented empty plant."""
 
-    design: int
+    revision: int
     source: str
     name: str
 
@@ -73,19 +79,23 @@ class Open:
 class NewText:
     """The text of a system file as the user has it now."""
 
-    design: int
+    revision: int
     text: str
     name: str
 
 
 @dataclass(frozen=True)
 class FormEdit:
-    """Entries of a text to be changed: TOML by path; an empty one is left out of the file."""
+    """Entries of a text to be changed: TOML by path; an empty one is left out of the file.
 
-    design: int
+    The text has the gains that its sliders have before.
+    """
+
+    revision: int
     text: str
     name: str
     entries: Mapping[str, str]
+    gains: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -95,6 +105,7 @@ class StartTask:
     task: str
     options: Mapping[str, Any]
     design: int
+    revision: int
     gains: Mapping[str, float]
 
 
@@ -109,6 +120,7 @@ class Export:
 
     format: str
     design: int
+    revision: int
     gains: Mapping[str, float]
 
 
@@ -119,11 +131,17 @@ class ListFiles:
 
 @dataclass(frozen=True)
 class Save:
-    """Write the text to a file of the folder."""
+    """Write the text to a file of the folder.
+
+    Attributes
+    ----------
+    known : str
+        Digest of the file that may be replaced; empty where there must be none.
+    """
 
     name: str
     text: str
-    overwrite: bool
+    known: str
 
 
 Message = (
@@ -148,7 +166,7 @@ def parse_message(text: str) -> Message:
     InputError
         If it is none.
     """
-    if len(text) > MAX_MESSAGE:
+    if len(text) > MAX_MESSAGE or len(text.encode("utf-8", "replace")) > MAX_MESSAGE:
         raise InputError("message", f"is longer than {MAX_MESSAGE} bytes")
     try:
         values = json.loads(text)
@@ -169,6 +187,7 @@ def _move(values: dict[str, Any]) -> GainMove:
     return GainMove(
         _counter(values, "design", MAX_DESIGN),
         _counter(values, "view", MAX_VIEW),
+        _revision(values),
         _gains(values.get("gains", {})),
         None if window is None else checks.ordered_pair("window", window, strict=True),
         checks.integer("pixels", values["pixels"], LEAST_PIXELS, MOST_PIXELS),
@@ -187,7 +206,8 @@ def _gains(entries: Any) -> dict[str, float]:
 def _form_edit(values: dict[str, Any]) -> FormEdit:
     entries = _table("entries", values["entries"])
     texts = {path: _long_text(path, value) for path, value in entries.items()}
-    return FormEdit(_counter(values, "design", MAX_DESIGN), *_text_and_name(values), texts)
+    gains = _gains(values.get("gains", {}))
+    return FormEdit(_revision(values), *_text_and_name(values), texts, gains)
 
 
 def _text_and_name(values: dict[str, Any]) -> tuple[str, str]:
@@ -202,9 +222,14 @@ def _start_task(values: dict[str, Any]) -> StartTask:
     )
 
 
-def _shown(values: dict[str, Any]) -> tuple[int, dict[str, float]]:
-    """Counter and gains of what the page shows."""
-    return _counter(values, "design", MAX_DESIGN), _gains(values.get("gains", {}))
+def _shown(values: dict[str, Any]) -> tuple[int, int, dict[str, float]]:
+    """Counters and gains of what the page shows."""
+    gains = _gains(values.get("gains", {}))
+    return _counter(values, "design", MAX_DESIGN), _revision(values), gains
+
+
+def _revision(values: dict[str, Any]) -> int:
+    return _counter(values, "revision", MAX_REVISION)
 
 
 def _table(key: str, entries: Any) -> dict[str, Any]:
@@ -217,10 +242,23 @@ def _long_text(key: str, value: Any) -> str:
     if not isinstance(value, str):
         raise InputError(key, "must be a text", value)
     try:
-        value.encode()
+        require_text_size(key, value.encode())
     except UnicodeEncodeError:
         raise InputError(key, "must be a text without lone surrogates") from None
     return value
+
+
+def require_text_size(name: str, data: bytes) -> None:
+    """Refuse the text of a system that is larger than a page may have.
+
+    Raises
+    ------
+    InputError
+        If it is.
+    """
+    if len(data) > MAX_TEXT_BYTES:
+        limit = f"is larger than {MAX_TEXT_BYTES >> 10} kB"
+        raise InputError(name, limit, remedy="Use the command line, or files of samples")
 
 
 def _counter(values: dict[str, Any], name: str, most: int) -> int:
@@ -231,17 +269,19 @@ _READERS: Mapping[str, Any] = {
     "hello": lambda v: Hello(checks.integer("protocol", v["protocol"], 0, 10**6)),
     "set": _move,
     "open": lambda v: Open(
-        _counter(v, "design", MAX_DESIGN),
+        _revision(v),
         checks.choice("source", v["source"], ("catalog", "file", "empty")),
         checks.text("name", v.get("name", "")),
     ),
-    "text": lambda v: NewText(_counter(v, "design", MAX_DESIGN), *_text_and_name(v)),
+    "text": lambda v: NewText(_revision(v), *_text_and_name(v)),
     "edit": _form_edit,
     "task": _start_task,
     "cancel": lambda _: CancelTask(),
     "export": lambda v: Export(checks.choice("format", v["format"], EXPORTS), *_shown(v)),
     "files": lambda _: ListFiles(),
     "save": lambda v: Save(
-        checks.text("name", v["name"]), _long_text("text", v["text"]), v.get("overwrite") is True
+        checks.text("name", v["name"]),
+        _long_text("text", v["text"]),
+        checks.text("known", v.get("known", "")),
     ),
 }

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import json
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Coroutine
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from certrack.app.frames import PROTOCOL_NUMBER, FrameKind, pack_frame
 from certrack.app.hub import Hub
 from certrack.app.messages import (
     MAX_MESSAGE,
+    MAX_TEXT_BYTES,
     CancelTask,
     Export,
     FormEdit,
@@ -37,7 +38,7 @@ from certrack.app.messages import (
 )
 from certrack.app.security import WRONG_KEY, Access
 from certrack.app.session import Session
-from certrack.app.workspace import Workspace
+from certrack.app.workspace import FileChanged, Workspace
 from certrack.core.errors import CertrackError, InputError
 from certrack.core.version import version
 from certrack.systems.shipped import catalog
@@ -76,6 +77,7 @@ class AppServer:
         self.access, self.workspace, self.first, self.hub = access, workspace, first, hub
         self.static = static_files()
         self.headers = access.headers()
+        self._listing: asyncio.Task[list[str]] | None = None
 
     def application(self) -> Starlette:
         """The ASGI application."""
@@ -131,26 +133,50 @@ class AppServer:
         session = Session(str(self.workspace.folder))
         self.hub.join(session)
         writer = asyncio.create_task(_write(socket, session))
+        disk = _OneAfterAnother(session)
         try:
-            session.send(self._greeting())
-            await self._listen(socket, session)
+            disk.begin("files", self._greet(session))
+            await self._listen(socket, session, disk)
         except WebSocketDisconnect:
             pass
         finally:
             writer.cancel()
+            disk.stop()
             self.hub.leave(session)
 
-    def _greeting(self) -> bytes:
+    async def _greet(self, session: Session) -> None:
+        """Tell a page what there is to open; the folder is looked through beside all else."""
+        if self._listing is None or self._listing.done():  # pages that ask at once share it
+            self._listing = asyncio.create_task(asyncio.to_thread(self.workspace.files))
         header = {
             "hello": {"protocol": PROTOCOL_NUMBER, "certrack": version()},
             "catalog": catalog(),
-            "files": self.workspace.files(),
+            "files": await asyncio.shield(self._listing),
             "folder": str(self.workspace.folder),
             "first": self.first,
+            "most": MAX_TEXT_BYTES,
         }
-        return pack_frame(FrameKind.NOTE, header)
+        session.send(pack_frame(FrameKind.NOTE, header))
 
-    async def _listen(self, socket: WebSocket, session: Session) -> None:
+    async def _open(self, session: Session, message: Open) -> None:
+        """Read a file and let it be described, unless another text has come meanwhile."""
+        file = await asyncio.to_thread(self.workspace.read, message.name)
+        if session.asked == message.revision:
+            session.opened(message, file)
+            self.hub.pump()
+
+    async def _save(self, session: Session, message: Save) -> None:
+        """Write a file, or say that it is not the one that the page knows."""
+        name, text, known = message.name, message.text, message.known
+        try:
+            name, digest = await asyncio.to_thread(self.workspace.write, name, text, known=known)
+            header: dict[str, Any] = {"saved": name, "digest": digest}
+        except FileChanged as change:
+            conflict = {"name": change.key, "reason": change.expected, "digest": change.digest}
+            header = {"conflict": conflict}
+        session.send(pack_frame(FrameKind.NOTE, header))
+
+    async def _listen(self, socket: WebSocket, session: Session, disk: _OneAfterAnother) -> None:
         second, count = 0, 0
         while True:
             try:
@@ -170,24 +196,22 @@ class AppServer:
                         raise InputError("message", "too many requests in a second")
                 if isinstance(message, Hello) and message.protocol != PROTOCOL_NUMBER:
                     session.note("Reload the page: certrack was updated.")
-                await self._handle(session, message)
+                await self._handle(session, message, disk)
             except CertrackError as problem:
-                header = {"message": str(problem), "of": _kind_of(text)}
-                session.send(pack_frame(FrameKind.PROBLEM, header, design=session.design))
+                session.send(_refusal(text, problem))
 
-    async def _handle(self, session: Session, message: Message) -> None:
+    async def _handle(self, session: Session, message: Message, disk: _OneAfterAnother) -> None:
         match message:
             case GainMove():
                 session.moved(message)
+            case Open(source="file"):
+                session.asks(message.revision)
+                disk.begin("open", self._open(session, message), message.revision)
             case Open() | NewText() | FormEdit():
-                text = None
-                if isinstance(message, Open) and message.source == "file":
-                    text = self.workspace.read(message.name)
-                if not session.opened(message, text):
-                    raise InputError("message", "too many texts wait: a moment, please")
+                session.opened(message)
             case StartTask() | Export():
                 job = session.long_job(message)
-                reason = "Nothing is open." if job is None else ""
+                reason = "The text has changed, or nothing is open: try again."
                 if job is not None:
                     reason = await self.hub.start_task(session, job)
                 if reason:
@@ -195,11 +219,37 @@ class AppServer:
             case CancelTask():
                 self.hub.cancel_task(session)
             case ListFiles():
-                session.send(self._greeting())
+                disk.begin("files", self._greet(session))
             case Save():
-                name = self.workspace.write(message.name, message.text, overwrite=message.overwrite)
-                session.send(pack_frame(FrameKind.NOTE, {"saved": name}))
+                disk.begin("save", self._save(session, message))
         self.hub.pump()
+
+
+class _OneAfterAnother:
+    """What a page wants of the disk, in the order of its messages and beside its moves."""
+
+    def __init__(self, session: Session) -> None:
+        self._session, self._turn = session, asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def begin(self, kind: str, work: Coroutine[Any, Any, None], revision: int = 0) -> None:
+        """Do something when its turn has come; what is wrong is told to the page."""
+        task = asyncio.create_task(self._in_turn(kind, work, revision))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _in_turn(self, kind: str, work: Coroutine[Any, Any, None], revision: int) -> None:
+        async with self._turn:
+            try:
+                await work
+            except CertrackError as problem:
+                header = {"message": str(problem), "of": kind}
+                self._session.send(pack_frame(FrameKind.PROBLEM, header, revision=revision))
+
+    def stop(self) -> None:
+        """The page is gone: what has not begun is not done."""
+        for task in self._tasks:
+            task.cancel()
 
 
 async def _write(socket: WebSocket, session: Session) -> None:
@@ -209,12 +259,18 @@ async def _write(socket: WebSocket, session: Session) -> None:
             await socket.send_bytes(await session.outgoing.get())
 
 
-def _kind_of(text: str) -> Any:
-    """The kind of a message that was refused, if it has one."""
+def _refusal(text: str, problem: CertrackError) -> bytes:
+    """What is wrong with a message, with the kind and the counters that it has."""
     try:
-        return json.loads(text).get("type")
+        values = json.loads(text)
+        kind = values.get("type")
     except (ValueError, AttributeError, RecursionError):
-        return None
+        kind, values = None, {}
+    counters: dict[str, Any] = {
+        name: value if isinstance(value := values.get(name), int) and value >= 0 else 0
+        for name in ("design", "view", "revision")
+    }
+    return pack_frame(FrameKind.PROBLEM, {"message": str(problem), "of": kind}, **counters)
 
 
 def static_files() -> dict[str, bytes]:

@@ -2,30 +2,31 @@
 
 The mailbox holds one job of each kind. A newer one takes the place of an older one that nobody has
 begun, so that a page that moves fast neither waits for what it no longer shows nor keeps a worker
-from another page.
+from another page. So it is with texts: the newest that was sent is the one that is read, and what
+was computed for an earlier one is not sent.
 """
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import time
-from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
 from certrack.app.frames import FrameKind, frame_header, frame_prefix, pack_frame
 from certrack.app.messages import Export, FormEdit, GainMove, NewText, Open, StartTask
+from certrack.app.outbox import QUEUE, Outbox
+from certrack.app.workspace import TextFile
 
 #: Without a move for so long, s, the exact bound and the run of the drive are computed; the proof
 #: by the default effort follows after another pause.
 PAUSE, REFINING_PAUSE = 0.12, 0.4
 
-#: Frames that wait for a page that does not read: more are dropped.
-QUEUE = 64
+#: Jobs that read a text, and those of long computations.
+READING, LONG = ("describe", "source"), ("task", "export")
 
-#: Texts and edits that may wait.
-MAX_WAITING = 4
+#: What is answered for a text that the page no longer shows.
+SUPERSEDED = {"message": "", "superseded": True}
 
 #: A job of a design that has ended a worker so often is not tried again.
 MAX_CRASHES = 2
@@ -49,6 +50,8 @@ class DesignText:
     text, name : str
     folder : str or None
         Where its sample files lie.
+    revision : int
+        The page's own counter of the texts that it sent.
     drive : bool
         Whether it has an implementation.
     """
@@ -56,6 +59,7 @@ class DesignText:
     text: str
     name: str
     folder: str | None
+    revision: int
     drive: bool = False
 
 
@@ -72,20 +76,25 @@ class Session:
         self.id = next(_numbers)
         self.folder = folder
         self.base: DesignText | None = None
+        self.asked = 0
         self.design = 0
         self.move: GainMove | None = None
-        self.outgoing: asyncio.Queue[bytes] = asyncio.Queue(QUEUE)
+        self.outgoing = Outbox()
         self.served = 0.0
         self._mail: dict[str, dict[str, Any]] = {}
         self._due: dict[str, float] = {}
-        self._waiting: deque[dict[str, Any]] = deque()
-        self._crashes: dict[tuple[int, str], int] = {}
+        self._waiting: dict[str, Any] | None = None
+        self._crashes: dict[tuple[int, int, str], int] = {}
 
     # what the page sends
 
     def moved(self, move: GainMove) -> None:
-        """Gains or window have changed."""
-        if self.base is None:
+        """Gains or window have changed; gains of another text than the one at hand are answered."""
+        if self.base is None or move.revision != self.base.revision:
+            header = SUPERSEDED | {"of": "set"}
+            counters: dict[str, Any] = {"design": move.design, "view": move.view}
+            counters["revision"] = move.revision
+            self.send(pack_frame(FrameKind.PROBLEM, header, **counters))
             return
         changed = move.design != self.design
         self.move, self.design = move, move.design
@@ -100,24 +109,36 @@ class Session:
         if move.resting:
             self._post("text")
 
-    def opened(self, message: Open | NewText | FormEdit, text: str | None = None) -> bool:
-        """Another text; whether there was room for it."""
-        if len(self._waiting) >= MAX_WAITING:
-            return False
-        job: dict[str, Any] = {"do": "describe", "design": message.design, "view": 0}
-        if isinstance(message, Open) and text is None:
-            job |= {"do": "source", "name": message.name, "text": ""}
+    def asks(self, revision: int) -> None:
+        """A text is on its way: none that was sent before it is read any more."""
+        self.asked = revision
+        self._waiting = None
+
+    def opened(self, message: Open | NewText | FormEdit, file: TextFile | None = None) -> None:
+        """Another text; it takes the place of one that nobody has begun to read.
+
+        Parameters
+        ----------
+        message : Open, NewText or FormEdit
+        file : TextFile, optional
+            What was read, of a file that is opened.
+        """
+        self.asks(message.revision)
+        job: dict[str, Any] = {"do": "describe", "design": 0, "view": 0, "gains": {}}
+        job |= {"revision": message.revision, "name": message.name}
+        if not isinstance(message, Open):
+            job["text"] = message.text
+        elif file is not None:
+            job |= {"text": file.text, "file": {"name": message.name, "digest": file.digest}}
         else:
-            job |= {"text": getattr(message, "text", text), "name": message.name}
+            job |= {"do": "source", "text": ""}
         if isinstance(message, FormEdit):
-            job["entries"] = dict(message.entries)
-        job |= {"folder": self.folder, "page": self.id}
-        self._waiting.append(job)
-        return True
+            job |= {"entries": dict(message.entries), "gains": dict(message.gains)}
+        self._waiting = job | {"folder": self.folder, "page": self.id}
 
     def long_job(self, message: StartTask | Export) -> dict[str, Any] | None:
-        """The job of a task or an export; None before anything is open."""
-        if self.base is None:
+        """The job of a task or an export; None where its text is not the one at hand."""
+        if self.base is None or message.revision != self.base.revision:
             return None
         job = self._job("task", "task")
         job |= {"design": message.design, "gains": dict(message.gains)}
@@ -131,8 +152,9 @@ class Session:
         """Take the next job for a role from the mailbox; None if nothing is due."""
         for kind in ROLES[role]:
             if kind == "describe":
-                if self._waiting:
-                    return self._waiting.popleft()
+                if self._waiting is not None:
+                    job, self._waiting = self._waiting, None
+                    return job
             elif kind in self._mail and self._due.get(kind, 0.0) <= now:
                 return self._mail.pop(kind)
         return None
@@ -143,18 +165,22 @@ class Session:
 
     def outdated(self, job: dict[str, Any]) -> bool:
         """Whether the answer to a job would be dropped."""
+        if job["do"] in READING:
+            return bool(job["revision"] != self.asked)
+        if self.base is None or job["revision"] != self.base.revision:
+            return True
         return bool(job["do"] == "exact" and job["design"] != self.design)
 
     def answered(self, job: dict[str, Any], frame: bytes) -> None:
         """The last frame of a job."""
+        if self.outdated(job):
+            return
         prefix = frame_prefix(frame)
         if prefix.kind is FrameKind.SYSTEM:
             self._described(job, frame)
         if prefix.kind is FrameKind.RUN and not job["sampled"] and self.move is not None:
             self._mail["bound"] = {**job, "do": "bound"}
         if job["do"] == "exact":
-            if job["design"] != self.design:
-                return
             if prefix.kind is FrameKind.EXACT and job["effort"] == "fast":
                 self._post("exact", effort="default", after=REFINING_PAUSE)
             if prefix.kind is FrameKind.PROBLEM and frame_header(frame).get("superseded"):
@@ -163,40 +189,47 @@ class Session:
 
     def crashed(self, job: dict[str, Any], *, timed_out: bool, seconds: float) -> None:
         """The worker of a job has ended."""
-        design = job.get("design", 0)
-        case = design, job["do"]
+        if job["do"] not in LONG and self.outdated(job):
+            return
+        case = job["revision"], job.get("design", 0), job["do"]
         self._crashes[case] = self._crashes.get(case, 0) + 1
         self._crashes = dict(list(self._crashes.items())[-QUEUE:])
-        again = not timed_out and self._crashes[case] < MAX_CRASHES
-        if again:
+        if not timed_out and job["do"] not in LONG and self._crashes[case] < MAX_CRASHES:
             self.note("A worker stopped and was started again.")
             self._again(job)
             return
-        reason = f"took longer than {seconds:g} s" if timed_out else "stopped the worker twice"
-        header = {"message": f"This {reason} and was given up.", "of": job["do"]}
-        header["task"] = job.get("task")
-        if job["do"] in ("describe", "source"):
-            header = {"text": job["text"], "problem": {"message": header["message"], "line": None}}
-            self.send(pack_frame(FrameKind.SYSTEM, header, design=design))
+        if timed_out:
+            reason = f"This took longer than {seconds:g} s and was given up."
+        elif job["do"] in LONG:
+            reason = "The process of this computation was ended from outside, or for want of "
+            reason += "memory: start it again."
+        else:
+            reason = "This stopped the worker twice and was given up."
+        counters: dict[str, Any] = {"design": job.get("design", 0), "revision": job["revision"]}
+        if job["do"] in READING:
+            header = {"text": job["text"], "problem": {"message": reason, "line": None, "key": ""}}
+            self.send(pack_frame(FrameKind.SYSTEM, header, **counters))
             return
-        self.send(pack_frame(FrameKind.PROBLEM, header, design=design, view=job.get("view", 0)))
+        header = {"message": reason, "of": job["do"], "task": job.get("task")}
+        header["effort"] = job.get("effort")
+        self.send(pack_frame(FrameKind.PROBLEM, header, view=job.get("view", 0), **counters))
 
     def note(self, text: str) -> None:
         """Tell the page something in passing."""
         self.send(pack_frame(FrameKind.NOTE, {"note": text}))
 
     def send(self, frame: bytes) -> None:
-        """Queue a frame; a page that does not read loses it, the server no memory."""
-        if not self.outgoing.full():
-            self.outgoing.put_nowait(frame)
+        """Queue a frame."""
+        self.outgoing.add(frame)
 
     # mailbox
 
     def _described(self, job: dict[str, Any], frame: bytes) -> None:
         header = frame_header(frame)
         if header.get("problem") is None:
-            self.base = DesignText(header["text"], header["name"], self.folder, header["drive"])
-            self.design, self.move = job["design"], None
+            text, name, drive = header["text"], header["name"], header["drive"]
+            self.base = DesignText(text, name, self.folder, job["revision"], drive)
+            self.design, self.move = 0, None
             self._mail.clear()
 
     def _post(self, kind: str, *, do: str = "", after: float = 0.0, **details: Any) -> None:
@@ -208,6 +241,7 @@ class Session:
         move = self.move
         job: dict[str, Any] = {"do": do, "page": self.id, "design": self.design}
         job |= {"text": self.base.text, "name": self.base.name, "folder": self.folder}
+        job["revision"] = self.base.revision
         job |= {"gains": {}, "view": 0, "window": None, "pixels": 800}
         if move is not None:
             job |= {"gains": dict(move.gains), "view": move.view, "pixels": move.pixels}
@@ -216,9 +250,9 @@ class Session:
 
     def _again(self, job: dict[str, Any]) -> None:
         """Submit what a lost worker has not answered; only the newest of it."""
-        if job["do"] in ("describe", "source"):
-            self._waiting.appendleft(job)
-        elif self.base is not None and job["do"] in ("run", "bound", "exact", "text"):
+        if job["do"] in READING:
+            self._waiting = job
+        elif job["do"] in ("run", "bound", "exact", "text"):
             kind = "sampled" if job.get("sampled") and job["do"] == "run" else job["do"]
             self._mail.setdefault(kind, job)
             self._due[kind] = 0.0

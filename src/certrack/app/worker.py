@@ -64,10 +64,10 @@ class Worker:
             began = time.perf_counter()
 
             def send(frame: bytes, job: dict[str, Any] = job) -> None:
-                self._send(job["page"], frame, last=False)
+                self._send(job, frame, last=False)
 
             last = _answer(JOBS[job["do"]], context, job, began, send, self._progress)
-            self._send(job["page"], last, last=True)
+            self._send(job, last, last=True)
 
     def _progress(self, *_: float | None) -> None:
         """Give up a proof that is superseded."""
@@ -85,9 +85,12 @@ class Worker:
                 self._queue.put(job)
         os._exit(0)  # the server is gone
 
-    def _send(self, page: int, frame: bytes, *, last: bool) -> None:
+    def _send(self, job: dict[str, Any], frame: bytes, *, last: bool) -> None:
+        from certrack.app.frames import of_revision
+
+        frame = of_revision(frame, job.get("revision", 0))
         try:
-            self._answers.write(ENVELOPE.pack(len(frame), page, last) + frame)
+            self._answers.write(ENVELOPE.pack(len(frame), job["page"], last) + frame)
             self._answers.flush()
         except OSError:
             os._exit(0)
@@ -115,7 +118,7 @@ def _answer(
         header = {"message": "This needs more memory than a worker may have."}
     except Exception as problem:  # a defect must not end the worker, and must be seen
         header = {"message": f"{type(problem).__name__}: {problem}", "defect": True}
-    header |= {"of": job["do"], "task": job.get("task")}
+    header |= {"of": job["do"], "task": job.get("task"), "effort": job.get("effort")}
     return pack_frame(
         FrameKind.PROBLEM, header, design=job.get("design", 0), view=job.get("view", 0)
     )

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+import itertools
 import os
+import threading
+import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
+from certrack.app.messages import require_text_size
 from certrack.core.errors import InputError
 from certrack.core.files import write_text
 from certrack.systems.tables import read_bytes
@@ -13,11 +19,40 @@ from certrack.systems.tables import read_bytes
 #: Files that a page is told of, folders below that are looked into, and entries that are looked at.
 MAX_LISTED, MAX_DEPTH, MAX_SCANNED = 200, 3, 20_000
 
+#: Files that are looked into for a list, and how long all of it may take, s.
+MAX_LOOKED_INTO, LONGEST_LISTING = 2000, 3.0
+
 #: Characters of a name, which is looked up part by part.
 MAX_PATH_LENGTH = 1000
 
-#: A longer text is no file for a page.
-MAX_TEXT_BYTES = 1 << 20
+
+@dataclass(frozen=True)
+class TextFile:
+    """A file as it was read.
+
+    Attributes
+    ----------
+    text : str
+    digest : str
+        Of its bytes, by which a change on the disk is seen.
+    """
+
+    text: str
+    digest: str
+
+
+class FileChanged(InputError):
+    """A file is not what the page knows of it.
+
+    Attributes
+    ----------
+    digest : str
+        Of what is there now.
+    """
+
+    def __init__(self, name: str, reason: str, digest: str) -> None:
+        super().__init__(name, reason)
+        self.digest = digest
 
 
 class Workspace:
@@ -30,11 +65,16 @@ class Workspace:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
+        self._writing = threading.Lock()
 
     def files(self) -> list[str]:
-        """System files in it, by their names below it."""
+        """System files in it, by their names below it; of a huge folder those found in time."""
         names = []
-        for path in _system_files(self.folder, MAX_DEPTH):
+        end = time.monotonic() + LONGEST_LISTING
+        candidates = _system_files(self.folder, MAX_DEPTH, end)
+        for path in itertools.islice(candidates, MAX_LOOKED_INTO):
+            if time.monotonic() > end:
+                break
             try:
                 inside = path.resolve().is_relative_to(self.folder) and path.is_file()
             except (OSError, RuntimeError):  # links in a circle
@@ -45,8 +85,8 @@ class Workspace:
                 break
         return sorted(names)
 
-    def read(self, name: str) -> str:
-        """The text of a file.
+    def read(self, name: str) -> TextFile:
+        """A file.
 
         Raises
         ------
@@ -58,25 +98,46 @@ class Workspace:
             data = read_bytes(path)
         except OSError as problem:
             raise InputError(name, f"cannot be read ({problem.strerror or problem})") from None
-        if len(data) > MAX_TEXT_BYTES:
-            raise InputError(name, "is larger than 1 MB", remedy="Use the command line")
+        require_text_size(name, data)
         try:
-            return data.decode("utf-8-sig")
+            return TextFile(data.decode("utf-8-sig"), _digest(data))
         except UnicodeDecodeError:
             raise InputError(name, "is not a text file (UTF-8)") from None
 
-    def write(self, name: str, text: str, *, overwrite: bool) -> str:
-        """Write a file whole or not at all; returns its name.
+    def write(self, name: str, text: str, *, known: str) -> tuple[str, str]:
+        """Write a file whole or not at all.
+
+        Parameters
+        ----------
+        name, text : str
+        known : str
+            Digest of the file that may be replaced; empty where there must be none.
+
+        Returns
+        -------
+        name and digest
+            Of the file as it is now.
 
         Raises
         ------
+        FileChanged
+            If there is another file than the one that is known.
         InputError
-            If it is not in the folder, exists already, or cannot be written.
+            If it is not in the folder or cannot be written.
         """
         self._path(name)
         path = self._path(name if name.endswith(".toml") else f"{name}.toml")
-        write_text(path, text, overwrite=overwrite)
-        return path.relative_to(self.folder).as_posix()
+        shown, data = path.relative_to(self.folder).as_posix(), text.encode()
+        require_text_size(shown, data)
+        with self._writing:
+            there = _digest_of(path)
+            if there not in ("", known):
+                reason = (
+                    "has changed on the disk since it was opened" if known else "exists already"
+                )
+                raise FileChanged(shown, reason, there)
+            write_text(path, text)
+        return shown, _digest(data)
 
     def _path(self, name: str) -> Path:
         """A path that is surely in the folder, links resolved."""
@@ -94,19 +155,33 @@ class Workspace:
         return path
 
 
-def _system_files(folder: Path, depth: int) -> Iterator[Path]:
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _digest_of(path: Path) -> str:
+    """The digest of a file; empty if there is none."""
+    try:
+        return _digest(read_bytes(path))
+    except FileNotFoundError:
+        return ""
+    except OSError as problem:
+        reason = f"cannot be read ({problem.strerror or problem})"
+        raise InputError(path.name, reason) from None
+
+
+def _system_files(folder: Path, depth: int, end: float) -> Iterator[Path]:
     """System files by their names, folder by folder, without what is hidden."""
-    folders, looked = [(folder, depth)], 0
-    while folders:
+    folders, left_to_scan = [(folder, depth)], MAX_SCANNED
+    while folders and time.monotonic() < end:
         place, left = folders.pop(0)
         try:
-            entries = sorted(os.scandir(place), key=lambda entry: entry.name)
+            with os.scandir(place) as scanned:
+                entries = list(itertools.islice(scanned, left_to_scan))
         except OSError:
             continue
-        for entry in entries:
-            looked += 1
-            if looked > MAX_SCANNED:
-                return
+        left_to_scan -= len(entries)
+        for entry in sorted(entries, key=lambda entry: entry.name):
             if entry.name.startswith("."):
                 continue
             if entry.name.endswith(".toml"):

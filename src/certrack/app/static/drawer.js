@@ -21,13 +21,36 @@ export class Drawer {
   /** Show a result; `leave` is called when it goes. */
   open(title, content, leave = null) {
     this.leave?.();
-    this.leave = leave;
-    this.title = title;
+    Object.assign(this, { leave, title, made: null });
     this.root.textContent = "";
     const close = element("button", { class: "icon small", "aria-label": "Close the result", title: "Close  Esc", onclick: () => this.close() }, "×");
     this.body = element("div", { class: "drawer-body", tabindex: 0, role: "group", "aria-label": title }, ...content);
-    this.root.append(this.grip(), element("header", {}, element("h2", {}, title), element("span", { class: "spacer" }), close), this.body);
+    this.origin = element("span", { class: "made", role: "status" });
+    this.root.append(this.grip(), element("header", {}, element("h2", {}, title), this.origin, element("span", { class: "spacer" }), close), this.body);
     this.root.hidden = false;
+  }
+
+  /** Which design the result is of; `back(made)` shows that one again. */
+  label(made, back) {
+    if (this.root.hidden || !made) return;
+    this.made = made;
+    this.back = element("button", { class: "small", onclick: () => back(made) }, "Back to it");
+    this.stale = null;
+  }
+
+  /** Whether the design on the page is another one by now. */
+  outdated(stale) {
+    if (stale === this.stale) return;
+    this.stale = stale;
+    this.origin.textContent = "";
+    this.origin.className = stale ? "made old" : "made";
+    if (stale) this.origin.append(`of the design as it was at ${this.made.at}: it has changed since `, this.back);
+    else this.origin.append("of the present design");
+  }
+
+  /** Something that is to be known beside the result. */
+  remark(text) {
+    this.body.prepend(element("p", { class: "remark", role: "alert" }, text));
   }
 
   /** Close it; whether it was open. */
@@ -36,6 +59,7 @@ export class Drawer {
     this.leave?.();
     this.leave = null;
     this.title = null;
+    this.made = null;
     this.root.hidden = true;
     this.root.textContent = "";
     return was;

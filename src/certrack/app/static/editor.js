@@ -4,23 +4,39 @@ import { byId, element, settled, style, write } from "./dom.js";
 const DELAY = 250;
 
 export class Editor {
-  /** `on`: text(text). */
+  /** `on`: text(text) when it has come to rest, typed(). */
   constructor(on) {
     this.area = byId("text");
     this.lines = byId("lines");
     this.check = byId("check");
     this.problem = null;
-    const send = settled(() => on.text(this.area.value), DELAY);
+    this.shown = "";
+    this.numbers = {};
+    this.held = false;
+    const send = settled(() => !this.held && on.text(this.area.value), DELAY);
     this.area.addEventListener("input", () => {
+      this.held = false;
       this.number();
       write(this.check, "…");
+      on.typed();
       send();
     });
     this.area.addEventListener("scroll", () => (this.lines.scrollTop = this.area.scrollTop));
   }
 
-  /** Another text from elsewhere; the place of the cursor stays. */
-  show(text) {
+  /** What the user has typed and the page does not show yet, or cannot because of its errors; else null. */
+  get draft() {
+    return this.area.value === this.shown ? null : this.area.value;
+  }
+
+  /** What was typed is on its way with something else. */
+  hold() {
+    this.held = true;
+  }
+
+  /** Another text from elsewhere, with the numbers of its gains; the place of the cursor stays. */
+  show(text, numbers = {}) {
+    Object.assign(this, { shown: text, numbers, held: true });
     if (this.area.value !== text) {
       const { selectionStart, selectionEnd, scrollTop } = this.area;
       this.area.value = text;

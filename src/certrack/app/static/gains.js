@@ -14,8 +14,21 @@ export class Gains {
     this.bandwidth = null;
   }
 
-  /** Show the gains of a system; the folds that were open stay open. */
+  /** Show the gains of a system: the sliders that are there already, with the focus and the gesture that they have, or new ones. */
   build(system) {
+    const { gains, feedforward } = system;
+    const same = JSON.stringify([gains.map(({ value, ...rest }) => [rest, Math.sign(value)]), feedforward]);
+    if (this.same === same) {
+      for (const gain of gains) this.sliders.get(gain.path).take(gain);
+      if (this.bandwidth) this.bandwidth.quiet(Number(mean(this.linked).toPrecision(4)));
+      return;
+    }
+    this.same = same;
+    this.rebuild(system);
+  }
+
+  /** New sliders; the folds that were open stay open. */
+  rebuild(system) {
     const open = new Set([...this.parent.querySelectorAll("details[open]")].map((fold) => fold.dataset.group));
     const locked = new Set([...this.sliders.values()].filter((slider) => slider.locked).map((slider) => slider.gain.path));
     this.parent.textContent = "";
@@ -74,6 +87,11 @@ export class Gains {
     const factor = (target / mean(linked)) ** (linked.length / free.length);
     for (const slider of free) slider.quiet(Number((slider.value * factor).toPrecision(4)));
     this.on.moved(event);
+  }
+
+  /** All numbers by their paths. */
+  all() {
+    return Object.fromEntries([...this.sliders].map(([path, slider]) => [path, slider.value]));
   }
 
   /** The numbers that differ from those of the text. */

@@ -67,6 +67,7 @@ export class Guarantee {
     if (kind === "contradicted") return `${bound.contradicted[0].name}: ${bound.contradicted[0].detail}: the bound does not apply to this file's own truth.`;
     if (!bound.bound) return bound.reason || "no certificate";
     if (bound.exact && bound.loop === "implemented") return "largest |e₁| once settled, of the loop as the drive runs it, for everything the premises admit";
+    if (bound.exact && bound.unrefined) return `largest |e₁| once settled, for everything the premises admit, by the fast proof. The finer one is missing: ${bound.unrefined}`;
     if (bound.exact && bound.reason) return `largest |e₁| once settled ${bound.reason}`;
     return "largest |e₁| once settled, for everything the premises admit";
   }

@@ -1,6 +1,6 @@
 // Keys of the whole page. Single letters work outside of fields only, and can be switched off.
 
-const LETTERS = { f: "falsify", e: "ensemble", m: "margins", u: "tune", c: "compare" };
+const LETTERS = { f: "falsify", e: "ensemble", m: "margins", u: "tune", o: "optimum", c: "compare" };
 const SINGLE = "certrack-single-keys", MODES = ["log", "sym", "zoom"];
 
 export const singleKeys = () => localStorage.getItem(SINGLE) !== "off";

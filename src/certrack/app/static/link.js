@@ -1,13 +1,14 @@
 // The connection: frames in, messages out; it comes back by itself.
 
 export const KIND = { RUN: 1, BOUND: 2, EXACT: 3, TASK: 4, PROBLEM: 5, SYSTEM: 6, TEXT: 7, FILE: 8, NOTE: 9 };
-const MAGIC = 0x31525443, PROTOCOL = 1, FIRST_WAIT = 250, LONGEST_WAIT = 4000;
+const MAGIC = 0x31525443, PROTOCOL = 2, PREFIX = 20, FIRST_WAIT = 250, LONGEST_WAIT = 4000;
 
-/** The key of this session: from the address, which then hides it, or from before. */
+/** The key of this session: from the address, which then hides it, or from before; a link opened in another tab finds it. */
 export function sessionKey() {
   const key = new URLSearchParams(location.search).get("t");
   if (key) {
     sessionStorage.setItem("certrack-key", key);
+    localStorage.setItem("certrack-key", key);
     const query = new URLSearchParams(location.search);
     query.delete("t");
     history.replaceState(null, "", `/${query.size ? `?${query}` : ""}${location.hash}`);
@@ -18,17 +19,17 @@ export function sessionKey() {
 /** Kind, counters, header, curves and file of a frame; curves are views, not copies. */
 export function readFrame(buffer) {
   const view = new DataView(buffer);
-  if (buffer.byteLength < 16 || view.getUint32(0, true) !== MAGIC) return null;
+  if (buffer.byteLength < PREFIX || view.getUint32(0, true) !== MAGIC) return null;
   const length = view.getUint32(12, true);
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 16, length)));
-  let at = 16 + length;
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, PREFIX, length)));
+  let at = PREFIX + length;
   const rows = (header.lengths ?? []).map((count) => {
     const row = new Float32Array(buffer, at, count);
     at += 4 * count;
     return row;
   });
   const data = header.bytes ? new Uint8Array(buffer, at, header.bytes) : null;
-  return { kind: view.getUint16(4, true), view: view.getUint16(6, true), design: view.getUint32(8, true), header, rows, data };
+  return { kind: view.getUint16(4, true), view: view.getUint16(6, true), design: view.getUint32(8, true), revision: view.getUint32(16, true), header, rows, data };
 }
 
 export class Link {

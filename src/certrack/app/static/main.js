@@ -1,22 +1,24 @@
 // The page: what changes the design, and what is drawn of it once per frame.
+import { Designs } from "./designs.js";
 import { byId, settled, write } from "./dom.js";
 import { Editor } from "./editor.js";
-import { Files, recent, remember } from "./files.js";
+import { Files, recent } from "./files.js";
 import { Form } from "./form.js";
 import { Gains } from "./gains.js";
 import { Guarantee } from "./guarantee.js";
 import { History } from "./history.js";
 import { bindKeys, setSingleKeys, singleKeys } from "./keys.js";
 import { KIND, Link, sessionKey } from "./link.js";
-import { closeMenu, exportMenu, fileMenu, helpMenu, startPage } from "./menus.js";
+import { askConflict, closeMenu, exportMenu, fileMenu, firstVisit, helpMenu } from "./menus.js";
 import { note, status } from "./notes.js";
 import { Opening } from "./opening.js";
 import { Paints } from "./paints.js";
 import { Requests } from "./requests.js";
 import { Responses } from "./responses.js";
 import { nextDesign, nextView, state } from "./state.js";
-import { bindTabs, select } from "./tabs.js";
+import { bindTabs } from "./tabs.js";
 import { Tasks } from "./tasks.js";
+import { Texts } from "./texts.js";
 import { beginTheme, switchTheme } from "./theme.js";
 
 const REST = 120, RESIZED = 200;
@@ -35,18 +37,23 @@ const gains = new Gains(byId("gains"), {
 });
 const requests = new Requests({ send, values, width: () => byId("plots").clientWidth });
 const history = new History({ snapshot, show: (target) => travelTo(target, true), changed: showHistory });
-const files = new Files({ send, values, note });
-const opening = new Opening({ send }, files);
+const texts = new Texts({ send, values, all: () => gains.all(), editor: () => editor });
+const edit = (path, value) => texts.edit(path, value);
+const files = new Files({ send, values, note, draft: () => editor.draft, rest: () => requests.submit(true), conflict });
+const opening = new Opening({ ask: (message, restoring) => texts.ask(message, restoring) }, files);
 const openAsked = (source, name) => opening.ask(() => opening.open(source, name));
-const editor = new Editor({ text: sendText });
+const editor = new Editor({ text: (text) => texts.text(text), typed: () => files.showEdited() });
 const form = new Form(byId("form"), { edit });
-const responses = new Responses(byId("plots"), state, { zoom });
+const responses = new Responses(byId("plots"), state, { zoom, edit, limit: (name, value) => tasks.tuning.limit(name, value) });
 const guarantee = new Guarantee(state, { edit });
 const tasks = new Tasks(state, {
   start: (task, options) => send({ type: "task", task, options, ...shown() }),
+  snapshot,
+  goBack: (made) => travelTo(made),
   cancel: () => send({ type: "cancel" }),
   apply: applyGains,
   restore: (pin) => travelTo(pin.snapshot),
+  edit,
   behind: (pin) => {
     state.before = pin.before;
     history.commit();
@@ -54,9 +61,10 @@ const tasks = new Tasks(state, {
   },
   openText: (text, name) => opening.ask(() => opening.text(text, name)),
   download: (name, text) => files.download(name, text),
-  redraw: frame,
+  redraw: () => (responses.redraw(), frame()),
   note,
 });
+const designs = new Designs({ gains, editor, form, files, texts, opening, requests, responses, guarantee, history, tasks, snapshot, outdate, changed: showHistory, tabShown });
 const link = new Link(sessionKey(), { open: opened, closed, frame: received });
 
 // the connection
@@ -65,11 +73,7 @@ function opened() {
   state.connected = true;
   document.body.classList.remove("stale");
   status("ok", "connected");
-  requests.forget();
-  if (state.system) {
-    state.restoring = snapshot();
-    send({ type: "text", design: nextDesign(), text: state.base, name: state.name });
-  }
+  designs.connected();
 }
 
 function closed() {
@@ -81,146 +85,60 @@ function closed() {
 }
 
 function received(message) {
-  const { kind, header, design } = message;
-  if (kind === KIND.RUN) run(message);
-  else if (kind === KIND.BOUND) estimate(header, design);
-  else if (kind === KIND.EXACT) exact(header, design);
+  const { kind, header, design, revision } = message;
+  if (kind === KIND.SYSTEM) designs.described(header, revision);
   else if (kind === KIND.TASK) tasks.frame(message);
-  else if (kind === KIND.SYSTEM) described(header, design);
-  else if (kind === KIND.TEXT) newText(header.text, design);
   else if (kind === KIND.FILE) {
     tasks.stop();
     files.download(header.name, message.data);
   }
   else if (kind === KIND.NOTE) noted(header);
   else if (kind === KIND.PROBLEM) problem(header, message);
+  else if (revision !== state.revision) return; // of another text
+  else if (kind === KIND.RUN) run(message);
+  else if (kind === KIND.BOUND) estimate(header, design);
+  else if (kind === KIND.EXACT) exact(header, design);
+  else if (kind === KIND.TEXT) designs.text(header.text, design);
 }
 
 function noted(header) {
-  if (header.hello) greet(header);
-  else if (header.saved) files.saved(header.saved);
+  if (header.hello) designs.greet(header);
+  else if (header.saved) files.saved(header.saved, header.digest);
+  else if (header.conflict) files.conflict(header.conflict);
   else if (header.note && header.note !== "ready") note(header.note);
 }
 
-function greet(header) {
-  const first = !state.greeting;
-  state.greeting = header;
-  if (!first || state.system) return;
-  const linked = files.linked(), kept = files.kept();
-  if (linked !== null) opening.text(linked, "linked.toml");
-  else if (kept) {
-    state.saved = kept.saved;
-    state.restoring = { ...kept, before: null, keepSaved: true };
-    send({ type: "text", design: nextDesign(), text: kept.base, name: kept.name });
-  } else if (header.first) {
-    const [source, ...name] = header.first.split(" ");
-    opening.open(source, name.join(" "));
-  } else {
-    byId("start").hidden = false;
-    startPage(byId("start"), header, openAsked);
+function problem(header, { design, view, revision }) {
+  const { of: what, message } = header;
+  if (["open", "text", "edit"].includes(what)) return designs.lost(message, revision);
+  if (what === "save") return files.failed(message);
+  if (["task", "export"].includes(what)) {
+    tasks.failed(message);
+    return note(message);
   }
+  if (revision && revision !== state.revision) return null;
+  if (["run", "set"].includes(what)) requests.landed(design, view);
+  if (["bound", "exact"].includes(what)) return unproven(header, design);
+  if (message) note(message);
+  return requests.goOn();
 }
 
-function problem(header, { design, view }) {
-  requests.landed(design, view);
-  if (header.superseded) return;
-  if (["task", "export"].includes(header.of)) tasks.stop();
-  if (header.of === "bound" || header.of === "exact") {
-    if (design !== state.design) return;
-    state.bound = { bound: null, text: "none", reason: header.message, exact: header.of === "exact", premises: [], certificates: [] };
-    frame();
-    return;
-  }
-  if (header.message) note(header.message);
-  requests.goOn();
+/** No bound: what is proven already stays, with the reason why there is nothing finer. */
+function unproven({ of: what, message, effort, superseded }, design) {
+  if (superseded || design !== state.design) return;
+  const { bound } = state, proven = bound?.exact && bound.design === design;
+  if (proven && (what === "bound" || effort !== "fast")) {
+    if (what === "exact") state.bound = { ...bound, refining: false, unrefined: message };
+  } else state.bound = { bound: null, text: "none", reason: message, design, exact: what === "exact", premises: [], certificates: [] };
+  frame();
 }
 
-// designs
-
-function sendText(text) {
-  send({ type: "text", design: nextDesign(), text, name: state.name });
+/** The user chooses what becomes of another file where the design was to be saved. */
+function conflict(change, on) {
+  askConflict(change, { ...on, open: () => opening.open("file", change.name), other: () => actions.file() });
 }
 
-function edit(path, value) {
-  send({ type: "edit", design: nextDesign(), text: state.text, name: state.name, entries: { [path]: value } });
-}
-
-function described(header, design) {
-  if (design !== state.design) return;
-  opening.arrived();
-  const was = state.restoring;
-  state.restoring = null;
-  if (header.problem) {
-    state.textProblem = header.problem;
-    if (was?.opening || !state.system) {
-      note(header.problem.message);
-      if (!state.system) {
-        editor.show(header.text);
-        select("file", tabShown);
-      }
-    }
-    editor.mark(header.problem);
-    form.mark(header.problem);
-    guarantee.badge(state.system ? "text" : "waiting");
-    return;
-  }
-  adopt(header, was);
-}
-
-/** A text that loads: the page shows it. */
-function adopt(header, was) {
-  const another = !state.system || was?.opening;
-  const structure = JSON.stringify([header.states, header.units, header.estimates]);
-  const changed = structure !== state.structure;
-  state.structure = structure;
-  Object.assign(state, { system: header, base: header.text, text: header.text, name: header.name, textProblem: null, worst: null });
-  document.body.classList.remove("empty");
-  byId("start").hidden = true;
-  write(byId("title"), header.title);
-  document.title = `${header.name.replace(/\.toml$/, "")} · certrack`;
-  const bases = another ? null : gains.bases();
-  gains.build(header);
-  form.build(header);
-  editor.show(header.text);
-  editor.mark(null);
-  form.mark(null);
-  if (another) {
-    Object.assign(state, { before: null, pins: [], window: null, run: null, bound: null });
-    if (!was?.keepSaved) state.saved = header.text;
-    history.clear();
-    guarantee.reset();
-    if (state.openedFile) remember(state.openedFile);
-  } else gains.rebase(bases);
-  if (changed || another) {
-    state.run = null;
-    state.bound = null;
-    state.before = null;
-    responses.build(header);
-  }
-  if (was?.values) {
-    gains.set(header, was.values);
-    if (was.before !== undefined) state.before = was.before ?? state.before;
-  }
-  write(byId("file-name"), header.name);
-  byId("file").title = `${state.greeting?.folder ?? ""}  Ctrl+O`;
-  for (const id of ["pin", "export"]) byId(id).disabled = false;
-  tasks.buttons();
-  outdate();
-  requests.submit(true);
-  if (was?.travelling || another) history.settle();
-  else history.commit();
-  showHistory();
-}
-
-/** The text with the present gains, from the server. */
-function newText(text, design) {
-  if (design !== state.design || state.textProblem) return;
-  state.text = text;
-  if (document.activeElement !== editor.area) editor.show(text);
-  showHistory();
-}
-
-const shown = () => ({ design: state.design, gains: values() });
+const shown = () => ({ design: state.design, revision: state.revision, gains: values() });
 
 /** Nothing that was proven is of the new design. */
 function outdate() {
@@ -256,7 +174,7 @@ function run({ header, rows, design, view }) {
 }
 
 function estimate(header, design) {
-  if (state.bound?.exact && state.bound.design >= design) return;
+  if (state.bound?.exact && state.bound.design >= design) return; // proven already
   state.bound = { ...header, design, exact: false };
   state.boundTime = header.ms;
   frame();
@@ -303,6 +221,7 @@ function draw() {
   if (!state.before) pinned(false);
   responses.draw();
   guarantee.draw();
+  tasks.freshen();
   guarantee.budget(state.bound);
   const { header } = state.run, parts = [`run ${header.ms.toFixed(1)} ms`];
   if (state.boundTime !== undefined) parts.push(`bound ${Math.round(state.boundTime)} ms`);
@@ -336,8 +255,7 @@ function travelTo(target, travelling = false) {
     requests.submit(true);
     if (!travelling) history.commit();
   } else {
-    state.restoring = { ...target, travelling };
-    send({ type: "text", design: nextDesign(), text: target.base, name: target.name });
+    texts.ask({ type: "text", text: target.base, name: target.name }, { ...target, travelling });
   }
 }
 
@@ -375,7 +293,7 @@ function exportAs(format) {
 }
 
 const actions = {
-  file: () => state.greeting && fileMenu(state.greeting, state, { open: openAsked, saveAs: (name) => files.save(name), upload: (text, name) => opening.ask(() => opening.text(text, name)), recent }),
+  file: () => state.greeting && fileMenu(state.greeting, state, { open: openAsked, saveAs: (name) => files.save(name), upload: (text, name) => opening.ask(() => opening.text(text, name)), link: (address) => designs.follow(files.unpacked(address)), recent }),
   export: () => state.system && exportMenu(state, { export: exportAs, copyLink: () => files.copyLink() }),
   help: () => helpMenu({ singleKeys, setSingleKeys }),
   undo: () => history.back(),
@@ -389,6 +307,7 @@ const actions = {
 };
 for (const [id, work] of Object.entries(actions)) byId(id).onclick = work;
 bindTabs(tabShown);
+firstVisit(byId("first"));
 bindKeys({
   ...actions,
   save: () => state.system && files.save(state.name),
@@ -403,5 +322,6 @@ addEventListener("resize", settled(() => {
   requests.submit();
 }, RESIZED));
 
+addEventListener("hashchange", () => state.greeting && designs.follow(files.linked()));
 document.fonts?.ready.then(() => responses.plots.forEach((plot) => plot.plot.redraw(false)));
-window.lab = { state, paints, gains, history, flight: requests.flight, responses };
+window.lab = { state, texts, tasks, received, paints, gains, history, flight: requests.flight, responses };

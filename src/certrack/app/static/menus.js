@@ -2,8 +2,10 @@
 import { byId, element } from "./dom.js";
 
 const EXPORTS = [["toml", "System file (TOML)"], ["certificate", "Certificate (JSON)"], ["report", "Report (HTML)"], ["report-pdf", "Report (PDF)"], ["report-md", "Tables for papers (Markdown)"], ["report-tex", "Tables for papers (LaTeX)"], ["c", "C code with its test (ZIP)"], ["st", "Structured Text"], ["fmu", "FMU 2.0"], ["netcdf", "Run (NetCDF)"], ["svg", "Picture (SVG)"], ["png", "Picture (PNG)"], ["pdf", "Picture (PDF)"]];
-export const KEYS = [["F E M U C", "falsify, ensemble, margins, tune, compare"], ["P T L", "pin, theme, lock the focused gain"], ["1 2 3", "axis of the error"], ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"], ["Ctrl+S, Ctrl+O, Ctrl+E", "save, open, export"], ["arrows, PgUp, PgDn", "on a slider: 1 %, 10 %; with Shift a tenth"], ["Home, End, Delete", "on a slider: ends of the range, baseline"], ["arrows, + −, Esc", "on a plot: cursor, zoom, whole run"], ["Shift, drag", "on a slider: fine; on a plot: move the window"], ["?", "this list"]];
+export const KEYS = [["F E M U O C", "falsify, ensemble, margins, tune, optimum, compare"], ["P T L", "pin, theme, lock the focused gain"], ["1 2 3", "axis of the error"], ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"], ["Ctrl+S, Ctrl+O, Ctrl+E", "save, open, export"], ["arrows, PgUp, PgDn", "on a slider: 1 %, 10 %; with Shift a tenth"], ["Home, End, Delete", "on a slider: ends of the range, baseline"], ["arrows, + −, Esc", "on a plot: cursor, zoom, whole run"], ["arrows, PgUp, Delete", "on the grip of a limit: move it, take it away"], ["Shift, drag", "on a slider: fine; on a plot: move the window"], ["?", "this list"]];
 export const TRY = [["Move ", "bandwidth", " and watch the bound."], ["Press ", "F", " to search the worst case."], ["Open ", "File", " and raise gamma."]];
+
+const VISITED = "certrack-visited";
 
 let closeOpen = null;
 
@@ -47,15 +49,21 @@ function arrows(event, panel) {
   items.at((now + by) % items.length)?.focus();
 }
 
+/** Enter in a field does it; it must not press the button as well that has the focus afterwards. */
+const onEnter = (field, work) => field.addEventListener("keydown", (event) => event.key === "Enter" && (event.preventDefault(), work()));
+
 const item = (text, detail, work) => element("button", { class: "item", onclick: () => { closeMenu(); work(); } }, element("span", {}, text), detail ? element("small", {}, detail) : null);
 
-/** Shipped systems and files; `on`: open(source, name), saveAs(name), save(), upload(text, name). */
+/** Shipped systems and files; `on`: open(source, name), saveAs(name), upload(text, name), link(address), recent(). */
 export function fileMenu(greeting, state, on) {
   const name = element("input", { "aria-label": "Name to save as", value: (state.name || "my-drive.toml").replace(/^.*\//, ""), autocomplete: "off", spellcheck: "false" });
   const save = () => { closeMenu(); on.saveAs(name.value); };
-  name.addEventListener("keydown", (event) => event.key === "Enter" && save());
+  onEnter(name, save);
   const pick = element("input", { type: "file", accept: ".toml,text/plain", class: "vh", tabindex: -1, "aria-hidden": "true" });
   pick.onchange = async () => pick.files[0] && (closeMenu(), on.upload(await pick.files[0].text(), pick.files[0].name));
+  const linked = element("input", { "aria-label": "From a link", placeholder: "From a link: paste it here", autocomplete: "off", spellcheck: "false" });
+  const follow = () => { closeMenu(); on.link(linked.value); };
+  onEnter(linked, follow);
   const recent = on.recent().filter((file) => greeting.files.includes(file));
   below(
     byId("file"), "Files",
@@ -65,6 +73,7 @@ export function fileMenu(greeting, state, on) {
     ...greeting.files.map((file) => item(file, "", () => on.open("file", file))),
     greeting.files.length ? null : element("p", { class: "sub" }, "none yet"),
     item("From elsewhere on this computer …", "a copy of the text", () => pick.click()), pick,
+    element("div", { class: "save" }, linked, element("button", { onclick: follow }, "Open")),
     item("Empty plant", "a commented file to begin with", () => on.open("empty", "")),
     element("h3", {}, "Shipped systems"), ...Object.entries(greeting.catalog).map(([key, title]) => item(key, title, () => on.open("catalog", key))),
   );
@@ -87,6 +96,17 @@ export function tryList() {
   return element("ol", { class: "try" }, ...TRY.map(([before, what, after]) => element("li", {}, before, element("b", {}, what), after)));
 }
 
+/** Beside the gains until they were read once: what one may try first. */
+export function firstVisit(box) {
+  if (localStorage.getItem(VISITED)) return;
+  const done = () => {
+    localStorage.setItem(VISITED, "yes");
+    box.hidden = true;
+  };
+  box.append(tryList(), element("button", { class: "small", onclick: done }, "Hide this"));
+  box.hidden = false;
+}
+
 /** What a page shows that has nothing open. */
 export function startPage(parent, greeting, open) {
   parent.textContent = "";
@@ -96,6 +116,13 @@ export function startPage(parent, greeting, open) {
     element("div", { class: "start-side" }, element("h2", {}, "Begin with"), element("button", { class: "item strong", onclick: () => open("empty", "") }, element("span", {}, "Empty plant"), element("small", {}, "a commented file, ready to be filled in")), files.length ? element("h2", {}, "Files in this folder") : null, element("ul", {}, ...files), element("h2", {}, "Three things to try"), tryList()),
     element("div", {}, element("h2", {}, "Shipped systems"), element("ul", {}, ...list)),
   );
+}
+
+/** Another file lies where the design is to be saved; `on`: replace(), open(), other(). */
+export function askConflict({ name, reason }, on) {
+  closeMenu();
+  const choice = (text, work, kind = null) => element("button", { class: kind, onclick: () => { closeMenu(); work(); } }, text);
+  below(byId("file"), "Not saved", element("p", {}, `Not saved: ${name} ${reason}.`), element("div", { class: "actions" }, choice("Save under another name", on.other, "primary"), choice("Replace it", on.replace), choice("Open what is there", on.open)));
 }
 
 /** Ask about unsaved changes beside the file's name; `leave` goes on without saving. */

@@ -2,12 +2,12 @@
 import { byId, write } from "./dom.js";
 import { askUnsaved } from "./menus.js";
 import { note, status } from "./notes.js";
-import { nextDesign, state } from "./state.js";
+import { state } from "./state.js";
 
 const LATE = 400, COMPILING = "compiling …";
 
 export class Opening {
-  /** `on`: send(message); `files` tells what is unsaved. */
+  /** `on`: ask(message, restoring) of the texts; `files` tells what is unsaved. */
   constructor(on, files) {
     this.on = on;
     this.files = files;
@@ -16,23 +16,19 @@ export class Opening {
 
   /** Ask about unsaved changes, then go on. */
   ask(work) {
-    if (this.files.edited) askUnsaved(state.name, work, () => this.files.save(state.name));
+    if (this.files.edited) askUnsaved(state.name, work, () => this.files.save(state.name, work));
     else work();
   }
 
   open(source, name) {
     status("ok", "connected");
-    this.on.send({ type: "open", source, name, design: nextDesign() });
-    state.restoring = { opening: true };
-    state.openedFile = source === "file" ? name : "";
+    this.on.ask({ type: "open", source, name }, { opening: true });
     clearTimeout(this.late);
     this.late = setTimeout(() => write(byId("note"), COMPILING), LATE);
   }
 
   text(text, name) {
-    state.restoring = { opening: true };
-    state.openedFile = "";
-    this.on.send({ type: "text", design: nextDesign(), text, name });
+    this.on.ask({ type: "text", text, name }, { opening: true });
   }
 
   /** The server knows the design now. */

@@ -1,15 +1,16 @@
 // One plot: header with title, unit and the values under the cursor; curves, limits and regions on a canvas.
 import uPlot from "./vendor/uPlot.js";
 import { drawing, element, token, write } from "./dom.js";
+import { Handles } from "./handles.js";
 import { format, minus, nameElement, tick } from "./numbers.js";
 
-const LEFT = 62, FONT = "11px Inter, system-ui, sans-serif", CURSOR = "certrack";
+const LEFT = 62, GRIP = 36, FONT = "11px Inter, system-ui, sans-serif", CURSOR = "certrack";
 const isDecade = (value) => Math.abs(Math.log10(value) - Math.round(Math.log10(value))) < 1e-9;
 
 export class Plot {
   /**
    * `spec`: id, title, unit, kind, mode, modes, note, last, series [{label, color, dash, width, hidden}], bands,
-   * limits() [{y, color, dash, label, below, fit}], ghosts() [{t, y, color, width}], range(lo, hi), end() time.
+   * limits() [{y, color, dash, label, below, fit, grip}], handles() see handles.js, ghosts() [{t, y, color, width}], range(lo, hi), end() time.
    * `on`: window(), zoom(low, high), time(t), redraw().
    */
   constructor(parent, spec, on) {
@@ -28,6 +29,7 @@ export class Plot {
     this.box.addEventListener("keydown", (event) => this.key(event));
     this.box.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     this.box.addEventListener("pointerdown", (event) => event.shiftKey && this.pan(event), { capture: true });
+    this.handles = new Handles(this);
     this.build();
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(this.box);
@@ -75,7 +77,7 @@ export class Plot {
         scales: { x: { time: false, range: () => this.on.window() }, y: this.scale() },
         axes: [
           { ...axis, size: spec.last ? 32 : 0, gap: 3, ticks: { ...axis.ticks, show: Boolean(spec.last) }, values: (u, splits) => (spec.last ? splits.map((value, i) => (i === splits.length - 1 ? `${tick(value)} s` : tick(value))) : []) },
-          { ...axis, scale: "y", size: LEFT, gap: 6, space: 18, values: (u, splits) => this.labels(splits), ...logarithmic, ...signed },
+          { ...axis, scale: "y", size: LEFT, gap: 6, space: (u, i, low, high, size) => Math.max(18, size / 12), values: (u, splits) => this.labels(splits), ...logarithmic, ...signed },
         ],
         cursor: { sync: { key: spec.alone ? `alone-${spec.id}` : CURSOR, setSeries: false, scales: ["x", null] }, points: { size: 5 }, y: false, drag: { x: !spec.alone, y: false, setScale: false } },
         hooks: {
@@ -193,9 +195,12 @@ export class Plot {
   above(u) {
     const context = u.ctx, ratio = devicePixelRatio, { left, top, width, height } = u.bbox;
     const taken = [];
-    for (const { y, color, dash = [7, 4], label, below } of this.spec.limits?.(this) ?? []) {
-      const at = u.valToPos(y, "y", true);
-      if (!Number.isFinite(at) || at < top - 1 || at > top + height + 1) continue;
+    const limits = this.spec.limits?.(this) ?? [], gripped = limits.some((limit) => limit.grip);
+    for (const { y, color, dash = [7, 4], label, below, grip } of limits) {
+      let at = u.valToPos(y, "y", true);
+      const beyond = at < top - 1 ? -1 : at > top + height + 1 ? 1 : 0;
+      if (!Number.isFinite(at) || (beyond && !grip)) continue;
+      if (beyond) at = beyond < 0 ? top : top + height;
       context.save();
       context.strokeStyle = token(color);
       context.lineWidth = 1.5 * ratio;
@@ -203,13 +208,14 @@ export class Plot {
       context.beginPath();
       context.moveTo(left, at);
       context.lineTo(left + width, at);
-      context.stroke();
+      if (!beyond) context.stroke();
       if (label) {
         context.font = `${11 * ratio}px Inter, system-ui, sans-serif`;
         context.textAlign = "right";
         context.textBaseline = "middle";
-        const right = left + width - 6 * ratio, wide = context.measureText(label).width;
+        const right = left + width - (gripped ? GRIP : 6) * ratio, wide = context.measureText(label).width;
         let middle = at + (below ? 10 : -10) * ratio;
+        if (beyond) middle = at - 10 * beyond * ratio;
         if (middle < top + 8 * ratio) middle = at + 10 * ratio;
         if (middle > top + height - 8 * ratio) middle = at - 10 * ratio;
         while (taken.some((other) => Math.abs(other - middle) < 14 * ratio)) middle += (below ? 14 : -14) * ratio;
@@ -224,6 +230,7 @@ export class Plot {
       context.restore();
     }
     this.cross(u);
+    this.handles.place(u);
   }
 
   /** A cross where the run ended early. */

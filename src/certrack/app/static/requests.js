@@ -23,13 +23,13 @@ export class Requests {
     this.waiting = false;
     const pixels = (this.on.width() - MARGINS) * Math.min(2, devicePixelRatio);
     this.flight.push([state.design, state.view]);
-    this.on.send({ type: "set", design: state.design, view: state.view, gains: this.on.values(), window: state.window, pixels: Math.round(Math.min(MOST_PIXELS, Math.max(LEAST_PIXELS, pixels))), resting: this.resting });
+    this.on.send({ type: "set", revision: state.revision, design: state.design, view: state.view, gains: this.on.values(), window: state.window, pixels: Math.round(Math.min(MOST_PIXELS, Math.max(LEAST_PIXELS, pixels))), resting: this.resting });
     this.resting = false;
   }
 
   /** An answer has come: it and all older ones are no longer on their way. */
   landed(design, view) {
-    const at = this.flight.findIndex(([d, v]) => d === design && v === view);
+    const at = this.flight.findLastIndex(([d, v]) => d === design && v === view);
     if (at >= 0) this.flight.splice(0, at + 1);
   }
 
@@ -38,8 +38,9 @@ export class Requests {
     if (this.waiting) this.submit();
   }
 
-  /** The connection is new: nothing is on its way. */
+  /** Another text, or a new connection: what was on its way is not answered any more. */
   forget() {
     this.flight.length = 0;
+    this.waiting = false;
   }
 }

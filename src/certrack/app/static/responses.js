@@ -4,6 +4,7 @@ import { format, nameParts } from "./numbers.js";
 import { Plot } from "./plot.js";
 
 const LINES = ["--line-1", "--line-2", "--line-3", "--line-4"], DASHES = [undefined, [6, 3], [2, 3], [8, 3, 2, 3]];
+const TWO_COLUMNS = matchMedia("(min-width: 2400px)");
 export const ERROR_MODES = [
   ["log", "|e| log", "Size of the error, logarithmic: start, decay and bound in one view"],
   ["sym", "± sym", "Signed: linear within the bound, logarithmic outside"],
@@ -24,12 +25,14 @@ export function tubeAt(tube, times) {
 }
 
 export class Responses {
-  /** `state` is read; `on`: zoom(low, high). */
+  /** `state` is read; `on`: zoom(low, high), edit(path, value). */
   constructor(parent, state, on) {
     this.parent = parent;
     this.state = state;
     this.on = on;
     this.plots = [];
+    this.dragged = null;
+    TWO_COLUMNS.addEventListener("change", () => (this.axes(), this.draw()));
   }
 
   build(system) {
@@ -42,19 +45,28 @@ export class Responses {
     const end = () => (state.run && state.run.header.outcome !== "finished" ? state.run.header.end : null);
     this.add({ id: "output", title: "Output and reference", unit, clock: true, end, series: [{ label: system.states[0], name: true, color: "--output", width: 2 }, { label: "reference", color: "--reference", dash: [5, 4] }] }, (t) => [t, rows.x(0), rows.y()]);
     this.error = this.add(this.errorSpec(unit, mode, end), (t, plot) => this.errorData(t, plot));
-    this.add({ id: "input", title: "Input u", unit: system.units[n], end, series: [{ label: "u", color: "--input" }], ghosts: () => this.before("u"), limits: () => this.inputLimits(system) }, (t) => [t, rows.u()]);
+    this.add({ id: "input", title: "Input u", unit: system.units[n], end, series: [{ label: "u", color: "--input" }], ghosts: () => [...this.before("u"), ...this.optimum("u")], limits: () => this.inputLimits(), handles: () => this.inputHandles() }, (t) => [t, rows.u()]);
     for (const [group, indices] of this.groups(system)) {
       this.add({ id: `states-${indices[0]}`, title: "States", unit: group, end, series: indices.map((k, j) => ({ label: system.states[k], name: true, color: LINES[j], dash: DASHES[j] })) }, (t) => [t, ...indices.map((k) => rows.x(k))]);
     }
     if (system.estimates.length) {
       const known = system.estimated.some((entry) => entry.value !== null);
-      this.add({ id: "estimates", title: "Estimates", unit: "", note: known ? "true value dashed" : "", end, series: system.estimates.slice(0, 4).map((name, j) => ({ label: name, name: true, color: LINES[j] })), limits: () => this.trueValues(system) }, (t) => [t, ...system.estimates.slice(0, 4).map((_, k) => rows.z(k))]);
+      this.add({ id: "estimates", title: "Estimates", unit: "", note: known ? "true value dashed" : "", end, series: system.estimates.slice(0, 4).map((name, j) => ({ label: name, name: true, color: LINES[j] })), limits: () => this.trueValues() }, (t) => [t, ...system.estimates.slice(0, 4).map((_, k) => rows.z(k))]);
     }
-    const last = this.plots.at(-1);
-    last.spec.last = true;
-    last.root.classList.add("last");
-    last.build();
+    this.plots.at(-1).root.classList.add("last");
+    this.axes();
     for (const plot of this.plots) plot.spec.id = plot.spec.id ?? plot.spec.title;
+  }
+
+  /** The lowest plot carries the axis of time; in two columns the lowest of each. */
+  axes() {
+    const lowest = TWO_COLUMNS.matches ? 2 : 1;
+    this.plots.forEach((plot, k) => {
+      const last = k >= this.plots.length - lowest;
+      if (last === Boolean(plot.spec.last)) return;
+      plot.spec.last = last;
+      plot.build();
+    });
   }
 
   add(spec, data) {
@@ -88,7 +100,8 @@ export class Responses {
       id: "error", title: "Error", unit, kind: "error", mode, modes: ERROR_MODES, end,
       series: [{ label: "error", color: "--output" }, { label: "tube from the start", renamed: true, color: "--bound", width: 1, dash: [2, 3] }, { label: "", color: "--bound", width: 1, dash: [2, 3], hidden: true }],
       bands: [{ of: [2, 3] }],
-      ghosts: () => [...this.before("e"), ...this.worstCurve()],
+      ghosts: () => [...this.before("e"), ...this.optimum("e"), ...this.worstCurve()],
+      handles: () => this.tuneHandles("error", unit),
       range: (low, high, axis) => (axis === "zoom" && state.bound ? [-1.6 * state.bound.bound, 1.6 * state.bound.bound] : null),
       limits: (plot) => this.errorLimits(plot, unit),
     };
@@ -108,6 +121,7 @@ export class Responses {
       limits.push({ y: bound.bound, color: "--bound", label: `${word} ${bound.text}${shown}` });
       if (plot.mode !== "log") limits.push({ y: -bound.bound, color: "--bound" });
     }
+    limits.push(...this.tuneLimits("error", unit));
     if (worst && worst.design === design && Number.isFinite(worst.worst)) limits.push({ y: worst.worst, color: "--worst", dash: [2, 3], label: `worst found ${worst.text}${shown}`, below: true });
     return limits;
   }
@@ -122,13 +136,74 @@ export class Responses {
     return worst?.rows && worst.design === design ? [{ t: worst.rows[0], y: worst.rows[1], color: "--worst", width: 1 }] : [];
   }
 
-  inputLimits(system) {
-    return (system.limits ?? []).map((y, k) => ({ y, color: "--bound", label: k ? `limit ${format(y, 3)}` : `limit ${format(y, 3)}`, below: y < 0 }));
+  /** The trajectory that no law can better, where one was searched for this design. */
+  optimum(what) {
+    const { optima, design } = this.state, curve = optima?.design === design ? optima.curves[optima.shown] : null;
+    return curve ? [{ t: curve.t, y: curve[what], color: "--line-2", dash: [6, 3] }] : [];
   }
 
-  trueValues(system) {
+  /** Ends of what the actuator gives: of the file, or where they are being dragged to. */
+  get saturation() {
+    return this.dragged ?? this.state.system?.limits ?? [];
+  }
+
+  inputLimits() {
+    const { units, limits } = this.state.system, unit = units.at(-1), shown = unit ? ` ${unit}` : "";
+    const ends = this.saturation.map((y) => ({ y, color: "--bound", label: `limit ${format(y, 3)}${shown}`, below: y < 0, grip: true }));
+    return [...(limits ? ends : []), ...this.tuneLimits("peak_input", unit)];
+  }
+
+  inputHandles() {
+    const { system } = this.state, unit = system.units.at(-1), symmetric = (system.limits ?? []).reduce((sum, y) => sum + y, 0) === 0;
+    const moved = (k, y) => {
+      const [low, high] = this.saturation;
+      if (symmetric) return [-Math.abs(y), Math.abs(y)];
+      return k ? [low, Math.max(y, low)] : [Math.min(y, high), high];
+    };
+    const help = `What the actuator gives at most: writes implementation.saturation into the file${symmetric ? ", both ends alike" : ""}. Arrows 1 %, PgUp 10 %, Shift a tenth.`;
+    const drag = (k, y) => {
+      this.dragged = moved(k, y);
+      this.redraw();
+    };
+    const ends = this.saturation.map((y, k) => ({ id: `saturation-${k}`, y, unit, help, label: k ? "Highest input" : "Lowest input", drag: (to) => drag(k, to), done: (to) => this.on.edit("implementation.saturation", `[${moved(k, to).join(", ")}]`) }));
+    return [...ends, ...this.tuneHandles("peak_input", unit)];
+  }
+
+  /** Limits of tuning, as lines while its form is open; those that are not set yet stand where the run is. */
+  tuneLimits(name, unit) {
+    const y = this.state.tuneLimits?.[name], word = name === "error" ? "error" : "peak input", shown = unit ? ` ${unit}` : "";
+    if (this.state.tuneLimits === null) return [];
+    if (!y) return [{ y: this.unlimited(name), color: "--before", label: `no limit on the ${word} of tune: drag`, grip: true }];
+    return [{ y, color: "--accent", label: `tune: ${word} at most ${format(y, 3)}${shown}`, grip: true }];
+  }
+
+  tuneHandles(name, unit) {
+    const { tuneLimits } = this.state;
+    if (!tuneLimits) return [];
+    const set = (y) => this.on.limit(name, y === null ? null : Math.abs(y));
+    const word = name === "error" ? "certified error" : "peak input";
+    return [{ id: `tune-${name}`, y: tuneLimits[name] || this.unlimited(name), idle: !tuneLimits[name], unit, label: `Tune: ${word} at most`, help: "A limit that the tuned design keeps: fills in the field of the form below. Arrows 1 %, PgUp 10 %, Delete takes it away.", drag: set, done: set, remove: () => set(null) }];
+  }
+
+  unlimited(name) {
+    const { bound, run } = this.state;
+    return (name === "error" ? bound?.bound : run?.header.metrics.peak_input) || 1;
+  }
+
+  /** Where the file has not taken a limit that was dragged. */
+  undrag() {
+    this.dragged = null;
+    this.redraw();
+  }
+
+  /** What lies over the curves has changed. */
+  redraw() {
+    for (const plot of this.plots) if (plot.spec.handles) plot.plot.redraw(false);
+  }
+
+  trueValues() {
     const limits = [];
-    system.estimated.slice(0, 4).forEach((entry, k) => {
+    this.state.system.estimated.slice(0, 4).forEach((entry, k) => {
       if (entry.value !== null) limits.push({ y: entry.value, color: LINES[k], dash: [4, 4], fit: true });
       for (const y of entry.range ?? []) if (y !== null) limits.push({ y, color: LINES[k], dash: [1, 4], fit: true });
     });
@@ -138,6 +213,7 @@ export class Responses {
   draw() {
     const { run, bound, system } = this.state;
     if (!run || !system) return;
+    if (this.of !== system) Object.assign(this, { of: system, dragged: null });
     this.error.linear = bound?.bound ?? Math.max(1e-6, run.header.metrics.tail_error ?? 1e-2);
     if (this.error.renamed) write(this.error.renamed, this.tubeName(bound));
     for (const plot of this.plots) plot.set(plot.curves(run.times, plot));

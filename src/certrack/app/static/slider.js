@@ -136,6 +136,12 @@ export class Slider {
     if (commit) this.on.commit();
   }
 
+  /** The same number of another text. */
+  take(gain) {
+    this.gain = gain;
+    this.quiet(gain.value);
+  }
+
   /** Another value without telling anybody. */
   quiet(value) {
     this.value = value;
@@ -201,6 +207,11 @@ export class NumberRow {
       if (event.key === "Escape" || event.key === "Enter") this.field.blur();
     });
     this.show();
+  }
+
+  take(gain) {
+    this.gain = gain;
+    this.quiet(gain.value);
   }
 
   quiet(value) {

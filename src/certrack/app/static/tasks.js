@@ -2,20 +2,24 @@
 import { byId, element, write } from "./dom.js";
 import { Drawer, sentence, table } from "./drawer.js";
 import { Fan } from "./fan.js";
-import { format } from "./numbers.js";
+import { format, typed } from "./numbers.js";
 import { Tuning } from "./tuning.js";
 
-const NAMES = { falsify: "Falsify", ensemble: "Ensemble", margins: "Margins", tune: "Tune", compare: "Compare", export: "Export" };
+const NAMES = { falsify: "Falsify", ensemble: "Ensemble", margins: "Margins", tune: "Tune", optimum: "Optimum", compare: "Compare", export: "Export" };
 
 export class Tasks {
-  /** `on`: start(task, options), cancel(), apply(gains), restore(pin), behind(pin), openText(text, name), download(name, text), redraw(), note(text). */
+  /**
+   * `on`: start(task, options), cancel(), apply(gains), restore(pin), behind(pin), edit(path, value), openText(text, name),
+   * download(name, text), snapshot(), goBack(snapshot), redraw(), note(text).
+   */
   constructor(state, on) {
     this.state = state;
     this.on = on;
     this.running = null;
+    this.made = null;
     this.drawer = new Drawer(byId("drawer"));
     this.fan = new Fan(state, this.drawer);
-    this.tuning = new Tuning(this.drawer, { start: (options) => this.start("tune", options), apply: on.apply, note: on.note });
+    this.tuning = new Tuning(this.drawer, { start: (options) => this.start("tune", options), apply: on.apply, note: on.note, limits: (limits) => this.limits(limits) });
     byId("tasks").addEventListener("click", (event) => {
       const task = event.target.dataset?.task;
       if (task) this.press(task);
@@ -35,7 +39,11 @@ export class Tasks {
       this.on.note("One long computation at a time: wait for it or cancel it.");
       return;
     }
-    this.on.start(task, options);
+    if (!this.on.start(task, options)) {
+      this.on.note("Not begun: the server is not there.");
+      return;
+    }
+    this.made = { ...this.on.snapshot(), at: new Date().toLocaleTimeString() };
     this.begin(task);
   }
 
@@ -67,12 +75,29 @@ export class Tasks {
       this.progress(header);
       return;
     }
-    if (header.state !== "early") this.stop();
     if (header.state === "cancelled") {
-      this.on.note("Cancelled.");
+      if (this.running) this.on.note("Cancelled.");
+      this.stop();
       return;
     }
+    if (header.state !== "early") this.stop();
     this[header.task]?.(header, rows, design);
+    this.drawer.label(this.made, (made) => this.on.goBack(made));
+    this.freshen();
+  }
+
+  /** It ended without a result. */
+  failed(message) {
+    this.stop();
+    if (!this.drawer.root.hidden) this.drawer.remark(message);
+  }
+
+  /** Say beside a result that the design has changed since, as soon as it has. */
+  freshen() {
+    const { made } = this.drawer;
+    if (!made) return;
+    const { base, values } = this.on.snapshot();
+    this.drawer.outdated(base !== made.base || JSON.stringify(values) !== JSON.stringify(made.values));
   }
 
   progress({ task, done, total, best }) {
@@ -113,6 +138,37 @@ export class Tasks {
 
   tune(header) {
     this.tuning.done(header);
+  }
+
+  /** Limits of tuning are shown as lines while its form is open. */
+  limits(limits) {
+    this.state.tuneLimits = limits;
+    this.on.redraw();
+  }
+
+  /** Optima of the plant from the same start: each can be laid behind the curves. */
+  optimum(header, rows, design) {
+    const { state } = this, curves = header.optima.map((_, k) => ({ t: rows[3 * k], e: rows[3 * k + 1], u: rows[3 * k + 2] }));
+    const first = header.found.indexOf(true);
+    state.optima = { design, curves, shown: first };
+    const choices = [["-1", "none"], ...header.optima.map((text, k) => [String(k), `${text}: ${header.table[0][k + 2]}`])].filter(([k]) => k === "-1" || header.found[Number(k)]);
+    const pick = element("select", {}, ...choices.map(([value, text]) => element("option", { value, selected: value === String(first) }, text)));
+    pick.onchange = () => {
+      state.optima = { ...state.optima, shown: Number(pick.value) };
+      this.on.redraw();
+    };
+    const horizon = element("input", { value: String(header.horizon), inputmode: "decimal", autocomplete: "off" });
+    const again = element("button", { onclick: () => this.again(horizon.value) }, "Search again");
+    const form = element("div", { class: "tune-form" }, element("label", { class: "inline" }, "behind the curves", pick), element("label", { class: "inline" }, "horizon, s", horizon), again);
+    this.drawer.open("Optimum: how good any law could be", [form, table(header.columns, header.table, "optima"), ...header.notes.map(sentence)]);
+    this.on.note("Optima are done.");
+    this.on.redraw();
+  }
+
+  again(text) {
+    const horizon = typed(text);
+    if (horizon > 0) this.start("optimum", { horizon });
+    else this.on.note(`horizon: must be a number of seconds above 0, got ${text}`);
   }
 
   margins(header) {

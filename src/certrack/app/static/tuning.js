@@ -5,11 +5,17 @@ import { frontChart } from "./front.js";
 import { format, typed } from "./numbers.js";
 
 const OBJECTIVES = { error: "certified error", peak: "peak input", energy: "input energy", period: "longest stable period" };
-const LIMITS = [["error", "certified error at most"], ["peak_input", "peak input at most"], ["energy", "energy at most"], ["period", "stable if held for, s"], ["noise", "noise gain at most"]];
-const SWEPT = ["period", "peak-input", "energy", "noise", "error"], STARTS = 2;
+const LIMITS = [
+  ["error", "certified error at most", "Bound of |e1| once settled, in the unit of the output"],
+  ["peak_input", "peak input at most", "Of |u| over the box of starts"],
+  ["energy", "energy at most", "Integral of u² over the run"],
+  ["period", "stable if held for, s", "The loop stays stable with u held for so long"],
+  ["noise", "noise gain at most", "From noise of the sensors to the input"],
+];
+const DRAWN = ["error", "peak_input"], SWEPT = ["period", "peak-input", "energy", "noise", "error"], STARTS = 2;
 
 export class Tuning {
-  /** `on`: start(options), apply(gains), note(text). */
+  /** `on`: start(options), apply(gains), note(text), limits(values) shown in the plots, null for none. */
   constructor(drawer, on) {
     this.drawer = drawer;
     this.on = on;
@@ -20,16 +26,29 @@ export class Tuning {
     const { last } = this;
     const objective = element("select", { id: "tune-objective" }, ...Object.entries(OBJECTIVES).map(([value, text]) => element("option", { value, selected: value === last.objective }, text)));
     const field = (name, value, attributes) => element("input", { name, value: value ?? "", autocomplete: "off", ...attributes });
-    const labelled = (text, input) => element("label", { class: "inline" }, text, input);
-    const limits = LIMITS.map(([name, text]) => labelled(text, field(name, last[name], { inputmode: "decimal", placeholder: "no limit" })));
+    const labelled = (text, input, help = null) => {
+      if (help) input.setAttribute("aria-description", help);
+      return element("label", { class: "inline", title: help }, text, input);
+    };
+    const limits = LIMITS.map(([name, text, help]) => labelled(text, field(name, last[name], { inputmode: "decimal", placeholder: "no limit" }), help));
     const starts = field("starts", last.starts ?? STARTS, { inputmode: "numeric" });
     const front = element("select", { name: "front" }, element("option", { value: "" }, "none"), ...SWEPT.map((name) => element("option", { selected: name === last.front }, name)));
     const begin = element("button", { class: "primary", onclick: () => this.begin(objective.value, Number(starts.value) || STARTS, front.value) }, "Tune");
     this.drawer.open("Tune within limits", [
-      element("div", { class: "tune-form" }, labelled("optimise", objective), ...limits, labelled("searches", starts), labelled("sweep a limit", front), begin),
-      sentence("Locked gains are kept when the result is applied. The tuned design is certified in full. A sweep shows what a limit costs, and each point of it can be tuned for."),
-    ]);
+      element("div", { class: "tune-form" }, labelled("optimise", objective, "What becomes as small (a period: as long) as the limits allow"), ...limits, labelled("searches", starts, "Starts of the search: more of them find more, and take longer"), labelled("sweep a limit", front, "Tune for a row of values of one limit: what it costs"), begin),
+      sentence("Locked gains are kept when the result is applied. The tuned design is certified in full. A sweep shows what a limit costs, and each point of it can be tuned for. Limits of error and peak input can be dragged in the plots, too."),
+    ], () => this.on.limits(null));
+    const fields = () => Object.fromEntries(DRAWN.map((name) => [name, typed(this.drawer.body.querySelector(`input[name=${name}]`).value) || null]));
+    for (const name of DRAWN) this.drawer.body.querySelector(`input[name=${name}]`).addEventListener("input", () => this.on.limits(fields()));
+    this.on.limits(fields());
     objective.focus();
+  }
+
+  /** A limit was dragged in a plot. */
+  limit(name, value) {
+    const field = this.drawer.body.querySelector(`input[name=${name}]`);
+    field.value = value === null ? "" : String(value);
+    field.dispatchEvent(new Event("input"));
   }
 
   begin(objective, starts, front) {
