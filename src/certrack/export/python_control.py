@@ -176,7 +176,9 @@ def _continuous_blocks(system: System) -> tuple[_BlockFunctions, _BlockFunctions
         names.append(symbol(name))
         numbers.append(float(value))
     arguments = [TIME, law.states, [*law.signals.x, *law.signals.Y], names]
-    update = numpy_callable(arguments, [rate for _, rate in law.equations.update])
+    as_applied = {law.signals.applied: law.equations.u}
+    rates_of_law = [rate.xreplace(as_applied) for _, rate in law.equations.update]
+    update = numpy_callable(arguments, rates_of_law)
     u = numpy_callable(arguments, [law.equations.u])
     return (
         _BlockFunctions(

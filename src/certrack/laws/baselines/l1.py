@@ -18,9 +18,9 @@ class L1Adaptive(Baseline):
     """L1 adaptive control of the matched disturbance.
 
         u  = (nu - v - phi^T theta)/g_n,    v' = filter_rate (sigma - v)
-        p' = K xi - v + sigma - (p - xi_n),    sigma = -adaptation (p - xi_n)
+        p' = K xi - v + g_n (u_a - u) + sigma - (p - xi_n),    sigma = -adaptation (p - xi_n)
 
-    p predicts xi_n, sigma estimates what moves it besides, and the filter keeps noise of the
+    u_a is u within the limits of the drive; p begins at the first xi_n. p predicts xi_n, sigma estimates what moves it besides, and the filter keeps noise of the
     estimate from the input. K is from :class:`certrack.laws.lqr.LqrWeights`.
     """
 
@@ -43,7 +43,8 @@ class L1Adaptive(Baseline):
         xi = deviations(s)
         miss = predicted - xi[-1]
         sigma = -adaptation * miss
-        rate = dot(s.parameters("nu_x", len(xi)), xi) - filtered + sigma - miss
-        update = ((predicted, rate), (filtered, filter_rate * (sigma - filtered)))
         u = known_input(s, s.nu - filtered)
-        return Equations(u, update, (predicted, filtered))
+        cut = s.parameter("g_n") * (s.applied - u)
+        rate = dot(s.parameters("nu_x", len(xi)), xi) - filtered + cut + sigma - miss
+        update = ((predicted, rate), (filtered, filter_rate * (sigma - filtered)))
+        return Equations(u, update, (predicted, filtered), ((predicted, xi[-1]),))
