@@ -21,6 +21,7 @@ from certrack.core.printing import MAX_FACTORS
 from certrack.core.select import larger, magnitude, smaller
 from certrack.export.step_notes import note_before_the_law
 from certrack.laws.base import Equations
+from certrack.laws.baselines.mpc import require_formula
 from certrack.laws.observer import DOB
 from certrack.laws.signals import Signals
 from certrack.loops.controller import (
@@ -178,6 +179,7 @@ def controller_program(system: System, *, parameters: bool = False) -> Controlle
         raise InputError(
             "implementation", "is missing", remedy="Add a table [implementation], or give a period"
         )
+    require_formula(system.law, implementation, "export")
     controller = sampled_controller(plant, system.controller, implementation)
     numbers = controller_values(controller, plant, system.law, implementation).tolist()
     values = dict(zip(controller.parameters, numbers, strict=True))

@@ -21,6 +21,7 @@ from certrack.core.expressions import TIME, symbol
 from certrack.core.lowering import numpy_callable
 from certrack.integrators.sampled.events import event_timeline
 from certrack.integrators.sampled.run import SampledProblem, SampledRun, sensed
+from certrack.laws.baselines.mpc import require_formula
 from certrack.loops.controller import (
     SampledController,
     resolved,
@@ -200,6 +201,7 @@ def _discrete_blocks(
     system: System, implementation: Implementation
 ) -> tuple[_BlockFunctions, _BlockFunctions]:
     """Plant and controller."""
+    require_formula(system.law, implementation, "block")
     controller = sampled_controller(system.plant, system.controller, implementation)
     numbers = controller_values(controller, system.plant, system.law, implementation)
     command, update = resolved(controller)
