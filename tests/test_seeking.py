@@ -1,4 +1,4 @@
-"""Rules that try which gains are best: the certificate is that of every rule, and they find them."""
+"""Rules that try which gains are best: the certificate is that of any rule, and they find them."""
 
 from dataclasses import replace
 

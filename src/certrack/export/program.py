@@ -20,8 +20,8 @@ from certrack.core.kinks import fold_minmax
 from certrack.core.printing import MAX_FACTORS
 from certrack.core.select import larger, magnitude, smaller
 from certrack.export.step_notes import note_before_the_law
-from certrack.laws.base import Equations
 from certrack.laws.baselines.mpc import require_formula
+from certrack.laws.equations import Equations
 from certrack.laws.observer import DOB
 from certrack.laws.signals import Signals
 from certrack.loops.controller import (
@@ -248,7 +248,11 @@ def _update(
     """The rates of the estimates, and the next states by them."""
     taken = x | {Signals.applied: COMMAND}
     rates = [
-        Step(symbol(f"ctl_rate_{z.name}"), rate.xreplace(taken), "" if i else "rates of the estimates")
+        Step(
+            symbol(f"ctl_rate_{z.name}"),
+            rate.xreplace(taken),
+            "" if i else "rates of the estimates",
+        )
         for i, (z, rate) in enumerate(equations.update)
     ]
     gains_and_estimates = {*controller.parameters, *controller.estimates}

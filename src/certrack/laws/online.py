@@ -8,7 +8,8 @@ that differs between them is p(w) = (1 - w) p_0 + w p_1. That moves
     adaptive         c_n and the numbers of the update laws, and nothing else
 
 What is certified is the set of all w(t) (:mod:`certrack.certificates.online`), so any rule may move
-it. Some are here: two that try (:mod:`certrack.laws.seeking`), and two more. With a *threshold* b, an own state is w itself,
+it. Two look for the best level by trying (:mod:`certrack.laws.seeking`). Of two others, one has a
+*threshold* b, and w itself is an own state:
 
     w' = rise (1 - m)(1 - w) - fall m w,   m = 1/(1 + (e_1/b)^4)
 
@@ -33,7 +34,8 @@ from certrack.core.keys import check_fields, keyed
 from certrack.laws.seeking import NUMBERS, SEEKING, check_seeking, sought_level
 
 if TYPE_CHECKING:
-    from certrack.laws.base import Equations, Law
+    from certrack.laws.base import Law
+    from certrack.laws.equations import Equations
     from certrack.laws.signals import Signals
     from certrack.model.plant import Plant
 

@@ -158,7 +158,7 @@ class PlannedMaps:
             )
         else:
             self._program.update(l=bounds[0], u=bounds[1])
-        return float(self._program.solve().x[0])
+        return float(self._program.solve(raise_error=False).x[0])
 
 
 def _input_of(system: System) -> Callable[[Array, Array], Array]:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, gain
+from certrack.laws.base import gain
 from certrack.laws.baselines.base import Baseline, placed_feedback
+from certrack.laws.equations import Equations
 from certrack.laws.plant_coordinates import output_derivatives
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant

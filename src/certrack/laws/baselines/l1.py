@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, gain
+from certrack.laws.base import gain
 from certrack.laws.baselines.base import Baseline, deviations, known_input, weighted_feedback
+from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 
@@ -20,8 +21,9 @@ class L1Adaptive(Baseline):
         u  = (nu - v - phi^T theta)/g_n,    v' = filter_rate (sigma - v)
         p' = K xi - v + g_n (u_a - u) + sigma - (p - xi_n),    sigma = -adaptation (p - xi_n)
 
-    u_a is u within the limits of the drive; p begins at the first xi_n. p predicts xi_n, sigma estimates what moves it besides, and the filter keeps noise of the
-    estimate from the input. K is from :class:`certrack.laws.lqr.LqrWeights`.
+    u_a is u within the limits of the drive, and p begins at the first xi_n. p predicts xi_n, sigma
+    estimates what moves it besides, and the filter keeps noise of the estimate from the input. K is
+    from :class:`certrack.laws.lqr.LqrWeights`.
     """
 
     kind = "l1"

@@ -9,8 +9,9 @@ import numpy as np
 
 from certrack.core.errors import InputError
 from certrack.core.keys import keyed
-from certrack.laws.base import Equations, gain
+from certrack.laws.base import gain
 from certrack.laws.baselines.base import Baseline, chain_rows, known_input
+from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals
 from certrack.model.plant import Plant
 
