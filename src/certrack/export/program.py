@@ -246,11 +246,11 @@ def _update(
     x: Replacements,
 ) -> tuple[list[Step], tuple[sympy.Expr, ...]]:
     """The rates of the estimates, and the next states by them."""
-    taken = x | {Signals.applied: COMMAND}
+    with_input = x | {Signals.applied: COMMAND}
     rates = [
         Step(
             symbol(f"ctl_rate_{z.name}"),
-            rate.xreplace(taken),
+            rate.xreplace(with_input),
             "" if i else "rates of the estimates",
         )
         for i, (z, rate) in enumerate(equations.update)

@@ -114,7 +114,8 @@ class Law(ABC):
        as formulas of `s` alone: ``s.x``, ``s.Y``, ``s.e_n``, ``s.nu``, ``s.phi``, ``s.sign_g``,
        the time ``s.t``, in rates ``s.applied``, the gains by ``s.parameter(name)`` and
        ``s.parameters(name, *shape)``, and its own states, which are symbols of
-       :func:`certrack.core.expressions.symbol` that name no state or constant of the plant. The functions are those of a system file
+       :func:`certrack.core.expressions.symbol` that name no state or constant of the plant. The
+       functions are those of a system file
        (:data:`certrack.core.expressions.ALLOWED_FUNCTIONS`), powers may have gains as exponents;
        anything else is refused when the law is designed, so that what can be simulated can be
        exported. Gains must not stand there as numbers, or a compiled loop would keep the old ones.

@@ -37,13 +37,13 @@ NUMBERS = ("amplitude", "frequency", "speed", "effort")
 MIDDLE, MEAN_COST, MEAN_INPUT = (symbol(f"online_{n}") for n in ("middle", "mean_cost", "mean_u"))
 
 #: How much slower the mean of J is than the dither, and that of u faster; how far z goes.
-SLOWER, REACH = 10, 3
+COST_SLOWNESS, MIDDLE_REACH = 10, 3
 
 #: Keeps the quotient of no cost at all defined, in single precision as well.
 NO_COST = sympy.Float("1e-30")
 
 #: Frequencies of the random dither in parts of the stated one: no two have a common period.
-PARTS = (1, sympy.Float("0.7548776662466927"), sympy.Float("0.5698402909980532"))
+DITHER_PARTS = (1, sympy.Float("0.7548776662466927"), sympy.Float("0.5698402909980532"))
 
 
 def check_seeking(online: Online) -> None:
@@ -77,7 +77,7 @@ def dither(online: Online, frequency: sympy.Expr) -> sympy.Expr:
     if online.seek == "extremum":
         return sympy.sin(angle)
     draw = random.Random(online.seed or 0)
-    waves = [sympy.sin(part * angle + sympy.Float(draw.uniform(0, 6.28))) for part in PARTS]
+    waves = [sympy.sin(part * angle + sympy.Float(draw.uniform(0, 6.28))) for part in DITHER_PARTS]
     return sympy.tanh(2 * sympy.Add(*waves))
 
 
@@ -100,11 +100,11 @@ def sought_level(
     update: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
     if online.effort is not None:
         J += s.parameter(f"{rule}effort") * (s.applied - MEAN_INPUT) ** 2
-        update = ((MEAN_INPUT, SLOWER * turn * (s.applied - MEAN_INPUT)),)
+        update = ((MEAN_INPUT, COST_SLOWNESS * turn * (s.applied - MEAN_INPUT)),)
     share = (J - MEAN_COST) / (J + MEAN_COST + NO_COST)
     update = (
-        (MIDDLE, -speed * (REACH * d * share + (MIDDLE / REACH) ** 5)),
-        (MEAN_COST, turn / SLOWER * (J - MEAN_COST)),
+        (MIDDLE, -speed * (MIDDLE_REACH * d * share + (MIDDLE / MIDDLE_REACH) ** 5)),
+        (MEAN_COST, turn / COST_SLOWNESS * (J - MEAN_COST)),
         *update,
     )
     return (1 + sympy.tanh(MIDDLE)) / 2 + amplitude * d, update
