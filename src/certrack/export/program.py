@@ -259,7 +259,9 @@ def _update(
     names = [step.name for step in rates]
     slow = forgetting_rates([rate for _, rate in equations.update], gains_and_estimates)
     forgetting = [formula.xreplace(x) for formula in slow]
-    now, filters = ([x.get(z, z) for z in own] for own in (controller.estimates, equations.filters))
+    now, filters = (
+        [x.get(z, z) for z in group] for group in (controller.estimates, equations.filters)
+    )
     after = next_estimates(now, names, forgetting, controller.hold, implementation, filters)
     size = magnitude(LAW_INPUT - COMMAND)
     if any(formula.has(size) for formula in after):
