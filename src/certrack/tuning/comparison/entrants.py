@@ -208,12 +208,12 @@ def _baseline(law: type[Baseline]) -> Callable[[System], tuple[System, Family]]:
     return entrant
 
 
-def told_limit(entrant: System, family: Family, peak_input: float) -> tuple[System, Family]:
+def with_input_limit(entrant: System, family: Family, peak_input: float) -> tuple[System, Family]:
     """The entrant and its gains, with a law that plans within this limit of |u| if it can."""
     if not isinstance(entrant.law, Mpc):
         return entrant, family
-    told = entrant.replace(law=replace(entrant.law, input_limit=peak_input))
-    return told, BaselineFamily(told, Mpc, told.law.feedforward)
+    limited = entrant.replace(law=replace(entrant.law, input_limit=peak_input))
+    return limited, BaselineFamily(limited, Mpc, limited.law.feedforward)
 
 
 #: What a comparison may be asked for: system -> that with what the law knows, and its gains.
