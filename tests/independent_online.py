@@ -23,6 +23,7 @@ MOVING = {
     "adaptive": {"c_n", "gain_rate", "leak_gain", "leak_theta", "Gamma"},
 }
 RULE = {"rate", "threshold", "rise", "fall", "schedule"}
+RULE |= {"seek", "amplitude", "frequency", "speed", "effort", "seed"}
 
 
 def check_online(document, stated_bounds):

@@ -20,7 +20,8 @@ from certrack.certificates.certificate import NoCertificate
 from certrack.core.expressions import symbol
 from certrack.core.once import once
 from certrack.core.rationals import float_of
-from certrack.laws.base import Equations, Law
+from certrack.laws.base import Law
+from certrack.laws.equations import Equations
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
 from certrack.laws.integral import INTEGRAL
 from certrack.laws.linear import Linear

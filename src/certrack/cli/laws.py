@@ -31,7 +31,7 @@ def law_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "--laws",
             metavar="LAW,...",
             help="Tune these laws for one FILE and compare them: lean, paper, classic, lqr, pid, "
-            "smc, super-twisting, adrc, mrac, l1.",
+            "smc, super-twisting, adrc, mrac, l1, mpc.",
         ),
         click.option(
             "--peak-input",

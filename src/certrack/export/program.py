@@ -8,7 +8,7 @@ law uses its signals in another way, the formulas stay as they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, pairwise
 
@@ -20,7 +20,8 @@ from certrack.core.kinks import fold_minmax
 from certrack.core.printing import MAX_FACTORS
 from certrack.core.select import larger, magnitude, smaller
 from certrack.export.step_notes import note_before_the_law
-from certrack.laws.base import Equations
+from certrack.laws.baselines.mpc import require_formula
+from certrack.laws.equations import Equations
 from certrack.laws.observer import DOB
 from certrack.laws.signals import Signals
 from certrack.loops.controller import (
@@ -178,6 +179,7 @@ def controller_program(system: System, *, parameters: bool = False) -> Controlle
         raise InputError(
             "implementation", "is missing", remedy="Add a table [implementation], or give a period"
         )
+    require_formula(system.law, implementation, "export")
     controller = sampled_controller(plant, system.controller, implementation)
     numbers = controller_values(controller, plant, system.law, implementation).tolist()
     values = dict(zip(controller.parameters, numbers, strict=True))
@@ -220,7 +222,7 @@ def _is_designed(constant: sympy.Symbol) -> bool:
 
 
 #: Formulas that are written in place of symbols: numbers, or values of states not measured.
-Replacements = Mapping[sympy.Symbol, sympy.Expr]
+Replacements = dict[sympy.Symbol, sympy.Expr]
 
 
 def _steps(
@@ -244,15 +246,23 @@ def _update(
     x: Replacements,
 ) -> tuple[list[Step], tuple[sympy.Expr, ...]]:
     """The rates of the estimates, and the next states by them."""
+    with_input = x | {Signals.applied: COMMAND}
     rates = [
-        Step(symbol(f"ctl_rate_{z.name}"), rate.xreplace(x), "" if i else "rates of the estimates")
+        Step(
+            symbol(f"ctl_rate_{z.name}"),
+            rate.xreplace(with_input),
+            "" if i else "rates of the estimates",
+        )
         for i, (z, rate) in enumerate(equations.update)
     ]
     gains_and_estimates = {*controller.parameters, *controller.estimates}
     names = [step.name for step in rates]
-    forgetting = forgetting_rates([rate for _, rate in equations.update], gains_and_estimates)
-    hold, filters = controller.hold, equations.filters
-    after = next_estimates(controller.estimates, names, forgetting, hold, implementation, filters)
+    slow = forgetting_rates([rate for _, rate in equations.update], gains_and_estimates)
+    forgetting = [formula.xreplace(x) for formula in slow]
+    now, filters = (
+        [x.get(z, z) for z in group] for group in (controller.estimates, equations.filters)
+    )
+    after = next_estimates(now, names, forgetting, controller.hold, implementation, filters)
     size = magnitude(LAW_INPUT - COMMAND)
     if any(formula.has(size) for formula in after):
         after = [formula.xreplace({size: CUT}) for formula in after]
@@ -284,7 +294,7 @@ def _named_parts(system: System) -> tuple[list[Step], Equations]:
             parts.append(Step(UBAR, factor, NOTES[UBAR]))
             by_name = {factor: UBAR}
             update = tuple((z, rate.xreplace(by_name)) for z, rate in equations.update)
-            equations = Equations(equations.u.xreplace(by_name), update, equations.filters)
+            equations = replace(equations, u=equations.u.xreplace(by_name), update=update)
             break
     return parts, equations
 

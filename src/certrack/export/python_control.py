@@ -21,6 +21,7 @@ from certrack.core.expressions import TIME, symbol
 from certrack.core.lowering import numpy_callable
 from certrack.integrators.sampled.events import event_timeline
 from certrack.integrators.sampled.run import SampledProblem, SampledRun, sensed
+from certrack.laws.baselines.mpc import require_formula
 from certrack.loops.controller import (
     SampledController,
     resolved,
@@ -176,7 +177,9 @@ def _continuous_blocks(system: System) -> tuple[_BlockFunctions, _BlockFunctions
         names.append(symbol(name))
         numbers.append(float(value))
     arguments = [TIME, law.states, [*law.signals.x, *law.signals.Y], names]
-    update = numpy_callable(arguments, [rate for _, rate in law.equations.update])
+    as_applied = {law.signals.applied: law.equations.u}
+    rates_of_law = [rate.xreplace(as_applied) for _, rate in law.equations.update]
+    update = numpy_callable(arguments, rates_of_law)
     u = numpy_callable(arguments, [law.equations.u])
     return (
         _BlockFunctions(
@@ -198,6 +201,7 @@ def _discrete_blocks(
     system: System, implementation: Implementation
 ) -> tuple[_BlockFunctions, _BlockFunctions]:
     """Plant and controller."""
+    require_formula(system.law, implementation, "block")
     controller = sampled_controller(system.plant, system.controller, implementation)
     numbers = controller_values(controller, system.plant, system.law, implementation)
     command, update = resolved(controller)

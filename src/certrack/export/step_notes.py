@@ -7,6 +7,7 @@ import sympy
 #: What is computed before the law, by the begin of its symbol's name and by its end.
 BEFORE_NOTES = {
     ("ctl_time", ""): "time of the sample, s",
+    ("ctl_begun_", ""): "own state; at the first sample what is measured counts",
     ("ctl_filtered_", ""): "filtered difference of the state before it",
     ("ctl_expected_", ""): "what the observer expects of it; at rest at the first sample",
     ("ctl_miss_", ""): "by how much it differs from what was expected",

@@ -10,8 +10,9 @@ values :func:`vector` and :func:`metric`, :func:`symbol`, :func:`dot`, :class:`P
 from certrack.core.errors import DesignError, InputError
 from certrack.core.expressions import TIME, symbol
 from certrack.laws.adaptive import Adaptive
-from certrack.laws.base import Controller, Equations, Law, gain, theta_metric, theta_vector
+from certrack.laws.base import Controller, Law, gain, theta_metric, theta_vector
 from certrack.laws.classic import Classic
+from certrack.laws.equations import Equations
 from certrack.laws.error_system import EstimatedParameters, KnownParameters, OwnErrors
 from certrack.laws.linear import Linear
 from certrack.laws.lqr import LqrWeights

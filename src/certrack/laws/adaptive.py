@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, Law, gain, theta_metric, theta_vector
+from certrack.laws.base import Law, gain, theta_metric, theta_vector
+from certrack.laws.equations import Equations
 from certrack.laws.error_system import EstimatedParameters
 from certrack.laws.numbers import metric, vector
 from certrack.laws.signals import Signals, dot

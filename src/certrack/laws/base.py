@@ -22,6 +22,7 @@ from certrack.core.expressions import TIME, check_name, symbol
 from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.supported import check_symbols, normal_form
 from certrack.laws.backstepping import ErrorCoordinates, Gains
+from certrack.laws.equations import Equations
 from certrack.laws.error_system import ErrorSystem
 from certrack.laws.integral import INTEGRAL
 from certrack.laws.observer import Observer
@@ -53,30 +54,6 @@ def theta_metric(**description: Any) -> Any:
     """Dataclass field: r positive numbers (a diagonal), or a positive definite r x r matrix."""
     shape = "one number per regressor, or a square matrix"
     return keyed("metric", None, shape=shape, above=0, otherwise="identity", **description)
-
-
-@dataclass(frozen=True)
-class Equations:
-    """A law as formulas: the input u, and the derivatives of the controller's own states.
-
-    Attributes
-    ----------
-    u : formula
-    update : pairs (symbol, formula)
-        Own states and their rates, per second.
-    filters : symbols
-        Own states that are no estimates: they move on while the input is limited, when a sampled
-        controller lets its estimates forget only.
-    """
-
-    u: sympy.Expr
-    update: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
-    filters: tuple[sympy.Symbol, ...] = ()
-
-    @property
-    def formulas(self) -> dict[str, sympy.Expr]:
-        """All formulas, by what they are."""
-        return {"u": self.u} | {f"the rate of {z}": rate for z, rate in self.update}
 
 
 @dataclass(frozen=True)
@@ -135,9 +112,10 @@ class Law(ABC):
        are inherited;
     3. return from :meth:`equations` the input u and the rates of the law's own states (per second),
        as formulas of `s` alone: ``s.x``, ``s.Y``, ``s.e_n``, ``s.nu``, ``s.phi``, ``s.sign_g``,
-       the time ``s.t``, the gains by ``s.parameter(name)`` and ``s.parameters(name, *shape)``, and
-       its own states, which are symbols of :func:`certrack.core.expressions.symbol` that name no
-       state or constant of the plant. The functions are those of a system file
+       the time ``s.t``, in rates ``s.applied``, the gains by ``s.parameter(name)`` and
+       ``s.parameters(name, *shape)``, and its own states, which are symbols of
+       :func:`certrack.core.expressions.symbol` that name no state or constant of the plant. The
+       functions are those of a system file
        (:data:`certrack.core.expressions.ALLOWED_FUNCTIONS`), powers may have gains as exponents;
        anything else is refused when the law is designed, so that what can be simulated can be
        exported. Gains must not stand there as numbers, or a compiled loop would keep the old ones.
@@ -155,6 +133,7 @@ class Law(ABC):
     ``kind = "package:Class"`` of the group ``certrack.laws``. Where the input is saturated, a
     sampled controller keeps of the rates only the terms of gains and own states alone, the
     forgetting; own states that are no estimates are listed in ``Equations.filters`` and move on.
+    ``Equations.first`` says where they begin at the first sample.
 
     A certificate is a theorem about equations. A law says in :meth:`error_system` which of them it
     obeys (:mod:`certrack.laws.error_system`), and has a certificate if its formulas do. A law that
@@ -349,16 +328,17 @@ class Law(ABC):
         equations = self.normal_equations(signals)
         names = tuple(z.name for z, _ in equations.update)
         _check_own_states(names, (*plant.states, *plant.constant_values))
-        known = {*signals.x, *signals.Y, TIME, *(z for z, _ in equations.update)}
+        known = {*signals.x, *signals.Y, TIME, signals.applied, *(z for z, _ in equations.update)}
         known |= {name for group in signals.all_parameters.values() for name in group}
         known |= set().union(plant.drift.expr.free_symbols, *(f.free_symbols for f in signals.phi))
         if self.online is not None:
             known |= {symbol(name) for name in plant.constant_values}
         remedy = "Use the signals, gains by s.parameter, and own states that have a rate"
         check_symbols("law", equations.formulas, known, remedy)
-        unknown = [str(z) for z in equations.filters if z.name not in names]
-        if unknown:
-            raise InputError("law", "filters must be own states of the law", ", ".join(unknown))
+        listed = (*equations.filters, *(z for z, _ in equations.first))
+        if unknown := [str(z) for z in listed if z.name not in names]:
+            message = "filters and first values must be of own states of the law"
+            raise InputError("law", message, ", ".join(unknown))
         stated = {
             name: checks.real(f"law.initial_states.{name}", value)
             for name, value in self.initial_states(plant).items()
@@ -389,11 +369,12 @@ class Law(ABC):
             if z in names[:i]:
                 raise InputError("law", "has a state of this name already", z, "Rename it")
         normal = {name: normal_form("law", name, f) for name, f in equations.formulas.items()}
-        u, *rates = normal.values()
-        update = tuple(zip(names, rates, strict=True))
+        u, *others = normal.values()
+        update = tuple(zip(names, others, strict=False))
+        first = zip((z for z, _ in equations.first), others[len(names) :], strict=True)
         if self.integral is not None:
             update = (*update, (INTEGRAL, s.x[0] - s.Y[0]))
-        return Equations(u, update, tuple(equations.filters))
+        return Equations(u, update, tuple(equations.filters), tuple(first))
 
 
 def _of_integral(coordinates: ErrorCoordinates) -> dict[str, Any]:

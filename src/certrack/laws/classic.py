@@ -10,7 +10,8 @@ import sympy
 
 from certrack.core.errors import InputError
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, Law, gain, theta_metric
+from certrack.laws.base import Law, gain, theta_metric
+from certrack.laws.equations import Equations
 from certrack.laws.error_system import EstimatedParameters
 from certrack.laws.numbers import metric
 from certrack.laws.signals import Signals, dot

@@ -13,7 +13,8 @@ import numpy as np
 import sympy
 
 from certrack.core.lowering import NumpyFunction, numpy_callable
-from certrack.laws.base import Controller, Equations
+from certrack.laws.base import Controller
+from certrack.laws.equations import Equations
 
 #: Formulas of so many laws are kept: members of an ensemble share theirs.
 KEPT_LAWS = 64

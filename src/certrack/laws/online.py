@@ -8,7 +8,8 @@ that differs between them is p(w) = (1 - w) p_0 + w p_1. That moves
     adaptive         c_n and the numbers of the update laws, and nothing else
 
 What is certified is the set of all w(t) (:mod:`certrack.certificates.online`), so any rule may move
-it. Two are here. With a *threshold* b, an own state is w itself,
+it. Two look for the best level by trying (:mod:`certrack.laws.seeking`). Of two others, one has a
+*threshold* b, and w itself is an own state:
 
     w' = rise (1 - m)(1 - w) - fall m w,   m = 1/(1 + (e_1/b)^4)
 
@@ -21,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import pi
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import sympy
@@ -29,9 +31,11 @@ from certrack.core import checks
 from certrack.core.errors import InputError
 from certrack.core.expressions import TIME, parse, symbol
 from certrack.core.keys import check_fields, keyed
+from certrack.laws.seeking import NUMBERS, SEEKING, check_seeking, sought_level
 
 if TYPE_CHECKING:
-    from certrack.laws.base import Equations, Law
+    from certrack.laws.base import Law
+    from certrack.laws.equations import Equations
     from certrack.laws.signals import Signals
     from certrack.model.plant import Plant
 
@@ -75,6 +79,8 @@ class Online:
         How fast w goes up and down at most; with a threshold.
     schedule : text, optional
         In the place of a threshold: w as a formula of t and the states.
+    seek, amplitude, frequency, speed, effort, seed
+        In the place of both: see :mod:`certrack.laws.seeking`.
 
     Raises
     ------
@@ -178,15 +184,42 @@ class Online:
         help="0 (the gains of [law]) to 1 (the other end) as a formula of t and the states",
         otherwise="a threshold",
     )
+    seek: str | None = keyed(
+        "choice",
+        None,
+        help="a rule that tries which gains are best",
+        choices=SEEKING,
+        otherwise="a threshold or a schedule",
+    )
+    amplitude: float | None = keyed(
+        "number", None, help="of what it tries (seek)", above=0, otherwise="must be stated"
+    )
+    frequency: float | None = keyed(
+        "number", None, help="at which it tries", unit="Hz", above=0, otherwise="must be stated"
+    )
+    speed: float | None = keyed(
+        "number", None, help="at which it goes on", unit="1/s", above=0, otherwise="must be stated"
+    )
+    effort: float | None = keyed(
+        "number", None, help="weight of the input's motion beside e_1^2", above=0, otherwise="none"
+    )
+    seed: int | None = keyed(
+        "integer", None, help="of what spsa tries", least=0, most=2**31 - 1, otherwise="0"
+    )
 
     def __post_init__(self) -> None:
         check_fields(self, "law.online")
         if not self.changes:
             remedy = f"State what moves: {', '.join(ENDS)}"
             raise InputError("law.online", "has no other end of the gains", remedy=remedy)
-        if (self.threshold is None) == (self.schedule is None):
+        check_seeking(self)
+        rules = [v is not None for v in (self.threshold, self.schedule, self.seek)]
+        if self.seek is not None and sum(rules) > 1:
+            message = "must be left out beside a threshold or a schedule"
+            raise InputError("law.online.seek", message, remedy="State one rule")
+        if sum(rules) != 1:
             said = "is missing" if self.threshold is None else "must be left out beside schedule"
-            raise InputError("law.online.threshold", said, remedy="State it, or a schedule")
+            raise InputError("law.online.threshold", said, remedy="State it, seek, or a schedule")
         for name in ("rise", "fall"):
             value = getattr(self, name)
             if (value is None) != (self.threshold is None):
@@ -209,7 +242,7 @@ class Online:
     @property
     def numbers(self) -> dict[str, float]:
         """The numbers of the rule, by name."""
-        names = ("threshold", "rise", "fall") if self.schedule is None else ("rate",)
+        names = ("threshold", "rise", "fall") if self.threshold is not None else ("rate", *NUMBERS)
         values = {name: getattr(self, name) for name in names}
         return {f"{RULE}{name}": value for name, value in values.items() if value is not None}
 
@@ -226,6 +259,8 @@ class Online:
 
     def wanted(self, s: Signals) -> sympy.Expr:
         """What the schedule wants the level to be, within [0, 1]."""
+        if self.seek is not None:
+            return within_unit(sought_level(self, s, RULE)[0])
         return within_unit(self.formula(s.plant))
 
     def check_period(self, period: float) -> None:
@@ -235,7 +270,10 @@ class Online:
         ------
         InputError
         """
-        rates = (self.rise, self.fall) if self.schedule is None else (self.rate,)
+        rates = (self.rise, self.fall) if self.threshold is not None else (self.rate,)
+        if self.seek is not None:  # its own states must follow their rates, too
+            assert self.frequency is not None and self.speed is not None
+            rates = (*rates, 20 * pi * self.frequency, 4 * self.speed)
         fastest = max(value or 0.0 for value in rates)
         if fastest * period > 1:
             raise InputError(
@@ -339,11 +377,14 @@ def _rule(
     online: Online, s: Signals
 ) -> tuple[sympy.Expr, tuple[tuple[sympy.Symbol, sympy.Expr], ...]]:
     """The level, and its rate where it is a state."""
-    if online.schedule is not None:
+    if online.threshold is None:
         wanted = online.wanted(s)
+        sought: tuple[tuple[sympy.Symbol, sympy.Expr], ...] = ()
+        if online.seek is not None:
+            sought = sought_level(online, s, RULE)[1]
         if online.rate is None:
-            return wanted, ()
-        return LEVEL, ((LEVEL, s.parameter(f"{RULE}rate") * (wanted - LEVEL)),)
+            return wanted, sought
+        return LEVEL, (*sought, (LEVEL, s.parameter(f"{RULE}rate") * (wanted - LEVEL)))
     b, rise, fall = (s.parameter(f"{RULE}{name}") for name in ("threshold", "rise", "fall"))
     calm = 1 / (1 + ((s.x[0] - s.Y[0]) / b) ** 4)  # 0 where the power overflows
     return LEVEL, ((LEVEL, rise * (1 - calm) * (1 - LEVEL) - fall * calm * LEVEL),)

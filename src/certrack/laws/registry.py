@@ -13,6 +13,7 @@ from certrack.laws.adaptive import Adaptive
 from certrack.laws.base import Law
 from certrack.laws.baselines.adrc import Adrc
 from certrack.laws.baselines.l1 import L1Adaptive
+from certrack.laws.baselines.mpc import Mpc
 from certrack.laws.baselines.mrac import Mrac
 from certrack.laws.baselines.pid import Pid
 from certrack.laws.baselines.sliding import SlidingMode
@@ -22,7 +23,7 @@ from certrack.laws.linear import Linear
 from certrack.laws.robust import Robust
 
 #: Laws of the textbooks, to be compared with.
-BASELINES = (Pid, SlidingMode, SuperTwisting, Adrc, Mrac, L1Adaptive)
+BASELINES = (Pid, SlidingMode, SuperTwisting, Adrc, Mrac, L1Adaptive, Mpc)
 
 LAWS: dict[str, type[Law]] = {
     law.kind: law for law in (Adaptive, Robust, Linear, Classic, *BASELINES)

@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 
 from certrack.core.errors import DesignError
 from certrack.core.rationals import float_of
-from certrack.laws.base import Equations, Law
+from certrack.laws.base import Law
+from certrack.laws.equations import Equations
 from certrack.laws.error_system import KnownParameters
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant

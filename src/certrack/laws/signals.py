@@ -52,9 +52,12 @@ class Signals:
         Sign of the input gain.
     t : symbol
         Time since the run began, s.
+    applied : symbol
+        For rates of own states: u within the limits of the drive; u itself where there are none.
     """
 
     t = TIME
+    applied = symbol("ctl_applied")
 
     def __init__(
         self, plant: Plant, q: int, *, short: bool = False, integral: bool = False

@@ -108,6 +108,7 @@ def driven_loop(
     measured = dict(zip(s.x, plant.outputs, strict=True)) | dict(zip(s.Y, Y, strict=True))
     u = controller.equations.u.xreplace(measured)
     rates = [rate.xreplace({INPUT: u}) for rate in plant.rates]
+    measured[s.applied] = u
     rates += [rate.xreplace(measured) for _, rate in controller.equations.update]
     return u, (s.x[0] - s.Y[0]).xreplace(measured), rates
 

@@ -19,7 +19,7 @@ the estimates (the leak) into account exactly: W = L^-1 (exp(L T) - I) [exponent
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,7 +81,8 @@ class SampledController:
         Over what is measured at the first sample and :data:`~.observers.INPUT_BEFORE`: with these
         values before it the first sample is as any other. Zero for estimates.
     values : pairs (symbol, formula)
-        What the law takes for states that it is not given as they are measured.
+        What the law takes for states that it is not given as they are measured, and for own
+        states that begin at the first measurement.
     compensation : formula
         What an observer adds to the law's input.
     """
@@ -139,8 +140,11 @@ def sampled_controller(
         memories += observed.memories
         numbers += observed.numbers
         x, compensation = x | observed.values, observed.compensation
-    if memories:
+    started = first_values(controller, x)
+    if memories or started:
         memories.append((FIRST, sympy.S.Zero, sympy.S.Zero))
+    steps += started
+    x |= {z: step for (z, _), (step, _) in zip(controller.equations.first, started, strict=True)}
     values = tuple(x.items())
     if any(formula.has(TIME) for formula in controller.equations.formulas.values()):
         steps.append((SAMPLE_TIME, PERIOD * SAMPLE_NUMBER))
@@ -151,15 +155,17 @@ def sampled_controller(
     if implementation.rate_limit is not None:
         memories.append((symbol("ctl_u_last"), COMMAND, INPUT_BEFORE))
     estimates = controller.states
+    x[s.applied] = COMMAND
     rates = [rate.xreplace(x) for _, rate in controller.equations.update]
     leak = leak_jacobian(controller) if implementation.update == "exact_leak" else ()
     hold = _hold_entries(leak, len(estimates))
     numbers += [symbol(f"ctl_hold_{i}_{j}") for i, j in hold]
     if implementation.projection is not None:
         numbers += _projection_limits(len(estimates))
-    forgetting = forgetting_rates(rates, {*controller.symbols, *estimates})
-    filters = controller.equations.filters
-    after = next_estimates(estimates, rates, forgetting, hold, implementation, filters)
+    now = [x.get(z, z) for z in estimates]
+    forgetting = forgetting_rates(rates, {*controller.symbols, *now})
+    filters = [x.get(z, z) for z in controller.equations.filters]
+    after = next_estimates(now, rates, forgetting, hold, implementation, filters)
     constants = [symbol(name) for name in plant.constant_values]
     return SampledController(
         measured=s.x,
@@ -175,6 +181,21 @@ def sampled_controller(
         presets=(*(sympy.S.Zero,) * len(estimates), *(before for _, _, before in memories)),
         values=values,
         compensation=compensation,
+    )
+
+
+def first_values(controller: Controller, x: Mapping[sympy.Symbol, sympy.Expr]) -> Assignments:
+    """Own states as the law takes them, those that begin at what is measured at the first sample.
+
+    Parameters
+    ----------
+    controller : Controller
+    x : mapping
+        What stands for states that are not measured.
+    """
+    return tuple(
+        (symbol(f"ctl_begun_{z.name}"), z + FIRST * value.xreplace(x))
+        for z, value in controller.equations.first
     )
 
 

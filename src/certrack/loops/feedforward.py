@@ -26,7 +26,8 @@ from certrack.core.expressions import symbol
 from certrack.core.lowering import numpy_callable
 from certrack.core.memo import remembered
 from certrack.core.rounding import in_digits
-from certrack.laws.base import Controller, Equations, Law
+from certrack.laws.base import Controller, Law
+from certrack.laws.equations import Equations
 from certrack.laws.observer_model import plant_over_a_period
 from certrack.loops.controller_numbers import plain_values
 from certrack.loops.linear_controller import LinearController, linear_controller

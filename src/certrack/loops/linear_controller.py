@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import sympy
 
 from certrack.core.select import Select
-from certrack.laws.base import Controller, Equations
+from certrack.laws.base import Controller
+from certrack.laws.equations import Equations
 from certrack.loops.controller import FIRST, SampledController, resolved, sampled_controller
 from certrack.model.implementation import Implementation
 from certrack.model.plant import Plant

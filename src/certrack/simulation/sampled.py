@@ -34,6 +34,7 @@ from certrack.integrators.sampled.solution import (
     StepTable,
 )
 from certrack.integrators.switching import ModeRecord, sticking_notes
+from certrack.laws.baselines.mpc import planned_limits
 from certrack.loops.controller import SampledController, starting_state
 from certrack.loops.plant import INPUT
 from certrack.loops.sampled import SampledLoop, loop_values, sample_loop
@@ -42,6 +43,7 @@ from certrack.loops.time_switches import TimeSwitches, switched_sampled_loop
 from certrack.model.implementation import Implementation
 from certrack.model.noise import keys
 from certrack.simulation.implementation_notes import implementation_notes
+from certrack.simulation.planned_input import PlannedMaps
 from certrack.simulation.run import Run
 from certrack.systems.system import System
 
@@ -140,10 +142,15 @@ class SampledSimulator:
         )
         progress(0.0, settings.duration, None)
         shared = np.array([schedule.piece_values(t) for t in (0.0, *breaks)])
+        planned = planned_limits(system.law, implementation) is not None
+        maps = PlannedMaps(self.maps, self.loop, system, line) if planned else self.maps
         record = self._record_in_c(problem, shared, progress)
+        if isinstance(maps, PlannedMaps) and record is not None:
+            exact = implementation.reads_states and problem.outputs is None
+            record = record if exact and maps.keep_limits(record) else None
         outcome, modes = Outcome.finished, None
         if record is None:
-            record, outcome, modes = self._record_by_maps(problem, progress)
+            record, outcome, modes = self._record_by_maps(maps, problem, progress)
         progress(settings.duration, settings.duration, None)
         slopes = Slopes(self._rates, schedule, parameters[:, 0], modes)
         solution = SampledSolution(record.with_a_step(), slopes, len(problem.x))
@@ -175,7 +182,7 @@ class SampledSimulator:
         return None if self._single is None else self._single.record(problem, shared, progress)
 
     def _record_by_maps(
-        self, problem: SampledProblem, progress: Progress
+        self, maps: SampledMaps, problem: SampledProblem, progress: Progress
     ) -> tuple[StepTable, Outcome, ModeRecord | None]:
         """All steps that end within the admitted states, how the run ended, and its modes."""
         estimates, end = len(self.loop.controller.estimates), float(problem.timeline.times[-1])
@@ -186,7 +193,7 @@ class SampledSimulator:
             if record.samples % SAMPLES_PER_REPORT == 0:
                 progress(t, end, None)
 
-        run = SampledRun(self.maps, problem)
+        run = SampledRun(maps, problem)
         run.run(on_sample=sampled, on_step=record.add_step)
         record.add_sample(end, run.states)
         outcome: Outcome = run.outcomes[0]

@@ -99,7 +99,7 @@ def _equation_sides(
     names = [s for group in short.all_parameters.values() for s in group]
     values = system.law.values(plant, list(short.all_parameters))
     symbols = {s: sympy.Float(v, PRINTED_DIGITS) for s, v in zip(names, values, strict=True)}
-    symbols[symbol("e_n")] = symbol(f"e_{n}")
+    symbols |= {symbol("e_n"): symbol(f"e_{n}"), short.applied: symbol("u")}
     lines.append(("u", show(_rounded(equations.u.xreplace(symbols)))))
     if part is not None:
         lines.append((_dotted(show, INTEGRAL), show(x[0] - Y[0])))

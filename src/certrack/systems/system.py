@@ -16,6 +16,7 @@ from certrack.core.keys import check_fields, keyed, keys_of, set_fields
 from certrack.core.notebook import ShownInNotebooks
 from certrack.core.once import without_results
 from certrack.laws.base import Controller, Law
+from certrack.laws.baselines.mpc import planned_limits
 from certrack.laws.leakage import longest_euler_period
 from certrack.laws.observer_model import observer_model
 from certrack.laws.online import LEVEL
@@ -191,6 +192,7 @@ class System(ShownInNotebooks):
                 raise InputError(f"ensemble.x0[{i}]", "must be within simulation.max_state")
 
     def _bind_implementation(self) -> None:
+        planned_limits(self.law, self.implementation)  # refuses limits that no plan can keep
         if self.implementation is None:
             return
         implementation = self.implementation.bound_to(self.plant, len(self.controller.states))

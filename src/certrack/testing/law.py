@@ -102,7 +102,7 @@ class LawConformance:
         """The equations contain states, reference, estimates and declared gains, nothing else."""
         controller = self.system.controller
         s = controller.signals
-        known = {*s.x, *s.Y, *controller.states, *controller.symbols, TIME}
+        known = {*s.x, *s.Y, *controller.states, *controller.symbols, TIME, s.applied}
         known |= {symbol for phi in s.phi for symbol in phi.free_symbols}
         known |= self.system.plant.drift.expr.free_symbols
         equations = controller.equations

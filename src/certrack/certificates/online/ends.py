@@ -139,7 +139,7 @@ def _stated_level(system: System) -> sympy.Expr:
     rates = dict(runs.equations.update)
     s, expected = Signals(system.plant, runs.signals.q), None
     parts = {name: s.parameter(f"{RULE}{name}") for name in ("threshold", "rise", "fall", "rate")}
-    if online.schedule is None:
+    if online.threshold is not None:
         q = (s.x[0] - s.Y[0]) / parts["threshold"]
         expected = (parts["rise"] * q**4 * (1 - LEVEL) - parts["fall"] * LEVEL) / (1 + q**4)
     elif online.rate is not None:

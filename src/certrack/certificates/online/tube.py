@@ -15,7 +15,6 @@ from certrack.certificates.online.ends import end_problems
 from certrack.certificates.start import starting_energy
 from certrack.certificates.stated import first_end_system
 from certrack.certificates.tube import TUBE_ROUNDING, Tube, starts_of, tube
-from certrack.laws.online import LEVEL
 from certrack.systems.system import System
 
 
@@ -46,8 +45,8 @@ def online_tube(
         raise NoCertificate(f"the proof does not hold for this system: {reason}")
     problems, first = end_problems(system), first_end_system(system)
     starts, verified = starts_of(system, box)
-    states = system.controller.states
-    estimates = [v for z, v in zip(states, system.estimates, strict=True) if z != LEVEL]
+    begun = dict(zip(system.controller.states, system.estimates, strict=True))
+    estimates = [begun[z] for z in first.controller.states]
     first = first.with_settings(estimates=tuple(estimates))
     A = error_coordinates(first, rational).A
     energies = []

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, gain
+from certrack.laws.base import gain
 from certrack.laws.baselines.base import Baseline, placed_feedback
+from certrack.laws.equations import Equations
 from certrack.laws.plant_coordinates import output_derivatives
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
@@ -26,7 +27,8 @@ class Adrc(Baseline):
         b_0 u = y_d^(n) + sum a_i (y_d^(i) - z_{i+1}) - z_{n+1}
 
     Poles of the control are at -rate, those of the observer at -observer_rate. Only the output is
-    fed back; derivatives of y_d beyond feedforward + 1 are taken as zero.
+    fed back; derivatives of y_d beyond feedforward + 1 are taken as zero. The observer gets u as
+    the drive limits it, and z_1 begins at the first x_1.
     """
 
     kind = "adrc"
@@ -48,8 +50,8 @@ class Adrc(Baseline):
         u = (wanted[n] + dot(a, parts) - z[n]) / b_0
         miss = s.x[0] - z[0]
         rates = [after + gain_ * miss for after, gain_ in zip([*z[1:], 0], length, strict=True)]
-        rates[n - 1] += b_0 * u
-        return Equations(u, tuple(zip(z, rates, strict=True)), tuple(z))
+        rates[n - 1] += b_0 * s.applied
+        return Equations(u, tuple(zip(z, rates, strict=True)), tuple(z), ((z[0], s.x[0]),))
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
         n = plant.n

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, gain
+from certrack.laws.base import gain
 from certrack.laws.baselines.base import Baseline, deviations, known_input, weighted_feedback
+from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 
@@ -18,10 +19,11 @@ class L1Adaptive(Baseline):
     """L1 adaptive control of the matched disturbance.
 
         u  = (nu - v - phi^T theta)/g_n,    v' = filter_rate (sigma - v)
-        p' = K xi - v + sigma - (p - xi_n),    sigma = -adaptation (p - xi_n)
+        p' = K xi - v + g_n (u_a - u) + sigma - (p - xi_n),    sigma = -adaptation (p - xi_n)
 
-    p predicts xi_n, sigma estimates what moves it besides, and the filter keeps noise of the
-    estimate from the input. K is from :class:`certrack.laws.lqr.LqrWeights`.
+    u_a is u within the limits of the drive, and p begins at the first xi_n. p predicts xi_n, sigma
+    estimates what moves it besides, and the filter keeps noise of the estimate from the input. K is
+    from :class:`certrack.laws.lqr.LqrWeights`.
     """
 
     kind = "l1"
@@ -43,7 +45,8 @@ class L1Adaptive(Baseline):
         xi = deviations(s)
         miss = predicted - xi[-1]
         sigma = -adaptation * miss
-        rate = dot(s.parameters("nu_x", len(xi)), xi) - filtered + sigma - miss
-        update = ((predicted, rate), (filtered, filter_rate * (sigma - filtered)))
         u = known_input(s, s.nu - filtered)
-        return Equations(u, update, (predicted, filtered))
+        cut = s.parameter("g_n") * (s.applied - u)
+        rate = dot(s.parameters("nu_x", len(xi)), xi) - filtered + cut + sigma - miss
+        update = ((predicted, rate), (filtered, filter_rate * (sigma - filtered)))
+        return Equations(u, update, (predicted, filtered), ((predicted, xi[-1]),))

@@ -1,4 +1,4 @@
-"""Model reference adaptive control: gains of the states, of nu and a constant are adapted."""
+"""Model reference adaptive control: gains of states, nu, regressor and a constant are adapted."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, gain
+from certrack.laws.base import gain
 from certrack.laws.baselines.base import Baseline, deviations, known_input, weighted_feedback
+from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 
@@ -19,7 +20,7 @@ from certrack.model.plant import Plant
 class Mrac(Baseline):
     """Model reference adaptive control with leakage.
 
-        u   = (nu - k^T psi - phi^T theta)/g_n,    psi = (xi, nu, 1)
+        u   = (nu - k^T psi - phi^T theta)/g_n,    psi = (xi, nu, phi, 1)
         k_i' = adaptation sigma psi_i - leak k_i,    sigma = (P xi)_n
 
     The reference model is xi' = [F; K] xi with K from :class:`certrack.laws.lqr.LqrWeights`, and
@@ -41,7 +42,7 @@ class Mrac(Baseline):
         _, adaptation, leak = map(s.parameter, self.tuned)
         xi = deviations(s)
         sigma = dot(s.parameters("P_n", len(xi)), xi)
-        psi = [*xi, s.nu, 1]
+        psi = [*xi, s.nu, *s.phi, 1]
         k = [symbol(f"mrac_k{i + 1}") for i in range(len(psi))]
         rates = [adaptation * sigma * part - leak * now for part, now in zip(psi, k, strict=True)]
         u = known_input(s, s.nu - dot(k, psi))

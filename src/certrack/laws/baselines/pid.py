@@ -10,8 +10,9 @@ import numpy as np
 import sympy
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, gain
+from certrack.laws.base import gain
 from certrack.laws.baselines.base import Baseline, followed_states, placed_feedback
+from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 
@@ -24,7 +25,7 @@ class Pid(Baseline):
         w' = k_i e,    f' = (e - f)/T_f
         u_ff = (Pi_n (y_d' ... y_d^(q+1)) - h(Pi Y) - phi(Pi Y)^T theta)/g_n
 
-    Only the output is fed back.
+    Only the output is fed back; f begins at the first e.
     """
 
     kind = "pid"
@@ -54,7 +55,8 @@ class Pid(Baseline):
         rates = dot(s.parameters("Pi_n", s.q + 1), s.Y[1:])
         u_ff = (rates - sympy.sympify(known).subs(at, simultaneous=True)) / s.parameter("g_n")
         u = u_ff + s.sign_g * (k_p * e + integrated + k_d * slope)
-        return Equations(u, ((integrated, k_i * e), (filtered, slope)), (filtered,))
+        update = ((integrated, k_i * e), (filtered, slope))
+        return Equations(u, update, (filtered,), ((filtered, e),))
 
     def parameters(self, plant: Plant) -> Mapping[str, Any]:
         numbers = super().parameters(plant)

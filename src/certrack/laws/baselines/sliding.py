@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from certrack.laws.base import Equations, gain
+from certrack.laws.base import gain
 from certrack.laws.baselines.base import (
     Baseline,
     deviations,
@@ -17,6 +17,7 @@ from certrack.laws.baselines.base import (
     known_input,
     sliding_row,
 )
+from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 

@@ -10,7 +10,7 @@ import numpy as np
 import sympy
 
 from certrack.core.expressions import symbol
-from certrack.laws.base import Equations, gain
+from certrack.laws.base import gain
 from certrack.laws.baselines.base import (
     Baseline,
     deviations,
@@ -18,6 +18,7 @@ from certrack.laws.baselines.base import (
     known_input,
     sliding_row,
 )
+from certrack.laws.equations import Equations
 from certrack.laws.signals import Signals, dot
 from certrack.model.plant import Plant
 

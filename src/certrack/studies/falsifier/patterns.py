@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from certrack.laws.seeking import NUMBERS
 from certrack.studies.falsifier.draft import ParameterTable, SystemDraft
 
 #: Largest hardness of a disturbance's pattern: tanh(30 y) is a sign but for 3 % of y's range.
@@ -135,5 +136,6 @@ class FreeLevel(Pattern):
         online = draft.law.online
         assert online is not None
         free = f"1/2 + {BELOW_ONE}/2*{pattern}"
-        rule = replace(online, threshold=None, rise=None, fall=None, schedule=free)
+        rules = ("threshold", "rise", "fall", "seek", *NUMBERS, "seed")
+        rule = replace(online, **dict.fromkeys(rules), schedule=free)
         draft.law = replace(draft.law, online=rule)

@@ -19,7 +19,7 @@ from certrack.simulation.metrics import Metrics
 from certrack.studies.ensembles.ensemble import Ensemble, ensemble
 from certrack.systems.system import System, require_system
 from certrack.tuning.certified import certified
-from certrack.tuning.comparison.entrants import entrant_of
+from certrack.tuning.comparison.entrants import entrant_of, with_input_limit
 from certrack.tuning.comparison.gain_search import FoundGains, search_gains
 from certrack.tuning.comparison.trials import (
     PEAK,
@@ -263,6 +263,7 @@ def compare_laws(
     rows = [measure.figures(AS_STATED, stated, base.law, limits, None)]
     for i, (name, (entrant, family)) in enumerate(entrants.items()):
         progress(i + 1, total, None)
+        entrant, family = with_input_limit(entrant, family, aimed.peak_input)
         trials = measure.trials_of(entrant)
         trials.starts = list(stated.starts)
         searched = search_gains(trials, family, aimed, measure.resting, budget, seed)

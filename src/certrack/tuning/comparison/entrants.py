@@ -13,6 +13,7 @@ from certrack.core.errors import CertrackError, InputError
 from certrack.laws.adaptive import Adaptive
 from certrack.laws.base import Law
 from certrack.laws.baselines.base import Baseline
+from certrack.laws.baselines.mpc import Mpc
 from certrack.laws.classic import Classic
 from certrack.laws.linear import Linear
 from certrack.laws.lqr import LqrWeights
@@ -198,10 +199,21 @@ def _lqr(system: System) -> tuple[System, Family]:
 def _baseline(law: type[Baseline]) -> Callable[[System], tuple[System, Family]]:
     def entrant(system: System) -> tuple[System, Family]:
         base = informed(system)
+        if base.implementation is not None:  # Euler's method would be none of the law's doing
+            exact = replace(base.implementation, update="exact_leak")
+            base = base.replace(implementation=exact)
         q = most_feedforward(system.reference, system.plant.n)
         return base, BaselineFamily(base, law, q)
 
     return entrant
+
+
+def with_input_limit(entrant: System, family: Family, peak_input: float) -> tuple[System, Family]:
+    """The entrant and its gains, with a law that plans within this limit of |u| if it can."""
+    if not isinstance(entrant.law, Mpc):
+        return entrant, family
+    limited = entrant.replace(law=replace(entrant.law, input_limit=peak_input))
+    return limited, BaselineFamily(limited, Mpc, limited.law.feedforward)
 
 
 #: What a comparison may be asked for: system -> that with what the law knows, and its gains.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from certrack.integrators.base import MethodUnavailable
+from certrack.laws.baselines.mpc import planned_limits, require_formula
 from certrack.studies.ensembles.methods.base import Method
 from certrack.studies.ensembles.methods.lockstep_continuous import LockstepContinuous
 from certrack.studies.ensembles.methods.lockstep_sampled import LockstepSampled
@@ -35,13 +36,17 @@ def create_method(name: str, problem: EnsembleProblem, threads: int) -> Method:
     """
     if name == "alone":
         return SingleRuns()
-    if problem.system.implementation is None:
+    system = problem.system
+    if planned_limits(system.law, system.implementation) is not None:
+        raise MethodUnavailable("the mpc law plans its input sample by sample")
+    if system.implementation is None:
         return CONTINUOUS[name](problem, threads)
     return SAMPLED[name](problem, threads, adjustable=False)
 
 
 def fastest_adjustable(problem: EnsembleProblem, threads: int) -> SampledMethod:
     """The first method on this machine that can be asked for other implementations."""
+    require_formula(problem.system.law, problem.system.implementation, "search over periods")
     for create in SAMPLED.values():
         try:
             return create(problem, threads, adjustable=True)
