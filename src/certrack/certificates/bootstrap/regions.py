@@ -138,14 +138,28 @@ def next_region(loop: AdaptiveLoop, ranges: Ranges, known: Reached) -> Region:
 
 def failed_region(loop: AdaptiveLoop, ranges: Ranges, known: Reached, region: Region) -> str:
     """Empty if a stage stands on what is known and its ranges hold, else what is wrong."""
+    if reason := failed_shape(loop, region):
+        return reason
     numbers = region.numbers()
-    shapes = (len(numbers.box), len(numbers.middle), len(numbers.slope), len(numbers.regressor))
-    if shapes != (loop.size, loop.r, loop.n, loop.r) or len(numbers.reach) != len(loop.selections):
-        return "a stage does not have the shape of the loop"
     row = numbers.linear_row(loop)
     intervals = [*zip(numbers.box, known.box, strict=True), (numbers.row, known.interval_of(row))]
     if not all(new[0] < old[0] and new[1] > old[1] for new, old in intervals):
         return "a stage's box does not hold what was proven before"
+    return failed_ranges(loop, ranges, region)
+
+
+def failed_shape(loop: AdaptiveLoop, region: Region) -> str:
+    """Empty if a region has as many numbers as the loop needs."""
+    numbers = region.numbers()
+    shapes = (len(numbers.box), len(numbers.middle), len(numbers.slope), len(numbers.regressor))
+    if shapes != (loop.size, loop.r, loop.n, loop.r) or len(numbers.reach) != len(loop.selections):
+        return "a stage does not have the shape of the loop"
+    return ""
+
+
+def failed_ranges(loop: AdaptiveLoop, ranges: Ranges, region: Region) -> str:
+    """Empty if the ranges of a region hold on its box, whatever that stands on."""
+    numbers = region.numbers()
     place, zero = box_of_states(loop, numbers.box), rational(0)
     if any(not v > 0 for v in numbers.reach) or any(
         v < rational_float(w)
