@@ -149,6 +149,7 @@ def functions_on(
     tries: int,
     sweep: Sequence[float],
     groups: int,
+    more: Sequence[np.ndarray] = (),
 ) -> tuple[tuple[FunctionProof, ...], Reached]:
     """Functions that bound the rows on a region, and what is known with them.
 
@@ -167,15 +168,20 @@ def functions_on(
     tries, sweep : as of :func:`best_of_rates`
     groups : int
         So many groups of rows are bounded.
+    more : rows
+        Over the errors; they are bounded, too, each by a function of its own.
     """
     numbers = region.numbers()
     forms = forms_of(loop, numbers, acting)
     of_floats = None if acting is None else acting.astype(float)
     floats = forms_of(loop.in_floats(), numbers.in_floats(), of_floats)
-    rows = rows_of(loop, numbers)
+    own = rows_of(loop, numbers)
+    rows = [*own, *more]
+    wanted = groups_of(loop, len(forms.sectors))[:groups]
+    wanted += [((i, 1), (i, -1)) for i in range(len(own), len(rows))]
     functions: list[FunctionProof] = []
     programs: dict[int, BootstrapProgram] = {}
-    for group in groups_of(loop, len(forms.sectors))[:groups]:
+    for group in wanted:
         if len(group) not in programs:
             programs[len(group)] = BootstrapProgram(floats, len(group))
         rate = rates.setdefault(group, Rate(min(starts[error] for error, _ in group)))
@@ -188,7 +194,7 @@ def functions_on(
             continue
         proof = prove_function(forms, solution, group, rows)
         functions += [] if proof is None else [proof]
-    return tuple(functions), after(known, functions, rows)
+    return tuple(functions), after(known, functions, own)
 
 
 def _gain(known: Reached, row: np.ndarray, side: int, bound: float) -> float:

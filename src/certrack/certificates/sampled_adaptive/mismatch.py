@@ -107,8 +107,27 @@ class Motion:
         self._R, self._nu_x, self._nu_Y = map(_balls, (loop.R, loop.nu_x, loop.nu_Y))
         self._Y = [flint.arb(v) for v in (*loop.Y, held.steepest)]
 
-    def paces(self, region: RegionNumbers) -> Paces:
+    def middle_row(self, region: RegionNumbers) -> np.ndarray:
+        """The part of the rate of ubar that is linear in the errors, in the middle of a box."""
+        wide = _Wide.of(self.loop, region)
+        places = box_of_states(self.loop, region.box).mean(axis=1)
+        part = self._part(wide, [flint.arb(v) for v in places.tolist()])
+        row = [float(v.mid()) for v in _product(part.slopes, self._Xe)]
+        phi = [float(v.mid()) for v in part.phi]
+        pull = row[-1] * float(wide.pull.mid())
+        of_e = np.array(row) @ self.loop.M.astype(float)
+        return np.array([*of_e, *(row[-1] * p for p in phi), -pull])
+
+    def paces(self, region: RegionNumbers, row: np.ndarray, interval: tuple[Any, Any]) -> Paces:
         """All bounds on a box, whose ranges hold.
+
+        Parameters
+        ----------
+        region : RegionNumbers
+        row : (size,) array of rationals
+            Of the errors: the rate of ubar is near to it.
+        interval : pair of rationals
+            In which it is.
 
         Raises
         ------
@@ -120,7 +139,8 @@ class Motion:
         loop, held = self.loop, self.held
         # the rates of the estimates are of the last sample, wherever the state was then
         steps = [_hull([part.estimate_rates[i] for part in parts]) for i in range(loop.r + 1)]
-        moved = [self._moved(wide, part, steps) for part in parts]
+        near = _Near(_balls(row), _between(*interval))
+        moved = [self._moved(wide, part, steps, near) for part in parts]
         laws, through, drives, drives_through = zip(*moved, strict=True)
         found = Paces(
             law=_largest(laws),
@@ -188,16 +208,23 @@ class Motion:
         )
 
     def _moved(
-        self, wide: _Wide, part: _Part, steps: Sequence[Any]
+        self, wide: _Wide, part: _Part, steps: Sequence[Any], near: _Near
     ) -> tuple[Any, Any, list[Any], list[Any]]:
         """Bounds of the rates of u_law, and of phi_i e_n and ubar e_n, without m and through it."""
         n, e_n = self.loop.n, part.e[-1]
-        push = _dot(part.phi, wide.theta_tilde) - wide.pulled
+        errors = [*part.e, *wide.theta_tilde, wide.d]
 
-        def rate(x_row: Sequence[Any], Y_row: Sequence[Any], e_row: Sequence[Any]) -> Any:
+        def rate(
+            x_row: Sequence[Any], Y_row: Sequence[Any], e_row: Sequence[Any], known: bool = False
+        ) -> Any:
             """Of x_row x + Y_row Y + e_row e; and what m adds, each for a unit of g_n m."""
             row = [a + b for a, b in zip(_product(x_row, self._Xe), e_row, strict=True)]
-            total = _dot(_product(row, self._M), part.e) + row[-1] * push
+            linear = [*_product(row, self._M), *(row[-1] * p for p in part.phi)]
+            linear.append(-row[-1] * wide.pull)
+            total = _dot(linear, errors)
+            if known:
+                away = [a - b for a, b in zip(linear, near.row, strict=True)]
+                total = _common(total, near.value + _dot(away, errors))
             for entry, size in zip(_product(row, self._Ua), wide.reach, strict=True):
                 total += _symmetric(abs(entry) * size)
             for entry in _product(row, self._Ub):
@@ -209,9 +236,9 @@ class Motion:
             return total + _dot(by_Y, moving), row[-1]
 
         none, no_Y = [ZERO] * n, [ZERO] * len(part.Y)
-        ubar_rate, ubar_through = rate(part.slopes, self._nu_Y, none)
+        ubar_rate, ubar_through = rate(part.slopes, self._nu_Y, none, known=True)
         ubar_rate -= _dot(part.phi, steps[:-1])
-        u_rate = wide.delta_hat * ubar_rate + steps[-1] * wide.ubar
+        u_rate = wide.delta_hat * ubar_rate + steps[-1] * part.measured_ubar
         u_through = wide.delta_hat * ubar_through * wide.gain
         unit = [*none[:-1], flint.arb(1)]
         e_rate, e_through = rate(none, no_Y, unit)
@@ -220,8 +247,8 @@ class Motion:
             phi_rate, phi_through = rate(row, no_Y, none)
             drives.append(abs(phi_rate * e_n + p * e_rate))
             through.append(abs((phi_through * e_n + p * e_through) * wide.gain))
-        drives.append(abs(ubar_rate * e_n + wide.ubar * e_rate))
-        through.append(abs((ubar_through * e_n + wide.ubar * e_through) * wide.gain))
+        drives.append(abs(ubar_rate * e_n + part.measured_ubar * e_rate))
+        through.append(abs((ubar_through * e_n + part.measured_ubar * e_through) * wide.gain))
         return abs(u_rate), abs(u_through), drives, through
 
 
@@ -234,7 +261,8 @@ class _Wide:
     theta0: list[Any]
     delta_hat: Any
     ubar: Any
-    pulled: Any
+    d: Any
+    pull: Any
     gain: Any
     reach: list[Any]
     gain_sign: Any
@@ -260,7 +288,8 @@ class _Wide:
             theta0=_balls(loop.theta0),
             delta_hat=1 / gain - box[-1] / v,
             ubar=_between(*region.ubar(loop)),
-            pulled=flint.arb(loop.gain_sign) * flint.arb(loop.smallest_gain) * pi * box[-1],
+            d=box[-1],
+            pull=flint.arb(loop.gain_sign) * flint.arb(loop.smallest_gain) * pi,
             gain=gain,
             reach=_balls(region.reach),
             gain_sign=flint.arb(loop.gain_sign),
@@ -268,6 +297,14 @@ class _Wide:
             leak_gain=flint.arb(loop.leak_gain),
             leak_theta=flint.arb(loop.leak_theta),
         )
+
+
+@dataclass(frozen=True)
+class _Near:
+    """A row of the errors, and its value."""
+
+    row: list[Any]
+    value: Any
 
 
 @dataclass(frozen=True)

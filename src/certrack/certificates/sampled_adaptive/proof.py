@@ -43,6 +43,8 @@ class SampledStage:
     Attributes
     ----------
     region : Region
+    pace : pair
+        Of the row of the proof.
     law : str
         Above |u - u_law| on the box.
     estimates : r + 1 texts
@@ -51,6 +53,7 @@ class SampledStage:
     """
 
     region: Region
+    pace: TextPair
     law: str
     estimates: tuple[str, ...]
     functions: tuple[FunctionProof, ...]
@@ -70,6 +73,8 @@ class SampledAdaptiveProof:
         W <= -room where |e_i(0)| is at most this ...
     estimates : r + 1 pairs
         ... and delta_hat(0), theta_hat(0) are within these.
+    row : n + r + 1 texts
+        A row of the errors that the rate of ubar is near to.
     stages : tuple of SampledStage
     """
 
@@ -77,12 +82,18 @@ class SampledAdaptiveProof:
     room: str
     starts: tuple[str, ...]
     estimates: tuple[TextPair, ...]
+    row: tuple[str, ...]
     stages: tuple[SampledStage, ...]
 
     @property
     def bound(self) -> str:
         """The text of the bound on limsup |e_1|."""
         return claimed_bound(self.stages)
+
+    @property
+    def exact_row(self) -> np.ndarray:
+        """The row in exact rationals."""
+        return np.array([from_text(v) for v in self.row], dtype=object)
 
 
 class SampledLoop:
@@ -269,7 +280,13 @@ def failed_kept(sampled: SampledLoop, proof: SampledAdaptiveProof) -> tuple[str,
         return "the row of the kept set is not that of its box", None
     if reason := failed_ranges(loop, sampled.ranges, stage.region):
         return reason, None
-    paces = sampled.motion.paces(numbers)
+    if len(proof.row) != loop.size:
+        return "the row of the rate of ubar does not have the shape of the loop", None
+    pace, row = _pair_of(stage.pace), proof.exact_row
+    low, high = interval_of(row, numbers.box)
+    if not (pace[0] <= low and high <= pace[1]):
+        return "the pace of the kept set is not that of its box", None
+    paces = sampled.motion.paces(numbers, row, pace)
     if reason := failed_mismatch(sampled, stage, paces) or failed_limits(sampled.held, paces):
         return reason, None
     if len(stage.functions) != 1:
@@ -289,6 +306,24 @@ def failed_kept(sampled: SampledLoop, proof: SampledAdaptiveProof) -> tuple[str,
     if reason := _failed_starts(sampled, proof, forms):
         return reason, None
     return "", after(Reached(numbers.box), stage.functions, rows_of(loop, numbers))
+
+
+def _pair_of(texts: TextPair) -> tuple[Any, Any]:
+    return from_text(texts[0]), from_text(texts[1])
+
+
+def pace_after(
+    pace: tuple[Any, Any], row: np.ndarray, known: Reached, functions: Sequence[FunctionProof]
+) -> tuple[Any, Any]:
+    """What is known of a row besides the errors, the last that a stage may bound."""
+    low, high = known.interval_of(row)
+    low, high = max(low, pace[0]), min(high, pace[1])
+    for function in functions:
+        for claim in function.claims:
+            if claim.error == len(row) + 1:
+                bound = from_text(claim.bound)
+                low, high = (low, min(high, bound)) if claim.side > 0 else (max(low, -bound), high)
+    return low, high
 
 
 def _failed_starts(sampled: SampledLoop, proof: SampledAdaptiveProof, forms: Forms) -> str:
@@ -316,18 +351,23 @@ def failed_sampled_adaptive(system: System, proof: SampledAdaptiveProof) -> str:
             reason, known = failed_kept(sampled, proof)
             if known is None:
                 return reason
+            row = proof.exact_row
+            pace = pace_after(_pair_of(proof.kept.pace), row, known, ())
             for stage in proof.stages:
                 if reason := failed_region(sampled.loop, sampled.ranges, known, stage.region):
                     return reason
-                numbers = stage.region.numbers()
-                paces = sampled.motion.paces(numbers)
+                numbers, stated = stage.region.numbers(), _pair_of(stage.pace)
+                if not (stated[0] < pace[0] and pace[1] < stated[1]):
+                    return "a stage's pace does not hold what was proven before"
+                paces = sampled.motion.paces(numbers, row, stated)
                 if reason := failed_mismatch(sampled, stage, paces):
                     return reason
                 forms, rows = _forms(sampled, stage), rows_of(sampled.loop, numbers)
                 for function in stage.functions:
-                    if reason := failed_part(forms, function, rows[: len(forms.sectors)]):
+                    if reason := failed_part(forms, function, [*rows, row]):
                         return reason
                 known = after(known, stage.functions, rows)
+                pace = pace_after(pace, row, known, stage.functions)
             claimed_bound(proof.stages)
     except NoCertificate as refusal:
         return str(refusal)

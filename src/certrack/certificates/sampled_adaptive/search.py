@@ -17,12 +17,14 @@ from certrack.certificates.bootstrap.program import BootstrapProgram, Minimiser
 from certrack.certificates.bootstrap.proof import FunctionProof, prove_function, row_over_box
 from certrack.certificates.bootstrap.rates import Rate
 from certrack.certificates.bootstrap.regions import (
+    FREE_DIGITS,
+    WIDER,
     Reached,
-    after,
     first_box,
     next_region,
     rational_float,
     rows_of,
+    wider_texts,
 )
 from certrack.certificates.bootstrap.search import (
     FIRST_TRIES,
@@ -48,6 +50,7 @@ from certrack.certificates.sampled_adaptive.proof import (
     image,
     in_kept_set,
     least_room,
+    pace_after,
 )
 from certrack.core.progress import Progress, silent
 
@@ -96,13 +99,18 @@ def prove_sampled_adaptive(
     if known is None:
         raise NoCertificate(reason)
     rates: dict[Group, Rate] = {}
-    starts = starting_rates(loop, float(from_text(first.alpha)))
+    slow = float(from_text(first.alpha))
+    starts = [*starting_rates(loop, slow), slow]
     stages: list[SampledStage] = []
+    row = begin.exact_row
+    pace = pace_after(known.interval_of(row), row, known, ())
     sweep, stalled = sweep_of(loop, first), False
     for count in range(MOST_STAGES):
         tries = LATER_TRIES if count else FIRST_TRIES
         region = next_region(loop, sampled.ranges, known)
-        law, estimates = _stated(sampled, sampled.motion.paces(region.numbers()))
+        stated = wider_texts(*pace, WIDER)
+        exact = from_text(stated[0]), from_text(stated[1])
+        law, estimates = _stated(sampled, sampled.motion.paces(region.numbers(), row, exact))
         acting = sampled.acting(from_text(law), [from_text(v) for v in estimates])
         functions, later = functions_on(
             loop,
@@ -114,11 +122,12 @@ def prove_sampled_adaptive(
             tries,
             sweep if stalled else (),
             1 if stalled else MOST_GROUPS,
+            () if stalled else (row,),
         )
         gain = shrunk(known, later)
         if functions:
-            stages.append(SampledStage(region, law, estimates, functions))
-            known = later
+            stages.append(SampledStage(region, stated, law, estimates, functions))
+            known, pace = later, pace_after(pace, row, later, functions)
             progress(0, None, max(map(abs, known.box[0].astype(float))))
         if stalled and gain < WORTH_A_STAGE:
             break
@@ -170,7 +179,9 @@ def _kept_on(
     loop, nothing = sampled.loop, "no set of starts is kept by the sampled loop"
     region = _of_box(sampled, box)
     numbers = region.numbers()
-    paces = sampled.motion.paces(numbers)
+    row = tuple(f"{v:.{FREE_DIGITS}g}" for v in sampled.motion.middle_row(numbers))
+    texts, exact = _pace_of_box(row, numbers.box)
+    paces = sampled.motion.paces(numbers, np.array([from_text(v) for v in row]), exact)
     law, estimates = _stated(sampled, paces)
     acting = sampled.acting(from_text(law), [from_text(v) for v in estimates])
     floats = forms_of(loop.in_floats(), numbers.in_floats(), acting.astype(float))
@@ -194,11 +205,11 @@ def _kept_on(
     function = prove_function(forms, _widest(best, wanted, floats.middle, floats.radius), wanted, rows)
     if function is None:
         return None, None, nothing
-    stage = SampledStage(region, law, estimates, (function,))
+    stage = SampledStage(region, texts, law, estimates, (function,))
     room = least_room(sampled, forms, function, paces)
     if room is None:
         return None, None, "the period is too long for the delay"
-    proof = SampledAdaptiveProof(stage, _above(room), (), (), ())
+    proof = SampledAdaptiveProof(stage, _above(room), (), (), row, ())
     starts = _starts(sampled, forms, proof)
     if starts is None:
         return None, None, "the priors of the estimates are too far from what they are of"
@@ -211,9 +222,15 @@ def _of_box(sampled: SampledLoop, box: np.ndarray) -> Region:
     region = next_region(sampled.loop, sampled.ranges, Reached(box))
     numbers = region.numbers()
     low, high = interval_of(numbers.linear_row(sampled.loop), numbers.box)
-    more = (high - low) * rational("1e-9")
-    row = decimal_text(float_down(low - more)), decimal_text(float_up(high + more))
-    return replace(region, row=row)
+    return replace(region, row=wider_texts(low, high, WIDER))
+
+
+def _pace_of_box(
+    row: tuple[str, ...], box: np.ndarray
+) -> tuple[TextPair, tuple[Any, Any]]:
+    """The interval of a row on a box: its texts, and what they say."""
+    texts = wider_texts(*interval_of(np.array([from_text(v) for v in row]), box), WIDER)
+    return texts, (from_text(texts[0]), from_text(texts[1]))
 
 
 def _ends(solution: Minimiser) -> np.ndarray:
