@@ -169,7 +169,7 @@ def functions_on(
     groups : int
         So many groups of rows are bounded.
     more : rows
-        Over the errors; they are bounded, too, each by a function of its own.
+        Over the errors; they are bounded, too, each side by a function of its own.
     """
     numbers = region.numbers()
     forms = forms_of(loop, numbers, acting)
@@ -178,7 +178,7 @@ def functions_on(
     own = rows_of(loop, numbers)
     rows = [*own, *more]
     wanted = groups_of(loop, len(forms.sectors))[:groups]
-    wanted += [((i, 1), (i, -1)) for i in range(len(own), len(rows))]
+    wanted += [((i, side),) for i in range(len(own), len(rows)) for side in (1, -1)]
     functions: list[FunctionProof] = []
     programs: dict[int, BootstrapProgram] = {}
     for group in wanted:

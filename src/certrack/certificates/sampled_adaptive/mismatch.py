@@ -34,7 +34,7 @@ from certrack.certificates.sampled_adaptive.held import HeldLaw
 from certrack.core.kinks import JUMPING
 
 #: Parts of a box at most.
-MOST_CELLS = 256
+MOST_CELLS = 1000
 
 ZERO = flint.arb(0)
 

@@ -99,8 +99,8 @@ def prove_sampled_adaptive(
     if known is None:
         raise NoCertificate(reason)
     rates: dict[Group, Rate] = {}
-    slow = float(from_text(first.alpha))
-    starts = [*starting_rates(loop, slow), slow]
+    starts = starting_rates(loop, float(from_text(first.alpha)))
+    starts.append(max(starts))  # that of the row
     stages: list[SampledStage] = []
     row = begin.exact_row
     pace = pace_after(known.interval_of(row), row, known, ())
