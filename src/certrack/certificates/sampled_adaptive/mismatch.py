@@ -70,6 +70,20 @@ class Paces:
     estimates: list[Any]
 
 
+@dataclass(frozen=True)
+class Near:
+    """A row of the errors e, theta_tilde, d that u_law' is near to, and the interval of it.
+
+    Attributes
+    ----------
+    row : (size,) array of rationals
+    interval : pair of rationals
+    """
+
+    row: np.ndarray
+    interval: tuple[Any, Any]
+
+
 class Motion:
     """The rates of a loop on boxes.
 
@@ -108,26 +122,22 @@ class Motion:
         self._Y = [flint.arb(v) for v in (*loop.Y, held.steepest)]
 
     def middle_row(self, region: RegionNumbers) -> np.ndarray:
-        """The part of the rate of ubar that is linear in the errors, in the middle of a box."""
+        """The part of u_law' that is linear in the errors, in the middle of a box."""
         wide = _Wide.of(self.loop, region)
         places = box_of_states(self.loop, region.box).mean(axis=1)
         part = self._part(wide, [flint.arb(v) for v in places.tolist()])
-        row = [float(v.mid()) for v in _product(part.slopes, self._Xe)]
-        phi = [float(v.mid()) for v in part.phi]
-        pull = row[-1] * float(wide.pull.mid())
-        of_e = np.array(row) @ self.loop.M.astype(float)
-        return np.array([*of_e, *(row[-1] * p for p in phi), -pull])
+        linear = self._linear(wide, part, _product(part.slopes, self._Xe))
+        return np.array([float(v.mid()) for v in self._of_law(wide, part, linear)])
 
-    def paces(self, region: RegionNumbers, row: np.ndarray, interval: tuple[Any, Any]) -> Paces:
+    def paces(self, region: RegionNumbers, near: Near | None = None) -> Paces:
         """All bounds on a box, whose ranges hold.
 
         Parameters
         ----------
         region : RegionNumbers
-        row : (size,) array of rationals
-            Of the errors: the rate of ubar is near to it.
-        interval : pair of rationals
-            In which it is.
+        near : Near, optional
+            Then the box is that of the long run, and the estimates move as the continuous law says
+            but for what the steps add. Otherwise their rates are only known to be of some sample.
 
         Raises
         ------
@@ -136,11 +146,21 @@ class Motion:
         """
         wide = _Wide.of(self.loop, region)
         parts = [self._part(wide, cell) for cell in _cells(box_of_states(self.loop, region.box))]
-        loop, held = self.loop, self.held
-        # the rates of the estimates are of the last sample, wherever the state was then
-        steps = [_hull([part.estimate_rates[i] for part in parts]) for i in range(loop.r + 1)]
-        near = _Near(_balls(row), _between(*interval))
-        moved = [self._moved(wide, part, steps, near) for part in parts]
+        steps = [_hull([part.estimate_rates[i] for part in parts]) for i in range(self.loop.r + 1)]
+        found = self._over_all(wide, parts, [self._moved(wide, part, steps) for part in parts])
+        if near is None:
+            return found
+        law = least_law(self.held, found)
+        added = [_symmetric(v) for v in image(self.loop, self.held, found, law)[1]]
+        moved = []
+        for part in parts:
+            rates = [rate + more for rate, more in zip(part.estimate_rates, added, strict=True)]
+            moved.append(self._moved(wide, part, rates, near, added[-1]))
+        return self._over_all(wide, parts, moved)
+
+    def _over_all(self, wide: _Wide, parts: list[_Part], moved: list[Any]) -> Paces:
+        """The bounds of all parts together."""
+        count = self.loop.r + 1
         laws, through, drives, drives_through = zip(*moved, strict=True)
         found = Paces(
             law=_largest(laws),
@@ -148,12 +168,10 @@ class Motion:
             drives=[_largest(entries) for entries in zip(*drives, strict=True)],
             drives_through=[_largest(entries) for entries in zip(*drives_through, strict=True)],
             noise=_largest([part.noise for part in parts]),
-            drive_noise=[
-                _largest([part.drive_noise[i] for part in parts]) for i in range(loop.r + 1)
-            ],
-            steps=[abs(ball) for ball in steps],
+            drive_noise=[_largest([part.drive_noise[i] for part in parts]) for i in range(count)],
+            steps=[_largest([part.estimate_rates[i] for part in parts]) for i in range(count)],
             input=_hull([wide.delta_hat * part.measured_ubar for part in parts])
-            + _symmetric(flint.arb(held.eta)),
+            + _symmetric(flint.arb(self.held.eta)),
             estimates=[wide.delta_hat, *wide.theta_hat],
         )
         numbers = [found.law, found.law_through, *found.drives, *found.drives_through]
@@ -161,6 +179,17 @@ class Motion:
         if not all(ball.is_finite() for ball in numbers):
             raise NoCertificate("the rates of the loop have no bounds on the set")
         return found
+
+    def _linear(self, wide: _Wide, part: _Part, row: Sequence[Any]) -> list[Any]:
+        """What of row e' is linear in the errors e, theta_tilde, d."""
+        return [*_product(row, self._M), *(row[-1] * p for p in part.phi), -row[-1] * wide.pull]
+
+    def _of_law(self, wide: _Wide, part: _Part, linear: Sequence[Any]) -> list[Any]:
+        """What of u_law' is linear in the errors, where `linear` is of ubar'."""
+        row, n, ubar = [wide.delta_hat * v for v in linear], self.loop.n, part.measured_ubar
+        row[n - 1] -= wide.gain_rate * wide.gain_sign * ubar * ubar
+        row[-1] += wide.gain_rate * wide.leak_gain * ubar / wide.v
+        return row
 
     def _part(self, wide: _Wide, cell: list[Any]) -> _Part:
         """What is known where (e, y_d ... y_d^(q)) is in a cell."""
@@ -193,7 +222,7 @@ class Motion:
         rates = [_dot(_balls(row), drive) for row in loop.Gamma]
         of_delta = wide.gain_sign * measured * e_seen
         of_delta = -wide.gain_rate * (
-            of_delta + wide.leak_gain * (wide.delta_hat - flint.arb(loop.delta0))
+            of_delta + wide.leak_gain * (wide.delta_hat - wide.delta0)
         )
         return _Part(
             e=e,
@@ -208,48 +237,58 @@ class Motion:
         )
 
     def _moved(
-        self, wide: _Wide, part: _Part, steps: Sequence[Any], near: _Near
+        self,
+        wide: _Wide,
+        part: _Part,
+        steps: Sequence[Any],
+        near: Near | None = None,
+        added: Any = None,
     ) -> tuple[Any, Any, list[Any], list[Any]]:
-        """Bounds of the rates of u_law, and of phi_i e_n and ubar e_n, without m and through it."""
-        n, e_n = self.loop.n, part.e[-1]
+        """Bounds of the rates of u_law, and of phi_i e_n and ubar e_n, without m and through it.
+
+        `steps` are the rates of the estimates: with `near`, those of this part, and what the steps
+        add to that of delta_hat is `added`.
+        """
+        n, e_n, ubar = self.loop.n, part.e[-1], part.measured_ubar
         errors = [*part.e, *wide.theta_tilde, wide.d]
 
-        def rate(
-            x_row: Sequence[Any], Y_row: Sequence[Any], e_row: Sequence[Any], known: bool = False
-        ) -> Any:
-            """Of x_row x + Y_row Y + e_row e; and what m adds, each for a unit of g_n m."""
-            row = [a + b for a, b in zip(_product(x_row, self._Xe), e_row, strict=True)]
-            linear = [*_product(row, self._M), *(row[-1] * p for p in part.phi)]
-            linear.append(-row[-1] * wide.pull)
-            total = _dot(linear, errors)
-            if known:
-                away = [a - b for a, b in zip(linear, near.row, strict=True)]
-                total = _common(total, near.value + _dot(away, errors))
+        def acting(x_row: Sequence[Any], Y_row: Sequence[Any], row: Sequence[Any]) -> Any:
+            """What inputs and the reference add to the rate of x_row x + Y_row Y + ..."""
+            total = ZERO
             for entry, size in zip(_product(row, self._Ua), wide.reach, strict=True):
-                total += _symmetric(abs(entry) * size)
+                total += _symmetric(entry * size)
             for entry in _product(row, self._Ub):
-                total += _symmetric(abs(entry))
+                total += _symmetric(entry)
             by_Y = [a + b for a, b in zip(_product(x_row, self._AB), Y_row, strict=False)]
             by_Y += list(Y_row[len(by_Y) :])
             by_Y[len(part.Y) - 2] = by_Y[len(part.Y) - 2] - _dot(row, self._R)
-            moving = [*part.Y[1:], _symmetric(self._Y[-1])]
-            return total + _dot(by_Y, moving), row[-1]
+            return total + _dot(by_Y, [*part.Y[1:], _symmetric(self._Y[-1])])
 
         none, no_Y = [ZERO] * n, [ZERO] * len(part.Y)
-        ubar_rate, ubar_through = rate(part.slopes, self._nu_Y, none, known=True)
-        ubar_rate -= _dot(part.phi, steps[:-1])
-        u_rate = wide.delta_hat * ubar_rate + steps[-1] * part.measured_ubar
-        u_through = wide.delta_hat * ubar_through * wide.gain
-        unit = [*none[:-1], flint.arb(1)]
-        e_rate, e_through = rate(none, no_Y, unit)
+        row = _product(part.slopes, self._Xe)
+        linear = self._linear(wide, part, row)
+        rest = acting(part.slopes, self._nu_Y, row) - _dot(part.phi, steps[:-1])
+        ubar_rate = _dot(linear, errors) + rest
+        u_rate = wide.delta_hat * ubar_rate + steps[-1] * ubar
+        if near is not None:
+            of_law = self._of_law(wide, part, linear)
+            away = [a - flint.arb(b) for a, b in zip(of_law, near.row, strict=True)]
+            leak = wide.gain_rate * wide.leak_gain * (1 / wide.gain - wide.delta0)
+            other = _between(*near.interval) + _dot(away, errors)
+            other += wide.delta_hat * rest + ubar * (added - leak)
+            u_rate = _common(u_rate, other)
+        e_row = [*none[:-1], flint.arb(1)]
+        e_rate = _dot(self._linear(wide, part, e_row), errors) + acting(none, no_Y, e_row)
         drives, through = [], []
-        for p, row in zip(part.phi, part.phi_slopes, strict=True):
-            phi_rate, phi_through = rate(row, no_Y, none)
+        for p, slopes in zip(part.phi, part.phi_slopes, strict=True):
+            phi_row = _product(slopes, self._Xe)
+            phi_rate = _dot(self._linear(wide, part, phi_row), errors)
+            phi_rate += acting(slopes, no_Y, phi_row)
             drives.append(abs(phi_rate * e_n + p * e_rate))
-            through.append(abs((phi_through * e_n + p * e_through) * wide.gain))
-        drives.append(abs(ubar_rate * e_n + part.measured_ubar * e_rate))
-        through.append(abs((ubar_through * e_n + part.measured_ubar * e_through) * wide.gain))
-        return abs(u_rate), abs(u_through), drives, through
+            through.append(abs((phi_row[-1] * e_n + p) * wide.gain))
+        drives.append(abs(ubar_rate * e_n + ubar * e_rate))
+        through.append(abs((row[-1] * e_n + ubar) * wide.gain))
+        return abs(u_rate), abs(wide.delta_hat * row[-1] * wide.gain), drives, through
 
 
 @dataclass(frozen=True)
@@ -264,6 +303,8 @@ class _Wide:
     d: Any
     pull: Any
     gain: Any
+    v: Any
+    delta0: Any
     reach: list[Any]
     gain_sign: Any
     gain_rate: Any
@@ -291,20 +332,14 @@ class _Wide:
             d=box[-1],
             pull=flint.arb(loop.gain_sign) * flint.arb(loop.smallest_gain) * pi,
             gain=gain,
+            v=v,
+            delta0=flint.arb(loop.delta0),
             reach=_balls(region.reach),
             gain_sign=flint.arb(loop.gain_sign),
             gain_rate=flint.arb(loop.gain_rate),
             leak_gain=flint.arb(loop.leak_gain),
             leak_theta=flint.arb(loop.leak_theta),
         )
-
-
-@dataclass(frozen=True)
-class _Near:
-    """A row of the errors, and its value."""
-
-    row: list[Any]
-    value: Any
 
 
 @dataclass(frozen=True)
@@ -320,6 +355,45 @@ class _Part:
     noise: Any
     drive_noise: list[Any]
     estimate_rates: list[Any]
+
+
+def least_law(held: HeldLaw, paces: Paces) -> Any:
+    """The fixed point of :func:`image`: a bound of |m| in the long run.
+
+    Raises
+    ------
+    NoCertificate
+        If there is none.
+    """
+    rest = 1 - flint.arb(held.reach) * paces.law_through
+    if not bool(rest > 0):
+        raise NoCertificate("the period is too long: the input moves faster than it is sampled")
+    fixed = flint.arb(held.reach) * paces.law + paces.noise + flint.arb(held.eta)
+    return (fixed / rest).abs_upper()
+
+
+def image(loop: AdaptiveLoop, held: HeldLaw, paces: Paces, law: Any) -> tuple[Any, list[Any]]:
+    """Bounds of m, and of what the steps add to the rates of the estimates, where |m| <= law."""
+    T, m = flint.arb(held.T), flint.arb(law)
+    of_law = flint.arb(held.reach) * (paces.law + paces.law_through * m)
+    of_law += paces.noise + flint.arb(held.eta)
+    drives = [
+        T * (rest + through * m) + noise
+        for rest, through, noise in zip(
+            paces.drives, paces.drives_through, paces.drive_noise, strict=True
+        )
+    ]
+    if not held.exact_leak:  # Euler's leak is that of the sample
+        leaks = [*(loop.leak_theta for _ in range(loop.r)), loop.leak_gain]
+        drives = [
+            drive + T * flint.arb(leak) * step
+            for drive, leak, step in zip(drives, leaks, paces.steps, strict=True)
+        ]
+    thetas = [
+        sum((flint.arb(abs(v)) * d for v, d in zip(row, drives[:-1], strict=True)), flint.arb(0))
+        for row in loop.Gamma
+    ]
+    return of_law, [*thetas, flint.arb(loop.gain_rate) * drives[-1]]
 
 
 def _cells(box: np.ndarray) -> Iterator[list[Any]]:

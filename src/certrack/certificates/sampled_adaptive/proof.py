@@ -29,7 +29,7 @@ from certrack.certificates.certificate import NoCertificate, within_floats
 from certrack.certificates.exact import float_down, float_up, from_text
 from certrack.certificates.formulation import error_problem
 from certrack.certificates.sampled_adaptive.held import HeldLaw, held_law
-from certrack.certificates.sampled_adaptive.mismatch import Motion, Paces
+from certrack.certificates.sampled_adaptive.mismatch import Motion, Near, Paces, image
 from certrack.systems.system import System
 
 #: Corners of the box of starts are looked at one by one.
@@ -60,28 +60,45 @@ class SampledStage:
 
 
 @dataclass(frozen=True)
+class KeptSet:
+    """A set {W <= 0} within a box that no run leaves.
+
+    Attributes
+    ----------
+    region : Region
+    law, estimates : as of :class:`SampledStage`
+    function : FunctionProof
+        W, and bounds of all errors that are within the box.
+    room : str
+        What W may rise by until the first sample has acted.
+    starts : n texts
+        W <= -room where |e_i(0)| is at most this ...
+    priors : r + 1 pairs
+        ... and delta_hat(0), theta_hat(0) are within these.
+    """
+
+    region: Region
+    law: str
+    estimates: tuple[str, ...]
+    function: FunctionProof
+    room: str
+    starts: tuple[str, ...]
+    priors: tuple[TextPair, ...]
+
+
+@dataclass(frozen=True)
 class SampledAdaptiveProof:
     """A set that is kept from the start on, and the stages on what is reached from it.
 
     Attributes
     ----------
-    kept : SampledStage
-        With one function W: {W <= 0} is in the box.
-    room : str
-        What W may rise by until the first sample has acted.
-    starts : n texts
-        W <= -room where |e_i(0)| is at most this ...
-    estimates : r + 1 pairs
-        ... and delta_hat(0), theta_hat(0) are within these.
+    kept : KeptSet
     row : n + r + 1 texts
-        A row of the errors that the rate of ubar is near to.
+        A row of the errors that u_law' is near to.
     stages : tuple of SampledStage
     """
 
-    kept: SampledStage
-    room: str
-    starts: tuple[str, ...]
-    estimates: tuple[TextPair, ...]
+    kept: KeptSet
     row: tuple[str, ...]
     stages: tuple[SampledStage, ...]
 
@@ -134,31 +151,7 @@ class SampledLoop:
         return np.array([*values, self.loop.largest_scale * delta], dtype=object)
 
 
-def image(loop: AdaptiveLoop, held: HeldLaw, paces: Paces, law: Any) -> tuple[Any, list[Any]]:
-    """Bounds of m, and of what the steps add to the rates of the estimates, where |m| <= law."""
-    T, m = flint.arb(held.T), flint.arb(law)
-    of_law = flint.arb(held.reach) * (paces.law + paces.law_through * m)
-    of_law += paces.noise + flint.arb(held.eta)
-    drives = [
-        T * (rest + through * m) + noise
-        for rest, through, noise in zip(
-            paces.drives, paces.drives_through, paces.drive_noise, strict=True
-        )
-    ]
-    if not held.exact_leak:  # Euler's leak is that of the sample
-        leaks = [*(loop.leak_theta for _ in range(loop.r)), loop.leak_gain]
-        drives = [
-            drive + T * flint.arb(leak) * step
-            for drive, leak, step in zip(drives, leaks, paces.steps, strict=True)
-        ]
-    thetas = [
-        sum((flint.arb(abs(v)) * d for v, d in zip(row, drives[:-1], strict=True)), flint.arb(0))
-        for row in loop.Gamma
-    ]
-    return of_law, [*thetas, flint.arb(loop.gain_rate) * drives[-1]]
-
-
-def failed_mismatch(sampled: SampledLoop, stage: SampledStage, paces: Paces) -> str:
+def failed_mismatch(sampled: SampledLoop, stage: SampledStage | KeptSet, paces: Paces) -> str:
     """Empty if what a stage says that sampling adds is above what it adds, else what fails."""
     law, estimates = from_text(stage.law), [from_text(v) for v in stage.estimates]
     if len(estimates) != sampled.loop.r + 1:
@@ -205,13 +198,12 @@ def least_room(sampled: SampledLoop, forms: Forms, proof: FunctionProof, paces: 
     return rise * total
 
 
-def in_kept_set(sampled: SampledLoop, forms: Forms, proof: SampledAdaptiveProof) -> bool:
+def in_kept_set(sampled: SampledLoop, forms: Forms, kept: KeptSet) -> bool:
     """Whether W <= -room at all starts, for all g_n and theta: W is convex."""
     loop = sampled.loop
-    (function,) = proof.kept.functions
-    G, most = function.unknowns().G, -from_text(proof.room)
-    errors = [from_text(v) for v in proof.starts]
-    of_delta, *of_thetas = ((from_text(low), from_text(high)) for low, high in proof.estimates)
+    G, most = kept.function.unknowns().G, -from_text(kept.room)
+    errors = [from_text(v) for v in kept.starts]
+    of_delta, *of_thetas = map(_pair_of, kept.priors)
     ends = [(-v, v) for v in errors]
     ends += [
         (m - size - high, m + size - low)
@@ -267,45 +259,37 @@ def _is_within(ball: Any, low: Any, high: Any) -> bool:
     return bool(low <= first and last <= high)
 
 
-def failed_kept(sampled: SampledLoop, proof: SampledAdaptiveProof) -> tuple[str, Reached | None]:
+def failed_kept(sampled: SampledLoop, kept: KeptSet) -> tuple[str, Reached | None]:
     """What fails of the set that is kept, or what is known in it."""
-    stage, loop = proof.kept, sampled.loop
-    if reason := failed_shape(loop, stage.region):
+    loop = sampled.loop
+    if reason := failed_shape(loop, kept.region):
         return reason, None
-    numbers = stage.region.numbers()
+    numbers = kept.region.numbers()
     if not all(low < high for low, high in numbers.box):
         return "the box of the kept set is empty", None
     low, high = interval_of(numbers.linear_row(loop), numbers.box)
     if not (numbers.row[0] <= low and high <= numbers.row[1]):
         return "the row of the kept set is not that of its box", None
-    if reason := failed_ranges(loop, sampled.ranges, stage.region):
+    if reason := failed_ranges(loop, sampled.ranges, kept.region):
         return reason, None
-    if len(proof.row) != loop.size:
-        return "the row of the rate of ubar does not have the shape of the loop", None
-    pace, row = _pair_of(stage.pace), proof.exact_row
-    low, high = interval_of(row, numbers.box)
-    if not (pace[0] <= low and high <= pace[1]):
-        return "the pace of the kept set is not that of its box", None
-    paces = sampled.motion.paces(numbers, row, pace)
-    if reason := failed_mismatch(sampled, stage, paces) or failed_limits(sampled.held, paces):
+    paces = sampled.motion.paces(numbers)
+    if reason := failed_mismatch(sampled, kept, paces) or failed_limits(sampled.held, paces):
         return reason, None
-    if len(stage.functions) != 1:
-        return "the kept set has not one function", None
-    (function,) = stage.functions
-    forms, rows = _forms(sampled, stage), rows_of(loop, numbers)[: loop.size]
-    if reason := failed_part(forms, function, rows):
+    forms, rows = sampled_forms(sampled, kept), rows_of(loop, numbers)
+    if reason := failed_part(forms, kept.function, rows[: loop.size]):
         return reason, None
+    claims = kept.function.claims
     for error, side in product(range(loop.size), (1, -1)):
         end = numbers.box[error][1] if side > 0 else -numbers.box[error][0]
-        claims = [c for c in function.claims if c.error == error and c.side == side]
-        if not any(from_text(claim.bound) < end for claim in claims):
+        bounds = [from_text(c.bound) for c in claims if (c.error, c.side) == (error, side)]
+        if not any(bound < end for bound in bounds):
             return "the kept set is not inside its box", None
-    room = least_room(sampled, forms, function, paces)
-    if room is None or not bool(room <= flint.arb(from_text(proof.room))):
+    room = least_room(sampled, forms, kept.function, paces)
+    if room is None or not bool(room <= flint.arb(from_text(kept.room))):
         return "the first input may push the loop out of the kept set", None
-    if reason := _failed_starts(sampled, proof, forms):
+    if reason := _failed_starts(sampled, kept, forms):
         return reason, None
-    return "", after(Reached(numbers.box), stage.functions, rows_of(loop, numbers))
+    return "", after(Reached(numbers.box), (kept.function,), rows)
 
 
 def _pair_of(texts: TextPair) -> tuple[Any, Any]:
@@ -326,19 +310,19 @@ def pace_after(
     return low, high
 
 
-def _failed_starts(sampled: SampledLoop, proof: SampledAdaptiveProof, forms: Forms) -> str:
+def _failed_starts(sampled: SampledLoop, kept: KeptSet, forms: Forms) -> str:
     loop = sampled.loop
-    if len(proof.starts) != loop.n or any(from_text(v) < 0 for v in proof.starts):
+    if len(kept.starts) != loop.n or any(from_text(v) < 0 for v in kept.starts):
         return "there is not one start for each error"
-    pairs = [(from_text(low), from_text(high)) for low, high in proof.estimates]
+    pairs = [_pair_of(texts) for texts in kept.priors]
     if len(pairs) != loop.r + 1 or any(low > high for low, high in pairs):
         return "there is not one interval for the start of each estimate"
-    if from_text(proof.room) < 0 or not in_kept_set(sampled, forms, proof):
+    if from_text(kept.room) < 0 or not in_kept_set(sampled, forms, kept):
         return "a start is not in the kept set"
     return ""
 
 
-def _forms(sampled: SampledLoop, stage: SampledStage) -> Forms:
+def sampled_forms(sampled: SampledLoop, stage: SampledStage | KeptSet) -> Forms:
     acting = sampled.acting(from_text(stage.law), [from_text(v) for v in stage.estimates])
     return forms_of(sampled.loop, stage.region.numbers(), acting)
 
@@ -348,21 +332,23 @@ def failed_sampled_adaptive(system: System, proof: SampledAdaptiveProof) -> str:
     try:
         with within_floats():
             sampled = SampledLoop(system)
-            reason, known = failed_kept(sampled, proof)
+            reason, known = failed_kept(sampled, proof.kept)
             if known is None:
                 return reason
             row = proof.exact_row
-            pace = pace_after(_pair_of(proof.kept.pace), row, known, ())
+            if len(row) != sampled.loop.size:
+                return "the row of the law's rate does not have the shape of the loop"
+            pace = known.interval_of(row)
             for stage in proof.stages:
                 if reason := failed_region(sampled.loop, sampled.ranges, known, stage.region):
                     return reason
                 numbers, stated = stage.region.numbers(), _pair_of(stage.pace)
                 if not (stated[0] < pace[0] and pace[1] < stated[1]):
                     return "a stage's pace does not hold what was proven before"
-                paces = sampled.motion.paces(numbers, row, stated)
+                paces = sampled.motion.paces(numbers, Near(row, stated))
                 if reason := failed_mismatch(sampled, stage, paces):
                     return reason
-                forms, rows = _forms(sampled, stage), rows_of(sampled.loop, numbers)
+                forms, rows = sampled_forms(sampled, stage), rows_of(sampled.loop, numbers)
                 for function in stage.functions:
                     if reason := failed_part(forms, function, [*rows, row]):
                         return reason

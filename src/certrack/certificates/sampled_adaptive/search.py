@@ -40,14 +40,14 @@ from certrack.certificates.bootstrap.search import (
 from certrack.certificates.bootstrap.polynomial_stages import shrunk
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, decimal_text, float_down, float_up, from_text
-from certrack.certificates.sampled_adaptive.mismatch import Paces
+from certrack.certificates.sampled_adaptive.mismatch import Near, Paces, image, least_law
 from certrack.certificates.sampled_adaptive.proof import (
+    KeptSet,
     SampledAdaptiveProof,
     SampledLoop,
     SampledStage,
     failed_kept,
     failed_limits,
-    image,
     in_kept_set,
     least_room,
     pace_after,
@@ -94,23 +94,25 @@ def prove_sampled_adaptive(
         If there is none.
     """
     loop = sampled.loop
-    begin = _kept(sampled, first)
-    reason, known = failed_kept(sampled, begin)
+    kept = _kept(sampled, first)
+    reason, known = failed_kept(sampled, kept)
     if known is None:
         raise NoCertificate(reason)
+    middle = sampled.motion.middle_row(kept.region.numbers())
+    texts = tuple(f"{v:.{FREE_DIGITS}g}" for v in middle)
+    row = np.array([from_text(v) for v in texts])
+    pace = known.interval_of(row)
     rates: dict[Group, Rate] = {}
     starts = starting_rates(loop, float(from_text(first.alpha)))
     starts.append(max(starts))  # that of the row
     stages: list[SampledStage] = []
-    row = begin.exact_row
-    pace = pace_after(known.interval_of(row), row, known, ())
     sweep, stalled = sweep_of(loop, first), False
     for count in range(MOST_STAGES):
         tries = LATER_TRIES if count else FIRST_TRIES
         region = next_region(loop, sampled.ranges, known)
         stated = wider_texts(*pace, WIDER)
         exact = from_text(stated[0]), from_text(stated[1])
-        law, estimates = _stated(sampled, sampled.motion.paces(region.numbers(), row, exact))
+        law, estimates = _stated(sampled, sampled.motion.paces(region.numbers(), Near(row, exact)))
         acting = sampled.acting(from_text(law), [from_text(v) for v in estimates])
         functions, later = functions_on(
             loop,
@@ -132,16 +134,12 @@ def prove_sampled_adaptive(
         if stalled and gain < WORTH_A_STAGE:
             break
         stalled = gain < WORTH_A_STAGE
-    return replace(begin, stages=tuple(stages))
+    return SampledAdaptiveProof(kept, texts, tuple(stages))
 
 
 def _stated(sampled: SampledLoop, paces: Paces) -> tuple[str, tuple[str, ...]]:
     """Texts above what sampling adds on a box."""
-    rest = 1 - flint.arb(sampled.held.reach) * paces.law_through
-    if not bool(rest > 0):
-        raise NoCertificate("the period is too long: the input moves faster than it is sampled")
-    fixed, _ = image(sampled.loop, sampled.held, paces, 0)
-    law = _above(fixed / rest)
+    law = _above(least_law(sampled.held, paces))
     _, estimates = image(sampled.loop, sampled.held, paces, from_text(law))
     return law, tuple(map(_above, estimates))
 
@@ -152,8 +150,8 @@ def _above(ball: Any) -> str:
     return decimal_text(float_up(value))
 
 
-def _kept(sampled: SampledLoop, first: Proof) -> SampledAdaptiveProof:
-    """The largest set that is found, without stages."""
+def _kept(sampled: SampledLoop, first: Proof) -> KeptSet:
+    """The largest set that is found."""
     whole, reason = first_box(sampled.loop, first).box, ""
     scale = LARGEST_BOX
     for _ in range(BOXES):
@@ -174,14 +172,12 @@ def _kept(sampled: SampledLoop, first: Proof) -> SampledAdaptiveProof:
 
 def _kept_on(
     sampled: SampledLoop, first: Proof, box: np.ndarray
-) -> tuple[SampledAdaptiveProof | None, np.ndarray | None, str]:
+) -> tuple[KeptSet | None, np.ndarray | None, str]:
     """A set inside a box; else a box to try next, if it is promising, and why there is none."""
     loop, nothing = sampled.loop, "no set of starts is kept by the sampled loop"
     region = _of_box(sampled, box)
     numbers = region.numbers()
-    row = tuple(f"{v:.{FREE_DIGITS}g}" for v in sampled.motion.middle_row(numbers))
-    texts, exact = _pace_of_box(row, numbers.box)
-    paces = sampled.motion.paces(numbers, np.array([from_text(v) for v in row]), exact)
+    paces = sampled.motion.paces(numbers)
     law, estimates = _stated(sampled, paces)
     acting = sampled.acting(from_text(law), [from_text(v) for v in estimates])
     floats = forms_of(loop.in_floats(), numbers.in_floats(), acting.astype(float))
@@ -205,16 +201,14 @@ def _kept_on(
     function = prove_function(forms, _widest(best, wanted, floats.middle, floats.radius), wanted, rows)
     if function is None:
         return None, None, nothing
-    stage = SampledStage(region, texts, law, estimates, (function,))
     room = least_room(sampled, forms, function, paces)
     if room is None:
         return None, None, "the period is too long for the delay"
-    proof = SampledAdaptiveProof(stage, _above(room), (), (), row, ())
-    starts = _starts(sampled, forms, proof)
-    if starts is None:
+    kept = KeptSet(region, law, estimates, function, _above(room), (), ())
+    kept = _with_starts(sampled, forms, kept)
+    if kept is None:
         return None, None, "the priors of the estimates are too far from what they are of"
-    errors, estimate_starts = starts
-    return replace(proof, starts=errors, estimates=estimate_starts), None, ""
+    return kept, None, ""
 
 
 def _of_box(sampled: SampledLoop, box: np.ndarray) -> Region:
@@ -223,14 +217,6 @@ def _of_box(sampled: SampledLoop, box: np.ndarray) -> Region:
     numbers = region.numbers()
     low, high = interval_of(numbers.linear_row(sampled.loop), numbers.box)
     return replace(region, row=wider_texts(low, high, WIDER))
-
-
-def _pace_of_box(
-    row: tuple[str, ...], box: np.ndarray
-) -> tuple[TextPair, tuple[Any, Any]]:
-    """The interval of a row on a box: its texts, and what they say."""
-    texts = wider_texts(*interval_of(np.array([from_text(v) for v in row]), box), WIDER)
-    return texts, (from_text(texts[0]), from_text(texts[1]))
 
 
 def _ends(solution: Minimiser) -> np.ndarray:
@@ -280,10 +266,8 @@ def _widest(
     return replace(solution, unknowns=unknowns, sizes=scales, bounds=bounds / scales)
 
 
-def _starts(
-    sampled: SampledLoop, forms: Forms, proof: SampledAdaptiveProof
-) -> tuple[tuple[str, ...], tuple[TextPair, ...]] | None:
-    """Boxes of starts that are proven to be in the kept set: of the errors, and of the estimates.
+def _with_starts(sampled: SampledLoop, forms: Forms, kept: KeptSet) -> KeptSet | None:
+    """With boxes of starts that are proven to be in the set: of the errors, and of the estimates.
 
     Of its shape and as large as possible, around the estimates of the file, or else the priors.
     """
@@ -291,9 +275,10 @@ def _starts(
         low, high, found = 0.0, 1.0, None
         for step in range(START_STEPS + 1):
             tried = 0.0 if step == 0 else (low + high) / 2
-            errors, estimates = _scaled_starts(sampled, forms, centre, tried)
-            if in_kept_set(sampled, forms, replace(proof, starts=errors, estimates=estimates)):
-                low, found = tried, (errors, estimates)
+            errors, priors = _scaled_starts(sampled, forms, centre, tried)
+            larger = replace(kept, starts=errors, priors=priors)
+            if in_kept_set(sampled, forms, larger):
+                low, found = tried, larger
             elif found is None:
                 break
             else:
