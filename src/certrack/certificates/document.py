@@ -47,6 +47,16 @@ from certrack.certificates.premises_of_truth import premises
 from certrack.certificates.ranges.certify import cover_bound
 from certrack.certificates.ranges.proofs import MAX_PROOF_CELLS, CellProof, check_cells
 from certrack.certificates.records import cell_record, online_record, stage_record
+from certrack.certificates.sampled_adaptive.certify import sampled_claim
+from certrack.certificates.sampled_adaptive.document import (
+    is_sampled_adaptive,
+    sampled_adaptive_record,
+)
+from certrack.certificates.sampled_adaptive.premises import premises_of_sampled_adaptive
+from certrack.certificates.sampled_adaptive.proof import (
+    SampledAdaptiveProof,
+    failed_sampled_adaptive,
+)
 from certrack.core.budget import within_budget
 from certrack.core.errors import CertrackError, InputError
 from certrack.core.files import write_text
@@ -90,8 +100,10 @@ class Verdict:
         return rounded_up(self.bound, 6)
 
 
-#: What a document holds: a stage, a cell, that of moving gains, or the proof for one delay.
-Stage = Proof | CellProof | OnlineProof | ImplementedProof | BootstrapStage
+#: What a document holds: a stage, a cell, that of moving gains, or one of an implemented loop.
+Stage = (
+    Proof | CellProof | OnlineProof | ImplementedProof | BootstrapStage | SampledAdaptiveProof
+)
 
 
 def to_document(system: System, *stages: Stage) -> dict[str, Any]:
@@ -123,12 +135,14 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
     """
     if not stages:
         raise InputError("stages", "there is no proof to save")
+    adaptive = [stage for stage in stages if isinstance(stage, SampledAdaptiveProof)]
+    if adaptive:
+        rests = premises_of_sampled_adaptive(system, adaptive[0])
+        return _document(system, sampled_claim(adaptive[0]), rests, adaptive[:1])
     cells = tuple(stage for stage in stages if isinstance(stage, CellProof))
     sampled = tuple(stage for stage in stages if isinstance(stage, ImplementedProof))
     system = system if sampled and is_of_starts(system) else system.long_run
     rests_on = premises_as_implemented(system, sampled) if sampled else premises(system)
-    if broken := contradicted(rests_on):
-        raise InputError("premises", f"the truth contradicts one: {broken[0]}")
     grounded = tuple(stage for stage in stages if isinstance(stage, BootstrapStage))
     if cells or sampled or grounded:
         bound = cover_bound(cells) if cells else ""
@@ -136,10 +150,20 @@ def to_document(system: System, *stages: Stage) -> dict[str, Any]:
         bound = claimed_bound(grounded) if grounded else bound
     else:
         bound = [stage for stage in stages if isinstance(stage, Proof | OnlineProof)][-1].bound
+    claim = claim_of(system, bound, rests_on) if sampled else f"limsup |e_1(t)| <= {bound}"
+    return _document(system, claim, rests_on, stages)
+
+
+def _document(
+    system: System, claim: str, rests_on: tuple[Premise, ...], stages: Sequence[Stage]
+) -> dict[str, Any]:
+    """The file's body, with its digest."""
+    if broken := contradicted(rests_on):
+        raise InputError("premises", f"the truth contradicts one: {broken[0]}")
     body: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"certrack {version()}",
-        "claim": claim_of(system, bound, rests_on) if sampled else f"limsup |e_1(t)| <= {bound}",
+        "claim": claim,
         "premises": [premise.record() for premise in rests_on],
         "system": to_text(system.replace(law=system.law.settled(system.plant))),
         "proof": [json.loads(json.dumps(record_of(stage))) for stage in stages],
@@ -227,6 +251,8 @@ def _verify(source: str | os.PathLike[str] | dict[str, Any]) -> Verdict:
         body = source if isinstance(source, dict) else read_document(Path(source))
         if is_implemented(body):
             return _verify_implemented(body)
+        if is_sampled_adaptive(body):
+            return _verify_sampled_adaptive(body)
         if _is_cover(body):
             return _verify_cover(body)
         if _is_online(body):
@@ -349,6 +375,23 @@ def _verify_implemented(body: dict[str, Any]) -> Verdict:
     if reason := _left_open(system) or failed_cover(system, proofs):
         return Verdict(False, bound, reason)
     return _rests_on(body, bound, rests_on, ())
+
+
+def _verify_sampled_adaptive(body: dict[str, Any]) -> Verdict:
+    """Check a proof of the adaptive law as implemented."""
+    check_layout(body)
+    if body["format"] != FORMAT:
+        raise InputError("format", f"must be {FORMAT} for an implemented loop", body["format"])
+    proof = sampled_adaptive_record(body["proof"])
+    bound = proof.bound
+    if body["sha256"] != _digest(body):
+        return Verdict(False, bound, "the file was changed after it was made")
+    if body["claim"] != sampled_claim(proof):
+        return Verdict(False, bound, "the claim is not that of the proof")
+    system = loads(body["system"], "system")
+    if reason := _left_open(system) or failed_sampled_adaptive(system, proof):
+        return Verdict(False, bound, reason)
+    return _rests_on(body, bound, premises_of_sampled_adaptive(system, proof), ())
 
 
 def _not_centred(stages: tuple[Proof, ...]) -> tuple[Proof, ...]:

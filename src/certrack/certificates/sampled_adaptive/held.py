@@ -120,6 +120,8 @@ def _left_out(system: System) -> str:
     """What of the implementation has no proof here; empty if all has."""
     drive, law = system.implementation, system.law
     assert drive is not None
+    if system.long_run is not system:
+        return "a soft start of the reference"
     if law.observer is not None:
         return "law.observer"
     if law.sampled_feedforward:
