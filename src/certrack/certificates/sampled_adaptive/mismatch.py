@@ -33,8 +33,9 @@ from certrack.certificates.exact import float_down, float_up
 from certrack.certificates.sampled_adaptive.held import HeldLaw
 from certrack.core.kinks import JUMPING
 
-#: Parts of a box at most.
-MOST_CELLS = 1000
+#: Parts of a box at most: for what is bounded at all times, and for the rate of the law where the
+#: estimates move with it.
+FEW_CELLS, MANY_CELLS = 64, 1000
 
 ZERO = flint.arb(0)
 
@@ -145,14 +146,15 @@ class Motion:
             If one of them is not finite.
         """
         wide = _Wide.of(self.loop, region)
-        parts = [self._part(wide, cell) for cell in _cells(box_of_states(self.loop, region.box))]
+        box = box_of_states(self.loop, region.box)
+        parts = [self._part(wide, cell) for cell in _cells(box, FEW_CELLS)]
         steps = [_hull([part.estimate_rates[i] for part in parts]) for i in range(self.loop.r + 1)]
         found = self._over_all(wide, parts, [self._moved(wide, part, steps) for part in parts])
         if near is None:
             return found
         law = least_law(self.held, found)
         added = [_symmetric(v) for v in image(self.loop, self.held, found, law)[1]]
-        moved = []
+        parts, moved = [self._part(wide, cell) for cell in _cells(box, MANY_CELLS)], []
         for part in parts:
             rates = [rate + more for rate, more in zip(part.estimate_rates, added, strict=True)]
             moved.append(self._moved(wide, part, rates, near, added[-1]))
@@ -396,10 +398,10 @@ def image(loop: AdaptiveLoop, held: HeldLaw, paces: Paces, law: Any) -> tuple[An
     return of_law, [*thetas, flint.arb(loop.gain_rate) * drives[-1]]
 
 
-def _cells(box: np.ndarray) -> Iterator[list[Any]]:
-    """Parts that cover a box of floats, as balls."""
+def _cells(box: np.ndarray, most: int) -> Iterator[list[Any]]:
+    """Parts, not more than so many, that cover a box of floats, as balls."""
     wide = int((box[:, 0] < box[:, 1]).sum())
-    count = 1 if not wide else max(1, int(MOST_CELLS ** (1 / wide) + 1e-9))
+    count = 1 if not wide else max(1, int(most ** (1 / wide) + 1e-9))
     sides = []
     for low, high in box:
         inner = np.linspace(low, high, count + 1)[1:-1] if low < high else np.empty(0)

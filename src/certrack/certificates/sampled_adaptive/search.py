@@ -31,7 +31,6 @@ from certrack.certificates.bootstrap.search import (
     LATER_TRIES,
     MOST_GROUPS,
     MOST_STAGES,
-    WORTH_A_STAGE,
     Group,
     functions_on,
     starting_rates,
@@ -70,6 +69,9 @@ RATES = (0.7, 1.2, 2.0)
 
 #: What is added to what sampling adds, relatively, so that another rounding confirms it.
 SAMPLING_ROOM = rational("1e-6")
+
+#: The iteration ends when no interval shrinks by more than this part, with a sweep.
+WORTH_ONE_MORE = 0.002
 
 #: Bisections of the size of the starts, and their digits.
 START_STEPS, START_DIGITS = 12, 4
@@ -131,9 +133,9 @@ def prove_sampled_adaptive(
             stages.append(SampledStage(region, stated, law, estimates, functions))
             known, pace = later, pace_after(pace, row, later, functions)
             progress(0, None, max(map(abs, known.box[0].astype(float))))
-        if stalled and gain < WORTH_A_STAGE:
+        if stalled and gain < WORTH_ONE_MORE:
             break
-        stalled = gain < WORTH_A_STAGE
+        stalled = gain < WORTH_ONE_MORE
     return SampledAdaptiveProof(kept, texts, tuple(stages))
 
 
