@@ -51,7 +51,9 @@ class Loops:
         self.late = round(system.implementation.delays[0] * STEPS)
         assert abs(self.late - system.implementation.delays[0] * STEPS) < 1e-9
         numbers = dict(plant.constant_values)
-        put = {s: v for s in plant.drift.expr.free_symbols for k, v in numbers.items() if str(s) == k}
+        put = {
+            s: v for s in plant.drift.expr.free_symbols for k, v in numbers.items() if str(s) == k
+        }
         parts = [plant.drift.expr, *(phi.expr for phi in plant.regressor)]
         parts = [sympy.sympify(part).subs(put) for part in parts]
         self.formulas = sympy.lambdify(list(plant.symbols), parts, "numpy", cse=True)
@@ -69,7 +71,9 @@ class Loops:
         self.theta0 = np.array(law.parameters(plant)["theta0"], dtype=float)
         u = plant.uncertainty
         assert u.Delta is None and u.S is None, "the attack knows gamma ||x|| + beta only"
-        self.tau, self.gamma, self.beta = (np.array(v, dtype=float) for v in (u.tau, u.gamma, u.beta))
+        self.tau, self.gamma, self.beta = (
+            np.array(v, dtype=float) for v in (u.tau, u.gamma, u.beta)
+        )
 
     def reference(self, t, orders):
         """y_d and its derivatives, within the bounds of all of them."""
@@ -78,7 +82,12 @@ class Loops:
 
     def ubar(self, x, Y, theta_hat):
         h, *phi = self._values(x)
-        return self.nu_x @ x + self.nu_Y @ Y - h - (np.array(phi).reshape(self.r, -1) * theta_hat).sum(0)
+        return (
+            self.nu_x @ x
+            + self.nu_Y @ Y
+            - h
+            - (np.array(phi).reshape(self.r, -1) * theta_hat).sum(0)
+        )
 
     def _values(self, x):
         return [np.broadcast_to(v, (x.shape[1],)) for v in self.formulas(*x)]
@@ -129,7 +138,8 @@ class Loops:
         estimates = np.where(random.integers(0, 2, (self.r + 1, N)), ends[:, :1], ends[:, 1:])
         h, waiting = self.T / STEPS, []
         held = np.full(N, self.system.implementation.initial_input)
-        seen = Seen(*(np.zeros(n) for _ in range(2)), 0.0, 0.0, *(np.zeros(self.r + 1) for _ in range(2)), 0.0)
+        none, still = np.zeros(n), np.zeros(self.r + 1)
+        seen = Seen(none, none, 0.0, 0.0, still, still, 0.0)
         total = round(duration / self.T)
         for k in range(total):
             t, late = k * self.T, k > 0.6 * total
@@ -143,7 +153,17 @@ class Loops:
                     held = waiting.pop(0)[1]
                 now = t + p * h
                 x = self._step(now, x, held, h)
-                self._look(seen, now + h, x, held, estimates, first, (p + 1) * h, late, k * STEPS + p >= self.late)
+                self._look(
+                    seen,
+                    now + h,
+                    x,
+                    held,
+                    estimates,
+                    first,
+                    (p + 1) * h,
+                    late,
+                    k * STEPS + p >= self.late,
+                )
             estimates = self._after(estimates, first, self.T)
         return seen
 

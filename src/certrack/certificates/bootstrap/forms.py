@@ -65,9 +65,7 @@ class Forms:
     radius: np.ndarray
 
 
-def forms_of(
-    loop: AdaptiveLoop, region: RegionNumbers, acting: np.ndarray | None = None
-) -> Forms:
+def forms_of(loop: AdaptiveLoop, region: RegionNumbers, acting: np.ndarray | None = None) -> Forms:
     """All forms, in the arithmetic of the arguments.
 
     Parameters

@@ -18,13 +18,9 @@ from certrack.certificates.sampled_adaptive.proof import SampledAdaptiveProof, S
 from certrack.certificates.sampled_adaptive.search import prove_sampled_adaptive
 from certrack.certificates.start import reference_at_start, states_at_start
 from certrack.core.progress import Progress, silent
-from certrack.core.rounding import printed_bound
 from certrack.systems.system import System
 
 SAMPLED = "sampled"
-
-#: Digits of the bound in a claim's words.
-CLAIM_DIGITS = 6
 
 
 @dataclass(frozen=True, repr=False)
@@ -132,7 +128,8 @@ def words_of_starts(proof: SampledAdaptiveProof) -> str:
     kept = proof.kept
     parts = [f"|e_{i + 1}(0)| <= {size}" for i, size in enumerate(kept.starts)]
     names = ["delta_hat(0)", *(f"theta_hat_{i + 1}(0)" for i in range(len(kept.priors) - 1))]
-    parts += [f"{name} in [{low}, {high}]" for name, (low, high) in zip(names, kept.priors, strict=True)]
+    pairs = zip(names, kept.priors, strict=True)
+    parts += [f"{name} in [{low}, {high}]" for name, (low, high) in pairs]
     return ", ".join(parts)
 
 

@@ -223,9 +223,7 @@ class Motion:
         ]
         rates = [_dot(_balls(row), drive) for row in loop.Gamma]
         of_delta = wide.gain_sign * measured * e_seen
-        of_delta = -wide.gain_rate * (
-            of_delta + wide.leak_gain * (wide.delta_hat - wide.delta0)
-        )
+        of_delta = -wide.gain_rate * (of_delta + wide.leak_gain * (wide.delta_hat - wide.delta0))
         return _Part(
             e=e,
             Y=Y,

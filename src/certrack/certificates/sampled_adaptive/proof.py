@@ -323,6 +323,7 @@ def _failed_starts(sampled: SampledLoop, kept: KeptSet, forms: Forms) -> str:
 
 
 def sampled_forms(sampled: SampledLoop, stage: SampledStage | KeptSet) -> Forms:
+    """The forms of a stage, or of the kept set, with what sampling adds."""
     acting = sampled.acting(from_text(stage.law), [from_text(v) for v in stage.estimates])
     return forms_of(sampled.loop, stage.region.numbers(), acting)
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 from itertools import product
 from typing import Any
 
-import flint
 import numpy as np
 
 from certrack.certificates.arithmetic import rational
 from certrack.certificates.bootstrap.box import Region, TextPair, interval_of
 from certrack.certificates.bootstrap.forms import Forms, forms_of
+from certrack.certificates.bootstrap.polynomial_stages import shrunk
 from certrack.certificates.bootstrap.program import BootstrapProgram, Minimiser
-from certrack.certificates.bootstrap.proof import FunctionProof, prove_function, row_over_box
+from certrack.certificates.bootstrap.proof import prove_function, row_over_box
 from certrack.certificates.bootstrap.rates import Rate
 from certrack.certificates.bootstrap.regions import (
     FREE_DIGITS,
@@ -36,7 +36,6 @@ from certrack.certificates.bootstrap.search import (
     starting_rates,
     sweep_of,
 )
-from certrack.certificates.bootstrap.polynomial_stages import shrunk
 from certrack.certificates.certificate import NoCertificate
 from certrack.certificates.exact import Proof, decimal_text, float_down, float_up, from_text
 from certrack.certificates.sampled_adaptive.mismatch import Near, Paces, image, least_law
@@ -200,17 +199,19 @@ def _kept_on(
     if reason := failed_limits(sampled.held, paces):
         return None, None, reason
     forms = forms_of(loop, numbers, acting)
-    function = prove_function(forms, _widest(best, wanted, floats.middle, floats.radius), wanted, rows)
+    function = prove_function(
+        forms, _widest(best, wanted, floats.middle, floats.radius), wanted, rows
+    )
     if function is None:
         return None, None, nothing
     room = least_room(sampled, forms, function, paces)
     if room is None:
         return None, None, "the period is too long for the delay"
     kept = KeptSet(region, law, estimates, function, _above(room), (), ())
-    kept = _with_starts(sampled, forms, kept)
-    if kept is None:
+    larger = _with_starts(sampled, forms, kept)
+    if larger is None:
         return None, None, "the priors of the estimates are too far from what they are of"
-    return kept, None, ""
+    return larger, None, ""
 
 
 def _of_box(sampled: SampledLoop, box: np.ndarray) -> Region:
