@@ -39,6 +39,7 @@ from certrack.certificates.layout import (
     FORMAT_1,
     MAX_CERTIFICATE_BYTES,
     check_layout,
+    check_new_layout,
     read_document,
 )
 from certrack.certificates.online.certify import OnlineProof, failed_online
@@ -323,12 +324,6 @@ def _verify_online(body: dict[str, Any]) -> Verdict:
     return _verified(body, proof.bound, shifts, lambda system: failed_online(system, proof))
 
 
-def _of_this_format(body: dict[str, Any], what: str) -> None:
-    """Refuse the older format, which has no such proof."""
-    if body["format"] != FORMAT:
-        raise InputError("format", f"must be {FORMAT} for {what}", body["format"])
-
-
 def _is_cover(body: dict[str, Any]) -> bool:
     """Whether a body claims a bound by cells of the ranges of constants."""
     return _has_entries(body, "cell")
@@ -336,8 +331,7 @@ def _is_cover(body: dict[str, Any]) -> bool:
 
 def _verify_cover(body: dict[str, Any]) -> Verdict:
     """Check a proof by cells."""
-    check_layout(body)
-    _of_this_format(body, "a proof by cells")
+    check_new_layout(body, "a proof by cells")
     if len(body["proof"]) > MAX_PROOF_CELLS:
         raise InputError("proof", f"must have at most {MAX_PROOF_CELLS} cells")
     cells = tuple(map(cell_record, body["proof"]))
@@ -348,8 +342,7 @@ def _verify_cover(body: dict[str, Any]) -> Verdict:
 
 def _verify_bootstrap(body: dict[str, Any]) -> Verdict:
     """Check a proof by a bootstrap."""
-    check_layout(body)
-    _of_this_format(body, "a bootstrap")
+    check_new_layout(body, "a bootstrap")
     first, stages = stage_record(body["proof"][0]), bootstrap_stages(body["proof"][1:])
 
     def failed(system: System) -> str:
@@ -360,8 +353,7 @@ def _verify_bootstrap(body: dict[str, Any]) -> Verdict:
 
 def _verify_implemented(body: dict[str, Any]) -> Verdict:
     """Check a proof of the implemented loop."""
-    check_layout(body)
-    _of_this_format(body, "an implemented loop")
+    check_new_layout(body, "an implemented loop")
     proofs = implemented_proofs(body["proof"])
     bound = largest_bound(proofs)
     if body["sha256"] != _digest(body):
@@ -380,8 +372,7 @@ def _verify_implemented(body: dict[str, Any]) -> Verdict:
 
 def _verify_sampled_adaptive(body: dict[str, Any]) -> Verdict:
     """Check a proof of the adaptive law as implemented."""
-    check_layout(body)
-    _of_this_format(body, "an implemented loop")
+    check_new_layout(body, "an implemented loop")
     proof = sampled_adaptive_record(body["proof"])
     bound = proof.bound
     if body["sha256"] != _digest(body):

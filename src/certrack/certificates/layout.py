@@ -68,3 +68,10 @@ def check_layout(body: dict[str, Any]) -> None:
         raise InputError("", "is not a certificate: it must have " + ", ".join(keys))
     if not all(isinstance(body[key], str) for key in ("claim", "system", "sha256", "made_by")):
         raise InputError("", "is not a certificate: texts expected")
+
+
+def check_new_layout(body: dict[str, Any], what: str) -> None:
+    """Refuse a body as :func:`check_layout` does, and the older format, which has no such proof."""
+    check_layout(body)
+    if body["format"] != FORMAT:
+        raise InputError("format", f"must be {FORMAT} for {what}", body["format"])

@@ -72,6 +72,11 @@ SAMPLING_ROOM = rational("1e-6")
 #: The iteration ends when no interval shrinks by more than this part, with a sweep.
 WORTH_ONE_MORE = 0.002
 
+#: Why there is none where nothing more is known.
+NOTHING_KEPT = (
+    "no set of starts is kept by the sampled loop: sample more often, or lower the delay or tau"
+)
+
 #: Bisections of the size of the starts, and their digits.
 START_STEPS, START_DIGITS = 12, 4
 
@@ -153,7 +158,7 @@ def _above(ball: Any) -> str:
 
 def _kept(sampled: SampledLoop, first: Proof) -> KeptSet:
     """The largest set that is found."""
-    whole, reason = first_box(sampled.loop, first).box, ""
+    whole, why, refused = first_box(sampled.loop, first).box, "", ""
     scale = LARGEST_BOX
     for _ in range(BOXES):
         box = whole * rational(scale)
@@ -161,21 +166,22 @@ def _kept(sampled: SampledLoop, first: Proof) -> KeptSet:
             try:
                 found, box, reason = _kept_on(sampled, first, box)
             except NoCertificate as refusal:
-                reason = str(refusal)
-                break
+                found, box, reason, refused = None, None, "", str(refusal)
+            else:
+                why, refused = reason or why, NOTHING_KEPT
             if found is not None:
                 return found
             if box is None:
                 break
         scale *= SMALLER_BOX
-    raise NoCertificate(reason or "no set of starts is kept by the sampled loop")
+    raise NoCertificate(why or refused)
 
 
 def _kept_on(
     sampled: SampledLoop, first: Proof, box: np.ndarray
 ) -> tuple[KeptSet | None, np.ndarray | None, str]:
     """A set inside a box; else a box to try next, if it is promising, and why there is none."""
-    loop, nothing = sampled.loop, "no set of starts is kept by the sampled loop"
+    loop = sampled.loop
     region = _of_box(sampled, box)
     numbers = region.numbers()
     paces = sampled.motion.paces(numbers)
@@ -193,9 +199,9 @@ def _kept_on(
             if exceeded < most:
                 best, most = solution, exceeded
     if best is None:
-        return None, None, nothing
+        return None, None, ""
     if most > 1 - INSIDE:
-        return None, _next_shape(best, numbers.box.astype(float)), nothing
+        return None, _next_shape(best, numbers.box.astype(float)), ""
     if reason := failed_limits(sampled.held, paces):
         return None, None, reason
     forms = forms_of(loop, numbers, acting)
@@ -203,7 +209,7 @@ def _kept_on(
         forms, _widest(best, wanted, floats.middle, floats.radius), wanted, rows
     )
     if function is None:
-        return None, None, nothing
+        return None, None, ""
     room = least_room(sampled, forms, function, paces)
     if room is None:
         return None, None, "the period is too long for the delay"
